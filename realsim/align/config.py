@@ -1,0 +1,22 @@
+"""What can be set about the simulation frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class AlignConfig:
+    start: tuple[float, float] | None = None
+    """X Y on the start platform, metres, in the frame that the rule alone would have chosen (see the report)."""
+    goal: tuple[float, float] | None = None
+    """X Y of a point on the goal platform, same frame."""
+    start_pixel: tuple[str, int, int] | None = None
+    """FRAME U V: a pixel of a frame (by name) that shows the start platform's top."""
+    goal_pixel: tuple[str, int, int] | None = None
+    """FRAME U V of the goal platform's top."""
+    segmenter: str = "geometric"
+    """Who labels points ground / platform / obstacle / other."""
+    margin: float = 0.5
+    """Metres of ground kept around the terrain."""
+    seed: int = 0

@@ -1,0 +1,102 @@
+"""What can go wrong, said so that a person can act on it.
+
+Every error that a user can cause is a `RealsimError`: it names the file, what was expected, what was found and
+what to do. The command line prints it without a traceback and exits with code 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+from pathlib import Path
+
+
+class RealsimError(Exception):
+    """Base of all errors that a user can cause or mend.
+
+    Args:
+        message: one sentence that says what is wrong.
+        file: the file or folder it is about.
+        expected: what would have been right.
+        found: what was there instead.
+        hint: what to do about it.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        file: str | Path | None = None,
+        expected: str | None = None,
+        found: str | None = None,
+        hint: str | None = None,
+    ) -> None:
+        self.message = message
+        self.file = None if file is None else str(file)
+        self.expected, self.found, self.hint = expected, found, hint
+        super().__init__(self.render())
+
+    def render(self) -> str:
+        """The whole text, one fact a line."""
+        facts = [("file", self.file), ("expected", self.expected), ("found", self.found), ("do", self.hint)]
+        return "\n".join([self.message] + [f"  {name}: {value}" for name, value in facts if value])
+
+    def as_dict(self) -> dict[str, str | None]:
+        """The same for machines (`--json`)."""
+        return {
+            "error": type(self).__name__,
+            "message": self.message,
+            "file": self.file,
+            "expected": self.expected,
+            "found": self.found,
+            "hint": self.hint,
+        }
+
+
+class CaptureError(RealsimError):
+    """The capture cannot be read, or holds nothing that can be used."""
+
+
+class PoseError(RealsimError):
+    """Camera poses are unusable, or could not be estimated."""
+
+
+class ScaleError(RealsimError):
+    """The metric scale cannot be told, or frames disagree beyond the limit."""
+
+
+class AlignError(RealsimError):
+    """No ground, no platform where one was asked for, or contradictory directions."""
+
+
+class MeshError(RealsimError):
+    """A mesh cannot be built, or a given one cannot be used."""
+
+
+class ExportError(RealsimError):
+    """A scene does not compile, step or hold what stands on it."""
+
+
+class GapError(RealsimError):
+    """A robot log cannot support a diagnosis."""
+
+
+class MissingExtraError(RealsimError):
+    """A package that belongs to an optional extra is not installed."""
+
+    def __init__(self, package: str, extra: str, what: str) -> None:
+        super().__init__(f"{what} needs the package {package}", hint=f'pip install "realsim[{extra}]"')
+
+
+class UnknownNameError(RealsimError):
+    """A name is not in a registry or a list; the message gives those that are, the closest first."""
+
+    def __init__(self, kind: str, name: str, known: Iterable[str], *, file: str | Path | None = None) -> None:
+        names = sorted(known)
+        close = get_close_matches(name, names, n=3, cutoff=0.4)
+        super().__init__(
+            f"unknown {kind} {name!r}",
+            file=file,
+            expected=f"one of {', '.join(names)}",
+            hint=f"did you mean {' or '.join(close)}?" if close else None,
+        )

@@ -1,0 +1,135 @@
+"""Small geometry that every stage shares: rigid transforms, planes, pixels and points.
+
+Conventions (docs/conventions.md): column vectors, `T_a_b` maps points of frame b into frame a, camera axes are
+OpenCV's (x right, y down, z forward), the centre of the first pixel is (0, 0), quaternions are w x y z.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def is_rotation(R: ArrayLike, tol: float = 1e-6) -> bool:
+    """Whether a 3x3 matrix is orthonormal with determinant +1 to within `tol`."""
+    R = np.asarray(R, float)
+    return bool(np.isfinite(R).all() and np.abs(R @ R.T - np.eye(3)).max() < tol and np.linalg.det(R) > 0)
+
+
+def nearest_rotation(M: ArrayLike) -> Array:
+    """The rotation nearest to a 3x3 matrix in the Frobenius norm (orthogonal Procrustes; Schönemann 1966)."""
+    U, _, Vt = np.linalg.svd(np.asarray(M, float))
+    return U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+
+
+def make_T(R: ArrayLike | None = None, t: ArrayLike | None = None) -> Array:
+    """4x4 transform from a 3x3 rotation (identity if None) and a translation (zero if None)."""
+    T = np.eye(4)
+    if R is not None:
+        T[:3, :3] = R
+    if t is not None:
+        T[:3, 3] = t
+    return T
+
+
+def invert_T(T: ArrayLike) -> Array:
+    """Inverse of a rigid 4x4 transform, or of a stack (..., 4, 4) of them."""
+    T = np.asarray(T, float)
+    out = np.zeros_like(T)
+    Rt = np.swapaxes(T[..., :3, :3], -1, -2)
+    out[..., :3, :3] = Rt
+    out[..., :3, 3] = -(Rt @ T[..., :3, 3, None])[..., 0]
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def transform(T: ArrayLike, points: ArrayLike) -> Array:
+    """Apply a 4x4 transform to points (..., 3); a similarity is allowed."""
+    T = np.asarray(T, float)
+    return np.asarray(points) @ T[:3, :3].T + T[:3, 3]
+
+
+def exp_so3(w: ArrayLike) -> Array:
+    """Rotation matrix of a rotation vector (3,) in radians (Rodrigues)."""
+    w = np.asarray(w, float)
+    a = float(np.linalg.norm(w))
+    K = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
+    if a < 1e-8:
+        return nearest_rotation(np.eye(3) + K + 0.5 * K @ K)
+    return np.eye(3) + np.sin(a) / a * K + (1 - np.cos(a)) / a**2 * K @ K
+
+
+def log_so3(R: ArrayLike) -> Array:
+    """Rotation vector (3,) in radians, of length at most pi, of a rotation matrix."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(np.asarray(R, float)).as_rotvec()
+
+
+def angle_deg(R: ArrayLike) -> float:
+    """Angle of a rotation matrix in degrees."""
+    return float(np.degrees(np.linalg.norm(log_so3(R))))
+
+
+def quat_to_R(q: ArrayLike) -> Array:
+    """Rotation matrix of a quaternion w x y z (normalised here)."""
+    w, x, y, z = np.asarray(q, float) / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def R_to_quat(R: ArrayLike) -> Array:
+    """Unit quaternion w x y z with w >= 0 of a rotation matrix."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(np.asarray(R, float)).as_quat()
+    q = np.array([w, x, y, z])
+    return -q if w < 0 else q
+
+
+def rotation_between(a: ArrayLike, b: ArrayLike) -> Array:
+    """The shortest rotation that takes direction `a` (3,) to direction `b` (3,)."""
+    a = np.asarray(a, float) / np.linalg.norm(a)
+    b = np.asarray(b, float) / np.linalg.norm(b)
+    axis = np.cross(a, b)
+    s, c = float(np.linalg.norm(axis)), float(a @ b)
+    if s < 1e-12:
+        if c > 0:
+            return np.eye(3)
+        side = np.eye(3)[np.argmin(np.abs(a))]
+        axis = np.cross(a, side)
+        return exp_so3(np.pi * axis / np.linalg.norm(axis))
+    return exp_so3(np.arctan2(s, c) * axis / s)
+
+
+def fit_plane(points: ArrayLike, weights: ArrayLike | None = None) -> tuple[Array, float, float]:
+    """Least-squares plane by PCA: unit normal n (3,), offset d with n·x + d = 0, RMS distance.
+
+    Args:
+        points: (M, 3), M >= 3.
+        weights: (M,), non-negative; equal if None.
+    """
+    P = np.asarray(points, float)
+    w = np.ones(len(P)) if weights is None else np.asarray(weights, float)
+    c = (w[:, None] * P).sum(0) / w.sum()
+    X = P - c
+    values, vectors = np.linalg.eigh((X * w[:, None]).T @ X / w.sum())
+    n = vectors[:, 0]
+    return n, float(-n @ c), float(np.sqrt(max(values[0], 0.0)))
+
+
+def pixel_rays(width: int, height: int, fx: float, fy: float, cx: float, cy: float) -> NDArray[np.float32]:
+    """Directions (height, width, 3) with z = 1 in the camera frame through the pixel centres."""
+    u = (np.arange(width, dtype=np.float32) - np.float32(cx)) / np.float32(fx)
+    v = (np.arange(height, dtype=np.float32) - np.float32(cy)) / np.float32(fy)
+    rays = np.ones((height, width, 3), np.float32)
+    rays[..., 0] = u[None, :]
+    rays[..., 1] = v[:, None]
+    return rays

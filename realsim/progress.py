@@ -1,0 +1,51 @@
+"""Progress that a person can watch and a pipe does not see."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sized
+from typing import TypeVar
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+T = TypeVar("T")
+console = Console(stderr=True)
+_quiet = False
+
+
+def set_quiet(quiet: bool) -> None:
+    """Silence progress and notes (errors are still printed)."""
+    global _quiet
+    _quiet = quiet
+
+
+def visible() -> bool:
+    """Whether progress is shown: a terminal, and not asked to be quiet."""
+    return not _quiet and console.is_terminal
+
+
+def note(text: str) -> None:
+    """A line for the person who watches."""
+    if visible():
+        console.print(text, style="dim", highlight=False)
+
+
+def track(items: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:
+    """Iterate with a progress bar; without a terminal, just iterate."""
+    if not visible():
+        yield from items
+        return
+    if total is None and isinstance(items, Sized):
+        total = len(items)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(what, total=total)
+        for item in items:
+            yield item
+            bar.advance(task)

@@ -1,0 +1,41 @@
+"""Registries: one name, one small file, one line.
+
+An entry is the text `module:attribute`; the module is imported when the entry is first used, so that listing what
+there is costs nothing and a heavy package is loaded only by those who need it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from typing import Any
+
+from realsim.errors import UnknownNameError
+
+
+class Registry(Mapping[str, Any]):
+    """Names to lazily imported objects, in the order in which they were written down.
+
+    Args:
+        kind: what the entries are, for the message about an unknown name.
+        entries: name -> "package.module:attribute".
+    """
+
+    def __init__(self, kind: str, entries: Mapping[str, str]) -> None:
+        self.kind = kind
+        self._entries = dict(entries)
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._entries:
+            raise UnknownNameError(self.kind, name, self._entries)
+        module, _, attribute = self._entries[name].partition(":")
+        return getattr(import_module(module), attribute)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._entries
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)

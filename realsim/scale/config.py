@@ -1,0 +1,22 @@
+"""What can be set about the metric scale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class ScaleConfig:
+    method: str = "median"
+    """Estimator; `median` is the paper's rule."""
+    warn_spread: float = 0.05
+    """Relative spread between frames above which the report warns."""
+    max_spread: float = 0.25
+    """Relative spread between frames above which the scale is refused."""
+    bootstrap: int = 1000
+    """Resamples for the interval."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.warn_spread <= self.max_spread:
+            raise ValueError("need 0 < warn_spread <= max_spread")
