@@ -1,0 +1,25 @@
+"""Shared fixtures. Data that does not belong to the repository is looked for in REALSIM_SHARED (default ../shared)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+SHARED = Path(os.environ.get("REALSIM_SHARED", ROOT.parent / "shared"))
+
+
+@pytest.fixture
+def shared() -> Callable[[str], Path]:
+    """`shared("captures/stake_a")` is that path of the shared data, or the test is skipped with the reason."""
+
+    def find(name: str) -> Path:
+        path = SHARED / name
+        if not path.exists():
+            pytest.skip(f"{path} is absent: set REALSIM_SHARED to the folder that holds {name}")
+        return path
+
+    return find
