@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
 
 
 @dataclass(frozen=True)
@@ -19,4 +22,4 @@ class AlignConfig:
     """Who labels points ground / platform / obstacle / other."""
     margin: float = 0.5
     """Metres of ground kept around the terrain."""
-    seed: int = 0
+    seed: Annotated[int, tyro.conf.Suppress] = 0

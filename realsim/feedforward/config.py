@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
+
+import tyro
 
 
 @dataclass(frozen=True)
@@ -16,5 +18,5 @@ class PointsConfig:
     """Refine given poses against the depth."""
     correct_depth_bias: bool = True
     """With metric poses given, recover the depth sensor's scale bias from multi-view consistency and correct it."""
-    seed: int = 0
+    seed: Annotated[int, tyro.conf.Suppress] = 0
     """Seed of everything random in this stage."""

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
 
 
 @dataclass(frozen=True)
 class MeshConfig:
-    method: str = "poisson"
+    method: Annotated[str, tyro.conf.arg(name="mesh-method")] = "poisson"
     """Surface reconstruction: `poisson` (screened) or `tsdf`."""
     resolution: float | None = None
     """Metres a cell; chosen from the data's noise if not given."""
@@ -15,4 +18,4 @@ class MeshConfig:
     """Decimate to at most this many."""
     max_error: float = 0.002
     """Metres that decimation may move the surface."""
-    seed: int = 0
+    seed: Annotated[int, tyro.conf.Suppress] = 0

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
 
 
 @dataclass(frozen=True)
 class ScaleConfig:
-    method: str = "median"
+    method: Annotated[str, tyro.conf.arg(name="scale-method")] = "median"
     """Estimator; `median` is the paper's rule."""
     warn_spread: float = 0.05
     """Relative spread between frames above which the report warns."""
@@ -15,7 +18,7 @@ class ScaleConfig:
     """Relative spread between frames above which the scale is refused."""
     bootstrap: int = 1000
     """Resamples for the interval."""
-    seed: int = 0
+    seed: Annotated[int, tyro.conf.Suppress] = 0
 
     def __post_init__(self) -> None:
         if not 0 < self.warn_spread <= self.max_spread:

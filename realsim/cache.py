@@ -1,0 +1,146 @@
+"""Finished stages, kept and reused while their inputs have not changed.
+
+A key is the digest of everything a result depends on: the content of the capture's files, the configuration, and the
+source code of the packages that compute it. Values are dataclasses of `realsim.types` made of plain values and
+arrays, stored as one .npz without pickles. The oldest entries go when the folder grows beyond its limit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import io
+import json
+import os
+import zipfile
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from realsim import types
+from realsim.errors import RealsimError
+from realsim.files import digest, write_bytes
+
+T = TypeVar("T")
+MAX_BYTES = 4 * 2**30
+
+
+def default_folder() -> Path:
+    """`REALSIM_CACHE`, else the user's cache folder."""
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(os.environ.get("REALSIM_CACHE") or Path(base) / "realsim")
+
+
+class StageCache:
+    """Results by key in a folder; `folder=None` keeps nothing."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self.folder = folder
+
+    def get_or_make(self, key: str, make: Callable[[], T]) -> tuple[T, bool]:
+        """(result, whether it was reused). A broken or foreign entry counts as absent."""
+        if self.folder is None:
+            return make(), False
+        path = self.folder / f"{key}.npz"
+        try:
+            value = unpack(path.read_bytes())
+            os.utime(path)
+            return value, True
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+            pass
+        value = make()
+        # A full or read-only disk must not spoil a result that is already there.
+        with contextlib.suppress(RealsimError, OSError):
+            write_bytes(path, pack(value))
+            self._trim()
+        return value, False
+
+    def _trim(self) -> None:
+        assert self.folder is not None
+        entries = sorted(((p.stat().st_mtime, p.stat().st_size, p) for p in self.folder.glob("*.npz")), reverse=True)
+        total = 0
+        for _, size, path in entries:
+            total += size
+            if total > MAX_BYTES:
+                path.unlink(missing_ok=True)
+
+
+@cache
+def code_digest(*packages: str) -> str:
+    """Digest of the source of `realsim` subpackages and of the modules that they all share."""
+    root = Path(__file__).parent
+    files = sorted(root.glob("*.py")) + [f for p in packages for f in sorted((root / p).rglob("*.py"))]
+    return digest(*files)
+
+
+def source_digest(source: types.FrameSet | types.Scan) -> str:
+    """Digest of a capture: what its files hold, and how they were read."""
+    if isinstance(source, types.Scan):
+        return digest(source.points, source.triangles, source.normals, source.colors, source.sensor_position)
+    parts: list[Any] = [source.layout, source.poses_metric, source.up_world]
+    for frame in source.frames:
+        parts += [frame.name, frame.intrinsics, frame.color_intrinsics, frame.T_world_camera, *frame.files]
+    return digest(*parts)
+
+
+def pack(value: Any) -> bytes:
+    """Bytes of a tree of dataclasses from `realsim.types`, tuples, mappings, arrays and plain values."""
+    arrays: list[np.ndarray] = []
+    tree = _encode(value, arrays)
+    out = io.BytesIO()
+    named = {f"a{i}": a for i, a in enumerate(arrays)}
+    np.savez_compressed(out, tree=np.frombuffer(json.dumps(tree).encode(), np.uint8), **named)  # type: ignore[arg-type]
+    return out.getvalue()
+
+
+def unpack(data: bytes) -> Any:
+    """Inverse of `pack`. Raises ValueError, KeyError or BadZipFile on anything else."""
+    with np.load(io.BytesIO(data), allow_pickle=False) as store:
+        tree = json.loads(store["tree"].tobytes())
+        return _decode(tree, store)
+
+
+def _encode(value: Any, arrays: list[np.ndarray]) -> Any:
+    if isinstance(value, np.ndarray):
+        if value.dtype.hasobject:
+            raise TypeError("object arrays cannot be stored")
+        arrays.append(value)
+        return {"array": len(arrays) - 1}
+    if isinstance(value, np.generic):
+        return value.item()
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = {f.name: _encode(getattr(value, f.name), arrays) for f in dataclasses.fields(value)}
+        return {"type": type(value).__name__, "fields": fields}
+    if isinstance(value, Mapping):
+        return {"map": [[str(k), _encode(v, arrays)] for k, v in value.items()]}
+    if isinstance(value, tuple):
+        return {"tuple": [_encode(v, arrays) for v in value]}
+    if isinstance(value, list):
+        return [_encode(v, arrays) for v in value]
+    if isinstance(value, Path):
+        return {"path": str(value)}
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    raise TypeError(f"{type(value).__name__} cannot be stored")
+
+
+def _decode(tree: Any, store: Mapping[str, np.ndarray]) -> Any:
+    if isinstance(tree, list):
+        return [_decode(v, store) for v in tree]
+    if not isinstance(tree, dict):
+        return tree
+    if "array" in tree:
+        return store[f"a{tree['array']}"]
+    if "tuple" in tree:
+        return tuple(_decode(v, store) for v in tree["tuple"])
+    if "map" in tree:
+        return {k: _decode(v, store) for k, v in tree["map"]}
+    if "path" in tree:
+        return Path(tree["path"])
+    kind = getattr(types, tree["type"], None)
+    if not dataclasses.is_dataclass(kind):
+        raise ValueError(f"unknown type {tree['type']!r}")
+    return kind(**{k: _decode(v, store) for k, v in tree["fields"].items()})  # type: ignore[operator]

@@ -1,0 +1,124 @@
+"""The command line: `realsim COMMAND ...`. Every command is a function elsewhere; this file only finds and calls it.
+
+A command is a function whose parameters (frozen dataclasses among them) become its options, and which returns a
+`CommandResult`: lines for a person, a dictionary for a machine (`--json`), an exit code.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from realsim import __version__
+from realsim.commands import set_arguments
+from realsim.errors import RealsimError
+from realsim.files import to_json
+from realsim.progress import console, set_quiet
+from realsim.registry import Registry
+
+COMMANDS = Registry(
+    "command",
+    {
+        "reconstruct": "realsim.commands.reconstruct:reconstruct",
+        "inspect": "realsim.commands.inspect:inspect",
+        "view": "realsim.commands.view:view",
+        "synth": "realsim.commands.synth:synth",
+        "demo": "realsim.commands.demo:demo",
+    },
+)
+SUMMARIES = {
+    "reconstruct": "frames or a scan -> a metric, level MuJoCo scene with a report",
+    "inspect": "what a capture is taken for, and what is wrong with it",
+    "view": "look at a scene in the browser, live",
+    "synth": "render a synthetic capture with its truth",
+    "demo": "render, reconstruct and measure, end to end",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; the exit code is 0, 2 for bad input, 130 after an interrupt, or the command's own."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    as_json = _take(arguments, "--json")
+    set_quiet(_take(arguments, "--quiet") or as_json or not sys.stderr.isatty())
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(usage())
+        return 0 if arguments else 2
+    if arguments[0] == "--version":
+        print(__version__)
+        return 0
+    # Telemetry of a dependency stays off whatever the command.
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+    with contextlib.suppress(ValueError):
+        signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        result = _run(arguments[0], arguments[1:])
+    except RealsimError as error:
+        return _fail(error, as_json)
+    except KeyboardInterrupt:
+        if as_json:
+            print(to_json({"error": "Interrupted", "message": "interrupted"}), end="")
+        else:
+            console.print(
+                "interrupted: nothing half-written is left; finished stages are kept and reused", style="yellow"
+            )
+        return 130
+    print(to_json(result.data) if as_json else result.text, end="" if as_json else "\n")
+    return result.exit_code
+
+
+def usage() -> str:
+    """The list of commands."""
+    width = max(map(len, SUMMARIES))
+    lines = [f"  {name:<{width}}  {text}" for name, text in SUMMARIES.items()]
+    head = "usage: realsim COMMAND [options]   (realsim COMMAND --help for its options)"
+    foot = "everywhere: --json for machines, --quiet without progress, --version"
+    return "\n".join([head, "", *lines, "", foot])
+
+
+def _run(name: str, arguments: list[str]) -> Any:
+    import tyro
+
+    command = COMMANDS[name]
+    set_arguments(arguments)
+    try:
+        return tyro.cli(
+            command,
+            prog=f"realsim {name}",
+            args=arguments,
+            config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+        )
+    except ValueError as error:
+        # A configuration refuses its values in __post_init__; any other ValueError is a defect and is shown whole.
+        if error.__traceback__ is not None and _raised_in_post_init(error):
+            raise RealsimError(f"these options do not fit: {error}", hint=f"realsim {name} --help") from error
+        raise
+
+
+def _raised_in_post_init(error: BaseException) -> bool:
+    frame = error.__traceback__
+    while frame is not None and frame.tb_next is not None:
+        frame = frame.tb_next
+    return frame is not None and frame.tb_frame.f_code.co_name == "__post_init__"
+
+
+def _fail(error: RealsimError, as_json: bool) -> int:
+    if as_json:
+        print(to_json(error.as_dict()), end="")
+    else:
+        console.print(f"error: {error.render()}", style="red", highlight=False, markup=False, soft_wrap=True)
+    return 2
+
+
+def _take(arguments: list[str], flag: str) -> bool:
+    found = flag in arguments
+    while flag in arguments:
+        arguments.remove(flag)
+    return found
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt

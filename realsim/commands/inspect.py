@@ -1,0 +1,22 @@
+"""`realsim inspect`: what a capture is taken for, before anything is computed from it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from realsim import capture
+from realsim.capture.config import CaptureConfig
+from realsim.commands import CommandResult
+
+
+def inspect(frames: Annotated[Path, tyro.conf.Positional], config: CaptureConfig) -> CommandResult:
+    """Say how a capture was recognised, every convention assumed, what is in it, and what is wrong with it.
+
+    Args:
+        frames: a capture folder or a scan.
+    """
+    found = capture.inspect(frames, config)
+    return CommandResult(found.render(), found.as_dict())

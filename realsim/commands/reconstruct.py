@@ -1,0 +1,90 @@
+"""`realsim reconstruct`: one capture, or many."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from realsim import pipeline
+from realsim.commands import CommandResult, other_arguments
+from realsim.errors import RealsimError
+from realsim.jobs import Job, run_many
+from realsim.types import Reconstruction
+
+
+def reconstruct(
+    frames: Annotated[tuple[Path, ...], tyro.conf.Positional],
+    config: pipeline.ReconstructConfig,
+    out: Path = Path("scene"),
+    jobs: int = 1,
+    ray: str | None = None,
+) -> CommandResult:
+    """Turn a folder of RGB-D frames (or a scan) into a MuJoCo scene: metric, level, facing the goal, checked.
+
+    Args:
+        frames: one capture or scan; or several, each of which gets a folder of its name below --out.
+        out: the scene's folder.
+        jobs: with several captures: how many at a time on this machine.
+        ray: with several captures: the address of a Ray cluster that shares this file system.
+    """
+    if not frames:
+        raise RealsimError("no capture given", expected="realsim reconstruct FRAMES --out scene/")
+    if len(frames) == 1 and ray is None:
+        result = pipeline.reconstruct(frames[0], out, config)
+        return CommandResult(_summary(result), _data(result))
+    return _many(frames, out, jobs, ray)
+
+
+def _many(frames: tuple[Path, ...], out: Path, workers: int, ray: str | None) -> CommandResult:
+    options = other_arguments({"--out": 1, "--jobs": 1, "--ray": 1}, [str(p) for p in frames])
+    jobs = [
+        Job(
+            p.resolve().name,
+            ("reconstruct", str(p.resolve()), "--out", str((out / p.resolve().name).absolute()), *options),
+        )
+        for p in frames
+    ]
+    outcomes = run_many(jobs, workers=workers, ray_address=ray)
+    lines = [
+        f"{o.name}: {o.result.get('scene_xml') if o.ok else 'FAILED: ' + str(o.result.get('message'))}"
+        for o in outcomes
+    ]
+    failed = sum(not o.ok for o in outcomes)
+    lines.append(f"{len(outcomes) - failed} of {len(outcomes)} done" + (f", {failed} failed" if failed else ""))
+    items = [{"name": o.name, "exit_code": o.exit_code, **o.result} for o in outcomes]
+    return CommandResult("\n".join(lines), {"items": items, "failed": failed}, 1 if failed else 0)
+
+
+def _data(result: Reconstruction) -> dict[str, Any]:
+    return {
+        "scene": str(result.scene.folder),
+        "scene_xml": str(result.scene.scene_xml),
+        "report": str(result.scene.folder / "report.html"),
+        "seconds": sum(s.seconds for s in result.stages),
+        "warnings": list(result.warnings),
+    }
+
+
+def _summary(result: Reconstruction) -> str:
+    lines = [f"scene   {result.scene.scene_xml}", f"report  {result.scene.folder / 'report.html'}"]
+    if result.points is not None and result.aligned.metric is not None:
+        scale = result.aligned.metric.scale
+        lines.append(
+            f"frames  {len(result.points)} used, {len(result.points.dropped) + len(result.source.dropped)} dropped"
+            if hasattr(result.source, "dropped")
+            else f"frames  {len(result.points)} used"
+        )
+        lines.append(f"scale   {scale.value:.4f} [{scale.ci90[0]:.4f}, {scale.ci90[1]:.4f}] by {scale.method}")
+    gravity = result.aligned.gravity
+    lines.append(f"level   to within {gravity.tilt_sigma_deg:.2f} degrees (1 sigma)")
+    for role in ("start", "goal"):
+        platform = result.aligned.platform(role)
+        if platform is not None:
+            x, y, z = platform.centroid
+            lines.append(f"{role:<7} {x:+.3f} {y:+.3f} {z:+.3f} m, {platform.size[0]:.2f} x {platform.size[1]:.2f} m")
+    lines.append(f"mesh    {result.mesh.quality.triangles} triangles, {result.mesh.method}")
+    lines.append(f"time    {sum(s.seconds for s in result.stages):.1f} s")
+    lines += [f"note    {w}" for w in result.warnings]
+    return "\n".join(lines)

@@ -1,0 +1,23 @@
+"""`realsim view`: a scene in the browser, live."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from realsim.commands import CommandResult
+
+
+def view(scene: Annotated[Path, tyro.conf.Positional], port: int = 8080) -> CommandResult:
+    """Open a live viewer with toggles for frames, cloud, mesh, collision geometry and platforms; ends with Ctrl-C.
+
+    Args:
+        scene: a folder made by `realsim reconstruct`.
+        port: where the page is served on this machine.
+    """
+    from realsim.report.live import view as serve
+
+    serve(scene, port)
+    return CommandResult("closed")

@@ -1,0 +1,177 @@
+"""A folder of frames (or a scan) becomes a MuJoCo scene. The only place that knows the order of the stages."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import resource
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import tyro
+
+from realsim import align, capture, export, feedforward, meshing, report, scale
+from realsim.align.config import AlignConfig
+from realsim.cache import StageCache, code_digest, default_folder, source_digest
+from realsim.capture.config import CaptureConfig
+from realsim.errors import RealsimError
+from realsim.export.config import SceneConfig
+from realsim.feedforward.config import PointsConfig
+from realsim.files import digest, output_folder
+from realsim.meshing.config import MeshConfig
+from realsim.progress import note
+from realsim.scale.config import ScaleConfig
+from realsim.types import (
+    AlignedScene,
+    FrameSet,
+    MetricScene,
+    Pointmaps,
+    Reconstruction,
+    Scan,
+    SceneFiles,
+    StageTime,
+    TerrainMesh,
+)
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class ReconstructConfig:
+    """Everything that can be set about a reconstruction; each stage owns its part."""
+
+    capture: CaptureConfig = field(default_factory=CaptureConfig)
+    points: PointsConfig = field(default_factory=PointsConfig)
+    scale: ScaleConfig = field(default_factory=ScaleConfig)
+    align: AlignConfig = field(default_factory=AlignConfig)
+    mesh: MeshConfig = field(default_factory=MeshConfig)
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    seed: int = 0
+    """Seed of everything random in every stage."""
+    overwrite: bool = False
+    """Replace an output folder that exists (only once the new scene is complete)."""
+    cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Where finished stages are kept (default: REALSIM_CACHE or the user's cache folder)."""
+    no_cache: bool = False
+    """Neither reuse nor keep finished stages."""
+
+    def seeded(self) -> ReconstructConfig:
+        """The same with `seed` handed to every stage that has one."""
+        return replace(
+            self,
+            points=replace(self.points, seed=self.seed),
+            scale=replace(self.scale, seed=self.seed),
+            align=replace(self.align, seed=self.seed),
+            mesh=replace(self.mesh, seed=self.seed),
+        )
+
+
+def reconstruct(source: Path, out: Path, config: ReconstructConfig | None = None) -> Reconstruction:
+    """Read a capture or scan, find points, metres and the simulation frame, build the mesh, write the checked scene.
+
+    Args:
+        source: a folder of frames in any layout of `realsim.capture.LAYOUTS`, or a scan file.
+        out: the scene's folder; it appears only when everything in it is complete.
+        config: what to do otherwise than by default.
+
+    Returns:
+        What every stage found; `scene.folder` is `out`.
+
+    Raises:
+        RealsimError: bad input or an impossible request, with file, expectation, finding and way out. Nothing is left
+            behind at `out`.
+    """
+    config = (config or ReconstructConfig()).seeded()
+    run = _Run(config)
+    with output_folder(out, overwrite=config.overwrite) as folder:
+        data = run.stage("capture", lambda: capture.read(source, config.capture))
+        points = None if isinstance(data, Scan) else run.points(data)
+        metric = data if points is None else run.stage("scale", lambda: run.metric(data, points))
+        aligned = run.align(metric)
+        mesh = run.mesh(aligned)
+        scene = run.stage("export", lambda: export.write_scene(folder, aligned, mesh, config.scene))
+        result = Reconstruction(
+            data, points, aligned, mesh, scene, tuple(run.stages), config.seed, config_as_dict(config)
+        )
+        run.stage("report", lambda: report.write_report(folder, result))
+    return replace(result, scene=_moved(scene, out.absolute()), stages=tuple(run.stages))
+
+
+class _Run:
+    """Times the stages and reuses what is finished. Keys chain: a stage's key contains that of the one before."""
+
+    def __init__(self, config: ReconstructConfig) -> None:
+        self.config = config
+        self.stages: list[StageTime] = []
+        self.store = StageCache(None if config.no_cache else config.cache or default_folder())
+        self.key = ""
+
+    def stage(self, name: str, work: Callable[[], T]) -> T:
+        return self._timed(name, lambda: (work(), False))
+
+    def points(self, frames: FrameSet) -> Pointmaps:
+        config = self.config.points
+        self.key = digest(code_digest("capture", "feedforward"), source_digest(frames), self.config.capture, config)
+        solution = self._kept("points", lambda: feedforward.solve(frames, config))
+        return feedforward.pointmaps(frames, solution, config)
+
+    def metric(self, frames: FrameSet | Scan, points: Pointmaps) -> MetricScene:
+        self.key = digest(self.key, code_digest("scale"), self.config.scale)
+        return scale.to_metric(points, self.config.scale, frames.up_world)
+
+    def align(self, source: MetricScene | Scan) -> AlignedScene:
+        if isinstance(source, Scan):
+            self.key = digest(code_digest("capture"), source_digest(source))
+        self.key = digest(self.key, code_digest("align"), self.config.align)
+        # Views and scans are not stored again with what was found from them.
+        bare = self._kept("align", lambda: replace(align.align(source, self.config.align), metric=None, scan=None))
+        return replace(bare, scan=source) if isinstance(source, Scan) else replace(bare, metric=source)
+
+    def mesh(self, aligned: AlignedScene) -> TerrainMesh:
+        self.key = digest(self.key, code_digest("meshing"), self.config.mesh)
+        return self._kept("mesh", lambda: meshing.build(aligned, self.config.mesh))
+
+    def _kept(self, name: str, work: Callable[[], T]) -> T:
+        return self._timed(name, lambda: self.store.get_or_make(f"{name}-{self.key}", work))
+
+    def _timed(self, name: str, work: Callable[[], tuple[T, bool]]) -> T:
+        note(f"{name} ...")
+        began = time.perf_counter()
+        try:
+            value, reused = work()
+        except MemoryError as error:
+            raise RealsimError(
+                f"out of memory in stage {name}", hint="use fewer frames (--max-frames) or a coarser --resolution"
+            ) from error
+        seconds = time.perf_counter() - began
+        self.stages.append(StageTime(name, seconds, peak_memory_mb(), reused))
+        note(f"{name}: {seconds:.1f} s{' (kept from an earlier run)' if reused else ''}")
+        return value
+
+
+def peak_memory_mb() -> float:
+    """Peak resident memory of this process so far, MB."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1e6 if sys.platform == "darwin" else 1e3)
+
+
+def config_as_dict(config: Any) -> dict[str, Any]:
+    """A configuration as JSON-able values; paths as text."""
+    return json.loads(json.dumps(dataclasses.asdict(config), default=str))
+
+
+def _moved(scene: SceneFiles, folder: Path) -> SceneFiles:
+    def at(path: Path) -> Path:
+        return folder / path.relative_to(scene.folder)
+
+    return replace(
+        scene,
+        folder=folder,
+        scene_xml=at(scene.scene_xml),
+        mesh_ply=at(scene.mesh_ply),
+        mesh_glb=at(scene.mesh_glb),
+    )

@@ -1,0 +1,50 @@
+"""The import rule: stages know the types, not each other; the toolkit does not know the trainer."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+BASE = {"types", "errors", "registry", "files", "geometry", "progress"}
+STAGES = {"capture", "feedforward", "scale", "align", "meshing", "export", "robots", "report", "gap", "synth"}
+# Who may know more: results of the gap are shown with the report's parts; scenes can hold robots.
+ALSO = {"gap": {"report", "robots"}, "export": {"robots"}, "report": set(), "synth": set()}
+
+
+def imported(path: Path) -> set[str]:
+    """Absolute module names that a file imports, anywhere in it."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+@pytest.mark.parametrize("stage", sorted(STAGES))
+def test_stage_imports_only_the_base_and_itself(stage: str) -> None:
+    allowed = BASE | {stage} | ALSO.get(stage, set())
+    for path in sorted((ROOT / "realsim" / stage).rglob("*.py")):
+        for name in imported(path):
+            parts = name.split(".")
+            if parts[0] == "realsim" and len(parts) > 1 and parts[1] != "__version__":
+                assert parts[1] in allowed, f"{path.relative_to(ROOT)} imports {name}"
+
+
+def test_realsim_never_imports_trainer() -> None:
+    for path in sorted((ROOT / "realsim").rglob("*.py")):
+        assert not any(n.split(".")[0] == "trainer" for n in imported(path)), path
+
+
+@pytest.mark.parametrize("package", ["torch", "pycolmap", "viser", "ray", "pyrealsense2"])
+def test_core_works_without_heavy_packages(package: str) -> None:
+    """Nothing imports an optional package at module level."""
+    for path in sorted((ROOT / "realsim").rglob("*.py")):
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                names = [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
+                assert not any(n.split(".")[0] == package for n in names), f"{path} imports {package} at once"
