@@ -58,6 +58,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         result = _run(arguments[0], arguments[1:])
     except RealsimError as error:
         return _fail(error, as_json)
+    except SystemExit as stop:
+        # tyro has said on stderr what does not fit (2), or has shown the help (0).
+        if as_json and stop.code:
+            print(to_json({"error": "UsageError", "message": "the arguments do not fit", "hint": "see stderr"}), end="")
+        return int(stop.code or 0)
     except KeyboardInterrupt:
         if as_json:
             print(to_json({"error": "Interrupted", "message": "interrupted"}), end="")
@@ -84,25 +89,12 @@ def _run(name: str, arguments: list[str]) -> Any:
 
     command = COMMANDS[name]
     set_arguments(arguments)
-    try:
-        return tyro.cli(
-            command,
-            prog=f"realsim {name}",
-            args=arguments,
-            config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
-        )
-    except ValueError as error:
-        # A configuration refuses its values in __post_init__; any other ValueError is a defect and is shown whole.
-        if error.__traceback__ is not None and _raised_in_post_init(error):
-            raise RealsimError(f"these options do not fit: {error}", hint=f"realsim {name} --help") from error
-        raise
-
-
-def _raised_in_post_init(error: BaseException) -> bool:
-    frame = error.__traceback__
-    while frame is not None and frame.tb_next is not None:
-        frame = frame.tb_next
-    return frame is not None and frame.tb_frame.f_code.co_name == "__post_init__"
+    return tyro.cli(
+        command,
+        prog=f"realsim {name}",
+        args=arguments,
+        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+    )
 
 
 def _fail(error: RealsimError, as_json: bool) -> int:

@@ -7,6 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# The same examples at every run, and no wall-clock limits: a busy machine must not fail a law.
+settings.register_profile("realsim", deadline=None, derandomize=True, max_examples=50)
+settings.load_profile("realsim")
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = Path(os.environ.get("REALSIM_SHARED", ROOT.parent / "shared"))

@@ -1,0 +1,90 @@
+"""Written whole or not at all; read with limits."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from realsim import files
+from realsim.errors import RealsimError
+
+
+def test_output_folder_appears_only_when_complete(tmp_path: Path) -> None:
+    out = tmp_path / "scene"
+    with files.output_folder(out) as work:
+        (work / "a").write_text("1")
+        assert not out.exists()
+    assert (out / "a").read_text() == "1"
+    assert [p.name for p in tmp_path.iterdir()] == ["scene"]
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_nothing_is_left_after_an_error_or_an_interrupt(tmp_path: Path, error: type[BaseException]) -> None:
+    with pytest.raises(error), files.output_folder(tmp_path / "scene") as work:
+        (work / "a").write_text("1")
+        raise error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_existing_output_is_kept_unless_overwrite_and_until_the_end(tmp_path: Path) -> None:
+    out = tmp_path / "scene"
+    out.mkdir()
+    (out / "old").write_text("old")
+    with pytest.raises(RealsimError, match="--overwrite"), files.output_folder(out):
+        pass
+    with pytest.raises(RuntimeError), files.output_folder(out, overwrite=True):
+        raise RuntimeError
+    assert (out / "old").read_text() == "old"
+    with files.output_folder(out, overwrite=True) as work:
+        (work / "new").write_text("new")
+    assert [p.name for p in out.iterdir()] == ["new"]
+
+
+def test_output_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "scene").write_text("")
+    with pytest.raises(RealsimError, match="is a file"), files.output_folder(tmp_path / "scene"):
+        pass
+
+
+def test_full_disk_is_a_message_and_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(files.os, "replace", full)
+    with pytest.raises(RealsimError, match="free some space"):
+        files.write_text(tmp_path / "x.json", "{}")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_names_cannot_leave_their_folder(tmp_path: Path) -> None:
+    assert files.inside(tmp_path, "a/b.png") == tmp_path / "a" / "b.png"
+    for name in ("../x", "/etc/passwd", "a/../../x"):
+        with pytest.raises(RealsimError, match="leads out"):
+            files.inside(tmp_path, name)
+
+
+def test_json_is_plain_and_broken_json_says_where(tmp_path: Path) -> None:
+    text = files.to_json({"a": np.float64(1.5), "b": np.arange(3), "c": float("nan"), "d": (np.bool_(True),)})
+    (tmp_path / "x.json").write_text(text)
+    assert files.read_json(tmp_path / "x.json") == {"a": 1.5, "b": [0, 1, 2], "c": None, "d": [True]}
+    (tmp_path / "y.json").write_text('{"a": 1,\n "b": }')
+    with pytest.raises(RealsimError, match="line 2"):
+        files.read_json(tmp_path / "y.json")
+
+
+def test_size_limit(tmp_path: Path) -> None:
+    (tmp_path / "big").write_bytes(b"0" * 100)
+    with pytest.raises(RealsimError, match="too large"):
+        files.read_bytes(tmp_path / "big", limit=99)
+
+
+def test_digest_depends_on_content_and_boundaries(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"x")
+    assert files.digest("ab", "c") != files.digest("a", "bc")
+    assert files.digest(np.zeros(4)) != files.digest(np.zeros((2, 2)))
+    before = files.digest(tmp_path / "a")
+    (tmp_path / "a").write_bytes(b"y")
+    assert files.digest(tmp_path / "a") != before
