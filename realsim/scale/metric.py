@@ -1,0 +1,180 @@
+"""From pointmaps up to scale to a metric scene, with an interval and a refusal where frames disagree."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from realsim.errors import ScaleError
+from realsim.progress import track
+from realsim.scale.config import ScaleConfig
+from realsim.types import F32, F64, Bool, MetricScene, Pointmaps, PointView, ScaleEstimate
+
+FEW_PIXELS = 200
+"""A frame with fewer pixels valid in both sensor and prediction says nothing about scale."""
+NAMED = 5
+"""At most so many frames are named in a message."""
+
+
+def to_metric(points: Pointmaps, config: ScaleConfig, up_world: F64 | None = None) -> MetricScene:
+    """Give pointmaps their metres.
+
+    Views are read once for the estimate, one in memory at a time, and scaled when they are loaded again.
+
+    Args:
+        points: N views and poses up to scale; both are multiplied by the same number.
+        up_world: (3,) direction against gravity in the world of the poses, where the source knows it. It tells which
+            half of an image is the lower one when the camera was held sideways or upside down; without it the lower
+            half is that of the rows as stored.
+
+    Raises:
+        ScaleError: no frame has sensor depth to compare with, or frames disagree beyond `config.max_spread`.
+    """
+    from realsim.scale import ESTIMATORS
+
+    ratio = ESTIMATORS[config.method]
+    ratios = []
+    for i in track(range(len(points)), "scale"):
+        rng = np.random.default_rng([config.seed, i])
+        pixels = _paired(points, i, up_world)
+        ratios.append(float("nan") if pixels is None else ratio(*pixels, rng))
+    scale = estimate(np.array(ratios), [f.name for f in points.frames], config)
+
+    poses = points.T_world_camera.copy()
+    poses[:, :3, 3] *= scale.value
+
+    def load(i: int) -> PointView:
+        view = points.load(i)
+        return replace(view, points=view.points * np.float32(scale.value))
+
+    return MetricScene(
+        frames=points.frames,
+        T_world_camera=poses,
+        load=load,
+        scale=scale,
+        backend=points.backend,
+        world_is_capture=points.world_is_capture,
+        up_world=up_world,
+        depth_gain=points.depth_gain,
+        dropped=points.dropped,
+        warnings=points.warnings,
+        statistics=points.statistics,
+    )
+
+
+def estimate(ratios: F64, names: list[str], config: ScaleConfig) -> ScaleEstimate:
+    """What N frames together say: the median of their ratios, a bootstrap interval, and how far they disagree.
+
+    Args:
+        ratios: (N,) metres a unit for each frame, NaN where a frame cannot tell.
+        names: the frames' names, for messages.
+
+    Raises:
+        ScaleError: no ratio at all, or the robust spread is above `config.max_spread`.
+    """
+    seen = np.isfinite(ratios) & (ratios > 0)
+    if not seen.any():
+        raise ScaleError(
+            "the metric scale cannot be told",
+            expected=f"frames with at least {FEW_PIXELS} pixels that have both sensor depth and a predicted point",
+            found=f"none of {len(ratios)} frames",
+            hint="capture with depth, or bring metric poses",
+        )
+    known = ratios[seen]
+    value = float(np.median(known))
+    spread = float(1.4826 * np.median(np.abs(known / value - 1)))
+    outvoted = _disagreeing(ratios, names, value, max(3 * spread, config.warn_spread))
+    if spread > config.max_spread:
+        raise ScaleError(
+            "frames disagree about the metric scale",
+            expected=f"a relative spread of at most {config.max_spread:g}",
+            found=f"a spread of {spread:.3f} over {len(known)} frames; the furthest from the median {value:.4g}: "
+            + _disagreeing(ratios, names, value, 0.0),
+            hint="drop those frames, choose another backend, or raise the limit max_spread if this is good enough",
+        )
+    warnings = []
+    if spread > config.warn_spread:
+        warnings.append(f"frames disagree about the scale: a spread of {100 * spread:.1f} percent")
+    if outvoted:
+        warnings.append(f"frames whose own scale is far from the median {value:.4g} were outvoted: {outvoted}")
+    if not seen.all():
+        silent = [name for name, ok in zip(names, seen, strict=True) if not ok]
+        more = f" and {len(silent) - NAMED} more" if len(silent) > NAMED else ""
+        warnings.append(f"no scale from frames with too little sensor depth: {', '.join(silent[:NAMED])}{more}")
+    if len(known) == 1:
+        warnings.append("one frame alone gives the scale: its interval says nothing")
+    return ScaleEstimate(
+        value=value,
+        ci90=bootstrap_median(known, config.bootstrap, config.seed),
+        per_frame=tuple(float(r) for r in ratios),
+        per_frame_spread=spread,
+        method=config.method,
+        warnings=tuple(warnings),
+    )
+
+
+def bootstrap_median(values: F64, resamples: int, seed: int) -> tuple[float, float]:
+    """90 percent percentile interval of the median, resampling whole frames (Efron 1979).
+
+    Pixels of one frame err together, so it is frames that are drawn, not pixels. Depth images are float32: the
+    interval is never narrower than their resolution.
+    """
+    rng = np.random.default_rng(seed)
+    medians = np.median(values[rng.integers(0, len(values), (resamples, len(values)))], axis=1)
+    low, high = np.quantile(medians, [0.05, 0.95])
+    eps = float(np.finfo(np.float32).eps)
+    return float(low) * (1 - eps), float(high) * (1 + eps)
+
+
+def _disagreeing(ratios: F64, names: list[str], value: float, limit: float) -> str:
+    """`name (ratio)` of the frames further than `limit` from the median, the furthest first; empty if none."""
+    off = np.abs(np.log(np.where(ratios > 0, ratios, np.nan) / value))
+    order = [int(i) for i in np.argsort(-np.nan_to_num(off)) if np.isfinite(off[i]) and off[i] > limit]
+    text = ", ".join(f"{names[i]} ({ratios[i]:.4g})" for i in order[:NAMED])
+    return text + (f" and {len(order) - NAMED} more" if len(order) > NAMED else "")
+
+
+def _paired(points: Pointmaps, i: int, up_world: F64 | None) -> tuple[F64, F64, F64, Bool] | None:
+    """Corrected sensor depth, predicted depth, confidence, in the lower half: (M,) each, of pixels valid in both."""
+    view = points.load(i)
+    predicted = view.points[..., 2]
+    sensor = _resampled(points.frames[i].depth(), predicted.shape) * np.float32(points.depth_gain)
+    both = view.mask & (sensor > 0) & np.isfinite(sensor) & np.isfinite(predicted) & (predicted > 0)
+    if np.count_nonzero(both) < FEW_PIXELS:
+        return None
+    lower = lower_half(predicted.shape, points.T_world_camera[i], up_world)
+    return (
+        sensor[both].astype(np.float64),
+        predicted[both].astype(np.float64),
+        view.confidence[both].astype(np.float64),
+        lower[both],
+    )
+
+
+def lower_half(shape: tuple[int, ...], T_world_camera: F64, up_world: F64 | None) -> Bool:
+    """(H, W) bool: the half of the image that lies below its centre, as the camera was held.
+
+    Without `up_world`: the lower rows. With it: the half on the side (of the four) that gravity points to. A camera
+    that looks almost straight down has no such side, and the rows decide.
+    """
+    height, width = shape
+    down = np.array([0.0, 1.0]) if up_world is None else -(T_world_camera[:3, :3].T @ up_world)[:2]
+    if np.linalg.norm(down) < 0.3:
+        down = np.array([0.0, 1.0])
+    half = np.zeros((height, width), bool)
+    if abs(down[1]) >= abs(down[0]):
+        half[slice(height // 2, None) if down[1] > 0 else slice(None, height - height // 2)] = True
+    else:
+        half[:, slice(width // 2, None) if down[0] > 0 else slice(None, width - width // 2)] = True
+    return half
+
+
+def _resampled(depth: F32, shape: tuple[int, ...]) -> F32:
+    """Depth (H, W) on another grid by nearest pixel centre: averaging would invent depth between near and far."""
+    if depth.shape == shape:
+        return depth
+    (h, w), (H, W) = depth.shape, shape
+    rows = np.minimum(((np.arange(H) + 0.5) * h / H).astype(int), h - 1)
+    columns = np.minimum(((np.arange(W) + 0.5) * w / W).astype(int), w - 1)
+    return depth[np.ix_(rows, columns)]
