@@ -1,0 +1,120 @@
+"""Self-contained report pages: pieces of HTML, and the document that holds them.
+
+Every function returns a piece of HTML as text. Text that comes from data goes through `esc`; pieces made here are
+passed on as they are. A page needs no network: style, scripts, pictures and meshes are inside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from importlib.resources import files
+from typing import Any, Literal
+
+Level = Literal["good", "look", "bad"]
+WORDS: dict[Level, str] = {"good": "Good", "look": "Look here", "bad": "Do not use"}
+
+
+def esc(value: Any) -> str:
+    """Text made safe for HTML."""
+    return escape(str(value), quote=True)
+
+
+def asset(name: str) -> str:
+    """Text of a file that lies beside this module."""
+    return files("realsim.report").joinpath(name).read_text(encoding="utf-8")
+
+
+def badge(level: Level, text: str = "") -> str:
+    """A small coloured word."""
+    return f'<span class="badge {level}">{esc(text or WORDS[level])}</span>'
+
+
+def verdict(level: Level, headline: str, reasons: Sequence[str]) -> str:
+    """The banner at the top: what to make of this result, and why, one sentence a reason."""
+    rows = "".join(f"<li>{esc(r)}</li>" for r in reasons)
+    return (
+        f'<section class="verdict {level}"><div class="word">{WORDS[level]}</div><div><h2>{esc(headline)}</h2>'
+        f"{f'<ul>{rows}</ul>' if rows else ''}</div></section>"
+    )
+
+
+def facts(items: Sequence[tuple[str, str, str]]) -> str:
+    """Large figures: (name, value with unit, what it means)."""
+    cells = "".join(
+        f'<div class="fact"><span>{esc(name)}</span><b>{esc(value)}</b><small>{esc(note)}</small></div>'
+        for name, value, note in items
+    )
+    return f'<section class="facts">{cells}</section>'
+
+
+def card(title: str, body: str, note: str = "", *, wide: bool = False) -> str:
+    """A framed part of the page; `note` says how to read it. `wide` takes the whole width of the page."""
+    text = f'<p class="note">{esc(note)}</p>' if note else ""
+    return f'<section class="card{" wide" if wide else ""}"><h3>{esc(title)}</h3>{text}{body}</section>'
+
+
+def grid(*cards: str) -> str:
+    """Cards side by side where there is room."""
+    return f'<div class="grid">{"".join(cards)}</div>'
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]], *, raw: Sequence[int] = ()) -> str:
+    """A table of texts; columns in `raw` already hold HTML. Wide tables scroll on their own."""
+
+    def cell(i: int, value: str) -> str:
+        return f'<td data-head="{esc(head[i])}">{value if i in raw else esc(value)}</td>'
+
+    top = "".join(f"<th>{esc(h)}</th>" for h in head)
+    body = "".join(f"<tr>{''.join(cell(i, v) for i, v in enumerate(row))}</tr>" for row in rows)
+    return f'<div class="scroll"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def bullets(items: Sequence[str], empty: str = "none") -> str:
+    """A plain list of sentences."""
+    if not items:
+        return f'<p class="note">{esc(empty)}</p>'
+    return "<ul>" + "".join(f"<li>{esc(i)}</li>" for i in items) + "</ul>"
+
+
+def code(text: str) -> str:
+    """Text to copy, with a button that does."""
+    return (
+        '<div class="code"><button type="button" onclick="navigator.clipboard.writeText('
+        "this.nextElementSibling.textContent).then(()=>{this.textContent='copied'})\">copy</button>"
+        f"<pre>{esc(text)}</pre></div>"
+    )
+
+
+def thumbnails(items: Sequence[tuple[str, str, str]]) -> str:
+    """Small pictures: (data URI, caption, more on hover)."""
+    cells = "".join(
+        f'<figure title="{esc(more)}"><img loading="lazy" src="{uri}" alt="{esc(caption)}">'
+        f"<figcaption>{esc(caption)}</figcaption></figure>"
+        for uri, caption, more in items
+    )
+    return f'<div class="thumbs">{cells}</div>'
+
+
+def fold(summary: str, body: str) -> str:
+    """A part that is closed until it is asked for."""
+    return f"<details><summary>{esc(summary)}</summary>{body}</details>"
+
+
+def document(title: str, subtitle: str, body: str, *, scripts: Sequence[str] = ()) -> str:
+    """The whole page.
+
+    Args:
+        title: what the report is about.
+        subtitle: one line below it (source, backend).
+        body: pieces from this module.
+        scripts: JavaScript texts to run after the body (`viewer3d.script()` where there is a 3D view).
+    """
+    tags = "".join(f"<script>{s}</script>" for s in scripts)
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width,initial-scale=1"><meta name="color-scheme" '
+        f'content="light dark"><title>{esc(title)}</title><link rel="icon" href="data:,">'
+        f"<style>{asset('style.css')}</style></head><body><main>"
+        f"<header><h1>{esc(title)}</h1><p>{esc(subtitle)}</p></header>{body}</main>{tags}</body></html>\n"
+    )

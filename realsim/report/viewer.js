@@ -1,0 +1,180 @@
+// A small 3D viewer for report pages. Each <div class="viewer3d"> holds its layers as JSON (see viewer3d.py).
+// Faces are lit by the normal that screen-space derivatives give, so no normals are stored and edges stay sharp.
+"use strict";
+(() => {
+  const VERTEX = `#version 300 es
+    in vec3 position; in vec3 color;
+    uniform mat4 view; uniform mat4 projection; uniform vec3 low; uniform vec3 size; uniform float point;
+    out vec3 eye; out vec3 tint;
+    void main() {
+      vec4 p = view * vec4(low + position * size, 1.0);
+      eye = p.xyz; tint = color; gl_Position = projection * p; gl_PointSize = point;
+    }`;
+  const FRAGMENT = `#version 300 es
+    precision highp float;
+    in vec3 eye; in vec3 tint;
+    uniform float opacity; uniform bool lit; uniform mat4 view;
+    out vec4 result;
+    void main() {
+      vec3 c = tint;
+      if (lit) {
+        vec3 n = normalize(cross(dFdx(eye), dFdy(eye)));
+        if (dot(n, eye) > 0.0) n = -n;
+        vec3 sun = normalize(mat3(view) * vec3(0.35, -0.5, 0.8));
+        vec3 sky = mat3(view) * vec3(0.0, 0.0, 1.0);
+        c *= 0.46 + 0.42 * max(dot(n, sun), 0.0) + 0.14 * dot(n, sky) + 0.10 * max(dot(n, -normalize(eye)), 0.0);
+      }
+      result = vec4(c * opacity, opacity);
+    }`;
+
+  const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
+  const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+  const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+  const unit = a => { const l = Math.hypot(...a); return a.map(v => v / l); };
+
+  function button(text, pressed, onclick) {
+    const b = document.createElement("button");
+    b.type = "button"; b.textContent = text; b.onclick = onclick;
+    if (pressed !== null) b.setAttribute("aria-pressed", pressed);
+    return b;
+  }
+
+  function program(gl) {
+    const p = gl.createProgram();
+    for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
+      const s = gl.createShader(kind);
+      gl.shaderSource(s, text); gl.compileShader(s);
+      if (!gl.getShaderParameter(s, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(s));
+      gl.attachShader(p, s);
+    }
+    gl.bindAttribLocation(p, 0, "position"); gl.bindAttribLocation(p, 1, "color");
+    gl.linkProgram(p);
+    if (!gl.getProgramParameter(p, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(p));
+    return p;
+  }
+
+  function upload(gl, layer) {
+    const array = gl.createVertexArray();
+    gl.bindVertexArray(array);
+    const buffer = (target, data) => { gl.bindBuffer(target, gl.createBuffer()); gl.bufferData(target, data, gl.STATIC_DRAW); };
+    buffer(gl.ARRAY_BUFFER, new Uint16Array(bytes(layer.vertices).buffer));
+    gl.enableVertexAttribArray(0); gl.vertexAttribPointer(0, 3, gl.UNSIGNED_SHORT, true, 0, 0);
+    if (layer.colors) {
+      buffer(gl.ARRAY_BUFFER, bytes(layer.colors));
+      gl.enableVertexAttribArray(1); gl.vertexAttribPointer(1, 3, gl.UNSIGNED_BYTE, true, 0, 0);
+    }
+    const raw = bytes(layer.cells).buffer;
+    const cells = layer.wide ? new Uint32Array(raw) : new Uint16Array(raw);
+    buffer(gl.ELEMENT_ARRAY_BUFFER, cells);
+    return { ...layer, array, count: cells.length, type: layer.wide ? gl.UNSIGNED_INT : gl.UNSIGNED_SHORT,
+      mode: { triangles: gl.TRIANGLES, lines: gl.LINES, points: gl.POINTS }[layer.kind] };
+  }
+
+  function bounds(layers) {
+    const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
+    for (const l of layers) for (let k = 0; k < 3; k++) {
+      low[k] = Math.min(low[k], l.low[k]); high[k] = Math.max(high[k], l.low[k] + l.size[k]);
+    }
+    return { centre: low.map((v, k) => (v + high[k]) / 2), radius: Math.max(0.05, Math.hypot(...low.map((v, k) => high[k] - v)) / 2) };
+  }
+
+  function start(host) {
+    const data = JSON.parse(host.querySelector("script").textContent);
+    const canvas = host.appendChild(document.createElement("canvas"));
+    const gl = canvas.getContext("webgl2", { antialias: true, alpha: true, premultipliedAlpha: true });
+    if (!gl) {
+      host.insertAdjacentHTML("beforeend", '<div class="message">This browser offers no WebGL 2: the 3D view is not shown. The mesh is in mesh.glb beside this page.</div>');
+      return;
+    }
+    const shader = program(gl);
+    const at = name => gl.getUniformLocation(shader, name);
+    const place = Object.fromEntries(["view", "projection", "low", "size", "point", "opacity", "lit"].map(n => [n, at(n)]));
+    const layers = data.map(l => upload(gl, l));
+    const solid = layers.filter(l => l.kind === "triangles" && l.visible);
+    const { centre, radius } = bounds(solid.length ? solid : layers);
+    const home = () => ({ turn: -1.95, rise: 0.62, distance: radius * 2.15, target: centre.slice() });
+    let camera = home(), waiting = false;
+
+    function axes() {
+      const back = [Math.cos(camera.rise) * Math.cos(camera.turn), Math.cos(camera.rise) * Math.sin(camera.turn), Math.sin(camera.rise)];
+      const right = unit([-Math.sin(camera.turn), Math.cos(camera.turn), 0]);
+      return { back, right, up: cross(back, right) };
+    }
+
+    function draw() {
+      waiting = false;
+      const ratio = Math.min(devicePixelRatio || 1, 2), w = host.clientWidth, h = host.clientHeight;
+      if (!w || !h) return;
+      if (canvas.width !== Math.round(w * ratio) || canvas.height !== Math.round(h * ratio)) {
+        canvas.width = Math.round(w * ratio); canvas.height = Math.round(h * ratio);
+      }
+      gl.viewport(0, 0, canvas.width, canvas.height);
+      gl.clearColor(0, 0, 0, 0); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+      gl.enable(gl.DEPTH_TEST); gl.enable(gl.BLEND); gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+      const { back, right, up } = axes();
+      const eye = camera.target.map((v, k) => v + camera.distance * back[k]);
+      const view = [right[0], up[0], back[0], 0, right[1], up[1], back[1], 0, right[2], up[2], back[2], 0,
+        -dot(right, eye), -dot(up, eye), -dot(back, eye), 1];
+      // The shorter side of the window sees 45 degrees, so that a phone held upright shows as much as a desktop.
+      const half = Math.tan(Math.PI / 8), fx = h > w ? 1 / half : h / w / half, fy = h > w ? w / h / half : 1 / half;
+      const near = Math.max(camera.distance * 0.02, 0.005), far = camera.distance + radius * 20;
+      const projection = [fx, 0, 0, 0, 0, fy, 0, 0, 0, 0, (far + near) / (near - far), -1, 0, 0, 2 * far * near / (near - far), 0];
+      gl.useProgram(shader);
+      gl.uniformMatrix4fv(place.view, false, view); gl.uniformMatrix4fv(place.projection, false, projection);
+      const shown = layers.filter(l => l.visible);
+      for (const l of [...shown.filter(l => l.opacity >= 1), ...shown.filter(l => l.opacity < 1)]) {
+        gl.bindVertexArray(l.array);
+        gl.uniform3fv(place.low, l.low); gl.uniform3fv(place.size, l.size);
+        gl.uniform1f(place.opacity, l.opacity); gl.uniform1f(place.point, 3 * ratio);
+        gl.uniform1i(place.lit, l.kind === "triangles" ? 1 : 0);
+        if (l.color) gl.vertexAttrib3f(1, ...l.color.map(c => c / 255));
+        gl.depthMask(l.opacity >= 1);
+        gl.drawElements(l.mode, l.count, l.type, 0);
+      }
+      gl.depthMask(true);
+    }
+    const redraw = () => { if (!waiting) { waiting = true; requestAnimationFrame(draw); } };
+
+    function turn(dx, dy) {
+      camera.turn -= dx * 0.008;
+      camera.rise = Math.min(1.5, Math.max(-1.5, camera.rise + dy * 0.008));
+    }
+    function move(dx, dy) {
+      const { right, up } = axes(), step = camera.distance * 0.83 / Math.min(host.clientHeight, host.clientWidth);
+      camera.target = camera.target.map((v, k) => v + step * (dy * up[k] - dx * right[k]));
+    }
+    function zoom(factor) { camera.distance = Math.min(radius * 12, Math.max(radius * 0.03, camera.distance * factor)); }
+
+    const fingers = new Map();
+    canvas.addEventListener("pointerdown", e => { canvas.setPointerCapture(e.pointerId); fingers.set(e.pointerId, [e.clientX, e.clientY]); });
+    for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, e => fingers.delete(e.pointerId));
+    canvas.addEventListener("pointermove", e => {
+      const before = fingers.get(e.pointerId);
+      if (!before) return;
+      const now = [e.clientX, e.clientY], dx = now[0] - before[0], dy = now[1] - before[1];
+      if (fingers.size === 2) {
+        const other = [...fingers].find(([id]) => id !== e.pointerId)[1];
+        const gap = p => Math.max(1, Math.hypot(p[0] - other[0], p[1] - other[1]));
+        zoom(gap(before) / gap(now)); move(dx / 2, dy / 2);
+      } else if (e.buttons & 2 || e.shiftKey) move(dx, dy); else turn(dx, dy);
+      fingers.set(e.pointerId, now);
+      redraw();
+    });
+    canvas.addEventListener("contextmenu", e => e.preventDefault());
+    canvas.addEventListener("wheel", e => { e.preventDefault(); zoom(Math.exp(e.deltaY * 0.001)); redraw(); }, { passive: false });
+
+    const bar = host.appendChild(document.createElement("div"));
+    bar.className = "layers";
+    for (const l of layers) bar.append(button(l.name, l.visible, e => {
+      l.visible = !l.visible; e.target.setAttribute("aria-pressed", l.visible); redraw();
+    }));
+    const views = host.appendChild(document.createElement("div"));
+    views.className = "views";
+    const look = (rise, angle) => () => { camera = { ...home(), rise, turn: angle }; redraw(); };
+    views.append(button("top", null, look(1.5, -Math.PI / 2)), button("side", null, look(0.05, -Math.PI / 2)), button("reset", null, look(0.62, -1.95)));
+    new ResizeObserver(redraw).observe(host);
+    redraw();
+  }
+
+  for (const host of document.querySelectorAll(".viewer3d")) start(host);
+})();

@@ -1,0 +1,139 @@
+"""An interactive 3D view inside a page: layers of triangles, lines and points, drawn by `viewer.js` (WebGL 2).
+
+Positions are quantised to 16 bits of the layer's bounding box (a 5 m scene: 0.08 mm), colours to 8 bits, and put into
+the page as base64, so that the file opens from disk without a network.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from realsim.report.page import asset, esc
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Something that can be shown and hidden.
+
+    `kind` says what `cells` means: triangles (K, 3), line segments (K, 2), or points (`cells` is ignored).
+    """
+
+    name: str
+    vertices: Any
+    """(V, 3) metres, z up."""
+    cells: Any = None
+    """Indices into `vertices`."""
+    colors: Any = None
+    """(V, 3) uint8 RGB, or one RGB triple for all."""
+    kind: Literal["triangles", "lines", "points"] = "triangles"
+    visible: bool = True
+    opacity: float = 1.0
+
+
+def script() -> str:
+    """The viewer's JavaScript; a page needs it once, after its body."""
+    return asset("viewer.js")
+
+
+def viewer(layers: Sequence[Layer], *, label: str = "3D view") -> str:
+    """A piece of HTML that shows the layers, with a button for each; empty layers are left out.
+
+    One finger or the left button turns, two fingers or the right button move, pinch or wheel zooms.
+    """
+    kept = [layer for layer in layers if len(np.asarray(layer.vertices)) and _cells(layer).size]
+    data = json.dumps([_pack(layer) for layer in kept], separators=(",", ":")).replace("<", "\\u003c")
+    return (
+        f'<div class="viewer3d" role="img" aria-label="{esc(label)}">'
+        f'<script type="application/json">{data}</script></div>'
+    )
+
+
+def simplify(vertices: ArrayLike, triangles: ArrayLike, colors: ArrayLike | None, limit: int) -> tuple[Any, Any, Any]:
+    """A mesh of at most about `limit` triangles for display (quadric decimation; Garland and Heckbert 1997).
+
+    Returns vertices (V, 3), triangles (K, 3) and colours (V, 3) uint8 or None. Never used for what is exported.
+    """
+    V, F = np.asarray(vertices, float), np.asarray(triangles, np.int32)
+    if len(F) <= limit:
+        return V, F, None if colors is None else np.asarray(colors, np.uint8)
+    import open3d as o3d
+
+    mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(V), o3d.utility.Vector3iVector(F))
+    if colors is not None:
+        mesh.vertex_colors = o3d.utility.Vector3dVector(np.asarray(colors, float) / 255)
+    mesh = mesh.simplify_quadric_decimation(limit)
+    rgb = np.asarray(mesh.vertex_colors)
+    return (
+        np.asarray(mesh.vertices),
+        np.asarray(mesh.triangles),
+        (rgb * 255).round().clip(0, 255).astype(np.uint8) if len(rgb) else None,
+    )
+
+
+def compact(vertices: ArrayLike, triangles: ArrayLike, colors: ArrayLike | None = None) -> tuple[Any, Any, Any]:
+    """Leave out the vertices that no triangle uses."""
+    V, F = np.asarray(vertices), np.asarray(triangles)
+    used, inverse = np.unique(F, return_inverse=True)
+    return V[used], inverse.reshape(F.shape), None if colors is None else np.asarray(colors)[used]
+
+
+def camera_frustums(T: ArrayLike, half_width: float, half_height: float, length: float = 0.12) -> tuple[Any, Any]:
+    """Line segments that draw cameras as small pyramids.
+
+    Args:
+        T: (N, 4, 4) camera to scene, OpenCV axes.
+        half_width, half_height: tangents of half the field of view.
+        length: metres from the eye to the drawn image.
+
+    Returns:
+        vertices (5 N, 3) and segments (8 N, 2).
+    """
+    T = np.asarray(T, float).reshape(-1, 4, 4)
+    corners = np.array([[0, 0, 0], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]], float)
+    corners *= np.array([half_width, half_height, 1.0]) * length
+    V = np.einsum("nij,kj->nki", T[:, :3, :3], corners) + T[:, None, :3, 3]
+    edges = np.array([[0, 1], [0, 2], [0, 3], [0, 4], [1, 2], [2, 3], [3, 4], [4, 1]])
+    return V.reshape(-1, 3), (edges[None] + 5 * np.arange(len(T))[:, None, None]).reshape(-1, 2)
+
+
+def _cells(layer: Layer) -> np.ndarray:
+    if layer.kind == "points":
+        return np.arange(len(np.asarray(layer.vertices)))
+    return np.asarray(layer.cells if layer.cells is not None else [], np.int64)
+
+
+def _pack(layer: Layer) -> dict[str, Any]:
+    V = np.asarray(layer.vertices, float)
+    low, high = V.min(0), V.max(0)
+    size = np.maximum(high - low, 1e-9)
+    packed = ((V - low) / size * 65535).round().astype("<u2")
+    cells = _cells(layer).ravel()
+    wide = len(V) > 65535
+    out: dict[str, Any] = {
+        "name": layer.name,
+        "kind": layer.kind,
+        "visible": layer.visible,
+        "opacity": layer.opacity,
+        "low": [round(float(v), 6) for v in low],
+        "size": [round(float(v), 6) for v in size],
+        "vertices": _b64(packed),
+        "wide": wide,
+        "cells": _b64(cells.astype("<u4" if wide else "<u2")),
+    }
+    colors = np.asarray((150, 156, 168) if layer.colors is None else layer.colors, np.uint8)
+    if colors.ndim == 1:
+        out["color"] = [int(c) for c in colors]
+    else:
+        out["colors"] = _b64(colors)
+    return out
+
+
+def _b64(array: np.ndarray) -> str:
+    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
