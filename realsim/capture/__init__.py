@@ -1,1 +1,57 @@
-"""."""
+"""A folder of frames, or a finished scan, as the rest of the pipeline wants it.
+
+frames = read(Path("my_capture"), CaptureConfig())
+print(inspect(Path("my_capture"), CaptureConfig()).render())
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from realsim.capture.config import CaptureConfig
+from realsim.capture.finish import finish
+from realsim.capture.inspection import Inspection, inspect_frames, inspect_scan
+from realsim.capture.recognition import recognise
+from realsim.registry import Registry
+from realsim.types import FrameSet, Scan
+
+LAYOUTS = Registry(
+    "capture layout",
+    {
+        "open3d": "realsim.capture.layouts.open3d:LAYOUT",
+        "tum": "realsim.capture.layouts.tum:LAYOUT",
+        "sevenscenes": "realsim.capture.layouts.sevenscenes:LAYOUT",
+        "scannet": "realsim.capture.layouts.scannet:LAYOUT",
+        "pcd": "realsim.capture.layouts.pcd:LAYOUT",
+        "plain": "realsim.capture.layouts.plain:LAYOUT",
+    },
+)
+
+
+def read(path: Path, config: CaptureConfig) -> FrameSet | Scan:
+    """Recognise a capture and read it: frames that can be used, in order, images still on disk.
+
+    Every frame of the result has depth of its camera's size within the range limits; all have poses (rigid, camera to
+    world, OpenCV axes) or none has. What was left out, assumed and doubtful is in `dropped`, `assumptions`, `warnings`.
+
+    Raises:
+        CaptureError: not recognised, ambiguous, or nothing in it can be used.
+        PoseError: poses are given and none of them can be used.
+    """
+    path = Path(path)
+    layout, _ = recognise(path, config.layout, LAYOUTS)
+    raw = layout.read(path, config)
+    return raw if isinstance(raw, Scan) else finish(raw, config).capture
+
+
+def inspect(path: Path, config: CaptureConfig) -> Inspection:
+    """What `read` makes of a capture and why, with figures (`realsim inspect`). Raises what `read` raises."""
+    path = Path(path)
+    layout, recognition = recognise(path, config.layout, LAYOUTS)
+    raw = layout.read(path, config)
+    if isinstance(raw, Scan):
+        return inspect_scan(raw, recognition)
+    return inspect_frames(finish(raw, config), recognition)
+
+
+__all__ = ["LAYOUTS", "CaptureConfig", "Inspection", "inspect", "read"]

@@ -21,6 +21,14 @@ class CaptureConfig:
     """Metres; farther depth is invalid."""
     unit: str = "m"
     """Unit of scans without one: m, cm, mm or inch."""
+    ignore_poses: bool = False
+    """Do not read the capture's poses (for captures whose poses are known to be wrong)."""
+    max_time_difference: float = 0.02
+    """Seconds between a colour and a depth image that still count as one frame (layouts with timestamps)."""
+    max_pose_gap: float = 0.1
+    """Seconds between two poses across which a pose is still interpolated (layouts with timestamps)."""
+    drop_blurred: bool = True
+    """Drop frames that are much less sharp than their neighbours."""
 
     def __post_init__(self) -> None:
         if self.max_frames < 0:
@@ -29,5 +37,9 @@ class CaptureConfig:
             raise ValueError("every must be at least 1")
         if not 0 <= self.min_depth < self.max_depth:
             raise ValueError("need 0 <= min_depth < max_depth")
+        if self.depth_unit is not None and not self.depth_unit > 0:
+            raise ValueError("depth_unit must be positive")
         if self.unit not in ("m", "cm", "mm", "inch"):
             raise ValueError("unit must be one of m, cm, mm, inch")
+        if self.max_time_difference < 0 or self.max_pose_gap < 0:
+            raise ValueError("max_time_difference and max_pose_gap must not be negative")

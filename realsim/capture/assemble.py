@@ -1,0 +1,135 @@
+"""From file names and conventions to lazy frames: what every layout of image folders has in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from realsim.capture.config import CaptureConfig
+from realsim.capture.images import ColorImage, DepthImage, common_size
+from realsim.capture.intrinsics import Camera
+from realsim.capture.listing import Pair
+from realsim.errors import CaptureError, RealsimError
+from realsim.types import F64, Dropped, Frame, FrameSet, Intrinsics
+
+
+def depth_unit(default: float, why: str, config: CaptureConfig, camera: Camera | None = None) -> tuple[float, str]:
+    """Metres a step of integer depth and the sentence that says where it comes from: asked for, file, convention."""
+    if config.depth_unit is not None:
+        return config.depth_unit, f"integer depth is in steps of {config.depth_unit:g} m, as asked for"
+    if camera is not None and camera.depth_unit is not None:
+        return camera.depth_unit, f"integer depth is in steps of {camera.depth_unit:g} m ({camera.source.name})"
+    return default, f"integer depth is in steps of {default:g} m ({why})"
+
+
+def cameras(
+    camera: Camera, color: Sequence[Path], depth: Sequence[Path]
+) -> tuple[Intrinsics, Intrinsics | None, tuple[str, ...]]:
+    """(camera of the depth images, camera of the colour images or None if the same, what was assumed).
+
+    One camera is given for both. Where colour and depth differ in size but not in shape, they are taken to be the same
+    view on two grids; the camera belongs to the one whose size it names.
+
+    Raises:
+        CaptureError: no image can be read, or the camera fits neither.
+    """
+    depth_size = common_size(DepthImage(p, 1.0) for p in depth)
+    color_size = common_size(ColorImage(p) for p in color)
+    if depth_size is None:
+        raise CaptureError(
+            "no depth image can be read", file=depth[0].parent if depth else None, expected="16-bit or float images"
+        )
+    if color_size in (None, depth_size):
+        return camera.sized(depth_size), None, ()
+    named = (camera.width, camera.height)
+    if abs(color_size[0] / color_size[1] - depth_size[0] / depth_size[1]) > 0.02 * depth_size[0] / depth_size[1]:
+        raise CaptureError(
+            "colour and depth images are of different shape and there are intrinsics for only one of them",
+            file=camera.source,
+            found=f"colour {_text(color_size)}, depth {_text(depth_size)}",
+            hint="register the colour to the depth, or give both cameras (layout scannet)",
+        )
+    if named == (None, None):
+        # Without a size in the file the principal point tells: it is near the middle of the image it belongs to.
+        named = min((color_size, depth_size), key=lambda s: abs(camera.cx / s[0] - 0.5) + abs(camera.cy / s[1] - 0.5))
+    if named == depth_size:
+        of_depth = camera.sized(depth_size)
+        of_color = of_depth.resized(*color_size)
+    else:
+        of_color = camera.sized(color_size)
+        of_depth = of_color.resized(*depth_size)
+    assumption = (
+        f"colour ({_text(color_size)}) and depth ({_text(depth_size)}) are the same view on two grids; "
+        f"{camera.source.name} is the camera of the {'depth' if named == depth_size else 'colour'} images"
+    )
+    return of_depth, of_color, (assumption,)
+
+
+def frames_of(
+    pairs: Sequence[Pair],
+    intrinsics: Intrinsics,
+    unit: float,
+    *,
+    color_intrinsics: Intrinsics | None = None,
+    with_color: bool = True,
+    pose_of: Callable[[Pair], F64 | None] = lambda pair: None,
+    time_of: Callable[[Pair], float | None] = lambda pair: None,
+) -> tuple[tuple[Frame, ...], tuple[Dropped, ...]]:
+    """One lazy frame a pair; incomplete pairs and frames whose pose cannot be read are dropped and named.
+
+    Args:
+        with_color: whether this capture has colour, so that a frame without it is incomplete.
+        pose_of: may raise a RealsimError, which costs that frame only.
+    """
+    frames: list[Frame] = []
+    dropped: list[Dropped] = []
+    for pair in pairs:
+        if pair.depth is None:
+            dropped.append(Dropped(pair.name, "colour without depth"))
+            continue
+        if pair.color is None and with_color:
+            dropped.append(Dropped(pair.name, "depth without colour"))
+            continue
+        try:
+            pose = pose_of(pair)
+        except RealsimError as error:
+            dropped.append(Dropped(pair.name, one_line(error)))
+            continue
+        frames.append(
+            Frame(
+                pair.name,
+                intrinsics,
+                DepthImage(pair.depth, unit),
+                None if pair.color is None else ColorImage(pair.color),
+                color_intrinsics,
+                T_world_camera=pose,
+                timestamp=time_of(pair),
+                files=tuple(p for p in (pair.color, pair.depth) if p is not None),
+            )
+        )
+    return tuple(frames), tuple(dropped)
+
+
+def one_line(error: RealsimError) -> str:
+    """An error as the reason why a frame is not used: without the path, which the frame's name stands for."""
+    details = [f"{word} {value}" for word, value in (("expected", error.expected), ("found", error.found)) if value]
+    return error.message + (f" ({', '.join(details)})" if details else "")
+
+
+def capture(
+    path: Path,
+    layout: str,
+    frames: tuple[Frame, ...],
+    dropped: tuple[Dropped, ...],
+    assumptions: Sequence[str],
+    warnings: Sequence[str] = (),
+) -> FrameSet:
+    """The frame set of a layout, refused if it is empty."""
+    if not frames:
+        reasons = "; ".join(f"{d.name}: {d.reason}" for d in dropped[:3]) or "no images"
+        raise CaptureError("no frame of this capture can be used", file=path, found=reasons)
+    return FrameSet(frames, path, layout, assumptions=tuple(assumptions), warnings=tuple(warnings), dropped=dropped)
+
+
+def _text(size: tuple[int, int]) -> str:
+    return f"{size[0]}x{size[1]}"

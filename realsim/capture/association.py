@@ -1,0 +1,71 @@
+"""Which of two series of timestamps belong together, and poses between samples."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.types import F64
+
+SAME_INSTANT = 1e-6
+"""Seconds: closer than what timestamps are printed with."""
+
+
+def nearest(times: F64, at: F64) -> NDArray[np.intp]:
+    """For each of `at` (M,) the index of the nearest of `times` (N,), sorted and not empty; ties go to the earlier."""
+    right = np.clip(np.searchsorted(times, at), 1, max(len(times) - 1, 1))
+    right = np.minimum(right, len(times) - 1)
+    left = np.maximum(right - 1, 0)
+    return np.where(at - times[left] <= times[right] - at, left, right)
+
+
+def associate(a: F64, b: F64, max_difference: float) -> list[tuple[int, int]]:
+    """Index pairs (i, j) in order such that a[i] and b[j] are each other's nearest and at most `max_difference` apart.
+
+    Being mutual makes the result one-to-one and independent of which series is called first.
+
+    Args:
+        a, b: sorted, strictly increasing seconds, (N,) and (M,).
+    """
+    if not len(a) or not len(b):
+        return []
+    to_b, to_a = nearest(b, a), nearest(a, b)
+    pairs = []
+    for i, j in enumerate(to_b):
+        if to_a[j] == i and abs(a[i] - b[j]) <= max_difference:
+            pairs.append((i, int(j)))
+    return pairs
+
+
+def interpolate_poses(times: F64, poses: F64, at: F64, max_gap: float) -> list[F64 | None]:
+    """Poses at other times: positions linearly, rotations along the shortest arc (slerp, Shoemake 1985).
+
+    Args:
+        times: (N,) strictly increasing seconds.
+        poses: (N, 4, 4) rigid.
+        at: (M,) seconds.
+        max_gap: the two samples around a time may be at most this far apart.
+
+    Returns:
+        One (4, 4) a time, or None where there are no samples close enough around it.
+    """
+    from scipy.spatial.transform import Rotation, Slerp
+
+    out: list[F64 | None] = [None] * len(at)
+    if not len(times):
+        return out
+    closest = nearest(times, at)
+    for k, t in enumerate(at):
+        if abs(times[closest[k]] - t) <= SAME_INSTANT:
+            out[k] = poses[closest[k]].copy()
+            continue
+        right = int(np.searchsorted(times, t))
+        if right == 0 or right == len(times) or times[right] - times[right - 1] > max_gap:
+            continue
+        pair = slice(right - 1, right + 1)
+        share = (t - times[right - 1]) / (times[right] - times[right - 1])
+        T = np.eye(4)
+        T[:3, :3] = Slerp(times[pair], Rotation.from_matrix(poses[pair, :3, :3]))(t).as_matrix()
+        T[:3, 3] = (1 - share) * poses[right - 1, :3, 3] + share * poses[right, :3, 3]
+        out[k] = T
+    return out

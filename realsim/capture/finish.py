@@ -1,0 +1,99 @@
+"""What happens to every capture after its layout has read it: look at each frame once, keep what can be used."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from realsim.capture.config import CaptureConfig
+from realsim.capture.poses import PoseReport, settle_poses
+from realsim.capture.selection import pick
+from realsim.capture.survey import Look, blurred, duplicates, survey
+from realsim.capture.units import check_unit
+from realsim.errors import CaptureError
+from realsim.types import F32, Dropped, Frame, FrameSet
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A capture that is ready for the pipeline, with what was seen on the way."""
+
+    capture: FrameSet
+    looks: tuple[Look, ...]
+    """One a frame of `capture`."""
+    poses: PoseReport
+    seen: int
+    """Frames in the capture before anything was left out."""
+
+
+@dataclass(frozen=True)
+class InRange:
+    """A depth reader whose values outside [near, far] metres are 0."""
+
+    read: Callable[[], F32]
+    near: float
+    far: float
+
+    def __call__(self) -> F32:
+        depth = self.read()
+        # Written so that NaN fails the comparison and becomes 0 as well.
+        return np.where((depth >= self.near) & (depth <= self.far), depth, np.float32(0)).astype(np.float32, copy=False)
+
+
+def finish(raw: FrameSet, config: CaptureConfig) -> Finished:
+    """Poses made rigid, damaged, empty, blurred and repeated frames dropped, too many thinned out, range limited.
+
+    Raises:
+        CaptureError: no frame is left, or the depth unit is implausible.
+        PoseError: none of the given poses can be used.
+    """
+    seen = len(raw.frames) + len(raw.dropped)
+    capture = replace(raw, frames=raw.frames[:: config.every])
+    if config.every > 1:
+        capture = replace(capture, assumptions=(*capture.assumptions, f"only every {config.every}. frame is used"))
+    capture, poses = settle_poses(capture)
+    looks, damaged = survey(capture.frames, config)
+    capture, looks = _without(capture, looks, damaged)
+    _some_left(capture)
+
+    note = check_unit(capture.frames, looks, config, capture.source)
+    if note is not None:
+        capture = replace(capture, warnings=(*capture.warnings, note))
+    capture, looks = _without(capture, looks, _empty(looks, config))
+    _some_left(capture)
+    capture, looks = _without(capture, looks, duplicates(looks))
+    if config.drop_blurred:
+        capture, looks = _without(capture, looks, blurred(looks))
+    capture, looks = _without(capture, looks, pick(capture.frames, looks, config.max_frames))
+    frames = tuple(_limited(f, config) for f in capture.frames)
+    return Finished(replace(capture, frames=frames), tuple(looks), poses, seen)
+
+
+def _empty(looks: Sequence[Look], config: CaptureConfig) -> list[Dropped]:
+    reason = f"no valid depth between {config.min_depth:g} and {config.max_depth:g} m"
+    return [Dropped(look.name, reason) for look in looks if look.valid_share == 0]
+
+
+def _without(capture: FrameSet, looks: Sequence[Look], dropped: Sequence[Dropped]) -> tuple[FrameSet, list[Look]]:
+    names = {d.name for d in dropped}
+    frames = tuple(f for f in capture.frames if f.name not in names)
+    kept = replace(capture, frames=frames, dropped=(*capture.dropped, *dropped))
+    return kept, [look for look in looks if look.name not in names]
+
+
+def _some_left(capture: FrameSet) -> None:
+    if capture.frames:
+        return
+    reasons = Counter(d.reason for d in capture.dropped).most_common(3)
+    raise CaptureError(
+        "no frame of this capture can be used",
+        file=capture.source,
+        found="; ".join(f"{count} x {reason}" for reason, count in reasons),
+    )
+
+
+def _limited(frame: Frame, config: CaptureConfig) -> Frame:
+    return replace(frame, read_depth=InRange(frame.read_depth, config.min_depth, config.max_depth))

@@ -1,0 +1,144 @@
+"""Image files to arrays, with every check that keeps a damaged file from becoming a silently wrong frame."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.errors import CaptureError, RealsimError
+from realsim.files import read_bytes
+from realsim.types import F32, U8
+
+COLOR_SUFFIXES = (".jpg", ".jpeg", ".png", ".ppm", ".bmp", ".webp")
+DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy")
+MAX_IMAGE_BYTES = 256 * 2**20
+MAX_PIXELS = 64 * 2**20
+NO_RETURN = (0, 65535)
+"""Integer depth values that mean `nothing measured`: 0 by every convention, 65535 by Kinect's (7-Scenes)."""
+
+
+@dataclass(frozen=True)
+class DepthImage:
+    """A reader of one depth image: `()` -> (H, W) float32 metres, 0 where invalid. Picklable, holds no pixels."""
+
+    path: Path
+    unit: float
+    """Metres a step of integer images. Floating-point images are metres already."""
+
+    def __call__(self) -> F32:
+        raw = _load(self.path)
+        if raw.ndim != 2:
+            raise CaptureError(
+                "depth of another type", file=self.path, expected="one channel", found=f"{raw.shape[2]} channels"
+            )
+        if raw.dtype.kind == "f":
+            depth = raw.astype(np.float32)
+            depth[~np.isfinite(depth) | (depth < 0)] = 0
+            return depth
+        if raw.dtype.kind != "u" or raw.dtype.itemsize < 2:
+            # Eight bits cannot hold metric depth at any useful resolution: this is a picture of depth, not depth.
+            raise CaptureError(
+                "depth of another type", file=self.path, expected="16-bit unsigned or float", found=str(raw.dtype)
+            )
+        depth = raw.astype(np.float32) * np.float32(self.unit)
+        depth[np.isin(raw, NO_RETURN)] = 0
+        return depth
+
+
+@dataclass(frozen=True)
+class ColorImage:
+    """A reader of one colour image: `()` -> (h, w, 3) uint8 RGB as stored, never turned by its EXIF orientation."""
+
+    path: Path
+
+    def __call__(self) -> U8:
+        import cv2
+
+        # A viewer would turn the picture upright; the depth image beside it has no such tag and would not follow.
+        bgr = _decode(self.path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        return np.ascontiguousarray(bgr[..., ::-1])
+
+
+def common_size(readers: Iterable[DepthImage | ColorImage], look_at: int = 5) -> tuple[int, int] | None:
+    """(width, height) that most of the first readable images have; None if none can be read."""
+    sizes: list[tuple[int, int]] = []
+    for reader in readers:
+        try:
+            height, width = reader().shape[:2]
+        except RealsimError:
+            continue
+        sizes.append((width, height))
+        if len(sizes) == look_at:
+            break
+    return Counter(sizes).most_common(1)[0][0] if sizes else None
+
+
+def _load(path: Path) -> NDArray:
+    if path.suffix.lower() == ".npy":
+        try:
+            return np.load(path, allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise CaptureError("corrupt array file", file=path, found=str(error)) from error
+    import cv2
+
+    return _decode(path, cv2.IMREAD_UNCHANGED)
+
+
+def _decode(path: Path, flags: int) -> NDArray:
+    import cv2
+
+    data = read_bytes(path, MAX_IMAGE_BYTES)
+    problem = damage(data)
+    if problem is not None:
+        raise CaptureError("corrupt or truncated image", file=path, found=problem)
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error as error:
+        raise CaptureError("corrupt or truncated image", file=path, found=str(error.err)) from error
+    if image is None:
+        raise CaptureError("corrupt or truncated image", file=path, found="the decoder gave up")
+    return image
+
+
+def damage(data: bytes) -> str | None:
+    """What is wrong with an encoded image, or None.
+
+    The decoders paint what is missing of a truncated file grey or black and only print a warning, so the ends of
+    JPEG and PNG files are looked at here.
+    """
+    if not data:
+        return "an empty file"
+    if data.startswith(b"\x89PNG\r\n\x1a\n"):
+        return _png_damage(data)
+    # Cameras may append a thumbnail or padding after the end marker, so it is looked for near the end, not at it.
+    if data.startswith(b"\xff\xd8") and b"\xff\xd9" not in data[-4096:]:
+        return "no end-of-image marker: the file is cut off"
+    return None
+
+
+def _png_damage(data: bytes) -> str | None:
+    """Walk the chunks to IEND; refuse a picture whose header promises more pixels than any camera makes."""
+    import zlib
+
+    at, size = 8, len(data)
+    while at + 12 <= size:
+        length, kind = struct.unpack(">I4s", data[at : at + 8])
+        end = at + 12 + length
+        if end > size:
+            break
+        if zlib.crc32(data[at + 4 : end - 4]) != struct.unpack(">I", data[end - 4 : end])[0]:
+            return f"checksum of chunk {kind.decode('latin-1')} does not match"
+        if kind == b"IHDR":
+            width, height = struct.unpack(">II", data[at + 8 : at + 16])
+            if width * height > MAX_PIXELS:
+                return f"the header says {width}x{height} pixels"
+        if kind == b"IEND":
+            return None
+        at = end
+    return "no end chunk: the file is cut off"

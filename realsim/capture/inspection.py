@@ -1,0 +1,145 @@
+"""What `realsim inspect` says about a capture."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from realsim.capture.finish import Finished
+from realsim.capture.layout import Recognition
+from realsim.geometry import angle_deg
+from realsim.types import Scan
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What was recognised and why, what was assumed, figures, and what is wrong."""
+
+    source: str
+    layout: str
+    evidence: tuple[str, ...]
+    """What the layout was recognised by."""
+    frames: Mapping[str, Any]
+    """used, dropped {name: reason}, resolution of depth and colour, intrinsics."""
+    depth: Mapping[str, Any]
+    """coverage (mean share of pixels with depth in range), least covered frame, median and 2..98 percentile metres."""
+    poses: Mapping[str, Any]
+    """given, path length, baseline between neighbours, worst deviation from SO(3)."""
+    assumptions: tuple[str, ...]
+    wrong: tuple[str, ...]
+    """Everything that a person should look at."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """The same as plain, JSON-able values."""
+        return asdict(self)
+
+    def render(self) -> str:
+        """The same for a person, a few lines a subject."""
+        blocks = [
+            ("capture", [self.source, f"layout {self.layout}, recognised by {', '.join(self.evidence)}"]),
+            ("frames", _lines(self.frames)),
+            ("depth", _lines(self.depth)),
+            ("poses", _lines(self.poses)),
+            ("assumed", list(self.assumptions)),
+            ("look at", list(self.wrong) or ["nothing: all is well"]),
+        ]
+        text = []
+        for title, lines in blocks:
+            text += [f"{title if i == 0 else '':9}{line}" for i, line in enumerate(lines)]
+        return "\n".join(text) + "\n"
+
+
+def inspect_frames(finished: Finished, recognition: Recognition) -> Inspection:
+    """The inspection of a capture of frames."""
+    capture, looks = finished.capture, finished.looks
+    cameras = {(f.intrinsics, f.color_intrinsics) for f in capture.frames}
+    camera = capture.frames[0].intrinsics
+    color_size = looks[0].sizes[1]
+    reasons = Counter(d.reason for d in capture.dropped)
+    frames = {
+        "seen": finished.seen,
+        "used": len(capture),
+        "dropped": {d.name: d.reason for d in capture.dropped},
+        "depth_size": f"{camera.width}x{camera.height}",
+        "color_size": None if color_size is None else f"{color_size[0]}x{color_size[1]}",
+        "intrinsics": {k: round(getattr(camera, k), 3) for k in ("fx", "fy", "cx", "cy")},
+        "cameras": len(cameras),
+    }
+    shares = np.array([look.valid_share for look in looks])
+    coverage = round(float(shares.mean()), 3)
+    depth = {
+        "coverage": coverage,
+        "least_coverage": {looks[int(shares.argmin())].name: round(float(shares.min()), 3)},
+        "median_m": round(float(np.median([look.median_depth for look in looks])), 3),
+        "range_m": [
+            round(float(np.median([look.depth_range[0] for look in looks])), 3),
+            round(float(np.median([look.depth_range[1] for look in looks])), 3),
+        ],
+    }
+    wrong = list(capture.warnings) + [f"{n} frames dropped: {reason}" for reason, n in reasons.items()]
+    if coverage < 0.3:
+        wrong.append(f"only {coverage:.0%} of the pixels have depth in range")
+    return Inspection(
+        str(capture.source),
+        capture.layout,
+        recognition.evidence,
+        frames,
+        depth,
+        _pose_figures(finished),
+        capture.assumptions,
+        tuple(wrong),
+    )
+
+
+def inspect_scan(scan: Scan, recognition: Recognition) -> Inspection:
+    """The inspection of a finished surface."""
+    extent = np.ptp(scan.points, axis=0)
+    figures = {
+        "points": len(scan.points),
+        "triangles": None if scan.triangles is None else len(scan.triangles),
+        "extent_m": [round(float(v), 3) for v in extent],
+    }
+    return Inspection(
+        str(scan.source), scan.layout, recognition.evidence, figures, {}, {}, scan.assumptions, scan.warnings
+    )
+
+
+def _pose_figures(finished: Finished) -> dict[str, Any]:
+    frames = finished.capture.frames
+    if not finished.capture.has_poses:
+        return {"given": False}
+    T = np.array([f.T_world_camera for f in frames])
+    steps = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
+    turns = [angle_deg(a[:3, :3].T @ b[:3, :3]) for a, b in pairwise(T)]
+    figures: dict[str, Any] = {"given": True, "metric": finished.capture.poses_metric}
+    if len(steps):
+        figures |= {
+            "path_m": round(float(steps.sum()), 3),
+            "neighbour_baseline_m": [round(float(v), 4) for v in (np.median(steps), steps.max())],
+            "neighbour_turn_deg": [round(float(v), 2) for v in (np.median(turns), np.max(turns))],
+        }
+    return figures | {
+        "worst_off_so3": float(f"{finished.poses.worst_deviation:.1e}"),
+        "mended": finished.poses.mended,
+    }
+
+
+def _lines(figures: Mapping[str, Any]) -> list[str]:
+    lines = []
+    for key, value in figures.items():
+        if key == "dropped":
+            shown = [f"{name}: {reason}" for name, reason in list(value.items())[:8]]
+            more = [f"and {len(value) - 8} more"] if len(value) > 8 else []
+            lines += [f"{key} {len(value)}", *(f"  {line}" for line in shown + more)]
+        elif isinstance(value, Mapping):
+            lines.append(f"{key} " + "  ".join(f"{k} {v}" for k, v in value.items()))
+        elif isinstance(value, list):
+            lines.append(f"{key} " + " to ".join(str(v) for v in value))
+        else:
+            lines.append(f"{key} {'none' if value is None else value}")
+    return lines

@@ -1,0 +1,271 @@
+"""Camera parameters as people write them down, to `Intrinsics`, with the convention that was found in words."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from realsim.errors import CaptureError
+from realsim.files import read_json, read_text
+from realsim.types import F64, Intrinsics
+
+MATRIX_KEYS = ("intrinsic_matrix", "camera_matrix", "K", "k", "intrinsics", "intrinsic", "matrix")
+WIDTH_KEYS, HEIGHT_KEYS = ("width", "image_width", "w"), ("height", "image_height", "h")
+DEPTH_UNIT_KEYS = ("depth_scale", "depth_unit", "depth_factor")
+FIELD_OF_VIEW_DEG = (5.0, 170.0)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """What a file says about a camera; the image size may be left open."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int | None
+    height: int | None
+    source: Path
+    notes: tuple[str, ...] = ()
+    """Conventions that were found, one sentence each."""
+    warnings: tuple[str, ...] = ()
+    depth_unit: float | None = None
+    """Metres a step of integer depth, where the file says so."""
+
+    def sized(self, size: tuple[int, int]) -> Intrinsics:
+        """Checked intrinsics of images of that (width, height).
+
+        Raises:
+            CaptureError: the file speaks of another size, or the figures cannot be a camera of this size.
+        """
+        if (self.width, self.height) not in ((None, None), size):
+            raise CaptureError(
+                "the images are of another size than their intrinsics",
+                file=self.source,
+                expected=f"{self.width}x{self.height} pixels",
+                found=f"{size[0]}x{size[1]} pixels",
+                hint="give the intrinsics of the images that are in the folder",
+            )
+        return check(Intrinsics(*size, self.fx, self.fy, self.cx, self.cy), self.source)
+
+
+def camera_matrix(values: ArrayLike, source: Path) -> tuple[F64, str]:
+    """A 3x3 camera matrix from nine (or 4x4: sixteen) numbers, and how it was written.
+
+    Row by row the principal point is in the last column, column by column (Open3D, Eigen) in the last row; the other
+    place holds zeros, which is how the two are told apart.
+
+    Raises:
+        CaptureError: another count, or numbers that are a camera matrix in neither order.
+    """
+    try:
+        flat = np.asarray(values, float).ravel()
+    except (TypeError, ValueError) as error:
+        raise CaptureError("the camera matrix is not made of numbers", file=source, found=str(error)) from error
+    if flat.size == 16:
+        flat = flat.reshape(4, 4)[:3, :3].ravel() if _is_padded(flat) else flat
+    if flat.size != 9 or not np.isfinite(flat).all():
+        raise CaptureError(
+            "a camera matrix of the wrong length", file=source, expected="9 finite numbers", found=f"{flat.size}"
+        )
+    M = flat.reshape(3, 3)
+    principal_last_column = bool(M[0, 2] or M[1, 2])
+    principal_last_row = bool(M[2, 0] or M[2, 1])
+    if principal_last_column == principal_last_row or M[0, 0] <= 0 or M[1, 1] <= 0 or M[2, 2] != 1:
+        raise CaptureError(
+            "not a camera matrix",
+            file=source,
+            expected="fx 0 cx, 0 fy cy, 0 0 1, row by row or column by column",
+            found=" ".join(f"{v:g}" for v in flat),
+        )
+    K, order = (M, "row by row") if principal_last_column else (M.T, "column by column")
+    skew = abs(K[0, 1]) + abs(K[1, 0])
+    if skew > 1e-3 * K[0, 0]:
+        raise CaptureError("a camera with skew is not supported", file=source, found=f"skew {skew:g}")
+    return K, order
+
+
+def _four(K: F64) -> tuple[float, float, float, float]:
+    return float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
+
+
+def _is_padded(flat: F64) -> bool:
+    """Whether sixteen numbers are a 3x3 matrix in the corner of the 4x4 identity (as ScanNet writes it)."""
+    M = flat.reshape(4, 4)
+    return bool(np.array_equal(M[3], [0, 0, 0, 1]) and np.array_equal(M[:, 3], [0, 0, 0, 1]))
+
+
+def check(camera: Intrinsics, source: Path) -> Intrinsics:
+    """The camera itself if it can exist.
+
+    Raises:
+        CaptureError: lengths not positive, principal point outside the image, or an impossible field of view.
+    """
+    c = camera
+    expected = found = None
+    if not all(np.isfinite([c.fx, c.fy, c.cx, c.cy])) or min(c.fx, c.fy, c.width, c.height) <= 0:
+        expected, found = "positive, finite figures", f"fx {c.fx} fy {c.fy} cx {c.cx} cy {c.cy} {c.width}x{c.height}"
+    elif not (0 < c.cx < c.width and 0 < c.cy < c.height):
+        expected, found = f"a principal point inside {c.width}x{c.height}", f"({c.cx:g}, {c.cy:g})"
+    elif not 0.5 < c.fx / c.fy < 2:
+        expected, found = "fx and fy of similar size", f"fx {c.fx:g}, fy {c.fy:g}"
+    else:
+        fov = float(np.degrees(2 * np.arctan(c.width / (2 * c.fx))))
+        if not FIELD_OF_VIEW_DEG[0] < fov < FIELD_OF_VIEW_DEG[1]:
+            expected, found = "a field of view of 5 to 170 degrees", f"{fov:.1f} degrees (fx {c.fx:g})"
+    if found is not None:
+        raise CaptureError(
+            "these intrinsics cannot belong to the images",
+            file=source,
+            expected=expected,
+            found=found,
+            hint="intrinsics are in pixels of the images as they are in the folder",
+        )
+    return camera
+
+
+def read_camera(path: Path) -> Camera:
+    """The camera in a .json, .yaml/.yml or .txt file (keys: docs/captures.md).
+
+    Raises:
+        CaptureError: unreadable, or without camera parameters.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".json":
+        return camera_from_mapping(read_json(path), path)
+    if suffix in (".yaml", ".yml"):
+        return camera_from_mapping(_read_yaml(path), path)
+    return camera_from_text(read_text(path, 2**20), path)
+
+
+def camera_from_mapping(data: Any, source: Path) -> Camera:
+    """A camera from parsed JSON or YAML: a matrix, or fx fy cx cy (also fl_x, ppx), perhaps one level down."""
+    if not isinstance(data, Mapping):
+        raise _no_camera(source, "a list or a single value")
+    for inner in ("intrinsics", "intrinsic", "camera", "depth", "depth_intrinsics", "depth_camera"):
+        if isinstance(data.get(inner), Mapping) and _has_camera(data[inner]):
+            return camera_from_mapping({**data, inner: None, **data[inner]}, source)
+    notes: tuple[str, ...] = ()
+    separate, matrix = _separate(data), _matrix(data)
+    if separate is not None:
+        fx, fy, cx, cy = (_number(v, source) for v in separate)
+    elif matrix is not None:
+        K, order = camera_matrix(matrix, source)
+        fx, fy, cx, cy = _four(K)
+        notes += (f"{source.name}: the camera matrix is written {order}",)
+    else:
+        raise _no_camera(source, f"the keys {', '.join(map(str, data))}")
+    unit, unit_notes = _depth_unit(data, source)
+    width, height = _first(data, WIDTH_KEYS), _first(data, HEIGHT_KEYS)
+    return Camera(
+        fx,
+        fy,
+        cx,
+        cy,
+        None if width is None or height is None else int(_number(width, source)),
+        None if width is None or height is None else int(_number(height, source)),
+        source,
+        notes + unit_notes,
+        _distortion_warning(data, source),
+        unit,
+    )
+
+
+def camera_from_text(text: str, source: Path) -> Camera:
+    """A camera from a text file: a 3x3 or 4x4 matrix, or one line `fx fy cx cy [width height]`; # starts a comment."""
+    words = " ".join(line.split("#")[0] for line in text.splitlines()).replace(",", " ").split()
+    try:
+        values = [float(word) for word in words]
+    except ValueError as error:
+        raise _no_camera(source, str(error)) from error
+    if len(values) in (4, 6):
+        fx, fy, cx, cy = values[:4]
+        width, height = (int(v) for v in values[4:]) if len(values) == 6 else (None, None)
+        return Camera(fx, fy, cx, cy, width, height, source)
+    if len(values) in (9, 16):
+        K, order = camera_matrix(values, source)
+        note = f"{source.name}: the camera matrix is written {order}"
+        return Camera(*_four(K), None, None, source, (note,))
+    raise _no_camera(source, f"{len(values)} numbers")
+
+
+def no_intrinsics(folder: Path, looked_for: Sequence[str], hint: str | None = None) -> CaptureError:
+    """The error for a capture without intrinsics, with the way out."""
+    way_out = hint or "write the camera as one line `fx fy cx cy width height` into intrinsics.txt in this folder"
+    return CaptureError("no intrinsics", file=folder, expected=f"one of {', '.join(looked_for)}", hint=way_out)
+
+
+def _no_camera(source: Path, found: str) -> CaptureError:
+    return CaptureError(
+        "no camera parameters in this file",
+        file=source,
+        expected="fx fy cx cy, or a 3x3 camera matrix",
+        found=found,
+    )
+
+
+def _read_yaml(path: Path) -> Any:
+    import yaml
+
+    # OpenCV's own writer starts its files with a directive and tags matrices, neither of which plain YAML knows.
+    text = re.sub(r"^%YAML.*$|!!opencv-matrix", "", read_text(path, 2**20), flags=re.MULTILINE)
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise CaptureError("broken YAML", file=path, found=" ".join(str(error).split())) from error
+
+
+def _separate(data: Mapping) -> tuple | None:
+    for names in (("fx", "fy", "cx", "cy"), ("fl_x", "fl_y", "cx", "cy"), ("fx", "fy", "ppx", "ppy")):
+        if all(name in data for name in names):
+            return tuple(data[name] for name in names)
+    return None
+
+
+def _matrix(data: Mapping) -> Any | None:
+    value = _first(data, MATRIX_KEYS)
+    return value.get("data") if isinstance(value, Mapping) else value
+
+
+def _has_camera(data: Mapping) -> bool:
+    return _separate(data) is not None or _matrix(data) is not None
+
+
+def _first(data: Mapping, keys: Sequence[str]) -> Any | None:
+    return next((data[key] for key in keys if data.get(key) is not None), None)
+
+
+def _number(value: Any, source: Path) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise CaptureError("a camera parameter is not a number", file=source, found=repr(value))
+    return float(value)
+
+
+def _depth_unit(data: Mapping, source: Path) -> tuple[float | None, tuple[str, ...]]:
+    """Metres a step; files say either `0.001` (metres a step) or `1000` (steps a metre), which cannot be confused."""
+    value = _first(data, DEPTH_UNIT_KEYS)
+    if value is None:
+        return None, ()
+    number = _number(value, source)
+    if number <= 0:
+        raise CaptureError("the depth unit is not positive", file=source, found=str(value))
+    unit = number if number < 1 else 1.0 / number
+    return unit, (f"{source.name}: depth unit {number:g} means {unit:g} m a step",)
+
+
+def _distortion_warning(data: Mapping, source: Path) -> tuple[str, ...]:
+    """Lens distortion is not undone here; a warning says so where a file gives any."""
+    value = _first(data, ("distortion_coefficients", "dist_coeffs", "distortion", "coeffs"))
+    value = value.get("data") if isinstance(value, Mapping) else value
+    if not isinstance(value, Sequence) or isinstance(value, str):
+        return ()
+    figures = [v for v in value if isinstance(v, (int, float))]
+    if not any(figures):
+        return ()
+    return (f"{source.name} gives lens distortion {figures}: it is not undone, rectify the images first if it matters",)

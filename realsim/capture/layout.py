@@ -1,0 +1,45 @@
+"""The contract of a capture layout: four members, one file each, one line in `LAYOUTS`.
+
+A layout only knows names and conventions: it turns a folder into a `FrameSet` whose readers give plain metres.
+What is the same for all of them (range limits, damaged frames, invalid poses, blur, duplicates, the choice among
+too many frames) happens afterwards, once, in `finish.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from realsim.capture.config import CaptureConfig
+from realsim.types import FrameSet, Scan
+
+
+@dataclass(frozen=True)
+class Recognition:
+    """What a layout saw in a folder."""
+
+    evidence: tuple[str, ...] = ()
+    """What speaks for this layout, in words; empty: nothing does."""
+    missing: tuple[str, ...] = ()
+    """What the layout needs and did not find, in words."""
+    score: int = 0
+    """How specific the evidence is. Among complete layouts the highest wins; equal ones are ambiguous."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether the folder can be read with this layout."""
+        return bool(self.evidence) and not self.missing
+
+
+@dataclass(frozen=True)
+class Layout:
+    """One way in which captures are stored."""
+
+    name: str
+    looks_for: str
+    """What makes it recognisable, for the message when nothing is."""
+    recognise: Callable[[Path], Recognition]
+    """A cheap look at names (no image is decoded); must not raise for a folder of any other kind."""
+    read: Callable[[Path, CaptureConfig], FrameSet | Scan]
+    """All frames in order, lazily: `read_depth` in metres without range limits, poses as written (4x4, unchecked)."""

@@ -1,0 +1,1 @@
+"""One file a capture layout; `realsim.capture.LAYOUTS` lists them."""

@@ -1,0 +1,142 @@
+"""Open3D dataset folder: color|image|rgb/, depth/, camera_intrinsic.json, trajectory.log.
+
+Conventions: http://www.open3d.org/docs (reconstruction system, file formats): the camera matrix is written column by
+column, depth is in millimetres, `trajectory.log` holds camera-to-world matrices under headers `i i i+1`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from realsim.capture.assemble import cameras, capture, depth_unit, frames_of
+from realsim.capture.config import CaptureConfig
+from realsim.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
+from realsim.capture.intrinsics import no_intrinsics, read_camera
+from realsim.capture.layout import Layout, Recognition
+from realsim.capture.listing import Pair, color_folder, depth_folder, last_number, list_files, pair_by_stem
+from realsim.capture.poses import parse_matrix
+from realsim.errors import CaptureError, PoseError
+from realsim.files import read_text
+from realsim.types import F64, FrameSet
+
+INTRINSICS = ("camera_intrinsic.json", "camera_intrinsics.json", "intrinsic.json")
+CAM_PARAMS = "*cam_params*.json"
+TRAJECTORIES = ("trajectory.log", "scene/trajectory.log")
+
+
+def intrinsics_file(folder: Path) -> Path | None:
+    """Open3D's own name first, then what its RealSense scripts leave (`cam_params_realsense.json`)."""
+    named = next((folder / name for name in INTRINSICS if (folder / name).is_file()), None)
+    return named or next(iter(sorted(folder.glob(CAM_PARAMS))), None)
+
+
+def trajectory_file(folder: Path) -> Path | None:
+    return next((folder / name for name in TRAJECTORIES if (folder / name).is_file()), None)
+
+
+def recognise(folder: Path) -> Recognition:
+    camera, trajectory = intrinsics_file(folder), trajectory_file(folder)
+    evidence = [p.name for p in (camera, trajectory) if p is not None]
+    if not evidence:
+        return Recognition()
+    missing = []
+    if camera is None:
+        missing.append(f"intrinsics ({', '.join(INTRINSICS)} or {CAM_PARAMS})")
+    if depth_folder(folder) is None:
+        missing.append("depth images (depth/)")
+    if color_folder(folder) is None:
+        missing.append("colour images (color/, image/ or rgb/)")
+    evidence += [f"{p.name}/" for p in (color_folder(folder), depth_folder(folder)) if p is not None]
+    return Recognition(tuple(evidence), tuple(missing), score=10 + 10 * (trajectory is not None))
+
+
+def read(folder: Path, config: CaptureConfig) -> FrameSet:
+    source = intrinsics_file(folder)
+    if source is None:
+        raise no_intrinsics(folder, (*INTRINSICS, CAM_PARAMS))
+    color_in, depth_in = color_folder(folder), depth_folder(folder)
+    if color_in is None or depth_in is None:
+        what = "colour without depth" if depth_in is None else "depth without colour"
+        raise CaptureError(what, file=folder, expected="color/ and depth/ with images")
+    color, depth = list_files(color_in, COLOR_SUFFIXES), list_files(depth_in, DEPTH_SUFFIXES)
+    pairs, rule = pair_by_stem(color, depth)
+    camera = read_camera(source)
+    of_depth, of_color, assumed = cameras(camera, color, depth)
+    unit, unit_note = depth_unit(0.001, "Open3D's convention", config, camera)
+    assumptions = [*camera.notes, *assumed, rule, unit_note, "depth is registered to colour"]
+
+    trajectory = None if config.ignore_poses else trajectory_file(folder)
+    poses: dict[str, F64] = {}
+    if trajectory is not None:
+        headers, matrices = read_trajectory(trajectory)
+        poses, pose_rule = poses_by_name(pairs, headers, matrices, trajectory)
+        assumptions += ["poses are camera to world in metres, OpenCV camera axes", pose_rule]
+    frames, dropped = frames_of(
+        pairs, of_depth, unit, color_intrinsics=of_color, pose_of=lambda pair: poses.get(pair.name)
+    )
+    return capture(folder, LAYOUT.name, frames, dropped, assumptions, camera.warnings)
+
+
+def read_trajectory(path: Path) -> tuple[list[int], list[F64]]:
+    """Frame numbers and camera-to-world matrices of a `.log` file: a header `i j k`, then four rows, repeated.
+
+    Raises:
+        PoseError: the lines do not come in fives, or hold something else.
+    """
+    lines = [line for line in read_text(path).splitlines() if line.strip()]
+    if len(lines) % 5:
+        raise PoseError(
+            "the trajectory is cut off or not of this format",
+            file=path,
+            expected="five lines a pose: a header of three integers and four rows of a matrix",
+            found=f"{len(lines)} lines",
+        )
+    headers, matrices = [], []
+    for at in range(0, len(lines), 5):
+        header = lines[at].split()
+        if len(header) != 3 or not all(word.lstrip("-").isdigit() for word in header):
+            raise PoseError(
+                f"no header where pose {at // 5} should start",
+                file=path,
+                expected="three integers",
+                found=lines[at][:60],
+            )
+        headers.append(int(header[0]))
+        matrices.append(parse_matrix(" ".join(lines[at + 1 : at + 5]), path))
+    return headers, matrices
+
+
+def poses_by_name(
+    pairs: Sequence[Pair], headers: Sequence[int], matrices: Sequence[F64], path: Path
+) -> tuple[dict[str, F64], str]:
+    """Which pose belongs to which frame, and the rule that was used.
+
+    As many poses as frames go by position. Otherwise the first number of each header has to name the frames, by the
+    number in their file name; a trajectory that merely ended early or late could belong anywhere and is refused.
+    """
+    if len(matrices) == len(pairs):
+        rule = "the n-th pose of trajectory.log belongs to the n-th frame"
+        return {pair.name: T for pair, T in zip(pairs, matrices, strict=True)}, rule
+    numbers = [last_number(pair.name) for pair in pairs]
+    by_number = dict(zip(headers, matrices, strict=True))
+    named = {n for n in numbers if n is not None}
+    gaps = sorted(by_number) != list(range(len(by_number)))
+    if len(by_number) == len(matrices) and (named <= by_number.keys() or (gaps and by_number.keys() <= named)):
+        poses = {p.name: by_number[n] for p, n in zip(pairs, numbers, strict=True) if n is not None and n in by_number}
+        return poses, "the first number of a header in trajectory.log is the number in the frame's file name"
+    raise PoseError(
+        "the trajectory has another length than the capture",
+        file=path,
+        expected=f"{len(pairs)} poses, one a frame",
+        found=f"{len(matrices)} poses",
+        hint="mend the trajectory, or pass --capture.ignore-poses to have the poses estimated",
+    )
+
+
+LAYOUT = Layout(
+    "open3d",
+    "color/ (or image/, rgb/) and depth/ with camera_intrinsic.json (or *cam_params*.json), trajectory.log for poses",
+    recognise,
+    read,
+)

@@ -1,0 +1,55 @@
+"""A plain folder: rgb|color|images/, depth/, and intrinsics.json|yaml|txt. No poses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from realsim.capture.assemble import cameras, capture, depth_unit, frames_of
+from realsim.capture.config import CaptureConfig
+from realsim.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
+from realsim.capture.intrinsics import no_intrinsics, read_camera
+from realsim.capture.layout import Layout, Recognition
+from realsim.capture.listing import color_folder, depth_folder, list_files, pair_by_stem
+from realsim.errors import CaptureError
+from realsim.types import FrameSet
+
+STEMS = ("intrinsics", "intrinsic", "camera", "camera_intrinsics", "camera_info", "calibration")
+INTRINSICS = tuple(f"{stem}{suffix}" for stem in STEMS for suffix in (".json", ".yaml", ".yml", ".txt"))
+
+
+def intrinsics_file(folder: Path) -> Path | None:
+    return next((folder / name for name in INTRINSICS if (folder / name).is_file()), None)
+
+
+def recognise(folder: Path) -> Recognition:
+    color, depth, camera = color_folder(folder), depth_folder(folder), intrinsics_file(folder)
+    if color is None and depth is None:
+        return Recognition()
+    evidence = [f"{p.name}/" for p in (color, depth) if p is not None] + ([camera.name] if camera else [])
+    missing = []
+    if depth is None:
+        missing.append("depth images (depth/)")
+    if camera is None:
+        missing.append("intrinsics (intrinsics.json, .yaml or .txt)")
+    return Recognition(tuple(evidence), tuple(missing), score=5)
+
+
+def read(folder: Path, config: CaptureConfig) -> FrameSet:
+    color_in, depth_in, source = color_folder(folder), depth_folder(folder), intrinsics_file(folder)
+    if depth_in is None:
+        raise CaptureError("colour without depth", file=folder, expected="depth/ with 16-bit PNG or float images")
+    if source is None:
+        raise no_intrinsics(folder, ("intrinsics.json", "intrinsics.yaml", "intrinsics.txt"))
+    color = list_files(color_in, COLOR_SUFFIXES) if color_in else []
+    depth = list_files(depth_in, DEPTH_SUFFIXES)
+    pairs, rule = pair_by_stem(color, depth)
+    camera = read_camera(source)
+    of_depth, of_color, assumed = cameras(camera, color, depth)
+    unit, unit_note = depth_unit(0.001, "the usual convention; this layout has none of its own", config, camera)
+    frames, dropped = frames_of(pairs, of_depth, unit, color_intrinsics=of_color, with_color=bool(color))
+    assumptions = [*camera.notes, *assumed, unit_note]
+    assumptions += [rule, "depth is registered to colour"] if color else ["there is no colour"]
+    return capture(folder, LAYOUT.name, frames, dropped, assumptions, camera.warnings)
+
+
+LAYOUT = Layout("plain", "depth/ and intrinsics.json|yaml|txt, with rgb/, color/ or images/", recognise, read)

@@ -1,0 +1,104 @@
+"""ScanNet exports: color/, depth/, pose/*.txt, intrinsic/, as the dataset's own exporter writes them.
+
+Colour (1296x968) and depth (640x480) have cameras of their own; depth is in millimetres; poses are camera to world
+and full of -inf where tracking was lost. Also the `scannet_frames_25k` form with the camera files beside the folders.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from realsim.capture.assemble import capture, depth_unit, frames_of
+from realsim.capture.config import CaptureConfig
+from realsim.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES, ColorImage, DepthImage, common_size
+from realsim.capture.intrinsics import no_intrinsics, read_camera
+from realsim.capture.layout import Layout, Recognition
+from realsim.capture.listing import Pair, color_folder, depth_folder, list_files, pair_by_stem
+from realsim.capture.poses import read_matrix
+from realsim.errors import CaptureError, PoseError
+from realsim.types import F64, FrameSet
+
+CAMERAS = {
+    "depth": ("intrinsic/intrinsic_depth.txt", "intrinsics_depth.txt", "intrinsic_depth.txt"),
+    "color": ("intrinsic/intrinsic_color.txt", "intrinsics_color.txt", "intrinsic_color.txt"),
+}
+POSES = "pose"
+
+
+def camera_file(folder: Path, which: str) -> Path | None:
+    return next((folder / name for name in CAMERAS[which] if (folder / name).is_file()), None)
+
+
+def recognise(folder: Path) -> Recognition:
+    found = {which: camera_file(folder, which) for which in CAMERAS}
+    evidence = [str(p.relative_to(folder)) for p in found.values() if p is not None]
+    if not evidence:
+        return Recognition()
+    missing = [f"intrinsics of {which} ({CAMERAS[which][0]})" for which, p in found.items() if p is None]
+    if depth_folder(folder) is None:
+        missing.append("depth images (depth/)")
+    if color_folder(folder) is None:
+        missing.append("colour images (color/)")
+    evidence += [f"{POSES}/"] if list_files(folder / POSES, (".txt",)) else []
+    return Recognition(tuple(evidence), tuple(missing), score=30)
+
+
+def read(folder: Path, config: CaptureConfig) -> FrameSet:
+    color_in, depth_in = color_folder(folder), depth_folder(folder)
+    if color_in is None or depth_in is None:
+        what = "colour without depth" if depth_in is None else "depth without colour"
+        raise CaptureError(what, file=folder, expected="color/ and depth/ with images")
+    color, depth = list_files(color_in, COLOR_SUFFIXES), list_files(depth_in, DEPTH_SUFFIXES)
+    depth_source, color_source = camera_file(folder, "depth"), camera_file(folder, "color")
+    if depth_source is None or color_source is None:
+        raise no_intrinsics(folder, (CAMERAS["depth"][0], CAMERAS["color"][0]))
+    depth_size = common_size(DepthImage(p, 1.0) for p in depth)
+    color_size = common_size(ColorImage(p) for p in color)
+    if depth_size is None or color_size is None:
+        raise CaptureError("no image can be read", file=depth_in if depth_size is None else color_in)
+    depth_camera, color_camera = read_camera(depth_source), read_camera(color_source)
+    unit, unit_note = depth_unit(0.001, "ScanNet's convention", config)
+    pairs, rule = pair_by_stem(color, depth)
+    pose_files = {} if config.ignore_poses else {p.stem: p for p in list_files(folder / POSES, (".txt",))}
+
+    def pose_of(pair: Pair) -> F64 | None:
+        if not pose_files:
+            return None
+        if pair.name not in pose_files:
+            raise PoseError("there is no pose for this frame")
+        return read_matrix(pose_files[pair.name])
+
+    frames, dropped = frames_of(
+        pairs,
+        depth_camera.sized(depth_size),
+        unit,
+        color_intrinsics=color_camera.sized(color_size),
+        pose_of=pose_of,
+    )
+    assumptions = [
+        *depth_camera.notes,
+        *color_camera.notes,
+        f"colour is {color_size[0]}x{color_size[1]}, depth {depth_size[0]}x{depth_size[1]}, each with its own camera "
+        "at the same place",
+        unit_note,
+        rule,
+    ]
+    if pose_files:
+        assumptions.append("poses are camera to world in metres, OpenCV camera axes; -inf means that tracking was lost")
+    return capture(folder, LAYOUT.name, frames, dropped, assumptions, _extrinsic_warnings(folder))
+
+
+def _extrinsic_warnings(folder: Path) -> list[str]:
+    """The exporter also writes where each camera sits; nearly always the identity, and not used here."""
+    warnings = []
+    for path in list_files(folder / "intrinsic", (".txt",)):
+        if path.stem.startswith("extrinsic") and not np.allclose(read_matrix(path), np.eye(4), atol=1e-4):
+            warnings.append(f"{path.name} is not the identity; it is not applied")
+    return warnings
+
+
+LAYOUT = Layout(
+    "scannet", "color/, depth/, intrinsic/intrinsic_depth.txt and intrinsic_color.txt; pose/ for poses", recognise, read
+)

@@ -1,0 +1,190 @@
+"""TUM RGB-D: rgb.txt, depth.txt, groundtruth.txt with timestamps, depth in 1/5000 m.
+
+Format: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats. Poses are `timestamp tx ty tz qx qy qz qw`,
+camera to world. Colour, depth and poses each run on their own clock ticks and are associated by time.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from realsim.capture.assemble import cameras, capture, depth_unit, frames_of
+from realsim.capture.association import associate, interpolate_poses
+from realsim.capture.config import CaptureConfig
+from realsim.capture.intrinsics import no_intrinsics, read_camera
+from realsim.capture.layout import Layout, Recognition
+from realsim.capture.listing import Pair
+from realsim.errors import CaptureError, PoseError
+from realsim.files import inside, read_text
+from realsim.geometry import make_T, quat_to_R
+from realsim.types import F64, Dropped, FrameSet
+
+INTRINSICS = ("calibration.txt", "camera.txt", "intrinsics.txt", "intrinsics.json", "intrinsics.yaml")
+POSES = "groundtruth.txt"
+
+
+def recognise(folder: Path) -> Recognition:
+    lists = [name for name in ("rgb.txt", "depth.txt") if (folder / name).is_file()]
+    if not lists:
+        return Recognition()
+    missing = [f"{what} ({n})" for n, what in (("rgb.txt", "colour"), ("depth.txt", "depth")) if n not in lists]
+    camera = intrinsics_file(folder)
+    if camera is None:
+        missing.append(f"intrinsics ({', '.join(INTRINSICS)})")
+    evidence = lists + [name for name in (camera.name if camera else "", POSES) if name and (folder / name).is_file()]
+    return Recognition(tuple(evidence), tuple(missing), score=30)
+
+
+def intrinsics_file(folder: Path) -> Path | None:
+    return next((folder / name for name in INTRINSICS if (folder / name).is_file()), None)
+
+
+def read(folder: Path, config: CaptureConfig) -> FrameSet:
+    source = intrinsics_file(folder)
+    if source is None:
+        raise no_intrinsics(folder, INTRINSICS)
+    for name, what in (("depth.txt", "colour without depth"), ("rgb.txt", "depth without colour")):
+        if not (folder / name).is_file():
+            raise CaptureError(what, file=folder, expected=name)
+    color_times, color, warnings = read_list(folder, "rgb.txt")
+    depth_times, depth, more = read_list(folder, "depth.txt")
+    warnings += more
+    camera = read_camera(source)
+    of_depth, of_color, assumed = cameras(camera, color, depth)
+    unit, unit_note = depth_unit(1 / 5000, "TUM's convention", config, camera)
+
+    matches = associate(color_times, depth_times, config.max_time_difference)
+    times = {color[i].stem: float(color_times[i]) for i, _ in matches}
+    pairs = [Pair(color[i].stem, color[i], depth[j]) for i, j in matches]
+    matched = {i for i, _ in matches}
+    lonely = tuple(
+        Dropped(path.stem, f"no depth image within {config.max_time_difference:g} s")
+        for i, path in enumerate(color)
+        if i not in matched
+    )
+    assumptions = [
+        *camera.notes,
+        *assumed,
+        unit_note,
+        f"colour and depth at most {config.max_time_difference:g} s apart are one frame; its time is that of colour",
+        "depth is registered to colour",
+    ]
+    poses: dict[str, F64] = {}
+    if (folder / POSES).is_file() and not config.ignore_poses:
+        poses, late, pose_notes, pose_warnings = poses_at(folder / POSES, times, config)
+        pairs = [pair for pair in pairs if pair.name in poses]
+        lonely += late
+        assumptions += pose_notes
+        warnings += pose_warnings
+    frames, dropped = frames_of(
+        pairs,
+        of_depth,
+        unit,
+        color_intrinsics=of_color,
+        pose_of=lambda pair: poses.get(pair.name),
+        time_of=lambda pair: times[pair.name],
+    )
+    return capture(folder, LAYOUT.name, frames, lonely + dropped, assumptions, warnings + list(camera.warnings))
+
+
+def read_list(folder: Path, name: str) -> tuple[F64, list[Path], list[str]]:
+    """Timestamps, strictly increasing, and image paths of `rgb.txt` or `depth.txt`; what had to be mended, in words."""
+    path = folder / name
+    rows = []
+    for number, words in _rows(path):
+        if len(words) != 2:
+            raise CaptureError(f"line {number} is not `timestamp filename`", file=path, found=" ".join(words)[:80])
+        rows.append((_float(words[0], path, number), inside(folder, words[1])))
+    if not rows:
+        raise CaptureError("the list of images is empty", file=path)
+    times, order, warnings = in_order(np.array([t for t, _ in rows]), path)
+    return times, [rows[i][1] for i in order], warnings
+
+
+def in_order(times: F64, path: Path) -> tuple[F64, list[int], list[str]]:
+    """Sorted times without repetitions, the rows they come from, and a warning where the file was neither."""
+    order = np.argsort(times, kind="stable")
+    keep = order[np.concatenate([[True], np.diff(times[order]) > 0])] if len(order) else order
+    warnings = []
+    backward = int((np.diff(times) < 0).sum())
+    if backward:
+        warnings.append(f"{path.name}: timestamps out of order in {backward} places; sorted by time")
+    if len(keep) < len(times):
+        warnings.append(f"{path.name}: {len(times) - len(keep)} repeated timestamps; the first of each is used")
+    return times[keep], [int(i) for i in keep], warnings
+
+
+def poses_at(
+    path: Path, times: dict[str, float], config: CaptureConfig
+) -> tuple[dict[str, F64], tuple[Dropped, ...], list[str], list[str]]:
+    """Poses of the named frames at their times; frames without one; assumptions; warnings."""
+    stamps, poses, warnings = read_trajectory(path)
+    names = list(times)
+    found = interpolate_poses(stamps, poses, np.array([times[n] for n in names]), config.max_pose_gap)
+    by_name = {n: T for n, T in zip(names, found, strict=True) if T is not None}
+    reason = f"no pose in {path.name} within {config.max_pose_gap:g} s"
+    late = tuple(Dropped(n, reason) for n in names if n not in by_name)
+    if not by_name:
+        raise PoseError(
+            "the timestamps of poses and images never meet",
+            file=path,
+            expected=f"poses between {min(times.values()):.3f} and {max(times.values()):.3f}",
+            found=f"poses between {stamps[0]:.3f} and {stamps[-1]:.3f}",
+            hint="mend the timestamps, or pass --capture.ignore-poses to have the poses estimated",
+        )
+    notes = [
+        "poses are camera to world in metres, OpenCV camera axes, written as tx ty tz qx qy qz qw",
+        f"poses are interpolated at the colour image's time between samples at most {config.max_pose_gap:g} s apart",
+    ]
+    return by_name, late, notes, warnings
+
+
+def read_trajectory(path: Path) -> tuple[F64, F64, list[str]]:
+    """(N,) increasing seconds, (N, 4, 4) camera to world, and what was wrong with the rows that are left out.
+
+    Raises:
+        PoseError: a row of the wrong length, or no usable row.
+    """
+    rows, broken = [], 0
+    for number, words in _rows(path):
+        if len(words) != 8:
+            raise PoseError(
+                f"line {number} has the wrong length",
+                file=path,
+                expected="8 numbers: timestamp tx ty tz qx qy qz qw",
+                found=f"{len(words)}",
+            )
+        row = np.array([_float(word, path, number) for word in words])
+        if np.isfinite(row).all() and abs(np.linalg.norm(row[4:]) - 1) < 0.05:
+            rows.append(row)
+        else:
+            broken += 1
+    if not rows:
+        raise PoseError("no usable pose", file=path, found=f"{broken} rows with NaN or a quaternion that is none")
+    table = np.array(rows)
+    times, order, warnings = in_order(table[:, 0], path)
+    if broken:
+        warnings.append(f"{path.name}: {broken} rows with NaN or a quaternion that is none are left out")
+    # The file has the quaternion's real part last, quat_to_R wants it first.
+    poses = [make_T(quat_to_R(row[[7, 4, 5, 6]]), row[1:4]) for row in table[order]]
+    return times, np.array(poses), warnings
+
+
+def _rows(path: Path) -> list[tuple[int, list[str]]]:
+    """(line number, words) of the lines that are not comments."""
+    lines = enumerate(read_text(path).splitlines(), 1)
+    return [(n, line.replace(",", " ").split()) for n, line in lines if line.strip() and not line.startswith("#")]
+
+
+def _float(word: str, path: Path, line: int) -> float:
+    try:
+        return float(word)
+    except ValueError as error:
+        raise CaptureError(f"line {line} holds something that is not a number", file=path, found=word) from error
+
+
+LAYOUT = Layout(
+    "tum", "rgb.txt and depth.txt (timestamp filename), calibration.txt; groundtruth.txt for poses", recognise, read
+)

@@ -1,0 +1,123 @@
+"""Poses as people write them down, to rigid transforms, or a reason why not."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from realsim.errors import PoseError
+from realsim.files import read_text
+from realsim.geometry import nearest_rotation
+from realsim.types import F64, Dropped, Frame, FrameSet
+
+ROUNDING = 1e-5
+"""Deviation of R R^T from the identity that a few printed digits explain; corrected without a word."""
+MENDABLE = 0.05
+"""Deviation up to which a rotation is replaced by the nearest one, and said so; beyond, the pose is refused."""
+
+
+@dataclass(frozen=True)
+class PoseReport:
+    """What became of the poses of a capture."""
+
+    given: int
+    mended: int
+    """Rotations that were off by more than rounding and were replaced by the nearest rotation."""
+    worst_deviation: float
+    """Largest |R R^T - 1| among the poses that are used."""
+
+
+def parse_matrix(text: str, path: Path) -> F64:
+    """(4, 4) from sixteen (or twelve: 3x4) numbers in text, row by row. NaN and infinity are left in.
+
+    Raises:
+        PoseError: another count, or something that is not a number.
+    """
+    try:
+        values = np.array([float(word) for word in text.replace(",", " ").split()])
+    except ValueError as error:
+        raise PoseError("a pose is not a matrix of numbers", file=path, found=str(error)) from error
+    if len(values) == 12:
+        values = np.append(values, [0.0, 0, 0, 1])
+    if len(values) != 16:
+        raise PoseError(
+            "a pose of the wrong length", file=path, expected="16 numbers (4x4)", found=f"{len(values)} numbers"
+        )
+    return values.reshape(4, 4)
+
+
+def read_matrix(path: Path) -> F64:
+    """`parse_matrix` of a file."""
+    return parse_matrix(read_text(path, 2**20), path)
+
+
+def rigid(T: ArrayLike) -> tuple[F64, float] | str:
+    """A pose as written -> (the rigid 4x4 transform, how far it was off), or the reason why it is none.
+
+    `How far` is the largest entry of |R R^T - 1|.
+    """
+    M = np.asarray(T, float)
+    if M.shape != (4, 4):
+        return f"the pose has shape {M.shape} instead of (4, 4)"
+    if not np.isfinite(M).all():
+        return "the pose holds NaN or infinity"
+    if np.abs(M[3] - [0, 0, 0, 1]).max() > ROUNDING:
+        return f"the last row of the pose is {M[3].tolist()} instead of 0 0 0 1"
+    R = M[:3, :3]
+    deviation = float(np.abs(R @ R.T - np.eye(3)).max())
+    if np.linalg.det(R) < 0:
+        return "the pose is a reflection (its determinant is negative: a left-handed convention?)"
+    if deviation > MENDABLE:
+        scale = float(np.cbrt(np.linalg.det(R)))
+        if np.abs(R @ R.T - scale**2 * np.eye(3)).max() < MENDABLE * scale**2:
+            return f"the rotation of the pose is scaled by {scale:.3g}"
+        return f"the pose is not rigid (R R^T is off the identity by {deviation:.2g})"
+    out = np.eye(4)
+    out[:3, :3] = nearest_rotation(R)
+    out[:3, 3] = M[:3, 3]
+    return out, deviation
+
+
+def settle_poses(capture: FrameSet) -> tuple[FrameSet, PoseReport]:
+    """Every pose rigid or its frame dropped; where some frames have a pose, those without one are dropped.
+
+    Raises:
+        PoseError: poses are given and none can be used (then they are of a kind that this toolkit does not know, and
+            going on without them has to be asked for).
+    """
+    given = sum(f.T_world_camera is not None for f in capture.frames)
+    if given == 0:
+        return capture, PoseReport(0, 0, 0.0)
+    kept: list[Frame] = []
+    dropped: list[Dropped] = []
+    deviations: list[float] = []
+    for frame in capture.frames:
+        result = "there is no pose for this frame" if frame.T_world_camera is None else rigid(frame.T_world_camera)
+        if isinstance(result, str):
+            dropped.append(Dropped(frame.name, result))
+        else:
+            kept.append(frame.with_pose(result[0]))
+            deviations.append(result[1])
+    if not kept:
+        reason, count = Counter(d.reason for d in dropped).most_common(1)[0]
+        raise PoseError(
+            "no pose of this capture can be used",
+            file=capture.source,
+            expected="camera-to-world matrices with a proper rotation",
+            found=f"{count} of {len(dropped)} times: {reason}",
+            hint="mend the poses, or pass --capture.ignore-poses to have them estimated",
+        )
+    mended = sum(d > ROUNDING for d in deviations)
+    report = PoseReport(given, mended, max(deviations))
+    assumptions = capture.assumptions
+    if mended:
+        assumptions += (
+            f"{mended} of {len(kept)} rotations are slightly off SO(3) (R R^T off the identity by up to "
+            f"{report.worst_deviation:.1e}): the nearest rotation is used",
+        )
+    settled = replace(capture, frames=tuple(kept), dropped=capture.dropped + tuple(dropped), assumptions=assumptions)
+    return settled, report

@@ -1,0 +1,90 @@
+"""Which layout a capture has. What is ambiguous or incomplete is said, never guessed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from realsim.capture.layout import Layout, Recognition
+from realsim.errors import CaptureError
+
+MAX_SUBFOLDERS = 200
+
+
+def recognise(path: Path, name: str, layouts: Mapping[str, Layout]) -> tuple[Layout, Recognition]:
+    """The layout asked for by name, or for `auto` the one whose evidence is most specific.
+
+    Raises:
+        CaptureError: nothing there, no layout fits, something needed is missing, or two fit equally well.
+        UnknownNameError: a name that is not in `layouts`.
+    """
+    if not path.exists():
+        raise CaptureError("the capture does not exist", file=path)
+    if path.is_dir() and not any(path.iterdir()):
+        raise CaptureError("the folder is empty", file=path, expected="a folder with a capture in it")
+    if name != "auto":
+        return layouts[name], layouts[name].recognise(path)
+
+    seen = {known: layout.recognise(path) for known, layout in layouts.items()}
+    complete = {known: r for known, r in seen.items() if r.complete}
+    if not complete:
+        raise _not_recognised(path, seen, layouts)
+    top = max(r.score for r in complete.values())
+    winners = [known for known, r in complete.items() if r.score == top]
+    if len(winners) > 1:
+        raise CaptureError(
+            "the capture could be of several layouts",
+            file=path,
+            found="; ".join(f"{known}: {', '.join(complete[known].evidence)}" for known in winners),
+            hint=" or ".join(f"--capture.layout {known}" for known in winners),
+        )
+    return layouts[winners[0]], complete[winners[0]]
+
+
+def _not_recognised(path: Path, seen: Mapping[str, Recognition], layouts: Mapping[str, Layout]) -> CaptureError:
+    """The most helpful message: what the nearest layout lacks, or else what each one looks for."""
+    partial = {known: r for known, r in seen.items() if r.evidence}
+    if partial:
+        nearest = min(partial, key=lambda known: (len(partial[known].missing), -partial[known].score))
+        missing = partial[nearest].missing
+        return CaptureError(
+            f"{_headline(missing)}: the capture looks like layout {nearest}, but is incomplete",
+            file=path,
+            expected=", ".join(missing),
+            found=", ".join(partial[nearest].evidence),
+            hint=_other_partials(partial, nearest),
+        )
+    return CaptureError(
+        "no capture layout was recognised",
+        file=path,
+        expected="one of\n" + "\n".join(f"    {known}: {layout.looks_for}" for known, layout in layouts.items()),
+        found=_what_is_there(path),
+        hint=_subfolder_hint(path, layouts),
+    )
+
+
+def _headline(missing: tuple[str, ...]) -> str:
+    if any(m.startswith("depth") for m in missing):
+        return "colour without depth"
+    return "no " + missing[0].split(" (")[0]
+
+
+def _other_partials(partial: Mapping[str, Recognition], nearest: str) -> str | None:
+    others = [f"{known} would need {', '.join(r.missing)}" for known, r in partial.items() if known != nearest]
+    return "; ".join(others) or None
+
+
+def _what_is_there(path: Path) -> str:
+    if path.is_file():
+        return f"a file {path.name}"
+    names = sorted(p.name + ("/" if p.is_dir() else "") for p in path.iterdir())
+    return ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+
+
+def _subfolder_hint(path: Path, layouts: Mapping[str, Layout]) -> str | None:
+    """People often name the folder above the capture: look two levels down and tell, but do not take it silently."""
+    if not path.is_dir():
+        return None
+    folders = sorted(p for pattern in ("*", "*/*") for p in path.glob(pattern) if p.is_dir())[:MAX_SUBFOLDERS]
+    found = [p for p in folders if any(layout.recognise(p).complete for layout in layouts.values())]
+    return f"did you mean {' or '.join(map(str, found[:3]))}?" if found else None

@@ -1,0 +1,156 @@
+"""One look at every frame: can it be decoded, what does its depth say, how sharp is it, is it a repetition.
+
+Only a few figures and a thumbnail a frame are kept, so a thousand frames cost a few megabytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.capture.assemble import one_line
+from realsim.capture.config import CaptureConfig
+from realsim.errors import CaptureError, RealsimError
+from realsim.progress import track
+from realsim.types import F32, U8, Dropped, Frame
+
+THUMBNAIL = (32, 24)
+THREADS = 2
+"""Decoding releases the interpreter lock; more threads gain little and each holds a pair of images."""
+NEIGHBOURS = 4
+"""Frames before and after whose sharpness a frame is compared with."""
+BLURRED = 0.25
+"""A frame with less than this share of its neighbours' sharpness is blurred."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What one look at a frame found."""
+
+    name: str
+    median_depth: float
+    """Metres over all pixels with a return, before range limits; NaN without any."""
+    depth_range: tuple[float, float]
+    """2nd and 98th percentile of the same, metres."""
+    valid_share: float
+    """Share of pixels with depth inside the range limits."""
+    sharpness: float | None
+    """Detail at the finest scale against detail at a coarse one (see `sharpness`); None without colour."""
+    content: str
+    """Digest of the decoded depth and colour: equal for repeated frames."""
+    thumbnail: F32
+    """(24, 32) brightness (depth where there is no colour), mean 0 and deviation 1: how the view looks."""
+    sizes: tuple[tuple[int, int], tuple[int, int] | None]
+    """(width, height) of depth and of colour."""
+
+
+def survey(frames: Sequence[Frame], config: CaptureConfig) -> tuple[list[Look], list[Dropped]]:
+    """Look at all frames; those that cannot be decoded or do not fit their camera come back as dropped."""
+
+    def attempt(frame: Frame) -> Look | Dropped:
+        try:
+            return look_at(frame, config)
+        except RealsimError as error:
+            return Dropped(frame.name, one_line(error))
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        results = list(track(pool.map(attempt, frames), "looking at frames", len(frames)))
+    looks = [r for r in results if isinstance(r, Look)]
+    return looks, [r for r in results if isinstance(r, Dropped)]
+
+
+def look_at(frame: Frame, config: CaptureConfig) -> Look:
+    """Read a frame's images once and measure them.
+
+    Raises:
+        CaptureError: an image is damaged, or not of its camera's size.
+    """
+    import cv2
+
+    depth, color = frame.depth(), frame.color()
+    camera = frame.intrinsics
+    _check_size("depth", depth, (camera.width, camera.height))
+    digest = hashlib.blake2b(np.ascontiguousarray(depth).data, digest_size=16)
+    sharp = None
+    if color is not None:
+        of_color = frame.color_intrinsics or camera
+        _check_size("colour", color, (of_color.width, of_color.height))
+        digest.update(np.ascontiguousarray(color).data)
+        gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
+        sharp = sharpness(gray)
+        small = cv2.resize(gray.astype(np.float32), THUMBNAIL, interpolation=cv2.INTER_AREA)
+    else:
+        small = cv2.resize(depth, THUMBNAIL, interpolation=cv2.INTER_NEAREST)
+    returns = depth[depth > 0]
+    low, middle, high = np.percentile(returns, [2, 50, 98]) if returns.size else (np.nan,) * 3
+    inside = (returns >= config.min_depth) & (returns <= config.max_depth)
+    return Look(
+        frame.name,
+        float(middle),
+        (float(low), float(high)),
+        float(inside.sum() / depth.size),
+        sharp,
+        digest.hexdigest(),
+        ((small - small.mean()) / (small.std() + 1e-6)).astype(np.float32),
+        (_size(depth), None if color is None else _size(color)),
+    )
+
+
+def sharpness(gray: NDArray) -> float:
+    """Variance of the Laplacian at full size against that at a quarter of it.
+
+    The plain variance of the Laplacian (Pech-Pacheco et al. 2000) also falls when the view turns to a plain wall or
+    the exposure drops; the ratio of two scales does so far less, because blur takes only the fine one.
+    """
+    import cv2
+
+    height, width = gray.shape
+    coarse = cv2.resize(gray, (max(width // 4, 1), max(height // 4, 1)), interpolation=cv2.INTER_AREA)
+    fine_detail = cv2.Laplacian(gray, cv2.CV_32F).var()
+    coarse_detail = cv2.Laplacian(coarse, cv2.CV_32F).var()
+    return float(fine_detail / (coarse_detail + 1.0))
+
+
+def duplicates(looks: Sequence[Look]) -> list[Dropped]:
+    """Frames whose depth and colour are those of an earlier frame, value by value (a recorder that stalled)."""
+    first: dict[str, str] = {}
+    out = []
+    for look in looks:
+        if look.content in first:
+            out.append(Dropped(look.name, f"the same images as {first[look.content]}"))
+        else:
+            first[look.content] = look.name
+    return out
+
+
+def blurred(looks: Sequence[Look]) -> list[Dropped]:
+    """Frames that are much less sharp than the median of the frames around them."""
+    out = []
+    values = [look.sharpness for look in looks]
+    for i, look in enumerate(looks):
+        around = values[max(0, i - NEIGHBOURS) : i] + values[i + 1 : i + 1 + NEIGHBOURS]
+        known = [v for v in around if v is not None]
+        if look.sharpness is None or len(known) < 2:
+            continue
+        share = look.sharpness / max(float(np.median(known)), 1e-9)
+        if share < BLURRED:
+            out.append(Dropped(look.name, f"blurred: {share:.0%} of its neighbours' sharpness"))
+    return out
+
+
+def _check_size(what: str, image: F32 | U8, expected: tuple[int, int]) -> None:
+    if _size(image) != expected:
+        raise CaptureError(
+            f"{what} of another size",
+            expected=f"{expected[0]}x{expected[1]}",
+            found=f"{image.shape[1]}x{image.shape[0]}",
+        )
+
+
+def _size(image: F32 | U8) -> tuple[int, int]:
+    return image.shape[1], image.shape[0]
