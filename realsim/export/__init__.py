@@ -1,1 +1,14 @@
-"""."""
+"""The scene on disk: MJCF with visual mesh and collision geometry, compiled, stepped and checked.
+
+A collision representation is a function `(TerrainMesh, ground_z, SceneConfig) -> ContactModel`: one small file in
+`contact/`, one line here.
+"""
+
+from __future__ import annotations
+
+from realsim.export.scene import write_scene
+from realsim.registry import Registry
+
+__all__ = ["CONTACT", "write_scene"]
+
+CONTACT = Registry("collision representation", {"hfield": "realsim.export.contact.hfield:hfield"})

@@ -1,0 +1,80 @@
+"""An aligned scene and its mesh become a folder that MuJoCo opens."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from realsim import robots
+from realsim.export.check import check_scene
+from realsim.export.config import SceneConfig
+from realsim.export.contact.base import ContactModel
+from realsim.export.glb import glb_bytes
+from realsim.export.mjcf import scene_xml
+from realsim.export.ply import ply_bytes
+from realsim.export.visual import bake, compact, obj_bytes, vertex_normals
+from realsim.files import write_bytes, write_text
+from realsim.types import AlignedScene, SceneFiles, TerrainMesh
+
+
+def write_scene(folder: Path, aligned: AlignedScene, mesh: TerrainMesh, config: SceneConfig) -> SceneFiles:
+    """Write mesh.ply, mesh.glb, scene.xml and what it refers to; then compile, step and check it from disk.
+
+    `mesh.ply` and `mesh.glb` hold the triangles that were seen; collision geometry is made of all of them. The same
+    input writes the same bytes.
+
+    Args:
+        folder: exists; nothing in it is kept if the export fails (the caller makes the folder whole or not at all).
+
+    Raises:
+        ExportError: the scene does not compile, step, or hold what is dropped on its platforms.
+        RealsimError: a file cannot be written.
+    """
+    from realsim.export import CONTACT
+
+    contact: ContactModel = CONTACT[config.contact](mesh, aligned.ground_z, config)
+    vertices, triangles, colors = compact(mesh.vertices, mesh.seen, mesh.colors)
+    normals = vertex_normals(vertices, triangles)
+    files = {
+        "mesh.ply": ply_bytes(vertices, triangles, colors),
+        "mesh.glb": glb_bytes(vertices, triangles, normals, colors),
+    }
+    uv, texture = None, None
+    if colors is not None:
+        texture = "visual.png"
+        files[texture], uv = bake(vertices, triangles, colors)
+    files["visual.obj"] = obj_bytes(vertices, triangles, normals, uv)
+    files |= {asset.file: asset.data for asset in contact.assets}
+    robot = None
+    if config.robot:
+        loaded = robots.load(config.robot)
+        model = f"{loaded.name}.xml"
+        files |= loaded.files | {model: loaded.spec.to_xml().encode()}
+        robot = (model, loaded.root, _standing_place(aligned))
+    bounds = np.stack([mesh.vertices.min(0), mesh.vertices.max(0)])
+    xml = scene_xml(contact, aligned.platforms, bounds, visual="visual.obj", texture=texture, robot=robot)
+    for name, data in files.items():
+        write_bytes(folder / name, data)
+    path = folder / "scene.xml"
+    write_text(path, xml)
+    checks = check_scene(path, aligned.platforms, config.drop_tolerance, robot[1] if robot else None)
+    summary = {
+        "representation": contact.representation,
+        "geoms": _count_types(contact),
+        **contact.statistics,
+    }
+    return SceneFiles(folder, path, folder / "mesh.ply", folder / "mesh.glb", summary, checks, contact.warnings)
+
+
+def _standing_place(aligned: AlignedScene) -> np.ndarray:
+    """(3,) where the ground under the robot's feet is: the start platform's top, else the ground at the origin."""
+    start = aligned.platform("start")
+    return np.array([0.0, 0.0, aligned.ground_z]) if start is None else start.centroid
+
+
+def _count_types(contact: ContactModel) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for geom in contact.geoms:
+        counts[geom.type] = counts.get(geom.type, 0) + 1
+    return counts
