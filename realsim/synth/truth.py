@@ -1,0 +1,138 @@
+"""The truth of a synthetic capture on disk: what is there, which part of it was seen, and where the cameras stood."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.errors import RealsimError
+from realsim.files import read_json, to_json, write_bytes, write_text
+from realsim.geometry import invert_T
+from realsim.synth.render import Renderer
+from realsim.synth.solids import Solid
+from realsim.synth.terrain import Terrain, top_centroid
+from realsim.types import F64
+
+FLOOR_MARGIN = 1.0
+"""Metres of floor around the terrain that belong to the truth."""
+SPACING = 0.012
+"""Metres between samples on the true surface."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Points on the true surface, simulation frame."""
+
+    points: F64
+    """(M, 3)."""
+    normals: F64
+    """(M, 3) out of the surface."""
+    solid: NDArray[np.int16]
+    """(M,) index of the solid in truth.json, -1 for the floor."""
+    seen: NDArray[np.int16]
+    """(M,) how many cameras see it."""
+
+
+def sample_truth(terrain: Terrain, renderer: Renderer, poses: F64) -> Samples:
+    """Evenly spread points on platforms, obstacles and the floor around them, with the number of views of each."""
+    measured = terrain.of("start", "goal", "obstacle")
+    rng = np.random.default_rng(0)
+    parts = [(i, *_on_solid(s, rng)) for i, s in enumerate(measured)]
+    parts.append((-1, *_on_floor(terrain)))
+    points = np.vstack([p for _, p, _ in parts])
+    normals = np.vstack([n for _, _, n in parts])
+    solid = np.concatenate([np.full(len(p), i, np.int16) for i, p, _ in parts])
+    # What lies inside another solid or under one is no surface: nobody sees it.
+    seen = np.zeros(len(points), np.int16)
+    lifted = points + 1e-4 * normals
+    for T in poses:
+        seen += renderer.visible(lifted, normals, T)
+    return Samples(points, normals, solid, seen)
+
+
+def _on_solid(solid: Solid, rng: np.random.Generator) -> tuple[F64, F64]:
+    t = solid.vertices[solid.triangles]
+    area = np.linalg.norm(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]), axis=1) / 2
+    count = int(area.sum() / SPACING**2)
+    face = rng.choice(len(area), count, p=area / area.sum())
+    u = rng.random((2, count))
+    u[:, u.sum(0) > 1] = 1 - u[:, u.sum(0) > 1]
+    a, b, c = t[face, 0], t[face, 1], t[face, 2]
+    return a + u[0][:, None] * (b - a) + u[1][:, None] * (c - a), solid.normals()[face]
+
+
+def _on_floor(terrain: Terrain) -> tuple[F64, F64]:
+    low, high = terrain.bounds[0, :2] - FLOOR_MARGIN, terrain.bounds[1, :2] + FLOOR_MARGIN
+    xy = np.stack(np.meshgrid(np.arange(low[0], high[0], 0.02), np.arange(low[1], high[1], 0.02)), -1).reshape(-1, 2)
+    points = np.column_stack([xy, np.full(len(xy), terrain.floor_z)])
+    return points, np.broadcast_to([0.0, 0.0, 1.0], points.shape)
+
+
+def write_truth(
+    folder: Path, terrain: Terrain, samples: Samples, T_world_sim: F64, T_sim_camera: F64, extra: Mapping[str, Any]
+) -> None:
+    """Write truth.json, mesh.ply (terrain and the floor around it) and samples.npz, simulation frame."""
+    start, goal = terrain.of("start")[0], terrain.of("goal")[0]
+    measured = terrain.of("start", "goal", "obstacle")
+    solids = [{"name": s.name, "role": s.role, "material": s.material, "vertices": s.vertices} for s in measured]
+    data = {
+        "terrain": terrain.name,
+        "frame": "origin at the centroid of the start platform's top face, z up, x toward the goal platform's; metres",
+        "T_sim_world": invert_T(T_world_sim),
+        "T_sim_camera": T_sim_camera,
+        "floor_z": terrain.floor_z,
+        "bounds": terrain.bounds,
+        "start": {"centroid": top_centroid(start)},
+        "goal": {"centroid": top_centroid(goal)},
+        **extra,
+        "solids": solids,
+    }
+    write_text(folder / "truth.json", to_json(data))
+    write_bytes(folder / "mesh.ply", _ply(measured, terrain))
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer,
+        points=samples.points.astype(np.float32),
+        normals=samples.normals.astype(np.float32),
+        solid=samples.solid,
+        seen=samples.seen,
+    )
+    write_bytes(folder / "samples.npz", buffer.getvalue())
+
+
+def read_truth(folder: Path) -> tuple[dict[str, Any], Samples]:
+    """truth.json and the samples of a folder that `write_truth` wrote."""
+    path = folder / "samples.npz"
+    if not path.is_file():
+        raise RealsimError("no truth of a synthetic capture here", file=folder, expected="truth.json and samples.npz")
+    with np.load(path, allow_pickle=False) as data:
+        samples = Samples(
+            data["points"].astype(float), data["normals"].astype(float), data["solid"], data["seen"]
+        )  # fmt: skip
+    return read_json(folder / "truth.json"), samples
+
+
+def _ply(solids: list[Solid], terrain: Terrain) -> bytes:
+    """Binary PLY of the solids and a rectangle of floor."""
+    low, high = terrain.bounds[0, :2] - FLOOR_MARGIN, terrain.bounds[1, :2] + FLOOR_MARGIN
+    ring = [[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]
+    floor = np.column_stack([ring, np.full(4, terrain.floor_z)])
+    offsets = np.cumsum([0] + [len(s.vertices) for s in solids])
+    V = np.vstack([*(s.vertices for s in solids), floor]).astype("<f4")
+    F = np.vstack(
+        [s.triangles + o for s, o in zip(solids, offsets[:-1], strict=True)]
+        + [np.array([[0, 1, 2], [0, 2, 3]]) + offsets[-1]]
+    )
+    rows = np.empty(len(F), np.dtype([("n", "u1"), ("i", "<i4", 3)]))
+    rows["n"], rows["i"] = 3, F
+    head = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(V)}\nproperty float x\nproperty float y\n"
+        f"property float z\nelement face {len(F)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    return head.encode() + V.tobytes() + rows.tobytes()
