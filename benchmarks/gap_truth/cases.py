@@ -68,14 +68,20 @@ def make_case(stratum: str, robot_name: str, seed: int, folder: Path, runs: int 
         traces = _drive(robot, truth, commands)
         if traces is None:
             continue
-        alike = [] if stratum in ("none", "outside") else causes.equivalents(labels, site, torque_logged=sensors.torque_kind != "none")
+        alike = (
+            []
+            if stratum in ("none", "outside")
+            else causes.equivalents(labels, site, torque_logged=sensors.torque_kind != "none")
+        )
         if stratum == "confounded" and not alike:
             continue
         _write(folder, robot, sensors, truth, commands, traces, rng)
         return {
             "cls": stratum,
             "robot": robot_name,
-            "verdict": {"none": "no_gap", "outside": "unexplained", "confounded": "ambiguous"}.get(stratum, "identified"),
+            "verdict": {"none": "no_gap", "outside": "unexplained", "confounded": "ambiguous"}.get(
+                stratum, "identified"
+            ),
             "effects": labels,
             "equivalents": alike,
             "strength": strength,
@@ -201,11 +207,19 @@ def _write(
     }
     (folder / "log.json").write_text(json.dumps(log, indent=1) + "\n")
     for i, ((times, command), trace) in enumerate(zip(commands, traces, strict=True)):
-        np.savez_compressed(folder / "runs" / f"run_{i + 1:02d}.npz", **_record(robot, sensors, truth, times, command, trace, rng))
+        np.savez_compressed(
+            folder / "runs" / f"run_{i + 1:02d}.npz", **_record(robot, sensors, truth, times, command, trace, rng)
+        )
 
 
 def _record(
-    robot: Robot, sensors: Sensors, truth: Truth, times: np.ndarray, command: np.ndarray, trace: Trace, rng: np.random.Generator
+    robot: Robot,
+    sensors: Sensors,
+    truth: Truth,
+    times: np.ndarray,
+    command: np.ndarray,
+    trace: Trace,
+    rng: np.random.Generator,
 ) -> dict[str, np.ndarray]:
     def at(values: np.ndarray, delay: float = 0.0) -> np.ndarray:
         t = np.clip(times - delay, trace.time[0], trace.time[-1])

@@ -40,7 +40,15 @@ def _value(name: str, value: float, unit: str) -> dict[str, Any]:
     return {"name": name, "value": float(value), "unit": unit}
 
 
-def _label(effect: str, parameters: list[dict[str, Any]], *, joints: list[str] | None = None, bodies: list[str] | None = None) -> Label:
+def _vector(prefix: str, vector: np.ndarray, unit: str) -> list[dict[str, Any]]:
+    """Components of a vector, the largest first: the first parameter is the one that errors are measured on."""
+    values = [_value(f"{prefix}{a}", v, unit) for a, v in zip("xyz", vector, strict=False)]
+    return sorted(values, key=lambda p: -abs(p["value"]))
+
+
+def _label(
+    effect: str, parameters: list[dict[str, Any]], *, joints: list[str] | None = None, bodies: list[str] | None = None
+) -> Label:
     return {"effect": effect, "joints": joints, "bodies": bodies, "parameters": parameters}
 
 
@@ -87,7 +95,9 @@ def torque_limit(t: Truth, s: Site, rng: np.random.Generator, k: float) -> Label
 def torque_speed_limit(t: Truth, s: Site, rng: np.random.Generator, k: float) -> Label:
     j = _joint(s, rng)
     t.no_load_speed[j] = s.speed[j] * (2.2 - 1.2 * k)
-    return _label("torque_speed_limit", [_value("no_load_speed", t.no_load_speed[j], "rad/s")], joints=[s.robot.joints[j]])
+    return _label(
+        "torque_speed_limit", [_value("no_load_speed", t.no_load_speed[j], "rad/s")], joints=[s.robot.joints[j]]
+    )
 
 
 def coulomb_friction(t: Truth, s: Site, rng: np.random.Generator, k: float) -> Label:
@@ -155,7 +165,7 @@ def payload(t: Truth, s: Site, rng: np.random.Generator, k: float) -> Label:
     mass = below * _log(k, 0.12, 0.5)
     at = s.model.body(body).ipos * 1.5
     t.payload[body] = (mass, at)
-    values = [_value("mass", mass, "kg")] + [_value(f"pos_{a}", v, "m") for a, v in zip("xyz", at, strict=True)]
+    values = [_value("mass", mass, "kg"), *_vector("pos_", at, "m")]
     return _label("payload", values, bodies=[body])
 
 
@@ -165,7 +175,7 @@ def com_offset(t: Truth, s: Site, rng: np.random.Generator, k: float) -> Label:
     shift = np.zeros(3)
     shift[axis] = _sign(rng) * _log(k, 0.02, 0.07)
     t.com[body] = shift
-    return _label("com_offset", [_value(f"d{a}", v, "m") for a, v in zip("xyz", shift, strict=True)], bodies=[body])
+    return _label("com_offset", _vector("d", shift, "m"), bodies=[body])
 
 
 def link_inertia(t: Truth, s: Site, rng: np.random.Generator, k: float) -> Label:
@@ -193,7 +203,7 @@ def external_force(t: Truth, s: Site, rng: np.random.Generator, k: float) -> Lab
     newton[int(rng.integers(3)) if s.robot.base == "floating" else 0] = _sign(rng) * weight * _log(k, 0.1, 0.5)
     begin = float(rng.uniform(0.5, 1.5))
     t.force[body] = (newton, begin, begin + float(rng.uniform(2, 3)))
-    values = [_value(f"f{a}", v, "N") for a, v in zip("xyz", newton, strict=True)]
+    values = _vector("f", newton, "N")
     return _label("external_force", values, bodies=[body])
 
 
@@ -216,7 +226,7 @@ def terrain_height(t: Truth, s: Site, rng: np.random.Generator, k: float) -> Lab
 def terrain_tilt(t: Truth, s: Site, rng: np.random.Generator, k: float) -> Label:
     angle = rng.uniform(0, 2 * np.pi)
     t.tilt = _log(k, 0.02, 0.08) * np.array([np.cos(angle), np.sin(angle)])
-    return _label("terrain_tilt", [_value("roll", t.tilt[0], "rad"), _value("pitch", t.tilt[1], "rad")])
+    return _label("terrain_tilt", _vector("tilt_", t.tilt, "rad"))
 
 
 def terrain_wobble(t: Truth, s: Site, rng: np.random.Generator, k: float) -> Label:
@@ -225,12 +235,14 @@ def terrain_wobble(t: Truth, s: Site, rng: np.random.Generator, k: float) -> Lab
     stiffness = weight / _log(k, 0.005, 0.025)
     damping = 0.1 * float(np.sqrt(stiffness * 4.0))
     t.wobble[body] = (stiffness, damping)
-    return _label("terrain_wobble", [_value("stiffness", stiffness, "N/m"), _value("damping", damping, "N s/m")], bodies=[body])
+    return _label(
+        "terrain_wobble", [_value("stiffness", stiffness, "N/m"), _value("damping", damping, "N s/m")], bodies=[body]
+    )
 
 
 def imu_bias(t: Truth, s: Site, rng: np.random.Generator, k: float) -> Label:
     t.gyro_bias[int(rng.integers(3))] = _sign(rng) * _log(k, 0.03, 0.2)
-    return _label("imu_bias", [_value(f"gyro_{a}", v, "rad/s") for a, v in zip("xyz", t.gyro_bias, strict=True)])
+    return _label("imu_bias", _vector("gyro_", t.gyro_bias, "rad/s"))
 
 
 JOINT_CAUSES: dict[str, Apply] = {
@@ -294,7 +306,9 @@ def cable(t: Truth, s: Site, rng: np.random.Generator, k: float) -> Label:
     j = _joint(s, rng)
     a, free = s.effort[j] * _log(k, 2.0, 6.0), 0.25 * s.robot.reach[j]
     home = s.robot.home[j]
-    t.strange.append(lambda now, q, v, tau: _at(j, -a * max(q[j] - home - free, 0.0) ** 2 / s.robot.reach[j] ** 2, len(q)))
+    t.strange.append(
+        lambda now, q, v, tau: _at(j, -a * max(q[j] - home - free, 0.0) ** 2 / s.robot.reach[j] ** 2, len(q))
+    )
     return _label("cable", [], joints=[s.robot.joints[j]])
 
 

@@ -24,7 +24,10 @@ def motion(robot: Robot, rng: np.random.Generator, times: np.ndarray, kind: str)
     return robot.home + ramp * draw(rng, t, len(robot.joints)) * robot.reach
 
 
-KINDS = {"fixed": ("sines", "steps", "chirp", "slow", "sines", "steps"), "floating": ("sway", "step", "squat", "sway", "step", "sway")}
+KINDS = {
+    "fixed": ("sines", "steps", "chirp", "slow", "sines", "steps"),
+    "floating": ("sway", "step", "squat", "sway", "step", "sway"),
+}
 
 
 def _sines(rng: np.random.Generator, t: np.ndarray, n: int) -> np.ndarray:
@@ -71,18 +74,18 @@ def _stance(robot: Robot, rng: np.random.Generator, t: np.ndarray, kind: str) ->
             out[:, 3 * leg + 1], out[:, 3 * leg + 2] = depth, -2 * depth
     if kind in ("sway", "step"):
         roll, pitch = rng.uniform(0.5, 1.6, 2)
-        a, b = rng.uniform(0.05, 0.12), rng.uniform(0.06, 0.13)
+        a, b = rng.uniform(0.04, 0.10), rng.uniform(0.04, 0.09)
         if kind == "step":
             a, b = 0.3 * a, 0.3 * b
         for leg in range(legs):
             out[:, 3 * leg] += a * np.sin(2 * np.pi * roll * t)
             out[:, 3 * leg + 1] += b * np.sin(2 * np.pi * pitch * t)
     if kind == "step":
-        rate = rng.uniform(1.6, 2.2)
+        rate = rng.uniform(1.4, 2.0)
         for leg in range(legs):
             # One diagonal pair is unloaded a little while the other stands.
             phase = rate * t + (0.5 if leg in (1, 2) else 0.0)
-            lift = np.clip(np.sin(2 * np.pi * phase), 0, None) ** 2 * 0.10
+            lift = np.clip(np.sin(2 * np.pi * phase), 0, None) ** 2 * 0.05
             out[:, 3 * leg + 1] += lift
             out[:, 3 * leg + 2] -= 2 * lift
     return out

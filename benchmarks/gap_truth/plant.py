@@ -102,7 +102,9 @@ class Plant:
         """The motor keeps the joint's name, its rotor the armature; the link hangs behind it on a joint of its own."""
         t = self.truth
         joint.armature += t.armature[i]
-        joint.damping = joint.damping + t.viscous[i] if np.isscalar(joint.damping) else joint.damping + np.r_[t.viscous[i], 0, 0]
+        joint.damping = (
+            joint.damping + t.viscous[i] if np.isscalar(joint.damping) else joint.damping + np.r_[t.viscous[i], 0, 0]
+        )
         if t.backlash[i] == 0 and np.isinf(t.compliance[i]):
             return
         link = joint.parent.add_joint(
@@ -143,7 +145,9 @@ class Plant:
                 body.quat = quat
                 if body.name in t.wobble:
                     stiffness, damping = t.wobble[body.name]
-                    slide = body.add_joint(name=f"{body.name}__wobble", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1])
+                    slide = body.add_joint(
+                        name=f"{body.name}__wobble", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1]
+                    )
                     _set_first(slide, "stiffness", stiffness)
                     _set_first(slide, "damping", damping)
                     body.gravcomp = 1.0
@@ -165,7 +169,9 @@ class Plant:
         self._bristle = np.zeros(n)
         dt = STEP * CONTROL
         steps = int(np.ceil((settle + times[-1] - times[0]) / dt))
-        rows: dict[str, list[np.ndarray]] = {k: [] for k in ("time", "q", "v", "torque", "base", "gyro", "acc", "contact")}
+        rows: dict[str, list[np.ndarray]] = {
+            k: [] for k in ("time", "q", "v", "torque", "base", "gyro", "acc", "contact")
+        }
         start = times[0] - settle
         qpos0, upright = np.zeros(0), True
         for k in range(steps + 1):
@@ -178,7 +184,9 @@ class Plant:
                     qpos0 = self._nominal_qpos()
                 self._note(rows, now, delivered)
             for _ in range(CONTROL):
-                d.qfrc_applied[self.dadr] = delivered + self._friction(delivered) + self._strange(now - times[0], delivered)
+                d.qfrc_applied[self.dadr] = (
+                    delivered + self._friction(delivered) + self._strange(now - times[0], delivered)
+                )
                 self._push(now - times[0])
                 mujoco.mj_step(m, d)
         if self.robot.base == "floating":

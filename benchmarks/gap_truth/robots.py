@@ -116,7 +116,9 @@ def arm6(rng: np.random.Generator) -> Robot:
         text += f'    <body name="link{i + 1}" pos="0 0 {offset:.6g}">\n      '
         text += _joint(name, axes[i], -2.9, 2.9, 0.02 * limits[i], 0.06 * np.sqrt(kps[i] * armatures[i]), armatures[i])
         text += f'\n      <inertial pos="0 0 {lengths[i] / 2:.6g}" {_rod(masses[i], lengths[i], 0.045)}/>\n'
-        text += f'      <geom name="link{i + 1}_geom" type="capsule" fromto="0 0 0 0 0 {lengths[i]:.6g}" size="0.04"/>\n'
+        text += (
+            f'      <geom name="link{i + 1}_geom" type="capsule" fromto="0 0 0 0 0 {lengths[i]:.6g}" size="0.04"/>\n'
+        )
         if i == 5:
             text += f'      <site name="flange_imu" pos="0 0 {lengths[i]:.6g}"/>\n'
         offset, close = lengths[i], close + "</body>"
@@ -164,12 +166,22 @@ def quadruped(rng: np.random.Generator) -> Robot:
         )
     text += "    </body>\n  </worldbody>\n  <actuator>\n"
     for joint in joints:
-        text += _servo(joint, _vary(rng, 45, 0.05), _vary(rng, 1.4, 0.05), 24.0 if "calf" not in joint else 36.0)
+        text += _servo(joint, _vary(rng, 110, 0.1), _vary(rng, 2.6, 0.1), 24.0 if "calf" not in joint else 36.0)
     home = np.tile([0.0, bend, -2 * bend], 4)
     reach = np.tile([0.18, 0.3, 0.4], 4)
     feet = tuple(f"{leg}_calf_link" for leg, _, _ in corners)
     blocks = tuple(f"block_{k + 1}" for k in range(4))
-    return Robot("quadruped", text + "  </actuator>\n</mujoco>\n", "floating", tuple(joints), home, reach, "trunk_imu", feet, blocks)
+    return Robot(
+        "quadruped",
+        text + "  </actuator>\n</mujoco>\n",
+        "floating",
+        tuple(joints),
+        home,
+        reach,
+        "trunk_imu",
+        feet,
+        blocks,
+    )
 
 
 def g1(rng: np.random.Generator) -> Robot:

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import tyro
 
 from realsim import pipeline
-from realsim.commands import CommandResult, other_arguments
+from realsim.commands import CommandResult
+from realsim.commands.many import run_each
 from realsim.errors import RealsimError
-from realsim.jobs import Job, run_many
 from realsim.types import Reconstruction
 
 
@@ -34,27 +34,7 @@ def reconstruct(
     if len(frames) == 1 and ray is None:
         result = pipeline.reconstruct(frames[0], out, config)
         return CommandResult(_summary(result), _data(result))
-    return _many(frames, out, jobs, ray)
-
-
-def _many(frames: tuple[Path, ...], out: Path, workers: int, ray: str | None) -> CommandResult:
-    options = other_arguments({"--out": 1, "--jobs": 1, "--ray": 1}, [str(p) for p in frames])
-    jobs = [
-        Job(
-            p.resolve().name,
-            ("reconstruct", str(p.resolve()), "--out", str((out / p.resolve().name).absolute()), *options),
-        )
-        for p in frames
-    ]
-    outcomes = run_many(jobs, workers=workers, ray_address=ray)
-    lines = [
-        f"{o.name}: {o.result.get('scene_xml') if o.ok else 'FAILED: ' + str(o.result.get('message'))}"
-        for o in outcomes
-    ]
-    failed = sum(not o.ok for o in outcomes)
-    lines.append(f"{len(outcomes) - failed} of {len(outcomes)} done" + (f", {failed} failed" if failed else ""))
-    items = [{"name": o.name, "exit_code": o.exit_code, **o.result} for o in outcomes]
-    return CommandResult("\n".join(lines), {"items": items, "failed": failed}, 1 if failed else 0)
+    return run_each("reconstruct", frames, out, shows="scene_xml", jobs=jobs, ray=ray)
 
 
 def _data(result: Reconstruction) -> dict[str, Any]:

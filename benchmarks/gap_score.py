@@ -1,0 +1,230 @@
+"""Scores diagnoses against labels: verdict, cause and place, false alarms, open set, intervals, shrinkage, power."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+Label = dict[str, Any]
+Diagnosis = dict[str, Any]
+
+PLACELESS = {
+    "command_delay",
+    "observation_delay",
+    "imu_bias",
+    "ground_friction",
+    "contact_compliance",
+    "terrain_tilt",
+    "terrain_scale",
+}
+LARGE_SHARE = 0.3
+
+
+def hit(found: dict[str, Any], truth: Label) -> bool:
+    """Same effect, and at least one right place where the effect has one."""
+    if found["effect"] != truth["effect"]:
+        return False
+    if truth["effect"] in PLACELESS:
+        return True
+    places = set(truth.get("joints") or []) | set(truth.get("bodies") or [])
+    return not places or bool(places & (set(found.get("joints") or []) | set(found.get("bodies") or [])))
+
+
+def same(found: list[dict[str, Any]], truth: list[Label]) -> bool:
+    """Every cause of one set is in the other."""
+    return len(found) == len(truth) and all(any(hit(f, t) for f in found) for t in truth)
+
+
+def score(labels: dict[str, Label], found: dict[str, Diagnosis]) -> dict[str, Any]:
+    """All figures; shares as [hits, of]."""
+    of: Callable[[str], list[str]] = lambda c: [n for n in sorted(labels) if labels[n]["cls"] == c and n in found]  # noqa: E731
+    out: dict[str, Any] = {"diagnosed": [len(found), len(labels)]}
+    single = of("single")
+    top = [_top1(labels[n], found[n]) for n in single]
+    out["single_top1"] = _share(t == 2 for t in top)
+    out["single_top1_with_equivalents"] = _share(t >= 1 for t in top)
+    out["single_by_robot"] = _by(single, lambda n: labels[n]["robot"], lambda n: _top1(labels[n], found[n]) == 2)
+    out["single_by_effect"] = _by(
+        single, lambda n: labels[n]["effects"][0]["effect"], lambda n: _top1(labels[n], found[n]) == 2
+    )
+    out["power_by_strength"] = _by(
+        single, lambda n: _third(labels[n]["strength"][0]), lambda n: _top1(labels[n], found[n]) == 2
+    )
+    both = of("double")
+    out["double_both_found"] = _share(
+        all(any(hit(c, t) for c in found[n]["causes"]) for t in labels[n]["effects"]) for n in both
+    )
+    out["double_one_found"] = _share(
+        any(any(hit(c, t) for c in found[n]["causes"]) for t in labels[n]["effects"]) for n in both
+    )
+    named = [(c, labels[n]["effects"]) for n in single + both for c in found[n]["causes"]]
+    out["set_precision"] = _share(any(hit(c, t) for t in truths) for c, truths in named)
+    wanted = [(t, found[n]["causes"]) for n in single + both for t in labels[n]["effects"]]
+    out["set_recall"] = _share(any(hit(c, t) for c in causes) for t, causes in wanted)
+    out["false_alarms"] = _share(found[n]["verdict"] != "no_gap" for n in of("none"))
+    out["missed_gaps"] = _share(found[n]["verdict"] == "no_gap" for n in single + both + of("outside"))
+    out["outside_said"] = _share(_unexplained(found[n]) for n in of("outside"))
+    out["confounded_named"] = _share(_confounded(labels[n], found[n]) for n in of("confounded"))
+    errors, held = _parameters(labels, found, single + both)
+    out["parameter_error_median"] = float(np.median(errors)) if errors else None
+    out["ci90_holds_truth"] = _share(held)
+    right = [n for n in single if _top1(labels[n], found[n]) == 2]
+    gone = [_gone(found[n]) for n in right]
+    out["gap_gone_median_where_right"] = float(np.nanmedian(gone)) if gone else None
+    out["verdicts"] = {
+        c: _count(found[n]["verdict"] for n in of(c)) for c in ("none", "single", "double", "outside", "confounded")
+    }
+    out["baselines"] = _baselines(labels, found, single)
+    out["seconds_by_robot"] = _seconds(labels, found)
+    out["cases_detail"] = {n: _detail(labels[n], found[n]) for n in sorted(found)}
+    return out
+
+
+def _top1(label: Label, d: Diagnosis) -> int:
+    """2: the true cause stands first. 1: it is named among the equivalents, or an equivalent of it stands first."""
+    if d["verdict"] == "no_gap" or not d["causes"]:
+        return 0
+    if hit(d["causes"][0], label["effects"][0]):
+        return 2
+    named = [d["causes"], *d["equivalent"]]
+    accepted = [label["effects"], *label["equivalents"]]
+    return int(any(same(n, a) for n in named for a in accepted))
+
+
+def _unexplained(d: Diagnosis) -> bool:
+    share = d.get("unexplained_share")
+    return d["verdict"] == "unexplained" or (d["verdict"] != "no_gap" and share is not None and share >= LARGE_SHARE)
+
+
+def _confounded(label: Label, d: Diagnosis) -> bool:
+    """At least two of the sets that no log can tell apart are named, and the verdict does not pretend to know one."""
+    members = [label["effects"], *label["equivalents"]]
+    named = [d["causes"], *d["equivalent"]]
+    return d["verdict"] == "ambiguous" and sum(any(same(n, m) for n in named) for m in members) >= 2
+
+
+def _parameters(
+    labels: dict[str, Label], found: dict[str, Diagnosis], names: Iterable[str]
+) -> tuple[list[float], list[bool]]:
+    """Relative error of each found cause's first parameter, and whether its interval holds the truth."""
+    errors, held = [], []
+    for n in names:
+        for truth in labels[n]["effects"]:
+            cause = next((c for c in found[n]["causes"] if hit(c, truth)), None)
+            if cause is None or not truth["parameters"]:
+                continue
+            value = truth["parameters"][0]
+            given = _parameter(cause["parameters"], value)
+            if given is None or given.get("value") is None:
+                continue
+            errors.append(abs(given["value"] - value["value"]) / max(abs(value["value"]), 1e-9))
+            ci = given.get("ci90")
+            if ci and None not in ci and all(map(math.isfinite, ci)):
+                held.append(min(ci) <= value["value"] <= max(ci))
+    return errors, held
+
+
+def _parameter(parameters: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any] | None:
+    """The parameter of that name, else the only one of that unit."""
+    if truth["name"] in parameters:
+        return parameters[truth["name"]]
+    unit = truth["unit"].replace(" ", "")
+    alike = [p for p in parameters.values() if str(p.get("unit", "")).replace(" ", "") == unit]
+    if len(alike) == 1:
+        return alike[0]
+    return next(iter(parameters.values())) if len(parameters) == 1 else None
+
+
+def _gone(d: Diagnosis) -> float:
+    """Share of the gap above the noise floor that is gone on unseen runs."""
+    share = d.get("unexplained_share")
+    if share is not None:
+        return 1 - share
+    fraction = (d.get("shrinkage") or {}).get("fraction")
+    return float("nan") if fraction is None else float(fraction)
+
+
+def _baselines(labels: dict[str, Label], found: dict[str, Diagnosis], single: list[str]) -> dict[str, Any]:
+    """What simpler rules would have said first, where the diagnosis lists what it tried (`baselines`: rule -> cause)."""
+    rules = sorted({r for n in single for r in (found[n].get("baselines") or {})})
+    return {
+        r: _share(hit(b, labels[n]["effects"][0]) for n in single if (b := (found[n].get("baselines") or {}).get(r)))
+        for r in rules
+    }
+
+
+def _detail(label: Label, d: Diagnosis) -> dict[str, Any]:
+    def short(causes: list[dict[str, Any]]) -> list[str]:
+        return [f"{c['effect']}@{','.join(c.get('joints') or c.get('bodies') or [])}" for c in causes]
+
+    return {
+        "cls": label["cls"],
+        "robot": label["robot"],
+        "truth": short(label["effects"]),
+        "verdict": d["verdict"],
+        "causes": short(d["causes"]),
+        "equivalent": [short(s) for s in d["equivalent"]][:4],
+        "unexplained_share": d.get("unexplained_share"),
+        "seconds": d.get("seconds"),
+    }
+
+
+def _seconds(labels: dict[str, Label], found: dict[str, Diagnosis]) -> dict[str, list[float]]:
+    """Robot -> [median, largest] seconds a case."""
+    out: dict[str, list[float]] = {}
+    for robot in sorted({v["robot"] for v in labels.values()}):
+        s = [found[n]["seconds"] for n in found if labels[n]["robot"] == robot and found[n].get("seconds") is not None]
+        if s:
+            out[robot] = [round(float(np.median(s)), 1), round(float(np.max(s)), 1)]
+    return out
+
+
+def _third(strength: float) -> str:
+    return "weak" if strength < 0.5 else "middle" if strength < 0.75 else "strong"
+
+
+def _share(flags: Iterable[bool]) -> list[int]:
+    flags = list(flags)
+    return [int(sum(flags)), len(flags)]
+
+
+def _by(names: list[str], key: Callable[[str], str], good: Callable[[str], bool]) -> dict[str, list[int]]:
+    groups = sorted({key(n) for n in names})
+    return {g: _share(good(n) for n in names if key(n) == g) for g in groups}
+
+
+def _count(values: Iterable[str]) -> dict[str, int]:
+    values = list(values)
+    return {v: values.count(v) for v in sorted(set(values))}
+
+
+BARS = {
+    "single_top1": ">= 0.85",
+    "single_top1_with_equivalents": ">= 0.95",
+    "double_both_found": ">= 0.60",
+    "false_alarms": "<= 0.05",
+    "outside_said": ">= 0.80",
+    "confounded_named": ">= 0.80",
+    "ci90_holds_truth": "0.80 .. 0.97",
+    "gap_gone_median_where_right": ">= 0.70",
+}
+
+
+def table(figures: dict[str, Any]) -> str:
+    """The figures for people."""
+    lines = []
+    for name, value in figures.items():
+        if name in ("cases_detail",):
+            continue
+        bar = f"   (bar {BARS[name]})" if name in BARS else ""
+        if isinstance(value, list) and len(value) == 2 and all(isinstance(v, int) for v in value):
+            text = f"{value[0]}/{value[1]}" + (f" = {value[0] / value[1]:.2f}" if value[1] else "")
+        elif isinstance(value, dict):
+            text = ", ".join(f"{k} {v[0]}/{v[1]}" if isinstance(v, list) else f"{k} {v}" for k, v in value.items())
+        else:
+            text = f"{value:.3f}" if isinstance(value, float) else str(value)
+        lines.append(f"{name:<30} {text}{bar}")
+    return "\n".join(lines)

@@ -1,0 +1,42 @@
+"""`realsim diagnose`: one case, or many."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from realsim import gap
+from realsim.commands import CommandResult
+from realsim.commands.many import run_each
+from realsim.errors import RealsimError
+from realsim.gap.config import DiagnoseConfig
+
+
+def diagnose(
+    cases: Annotated[tuple[Path, ...], tyro.conf.Positional],
+    config: DiagnoseConfig,
+    out: Path = Path("diagnosis"),
+    explain: str | None = None,
+    jobs: int = 1,
+    ray: str | None = None,
+) -> CommandResult:
+    """Say where a robot's logs differ from its simulator, which unmodelled effect causes it, and how much it matters.
+
+    Args:
+        cases: a folder with log.json, model.xml and runs/*.npz; or several, each with a folder of its name below --out.
+        out: where diagnosis.json, report.html and the patched model go.
+        explain: instead of a case: say what an effect looks like and what excites it (`all` lists them).
+        jobs: with several cases: how many at a time on this machine.
+        ray: with several cases: the address of a Ray cluster that shares this file system.
+    """
+    if explain is not None:
+        text = gap.explain(explain)
+        return CommandResult(text, {"effect": explain, "text": text})
+    if not cases:
+        raise RealsimError("no case given", expected="realsim diagnose CASE --out DIR, or --explain EFFECT")
+    if len(cases) == 1 and ray is None:
+        result = gap.run_case(cases[0], out, config)
+        return CommandResult(f"{result['sentence']}\nreport  {out / 'report.html'}", result)
+    return run_each("diagnose", cases, out, shows="sentence", jobs=jobs, ray=ray)
