@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from realsim.capture.config import CaptureConfig
+from realsim.capture.consistency import GOOD, Agreement, check_agreement
 from realsim.capture.poses import PoseReport, settle_poses
 from realsim.capture.selection import pick
 from realsim.capture.survey import Look, blurred, duplicates, survey
@@ -25,6 +26,8 @@ class Finished:
     looks: tuple[Look, ...]
     """One a frame of `capture`."""
     poses: PoseReport
+    agreement: Agreement | None
+    """Of poses and depth; None where it could not be told."""
     seen: int
     """Frames in the capture before anything was left out."""
 
@@ -48,7 +51,7 @@ def finish(raw: FrameSet, config: CaptureConfig) -> Finished:
 
     Raises:
         CaptureError: no frame is left, or the depth unit is implausible.
-        PoseError: none of the given poses can be used.
+        PoseError: none of the given poses can be used, or they are of another convention.
     """
     seen = len(raw.frames) + len(raw.dropped)
     capture = replace(raw, frames=raw.frames[:: config.every])
@@ -59,17 +62,23 @@ def finish(raw: FrameSet, config: CaptureConfig) -> Finished:
     capture, looks = _without(capture, looks, damaged)
     _some_left(capture)
 
-    note = check_unit(capture.frames, looks, config, capture.source)
-    if note is not None:
-        capture = replace(capture, warnings=(*capture.warnings, note))
+    unit_note = check_unit(capture.frames, looks, capture.source)
     capture, looks = _without(capture, looks, _empty(looks, config))
     _some_left(capture)
     capture, looks = _without(capture, looks, duplicates(looks))
     if config.drop_blurred:
         capture, looks = _without(capture, looks, blurred(looks))
     capture, looks = _without(capture, looks, pick(capture.frames, looks, config.max_frames))
-    frames = tuple(_limited(f, config) for f in capture.frames)
-    return Finished(replace(capture, frames=frames), tuple(looks), poses, seen)
+    agreement, pose_note = check_agreement(capture)
+    # Metric poses that agree with the depth have confirmed its unit.
+    confirmed = agreement is not None and capture.poses_metric and agreement.as_read >= GOOD
+    notes = [pose_note] if confirmed else [unit_note, pose_note]
+    capture = replace(
+        capture,
+        frames=tuple(_limited(f, config) for f in capture.frames),
+        warnings=(*capture.warnings, *(note for note in notes if note is not None)),
+    )
+    return Finished(capture, tuple(looks), poses, agreement, seen)
 
 
 def _empty(looks: Sequence[Look], config: CaptureConfig) -> list[Dropped]:

@@ -29,7 +29,8 @@ class Inspection:
     depth: Mapping[str, Any]
     """coverage (mean share of pixels with depth in range), least covered frame, median and 2..98 percentile metres."""
     poses: Mapping[str, Any]
-    """given, path length, baseline between neighbours, worst deviation from SO(3)."""
+    """given, path length, baseline and turn between neighbours (median and largest), share of compared pixels where
+    depth agrees with the poses, worst deviation from SO(3)."""
     assumptions: tuple[str, ...]
     wrong: tuple[str, ...]
     """Everything that a person should look at."""
@@ -123,6 +124,8 @@ def _pose_figures(finished: Finished) -> dict[str, Any]:
             "neighbour_baseline_m": [round(float(v), 4) for v in (np.median(steps), steps.max())],
             "neighbour_turn_deg": [round(float(v), 2) for v in (np.median(turns), np.max(turns))],
         }
+    if finished.agreement is not None:
+        figures["depth_agrees"] = round(finished.agreement.as_read, 3)
     return figures | {
         "worst_off_so3": float(f"{finished.poses.worst_deviation:.1e}"),
         "mended": finished.poses.mended,

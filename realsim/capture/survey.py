@@ -25,7 +25,17 @@ THREADS = 2
 NEIGHBOURS = 4
 """Frames before and after whose sharpness a frame is compared with."""
 BLURRED = 0.25
-"""A frame with less than this share of its neighbours' sharpness is blurred."""
+"""A frame with less than this share of its neighbours' sharpness is blurred. Measured on three rendered and one real
+capture: sharp frames have 0.6 or more, frames smeared over 7 pixels 0.19 or less."""
+SECOND_DIFFERENCES = tuple(
+    np.array(rows, np.float32)
+    for rows in (
+        [[0, 0, 0], [1, -2, 1], [0, 0, 0]],
+        [[0, 1, 0], [0, -2, 0], [0, 1, 0]],
+        [[1, 0, 0], [0, -2, 0], [0, 0, 1]],
+        [[0, 0, 1], [0, -2, 0], [1, 0, 0]],
+    )
+)
 
 
 @dataclass(frozen=True)
@@ -40,7 +50,7 @@ class Look:
     valid_share: float
     """Share of pixels with depth inside the range limits."""
     sharpness: float | None
-    """Detail at the finest scale against detail at a coarse one (see `sharpness`); None without colour."""
+    """Fine against coarse detail of the colour image (see `sharpness`); None without colour."""
     content: str
     """Digest of the decoded depth and colour: equal for repeated frames."""
     thumbnail: F32
@@ -102,18 +112,18 @@ def look_at(frame: Frame, config: CaptureConfig) -> Look:
 
 
 def sharpness(gray: NDArray) -> float:
-    """Variance of the Laplacian at full size against that at a quarter of it.
+    """Detail at the finest scale, along the direction that has least of it, against detail at an eighth of the size.
 
-    The plain variance of the Laplacian (Pech-Pacheco et al. 2000) also falls when the view turns to a plain wall or
-    the exposure drops; the ratio of two scales does so far less, because blur takes only the fine one.
+    The usual variance of the Laplacian (Pech-Pacheco et al. 2000) also falls when the view turns to a plain wall or
+    the exposure drops; blur takes the fine scale only, so the ratio of two scales tells them apart. Motion blur takes
+    it along one direction only, hence the minimum over four directions.
     """
     import cv2
 
     height, width = gray.shape
-    coarse = cv2.resize(gray, (max(width // 4, 1), max(height // 4, 1)), interpolation=cv2.INTER_AREA)
-    fine_detail = cv2.Laplacian(gray, cv2.CV_32F).var()
-    coarse_detail = cv2.Laplacian(coarse, cv2.CV_32F).var()
-    return float(fine_detail / (coarse_detail + 1.0))
+    coarse = cv2.resize(gray, (max(width // 8, 3), max(height // 8, 3)), interpolation=cv2.INTER_AREA)
+    fine = min(float(cv2.filter2D(gray, cv2.CV_32F, kernel).var()) for kernel in SECOND_DIFFERENCES)
+    return fine / (float(cv2.Laplacian(coarse, cv2.CV_32F).var()) + 1.0)
 
 
 def duplicates(looks: Sequence[Look]) -> list[Dropped]:

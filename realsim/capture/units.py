@@ -7,17 +7,18 @@ from pathlib import Path
 
 import numpy as np
 
-from realsim.capture.config import CaptureConfig
 from realsim.capture.survey import Look
 from realsim.errors import CaptureError
 from realsim.types import Frame
 
 PLAUSIBLE_MEDIAN = (0.25, 8.0)
 """Metres: where the median depth of a capture of terrain in front of a person or a robot lies."""
+USUAL_MEDIAN = (0.45, 5.0)
+"""Metres: where it usually lies; a unit wrong by 5 (TUM for millimetres) often ends between the two ranges."""
 UNITS = {"metres": 1.0, "millimetres": 1e-3, "1/5000 m (TUM)": 1 / 5000, "1/10000 m": 1e-4, "1/256 m": 1 / 256}
 
 
-def check_unit(frames: Sequence[Frame], looks: Sequence[Look], config: CaptureConfig, source: Path) -> str | None:
+def check_unit(frames: Sequence[Frame], looks: Sequence[Look], source: Path) -> str | None:
     """A warning where the depth is at the edge of what is plausible, None where all is well.
 
     Raises:
@@ -27,15 +28,21 @@ def check_unit(frames: Sequence[Frame], looks: Sequence[Look], config: CaptureCo
     if not medians:
         return None
     median = float(np.median(medians))
-    low, high = PLAUSIBLE_MEDIAN
-    if low <= median <= high:
-        return None
     unit = getattr(frames[0].read_depth, "unit", None)
-    likely = [n for n, u in UNITS.items() if unit and low <= median / unit * u <= high]
+    found = f"{median:.4g} m" + (f" with {unit:g} m a step" if unit else "")
+    if _within(median, PLAUSIBLE_MEDIAN):
+        if _within(median, USUAL_MEDIAN):
+            return None
+        return f"the median depth is {found}: unusual, check the unit (--capture.depth-unit)"
+    likely = [name for name, u in UNITS.items() if unit and _within(median / unit * u, USUAL_MEDIAN)]
     raise CaptureError(
         "depth in an implausible unit",
         file=source,
-        expected=f"a median depth between {low:g} and {high:g} m",
-        found=f"{median:.4g} m" + (f" with {unit:g} m a step" if unit else ""),
+        expected=f"a median depth between {PLAUSIBLE_MEDIAN[0]:g} and {PLAUSIBLE_MEDIAN[1]:g} m",
+        found=found,
         hint=f"likely {' or '.join(likely)}: pass --capture.depth-unit {UNITS[likely[0]]:g}" if likely else None,
     )
+
+
+def _within(value: float, limits: tuple[float, float]) -> bool:
+    return limits[0] <= value <= limits[1]
