@@ -1,4 +1,4 @@
-"""Nominal robots: what the operator believes. Sizes and gains differ from case to case, so nothing can be learnt by heart."""
+"""Nominal robots: what the operator believes. Sizes and gains differ from case to case: nothing can be learnt by heart."""
 
 from __future__ import annotations
 

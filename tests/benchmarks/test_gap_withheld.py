@@ -1,0 +1,112 @@
+"""The withheld check is kept apart from the diagnosis, follows the contract, and scores what it should."""
+
+from __future__ import annotations
+
+import ast
+import json
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+from benchmarks.gap_score import score  # noqa: E402
+from benchmarks.gap_truth.cases import STRATA, make_case, plan  # noqa: E402
+from benchmarks.gap_truth.motions import sample_times  # noqa: E402
+from benchmarks.gap_truth.plant import Plant  # noqa: E402
+from benchmarks.gap_truth.robots import ROBOTS  # noqa: E402
+from benchmarks.gap_truth.truth import Truth  # noqa: E402
+
+
+def test_the_truth_knows_nothing_of_the_diagnosis_nor_the_other_way_round() -> None:
+    for path in sorted((ROOT / "benchmarks" / "gap_truth").glob("*.py")):
+        assert "realsim.gap" not in "".join(
+            ast.unparse(n) for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Import | ast.ImportFrom)
+        )
+    for path in sorted((ROOT / "realsim").rglob("*.py")):
+        assert "gap_truth" not in path.read_text(), path
+
+
+def test_a_plan_is_fair_and_reproducible() -> None:
+    rows = plan(200, 1)
+    assert rows == plan(200, 1)
+    assert len(rows) == 200
+    for stratum, share in STRATA.items():
+        assert sum(s == stratum for s, _, _ in rows) == pytest.approx(200 * share, abs=2)
+    assert len({r for _, r, _ in rows}) >= 4
+
+
+def test_a_case_follows_the_contract_and_hides_its_label(tmp_path: Path) -> None:
+    label = make_case("single", "pendulum", 7, tmp_path / "case", runs=3)
+    log = json.loads((tmp_path / "case" / "log.json").read_text())
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "case" / "model.xml"))
+    assert [model.joint(n).name for n in log["joint_names"]] == ["axis"]
+    runs = sorted((tmp_path / "case" / "runs").glob("*.npz"))
+    assert len(runs) == 3
+    for file in runs:
+        with np.load(file, allow_pickle=False) as run:
+            assert (np.diff(run["time"]) > 0).all()
+            assert run["command"].shape == run["joint_pos"].shape == (len(run["time"]), 1)
+    effect = label["effects"][0]["effect"]
+    assert not any(effect in f.read_text(errors="ignore") for f in (tmp_path / "case").glob("*.*"))
+
+
+def test_the_plant_without_deviations_follows_its_model() -> None:
+    """The neutral truth and the nominal model differ by discretisation only."""
+    robot = ROBOTS["pendulum"](np.random.default_rng(3))
+    times = sample_times(np.random.default_rng(0), 200.0, 2.0)
+    command = 0.4 * np.sin(2 * np.pi * 0.5 * (times - times[0]))[:, None]
+    trace = Plant(robot, Truth(1)).drive(times, command)
+    model = mujoco.MjModel.from_xml_string(robot.xml)
+    data = mujoco.MjData(model)
+    data.qpos[:] = trace.qpos0
+    out = []
+    for _ in range(int(1.9 / model.opt.timestep)):
+        data.ctrl[:] = command[max(np.searchsorted(times, times[0] + data.time + 1e-9, side="right") - 1, 0)]
+        mujoco.mj_step(model, data)
+        out.append(np.interp(times[0] + data.time, trace.time, trace.q[:, 0]) - data.qpos[0])
+    assert np.abs(out).max() < 0.004
+
+
+def cause(effect: str, value: float, joint: str = "axis") -> dict:
+    return {
+        "effect": effect,
+        "joints": [joint],
+        "bodies": None,
+        "parameters": [{"name": "friction", "value": value, "unit": "N m"}],
+    }
+
+
+def test_score_of_hand_made_diagnoses() -> None:
+    base = {"robot": "pendulum", "strength": [0.6], "equivalents": []}
+    labels = {
+        "a": base | {"cls": "single", "effects": [cause("coulomb_friction", 1.0)]},
+        "b": base | {"cls": "single", "effects": [cause("coulomb_friction", 1.0)]},
+        "c": base | {"cls": "none", "effects": []},
+        "d": base | {"cls": "outside", "effects": [cause("cogging", 1.0)]},
+    }
+
+    def said(verdict: str, *causes: dict, share: float = 0.1) -> dict:
+        return {"verdict": verdict, "causes": list(causes), "equivalent": [], "unexplained_share": share}
+
+    right = {
+        "effect": "coulomb_friction",
+        "joints": ["axis"],
+        "parameters": {"friction": {"value": 1.2, "unit": "N m", "ci90": [0.9, 1.5]}},
+    }
+    found = {
+        "a": said("identified", right),
+        "b": said("identified", right | {"joints": ["elbow"]}),
+        "c": said("identified", right),
+        "d": said("unexplained", share=0.8),
+    }
+    figures = score(labels, found)
+    assert figures["single_top1"] == [1, 2]
+    assert figures["false_alarms"] == [1, 1]
+    assert figures["outside_said"] == [1, 1]
+    assert figures["parameter_error_median"] == pytest.approx(0.2)
+    assert figures["ci90_holds_truth"] == [1, 1]
