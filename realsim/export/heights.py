@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +37,9 @@ class Surface:
     """A mesh under rays. Open3D computes in float32, so everything is moved to the mesh's centre first."""
 
     def __init__(self, vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> None:
-        import open3d as o3d
+        import open3d
 
+        o3d: Any = open3d  # its stubs know neither numpy arrays nor keyword defaults
         if len(triangles) == 0:
             raise ExportError("the mesh has no triangles")
         self._o3d = o3d
@@ -84,8 +86,6 @@ def height_grid(mesh: TerrainMesh, resolution: float) -> HeightGrid:
     y = np.linspace(surface.lower[1], surface.upper[1], rows)
     # Rays exactly on the border may miss the border's triangles by rounding: look a hair inside.
     hair = 1e-6 * np.maximum(extent, 1e-3)
-    gx, gy = np.meshgrid(
-        np.clip(x, x[0] + hair[0], x[-1] - hair[0]), np.clip(y, y[0] + hair[1], y[-1] - hair[1])
-    )
+    gx, gy = np.meshgrid(np.clip(x, x[0] + hair[0], x[-1] - hair[0]), np.clip(y, y[0] + hair[1], y[-1] - hair[1]))
     z = surface.height(np.column_stack([gx.ravel(), gy.ravel()])).reshape(rows, columns)
     return HeightGrid(surface.lower[:2].copy(), extent / cells, z)

@@ -21,14 +21,14 @@ def scene_xml(
     *,
     visual: str,
     texture: str | None,
-    robot: tuple[str, str, NDArray[np.float64]] | None = None,
+    robot: str | None = None,
 ) -> str:
     """A scene in the simulation frame: metres, z up, files relative to the scene's folder.
 
     Args:
         bounds: (2, 3) corners of the terrain, for camera and statistics.
         visual: file of the mesh that is drawn; texture: its image, or None.
-        robot: (file of its model, name of its root body, (3,) where the ground under its feet is), or None.
+        robot: file of the robot's model, standing where it should, or None.
     """
     root = ET.Element("mujoco", model="scene")
     ET.SubElement(root, "compiler", angle="radian")
@@ -40,7 +40,7 @@ def scene_xml(
     ET.SubElement(asset, "mesh", name="visual", file=visual, inertia="shell")
     for a in contact.assets:
         kind = {"content_type": "image/vnd.mujoco.hfield"} if a.kind == "hfield" else {}
-        ET.SubElement(asset, a.kind, name=a.name, file=a.file, **kind, **a.attributes)
+        ET.SubElement(asset, a.kind, {"name": a.name, "file": a.file, **kind, **a.attributes})
     world = ET.SubElement(root, "worldbody")
     _lights_and_camera(world, bounds)
     ET.SubElement(
@@ -59,10 +59,7 @@ def scene_xml(
     for name, platform in zip(platform_names(platforms), platforms, strict=True):
         _platform_site(world, name, platform)
     if robot is not None:
-        file, body, position = robot
-        ET.SubElement(asset, "model", name="robot", file=file)
-        frame = ET.SubElement(world, "frame", name="robot", pos=numbers(position))
-        ET.SubElement(frame, "attach", model="robot", body=body, prefix="")
+        ET.SubElement(root, "include", file=robot)
     ET.indent(root, "  ")
     return ET.tostring(root, "unicode") + "\n"
 

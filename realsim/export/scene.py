@@ -48,17 +48,17 @@ def write_scene(folder: Path, aligned: AlignedScene, mesh: TerrainMesh, config: 
     files |= {asset.file: asset.data for asset in contact.assets}
     robot = None
     if config.robot:
-        loaded = robots.load(config.robot)
-        model = f"{loaded.name}.xml"
-        files |= loaded.files | {model: loaded.spec.to_xml().encode()}
-        robot = (model, loaded.root, _standing_place(aligned))
+        robot = robots.load(config.robot).placed(_standing_place(aligned))
+        files |= robot.files | {"robot.xml": robot.spec.to_xml().encode()}
     bounds = np.stack([mesh.vertices.min(0), mesh.vertices.max(0)])
-    xml = scene_xml(contact, aligned.platforms, bounds, visual="visual.obj", texture=texture, robot=robot)
+    xml = scene_xml(
+        contact, aligned.platforms, bounds, visual="visual.obj", texture=texture, robot=robot and "robot.xml"
+    )
     for name, data in files.items():
         write_bytes(folder / name, data)
     path = folder / "scene.xml"
     write_text(path, xml)
-    checks = check_scene(path, aligned.platforms, config.drop_tolerance, robot[1] if robot else None)
+    checks = check_scene(path, aligned.platforms, config.drop_tolerance, robot.root if robot else None)
     summary = {
         "representation": contact.representation,
         "geoms": _count_types(contact),

@@ -32,18 +32,20 @@ def vertex_normals(vertices: F64, triangles: I32) -> F64:
 
 def obj_bytes(vertices: F64, triangles: I32, normals: F64, uv: F64 | None = None) -> bytes:
     """Wavefront OBJ, metres to 10 micrometres. `uv` is (K, 3, 2), a texture coordinate for each triangle corner."""
-    out = ["# metres, z up"]
-    out += ["v %.5f %.5f %.5f" % row for row in map(tuple, vertices.tolist())]
-    out += ["vn %.3f %.3f %.3f" % row for row in map(tuple, normals.tolist())]
     index = triangles + 1
+    parts = ["# metres, z up\n", _rows("v %.5f %.5f %.5f", vertices), _rows("vn %.3f %.3f %.3f", normals)]
     if uv is None:
-        out += ["f %d//%d %d//%d %d//%d" % row for row in map(tuple, np.repeat(index, 2, 1).tolist())]
+        parts.append(_rows("f %d//%d %d//%d %d//%d", np.repeat(index, 2, 1)))
     else:
-        out += ["vt %.6f %.6f" % row for row in map(tuple, uv.reshape(-1, 2).tolist())]
         corner = np.arange(1, 3 * len(triangles) + 1).reshape(-1, 3)
-        rows = np.stack([index, corner, index], 2).reshape(-1, 9)
-        out += ["f %d/%d/%d %d/%d/%d %d/%d/%d" % row for row in map(tuple, rows.tolist())]
-    return ("\n".join(out) + "\n").encode("ascii")
+        parts.append(_rows("vt %.6f %.6f", uv.reshape(-1, 2)))
+        parts.append(_rows("f %d/%d/%d %d/%d/%d %d/%d/%d", np.stack([index, corner, index], 2).reshape(-1, 9)))
+    return "".join(parts).encode("ascii")
+
+
+def _rows(line: str, table: NDArray) -> str:
+    """Every row of a table through one printf pattern, in a single formatting call (much faster than a loop)."""
+    return (line + "\n") * len(table) % tuple(table.ravel().tolist())
 
 
 def bake(vertices: F64, triangles: I32, colors: NDArray[np.uint8]) -> tuple[bytes, F64]:
@@ -66,9 +68,9 @@ def bake(vertices: F64, triangles: I32, colors: NDArray[np.uint8]) -> tuple[byte
     step = np.arange(TILE, dtype=np.float32) / (TILE - 1)
     u, v = step[None, None, :, None], step[None, :, None, None]
     texels = a[:, None, None] + u * (b - a)[:, None, None] + v * (c - a)[:, None, None]
-    image = np.zeros((side, side, TILE, TILE, 3), np.uint8)
-    image[row, column] = np.clip(np.rint(texels), 0, 255)
-    image = image.transpose(0, 2, 1, 3, 4).reshape(side * TILE, side * TILE, 3)
+    tiles = np.zeros((side, side, TILE, TILE, 3), np.uint8)
+    tiles[row, column] = np.clip(np.rint(texels), 0, 255)
+    image = tiles.transpose(0, 2, 1, 3, 4).reshape(side * TILE, side * TILE, 3)
     ok, png = cv2.imencode(".png", image[..., ::-1])
     if not ok:
         raise ExportError("the texture could not be encoded", found=f"{image.shape[1]} x {image.shape[0]} pixels")

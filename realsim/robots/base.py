@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,14 @@ class Robot:
     """Joint name -> radians of the pose `home`; joints that are not named are at 0."""
     files: dict[str, bytes] = field(default_factory=dict)
     """Files that the specification refers to (meshes, textures), by relative name."""
+
+    def placed(self, ground: NDArray[np.float64]) -> Robot:
+        """The same robot with the ground under its feet at (3,) `ground`, facing +x, in its key frame too."""
+        spec = self.spec.copy()
+        spec.body(self.root).pos = spec.body(self.root).pos + ground
+        for key in spec.keys:
+            key.qpos = np.concatenate([np.asarray(key.qpos)[:3] + ground, np.asarray(key.qpos)[3:]])
+        return replace(self, spec=spec)
 
 
 def holding_ctrl(model: Any, qpos: NDArray[np.float64], feet: tuple[str, ...]) -> NDArray[np.float64]:

@@ -54,7 +54,7 @@ def g1(keyframe: str = "HOME_KEYFRAME") -> Robot:
     """Unitree G1 as a free-floating body standing in `keyframe`, its actuators holding that pose.
 
     29 hinge joints named as by Unitree, each with a position servo of the same name (ctrl = target angle, radians,
-    torque limited to the motor's). Collision geoms are in group 3, sites `left_foot` and `right_foot` lie on the soles.
+    torque limited to the motor's). Collision geoms are in group 1, sites `left_foot` and `right_foot` lie on the soles.
     """
     import mujoco
 
@@ -150,7 +150,7 @@ def _add_geom(body: Any, row: dict[str, Any]) -> None:
         pos=row["pos"],
         quat=row["quat"],
         rgba=[0.75, 0.77, 0.8, 1],
-        group=3,
+        group=1,  # there are no visual meshes: the primitives are what one sees
         mass=0,
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -66,26 +67,26 @@ def from_mjcf(name: str, path: Path) -> Robot:
     return Robot(name, spec, root, height, home, _bundle(spec, path))
 
 
-def _lowest(model: object, data: object) -> float:
+def _lowest(model: Any, data: Any) -> float:
     """z of the lowest point of the axis-aligned boxes of the colliding geoms."""
     lowest = np.inf
-    for g in range(model.ngeom):  # type: ignore[attr-defined]
-        if model.geom_bodyid[g] and (model.geom_contype[g] or model.geom_conaffinity[g]):  # type: ignore[attr-defined]
-            centre, half = model.geom_aabb[g, :3], model.geom_aabb[g, 3:]  # type: ignore[attr-defined]
-            R = data.geom_xmat[g].reshape(3, 3)  # type: ignore[attr-defined]
-            lowest = min(lowest, float((data.geom_xpos[g] + R @ centre)[2] - np.abs(R[2]) @ half))  # type: ignore
+    for g in range(model.ngeom):
+        if model.geom_bodyid[g] and (model.geom_contype[g] or model.geom_conaffinity[g]):
+            centre, half = model.geom_aabb[g, :3], model.geom_aabb[g, 3:]
+            R = data.geom_xmat[g].reshape(3, 3)
+            lowest = min(lowest, float((data.geom_xpos[g] + R @ centre)[2] - np.abs(R[2]) @ half))
     return lowest
 
 
-def _bundle(spec: object, path: Path) -> dict[str, bytes]:
+def _bundle(spec: Any, path: Path) -> dict[str, bytes]:
     """Read every mesh and texture, and let the specification refer to it below `robot/`."""
     files: dict[str, bytes] = {}
-    folders = {"meshes": spec.meshdir, "textures": spec.texturedir}  # type: ignore[attr-defined]
+    folders = {"meshes": spec.meshdir, "textures": spec.texturedir}
     for kind, folder in folders.items():
         for item in getattr(spec, kind):
             if item.file:
                 relative = f"robot/{kind}/{Path(item.file).as_posix()}"
                 files[relative] = (path.parent / folder / item.file).read_bytes()
                 item.file = relative
-    spec.meshdir = spec.texturedir = ""  # type: ignore[attr-defined]
+    spec.meshdir = spec.texturedir = ""
     return files
