@@ -1,0 +1,201 @@
+"""One point cloud of the whole scene, small enough to think about: a weighted mean a voxel.
+
+Views are read once, one in memory at a time; the cloud's size depends on the scene, not on the number of frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.errors import AlignError
+from realsim.progress import track
+from realsim.types import F32, F64, Bool, MetricScene, Scan
+
+VOXEL = 0.02
+"""Metres. Means inside a voxel keep positions far more exact than this."""
+MERGE_EVERY = 8
+"""Frames between two reductions of what has been gathered."""
+SCAN_DENSITY = 2e4
+"""Points a square metre that are sampled from a mesh, enough for 2 cm voxels..."""
+MAX_SAMPLES = 2_000_000
+"""...up to this many."""
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Fused points of a scene, the source's own world, metres."""
+
+    points: F64
+    """(M, 3) weighted means."""
+    normals: F64
+    """(M, 3) unit, toward the side that was seen (see `oriented`)."""
+    weights: F64
+    """(M,) sum of inverse variances relative to a pixel at 1 m; 1 for scans."""
+    frames: NDArray[np.int32]
+    """(M,) number of frames that saw it; 1 for scans."""
+    oriented: bool
+    """Whether the normals' signs are known."""
+    cameras: F64
+    """(N, 4, 4) poses, N = 0 for scans without a sensor position."""
+    voxel: float = VOXEL
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def take(self, keep: Bool | NDArray[np.intp]) -> Cloud:
+        """The cloud of some of its points."""
+        return Cloud(
+            self.points[keep],
+            self.normals[keep],
+            self.weights[keep],
+            self.frames[keep],
+            self.oriented,
+            self.cameras,
+            self.voxel,
+        )
+
+
+def from_views(scene: MetricScene, voxel: float = VOXEL) -> Cloud:
+    """Fuse all views of a metric scene; every second pixel of a row and a column takes part.
+
+    A pixel weighs confidence / z^4: stereo and structured light measure disparity, so the deviation of depth grows
+    with z^2. Pixels on a depth edge (flying pixels) are left out.
+
+    Raises:
+        AlignError: no view has a usable point.
+    """
+    gathered: list[tuple[NDArray[np.int64], F64]] = []
+    anchor = scene.T_world_camera[0, :3, 3]
+    for i, view in track(scene.views(), "fuse", total=len(scene)):
+        z = view.points[..., 2]
+        keep = (view.mask & ~depth_edges(z, view.mask))[::2, ::2]
+        p = view.points[::2, ::2][keep].astype(np.float64)
+        w = view.confidence[::2, ::2][keep] / np.maximum(p[:, 2], 0.1) ** 4
+        T = scene.T_world_camera[i]
+        world = p @ T[:3, :3].T + T[:3, 3]
+        rows = np.empty((len(p), 8))
+        rows[:, 0] = w
+        rows[:, 1:4] = w[:, None] * world
+        rows[:, 4:7] = w[:, None] * T[:3, 3]
+        rows[:, 7] = 0
+        keys, rows = _reduced(_keys(world - anchor, voxel), rows)
+        rows[:, 7] = 1  # this frame saw the voxel, however many of its pixels fell into it
+        gathered.append((keys, rows))
+        if len(gathered) > MERGE_EVERY:
+            gathered = [_merged(gathered)]
+    _, rows = _merged(gathered)
+    rows = rows[rows[:, 0] > 0]
+    if len(rows) < 100:
+        raise AlignError(
+            "no points to align",
+            expected="views with valid points",
+            found=f"{len(rows)} occupied voxels in {len(scene)} views",
+        )
+    points, seen_from = rows[:, 1:4] / rows[:, :1], rows[:, 4:7] / rows[:, :1]
+    normals = _normals(points, voxel)
+    normals *= np.where(np.einsum("ij,ij->i", normals, seen_from - points) < 0, -1.0, 1.0)[:, None]
+    return Cloud(points, normals, rows[:, 0], rows[:, 7].astype(np.int32), True, scene.T_world_camera, voxel)
+
+
+def from_scan(scan: Scan, seed: int, voxel: float = VOXEL) -> Cloud:
+    """The same of a scan: a mesh is sampled evenly over its area, a cloud is thinned to a mean a voxel.
+
+    Raises:
+        AlignError: fewer than 100 occupied voxels.
+    """
+    points, normals = scan.points, scan.normals
+    if scan.triangles is not None and len(scan.triangles):
+        points, normals = _sampled(scan.points, scan.triangles, seed)
+    finite = np.isfinite(points).all(1)
+    points, normals = points[finite], None if normals is None else normals[finite]
+    rows = np.ones((len(points), 7))
+    rows[:, 1:4] = points
+    rows[:, 4:7] = 0 if normals is None else normals
+    anchor = points.mean(0) if len(points) else np.zeros(3)
+    _, rows = _reduced(_keys(points - anchor, voxel), rows)
+    if len(rows) < 100:
+        raise AlignError(
+            "too few points to align",
+            file=scan.source,
+            expected=f"a surface of at least 100 cells of {100 * voxel:g} cm",
+            found=f"{len(rows)}: is the scan in metres?",
+        )
+    points, given = rows[:, 1:4] / rows[:, :1], rows[:, 4:7]
+    found = _normals(points, voxel)
+    cameras = np.zeros((0, 4, 4))
+    if scan.sensor_position is not None:
+        cameras = np.eye(4)[None].repeat(1, 0)
+        cameras[0, :3, 3] = scan.sensor_position
+        found *= np.where(np.einsum("ij,ij->i", found, scan.sensor_position - points) < 0, -1.0, 1.0)[:, None]
+    elif normals is not None:
+        found *= np.where(np.einsum("ij,ij->i", found, given) < 0, -1.0, 1.0)[:, None]
+    oriented = scan.sensor_position is not None or normals is not None
+    ones = np.ones(len(points))
+    return Cloud(points, found, ones, ones.astype(np.int32), oriented, cameras, voxel)
+
+
+def depth_edges(z: F32, mask: Bool) -> Bool:
+    """(H, W) pixels beside a jump in depth, where a sensor mixes near and far.
+
+    Inverse depth is linear over the image of a plane, however grazing, and its noise is the same near and far for a
+    disparity sensor. So a second difference of 1/z that is far above its own typical size is an edge.
+    """
+    inverse = np.where(mask, 1 / np.maximum(z, np.float32(0.05)), np.float32(np.nan))
+    bend = np.zeros_like(inverse)
+    with np.errstate(invalid="ignore"):
+        bend[:, 1:-1] = np.abs(inverse[:, :-2] + inverse[:, 2:] - 2 * inverse[:, 1:-1])
+        bend[1:-1] = np.fmax(bend[1:-1], np.abs(inverse[:-2] + inverse[2:] - 2 * inverse[1:-1]))
+        sample = bend[::4, ::4]
+        sample = sample[sample > 0]
+        typical = float(np.median(sample)) if len(sample) else 0.0
+        return bend > max(8 * typical, 0.01)
+
+
+def _keys(offsets: F64, voxel: float) -> NDArray[np.int64]:
+    """One integer a voxel, 21 bits an axis: 20 km at 2 cm."""
+    cells = np.floor(offsets / voxel).astype(np.int64) + (1 << 20)
+    cells = np.clip(cells, 0, (1 << 21) - 1)
+    return (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
+
+
+def _reduced(keys: NDArray[np.int64], rows: F64) -> tuple[NDArray[np.int64], F64]:
+    """Rows of equal keys summed, in the order of the keys."""
+    if not len(keys):
+        return keys, rows
+    order = np.argsort(keys, kind="stable")
+    keys = keys[order]
+    first = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
+    return keys[first], np.add.reduceat(rows[order], first, axis=0)
+
+
+def _merged(parts: list[tuple[NDArray[np.int64], F64]]) -> tuple[NDArray[np.int64], F64]:
+    return _reduced(np.concatenate([k for k, _ in parts]), np.concatenate([r for _, r in parts]))
+
+
+def _normals(points: F64, voxel: float) -> F64:
+    """(M, 3) unit normals of the surface through each point's neighbours, of arbitrary sign."""
+    import open3d as o3d
+
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius=3.0 * voxel, max_nn=24))
+    return np.asarray(cloud.normals).copy()
+
+
+def _sampled(vertices: F64, triangles: NDArray[np.int32], seed: int) -> tuple[F64, F64]:
+    """Points spread evenly over a mesh, and the normals of their triangles."""
+    corners = vertices[triangles]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = 0.5 * np.linalg.norm(cross, axis=1)
+    count = int(np.clip(area.sum() * SCAN_DENSITY, 1000, MAX_SAMPLES))
+    rng = np.random.default_rng(seed)
+    # Stratified along the cumulative area: even, and each triangle gets its share to within one point.
+    steps = (np.arange(count) + rng.random(count)) / count * area.sum()
+    chosen = np.minimum(np.searchsorted(np.cumsum(area), steps), len(area) - 1)
+    a, b = rng.random((2, count))
+    a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
+    c = corners[chosen]
+    points = c[:, 0] + a[:, None] * (c[:, 1] - c[:, 0]) + b[:, None] * (c[:, 2] - c[:, 0])
+    return points, cross[chosen] / np.maximum(2 * area[chosen, None], 1e-15)

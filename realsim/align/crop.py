@@ -1,0 +1,83 @@
+"""What belongs to the terrain, and what is cut away."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from realsim.align.cloud import Cloud
+from realsim.align.segment import Label, Labels
+from realsim.types import F64, Platform
+
+REACH = 0.35
+"""Metres: an obstacle this close to the terrain is part of it (a robot's stride)."""
+CELL = 0.06
+HEADROOM, DEPTH = 0.15, 0.10
+"""Metres kept above the highest part of the terrain and below the ground."""
+
+
+def crop(
+    cloud: Cloud, labels: Labels, platforms: tuple[Platform, ...], ground_z: float, margin: float
+) -> tuple[F64, list[str]]:
+    """Bounds (2, 3) of what is kept, and in words what is not. All in the simulation frame.
+
+    The terrain is the box about start and goal, grown by every obstacle or platform within a stride of it until
+    nothing more is near; then the margin of ground. Without a start, the terrain is all that stands low on the ground
+    (all ground, if nothing stands there).
+    """
+    from scipy.ndimage import label
+
+    standing = (labels == Label.OBSTACLE) | (labels == Label.PLATFORM)
+    xy = cloud.points[:, :2]
+    clusters: list[F64] = []
+    if standing.any():
+        origin = xy[standing].min(0)
+        cells = np.floor((xy[standing] - origin) / CELL).astype(int)
+        grid = np.zeros(cells.max(0) + 1, bool)
+        grid[tuple(cells.T)] = True
+        ids = label(grid, np.ones((3, 3)))[0][tuple(cells.T)]
+        order = np.argsort(ids, kind="stable")
+        parts = np.split(order, np.flatnonzero(np.diff(ids[order])) + 1)
+        clusters = [xy[standing][part] for part in parts if len(part) >= 20]
+    chosen = [p for p in platforms if p.role in ("start", "goal")]
+    if chosen:
+        outline = np.concatenate([p.outline for p in chosen])
+        low, high, left = _grown(outline.min(0), outline.max(0), clusters)
+    else:
+        ground = xy[labels == Label.GROUND]
+        everything = np.concatenate(clusters) if clusters else ground
+        low, high, left = everything.min(0), everything.max(0), []
+    kept = standing & (xy >= low - REACH).all(1) & (xy <= high + REACH).all(1)
+    top = float(cloud.points[kept, 2].max()) if kept.any() else ground_z
+    bounds = np.array([[*(low - margin), ground_z - DEPTH], [*(high + margin), top + HEADROOM]])
+    return bounds, _said(cloud, labels, bounds, left, margin)
+
+
+def _grown(low: F64, high: F64, clusters: list[F64]) -> tuple[F64, F64, list[F64]]:
+    """The box grown by near clusters, and the clusters that stay outside."""
+    left = clusters
+    while True:
+        near = [bool(((c > low - REACH) & (c < high + REACH)).all(1).any()) for c in left]
+        if not any(near):
+            return low, high, left
+        for cluster, is_near in zip(left, near, strict=True):
+            if is_near:
+                low, high = np.minimum(low, cluster.min(0)), np.maximum(high, cluster.max(0))
+        left = [c for c, is_near in zip(left, near, strict=True) if not is_near]
+
+
+def _said(cloud: Cloud, labels: Labels, bounds: F64, left: list[F64], margin: float) -> list[str]:
+    outside = ((cloud.points < bounds[0]) | (cloud.points > bounds[1])).any(1)
+    said = []
+    share = float(np.mean(outside[labels == Label.GROUND])) if (labels == Label.GROUND).any() else 0.0
+    if share > 0.005:
+        said.append(f"{100 * share:.0f} percent of the seen ground, further than {margin:g} m from the terrain")
+    for cluster in left:
+        centre, extent = cluster.mean(0), np.ptp(cluster, axis=0)
+        said.append(
+            f"an object of {extent[0]:.1f} x {extent[1]:.1f} m at x {centre[0]:.1f}, y {centre[1]:.1f} m, "
+            "away from the terrain"
+        )
+    other = int(np.count_nonzero(outside & (labels == Label.OTHER)))
+    if other:
+        said.append(f"{other} voxels of walls, people, or noise outside the terrain")
+    return said

@@ -1,0 +1,153 @@
+"""Segmentation by geometry alone: heights, normals and what is connected to what."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.align.cloud import Cloud
+from realsim.align.segment import Label, Labels
+from realsim.types import F64, Bool
+
+GROUND_BAND = 0.03
+"""Metres about z = 0 that are ground."""
+LOWEST, HIGHEST = 0.08, 1.2
+"""Metres: top faces outside this range of heights are no platforms."""
+TALL = 1.5
+"""Metres: what reaches higher is a wall, a person or furniture, not terrain."""
+LEVEL_DEG = 5.0
+"""A platform's top is level to within this."""
+STEP = 0.012
+"""Metres: neighbouring cells of one face differ by less in height; two boxes that touch mostly differ by more."""
+LEAST_SIDE, LEAST_AREA = 0.30, 0.15
+"""Metres and m²: two feet and some room. What is smaller is an obstacle, however level."""
+CELL = 0.02
+CLUSTER_CELL = 0.06
+
+
+def segment(cloud: Cloud) -> Labels:
+    """Labels of a levelled cloud (see `Segmenter`).
+
+    Level faces are regions of neighbouring cells with smoothly varying height; those that are level and large are
+    platforms. What else stands on the ground, lower than 1.5 m, is obstacle.
+    """
+    z = cloud.points[:, 2]
+    labels = np.full(len(cloud), Label.OTHER, np.uint8)
+    labels[(np.abs(z) < GROUND_BAND) & (np.abs(cloud.normals[:, 2]) > 0.7)] = Label.GROUND
+    labels[_obstacles(cloud.points)] = Label.OBSTACLE
+    for face in level_faces(cloud):
+        labels[face] = Label.PLATFORM
+    return labels
+
+
+def level_faces(cloud: Cloud) -> list[NDArray[np.intp]]:
+    """Indices of the points of each level face that is large enough to stand on, the largest first."""
+    z = cloud.points[:, 2]
+    up = cloud.normals[:, 2] if cloud.oriented else np.abs(cloud.normals[:, 2])
+    candidates = np.flatnonzero((up > 0.9) & (z > LOWEST) & (z < HIGHEST))
+    faces = []
+    for region in _smooth_regions(cloud.points[candidates]):
+        points = cloud.points[candidates[region]]
+        slope, height = _plane(points)
+        if np.degrees(np.arctan(np.hypot(*slope))) > LEVEL_DEG:
+            continue
+        residual = points[:, 2] - (points[:, :2] @ slope + height)
+        band = float(np.clip(4 * 1.4826 * np.median(np.abs(residual)), 0.008, 0.02))
+        # Normals bend at the rim, so the face is completed by height: all points of its plane near its region.
+        on_plane = np.abs(z - (cloud.points[:, :2] @ slope + height)) < band
+        face = np.flatnonzero(on_plane & _near(cloud.points[:, :2], points[:, :2]))
+        if _large(cloud.points[face, :2]):
+            faces.append(face)
+    return sorted(faces, key=lambda f: -len(f))
+
+
+def _obstacles(points: F64) -> Bool:
+    """Points of clusters that stand on the ground and are low; tall columns are taken out before clustering."""
+    from scipy.ndimage import label
+
+    out = np.zeros(len(points), bool)
+    standing = np.flatnonzero((points[:, 2] > GROUND_BAND) & (points[:, 2] < 4.0))
+    if not len(standing):
+        return out
+    cells, shape = _cells(points[standing, :2], CLUSTER_CELL)
+    lowest, highest = np.full(shape, np.inf), np.full(shape, -np.inf)
+    np.minimum.at(lowest, tuple(cells.T), points[standing, 2])
+    np.maximum.at(highest, tuple(cells.T), points[standing, 2])
+    clusters, _ = label((highest > -np.inf) & (highest < TALL), np.ones((3, 3)))
+    floor_gap = np.full(clusters.max() + 1, np.inf)
+    np.minimum.at(floor_gap, clusters.ravel(), lowest.ravel())
+    member = clusters[tuple(cells.T)]
+    out[standing] = (member > 0) & (floor_gap[member] < 0.3)
+    return out
+
+
+def _smooth_regions(points: F64) -> list[NDArray[np.intp]]:
+    """Groups of points whose 2 cm cells are neighbours and differ by less than `STEP` in height."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    if not len(points):
+        return []
+    cells, shape = _cells(points[:, :2], CELL)
+    flat = cells[:, 0] * shape[1] + cells[:, 1]
+    used, index = np.unique(flat, return_inverse=True)
+    height = np.bincount(index, points[:, 2]) / np.bincount(index)
+    lookup = np.full((shape[0] + 2) * (shape[1] + 2), -1)
+    row, column = np.divmod(used, shape[1])
+    place = (row + 1) * (shape[1] + 2) + column + 1
+    lookup[place] = np.arange(len(used))
+    pairs = []
+    for step in (1, shape[1] + 2, shape[1] + 3, shape[1] + 1):
+        other = lookup[place + step]
+        here = np.flatnonzero(other >= 0)
+        here = here[np.abs(height[here] - height[other[here]]) < STEP]
+        pairs.append(np.column_stack([here, other[here]]))
+    edges = np.concatenate(pairs)
+    graph = coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(used), len(used)))
+    count, component = connected_components(graph, directed=False)
+    sizes = np.bincount(component, minlength=count)
+    member = component[index]
+    return [np.flatnonzero(member == k) for k in np.flatnonzero(sizes * CELL**2 > 0.5 * LEAST_AREA)]
+
+
+def _plane(points: F64) -> tuple[F64, float]:
+    """Slope (2,) and height at the origin of z = slope·xy + height, least squares with outliers dropped twice."""
+    keep = np.ones(len(points), bool)
+    for _ in range(3):
+        A = np.column_stack([points[:, :2], np.ones(len(points))])
+        solution = np.linalg.lstsq(A[keep], points[keep, 2], rcond=None)[0]
+        residual = np.abs(points[:, 2] - A @ solution)
+        keep = residual < max(3 * 1.4826 * float(np.median(residual)), 0.002)
+    return solution[:2], float(solution[2])
+
+
+def _near(xy: F64, region: F64, distance: float = 0.05) -> Bool:
+    """Which points lie within `distance` of a region of points (on a grid)."""
+    from scipy.ndimage import binary_dilation
+
+    low = region.min(0) - 2 * distance
+    shape = np.ceil((region.max(0) + 2 * distance - low) / CELL).astype(int) + 1
+    grid = np.zeros(shape, bool)
+    grid[tuple(((region - low) / CELL).astype(int).T)] = True
+    grid = binary_dilation(grid, np.ones((3, 3)), iterations=round(distance / CELL))
+    cell = np.floor((xy - low) / CELL).astype(int)
+    inside = ((cell >= 0) & (cell < shape)).all(1)
+    out = np.zeros(len(xy), bool)
+    out[inside] = grid[tuple(cell[inside].T)]
+    return out
+
+
+def _large(xy: F64) -> bool:
+    import cv2
+
+    if len(xy) < 20:
+        return False
+    _, sides, _ = cv2.minAreaRect(xy.astype(np.float32))
+    area = len(np.unique(np.floor(xy / CELL).astype(np.int64) @ [1_000_003, 1])) * CELL**2
+    return min(sides) > LEAST_SIDE and area > LEAST_AREA
+
+
+def _cells(xy: F64, cell: float) -> tuple[NDArray[np.int64], tuple[int, int]]:
+    """Cell of each point on a grid that just holds them all, and the grid's shape."""
+    cells = np.floor((xy - xy.min(0)) / cell).astype(np.int64)
+    return cells, (int(cells[:, 0].max()) + 1, int(cells[:, 1].max()) + 1)

@@ -1,0 +1,213 @@
+"""Which plane is the ground, how exactly it is known, and what speaks against it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from realsim.align.cloud import Cloud
+from realsim.align.planes import Plane, find_planes, plane_axes, plane_weights
+from realsim.errors import AlignError
+from realsim.types import F64, Gravity
+
+BELOW = 0.04
+"""Metres under a plane beyond which a point counts as lying below it."""
+HINT_DEG = 25.0
+"""The ground lies within this angle of a direction up that the source gives."""
+RIVAL = 0.6
+"""A plane that scores this share of the best one is a rival worth a word."""
+BLOCK = 0.5
+"""Metres: ground points this close share their errors (poses, the sensor's pattern), so they are drawn together."""
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The chosen plane and what was thought about it."""
+
+    plane: Plane
+    gravity: Gravity
+    assumptions: tuple[str, ...]
+    warnings: tuple[str, ...]
+    candidates: tuple[dict[str, float], ...]
+    """Figures of all candidates, the chosen one first, JSON-able."""
+
+
+def find_ground(cloud: Cloud, seed: int, up_world: F64 | None = None) -> Ground:
+    """Choose the ground among the cloud's planes.
+
+    A candidate scores by its extent, times how far the rest of the scene lies above it, times how plausible the
+    cameras' height over it and their roll about it are. `up_world`, where the source knows it, rules out the rest.
+
+    Raises:
+        AlignError: no plane can be the ground, or two inclined planes could both be.
+    """
+    planes = [q for p in find_planes(cloud, seed) for q in _sides(p, cloud)]
+    if not planes:
+        raise AlignError(
+            "no ground is visible",
+            expected="a flat surface of at least 0.3 m² below the cameras",
+            found=f"no plane of that size in {len(cloud)} voxels",
+            hint="capture the floor around the terrain too",
+        )
+    assumptions: list[str] = []
+    hint = up_world
+    if hint is None and not len(cloud.cameras):
+        hint, said = _scan_up(planes)
+        assumptions.append(said)
+    scored = sorted(((_score(p, cloud, hint), p) for p in planes), key=lambda s: -s[0]["score"])
+    best, plane = scored[0]
+    if best["score"] <= 0:
+        raise AlignError(
+            "no ground is visible",
+            expected="a large plane with the cameras above it and the rest of the scene on it",
+            found="; ".join(_described(figures) for figures, _ in scored[:4]),
+            hint="capture the floor around the terrain too",
+        )
+    warnings = _rivals(scored, cloud, hint is not None)
+    warnings += _upside_down(plane, cloud, up_world)
+    sigma = tilt_sigma_deg(cloud, plane, seed)
+    gravity = Gravity(
+        normal_world=plane.normal,
+        offset_world=plane.offset,
+        tilt_sigma_deg=sigma,
+        inlier_rms_m=plane.rms,
+        inliers=int(plane.inliers.sum()),
+        method="largest level plane below the cameras" if len(cloud.cameras) else "largest level plane of the scan",
+    )
+    return Ground(plane, gravity, tuple(assumptions), tuple(warnings), tuple(figures for figures, _ in scored))
+
+
+def _sides(plane: Plane, cloud: Cloud) -> list[Plane]:
+    """The plane as it was seen; both its sides where the cloud does not know."""
+    flipped = Plane(-plane.normal, -plane.offset, plane.inliers, plane.rms, plane.area)
+    return [plane] if cloud.oriented else [plane, flipped]
+
+
+def _scan_up(planes: list[Plane]) -> tuple[F64, str]:
+    """Up for a scan that does not say: the axis of the file, +z before +y, that a large plane is level to."""
+    largest = max(p.area for p in planes)
+    for axis, name in ((2, "z"), (1, "y")):
+        if any(p.area > 0.25 * largest and p.normal[axis] > np.cos(np.radians(HINT_DEG)) for p in planes):
+            return np.eye(3)[axis], f"the scan gives no direction up: the file's +{name} was taken, roughly"
+    normal = max(planes, key=lambda p: p.area).normal
+    return normal, "the scan gives no direction up and no axis of it fits: its largest plane was taken as the ground"
+
+
+def _score(plane: Plane, cloud: Cloud, up: F64 | None) -> dict[str, float]:
+    height = plane.height(cloud.points)
+    above = float(np.mean(height > -BELOW))
+    figures = {"area_m2": plane.area, "share_above": above, "rms_m": plane.rms}
+    score = plane.area * max(0.0, (above - 0.5) / 0.5) ** 2
+    if len(cloud.cameras):
+        camera_height = float(np.median(plane.height(cloud.cameras[:, :3, 3])))
+        figures["camera_height_m"] = camera_height
+        score *= _plausible_height(camera_height)
+        # A camera is held by a person: its horizon is level, whichever of its four sides is down.
+        R = cloud.cameras[:, :3, :3]
+        x, y = np.abs(R[:, :, 0] @ plane.normal), np.abs(R[:, :, 1] @ plane.normal)
+        roll = float(min(np.mean(x), np.mean(y)))
+        figures["camera_roll_deg"] = float(np.degrees(np.arcsin(min(1.0, roll))))
+        score *= float(np.exp(-((roll / 0.35) ** 2)))
+        # Between floor and ceiling the side of the image that is stored as lower is a hint, no more.
+        upright = float(np.mean(-(R[:, :, 1] @ plane.normal)))
+        figures["camera_upright"] = upright
+        score *= 1.0 if upright > -0.3 else 0.5
+    if up is not None:
+        angle = float(np.degrees(np.arccos(np.clip(plane.normal @ up / np.linalg.norm(up), -1, 1))))
+        figures["angle_to_given_up_deg"] = angle
+        score *= float(angle < HINT_DEG)
+    figures["score"] = float(score)
+    return figures
+
+
+def _plausible_height(height: float) -> float:
+    """1 for a camera 0.2 to 2.5 m above the ground, falling off above; 0 below it."""
+    if height <= 0.05:
+        return 0.0
+    return float(np.clip(height / 0.2, 0.1, 1.0) * np.clip(2.5 / height, 0.1, 1.0))
+
+
+def _described(figures: dict[str, float]) -> str:
+    text = f"a plane of {figures['area_m2']:.1f} m² with {100 * figures['share_above']:.0f} percent of the scene above"
+    if "camera_height_m" in figures:
+        text += f", cameras {figures['camera_height_m']:.2f} m over it"
+    if "angle_to_given_up_deg" in figures:
+        text += f", {figures['angle_to_given_up_deg']:.0f}° from the given direction up"
+    return text
+
+
+def _rivals(scored: list[tuple[dict[str, float], Plane]], cloud: Cloud, up_known: bool) -> list[str]:
+    """Words about planes that might have been the ground too.
+
+    Raises:
+        AlignError: a plane of another inclination is as good a ground, and nothing says which is level.
+    """
+    (best, ground), warnings = scored[0], []
+    for figures, plane in scored[1:]:
+        angle = float(np.degrees(np.arccos(np.clip(plane.normal @ ground.normal, -1, 1))))
+        if angle < 4:
+            step = float(np.median(ground.height(cloud.points[plane.inliers])))
+            if plane.area > 0.4 * ground.area:
+                warnings.append(
+                    f"two grounds: the lower level plane ({ground.area:.1f} m²) was taken as the ground, "
+                    f"another of {plane.area:.1f} m² lies {100 * step:.0f} cm above it"
+                    if step > 0
+                    else f"two grounds: the plane taken as the ground covers {ground.area:.1f} m², "
+                    f"another of {plane.area:.1f} m² lies {-100 * step:.0f} cm below it"
+                )
+        elif figures["score"] > RIVAL * best["score"] and angle < 60:
+            if not up_known and figures["score"] > 0.8 * best["score"]:
+                raise AlignError(
+                    "two grounds: which of them is level cannot be told",
+                    expected="one large plane below everything else",
+                    found=f"{_described(best)}; and {_described(figures)}, inclined by {angle:.0f}° to the first",
+                    hint="capture more of the level floor, or use a source that knows gravity",
+                )
+            warnings.append(f"another plane, inclined by {angle:.0f}°, might be the ground too: {_described(figures)}")
+    return warnings
+
+
+def _upside_down(plane: Plane, cloud: Cloud, up_world: F64 | None) -> list[str]:
+    if not len(cloud.cameras):
+        return []
+    upright = -(cloud.cameras[:, :3, 1] @ plane.normal)
+    share = float(np.mean(upright < -0.3))
+    if share > 0.5:
+        return [
+            "the capture is upside down: the images' upper side points to the ground; the ground was taken from the "
+            "geometry, which does not depend on how the camera was held"
+        ]
+    if share > 0:
+        return [f"{100 * share:.0f} percent of the frames were taken with the camera upside down"]
+    return []
+
+
+def tilt_sigma_deg(cloud: Cloud, plane: Plane, seed: int, resamples: int = 200) -> float:
+    """One standard deviation of the plane's tilt (both axes together), degrees: a bootstrap over blocks of ground.
+
+    Points near each other share errors, so blocks of 0.5 m are drawn, not points (Künsch 1989, in the plane). Few
+    blocks say little about themselves: below 8 the spread is widened to what the residual over the extent allows.
+    """
+    points, w = cloud.points[plane.inliers], plane_weights(cloud)[plane.inliers]
+    uv, h = points @ plane_axes(plane.normal).T, plane.height(points)
+    cells = np.floor(uv / BLOCK).astype(np.int64)
+    _, block = np.unique(cells[:, 0] * 1_000_003 + cells[:, 1], return_inverse=True)
+    blocks = int(block.max()) + 1
+    centre = np.average(uv, axis=0, weights=w)
+    A = np.column_stack([np.ones(len(uv)), uv - centre])
+    # The normal equations of h = a + b u + c v, summed by block: a resample is then a 3x3 solve.
+    products = np.column_stack(
+        [A[:, i] * A[:, j] for i in range(3) for j in range(3)] + [A[:, i] * h for i in range(3)]
+    )
+    sums = np.stack([np.bincount(block, w * c, blocks) for c in products.T], axis=1)
+    rng = np.random.default_rng(seed)
+    drawn = sums[rng.integers(0, blocks, (resamples, blocks))].sum(1)
+    N, b = drawn[:, :9].reshape(-1, 3, 3), drawn[:, 9:]
+    ridge = 1e-9 * np.trace(N.mean(0)) * np.eye(3)
+    slopes = np.linalg.solve(N + ridge, b[..., None])[:, 1:, 0]
+    sigma = float(np.sqrt((slopes**2).sum(1).mean()))
+    if blocks < 8:
+        extent = float(np.sqrt(np.linalg.eigvalsh(np.cov((uv - centre).T, aweights=w))[0]))
+        sigma = max(sigma, plane.rms / max(extent, 1e-3))
+    return float(np.degrees(np.arctan(sigma)))

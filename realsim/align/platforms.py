@@ -1,0 +1,116 @@
+"""Platforms: from labelled points to top faces with outline, centroid, size and height."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.align.cloud import Cloud
+from realsim.align.segment import Label, Labels
+from realsim.geometry import transform
+from realsim.types import F64, Platform
+
+CELL = 0.02
+JOIN = 0.05
+"""Metres: platform points closer than this, and on one plane, belong to one face."""
+
+
+@dataclass(frozen=True)
+class Face:
+    """A top face in the levelled frame: z up, ground at z = 0."""
+
+    slope: F64
+    """(2,) dz/dx, dz/dy of its plane."""
+    height: float
+    """z of its plane at `centroid`."""
+    outline: F64
+    """(K, 2) convex outline, counter-clockwise."""
+    centroid: F64
+    """(2,) of the outline's area."""
+    area: float
+    """m^2 inside the outline."""
+    seen: float
+    """m^2 with points on it."""
+    looks: float
+    """Sum of the points' weights: how much the capture looked at it."""
+    rectangle: bool
+    """Whether the outline is a fitted rectangle."""
+
+
+def find_faces(cloud: Cloud, labels: Labels) -> list[Face]:
+    """The connected faces among the points labelled PLATFORM, the largest first. Levelled frame."""
+    index = np.flatnonzero(labels == Label.PLATFORM)
+    return sorted((_face(cloud.take(index[part])) for part in _connected(cloud.points[index])), key=lambda f: -f.area)
+
+
+def to_platform(face: Face, T_sim_level: F64, role: str = "platform") -> Platform:
+    """A face as a `Platform` in the simulation frame (a rotation about z and a translation away)."""
+    outline = transform(T_sim_level, np.column_stack([face.outline, np.zeros(len(face.outline))]))[:, :2]
+    centroid = transform(T_sim_level, np.array([*face.centroid, face.height]))
+    along, across, yaw = oriented_extent(outline)
+    return Platform(centroid, np.array([along, across, face.height]), yaw, face.area, outline, role)
+
+
+def oriented_extent(outline: F64) -> tuple[float, float, float]:
+    """Long side, short side (metres) and direction of the long side (radians in (-pi/2, pi/2]) of the least box."""
+    best = (np.inf, 0.0, 0.0, 0.0)
+    for edge in np.roll(outline, -1, 0) - outline:
+        if np.hypot(*edge) < 1e-6:
+            continue
+        yaw = float(np.arctan2(edge[1], edge[0]))
+        along = np.ptp(outline @ [np.cos(yaw), np.sin(yaw)])
+        across = np.ptp(outline @ [-np.sin(yaw), np.cos(yaw)])
+        if along * across < best[0] - 1e-9:
+            best = (along * across, along, across, yaw)
+    _, along, across, yaw = best
+    if across > along:
+        along, across, yaw = across, along, yaw + np.pi / 2
+    yaw = (yaw + np.pi / 2) % np.pi - np.pi / 2
+    return float(along), float(across), float(yaw)
+
+
+def polygon_area_centroid(outline: F64) -> tuple[float, F64]:
+    """Area and centroid (2,) of a simple polygon (K, 2) (shoelace formula)."""
+    p, q = outline - outline[0], np.roll(outline, -1, 0) - outline[0]
+    cross = p[:, 0] * q[:, 1] - q[:, 0] * p[:, 1]
+    area = 0.5 * float(cross.sum())
+    return abs(area), outline[0] + ((p + q) * cross[:, None]).sum(0) / (6 * area)
+
+
+def _connected(points: F64) -> list[NDArray[np.intp]]:
+    """Groups of points that are neighbours in the plan and in height."""
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    if not len(points):
+        return []
+    scaled = points * [1.0, 1.0, 4.0]  # a step of 1.2 cm separates two faces that touch
+    graph = cKDTree(scaled).sparse_distance_matrix(cKDTree(scaled), JOIN, output_type="coo_matrix")
+    count, component = connected_components(graph, directed=False)
+    return [np.flatnonzero(component == k) for k in range(count) if np.count_nonzero(component == k) > 50]
+
+
+def _face(points: Cloud) -> Face:
+    import cv2
+
+    xyz = points.points
+    A = np.column_stack([xyz[:, :2], np.ones(len(xyz))])
+    slope_x, slope_y, height = np.linalg.lstsq(A, xyz[:, 2], rcond=None)[0]
+    hull = cv2.convexHull(xyz[:, :2].astype(np.float32))[:, 0].astype(np.float64)
+    box = cv2.boxPoints(cv2.minAreaRect(xyz[:, :2].astype(np.float32))).astype(np.float64)
+    seen = len(np.unique(np.floor(xyz[:, :2] / CELL).astype(np.int64), axis=0)) * CELL**2
+    rectangle = polygon_area_centroid(hull)[0] > 0.9 * polygon_area_centroid(box)[0]
+    outline = _counter_clockwise(box if rectangle else hull)
+    area, centroid = polygon_area_centroid(outline)
+    slope = np.array([slope_x, slope_y])
+    return Face(
+        slope, float(slope @ centroid + height), outline, centroid, area, seen, float(points.weights.sum()), rectangle
+    )
+
+
+def _counter_clockwise(outline: F64) -> F64:
+    edge = np.roll(outline, -1, 0) - outline
+    turn = (outline[:, 0] * edge[:, 1] - outline[:, 1] * edge[:, 0]).sum()
+    return outline if turn > 0 else outline[::-1]

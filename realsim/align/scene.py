@@ -1,0 +1,140 @@
+"""`align`: the stage itself, from a metric scene or a scan to the simulation frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from realsim.align.cloud import Cloud, from_scan, from_views
+from realsim.align.config import AlignConfig
+from realsim.align.crop import crop
+from realsim.align.ground import Ground, find_ground
+from realsim.align.platforms import Face, find_faces, to_platform
+from realsim.align.roles import choose
+from realsim.align.segment import Label, segmented
+from realsim.geometry import invert_T, make_T, transform
+from realsim.types import F64, AlignedScene, Gravity, MetricScene, Scan
+
+
+def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
+    """Put a metric scene or a scan into the simulation frame.
+
+    Origin at the centroid of the start platform's top face, z against gravity, x from the start platform's centroid
+    toward the goal's. Without platforms: origin on the ground below the first camera, x along its view.
+
+    Everything is computed relative to the first camera, so that the result does not depend on how the capture's
+    world happens to lie; `T_sim_world` leads from that world.
+
+    Raises:
+        AlignError: no ground; two grounds that cannot be told apart; no platform where one was asked for.
+    """
+    cloud, T_cloud_world = _cloud(source, config.seed)
+    up = None if source.up_world is None else T_cloud_world[:3, :3] @ source.up_world
+    ground = find_ground(cloud, config.seed, up)
+    T_level_cloud = levelling(ground, cloud)
+    level = _moved(cloud, T_level_cloud)
+    labels = segmented(config.segmenter, level)
+    faces = find_faces(level, labels)
+    assumptions, warnings = list(ground.assumptions), list(ground.warnings)
+
+    T_level_world = T_level_cloud @ T_cloud_world
+    roles = _roles(faces, source, config, level, T_level_world, assumptions)
+    T_sim_level = _simulation_frame(faces, roles)
+    platforms = tuple(
+        to_platform(face, T_sim_level, {roles[0]: "start", roles[1]: "goal"}.get(i, "platform"))
+        for i, face in enumerate(faces)
+    )
+    bounds, cropped = crop(_moved(level, T_sim_level), labels, platforms, float(T_sim_level[2, 3]), config.margin)
+
+    T_sim_world = T_sim_level @ T_level_world
+    return AlignedScene(
+        T_sim_world=T_sim_world,
+        gravity=_gravity_in_world(ground.gravity, T_cloud_world),
+        ground_z=float(T_sim_level[2, 3]),
+        platforms=platforms,
+        bounds=bounds,
+        metric=source if isinstance(source, MetricScene) else None,
+        scan=source if isinstance(source, Scan) else None,
+        cropped=tuple(cropped),
+        assumptions=tuple(assumptions),
+        warnings=tuple(warnings),
+        statistics={
+            "voxels": len(cloud),
+            "labels": {label.name.lower(): int(np.count_nonzero(labels == label)) for label in Label},
+            "ground_candidates": [dict(c) for c in ground.candidates[:6]],
+        },
+    )
+
+
+def levelling(ground: Ground, cloud: Cloud) -> F64:
+    """(4, 4) T_level_cloud: z up, ground at z = 0, origin below the first camera, x along its view in the plan.
+
+    Where it looks straight down, x is the direction of the image's upper side. Scans without a sensor: origin below
+    the source's origin, x along the source's own x (or z, where x is up).
+    """
+    z = ground.plane.normal
+    if len(cloud.cameras):
+        origin = cloud.cameras[0, :3, 3]
+        ahead = [cloud.cameras[0, :3, 2], -cloud.cameras[0, :3, 1]]
+    else:
+        origin, ahead = np.zeros(3), [np.eye(3)[0], np.eye(3)[2]]
+    forward = next(a for a in ahead if np.linalg.norm(a - (a @ z) * z) > 0.2)
+    x = forward - (forward @ z) * z
+    x /= np.linalg.norm(x)
+    R = np.stack([x, np.cross(z, x), z])
+    foot = origin - ground.plane.height(origin) * z
+    return make_T(R, -R @ foot)
+
+
+def _cloud(source: MetricScene | Scan, seed: int) -> tuple[Cloud, F64]:
+    """The fused cloud in its own frame (the first camera's; a scan's own world) and T_cloud_world."""
+    if isinstance(source, Scan):
+        return from_scan(source, seed), np.eye(4)
+    T_cloud_world = invert_T(source.T_world_camera[0])
+    return from_views(replace(source, T_world_camera=T_cloud_world @ source.T_world_camera)), T_cloud_world
+
+
+def _moved(cloud: Cloud, T: F64) -> Cloud:
+    return replace(
+        cloud, points=transform(T, cloud.points), normals=cloud.normals @ T[:3, :3].T, cameras=T @ cloud.cameras
+    )
+
+
+def _roles(
+    faces: list[Face],
+    source: MetricScene | Scan,
+    config: AlignConfig,
+    level: Cloud,
+    T_level_world: F64,
+    assumptions: list[str],
+) -> tuple[int | None, int | None]:
+    """Start and goal: by rule, then as asked for. What was assumed is added to `assumptions`."""
+    by_rule = choose(faces, level.cameras[0, :2, 3] if len(level.cameras) else None)
+    start, goal = by_rule or (None, None)
+    if by_rule is None:
+        assumptions.append(
+            "fewer than two platforms were found: the origin is on the ground below the first camera, x along its view"
+        )
+        return None, None
+    if not len(level.cameras):
+        assumptions.append("the scan has no sensor position: the platform nearer its origin was taken as the start")
+    return start, goal
+
+
+def _simulation_frame(faces: list[Face], roles: tuple[int | None, int | None]) -> F64:
+    """(4, 4) T_sim_level."""
+    start, goal = roles
+    if start is None or goal is None:
+        return np.eye(4)
+    a, b = faces[start], faces[goal]
+    x = (b.centroid - a.centroid) / np.linalg.norm(b.centroid - a.centroid)
+    R = np.array([[x[0], x[1], 0], [-x[1], x[0], 0], [0, 0, 1]])
+    return make_T(R, -R @ [*a.centroid, a.height])
+
+
+def _gravity_in_world(gravity: Gravity, T_cloud_world: F64) -> Gravity:
+    """n·x + d = 0 in the cloud's frame, said in the capture world."""
+    normal = T_cloud_world[:3, :3].T @ gravity.normal_world
+    offset = gravity.offset_world + float(gravity.normal_world @ T_cloud_world[:3, 3])
+    return replace(gravity, normal_world=normal, offset_world=offset)

@@ -1,0 +1,67 @@
+"""What a point belongs to: a small interface, so that a learned segmentation can take the place of the geometric one."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from importlib.metadata import entry_points
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.align.cloud import Cloud
+from realsim.errors import AlignError, UnknownNameError
+
+Labels = NDArray[np.uint8]
+
+
+class Label(IntEnum):
+    """Classes of points."""
+
+    OTHER = 0
+    """Walls, people, ceilings, noise: never part of the terrain."""
+    GROUND = 1
+    OBSTACLE = 2
+    """Stands on the ground and is low enough to be climbed or stepped over."""
+    PLATFORM = 3
+    """A level top face large enough to stand on."""
+
+
+class Segmenter(Protocol):
+    """A function from a levelled cloud to labels."""
+
+    def __call__(self, cloud: Cloud) -> Labels:
+        """Label a cloud whose z axis is up and whose ground is z = 0: (M,) uint8 of `Label`."""
+        ...
+
+
+def find_segmenter(name: str) -> Segmenter:
+    """A segmenter of the registry, or of an installed package's entry point group `realsim.segmenters`.
+
+    Raises:
+        UnknownNameError: neither knows the name.
+    """
+    from realsim.align import SEGMENTERS
+
+    if name in SEGMENTERS:
+        return SEGMENTERS[name]
+    plugins = {point.name: point for point in entry_points(group="realsim.segmenters")}
+    if name not in plugins:
+        raise UnknownNameError("segmenter", name, [*SEGMENTERS, *plugins])
+    return plugins[name].load()
+
+
+def segmented(name: str, cloud: Cloud) -> Labels:
+    """The labels of the segmenter `name`, checked.
+
+    Raises:
+        AlignError: it returns something else than a label a point.
+    """
+    labels = np.asarray(find_segmenter(name)(cloud))
+    if labels.shape != (len(cloud),) or not np.isin(labels, list(Label)).all():
+        raise AlignError(
+            f"the segmenter {name!r} does not keep its contract",
+            expected=f"({len(cloud)},) labels out of {', '.join(f'{label.value} {label.name}' for label in Label)}",
+            found=f"shape {labels.shape}, values {np.unique(labels)[:8].tolist()}",
+        )
+    return labels.astype(np.uint8)
