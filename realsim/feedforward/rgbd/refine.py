@@ -1,0 +1,190 @@
+"""Camera poses refined against each other, and the depth sensor's scale recovered where the poses are metric.
+
+    views = prepare(frames)
+    check = check_poses(frames, T, views=views)          # refine_check.py: refuses or names what contradicts
+    found = refine(frames, T, estimate_gain=True, trust="metric", views=views)
+
+With metric poses the depth gain is what makes triangulated and measured depth agree; how much the given poses are
+believed is found from the data (refine_adjust.py), so exact poses stay where they are and noisy ones move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from realsim.errors import PoseError
+from realsim.feedforward.rgbd.bias import GainEstimate, judge_gain
+from realsim.feedforward.rgbd.refine_adjust import Sigmas, State, Step, initial_state, solve_step
+from realsim.feedforward.rgbd.refine_pairs import Surface, associate, choose_pairs, sample_surface
+from realsim.feedforward.rgbd.tracks import Match, Tracks, View, build_tracks, match, prepare
+from realsim.geometry import is_rotation
+from realsim.progress import track
+from realsim.types import F64, Frame
+
+STEPS = 12
+SAMPLES = 300
+"""Surface points a view."""
+LOOSE = Sigmas(position=0.5, angle=0.2)
+"""Prior on poses that were estimated: it only holds what nothing else does."""
+
+
+@dataclass(frozen=True)
+class RefineResult:
+    """Refined poses and the depth gain."""
+
+    T_world_camera: F64
+    """(N, 4, 4) camera to the world of the given poses, metres."""
+    depth_gain: float
+    """Corrected depth = gain * sensor depth; 1 where it was not asked for or cannot be told."""
+    depth_gain_sigma: float
+    """Its standard error; infinite where the gain was not asked for."""
+    residual_m: float
+    """Median over frames of `per_frame_residual_m`, metres."""
+    per_frame_residual_m: F64
+    """(N,) robust RMS distance between a frame's points and the same points as other frames see them; NaN if none."""
+    warnings: tuple[str, ...] = ()
+    statistics: Mapping[str, Any] = field(default_factory=dict)
+    """JSON-able; `sigma_z_over_z2` (1/m) is the sensor's depth noise a in sigma = a * depth^2."""
+
+
+def refine(
+    frames: Sequence[Frame],
+    T_world_camera: F64,
+    *,
+    estimate_gain: bool,
+    trust: Literal["metric", "estimated"],
+    seed: int = 0,
+    views: Sequence[View] | None = None,
+) -> RefineResult:
+    """Refine poses by features with depth and by surfaces; see the module's text.
+
+    Args:
+        frames: N frames.
+        T_world_camera: (N, 4, 4) camera to world, OpenCV axes, metres.
+        estimate_gain: also recover the depth gain. Needs `trust="metric"`.
+        trust: `metric`: the poses come from a metric source with an unknown error; they give the scale.
+            `estimated`: the poses were found from the depth, so the depth gives the scale.
+        seed: of the choice of samples.
+        views: `prepare(frames)`, if it is there already.
+
+    Raises:
+        PoseError: poses of wrong number, not finite, or not rigid; a gain asked for without metric poses.
+    """
+    T = _checked(frames, T_world_camera)
+    if estimate_gain and trust != "metric":
+        raise PoseError("a depth gain cannot be told from poses that were found from the same depth")
+    views = prepare(frames) if views is None else views
+    pairs = choose_pairs(views, T)
+    matches = [m for i, j in track(pairs, "matches") if (m := match(views, i, j, seed)) is not None]
+    tracks = build_tracks(views, matches)
+    step, surface, given = _solve(views, T, pairs, tracks, estimate_gain, trust, seed)
+    per_frame = _per_frame(step, tracks, surface, len(views))
+    gain = judge_gain(step, tracks, surface, len(views), estimate_gain)
+    return RefineResult(
+        step.state.T,
+        gain.value,
+        gain.sigma,
+        float(np.nanmedian(per_frame)) if np.isfinite(per_frame).any() else float("nan"),
+        per_frame,
+        gain.warnings + _warnings(views, tracks, per_frame),
+        _statistics(step, given, matches, pairs, tracks, surface, gain, trust),
+    )
+
+
+def _checked(frames: Sequence[Frame], T: F64) -> F64:
+    T = np.asarray(T, float)
+    if T.shape != (len(frames), 4, 4):
+        raise PoseError("poses do not fit the frames", expected=f"({len(frames)}, 4, 4)", found=str(T.shape))
+    for frame, pose in zip(frames, T, strict=True):
+        if not np.isfinite(pose).all() or not is_rotation(pose[:3, :3], 1e-3):
+            raise PoseError(f"the pose of frame {frame.name} is not a rigid motion")
+    return T
+
+
+def _solve(
+    views: Sequence[View],
+    T: F64,
+    pairs: Sequence[tuple[int, int]],
+    tracks: Tracks,
+    estimate_gain: bool,
+    trust: str,
+    seed: int,
+) -> tuple[Step, Surface, State]:
+    """Steps of adjustment; surfaces are associated anew at each, within a gate that narrows."""
+    rng = np.random.default_rng(seed)
+    samples = [sample_surface(view, rng, SAMPLES) for view in views]
+    state = given = initial_state(T, tracks)
+    sigmas = Sigmas() if trust == "metric" else LOOSE
+    for k in range(STEPS):
+        surface = associate(views, samples, state.T, state.gain, pairs, gate=max(0.02, 0.08 * 0.6**k))
+        # The first steps only bring the residuals down to noise; what they say about the poses' error is not yet true.
+        fit_prior = trust == "metric" and k >= 2
+        step = solve_step(
+            state, given, tracks, surface, sigmas, estimate_gain=estimate_gain, fit_prior=fit_prior, seed=seed
+        )
+        done = k >= 6 and step.move < 5e-5 and abs(step.state.log_gain - state.log_gain) < 2e-5
+        state, sigmas = step.state, step.sigmas
+        if done:
+            break
+    return step, surface, given
+
+
+def _per_frame(step: Step, tracks: Tracks, surface: Surface, n: int) -> F64:
+    """(N,) 1.4826 * median |residual| in metres of depth at features and of surfaces."""
+    meters = np.concatenate([step.track_residual[:, 2] * tracks.z**2, step.surface_residual * surface.z**2])
+    owner = np.concatenate([tracks.view, surface.i])
+    out = np.full(n, np.nan)
+    order = np.argsort(owner, kind="stable")
+    edges = np.searchsorted(owner[order], np.arange(n + 1))
+    for k in range(n):
+        if edges[k + 1] - edges[k] >= 20:
+            out[k] = 1.4826 * np.median(np.abs(meters[order[edges[k] : edges[k + 1]]]))
+    return out
+
+
+def _warnings(views: Sequence[View], tracks: Tracks, per_frame: F64) -> tuple[str, ...]:
+    out = []
+    if not tracks.count:
+        what = "without colour" if not any(v.has_color for v in views) else "without matching features"
+        out.append(f"poses were refined by surfaces alone ({what}): sliding along plain surfaces is not seen")
+    loose = [v.name for v, r in zip(views, per_frame, strict=True) if not np.isfinite(r)]
+    if loose:
+        out.append(f"nothing to refine against for {len(loose)} frames (pose kept): {', '.join(loose[:5])}")
+    return tuple(out)
+
+
+def _statistics(
+    step: Step,
+    given: State,
+    matches: Sequence[Match],
+    pairs: Sequence[tuple[int, int]],
+    tracks: Tracks,
+    surface: Surface,
+    gain: GainEstimate,
+    trust: str,
+) -> dict[str, Any]:
+    s = step.sigmas
+    moved = np.linalg.norm(step.state.c - given.c, axis=1)
+    turn = np.trace(step.state.R @ np.swapaxes(given.R, 1, 2), axis1=1, axis2=2)
+    angle = np.degrees(np.arccos(np.clip((turn - 1) / 2, -1, 1)))
+    out: dict[str, Any] = {
+        "pairs": len(pairs),
+        "matched_pairs": len(matches),
+        "tracks": tracks.count,
+        "observations": len(tracks.z),
+        "surface_samples": len(surface.i),
+        "image_sigma_px": s.image if tracks.count else None,
+        "sigma_z_over_z2": s.depth if tracks.count else s.surface / np.sqrt(2),
+        "surface_sigma_over_z2": s.surface,
+        "moved_rms_m": float(np.sqrt((moved**2).mean())),
+        "turned_rms_deg": float(np.sqrt((angle**2).mean())),
+        "depth_gain": gain.statistics,
+    }
+    if trust == "metric":
+        out["given_position_sigma_m"] = s.position
+        out["given_angle_sigma_deg"] = float(np.degrees(s.angle))
+    return out

@@ -1,0 +1,294 @@
+"""Least squares over camera poses, one depth gain and the tracks' points: what all observations agree on best.
+
+Four kinds of residuals, each divided by a standard deviation that is itself found from the residuals:
+
+    image    (point seen from camera - feature) * focal          pixels
+    depth    (point's depth / gain - sensor depth) / depth^2      1/m: stereo noise grows with the square of depth
+    surface  n · (p_i - q_j), poses' shift / gain, / depth^2      1/m, in one frame
+    prior    pose - given pose                                   m and rad
+
+Depth and surface residuals are in the sensor's units on purpose: in corrected metres they would shrink together with
+the gain, and with their own standard deviations free the best fit would be a world of no size.
+
+Points are eliminated (Schur complement), so a step costs a sparse system in six unknowns a frame and one gain.
+Robustness is a Student t distribution with 4 degrees of freedom by iterated weights; the standard deviations are
+Helmert's variance components, sum of weighted squares over redundancy. Conventions of the update: R <- exp(w) R,
+c <- c + t, both in world axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.sparse import bsr_matrix, csr_matrix, diags_array, identity
+from scipy.sparse.linalg import splu
+from scipy.spatial.transform import Rotation
+
+from realsim.feedforward.rgbd.refine_pairs import Surface
+from realsim.feedforward.rgbd.tracks import Tracks
+from realsim.types import F64
+
+GAIN_PRIOR = 0.05
+"""Depth cameras are off by a percent or two; this holds the gain only where nothing else does."""
+SURFACE_CORRELATION = 3.0
+"""Neighbouring surface samples share sensor pattern and interpolation: each counts a third."""
+FLOOR_T, FLOOR_R = 2e-4, 2e-4
+"""Given poses are never believed better than 0.2 mm and 0.2 mrad."""
+
+
+@dataclass(frozen=True)
+class Sigmas:
+    """Standard deviations of the five kinds of observation."""
+
+    image: float = 0.7
+    depth: float = 0.002
+    surface: float = 0.002
+    position: float = 0.01
+    angle: float = 0.005
+
+
+@dataclass(frozen=True)
+class State:
+    """What is estimated."""
+
+    R: F64
+    """(N, 3, 3)."""
+    c: F64
+    """(N, 3)."""
+    log_gain: float
+    X: F64
+    """(P, 3) world."""
+
+    @property
+    def T(self) -> F64:
+        """(N, 4, 4) T_world_camera."""
+        T = np.tile(np.eye(4), (len(self.R), 1, 1))
+        T[:, :3, :3], T[:, :3, 3] = self.R, self.c
+        return T
+
+    @property
+    def gain(self) -> float:
+        return float(np.exp(self.log_gain))
+
+
+@dataclass(frozen=True)
+class Step:
+    """One linearisation at a state, solved."""
+
+    state: State
+    """After the step."""
+    sigmas: Sigmas
+    """After the step."""
+    move: float
+    """Largest change of a position, metres."""
+    gain_sigma: float
+    """Standard error of the log gain if the model holds."""
+    influence: F64
+    """(rows,) what each residual contributes to the log gain; they sum to the last step of it."""
+    owner: np.ndarray
+    """(rows,) frame to which each residual belongs."""
+    kind: np.ndarray
+    """(rows,) index into KINDS."""
+    track_residual: F64
+    """(M, 3) x, y in pixels and depth in 1/m, unweighted."""
+    surface_residual: F64
+    """(K,) 1/m, unweighted."""
+
+
+KINDS = ("image", "depth", "surface", "prior")
+
+
+def initial_state(T_world_camera: F64, tracks: Tracks, gain: float = 1.0) -> State:
+    """Points start at the mean of their sensor depths."""
+    R, c = T_world_camera[:, :3, :3].copy(), T_world_camera[:, :3, 3].copy()
+    rays = np.column_stack([tracks.xy, np.ones(len(tracks.z))]) * tracks.z[:, None] * gain
+    world = np.einsum("mab,mb->ma", R[tracks.view], rays) + c[tracks.view]
+    X = np.zeros((tracks.count, 3))
+    np.add.at(X, tracks.point, world)
+    X /= np.maximum(np.bincount(tracks.point, minlength=tracks.count), 1)[:, None]
+    return State(R, c, float(np.log(gain)), X)
+
+
+def student(residual: F64, sigma: float, nu: float = 4.0) -> F64:
+    """Weights of the t distribution."""
+    return (nu + 1) / (nu + (residual / sigma) ** 2)
+
+
+def solve_step(
+    state: State,
+    given: State,
+    tracks: Tracks,
+    surface: Surface,
+    sigmas: Sigmas,
+    *,
+    estimate_gain: bool,
+    fit_prior: bool,
+    seed: int,
+) -> Step:
+    """One Gauss-Newton step, then the variance components at the linearised solution."""
+    n, width = len(state.R), 6 * len(state.R) + 1
+    Jc_t, Jp, r_t = _track_rows(state, tracks, width)
+    Jc_s, r_s = _surface_rows(state, surface, width)
+    r_p = _prior_residual(state, given)
+    M = len(tracks.z)
+    sigma_t = np.tile([sigmas.image, sigmas.image, sigmas.depth], M)
+    # The two image coordinates and the depth of one observation are outliers separately: a feature may be right where
+    # its depth is not.
+    e2 = r_t.reshape(M, 3) / (sigmas.image, sigmas.image, sigmas.depth)
+    image_w = 5.0 / (4.0 + 0.5 * (e2[:, 0] ** 2 + e2[:, 1] ** 2))
+    w_t = np.column_stack([image_w, image_w, student(e2[:, 2], 1.0)]).ravel()
+    w_s = student(r_s, sigmas.surface)
+    wt, ws = w_t / sigma_t**2, w_s / sigmas.surface**2 / SURFACE_CORRELATION
+    wp = np.tile([sigmas.position] * 3 + [sigmas.angle] * 3, n) ** -2.0
+    gain_weight = GAIN_PRIOR**-2.0 if estimate_gain else 1e14
+    prior = np.append(wp, gain_weight)
+    prior_r = np.append(r_p, state.log_gain if estimate_gain else 0.0)
+
+    Jc_tw, Jc_sw = Jc_t.multiply(wt[:, None]).tocsr(), Jc_s.multiply(ws[:, None]).tocsr()
+    H = (Jc_t.T @ Jc_tw + Jc_s.T @ Jc_sw + diags_array(prior)).tocsr()
+    b = -(Jc_tw.T @ r_t + Jc_sw.T @ r_s + prior * prior_r)
+    blocks = Jp.data.reshape(M, 3, 3)
+    V = np.zeros((tracks.count, 3, 3))
+    np.add.at(V, tracks.point, np.einsum("mka,mk,mkb->mab", blocks, wt.reshape(M, 3), blocks))
+    V_inv = np.linalg.inv(V) if tracks.count else V
+    P = bsr_matrix((V_inv, np.arange(tracks.count), np.arange(tracks.count + 1)), shape=(3 * tracks.count,) * 2)
+    W = (Jc_tw.T @ Jp).tocsr()
+    bp = -(Jp.T @ (wt * r_t))
+    S = (H - W @ (P @ W.T)).tocsc()
+    S = (S + 1e-9 * identity(width, format="csc")).tocsc()
+    lu = splu(S, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    x = lu.solve(b - W @ (P @ bp))
+    y = P @ (bp - W.T @ x)
+    after = _apply(state, x, y)
+
+    # What a residual does to the gain: row of the inverse that belongs to the gain, through the eliminated points.
+    unit = np.zeros(width)
+    unit[-1] = 1
+    u = lu.solve(unit)
+    influence_t = -(Jc_t @ u - Jp @ (P @ (W.T @ u))) * wt * r_t
+    influence_s = -(Jc_s @ u) * ws * r_s
+    influence_p = -(u * prior * prior_r)[:-1]
+
+    r_t1 = r_t + Jc_t @ x + Jp @ y
+    r_s1 = r_s + Jc_s @ x
+    hat = np.einsum("mka,mab,mkb->mk", blocks, V_inv[tracks.point], blocks) * wt.reshape(M, 3)
+    new = _components(sigmas, r_t1.reshape(M, 3), w_t.reshape(M, 3), hat, r_s1, w_s)
+    if fit_prior:
+        new = _prior_components(new, sigmas, r_p + x[:-1], lu, width, seed)
+    frames_s = surface.i
+    return Step(
+        after,
+        new,
+        float(np.abs(x[:-1].reshape(n, 6)[:, :3]).max(initial=0)),
+        float(np.sqrt(max(u[-1], 0))),
+        np.concatenate([influence_t, influence_s, influence_p]),
+        np.concatenate([np.repeat(tracks.view, 3), frames_s, np.repeat(np.arange(n), 6)]),
+        np.concatenate([np.tile([0, 0, 1], M), np.full(len(r_s), 2), np.full(6 * n, 3)]),
+        r_t1.reshape(M, 3),
+        r_s1,
+    )
+
+
+def _apply(state: State, x: F64, y: F64) -> State:
+    step = x[:-1].reshape(-1, 6)
+    R = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ state.R
+    return replace(state, R=R, c=state.c + step[:, :3], log_gain=state.log_gain + x[-1], X=state.X + y.reshape(-1, 3))
+
+
+def _cross(v: F64) -> F64:
+    """(M, 3) -> (M, 3, 3) with _cross(v) @ w = v × w."""
+    K = np.zeros((len(v), 3, 3))
+    K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
+    K[:, 1, 0], K[:, 2, 0], K[:, 2, 1] = v[:, 2], -v[:, 1], v[:, 0]
+    return K
+
+
+def _track_rows(state: State, t: Tracks, width: int) -> tuple[csr_matrix, Any, F64]:
+    """Jacobians (3M, width) and (3M, 3P, as 3x3 blocks) and residuals (3M,)."""
+    M = len(t.z)
+    Rt = np.swapaxes(state.R[t.view], 1, 2)
+    arm = state.X[t.point] - state.c[t.view]
+    y = np.einsum("mab,mb->ma", Rt, arm)
+    z = np.maximum(y[:, 2], 0.05)
+    r = np.column_stack(
+        [
+            (y[:, 0] / z - t.xy[:, 0]) * t.focal,
+            (y[:, 1] / z - t.xy[:, 1]) * t.focal,
+            (y[:, 2] / state.gain - t.z) / t.z**2,
+        ]
+    )
+    D = np.zeros((M, 3, 3))
+    D[:, 0, 0] = D[:, 1, 1] = t.focal / z
+    D[:, 0, 2], D[:, 1, 2] = -y[:, 0] / z**2 * t.focal, -y[:, 1] / z**2 * t.focal
+    D[:, 2, 2] = 1 / t.z**2 / state.gain
+    A = D @ Rt
+    gain = np.zeros((M, 3, 1))
+    gain[:, 2, 0] = -y[:, 2] / state.gain / t.z**2
+    data = np.concatenate([-A, A @ _cross(arm), gain], 2)
+    cols = np.concatenate([t.view[:, None] * 6 + np.arange(6), np.full((M, 1), width - 1)], 1)
+    cols = np.repeat(cols, 3, axis=0)
+    Jc = csr_matrix((data.ravel(), cols.ravel(), np.arange(0, 21 * M + 1, 7)), shape=(3 * M, width))
+    Jp = bsr_matrix((A, t.point, np.arange(M + 1)), shape=(3 * M, 3 * t.count))
+    return Jc, Jp, r.ravel()
+
+
+def _surface_rows(state: State, s: Surface, width: int) -> tuple[csr_matrix, F64]:
+    """Jacobian (K, width) and residuals (K,), 1/m."""
+    K = len(s.i)
+    n = np.einsum("kab,kb->ka", state.R[s.j], s.n)
+    a = np.einsum("kab,kb->ka", state.R[s.i], s.p)
+    b = np.einsum("kab,kb->ka", state.R[s.j], s.q)
+    shift = (state.c[s.i] - state.c[s.j]) / state.gain
+    scale = 1 / s.z**2
+    r = np.einsum("ka,ka->k", n, a + shift - b) * scale
+    # n·(w × a) = w·(a × n)
+    along = n / state.gain
+    data = np.column_stack([along, np.cross(a, n), -along, -np.cross(a + shift, n), -np.einsum("ka,ka->k", n, shift)])
+    cols = np.column_stack([s.i[:, None] * 6 + np.arange(6), s.j[:, None] * 6 + np.arange(6), np.full(K, width - 1)])
+    data = data * scale[:, None]
+    return csr_matrix((data.ravel(), cols.ravel(), np.arange(0, 13 * K + 1, 13)), shape=(K, width)), r
+
+
+def _prior_residual(state: State, given: State) -> F64:
+    """(6N,) position and rotation, world axes, current minus given."""
+    turn = Rotation.from_matrix(state.R @ np.swapaxes(given.R, 1, 2)).as_rotvec()
+    return np.column_stack([state.c - given.c, turn]).ravel()
+
+
+def _components(sigmas: Sigmas, r_t: F64, w_t: F64, hat: F64, r_s: F64, w_s: F64) -> Sigmas:
+    """Variance components of image, depth and surface: weighted squares over redundancy (1 - leverage)."""
+    image, depth, surface = sigmas.image, sigmas.depth, sigmas.surface
+    if len(r_t) > 30:
+        free = np.maximum(1 - hat, 0)
+        image = np.sqrt((w_t[:, :2] * r_t[:, :2] ** 2).sum() / max(free[:, :2].sum(), 1))
+        depth = np.sqrt((w_t[:, 2] * r_t[:, 2] ** 2).sum() / max(free[:, 2].sum(), 1))
+    if len(r_s) > 30:
+        surface = np.sqrt((w_s * r_s**2).mean())
+    return replace(
+        sigmas,
+        image=float(np.clip(image, 0.05, 5)),
+        depth=float(np.clip(depth, 1e-4, 0.05)),
+        surface=float(np.clip(surface, 1e-4, 0.05)),
+    )
+
+
+def _prior_components(new: Sigmas, old: Sigmas, r_p: F64, lu: Any, width: int, seed: int) -> Sigmas:
+    """How far the given poses are off, from how far the data moves them against how far it could.
+
+    sigma^2 = sum of squares / (count - trace(C) / sigma_old^2), with C the posterior covariance (MacKay 1992,
+    eq. 4.9); the trace by Hutchinson's random signs, so that the cost stays linear in the frames.
+    """
+    n = (width - 1) // 6
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (n, 3, 24))
+    values = []
+    for part, sigma, floor in ((0, old.position, FLOOR_T), (1, old.angle, FLOOR_R)):
+        probe = np.zeros((n, 2, 3, 24))
+        probe[:, part] = signs
+        probe = np.vstack([probe.reshape(6 * n, 24), np.zeros((1, 24))])
+        trace = float((probe * lu.solve(probe)).sum() / 24)
+        told = np.clip(3 * n - trace / sigma**2, 0.02 * n, 3 * n)
+        square = float((r_p.reshape(n, 2, 3)[:, part] ** 2).sum())
+        values.append(max(np.sqrt(square / told), floor))
+    return replace(new, position=float(min(values[0], 0.5)), angle=float(min(values[1], 0.2)))
