@@ -26,6 +26,7 @@ COMMANDS = Registry(
         "reconstruct": "realsim.commands.reconstruct:reconstruct",
         "inspect": "realsim.commands.inspect:inspect",
         "view": "realsim.commands.view:view",
+        "diagnose": "realsim.commands.diagnose:diagnose",
         "synth": "realsim.commands.synth:synth",
         "demo": "realsim.commands.demo:demo",
     },
@@ -34,6 +35,7 @@ SUMMARIES = {
     "reconstruct": "frames or a scan -> a metric, level MuJoCo scene with a report",
     "inspect": "what a capture is taken for, and what is wrong with it",
     "view": "look at a scene in the browser, live",
+    "diagnose": "a robot's logs and its model -> where the sim-to-real gap lies, what causes it, how much",
     "synth": "render a synthetic capture with its truth",
     "demo": "render, reconstruct and measure, end to end",
 }

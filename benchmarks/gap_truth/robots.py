@@ -188,7 +188,7 @@ def g1(rng: np.random.Generator) -> Robot:
     """Unitree G1 hung by the pelvis: its drives and links without the ground."""
     from realsim.robots import ROBOTS
 
-    spec = ROBOTS["g1"]()
+    spec = ROBOTS["g1"]().spec
     for body in spec.bodies:
         for joint in list(body.joints):
             if joint.type == mujoco.mjtJoint.mjJNT_FREE:

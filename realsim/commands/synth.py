@@ -1,0 +1,23 @@
+"""`realsim synth`: a synthetic capture with its truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from realsim.commands import CommandResult
+from realsim.synth.config import SynthConfig
+
+
+def synth(config: SynthConfig, out: Path = Path("synth"), overwrite: bool = False) -> CommandResult:
+    """Render a synthetic RGB-D capture of a parkour terrain, and keep the exact truth beside it.
+
+    Args:
+        out: gets capture/ (what `realsim reconstruct` reads) and truth/ (what it may not see).
+        overwrite: replace an existing folder.
+    """
+    from realsim.synth import write_capture
+
+    made = write_capture(out, config, overwrite=overwrite)
+    return CommandResult(
+        f"capture {made.capture}\ntruth   {made.truth}", {"capture": str(made.capture), "truth": str(made.truth)}
+    )
