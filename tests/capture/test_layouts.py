@@ -1,0 +1,364 @@
+"""Every layout gives back what was written, by its own conventions."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from realsim.capture import LAYOUTS, CaptureConfig, inspect, read
+from realsim.capture.layout import Recognition
+from realsim.capture.recognition import recognise
+from realsim.errors import CaptureError, UnknownNameError
+from realsim.geometry import is_rotation
+from realsim.types import FrameSet
+
+from .scene import CAMERA, walk
+from .writers import (
+    WITHOUT_POSES,
+    WRITERS,
+    camera_points,
+    column_major,
+    write_folders,
+    write_open3d,
+    write_pcd,
+    write_plain,
+    write_scannet,
+    write_sevenscenes,
+    write_tum,
+)
+
+CONFIG = CaptureConfig()
+EVERY = pytest.mark.parametrize("name", WRITERS)
+
+
+def frames_of(folder, config=CONFIG) -> FrameSet:
+    capture = read(folder, config)
+    assert isinstance(capture, FrameSet)
+    return capture
+
+
+@EVERY
+def test_round_trip(name, tmp_path):
+    views = walk()
+    WRITERS[name](tmp_path, views)
+    capture = frames_of(tmp_path)
+    assert capture.layout == name
+    assert len(capture) == len(views)
+    assert capture.dropped == ()
+    assert capture.has_poses == (name not in WITHOUT_POSES)
+    assert len({f.name for f in capture.frames}) == len(views)
+    quantum = 0.0005 if name != "tum" else 0.0001
+    for frame, view in zip(capture.frames, views, strict=True):
+        c = frame.intrinsics
+        np.testing.assert_allclose([c.fx, c.fy, c.cx, c.cy], [88, 87, 46.5, 37], atol=1e-3)
+        assert (c.width, c.height) == (CAMERA.width, CAMERA.height)
+        depth, color = frame.depth(), frame.color()
+        assert depth.dtype == np.float32
+        np.testing.assert_allclose(depth, view.depth, atol=quantum + 1e-6)
+        assert color is not None
+        assert color.dtype == np.uint8
+        small = cv2.resize(color, (c.width, c.height), interpolation=cv2.INTER_NEAREST)
+        np.testing.assert_array_equal(small, view.color)
+        if frame.T_world_camera is not None:
+            np.testing.assert_allclose(frame.T_world_camera, view.T_world_camera, atol=1e-6)
+            assert is_rotation(frame.T_world_camera[:3, :3])
+
+
+@EVERY
+def test_reading_twice_gives_the_same(name, tmp_path):
+    WRITERS[name](tmp_path, walk(6))
+    a, b = frames_of(tmp_path), frames_of(tmp_path)
+    assert a.assumptions == b.assumptions
+    assert [f.name for f in a.frames] == [f.name for f in b.frames]
+    assert inspect(tmp_path, CONFIG).as_dict() == inspect(tmp_path, CONFIG).as_dict()
+
+
+@EVERY
+def test_frames_hold_no_images_and_can_be_sent_to_another_process(name, tmp_path):
+    import pickle
+
+    WRITERS[name](tmp_path, walk(4))
+    capture = frames_of(tmp_path)
+    packed = pickle.dumps(capture)
+    assert len(packed) < 2500 * len(capture)
+    np.testing.assert_array_equal(pickle.loads(packed).frames[0].depth(), capture.frames[0].depth())
+
+
+@EVERY
+def test_inspection_says_what_and_why(name, tmp_path):
+    views = walk()
+    WRITERS[name](tmp_path, views)
+    found = inspect(tmp_path, CONFIG)
+    assert found.layout == name
+    assert found.evidence
+    assert found.frames["used"] == len(views)
+    share = np.mean([(v.depth > 0).mean() for v in views])
+    assert found.depth["coverage"] == pytest.approx(share, abs=0.001)
+    json.dumps(found.as_dict())
+    text = found.render()
+    for assumption in found.assumptions:
+        assert assumption in text
+    if found.poses["given"]:
+        assert found.poses["path_m"] == pytest.approx(9 * np.hypot(0.08, 0.01), abs=1e-3)
+        assert found.poses["depth_agrees"] > 0.95
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_every_layout_keeps_its_contract(name, tmp_path):
+    layout = LAYOUTS[name]
+    assert layout.name == name
+    assert layout.looks_for
+    (tmp_path / "notes.md").write_text("nothing to see")
+    for path in (tmp_path, tmp_path / "notes.md"):
+        seen = layout.recognise(path)
+        assert isinstance(seen, Recognition)
+        assert not seen.complete
+
+
+@EVERY
+def test_a_layout_is_recognised_by_itself_alone(name, tmp_path):
+    WRITERS[name](tmp_path, walk(4))
+    layout, why = recognise(tmp_path, "auto", LAYOUTS)
+    assert layout.name == name
+    assert why.complete
+
+
+def test_unknown_layout_lists_what_each_one_looks_for(tmp_path):
+    (tmp_path / "holiday.mp4").write_bytes(b"x")
+    with pytest.raises(CaptureError) as caught:
+        read(tmp_path, CONFIG)
+    for name in LAYOUTS:
+        assert f"{name}: {LAYOUTS[name].looks_for}" in str(caught.value)
+    assert "holiday.mp4" in str(caught.value)
+
+
+def test_unknown_layout_name_suggests_the_closest(tmp_path):
+    write_plain(tmp_path, walk(2))
+    with pytest.raises(UnknownNameError, match="did you mean open3d"):
+        read(tmp_path, CaptureConfig(layout="open3"))
+
+
+def test_the_folder_above_a_capture_names_the_capture(tmp_path):
+    write_plain(tmp_path / "data", walk(2))
+    (tmp_path / "LICENSE").write_text("x")
+    with pytest.raises(CaptureError, match=r"did you mean .*data"):
+        read(tmp_path, CONFIG)
+
+
+def test_two_layouts_in_one_folder_are_ambiguous(tmp_path):
+    write_tum(tmp_path, walk(4))
+    write_sevenscenes(tmp_path, walk(4))
+    with pytest.raises(CaptureError, match="several layouts") as caught:
+        read(tmp_path, CONFIG)
+    assert "--capture.layout tum" in str(caught.value)
+    assert frames_of(tmp_path, CaptureConfig(layout="sevenscenes")).layout == "sevenscenes"
+
+
+def test_open3d_reads_what_realsense_scripts_leave(tmp_path):
+    write_folders(tmp_path, walk(4), "color")
+    (tmp_path / "cam_params_realsense.json").write_text(json.dumps(column_major()))
+    write_folders(tmp_path / "extra", walk(1))
+    (tmp_path / "extra/color/000000.png").rename(tmp_path / "test_img_color.png")
+    capture = frames_of(tmp_path)
+    assert capture.layout == "open3d"
+    assert len(capture) == 4
+    assert not capture.has_poses
+    assert "column by column" in " ".join(capture.assumptions)
+
+
+def test_open3d_headers_with_gaps_name_their_frames(tmp_path):
+    views = walk(8)
+    write_open3d(tmp_path, views)
+    lines = (tmp_path / "trajectory.log").read_text().splitlines()
+    # Frames 2 and 5 were not tracked: their poses are missing, the headers of the others still say whose they are.
+    kept = [line for at in range(0, len(lines), 5) if at // 5 not in (2, 5) for line in lines[at : at + 5]]
+    (tmp_path / "trajectory.log").write_text("\n".join(kept))
+    capture = frames_of(tmp_path)
+    assert [f.name for f in capture.frames] == [f"{i:06d}" for i in (0, 1, 3, 4, 6, 7)]
+    np.testing.assert_allclose(capture.frames[2].T_world_camera, views[3].T_world_camera, atol=1e-9)
+    assert {d.name for d in capture.dropped} == {"000002", "000005"}
+
+
+def test_tum_uses_the_pose_at_the_colour_images_time(tmp_path):
+    views = walk(8)
+    write_tum(tmp_path, views, depth_delay=-0.015)
+    lines = (tmp_path / "groundtruth.txt").read_text().splitlines()
+    # Poses half a period away from the images: only interpolation can give those of the images.
+    shifted = [lines[0]]
+    for line in lines[1:]:
+        stamp, rest = line.split(" ", 1)
+        shifted.append(f"{float(stamp) + 0.05:.6f} {rest}")
+    (tmp_path / "groundtruth.txt").write_text("\n".join(shifted))
+    capture = frames_of(tmp_path, CaptureConfig(max_pose_gap=0.11))
+    assert len(capture) == 7, "the first image is before the first pose"
+    for k, frame in enumerate(capture.frames):
+        middle = (views[k].T_world_camera[:3, 3] + views[k + 1].T_world_camera[:3, 3]) / 2
+        np.testing.assert_allclose(frame.T_world_camera[:3, 3], middle, atol=1e-6)
+    assert "no pose" in capture.dropped[0].reason
+
+
+def test_sevenscenes_needs_intrinsics_and_offers_the_datasets_own(tmp_path):
+    write_sevenscenes(tmp_path, walk(3))
+    (tmp_path / "camera-intrinsics.txt").unlink()
+    with pytest.raises(CaptureError, match="no intrinsics"):
+        read(tmp_path, CONFIG)
+    with pytest.raises(CaptureError, match="585 585 320 240 640 480"):
+        read(tmp_path, CaptureConfig(layout="sevenscenes"))
+
+
+def test_sevenscenes_mends_rotations_and_says_so(tmp_path):
+    views = walk(5)
+    write_sevenscenes(tmp_path, views)
+    T = views[2].T_world_camera.copy()
+    T[:3, :3] *= 1.004
+    np.savetxt(tmp_path / "frame-000002.pose.txt", T)
+    capture = frames_of(tmp_path)
+    np.testing.assert_allclose(capture.frames[2].T_world_camera, views[2].T_world_camera, atol=1e-6)
+    assert any("1 of 5 rotations are slightly off SO(3)" in a for a in capture.assumptions)
+
+
+def test_scannet_keeps_two_cameras_and_drops_untracked_frames(tmp_path):
+    write_scannet(tmp_path, walk(6))
+    np.savetxt(tmp_path / "pose/3.txt", np.full((4, 4), -np.inf))
+    capture = frames_of(tmp_path)
+    assert [f.name for f in capture.frames] == ["0", "1", "2", "4", "5"]
+    assert "infinity" in capture.dropped[0].reason
+    of_color = capture.frames[0].color_intrinsics
+    assert of_color is not None
+    assert (of_color.width, of_color.fx) == (2 * CAMERA.width, 2 * CAMERA.fx)
+
+
+OPENGL = np.diag([1.0, -1, -1])
+BODY = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+
+
+@pytest.mark.parametrize(
+    ("stored", "viewpoint", "said"),
+    [
+        (np.eye(3), "0 0 0 0 1 0 0", "not applied"),
+        (OPENGL, "0 0 0 1 0 0 0", "OpenGL"),
+        (BODY, "0 0 0 1 0 0 0", "ROS body"),
+    ],
+)
+@pytest.mark.parametrize("data", ["ascii", "binary"])
+def test_pcd_axes_and_viewpoint_traps(stored, viewpoint, said, data, tmp_path):
+    views = walk(3)
+    for i, view in enumerate(views):
+        write_pcd(tmp_path / f"{i}.pcd", camera_points(view) @ stored.T, None, viewpoint, data)
+    capture = frames_of(tmp_path)
+    assert not capture.has_poses
+    assert not capture.has_color
+    assert said in " ".join(capture.assumptions)
+    for frame, view in zip(capture.frames, views, strict=True):
+        np.testing.assert_allclose(frame.depth(), view.depth, atol=1e-5)
+
+
+@pytest.mark.parametrize("in_world", [False, True])
+def test_pcd_viewpoints_that_differ_are_poses(in_world, tmp_path):
+    from realsim.geometry import R_to_quat, transform
+
+    views = walk(6)
+    for i, view in enumerate(views):
+        T = view.T_world_camera
+        text = " ".join(f"{v:.9f}" for v in (*T[:3, 3], *R_to_quat(T[:3, :3])))
+        points = camera_points(view)
+        write_pcd(tmp_path / f"{i}.pcd", transform(T, points) if in_world else points, view.color, text)
+    capture = frames_of(tmp_path)
+    assert capture.has_poses
+    assert any("VIEWPOINT differs" in a for a in capture.assumptions)
+    for frame, view in zip(capture.frames, views, strict=True):
+        np.testing.assert_allclose(frame.T_world_camera, view.T_world_camera, atol=1e-6)
+        np.testing.assert_allclose(frame.depth(), view.depth, atol=1e-4)
+
+
+def test_pcd_reads_open3d_compressed_clouds(tmp_path):
+    import open3d as o3d
+
+    view = walk(1)[0]
+    cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor(camera_points(view).reshape(-1, 3).astype(np.float32)))
+    o3d.t.io.write_point_cloud(str(tmp_path / "a.pcd"), cloud, compressed=True)
+    # Open3D writes one long row; the grid is what makes it a depth image.
+    data = (tmp_path / "a.pcd").read_bytes()
+    count = CAMERA.width * CAMERA.height
+    data = data.replace(b"WIDTH %d\nHEIGHT 1\n" % count, b"WIDTH %d\nHEIGHT %d\n" % (CAMERA.width, CAMERA.height))
+    (tmp_path / "a.pcd").write_bytes(data)
+    assert b"DATA binary_compressed" in data
+    np.testing.assert_allclose(frames_of(tmp_path).frames[0].depth(), view.depth, atol=1e-6)
+
+
+ROWS = "88., 0., 46.5, 0., 87., 37., 0., 0., 1."
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("intrinsics.txt", "88 87 46.5 37 96 72"),
+        ("intrinsics.txt", "# fx 0 cx\n88 0 46.5\n0 87 37\n0 0 1\n"),
+        ("intrinsics.json", json.dumps({"K": CAMERA.K.tolist()})),
+        ("intrinsics.json", json.dumps({"K": CAMERA.K.T.tolist(), "width": 96, "height": 72})),
+        ("intrinsics.json", json.dumps({"depth": {"fx": 88, "fy": 87, "ppx": 46.5, "ppy": 37}, "depth_scale": 0.001})),
+        (
+            "intrinsics.yaml",
+            f"image_width: 96\nimage_height: 72\ncamera_matrix:\n  data: [{ROWS}]\n",
+        ),
+        ("intrinsics.yml", f"%YAML:1.0\n---\nK: !!opencv-matrix\n  rows: 3\n  data: [{ROWS}]\n"),
+    ],
+)
+def test_plain_intrinsics_in_many_spellings(name, text, tmp_path):
+    write_plain(tmp_path, walk(2))
+    (tmp_path / "intrinsics.yaml").unlink()
+    (tmp_path / name).write_text(text)
+    c = frames_of(tmp_path).frames[0].intrinsics
+    assert (c.width, c.height, c.fx, c.fy, c.cx, c.cy) == (96, 72, 88, 87, 46.5, 37)
+
+
+def test_plain_without_colour_is_a_capture_without_colour(tmp_path):
+    write_plain(tmp_path, walk(3))
+    for path in (tmp_path / "rgb").iterdir():
+        path.unlink()
+    capture = frames_of(tmp_path)
+    assert not capture.has_color
+    assert "there is no colour" in capture.assumptions
+
+
+def test_plain_pairs_files_by_number_where_names_differ(tmp_path):
+    write_plain(tmp_path, walk(3))
+    for path in (tmp_path / "rgb").iterdir():
+        path.rename(path.with_name(f"color_{path.name}"))
+    for path in (tmp_path / "depth").iterdir():
+        path.rename(path.with_name(f"depth_{path.name}"))
+    capture = frames_of(tmp_path)
+    assert len(capture) == 3
+    assert any("same number" in a for a in capture.assumptions)
+
+
+def test_depth_smaller_than_colour_is_the_same_view_on_another_grid(tmp_path):
+    write_plain(tmp_path, walk(3))
+    for path in (tmp_path / "rgb").iterdir():
+        image = cv2.imread(str(path))
+        cv2.imwrite(str(path), cv2.resize(image, (192, 144)))
+    frame = frames_of(tmp_path).frames[0]
+    assert frame.color_intrinsics == frame.intrinsics.resized(192, 144)
+
+
+def test_poses_can_be_ignored(tmp_path):
+    write_open3d(tmp_path, walk(4))
+    (tmp_path / "trajectory.log").write_text("rubbish")
+    capture = frames_of(tmp_path, CaptureConfig(ignore_poses=True))
+    assert len(capture) == 4
+    assert not capture.has_poses
+
+
+def test_numpy_depth_in_metres(tmp_path):
+    views = walk(3)
+    write_plain(tmp_path, views)
+    for i, view in enumerate(views):
+        (tmp_path / f"depth/{i:06d}.png").unlink()
+        depth = view.depth.copy()
+        depth[0, 0] = np.nan
+        np.save(tmp_path / f"depth/{i:06d}.npy", depth)
+    frame = frames_of(tmp_path).frames[1]
+    np.testing.assert_allclose(frame.depth(), views[1].depth, atol=1e-6)
