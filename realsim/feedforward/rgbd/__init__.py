@@ -68,11 +68,11 @@ def _given(frames: FrameSet, posed: list[int], config: PointsConfig) -> Solution
     dropped = [Dropped(f.name, "has no pose") for f in frames.frames if f.T_world_camera is None]
     dropped += [Dropped(chosen[k].name, why) for k, why in sorted(reasons.items())]
     keep = [k for k in range(len(chosen)) if k not in reasons]
-    chosen, T = [chosen[k] for k in keep], T[keep]
+    chosen, views, T = [chosen[k] for k in keep], [views[k] for k in keep], T[keep]
     found: dict[str, Any] = {"T_world_camera": T, "statistics": {"poses": "given"}}
     if config.refine:
         gain = config.correct_depth_bias and frames.poses_metric
-        found = _refined(chosen, T, estimate_gain=gain, trust="metric", seed=config.seed)
+        found = _refined(chosen, T, estimate_gain=gain, trust="metric", seed=config.seed, views=views)
         found["statistics"]["poses"] = "given, refined"
     return Solution(used=tuple(posed[k] for k in keep), world_is_capture=True, dropped=tuple(dropped), **found)
 

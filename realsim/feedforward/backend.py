@@ -1,0 +1,19 @@
+"""What a backend is: two functions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from realsim.feedforward.config import PointsConfig
+from realsim.types import FrameSet, Pointmaps, Solution
+
+
+@dataclass(frozen=True)
+class Backend:
+    """How poses and points are found, and how the points of a view are made again from what was found."""
+
+    solve: Callable[[FrameSet, PointsConfig], Solution]
+    """Everything slow. Its result is plain arrays and may be kept on disk."""
+    pointmaps: Callable[[FrameSet, Solution, PointsConfig], Pointmaps]
+    """Cheap: views are made when they are asked for."""

@@ -1,0 +1,163 @@
+"""From relative motions of pairs to poses of all: connected parts, a spanning tree, a robust pose graph.
+
+Parameters of a pose are a twist (v, w) on its camera side: T exp(d). All costs are linear in the number of edges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.geometry import invert_T
+from realsim.types import F64
+
+ITERATIONS = 50
+CAUCHY = 3.0
+"""Residual, in standard deviations, at which an edge has lost half its weight."""
+
+
+@dataclass(frozen=True)
+class Edge:
+    """A measured motion: points of camera j into camera i."""
+
+    i: int
+    j: int
+    T_i_j: F64
+    """(4, 4)."""
+    weight: float
+    """How much it is worth, usually the number of matches that agree."""
+    root: F64
+    """(6, 6) whitening of the error (v, w) in metres and radians: a square root of its information."""
+
+
+def whitening(sigma_m: float, sigma_rad: float) -> F64:
+    """(6, 6) root for independent errors of translation and rotation."""
+    return np.diag([1 / sigma_m] * 3 + [1 / sigma_rad] * 3)
+
+
+def components(count: int, edges: Sequence[Edge]) -> list[NDArray[np.int64]]:
+    """Connected sets of nodes, the largest first; of two equally large ones the one with the lower index."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    i, j = [e.i for e in edges], [e.j for e in edges]
+    label = connected_components(coo_matrix((np.ones(len(i)), (i, j)), (count, count)), directed=False)[1]
+    parts = [np.flatnonzero(label == k) for k in range(label.max() + 1)]
+    return sorted(parts, key=lambda p: (-len(p), p[0]))
+
+
+def spanning_poses(count: int, edges: Sequence[Edge], root: int = 0) -> F64:
+    """(N, 4, 4) poses along the maximum spanning tree of weights, `root` at the identity; NaN where unreachable."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
+
+    T = np.full((count, 4, 4), np.nan)
+    T[root] = np.eye(4)
+    if not edges:
+        return T
+    i, j = np.array([(e.i, e.j) for e in edges]).T
+    w = np.array([e.weight for e in edges])
+    # One entry a pair, the heaviest; the cost 1/w keeps the tree's minimum where the weights are largest.
+    best = {(min(e.i, e.j), max(e.i, e.j)): e for e in sorted(edges, key=lambda e: e.weight)}
+    i, j = np.array(list(best)).T
+    w = np.array([e.weight for e in best.values()])
+    tree = minimum_spanning_tree(coo_matrix((1 / w, (i, j)), (count, count)))
+    order, parent = breadth_first_order(tree, root, directed=False)
+    for node in order[1:]:
+        up = int(parent[node])
+        e = best[min(node, up), max(node, up)]
+        T[node] = T[up] @ (e.T_i_j if e.i == up else invert_T(e.T_i_j))
+    return T
+
+
+def optimise(T_world_camera: F64, edges: Sequence[Edge], anchor: int = 0) -> tuple[F64, F64]:
+    """Robust pose graph: ((N, 4, 4) poses, (E,) edge residuals in standard deviations). `anchor` stays where it is.
+
+    Gauss-Newton with Cauchy weights on the residual log(T_i_j^-1 T_i^-1 T_j), rotation and translation apart, its
+    Jacobian to first order (exact where edges agree).
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.linalg import spsolve
+
+    T = np.array(T_world_camera, float)
+    n = len(T)
+    i, j = np.array([e.i for e in edges], int), np.array([e.j for e in edges], int)
+    if n < 2 or not len(i):
+        return T, np.zeros(len(i))
+    Z_inv = invert_T(np.stack([e.T_i_j for e in edges]))
+    root = np.stack([e.root for e in edges])
+    free = np.flatnonzero(np.arange(6 * n) // 6 != anchor)
+    chi = np.zeros(len(i))
+    for _ in range(ITERATIONS):
+        E = Z_inv @ invert_T(T[i]) @ T[j]
+        r = (root @ log_se3(E)[..., None])[..., 0]
+        chi = np.linalg.norm(r, axis=1)
+        w = 1 / (1 + (chi / CAUCHY) ** 2)
+        # d log(E) is +d_j, and -Ad(T_j^-1 T_i) d_i.
+        Ji, Jj = -root @ adjoint(invert_T(T[j]) @ T[i]), root
+        g = np.zeros((n, 6))
+        rows, cols, vals = [], [], []
+        for a, Ja in ((i, Ji), (j, Jj)):
+            JaT = np.swapaxes(Ja, 1, 2) * w[:, None, None]
+            np.add.at(g, a, (JaT @ r[..., None])[..., 0])
+            for b, Jb in ((i, Ji), (j, Jj)):
+                rows.append((6 * a[:, None, None] + np.arange(6)[:, None] + np.zeros(6, int)).ravel())
+                cols.append((6 * b[:, None, None] + np.arange(6) + np.zeros((6, 1), int)).ravel())
+                vals.append((JaT @ Jb).ravel())
+        H = coo_matrix((np.concatenate(vals), (np.concatenate(rows), np.concatenate(cols))), (6 * n, 6 * n)).tocsc()[
+            free
+        ][:, free]
+        step = np.zeros(6 * n)
+        step[free] = -spsolve(H + _ridge(H), g.ravel()[free])
+        T = T @ exp_se3(step.reshape(n, 6))
+        if np.abs(step).max() < 1e-8:
+            break
+    return T, chi
+
+
+def _ridge(H: Any) -> Any:
+    """A damping far below every real constraint, so that a weightless corner of the graph cannot make H singular."""
+    from scipy.sparse import identity
+
+    return 1e-9 * float(H.diagonal().mean()) * identity(H.shape[0], format="csc")
+
+
+# ---------------------------------------------------------------- SE(3), stacked
+
+
+def hat(w: F64) -> F64:
+    """(..., 3) to the cross-product matrices (..., 3, 3)."""
+    K = np.zeros((*w.shape, 3))
+    K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -w[..., 2], w[..., 1], -w[..., 0]
+    K[..., 1, 0], K[..., 2, 0], K[..., 2, 1] = w[..., 2], -w[..., 1], w[..., 0]
+    return K
+
+
+def exp_se3(d: F64) -> F64:
+    """(N, 6) steps (v, w) to (N, 4, 4): translation v, rotation exp(w). A retraction, not the group's exponential."""
+    from scipy.spatial.transform import Rotation
+
+    T = np.tile(np.eye(4), (len(d), 1, 1))
+    T[:, :3, :3] = Rotation.from_rotvec(d[:, 3:]).as_matrix()
+    T[:, :3, 3] = d[:, :3]
+    return T
+
+
+def log_se3(T: F64) -> F64:
+    """(N, 4, 4) to (N, 6), the inverse of `exp_se3`."""
+    from scipy.spatial.transform import Rotation
+
+    return np.concatenate([T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_rotvec()], 1)
+
+
+def adjoint(T: F64) -> F64:
+    """(N, 4, 4) to (N, 6, 6): T exp(d) = exp(Ad(T) d) T to first order, d = (v, w)."""
+    A = np.zeros((len(T), 6, 6))
+    R = T[:, :3, :3]
+    A[:, :3, :3] = A[:, 3:, 3:] = R
+    A[:, :3, 3:] = hat(T[:, :3, 3]) @ R
+    return A
