@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
-
-import tyro
 
 
 @dataclass(frozen=True)
 class MeshConfig:
-    method: Annotated[str, tyro.conf.arg(name="mesh-method")] = "poisson"
+    method: str = "poisson"
     """Surface reconstruction: `poisson` (screened) or `tsdf`."""
     resolution: float | None = None
     """Metres a cell; chosen from the data's noise if not given."""
@@ -18,4 +15,24 @@ class MeshConfig:
     """Decimate to at most this many."""
     max_error: float = 0.002
     """Metres that decimation may move the surface."""
-    seed: Annotated[int, tyro.conf.Suppress] = 0
+    min_views: int = 1
+    """Views that must have measured a point of the surface."""
+    min_island: float = 0.01
+    """Square metres; smaller pieces that hang free are removed."""
+    close: bool = True
+    """Invent walls from unseen edges down to what is below, for collisions; they never enter the delivered surface."""
+    residual_views: int = 6
+    """Views whose residuals go into the report."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.resolution is not None and not 0.001 <= self.resolution <= 0.2:
+            raise ValueError("resolution must lie between 0.001 and 0.2 m")
+        if self.max_triangles < 100:
+            raise ValueError("max_triangles must be at least 100")
+        if not 0 < self.max_error <= 0.1:
+            raise ValueError("max_error must lie between 0 and 0.1 m")
+        if self.min_views < 1:
+            raise ValueError("min_views must be at least 1")
+        if self.min_island < 0 or self.residual_views < 0:
+            raise ValueError("min_island and residual_views must not be negative")

@@ -1,0 +1,86 @@
+"""Is a mesh sound? Counts of what is wrong, none of them estimated."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from realsim.meshing.surface import Surface, components, edges_of
+from realsim.types import Bool, MeshQuality
+
+
+def degenerate(surface: Surface, min_height: float = 1e-7) -> Bool:
+    """(K,) triangles with a repeated corner or lower than `min_height` metres over their longest side."""
+    t = surface.triangles
+    repeated = (t[:, 0] == t[:, 1]) | (t[:, 1] == t[:, 2]) | (t[:, 2] == t[:, 0])
+    corners = surface.vertices[t]
+    longest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(1)
+    return repeated | (2 * surface.areas() < min_height * np.maximum(longest, 1e-12))
+
+
+def corner_fans(triangles: np.ndarray) -> np.ndarray:
+    """(3K,) the fan that each triangle corner belongs to: corners of one vertex whose triangles share an edge at it.
+
+    A vertex with more than one fan is one where sheets merely touch.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    t = triangles.astype(np.int64)
+    after = np.roll(np.arange(t.size).reshape(-1, 3), -1, axis=1).ravel()
+    _, _, of_half = edges_of(triangles)
+    # Edges of three and more triangles link all of them, pair by pair in the order of the half-edges.
+    order = np.argsort(of_half, kind="stable")
+    pair = np.flatnonzero(of_half[order][1:] == of_half[order][:-1])
+    h, g = order[pair], order[pair + 1]
+    ends_h, ends_g = np.stack([h, after[h]], -1), np.stack([g, after[g]], -1)
+    same = t.ravel()[ends_h[:, 0]] == t.ravel()[ends_g[:, 0]]
+    ends_g = np.where(same[:, None], ends_g, ends_g[:, ::-1])
+    links = coo_matrix((np.ones(ends_h.size, np.int8), (ends_h.ravel(), ends_g.ravel())), shape=(t.size, t.size))
+    return connected_components(links, directed=False)[1].astype(np.int64)
+
+
+def non_manifold(surface: Surface) -> tuple[int, int]:
+    """Edges shared by more than two triangles or passed twice in one direction; vertices where fans merely touch."""
+    t = surface.triangles.astype(np.int64)
+    if len(t) == 0:
+        return 0, 0
+    _, count, of_half = edges_of(surface.triangles)
+    half = np.stack([t, np.roll(t, -1, axis=1)], -1).reshape(-1, 2)
+    forward = np.bincount(of_half[half[:, 0] < half[:, 1]], minlength=len(count))
+    bad_edges = int(((count > 2) | (np.maximum(forward, count - forward) > 1)).sum())
+    fans = np.unique(np.stack([t.ravel(), corner_fans(surface.triangles)], -1), axis=0)[:, 0]
+    return bad_edges, int((np.unique(fans, return_counts=True)[1] > 1).sum())
+
+
+def self_intersections(surface: Surface) -> int:
+    """Triangles that cut another one (exact test of all pairs that share no corner, over a bounding volume tree)."""
+    import pymeshlab
+
+    if len(surface.triangles) == 0:
+        return 0
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(surface.vertices, surface.triangles))
+    meshes.compute_selection_by_self_intersections_per_face()
+    return int(meshes.current_mesh().selected_face_number())
+
+
+def check(surface: Surface) -> MeshQuality:
+    """All checks of a surface."""
+    _, count, _ = edges_of(surface.triangles)
+    bad_edges, bad_vertices = non_manifold(surface)
+    manifold = bad_edges == 0 and bad_vertices == 0
+    watertight = len(count) > 0 and bool((count == 2).all()) and bad_edges == 0
+    volume = None
+    if watertight:
+        a, b, c = (surface.vertices[surface.triangles[:, k]] for k in range(3))
+        volume = float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+    return MeshQuality(
+        vertices=len(surface.vertices),
+        triangles=len(surface.triangles),
+        watertight=watertight,
+        manifold=manifold,
+        self_intersections=self_intersections(surface),
+        degenerate=int(degenerate(surface).sum()),
+        components=components(surface.triangles)[0],
+        volume_m3=volume,
+    )

@@ -1,0 +1,104 @@
+"""Finished scans: meshes are cropped and cleaned, clouds are meshed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from realsim.errors import MeshError
+from realsim.geometry import transform
+from realsim.meshing.clean import weld
+from realsim.meshing.config import MeshConfig
+from realsim.meshing.fuse import Points, thin
+from realsim.meshing.poisson import reconstruct
+from realsim.meshing.surface import Surface, colored_from, edges_of
+from realsim.meshing.trim import supported
+from realsim.types import F64, AlignedScene, Scan
+
+
+def surface_of_scan(aligned: AlignedScene, config: MeshConfig) -> tuple[Surface, float, float | None, str]:
+    """Surface in the simulation frame, resolution (m), point noise (m) or None, and how it came about."""
+    scan = aligned.scan
+    assert scan is not None
+    points = transform(aligned.T_sim_world, scan.points)
+    if scan.triangles is not None:
+        surface = weld(Surface(points, scan.triangles, scan.colors), 1e-5)
+        surface = oriented(crop(surface, aligned.bounds))
+        return surface, _edge_length(surface), None, "scan mesh"
+    inside = ((points > aligned.bounds[0]) & (points < aligned.bounds[1])).all(1)
+    if inside.sum() < 100:
+        raise MeshError("the cloud has too few points inside the bounds", file=scan.source, found=str(inside.sum()))
+    normals = None if scan.normals is None else scan.normals[inside] @ aligned.T_sim_world[:3, :3].T
+    colors = None if scan.colors is None else scan.colors[inside]
+    return _surface_of_cloud(points[inside], normals, colors, _sensor(aligned, scan), config)
+
+
+def crop(surface: Surface, bounds: F64) -> Surface:
+    """Only triangles with their centre inside the bounds (2, 3)."""
+    if len(surface.triangles) == 0:
+        return surface
+    centre = surface.centres()
+    return surface.where(((centre > bounds[0]) & (centre < bounds[1])).all(1))
+
+
+def oriented(surface: Surface) -> Surface:
+    """Neighbours wound alike, and the whole such that most of its level area faces up (what a scanner sees)."""
+    import pymeshlab
+
+    if len(surface.triangles) == 0:
+        return surface
+    _, count, _ = edges_of(surface.triangles)
+    if count.max() <= 2:
+        meshes = pymeshlab.MeshSet()
+        meshes.add_mesh(pymeshlab.Mesh(surface.vertices, surface.triangles))
+        meshes.meshing_re_orient_faces_coherently()
+        surface = Surface(surface.vertices, meshes.current_mesh().face_matrix().astype(np.int32), surface.colors)
+    from realsim.meshing.surface import components
+
+    n, piece = components(surface.triangles)
+    # A closed piece has as much area up as down: there the upper half decides.
+    centre = surface.centres()[:, 2]
+    mean = np.bincount(piece, centre, minlength=n) / np.bincount(piece, minlength=n)
+    upper = centre >= mean[piece] - 1e-9
+    up = np.bincount(piece, surface.crosses()[:, 2] * upper, minlength=n)
+    flip = (up < 0)[piece]
+    triangles = np.where(flip[:, None], surface.triangles[:, ::-1], surface.triangles)
+    return Surface(surface.vertices, triangles, surface.colors)
+
+
+def _surface_of_cloud(
+    points: F64, normals: F64 | None, colors: np.ndarray | None, sensor: F64, config: MeshConfig
+) -> tuple[Surface, float, float | None, str]:
+    import open3d as o3d
+    from scipy.spatial import cKDTree
+
+    pick = np.linspace(0, len(points) - 1, min(len(points), 5000)).astype(int)
+    tree = cKDTree(points)
+    spacing = float(np.median(tree.query(points[pick], k=7, workers=2)[0][:, 6]))
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    if normals is None:
+        cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(3 * spacing, 40))
+        cloud.orient_normals_towards_camera_location(sensor)
+        normals = np.asarray(cloud.normals).copy()
+    _, near = tree.query(points[pick], k=12, workers=2)
+    local = points[near] - points[near].mean(1, keepdims=True)
+    noise = float(np.median(np.sqrt(np.linalg.eigvalsh(np.swapaxes(local, 1, 2) @ local / 12)[:, 0])))
+    resolution = config.resolution or float(np.clip(max(1.5 * spacing, 2 * noise), 0.004, 0.1))
+    fused = thin(Points(points, normals, np.ones(len(points)), np.ones(len(points)), colors), 0.75 * resolution)
+    surface = reconstruct(fused, resolution)
+    surface = surface.where(supported(surface, fused, max(resolution, spacing)))
+    return colored_from(surface, points, colors), resolution, noise, "poisson"
+
+
+def _sensor(aligned: AlignedScene, scan: Scan) -> F64:
+    """Where normals point to: the scanner if it is known, else far above (a terrain is seen from above)."""
+    if scan.sensor_position is not None:
+        return transform(aligned.T_sim_world, scan.sensor_position)
+    return np.array([*aligned.bounds.mean(0)[:2], aligned.bounds[1, 2] + 100.0])
+
+
+def _edge_length(surface: Surface) -> float:
+    if len(surface.triangles) == 0:
+        return 0.01
+    edges, _, _ = edges_of(surface.triangles)
+    length = np.linalg.norm(surface.vertices[edges[:, 0]] - surface.vertices[edges[:, 1]], axis=1)
+    return float(np.clip(np.median(length), 0.005, 0.1))

@@ -1,0 +1,128 @@
+"""Closed volume from an open surface: what is under a seen face is solid, unless a camera looked through it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.errors import MeshError
+from realsim.meshing.clean import tidy
+from realsim.meshing.evidence import Evidence
+from realsim.meshing.surface import Surface
+from realsim.meshing.visibility import seen_through, votes
+from realsim.types import F64, AlignedScene, Bool, TerrainMesh
+
+SKIRT = 0.10
+"""Metres of ground below the lowest surface."""
+
+
+def solid(mesh: TerrainMesh, aligned: AlignedScene, cell: float | None = None) -> Surface:
+    """A closed manifold around the terrain: seen and invented surface, sides at the bounds, a bottom below the ground.
+
+    Args:
+        cell: metres of the grid that it is drawn on; the mesh's resolution if None.
+
+    Raises:
+        MeshError: no closed manifold came of it.
+    """
+    import manifold3d
+
+    surface = Surface(mesh.vertices, mesh.triangles)
+    cell = cell or mesh.resolution
+    grid = Columns(surface, aligned.bounds, aligned.ground_z, cell)
+    closed = grid.surface(grid.occupied(surface), surface)
+    body = manifold3d.Manifold(
+        manifold3d.Mesh64(vert_properties=closed.vertices, tri_verts=closed.triangles.astype(np.uint64))
+    )
+    if body.status() != manifold3d.Error.NoError or body.is_empty():
+        raise MeshError("the surface cannot be closed", found=str(body.status()), hint="try a coarser cell")
+    return closed
+
+
+def invent(seen: Surface, aligned: AlignedScene, evidence: Evidence | None, cell: float) -> Surface:
+    """The surface that physics needs and nobody saw: far sides, undersides of what has a gap below, hidden ground.
+
+    Space under a seen face counts as solid down to the next surface or the ground, except where at least two cameras
+    looked through it. Space with nothing seen above counts as empty.
+
+    Args:
+        cell: metres of the grid; this surface is only as fine as that.
+    """
+    grid = Columns(seen, aligned.bounds, aligned.ground_z, cell)
+    occupied = grid.occupied(seen)
+    if evidence is not None and evidence.maps:
+        inner = np.argwhere(occupied & (grid.axes[2] > aligned.ground_z + cell)[None, None, :])
+        points = np.stack([grid.axes[k][inner[:, k]] for k in range(3)], -1)
+        empty = seen_through(*votes(points, list(evidence.maps), evidence.sigma, cell))
+        occupied[tuple(inner[empty].T)] = False
+    closed = grid.surface(occupied, seen)
+    centre = closed.centres()
+    inside = ((centre[:, :2] > aligned.bounds[0, :2] + cell) & (centre[:, :2] < aligned.bounds[1, :2] - cell)).all(1)
+    inside &= centre[:, 2] > aligned.ground_z - 0.5 * SKIRT
+    # A triangle that runs along the seen surface repeats it; only what leaves it is new.
+    return closed.where(inside & (seen.distance(centre) > 1.0 * cell))
+
+
+class Columns:
+    """A regular grid over the bounds, one vertical ray a column."""
+
+    def __init__(self, surface: Surface, bounds: F64, ground_z: float, cell: float) -> None:
+        self.cell, self.ground_z = cell, ground_z
+        low = min(ground_z, float(surface.vertices[:, 2].min())) - SKIRT
+        high = float(max(surface.vertices[:, 2].max(), ground_z)) + 2 * cell
+        lower, upper = np.array([*bounds[0, :2], low]), np.array([*bounds[1, :2], high])
+        count = np.ceil((upper - lower) / cell).astype(int) + 1
+        if np.prod(count.astype(float)) > 2e8:
+            raise MeshError("the grid is too fine for the scene", found=f"{cell} m", hint="use a coarser cell")
+        self.axes = tuple(lower[k] + cell * np.arange(count[k]) for k in range(3))
+
+    def occupied(self, surface: Surface) -> Bool:
+        """(nx, ny, nz) nodes whose nearest surface above faces up, or that lie below the ground."""
+        import open3d as o3d
+
+        x, y, z = self.axes
+        scene, origin = surface.raycaster()
+        X, Y = np.meshgrid(x, y, indexing="ij")
+        top = z[-1] + 1.0
+        rays = np.zeros((X.size, 6))
+        rays[:, 0], rays[:, 1], rays[:, 2], rays[:, 5] = X.ravel(), Y.ravel(), top, -1.0
+        rays[:, :3] -= origin
+        hits = scene.list_intersections(o3d.core.Tensor.from_numpy(rays.astype(np.float32)))
+        ray = hits["ray_ids"].numpy().astype(np.int64)
+        height = top - hits["t_hit"].numpy().astype(float)
+        up = surface.crosses()[hits["primitive_ids"].numpy().astype(np.int64), 2] > 0
+
+        # A hit changes what is below it; the lowest hit above a node decides. Later (lower) writes win.
+        state = np.full((X.size, len(z)), -1, np.int8)
+        level = np.clip(np.ceil((height - z[0]) / self.cell).astype(np.int64) - 1, -1, len(z) - 1)
+        valid = level >= 0
+        order = np.lexsort((-height[valid], ray[valid]))
+        state[ray[valid][order], level[valid][order]] = up[valid][order]
+        for k in range(len(z) - 2, -1, -1):
+            state[:, k] = np.where(state[:, k] < 0, state[:, k + 1], state[:, k])
+        # Without any surface above, the ground is where it is everywhere else.
+        filled = (state == 1) | ((state < 0) & (z < self.ground_z)[None, :])
+        # A surface below the ground plane is sensor noise or a hollow; nothing is empty beneath it.
+        filled[:, z < self.ground_z - 0.5 * SKIRT] = True
+        return filled.reshape(len(x), len(y), len(z))
+
+    def surface(self, occupied: Bool, near: Surface) -> Surface:
+        """The closed border of the occupied nodes; where `near` runs within two cells, exactly along it."""
+        from scipy import ndimage
+        from skimage.measure import marching_cubes
+
+        field: NDArray[np.float32] = np.where(occupied, -1.0, 1.0).astype(np.float32)
+        # Unseen walls: soften the steps of the grid. Seen ones: replace by the true distance.
+        field = ndimage.gaussian_filter(field, 0.7)
+        field = np.where(np.sign(field) == np.where(occupied, -1, 1), field, np.where(occupied, -0.05, 0.05))
+        band = ndimage.binary_dilation(occupied, iterations=2) & ~ndimage.binary_erosion(occupied, iterations=2)
+        index = np.argwhere(band)
+        points = np.stack([self.axes[k][index[:, k]] for k in range(3)], -1)
+        distance = near.distance(points) / self.cell
+        close = distance < 1.0
+        sign = np.where(occupied[tuple(index.T)], -1.0, 1.0)
+        field[tuple(index[close].T)] = (sign * np.maximum(distance, 1e-3))[close]
+        padded = np.pad(field, 1, constant_values=1.0)
+        vertices, triangles, _, _ = marching_cubes(padded, 0.0, gradient_direction="ascent")
+        lower = np.array([axis[0] for axis in self.axes])
+        return tidy(Surface((vertices - 1.0) * self.cell + lower, triangles.astype(np.int32)))

@@ -1,0 +1,127 @@
+"""Plain triangle surfaces and the small operations that every step shares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.types import F64, U8, Bool
+
+I32 = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Vertices (V, 3) metres, triangles (K, 3) counter-clockwise from outside, colours (V, 3) RGB or None."""
+
+    vertices: F64
+    triangles: I32
+    colors: U8 | None = None
+
+    def where(self, keep: Bool) -> Surface:
+        """Those triangles only (K,), without the vertices that nothing uses."""
+        triangles = self.triangles[keep]
+        used = np.zeros(len(self.vertices), bool)
+        used[triangles] = True
+        number = np.cumsum(used) - 1
+        colors = None if self.colors is None else self.colors[used]
+        return Surface(self.vertices[used], number[triangles].astype(np.int32).reshape(-1, 3), colors)
+
+    def centres(self) -> F64:
+        """(K, 3) centroids of the triangles."""
+        return self.vertices[self.triangles].mean(1)
+
+    def crosses(self) -> F64:
+        """(K, 3) normals of twice the triangles' area."""
+        a, b, c = (self.vertices[self.triangles[:, k]] for k in range(3))
+        return np.cross(b - a, c - a)
+
+    def areas(self) -> F64:
+        """(K,) m^2."""
+        return 0.5 * np.linalg.norm(self.crosses(), axis=1)
+
+    def raycaster(self) -> tuple[Any, F64]:
+        """An Open3D ray-casting scene and the origin that queries must be moved by (it calculates in float32)."""
+        import open3d as o3d
+
+        origin = self.vertices.mean(0) if len(self.vertices) else np.zeros(3)
+        scene = o3d.t.geometry.RaycastingScene()
+        scene.add_triangles(
+            o3d.core.Tensor.from_numpy((self.vertices - origin).astype(np.float32)),
+            o3d.core.Tensor.from_numpy(self.triangles.astype(np.uint32)),
+        )
+        return scene, origin
+
+    def distance(self, points: F64) -> F64:
+        """(M,) metres from points (M, 3) to the surface."""
+        import open3d as o3d
+
+        scene, origin = self.raycaster()
+        return scene.compute_distance(o3d.core.Tensor.from_numpy((points - origin).astype(np.float32))).numpy().astype(float)
+
+    def sample(self, n: int, seed: int) -> F64:
+        """(n, 3) points spread evenly over the area."""
+        rng = np.random.default_rng(seed)
+        area = self.areas()
+        face = rng.choice(len(area), n, p=area / area.sum())
+        u, v = rng.random(n), rng.random(n)
+        flip = u + v > 1
+        u[flip], v[flip] = 1 - u[flip], 1 - v[flip]
+        a, b, c = (self.vertices[self.triangles[face, k]] for k in range(3))
+        return a + u[:, None] * (b - a) + v[:, None] * (c - a)
+
+
+def edges_of(triangles: I32) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Undirected edges (E, 2), how many triangles share each (E,), and the edge of each half-edge (3K,).
+
+    Half-edge h belongs to triangle h // 3 and leads from its corner h % 3 to the next.
+    """
+    t = triangles.astype(np.int64)
+    half = np.stack([t, np.roll(t, -1, axis=1)], -1).reshape(-1, 2)
+    low, high = half.min(1), half.max(1)
+    scale = int(t.max()) + 1 if len(t) else 1
+    key, inverse, count = np.unique(low * scale + high, return_inverse=True, return_counts=True)
+    return np.stack([key // scale, key % scale], -1), count, inverse.ravel()
+
+
+def components(triangles: I32) -> tuple[int, NDArray[np.int64]]:
+    """Number of pieces connected through shared edges, and the piece of each triangle (K,)."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    k = len(triangles)
+    if k == 0:
+        return 0, np.zeros(0, np.int64)
+    edges, _, of_half = edges_of(triangles)
+    face = np.arange(3 * k) // 3
+    graph = coo_matrix((np.ones(3 * k, np.int8), (face, k + of_half)), shape=(k + len(edges), k + len(edges)))
+    _, label = connected_components(graph, directed=False)
+    _, label = np.unique(label[:k], return_inverse=True)
+    return int(label.max()) + 1, label.ravel().astype(np.int64)
+
+
+def drop_islands(surface: Surface, min_area: float) -> tuple[Surface, int]:
+    """Without the pieces smaller than `min_area` (m^2), and how many there were. The largest piece always stays."""
+    n, label = components(surface.triangles)
+    if n <= 1:
+        return surface, 0
+    area = np.bincount(label, surface.areas(), minlength=n)
+    keep = area >= min(min_area, area.max())
+    return surface.where(keep[label]), int((~keep).sum())
+
+
+def colored_from(surface: Surface, points: F64, colors: U8 | None) -> Surface:
+    """The surface with colours averaged from the nearest points (M, 3) with RGB (M, 3)."""
+    from scipy.spatial import cKDTree
+
+    if colors is None or len(points) == 0:
+        return Surface(surface.vertices, surface.triangles)
+    k = min(4, len(points))
+    distance, near = cKDTree(points).query(surface.vertices, k=k, workers=2)
+    distance, near = distance.reshape(-1, k), near.reshape(-1, k)
+    w = 1 / (distance + 1e-4)
+    mean = (w[..., None] * colors[near]).sum(1) / w.sum(1, keepdims=True)
+    return Surface(surface.vertices, surface.triangles, np.clip(np.rint(mean), 0, 255).astype(np.uint8))
