@@ -1,0 +1,207 @@
+"""report.html of a reconstruction, from top to bottom."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from realsim.report import page, raster, svg, viewer3d
+from realsim.report.layers import scene_layers
+from realsim.report.summary import quality_dict, versions
+from realsim.report.topdown import map_from_above
+from realsim.report.verdict import Judgement, dropped_frames, millimetres, percent, scale_of
+from realsim.types import Reconstruction
+
+_THUMBNAILS = 24
+_RESIDUAL_RANGE = 0.02  # metres
+
+
+def reconstruction_page(folder: Path, result: Reconstruction, judgement: Judgement) -> str:
+    """The whole page; `folder` holds the exported scene."""
+    metric = result.aligned.metric
+    backend = metric.backend if metric is not None else "scan"
+    views = f"{len(metric)} views" if metric is not None else "a scan"
+    body = [
+        page.verdict(judgement.level, judgement.headline, judgement.reasons),
+        page.facts(_facts(result)),
+        page.grid(
+            page.card(
+                "The scene",
+                viewer3d.viewer(scene_layers(folder, result), label="the reconstructed scene in 3D"),
+                "Drag to turn, two fingers or the right button to move, pinch or wheel to zoom.",
+                wide=True,
+            ),
+            page.card(
+                "From above",
+                map_from_above(result.aligned, result.mesh),
+                "Height of the surface; outlined are the level tops that were found; dots are the cameras.",
+                wide=True,
+            ),
+            *_scale_card(result),
+            _checks_card(judgement),
+            *_residual_card(result),
+            *_thumbnail_card(result),
+            _notes_card(result),
+            _platform_card(result),
+            _dropped_card(result),
+            _mesh_card(result),
+            _time_card(result),
+            _use_card(),
+            _versions_card(result),
+        ),
+    ]
+    title = f"Reconstruction of {result.source.source.name}"
+    subtitle = f"{views}, layout {result.source.layout}, backend {backend}, surface by {result.mesh.method}"
+    return page.document(title, subtitle, "".join(body), scripts=[viewer3d.script()])
+
+
+def _facts(result: Reconstruction) -> list[tuple[str, str, str]]:
+    aligned, mesh = result.aligned, result.mesh
+    out = []
+    scale = scale_of(result)
+    if scale is not None:
+        half = (scale.ci90[1] - scale.ci90[0]) / 2
+        out.append(("Scale", f"{scale.value:.4f} ± {half:.4f}", f"90 % interval, {scale.method}"))
+    assert aligned.gravity is not None
+    out.append(("Level", f"± {aligned.gravity.tilt_sigma_deg:.2f}°", "one sigma of the tilt"))
+    if aligned.metric is not None:
+        dropped = len(dropped_frames(result))
+        out.append(("Frames", f"{len(aligned.metric)} used", f"{dropped} dropped"))
+        gain = aligned.metric.depth_gain
+        if gain != 1:
+            out.append(("Depth sensor", f"{100 * (1 / gain - 1):+.2f} %", "its scale error, found and corrected"))
+    start, goal = aligned.platform("start"), aligned.platform("goal")
+    if start is not None and goal is not None:
+        away = float(np.linalg.norm((goal.centroid - start.centroid)[:2]))
+        out.append(("Start to goal", f"{away:.3f} m", "between the tops' centroids"))
+    if mesh.residuals:
+        typical = float(np.median([r.median_abs_m for r in mesh.residuals]))
+        out.append(("Depth to mesh", millimetres(typical), "median distance"))
+    out.append(("Mesh", f"{mesh.quality.triangles:,}".replace(",", " "), "triangles"))
+    return out
+
+
+def _scale_card(result: Reconstruction) -> list[str]:
+    scale = scale_of(result)
+    if scale is None or len(scale.per_frame) < 2:
+        return []
+    y = np.asarray(scale.per_frame, float)
+    span = svg.padded(np.r_[y, scale.ci90, scale.value])
+    wide = max(span[1] - scale.value, scale.value - span[0], 0.01 * scale.value)
+    axes = svg.Axes(
+        (-0.5, len(y) - 0.5), (scale.value - wide, scale.value + wide), x_label="frame", y_label="metres a unit"
+    )
+    axes.span(*scale.ci90).rule(scale.value, text=f"{scale.value:.4f}")
+    assert result.aligned.metric is not None
+    names = [f"{f.name}: {v:.4f}" for f, v in zip(result.aligned.metric.frames, y, strict=True)]
+    axes.dots(np.column_stack([np.arange(len(y)), y]), titles=names)
+    note = (
+        f"One ratio a frame; the stripe is the 90 % interval. Spread between frames {percent(scale.per_frame_spread)}."
+    )
+    return [page.card("Scale, frame by frame", axes.svg("scale of every frame"), note)]
+
+
+def _checks_card(judgement: Judgement) -> str:
+    rows = [[page.badge(c.level), c.name, c.found, c.limits] for c in judgement.checks]
+    body = page.table(["", "check", "found", "rule"], rows, raw=[0])
+    return page.card("What the verdict rests on", body, "The worst of these is the verdict.")
+
+
+def _residual_card(result: Reconstruction) -> list[str]:
+    items = []
+    for r in result.mesh.residuals:
+        picture = raster.colorize(r.image, -_RESIDUAL_RANGE, _RESIDUAL_RANGE, raster.SIGNED)
+        step = max(1, round(picture.shape[1] / 200))
+        items.append((raster.png_uri(picture[::step, ::step]), f"{r.name}: {millimetres(r.median_abs_m)}", "median"))
+    if not items:
+        return []
+    body = page.thumbnails(items) + svg.color_bar(-1e3 * _RESIDUAL_RANGE, 1e3 * _RESIDUAL_RANGE, "mm", raster.SIGNED)
+    note = "Measured depth minus the mesh along each ray: red lies behind the mesh, blue in front, empty has no depth."
+    return [page.card("Where depth and mesh disagree", body, note, wide=True)]
+
+
+def _thumbnail_card(result: Reconstruction) -> list[str]:
+    metric = result.aligned.metric
+    if metric is None:
+        return []
+    pick = np.unique(np.linspace(0, len(metric) - 1, min(_THUMBNAILS, len(metric))).round().astype(int))
+    items = []
+    for i in pick:
+        color = metric.frames[i].color()
+        if color is not None:
+            x, y, z = result.aligned.T_sim_camera(int(i))[:3, 3]
+            items.append((raster.jpeg_uri(color, 200), metric.frames[i].name, f"camera at {x:.2f} {y:.2f} {z:.2f} m"))
+    return (
+        [page.card("What the camera saw", page.thumbnails(items), f"{len(items)} of {len(metric)} views.", wide=True)]
+        if items
+        else []
+    )
+
+
+def _notes_card(result: Reconstruction) -> str:
+    assumed = [*result.source.assumptions, *result.aligned.assumptions]
+    parts = ["<h4>Warnings</h4>", page.bullets(result.warnings), "<h4>Assumed</h4>", page.bullets(assumed)]
+    parts += ["<h4>Cut away</h4>", page.bullets(result.aligned.cropped)]
+    return page.card("Warnings and assumptions", "".join(parts))
+
+
+def _platform_card(result: Reconstruction) -> str:
+    def numbers(values: np.ndarray) -> str:
+        return " ".join(f"{v:.3f}" for v in values)
+
+    rows = [
+        [p.role, numbers(p.centroid), numbers(p.size), f"{np.degrees(p.yaw):.1f}°"] for p in result.aligned.platforms
+    ]
+    rows += [["ground", f"z = {result.aligned.ground_z:.3f}", "", ""]]
+    body = page.table(["", "centroid x y z (m)", "length width height (m)", "yaw"], rows)
+    note = (
+        "Origin at the centroid of the start platform's top, z up, x toward the goal. Wrong ones? Run again with "
+        "--start X Y --goal X Y."
+    )
+    return page.card("Platforms", body, note)
+
+
+def _dropped_card(result: Reconstruction) -> str:
+    rows = [list(row) for row in dropped_frames(result)]
+    body = page.table(["frame", "stage", "why"], rows) if rows else page.bullets([], "Every frame was used.")
+    return page.card("Dropped frames", body)
+
+
+def _mesh_card(result: Reconstruction) -> str:
+    mesh = result.mesh
+    rows = [[k.replace("_", " "), _plain(v)] for k, v in quality_dict(mesh.quality).items()]
+    rows += [["resolution", millimetres(mesh.resolution)], ["invented triangles", str(int(mesh.invented.sum()))]]
+    if mesh.noise_m is not None:
+        rows.append(["noise of the points", millimetres(mesh.noise_m)])
+    contact = [
+        [k.replace("_", " "), _plain(v)] for k, v in result.scene.contact.items() if not isinstance(v, (dict, list))
+    ]
+    return page.card("Mesh and contact", page.table(["mesh", ""], rows) + page.table(["contact", ""], contact))
+
+
+def _plain(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return svg.number(value, 4) if isinstance(value, float) else "–" if value is None else str(value)
+
+
+def _time_card(result: Reconstruction) -> str:
+    parts = [(s.name + (" (kept)" if s.reused else ""), s.seconds) for s in result.stages]
+    total, peak = sum(s.seconds for s in result.stages), max((s.peak_mb for s in result.stages), default=0.0)
+    return page.card("Time and memory", svg.stacked(parts, unit="s"), f"{total:.1f} s, at most {peak:.0f} MB.")
+
+
+def _use_card() -> str:
+    shell = "python -m mujoco.viewer --mjcf=scene.xml\nrealsim view ."
+    python = (
+        'import mujoco\n\nmodel = mujoco.MjModel.from_xml_path("scene.xml")\ndata = mujoco.MjData(model)\n'
+        "for _ in range(1000):\n    mujoco.mj_step(model, data)"
+    )
+    note = "Metres, z up. mesh.ply and mesh.glb hold the surface alone. Run these in the scene's folder."
+    return page.card("Use the scene", page.code(shell) + page.code(python), note)
+
+
+def _versions_card(result: Reconstruction) -> str:
+    rows = [[name, value] for name, value in versions().items()] + [["seed", str(result.seed)]]
+    return page.card("Made with", page.table(["package", "version"], rows))

@@ -1,0 +1,82 @@
+"""The layers of a scene's 3D view: mesh, invented parts, collision geometry, cameras, platforms, axes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from realsim.report import raster
+from realsim.report.collision import collision_triangles
+from realsim.report.viewer3d import Layer, camera_frustums, compact, simplify
+from realsim.types import AlignedScene, Reconstruction, TerrainMesh
+
+MESH_TRIANGLES, COLLISION_TRIANGLES = 60_000, 20_000
+
+
+def scene_layers(folder: Path, result: Reconstruction) -> list[Layer]:
+    """All layers of a reconstruction whose scene lies in `folder`."""
+    return [
+        *mesh_layers(result.mesh),
+        collision_layer(folder / result.scene.scene_xml.name),
+        *camera_layers(result.aligned),
+        platform_layer(result.aligned),
+        axes_layer(),
+    ]
+
+
+def mesh_layers(mesh: TerrainMesh) -> list[Layer]:
+    """What was seen in its own colours (or by height), and what was invented in violet."""
+    colors = mesh.colors
+    if colors is None:
+        z = mesh.vertices[:, 2]
+        low, high = np.percentile(z, [1, 99])
+        colors = raster.colorize(z, float(low), float(high))[:, :3]
+    V, F, C = simplify(*compact(mesh.vertices, mesh.seen, colors), limit=MESH_TRIANGLES)
+    seen = Layer("mesh", V, F, C)
+    if not mesh.invented.any():
+        return [seen]
+    V, F, _ = simplify(*compact(mesh.vertices, mesh.triangles[mesh.invented]), limit=COLLISION_TRIANGLES)
+    return [seen, Layer("invented", V, F, (172, 112, 214), visible=False)]
+
+
+def collision_layer(scene_xml: Path) -> Layer:
+    """What the physics touches."""
+    V, F, _ = simplify(*collision_triangles(scene_xml), None, limit=COLLISION_TRIANGLES)
+    return Layer("collision", V, F, (236, 148, 62), visible=False)
+
+
+def camera_layers(aligned: AlignedScene) -> list[Layer]:
+    """Every camera as a small pyramid, and the way between them."""
+    if aligned.metric is None:
+        return []
+    T = np.stack([aligned.T_sim_camera(i) for i in range(len(aligned.metric))])
+    k = aligned.metric.frames[0].intrinsics
+    V, E = camera_frustums(T, k.width / 2 / k.fx, k.height / 2 / k.fy)
+    n = len(T)
+    V = np.vstack([V, T[:, :3, 3]])
+    way = 5 * n + np.column_stack([np.arange(n - 1), np.arange(1, n)])
+    return [Layer("cameras", V, np.vstack([E, way]), (72, 132, 236), kind="lines")]
+
+
+def platform_layer(aligned: AlignedScene) -> Layer:
+    """The outlines of the platforms' tops, with a post down to the ground at each corner."""
+    vertices: list[Any] = []
+    edges: list[Any] = []
+    for p in aligned.platforms:
+        n, at = len(p.outline), len(vertices)
+        top = np.column_stack([p.outline, np.full(n, p.centroid[2] + 0.004)])
+        foot = np.column_stack([p.outline, np.full(n, aligned.ground_z)])
+        vertices += [*top, *foot]
+        i = np.arange(n)
+        edges += [*(at + np.column_stack([i, (i + 1) % n])), *(at + np.column_stack([i, n + i]))]
+    return Layer("platforms", np.array(vertices).reshape(-1, 3), np.array(edges), (226, 70, 120), kind="lines")
+
+
+def axes_layer() -> Layer:
+    """The simulation frame's axes, half a metre long: x red, y green, z blue."""
+    tips = 0.5 * np.eye(3)
+    V = np.stack([np.zeros((3, 3)), tips], axis=1).reshape(-1, 3) + np.array([0, 0, 0.006])
+    C = np.repeat(np.array([[235, 64, 52], [52, 190, 84], [66, 122, 245]], np.uint8), 2, axis=0)
+    return Layer("axes", V, np.arange(6).reshape(3, 2), C, kind="lines")

@@ -1,0 +1,186 @@
+"""Can this scene be trusted? A few checks with stated limits; the worst of them is the verdict."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from realsim.report.page import Level
+from realsim.types import Reconstruction, ScaleEstimate
+
+
+@dataclass(frozen=True)
+class Check:
+    """One question put to the result."""
+
+    name: str
+    found: str
+    """What was measured, with its unit."""
+    limits: str
+    """The rule in words."""
+    level: Level
+    reason: str
+    """One sentence for the banner if the level is not good."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The verdict and how it came about."""
+
+    level: Level
+    headline: str
+    checks: tuple[Check, ...]
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why it is not better: the reasons of the worst checks first."""
+        order = {"bad": 0, "look": 1}
+        return tuple(c.reason for c in sorted(self.checks, key=lambda c: order.get(c.level, 2)) if c.level != "good")
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-able."""
+        checks = [{"name": c.name, "found": c.found, "limits": c.limits, "level": c.level} for c in self.checks]
+        return {"level": self.level, "headline": self.headline, "reasons": list(self.reasons), "checks": checks}
+
+
+_HEADLINES: dict[Level, str] = {
+    "good": "Every check passed: the scene can be used as it is.",
+    "look": "The scene can be used, once a person has looked at what follows.",
+    "bad": "Do not train or test on this scene: something basic is wrong.",
+}
+
+
+def judge(result: Reconstruction) -> Judgement:
+    """Run all checks that apply to this result."""
+    checks = tuple(c for check in _CHECKS for c in check(result))
+    worst: Level = next((level for level in ("bad", "look") if any(c.level == level for c in checks)), "good")
+    return Judgement(worst, _HEADLINES[worst], checks)
+
+
+def graded(
+    name: str, value: float, look: float, bad: float, show: Callable[[float], str], *, low_is_bad: bool = False
+) -> Check:
+    """A check of a number against two limits; what is not finite is bad."""
+    sign = -1 if low_is_bad else 1
+    level: Level = "good"
+    if not math.isfinite(value) or sign * value > sign * bad:
+        level = "bad"
+    elif sign * value > sign * look:
+        level = "look"
+    word = "below" if low_is_bad else "above"
+    limits = f"look {word} {show(look)}, do not use {word} {show(bad)}"
+    limit = bad if level == "bad" else look
+    return Check(name, show(value), limits, level, f"{name}: {show(value)}, {word} the limit of {show(limit)}.")
+
+
+def percent(value: float) -> str:
+    """A share as text."""
+    return f"{100 * value:.2g} %" if abs(value) < 0.1 else f"{100 * value:.0f} %"
+
+
+def millimetres(value: float) -> str:
+    """A length as text."""
+    return f"{1000 * value:.1f} mm"
+
+
+def _degrees(value: float) -> str:
+    return f"{value:.2f}°"
+
+
+def scale_of(result: Reconstruction) -> ScaleEstimate | None:
+    """The scale estimate, or None for a scan."""
+    return result.aligned.metric.scale if result.aligned.metric is not None else None
+
+
+def _scale(result: Reconstruction) -> Iterator[Check]:
+    estimate = scale_of(result)
+    if estimate is None:
+        return
+    half = (estimate.ci90[1] - estimate.ci90[0]) / 2 / estimate.value
+    yield graded("Scale uncertainty (90 % interval, half width)", half, 0.005, 0.03, percent)
+    limits: Mapping[str, Any] = result.config.get("scale", {})
+    look, bad = float(limits.get("warn_spread", 0.05)), float(limits.get("max_spread", 0.25))
+    yield graded("Disagreement of scale between frames", estimate.per_frame_spread, look, bad, percent)
+
+
+def _gravity(result: Reconstruction) -> Iterator[Check]:
+    gravity = result.aligned.gravity
+    yield graded("Tilt uncertainty of the ground", gravity.tilt_sigma_deg, 0.3, 1.0, _degrees)
+    yield graded("Roughness of the ground (RMS)", gravity.inlier_rms_m, 0.010, 0.030, millimetres)
+
+
+def _frames(result: Reconstruction) -> Iterator[Check]:
+    metric = result.aligned.metric
+    if metric is None:
+        return
+    used, dropped = len(metric), len(dropped_frames(result))
+    yield graded("Frames that fit together", used / max(used + dropped, 1), 0.8, 0.3, percent, low_is_bad=True)
+
+
+def dropped_frames(result: Reconstruction) -> list[tuple[str, str, str]]:
+    """(frame, stage, reason) of every frame left out, in order, each once."""
+    parts = [
+        ("capture", getattr(result.source, "dropped", ())),
+        ("points", result.points.dropped if result.points else ()),
+        ("scale", result.aligned.metric.dropped if result.aligned.metric else ()),
+    ]
+    rows: dict[str, tuple[str, str, str]] = {}
+    for stage, dropped in parts:
+        for d in dropped:
+            rows.setdefault(d.name, (d.name, stage, d.reason))
+    return list(rows.values())
+
+
+def _platforms(result: Reconstruction) -> Iterator[Check]:
+    missing = [role for role in ("start", "goal") if result.aligned.platform(role) is None]
+    found = f"{len(result.aligned.platforms)} found" + (f", no {' and no '.join(missing)}" if missing else "")
+    reason = f"No {' and no '.join(missing)} platform was found: the frame rests on assumptions, listed below."
+    yield Check("Start and goal platforms", found, "look if one is missing", "look" if missing else "good", reason)
+
+
+def _surface(result: Reconstruction) -> Iterator[Check]:
+    mesh = result.mesh
+    if mesh.residuals:
+        typical = float(np.median([r.median_abs_m for r in mesh.residuals]))
+        yield graded("Distance of the depth from the mesh (median)", typical, 0.006, 0.020, millimetres)
+    yield graded("Ground and tops that no camera saw", unseen_share(result), 0.15, 0.5, percent)
+    q = mesh.quality
+    faults = [
+        f"{count} {what}"
+        for count, what in (
+            (0 if q.manifold else 1, "non-manifold spot or more"),
+            (q.self_intersections, "self-intersections"),
+            (q.degenerate, "degenerate triangles"),
+        )
+        if count
+    ]
+    text = ", ".join(faults) or "none"
+    level: Level = "look" if faults else "good"
+    yield Check("Faults of the mesh", text, "look if there is one", level, f"The mesh has faults: {text}.")
+
+
+def unseen_share(result: Reconstruction) -> float:
+    """Share of the upward-facing surface that was invented."""
+    t = result.mesh.vertices[result.mesh.triangles]
+    up = np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])[:, 2] / 2
+    up = np.maximum(up, 0)
+    return float(up[result.mesh.invented].sum() / max(up.sum(), 1e-12))
+
+
+def _physics(result: Reconstruction) -> Iterator[Check]:
+    errors = [abs(float(d["error_m"])) for d in result.scene.checks.get("drops", ()) if "error_m" in d]
+    if errors:
+        yield graded("Resting height of dropped objects (worst error)", max(errors), 0.008, 0.03, millimetres)
+
+
+def _warnings(result: Reconstruction) -> Iterator[Check]:
+    count = len(result.warnings)
+    reason = f"{count} warning{'s' if count != 1 else ''}, listed below."
+    yield Check("Warnings", str(count), "look if there is one", "look" if count else "good", reason)
+
+
+_CHECKS = (_scale, _gravity, _frames, _platforms, _surface, _physics, _warnings)
