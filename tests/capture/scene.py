@@ -28,7 +28,7 @@ class View:
 
 @cache
 def walk(count: int = 10, camera: Intrinsics = CAMERA) -> tuple[View, ...]:
-    """Views along x, looking forward and down, 8 cm apart."""
+    """Views along x, looking forward and down, 8 cm apart, turning and rising a little."""
     return tuple(_view(i, camera) for i in range(count))
 
 
@@ -49,13 +49,13 @@ def render(T_world_camera: NDArray, camera: Intrinsics) -> tuple[NDArray, NDArra
 
 
 def _view(i: int, camera: Intrinsics) -> View:
-    forward = np.array([1.0, 0.02 * i, -0.9])
+    forward = np.array([np.cos(0.06 * i), np.sin(0.06 * i), -0.9])
     # Optical z to the viewing direction, then turned about it so that the image's x is to the walker's right.
     R = rotation_between([0, 0, 1], forward)
     right, level = R[:, 0], np.cross(forward, [0, 0, 1.0])
     level /= np.linalg.norm(level)
     R = rotation_between(right, level) @ R
-    T = make_T(R, [0.08 * i, 0.01 * i, 1.2])
+    T = make_T(R, [0.08 * i, 0.01 * i, 1.2 + 0.03 * i])
     depth, color = render(T, camera)
     depth[:6, : 6 + i] = 0
     return View(T, depth, color, START_TIME + PERIOD * i)

@@ -102,7 +102,7 @@ def test_inspection_says_what_and_why(name, tmp_path):
     for assumption in found.assumptions:
         assert assumption in text
     if found.poses["given"]:
-        assert found.poses["path_m"] == pytest.approx(9 * np.hypot(0.08, 0.01), abs=1e-3)
+        assert found.poses["path_m"] == pytest.approx(9 * np.linalg.norm([0.08, 0.01, 0.03]), abs=1e-3)
         assert found.poses["depth_agrees"] > 0.95
 
 

@@ -121,8 +121,9 @@ def poses_by_name(
     numbers = [last_number(pair.name) for pair in pairs]
     by_number = dict(zip(headers, matrices, strict=True))
     named = {n for n in numbers if n is not None}
-    gaps = sorted(by_number) != list(range(len(by_number)))
-    if len(by_number) == len(matrices) and (named <= by_number.keys() or (gaps and by_number.keys() <= named)):
+    unique = len(by_number) == len(matrices)
+    gaps = max(by_number, default=0) - min(by_number, default=0) + 1 != len(by_number)
+    if unique and (named <= by_number.keys() or (gaps and by_number.keys() <= named)):
         poses = {p.name: by_number[n] for p, n in zip(pairs, numbers, strict=True) if n is not None and n in by_number}
         return poses, "the first number of a header in trajectory.log is the number in the frame's file name"
     raise PoseError(
