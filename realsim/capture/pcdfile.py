@@ -78,12 +78,17 @@ def read_header(path: Path) -> PcdHeader:
     return header
 
 
-@lru_cache(maxsize=4)
 def read_points(path: Path) -> tuple[F32, U8 | None]:
     """((H, W, 3) float32 points as stored with NaN where invalid, (H, W, 3) RGB or None). VIEWPOINT is not applied.
 
     The last few files are remembered, because depth and colour of a frame are asked for separately.
     """
+    check_size(path)
+    return _read_points(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=4)
+def _read_points(path: Path, changed: int) -> tuple[F32, U8 | None]:
     import open3d as o3d
 
     header = read_header(path)
