@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from benchmarks.gap_truth.mjspec import first, set_first
 from benchmarks.gap_truth.robots import Robot
 from benchmarks.gap_truth.truth import Truth
 
@@ -102,9 +103,7 @@ class Plant:
         """The motor keeps the joint's name, its rotor the armature; the link hangs behind it on a joint of its own."""
         t = self.truth
         joint.armature += t.armature[i]
-        joint.damping = (
-            joint.damping + t.viscous[i] if np.isscalar(joint.damping) else joint.damping + np.r_[t.viscous[i], 0, 0]
-        )
+        set_first(joint, "damping", first(joint, "damping") + t.viscous[i])
         if t.backlash[i] == 0 and np.isinf(t.compliance[i]):
             return
         link = joint.parent.add_joint(
@@ -113,11 +112,11 @@ class Plant:
         if t.backlash[i] > 0:
             link.limited, link.range = True, np.array([-0.5, 0.5]) * t.backlash[i]
             link.solref_limit, link.solimp_limit = np.array([0.003, 1.0]), np.array([0.95, 0.99, 1e-4, 0.5, 2.0])
-            _set_first(link, "damping", 0.002)
+            set_first(link, "damping", 0.002)
         else:
             link.limited = False
-            _set_first(link, "stiffness", float(t.compliance[i]))
-            _set_first(link, "damping", 0.003 * float(t.compliance[i]))
+            set_first(link, "stiffness", float(t.compliance[i]))
+            set_first(link, "damping", 0.003 * float(t.compliance[i]))
 
     @staticmethod
     def _lengthen(body: mujoco.MjsBody, metres: float) -> None:
@@ -148,8 +147,8 @@ class Plant:
                     slide = body.add_joint(
                         name=f"{body.name}__wobble", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1]
                     )
-                    _set_first(slide, "stiffness", stiffness)
-                    _set_first(slide, "damping", damping)
+                    set_first(slide, "stiffness", stiffness)
+                    set_first(slide, "damping", damping)
                     body.gravcomp = 1.0
             for geom in body.geoms:
                 if body.name not in self.robot.supports:
@@ -270,14 +269,3 @@ class Plant:
                 for f, foot in enumerate(self.feet):
                     touching[f] = max(touching[f], float(foot in bodies))
             rows["contact"].append(touching)
-
-
-def _set_first(joint: mujoco.MjsJoint, name: str, value: float) -> None:
-    """Set a joint's coefficient, which newer MuJoCo holds as a polynomial of which this is the linear term."""
-    current = getattr(joint, name)
-    if np.isscalar(current):
-        setattr(joint, name, value)
-    else:
-        filled = np.zeros(len(current))
-        filled[0] = value
-        setattr(joint, name, filled)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from benchmarks.gap_truth.mjspec import set_first
+
 HEAD = """<mujoco model="{name}">
   <compiler angle="radian" autolimits="true" inertiafromgeom="false"/>
   <option timestep="0.002" integrator="implicitfast"{option}/>
@@ -203,7 +205,7 @@ def g1(rng: np.random.Generator) -> Robot:
             actuator.name = f"{actuator.target}_servo"
     for joint in spec.joints:
         joint.frictionloss = 0.15 + 0.01 * float(rng.random())
-        joint.damping = 0.05
+        set_first(joint, "damping", 0.05)
     spec.option.timestep = 0.002
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
