@@ -10,7 +10,9 @@ from realsim.align.segment import Label, Labels
 from realsim.types import F64, Bool
 
 GROUND_BAND = 0.03
-"""Metres about z = 0 that are ground."""
+"""Metres about z = 0 that are ground, where the cloud is no noisier than that."""
+LEAST_RISE = 0.05
+"""Metres: a cluster that nowhere rises higher is unevenness of the ground."""
 LOWEST, HIGHEST = 0.08, 1.2
 """Metres: top faces outside this range of heights are no platforms."""
 TALL = 1.5
@@ -31,10 +33,10 @@ def segment(cloud: Cloud) -> Labels:
     Level faces are regions of neighbouring cells with smoothly varying height; those that are level and large are
     platforms. What else stands on the ground, lower than 1.5 m, is obstacle.
     """
-    z = cloud.points[:, 2]
+    z, band = cloud.points[:, 2], ground_band(cloud)
     labels = np.full(len(cloud), Label.OTHER, np.uint8)
-    labels[(np.abs(z) < GROUND_BAND) & (np.abs(cloud.normals[:, 2]) > 0.7)] = Label.GROUND
-    labels[_obstacles(cloud.points)] = Label.OBSTACLE
+    labels[(np.abs(z) < band) & (np.abs(cloud.normals[:, 2]) > 0.7)] = Label.GROUND
+    labels[_obstacles(cloud.points, band)] = Label.OBSTACLE
     for face in level_faces(cloud):
         labels[face] = Label.PLATFORM
     return labels
@@ -61,12 +63,25 @@ def level_faces(cloud: Cloud) -> list[NDArray[np.intp]]:
     return sorted(faces, key=lambda f: -len(f))
 
 
-def _obstacles(points: F64) -> Bool:
+def ground_band(cloud: Cloud) -> F64:
+    """(M,) metres about z = 0 within which a point is ground: wider for points that were only seen from afar.
+
+    Their noise is taken from the cloud itself: deviation times sqrt(weight) is one number over all of a floor.
+    """
+    z = np.abs(cloud.points[:, 2])
+    faint = (z < 0.10) & (cloud.weights <= np.median(cloud.weights))
+    if faint.sum() < 50:
+        return np.full(len(cloud), GROUND_BAND)
+    unit = 1.4826 * float(np.median(z[faint] * np.sqrt(cloud.weights[faint])))
+    return np.maximum(GROUND_BAND, 4 * unit / np.sqrt(cloud.weights))
+
+
+def _obstacles(points: F64, band: F64) -> Bool:
     """Points of clusters that stand on the ground and are low; tall columns are taken out before clustering."""
     from scipy.ndimage import label
 
     out = np.zeros(len(points), bool)
-    standing = np.flatnonzero((points[:, 2] > GROUND_BAND) & (points[:, 2] < 4.0))
+    standing = np.flatnonzero((points[:, 2] > band) & (points[:, 2] < 4.0))
     if not len(standing):
         return out
     cells, shape = _cells(points[standing, :2], CLUSTER_CELL)
@@ -77,7 +92,10 @@ def _obstacles(points: F64) -> Bool:
     floor_gap = np.full(clusters.max() + 1, np.inf)
     np.minimum.at(floor_gap, clusters.ravel(), lowest.ravel())
     member = clusters[tuple(cells.T)]
-    out[standing] = (member > 0) & (floor_gap[member] < 0.3)
+    rise = np.zeros(clusters.max() + 1)
+    np.maximum.at(rise, clusters.ravel(), highest.ravel())
+    size = np.bincount(member, minlength=len(rise))
+    out[standing] = (member > 0) & (floor_gap[member] < 0.3) & (rise[member] > LEAST_RISE) & (size[member] >= 20)
     return out
 
 

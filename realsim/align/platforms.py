@@ -60,8 +60,8 @@ def oriented_extent(outline: F64) -> tuple[float, float, float]:
         if np.hypot(*edge) < 1e-6:
             continue
         yaw = float(np.arctan2(edge[1], edge[0]))
-        along = np.ptp(outline @ [np.cos(yaw), np.sin(yaw)])
-        across = np.ptp(outline @ [-np.sin(yaw), np.cos(yaw)])
+        along = float(np.ptp(outline @ [np.cos(yaw), np.sin(yaw)]))
+        across = float(np.ptp(outline @ [-np.sin(yaw), np.cos(yaw)]))
         if along * across < best[0] - 1e-9:
             best = (along * across, along, across, yaw)
     _, along, across, yaw = best

@@ -4,55 +4,151 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.align.config import AlignConfig
 from realsim.align.platforms import Face
 from realsim.errors import AlignError
-from realsim.types import F64
+from realsim.geometry import invert_T, make_T, transform
+from realsim.types import F64, MetricScene, Scan
+
+SLACK = 0.10
+"""Metres outside a platform's outline that a point which asks for it may lie."""
+Roles = tuple[int | None, int | None]
+"""Indices of start and goal among the faces."""
 
 
-def choose(faces: list[Face], camera: F64 | None) -> tuple[int, int] | None:
-    """Indices of start and goal by the rule, None with fewer than two faces.
+def by_rule(faces: list[Face], near: F64) -> Roles:
+    """Start and goal by the rule: the pair that is largest and furthest apart, see `pair_score`.
 
-    The pair that is largest and furthest apart: sqrt(area1 * area2) times the distance of the centroids, areas as
-    seen. The one nearer the first camera is the start; without a camera, the one nearer the source's origin.
-
-    Args:
-        camera: (2,) the first camera (or sensor, or origin) in the plan of the levelled frame.
+    The one nearer to `near` ((2,), first camera, sensor or origin in the plan of the levelled frame) is the start. A
+    single platform is the start.
     """
     if len(faces) < 2:
-        return None
+        return (0, None) if faces else (None, None)
     pairs = [(i, j) for i in range(len(faces)) for j in range(i + 1, len(faces))]
     i, j = max(pairs, key=lambda p: pair_score(faces[p[0]], faces[p[1]]))
-    near = np.zeros(2) if camera is None else camera
     first = np.linalg.norm(faces[i].centroid - near) <= np.linalg.norm(faces[j].centroid - near)
     return (i, j) if first else (j, i)
 
 
 def pair_score(a: Face, b: Face) -> float:
-    """Metres^3, see `choose`."""
-    return float(np.sqrt(a.seen * b.seen) * np.linalg.norm(a.centroid - b.centroid))
+    """sqrt(area_a * area_b), as seen, times the distance of the centroids, m^3: large and far apart."""
+    return float(np.sqrt(min(a.seen, a.area) * min(b.seen, b.area)) * np.linalg.norm(a.centroid - b.centroid))
 
 
-def containing(faces: list[Face], xy: F64, what: str, listed: str, slack: float = 0.10) -> int:
-    """The face that a point lies on, or within `slack` metres of.
+def as_asked(
+    faces: list[Face], rule: Roles, source: MetricScene | Scan, config: AlignConfig, T_level_world: F64
+) -> Roles:
+    """The rule's roles, overruled by what `config` asks for.
+
+    Where only one of the two is given, the other is the best partner for it by the same score.
 
     Raises:
-        AlignError: none; the message lists what there is.
+        AlignError: a role is given twice, no platform lies there, or both are the same; the platforms are listed.
     """
-    distances = [distance_outside(face.outline, xy) for face in faces]
-    if not distances or min(distances) > slack:
-        raise AlignError(
-            f"no platform where the {what} was asked for",
-            expected=f"one of {listed}" if listed else "a capture with platforms",
-            found=f"{what} at {xy[0]:.2f} {xy[1]:.2f}",
-            hint="take X Y from the report of a run without --start and --goal, or give a pixel",
-        )
-    return int(np.argmin(distances))
+    T_rule = simulation_frame(faces, rule)
+    listed = described(faces, T_rule)
+    asked: dict[str, int] = {}
+    for what, xy, pixel in (("start", config.start, config.start_pixel), ("goal", config.goal, config.goal_pixel)):
+        if xy is not None and pixel is not None:
+            raise AlignError(f"the {what} is given twice", expected="a point or a pixel", found="both")
+        if xy is not None:
+            where, said = transform(invert_T(T_rule), np.array([*xy, 0.0]))[:2], f"{xy[0]:g} {xy[1]:g}"
+        elif pixel is not None:
+            where = transform(T_level_world, _pixel_point(source, pixel, what))[:2]
+            said = f"pixel {pixel[1]} {pixel[2]} of frame {pixel[0]}"
+        else:
+            continue
+        distances = [distance_outside(face.outline, where) for face in faces]
+        if not distances or min(distances) > SLACK:
+            raise AlignError(
+                f"no platform where the {what} was asked for",
+                expected=listed or "a capture with platforms: none was found in this one",
+                found=f"{what} at {said}",
+                hint="take X Y from the report of a run without --start and --goal, or name a pixel of a frame",
+            )
+        asked[what] = int(np.argmin(distances))
+    if not asked:
+        return rule
+    if asked.get("start") == asked.get("goal"):
+        raise AlignError("start and goal are the same platform", expected=f"two of: {listed}", found="one for both")
+    start, goal = asked.get("start"), asked.get("goal")
+    if start is None:
+        start = _partner(faces, goal)
+    if goal is None:
+        goal = _partner(faces, start)
+    return start, goal
+
+
+def _partner(faces: list[Face], one: int | None) -> int | None:
+    others = [k for k in range(len(faces)) if k != one]
+    return max(others, key=lambda k: pair_score(faces[k], faces[one])) if others and one is not None else None
+
+
+def simulation_frame(faces: list[Face], roles: Roles) -> F64:
+    """(4, 4) T_sim_level: origin on the start's top, x to the goal; the levelled frame's x without a goal."""
+    start, goal = roles
+    if start is None:
+        return np.eye(4)
+    origin, x = faces[start].centroid, np.array([1.0, 0.0])
+    if goal is not None:
+        x = faces[goal].centroid - origin
+        x /= np.linalg.norm(x)
+    R = np.array([[x[0], x[1], 0], [-x[1], x[0], 0], [0, 0, 1]])
+    return make_T(R, -R @ [*origin, faces[start].height])
+
+
+def described(faces: list[Face], T_sim_level: F64) -> str:
+    """The platforms in words, with where they are in a simulation frame."""
+    parts = []
+    for face in faces:
+        x, y, _ = transform(T_sim_level, np.array([*face.centroid, face.height]))
+        parts.append(f"a platform of {face.area:.2f} m², {face.height:.2f} m high, at {x:.2f} {y:.2f}")
+    return "; ".join(parts)
 
 
 def distance_outside(outline: F64, xy: F64) -> float:
     """Metres by which a point lies outside a convex counter-clockwise outline (0 inside)."""
     a, b = outline, np.roll(outline, -1, 0)
     edge = b - a
+    if np.all(edge[:, 0] * (xy - a)[:, 1] - edge[:, 1] * (xy - a)[:, 0] >= 0):
+        return 0.0
     t = np.clip(((xy - a) * edge).sum(1) / np.maximum((edge**2).sum(1), 1e-12), 0, 1)
-    inside = np.all(edge[:, 0] * (xy - a)[:, 1] - edge[:, 1] * (xy - a)[:, 0] >= 0)
-    return 0.0 if inside else float(np.linalg.norm(a + t[:, None] * edge - xy, axis=1).min())
+    return float(np.linalg.norm(a + t[:, None] * edge - xy, axis=1).min())
+
+
+def _pixel_point(source: MetricScene | Scan, pixel: tuple[str, int, int], what: str) -> F64:
+    """(3,) world point that a pixel of a frame shows: of the colour image where there is one, else of the depth."""
+    name, u, v = pixel
+    if isinstance(source, Scan):
+        raise AlignError(
+            f"the {what} is given by a pixel, but a scan has no frames", file=source.source, hint=f"use --{what} X Y"
+        )
+    names = [frame.name for frame in source.frames]
+    if name not in names:
+        raise AlignError(
+            f"the {what} is given by a pixel of a frame that is not used",
+            expected=f"one of {', '.join(names[:8])}" + (", ..." if len(names) > 8 else ""),
+            found=name,
+        )
+    i = names.index(name)
+    frame, view = source.frames[i], source.load(i)
+    camera = frame.color_intrinsics or frame.intrinsics
+    if not (0 <= u < camera.width and 0 <= v < camera.height):
+        raise AlignError(
+            f"the {what}'s pixel lies outside the image",
+            expected=f"0 <= U < {camera.width}, 0 <= V < {camera.height}",
+            found=f"{u} {v}",
+        )
+    # Both images look the same way from the same place, so a direction leads from one pixel grid to the other.
+    height, width = view.mask.shape
+    grid = frame.intrinsics.resized(width, height)
+    column = (u - camera.cx) / camera.fx * grid.fx + grid.cx
+    row = (v - camera.cy) / camera.fy * grid.fy + grid.cy
+    rows, columns = np.nonzero(view.mask)
+    distance = np.hypot(rows - row, columns - column)
+    if not len(distance) or distance.min() > 5:
+        raise AlignError(
+            f"the {what}'s pixel shows nothing: no depth within 5 pixels", found=f"{u} {v} of frame {name}"
+        )
+    nearest = int(np.argmin(distance))
+    return transform(source.T_world_camera[i], view.points[rows[nearest], columns[nearest]].astype(np.float64))

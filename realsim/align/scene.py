@@ -10,8 +10,9 @@ from realsim.align.cloud import Cloud, from_scan, from_views
 from realsim.align.config import AlignConfig
 from realsim.align.crop import crop
 from realsim.align.ground import Ground, find_ground
-from realsim.align.platforms import Face, find_faces, to_platform
-from realsim.align.roles import choose
+from realsim.align.platforms import find_faces, to_platform
+from realsim.align.rim import refined
+from realsim.align.roles import Roles, as_asked, by_rule, simulation_frame
 from realsim.align.segment import Label, segmented
 from realsim.geometry import invert_T, make_T, transform
 from realsim.types import F64, AlignedScene, Gravity, MetricScene, Scan
@@ -39,8 +40,12 @@ def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
     assumptions, warnings = list(ground.assumptions), list(ground.warnings)
 
     T_level_world = T_level_cloud @ T_cloud_world
-    roles = _roles(faces, source, config, level, T_level_world, assumptions)
-    T_sim_level = _simulation_frame(faces, roles)
+    if isinstance(source, MetricScene):
+        faces = refined(faces, source, T_level_world)
+    near = level.cameras[0, :2, 3] if len(level.cameras) else transform(T_level_world, np.zeros(3))[:2]
+    roles = as_asked(faces, by_rule(faces, near), source, config, T_level_world)
+    assumptions += _assumed(roles, source, len(level.cameras) > 0)
+    T_sim_level = simulation_frame(faces, roles)
     platforms = tuple(
         to_platform(face, T_sim_level, {roles[0]: "start", roles[1]: "goal"}.get(i, "platform"))
         for i, face in enumerate(faces)
@@ -101,36 +106,18 @@ def _moved(cloud: Cloud, T: F64) -> Cloud:
     )
 
 
-def _roles(
-    faces: list[Face],
-    source: MetricScene | Scan,
-    config: AlignConfig,
-    level: Cloud,
-    T_level_world: F64,
-    assumptions: list[str],
-) -> tuple[int | None, int | None]:
-    """Start and goal: by rule, then as asked for. What was assumed is added to `assumptions`."""
-    by_rule = choose(faces, level.cameras[0, :2, 3] if len(level.cameras) else None)
-    start, goal = by_rule or (None, None)
-    if by_rule is None:
-        assumptions.append(
-            "fewer than two platforms were found: the origin is on the ground below the first camera, x along its view"
-        )
-        return None, None
-    if not len(level.cameras):
-        assumptions.append("the scan has no sensor position: the platform nearer its origin was taken as the start")
-    return start, goal
-
-
-def _simulation_frame(faces: list[Face], roles: tuple[int | None, int | None]) -> F64:
-    """(4, 4) T_sim_level."""
+def _assumed(roles: Roles, source: MetricScene | Scan, stood: bool) -> list[str]:
+    """What the frame rests on where the capture does not say it."""
     start, goal = roles
-    if start is None or goal is None:
-        return np.eye(4)
-    a, b = faces[start], faces[goal]
-    x = (b.centroid - a.centroid) / np.linalg.norm(b.centroid - a.centroid)
-    R = np.array([[x[0], x[1], 0], [-x[1], x[0], 0], [0, 0, 1]])
-    return make_T(R, -R @ [*a.centroid, a.height])
+    ahead = "the first camera's view" if stood and isinstance(source, MetricScene) else "the source's own x"
+    below = "the first camera" if isinstance(source, MetricScene) else "the sensor" if stood else "the source's origin"
+    if start is None:
+        return [f"no platform was found: the origin is on the ground below {below}, x along {ahead}"]
+    if goal is None:
+        return [f"only one platform was found: it is the start, and x is along {ahead}"]
+    if not stood:
+        return ["the scan does not say where its sensor stood: the platform nearer its origin is the start"]
+    return []
 
 
 def _gravity_in_world(gravity: Gravity, T_cloud_world: F64) -> Gravity:

@@ -1,4 +1,4 @@
-"""What a point belongs to: a small interface, so that a learned segmentation can take the place of the geometric one."""
+"""What a point belongs to: a small interface, so that a learned segmentation can take the geometric one's place."""
 
 from __future__ import annotations
 
