@@ -1,8 +1,8 @@
 """Camera poses refined against each other, and the depth sensor's scale recovered where the poses are metric.
 
-    views = prepare(frames)
-    check = check_poses(frames, T, views=views)          # refine_check.py: refuses or names what contradicts
-    found = refine(frames, T, estimate_gain=True, trust="metric", views=views)
+    evidence = Evidence.of(frames)
+    check = check_poses(frames, T, evidence=evidence)          # refine_check.py: refuses or names what contradicts
+    found = refine(frames, T, estimate_gain=True, trust="metric", evidence=evidence)
 
 With metric poses the depth gain is what makes triangulated and measured depth agree; how much the given poses are
 believed is found from the data (refine_adjust.py), so exact poses stay where they are and noisy ones move.
@@ -20,9 +20,8 @@ from realsim.errors import PoseError
 from realsim.feedforward.rgbd.bias import GainEstimate, judge_gain
 from realsim.feedforward.rgbd.refine_adjust import Sigmas, State, Step, initial_state, solve_step
 from realsim.feedforward.rgbd.refine_pairs import Surface, associate, choose_pairs, sample_surface
-from realsim.feedforward.rgbd.tracks import Match, Tracks, View, build_tracks, match, prepare
+from realsim.feedforward.rgbd.tracks import Evidence, Match, Tracks, View, build_tracks
 from realsim.geometry import is_rotation
-from realsim.progress import track
 from realsim.types import F64, Frame
 
 STEPS = 12
@@ -58,7 +57,7 @@ def refine(
     estimate_gain: bool,
     trust: Literal["metric", "estimated"],
     seed: int = 0,
-    views: Sequence[View] | None = None,
+    evidence: Evidence | None = None,
 ) -> RefineResult:
     """Refine poses by features with depth and by surfaces; see the module's text.
 
@@ -69,7 +68,7 @@ def refine(
         trust: `metric`: the poses come from a metric source with an unknown error; they give the scale.
             `estimated`: the poses were found from the depth, so the depth gives the scale.
         seed: of the choice of samples.
-        views: `prepare(frames)`, if it is there already.
+        evidence: `Evidence.of(frames)`, if it is there already (of exactly these frames).
 
     Raises:
         PoseError: poses of wrong number, not finite, or not rigid; a gain asked for without metric poses.
@@ -77,9 +76,10 @@ def refine(
     T = _checked(frames, T_world_camera)
     if estimate_gain and trust != "metric":
         raise PoseError("a depth gain cannot be told from poses that were found from the same depth")
-    views = prepare(frames) if views is None else views
+    evidence = evidence or Evidence.of(frames, seed)
+    views = evidence.views
     pairs = choose_pairs(views, T)
-    matches = [m for i, j in track(pairs, "matches") if (m := match(views, i, j, seed)) is not None]
+    matches = evidence.matches(pairs)
     tracks = build_tracks(views, matches)
     step, surface, given = _solve(views, T, pairs, tracks, estimate_gain, trust, seed)
     per_frame = _per_frame(step, tracks, surface, len(views))

@@ -7,7 +7,7 @@ Nothing here looks at given poses: matches that are verified by depth alone can 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -268,3 +268,32 @@ def build_tracks(views: Sequence[View], matches: Sequence[Match]) -> Tracks:
     z = np.concatenate([v.z for v in views])[feature] if total else np.zeros(0)
     focal = np.array([v.focal for v in views])[owner]
     return Tracks(owner, point, xy, z, focal, int(point[-1]) + 1 if len(point) else 0)
+
+
+class Evidence:
+    """The views of a capture and the matches between them, each pair matched once and remembered."""
+
+    def __init__(self, views: Sequence[View], seed: int = 0) -> None:
+        self.views = list(views)
+        self.seed = seed
+        self._matches: dict[tuple[int, int], Match | None] = {}
+
+    @classmethod
+    def of(cls, frames: Sequence[Frame], seed: int = 0) -> Evidence:
+        """Read and reduce all frames."""
+        return cls(prepare(frames), seed)
+
+    def matches(self, pairs: Sequence[tuple[int, int]]) -> list[Match]:
+        """Verified matches of those pairs i < j that have any."""
+        for i, j in track([p for p in pairs if p not in self._matches], "matches"):
+            self._matches[i, j] = match(self.views, i, j, self.seed)
+        return [m for p in pairs if (m := self._matches[p]) is not None]
+
+    def subset(self, keep: Sequence[int]) -> Evidence:
+        """The same for some of the views, renumbered; their matches are kept."""
+        new = {old: k for k, old in enumerate(keep)}
+        out = Evidence([self.views[k] for k in keep], self.seed)
+        for (i, j), m in self._matches.items():
+            if i in new and j in new and new[i] < new[j]:
+                out._matches[new[i], new[j]] = None if m is None else replace(m, i=new[i], j=new[j])
+        return out

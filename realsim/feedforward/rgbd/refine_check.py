@@ -1,0 +1,289 @@
+"""Do given poses agree with what the frames show?
+
+An edge is a pair of frames and by how many metres the poses misplace one frame's points in the other. Where two
+frames share verified features, these are the same points; elsewhere it is depth against depth where the poses say that
+both look. A few frames with wrong poses are named so that they can be dropped. Poses that are wrong as a whole are
+refused, and the usual conventions are tried to say which one it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from realsim.errors import PoseError
+from realsim.feedforward.rgbd.refine_pairs import choose_pairs, look_up, overlap, sample_surface
+from realsim.feedforward.rgbd.tracks import Evidence
+from realsim.geometry import invert_T, make_T, transform
+from realsim.types import F64, Dropped, Frame
+
+TOLERANCE = (0.05, 0.12)
+"""Metres: an edge contradicts beyond four times the median edge, but within these. Handheld trackers are off by 1 to
+2 cm and half a degree, which is 3 cm at 2 m."""
+SCALE_LIMIT = 0.05
+"""Relative difference of scale between poses and depth that no depth camera explains."""
+MANY = 0.3
+"""Share of contradicting frames from which the poses as a whole are in question."""
+
+
+@dataclass(frozen=True)
+class Edge:
+    """Points (M, 3) of two frames, each in its own camera and sensor depth."""
+
+    i: int
+    j: int
+    p: F64
+    """(M, 3) camera i."""
+    q: F64 | None
+    """(M, 3) the same points in camera j by features; None: to be looked up in j's depth."""
+    t: F64 | None
+    """(3,) where camera j stands in camera i, by features and depth alone."""
+
+
+@dataclass(frozen=True)
+class PoseCheck:
+    """How far the poses agree with the frames."""
+
+    agreement: F64
+    """(N,) share of a frame's edges that agree, NaN where no other frame shows the same."""
+    disagreement_m: F64
+    """(N,) median over a frame's edges, metres, NaN as above."""
+    contradicting: tuple[Dropped, ...]
+    """Frames whose pose most others contradict."""
+    warnings: tuple[str, ...] = ()
+    statistics: Mapping[str, Any] = field(default_factory=dict)
+
+    def kept(self, frames: Sequence[Frame]) -> list[int]:
+        """Indices of the frames that are not contradicted."""
+        bad = {d.name for d in self.contradicting}
+        return [k for k, f in enumerate(frames) if f.name not in bad]
+
+
+def check_poses(
+    frames: Sequence[Frame], T_world_camera: F64, *, evidence: Evidence | None = None, seed: int = 0
+) -> PoseCheck:
+    """Compare poses (N, 4, 4), camera to world, OpenCV axes, metres, with the frames.
+
+    Raises:
+        PoseError: the poses as a whole contradict the depth; the message names the convention that would agree.
+    """
+    T = np.asarray(T_world_camera, float)
+    evidence = evidence or Evidence.of(frames, seed)
+    n = len(frames)
+    edges = _edges(evidence, T, seed)
+    error = _errors(edges, evidence, T)
+    pair = np.array([(e.i, e.j) for e in edges]).reshape(-1, 2)
+    weight = np.array([1.0 if e.q is not None else 0.3 for e in edges])
+    seen = np.isfinite(error)
+    if not seen.any() and (found := _explain(edges, evidence, T, 2 * TOLERANCE[1], None)):
+        raise PoseError(
+            f"with the given poses no two frames show the same surface: they look like {found[0]}", hint=found[2]
+        )
+    if not seen.any():
+        text = "the poses could not be checked: no two frames show the same surface"
+        return PoseCheck(np.full(n, np.nan), np.full(n, np.nan), (), (text,), {"edges": 0})
+    typical = float(np.median(error[seen & (weight == weight[seen].max())]))
+    limit = float(np.clip(4 * typical, *TOLERANCE))
+    bad = _greedy(pair[seen], weight[seen], error[seen] > limit, n)
+    agreement, middle = _per_frame(pair[seen], weight[seen], error[seen], limit, n)
+    bad |= _nowhere(evidence, T, agreement)
+    scale, spread = _scale(edges, T)
+    found = _explain(edges, evidence, T, typical, scale)
+    statistics: dict[str, Any] = {
+        "edges": int(seen.sum()),
+        "feature_edges": int((weight == 1).sum()),
+        "typical_m": typical,
+        "limit_m": limit,
+        "contradicting_edges": float((error[seen] > limit).mean()),
+        "pose_scale": None if scale is None else 1 / scale,
+    }
+    whole = bad.sum() > MANY * n or (scale is not None and abs(scale - 1) > max(SCALE_LIMIT, 3 * spread))
+    certain = found is not None and typical > TOLERANCE[0] and found[1] < 0.35 * typical
+    if whole or certain or typical >= TOLERANCE[1]:
+        raise PoseError(
+            "the given poses contradict the depth" + (f": they look like {found[0]}" if found else ""),
+            expected="camera to world, OpenCV camera axes (x right, y down, z forward), metres",
+            found=f"{bad.sum()} of {n} frames contradicted; points misplaced by {100 * typical:.1f} cm (median)"
+            + (f", {100 * found[1]:.1f} cm with {found[0]} undone" if found else ""),
+            hint=found[2] if found else "estimate the poses from the frames instead (poses: estimate)",
+        )
+    warnings = []
+    if found and typical > 0.02:
+        warnings.append(f"poses agree only roughly ({100 * typical:.1f} cm); {found[0]} would explain it")
+    if (alone := int((np.isnan(agreement) & ~bad).sum())) > 0:
+        warnings.append(f"{alone} frames share no surface with others: their poses could not be checked")
+    return PoseCheck(agreement, middle, _named(frames, bad, agreement, middle), tuple(warnings), statistics)
+
+
+def _edges(evidence: Evidence, T: F64, seed: int) -> list[Edge]:
+    pairs = choose_pairs(evidence.views, T)
+    matched = {(m.i, m.j): m for m in evidence.matches(pairs)}
+    rng = np.random.default_rng(seed)
+    samples = [sample_surface(view, rng, 100)[0] for view in evidence.views]
+    out = []
+    for i, j in pairs:
+        m = matched.get((i, j))
+        if m is not None:
+            some = np.unique(np.linspace(0, len(m.a) - 1, 60).astype(int))
+            p, q = evidence.views[i].points[m.a[some]], evidence.views[j].points[m.b[some]]
+            out.append(Edge(i, j, p, q, m.T_i_j[:3, 3]))
+        elif len(samples[i]) >= 20:
+            out.append(Edge(i, j, samples[i], None, None))
+    return out
+
+
+def _errors(edges: Sequence[Edge], evidence: Evidence, T: F64) -> F64:
+    """Median misplacement of each edge's points under poses T, metres; NaN where too little is seen to tell."""
+    out = np.full(len(edges), np.nan)
+    for k, e in enumerate(edges):
+        D = invert_T(T[e.j]) @ T[e.i]
+        y = transform(D, e.p)
+        if e.q is not None:
+            out[k] = np.median(np.linalg.norm(y - e.q, axis=1))
+            continue
+        q, _, ok = look_up(evidence.views[e.j], y)
+        if ok.sum() >= 20:
+            out[k] = np.median(np.abs(y[ok, 2] - q[ok, 2]))
+    return out
+
+
+def _greedy(pair: np.ndarray, weight: F64, wrong: np.ndarray, n: int) -> np.ndarray:
+    """Take out the frame with the largest contradicted share until every frame agrees with most of the others.
+
+    One at a time, because one wrong pose makes all its neighbours look bad.
+    """
+    bad = np.zeros(n, bool)
+    while True:
+        live = ~bad[pair].any(1)
+        total = np.bincount(pair[live].ravel(), np.repeat(weight[live], 2), n)
+        against = np.bincount(pair[live].ravel(), np.repeat(weight[live] * wrong[live], 2), n)
+        share = np.divide(against, total, out=np.zeros(n), where=total > 0)
+        if share.max(initial=0) <= 0.5:
+            return bad
+        # Of equal shares, the one with more evidence against it.
+        bad[np.lexsort((against, share))[-1]] = True
+
+
+def _per_frame(pair: np.ndarray, weight: F64, error: F64, limit: float, n: int) -> tuple[F64, F64]:
+    agreement, middle = np.full(n, np.nan), np.full(n, np.nan)
+    for k in range(n):
+        mine = (pair == k).any(1)
+        if mine.any():
+            agreement[k] = np.average(error[mine] <= limit, weights=weight[mine])
+            middle[k] = np.median(error[mine])
+    return agreement, middle
+
+
+def _nowhere(evidence: Evidence, T: F64, agreement: F64) -> np.ndarray:
+    """Frames that overlap with nothing although the frames before and after see the same surface."""
+    bad = np.zeros(len(T), bool)
+    for k in np.flatnonzero(np.isnan(agreement)):
+        if 0 < k < len(T) - 1:
+            z = evidence.views[k - 1].depth
+            points = (evidence.views[k - 1].camera.rays() * z[..., None])[z > 0][::97].astype(float)
+            bad[k] = len(points) > 0 and overlap(evidence.views, T, k - 1, np.array([k + 1]), points)[0] > 0.3
+    return bad
+
+
+def _scale(edges: Sequence[Edge], T: F64) -> tuple[float | None, float]:
+    """Metres by depth for a metre by poses (median over edges with a baseline), and its standard error."""
+    known = [e for e in edges if e.t is not None]
+    given = np.array([(invert_T(T[e.i]) @ T[e.j])[:3, 3] for e in known]).reshape(-1, 3)
+    found = np.array([e.t for e in known]).reshape(-1, 3)
+    long = np.linalg.norm(found, axis=1) > 0.1
+    if long.sum() < 8:
+        return None, 0.0
+    # Lengths, not components: they do not depend on a wrong convention of the axes.
+    ratio = np.linalg.norm(found[long], axis=1) / np.maximum(np.linalg.norm(given[long], axis=1), 1e-9)
+    middle = np.median(ratio)
+    return float(middle), float(1.4826 * np.median(np.abs(ratio - middle)) / np.sqrt(long.sum()) * 1.25)
+
+
+# ---------------------------------------------------------------- what it may be
+
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+BODY = make_T(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]))
+"""OpenCV camera axes written in x forward, y left, z up."""
+
+
+def _turned(degrees: float) -> F64:
+    return make_T(Rotation.from_euler("z", degrees, degrees=True).as_matrix())
+
+
+CONVENTIONS: tuple[tuple[str, str, Callable[[F64], F64]], ...] = (
+    ("OpenGL camera axes (y up, z backward)", "turn y and z of the camera axes", lambda T: T @ FLIP),
+    ("world-to-camera matrices", "invert the matrices", invert_T),
+    ("OpenGL world-to-camera matrices", "invert the matrices and turn y and z", lambda T: invert_T(T) @ FLIP),
+    ("body axes (x forward, y left, z up)", "rotate to camera axes", lambda T: T @ BODY),
+    ("a camera turned by 90 degrees", "images or poses were rotated for portrait", lambda T: T @ _turned(90)),
+    ("a camera turned by -90 degrees", "images or poses were rotated for portrait", lambda T: T @ _turned(-90)),
+    ("a camera turned by 180 degrees", "images or poses were rotated", lambda T: T @ _turned(180)),
+)
+
+
+def _hypotheses(T: F64, scale: float | None) -> Iterator[tuple[str, str, F64]]:
+    for name, hint, undo in CONVENTIONS:
+        yield name, hint, undo(T)
+    factors = {"millimetres": 1e-3, "centimetres": 1e-2, "feet": 0.3048}
+    if scale is not None:
+        factors[f"poses of another scale ({1 / scale:.3g} units a metre)"] = scale
+    for name, factor in factors.items():
+        scaled = T.copy()
+        scaled[:, :3, 3] *= factor
+        yield name, f"multiply the positions by {factor:.4g}", scaled
+    for shift in (-4, -3, -2, -1, -0.5, 0.5, 1, 2, 3, 4):
+        text = f"a time offset between poses and images of {-shift:g} frames"
+        yield text, "associate poses and images by their timestamps anew", _shifted(T, shift)
+
+
+def _shifted(T: F64, shift: float) -> F64:
+    """Poses `shift` frames later, interpolated, held at the ends."""
+    n = len(T)
+    at = np.clip(np.arange(n) + shift, 0, n - 1)
+    out = np.tile(np.eye(4), (n, 1, 1))
+    if n < 2:
+        return T
+    out[:, :3, :3] = Slerp(np.arange(n), Rotation.from_matrix(T[:, :3, :3]))(at).as_matrix()
+    low = np.minimum(at.astype(int), n - 2)
+    part = (at - low)[:, None]
+    out[:, :3, 3] = (1 - part) * T[low, :3, 3] + part * T[low + 1, :3, 3]
+    return out
+
+
+def _explain(
+    edges: Sequence[Edge], evidence: Evidence, T: F64, typical: float, scale: float | None
+) -> tuple[str, float, str] | None:
+    """(name, median misplacement once undone, hint) of the convention that agrees best, if it clearly beats none."""
+    certain = [e for e in edges if e.q is not None]
+    # By depth alone, only frames next to each other surely see the same; poses do not decide who is compared.
+    certain = certain if len(certain) >= 8 else [e for e in edges if e.j - e.i <= 3]
+    if not certain or typical < 0.02:
+        return None
+    best: tuple[str, float, str] | None = None
+    for name, hint, other in _hypotheses(T, scale):
+        error = _errors(certain, evidence, other)
+        # A convention under which frames no longer see each other explains nothing.
+        if np.isfinite(error).mean() < 0.7:
+            continue
+        value = float(np.nanmedian(error))
+        if value < 0.5 * typical and (best is None or value < 0.999 * best[1]):
+            best = (name, value, hint)
+    return best
+
+
+def _named(frames: Sequence[Frame], bad: np.ndarray, agreement: F64, middle: F64) -> tuple[Dropped, ...]:
+    out = []
+    for k in np.flatnonzero(bad):
+        if np.isnan(agreement[k]):
+            reason = "its pose looks at nothing that the frames before and after see"
+        else:
+            reason = (
+                f"its pose contradicts the depth: {100 * (1 - agreement[k]):.0f} percent of the frames it overlaps with "
+                f"disagree, by {100 * middle[k]:.1f} cm (median)"
+            )
+        out.append(Dropped(frames[k].name, reason))
+    return tuple(out)
