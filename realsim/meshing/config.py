@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
 
 
 @dataclass(frozen=True)
 class MeshConfig:
-    method: str = "poisson"
+    method: Annotated[str, tyro.conf.arg(name="mesh-method")] = "poisson"
     """Surface reconstruction: `poisson` (screened) or `tsdf`."""
     resolution: float | None = None
     """Metres a cell; chosen from the data's noise if not given."""
@@ -23,7 +26,7 @@ class MeshConfig:
     """Invent walls from unseen edges down to what is below, for collisions; they never enter the delivered surface."""
     residual_views: int = 6
     """Views whose residuals go into the report."""
-    seed: int = 0
+    seed: Annotated[int, tyro.conf.Suppress] = 0
 
     def __post_init__(self) -> None:
         if self.resolution is not None and not 0.001 <= self.resolution <= 0.2:
