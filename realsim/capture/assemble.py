@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from realsim.capture.config import CaptureConfig
@@ -13,13 +14,27 @@ from realsim.errors import CaptureError, RealsimError
 from realsim.types import F64, Dropped, Frame, FrameSet, Intrinsics
 
 
-def depth_unit(default: float, why: str, config: CaptureConfig, camera: Camera | None = None) -> tuple[float, str]:
-    """Metres a step of integer depth and the sentence that says where it comes from: asked for, file, convention."""
+@dataclass(frozen=True)
+class DepthUnit:
+    """What the values of depth images stand for."""
+
+    integer: float
+    """Metres a step of integer images."""
+    floating: float
+    """Metres a unit of floating-point images."""
+    note: str
+    """Where that comes from, one sentence."""
+
+
+def depth_unit(default: float, why: str, config: CaptureConfig, camera: Camera | None = None) -> DepthUnit:
+    """The unit that was asked for, or that the camera's file names, or else the layout's convention."""
     if config.depth_unit is not None:
-        return config.depth_unit, f"integer depth is in steps of {config.depth_unit:g} m, as asked for"
+        note = f"depth is in steps of {config.depth_unit:g} m, as asked for"
+        return DepthUnit(config.depth_unit, config.depth_unit, note)
     if camera is not None and camera.depth_unit is not None:
-        return camera.depth_unit, f"integer depth is in steps of {camera.depth_unit:g} m ({camera.source.name})"
-    return default, f"integer depth is in steps of {default:g} m ({why})"
+        note = f"integer depth is in steps of {camera.depth_unit:g} m ({camera.source.name})"
+        return DepthUnit(camera.depth_unit, 1.0, note)
+    return DepthUnit(default, 1.0, f"integer depth is in steps of {default:g} m ({why})")
 
 
 def cameras(
@@ -68,7 +83,7 @@ def cameras(
 def frames_of(
     pairs: Sequence[Pair],
     intrinsics: Intrinsics,
-    unit: float,
+    unit: DepthUnit,
     *,
     color_intrinsics: Intrinsics | None = None,
     with_color: bool = True,
@@ -99,7 +114,7 @@ def frames_of(
             Frame(
                 pair.name,
                 intrinsics,
-                DepthImage(pair.depth, unit),
+                DepthImage(pair.depth, unit.integer, unit.floating),
                 None if pair.color is None else ColorImage(pair.color),
                 color_intrinsics,
                 T_world_camera=pose,

@@ -14,7 +14,7 @@ class CaptureConfig:
     every: int = 1
     """Use every n-th frame."""
     depth_unit: float | None = None
-    """Metres a step of integer depth images; from the layout if not given."""
+    """Metres that the value 1 stands for in depth images; from the layout if not given."""
     min_depth: float = 0.15
     """Metres; nearer depth is invalid."""
     max_depth: float = 6.0

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from realsim.capture.units import step_of
 from realsim.errors import CaptureError, PoseError
 from realsim.geometry import invert_T
 from realsim.types import F32, F64, Frame, FrameSet, Intrinsics
@@ -74,7 +75,7 @@ def check_agreement(capture: FrameSet) -> tuple[Agreement | None, str | None]:
         return found, doubtful if found.as_read < GOOD else None
     facts += f", but at {found.others[found.better]:.0%} with {found.better}"
     if found.better in DEPTH_FACTORS:
-        unit = getattr(capture.frames[0].read_depth, "unit", None)
+        unit = step_of(capture.frames[0])
         right = f"pass --capture.depth-unit {unit * DEPTH_FACTORS[found.better]:g}" if unit else None
         raise CaptureError("depth in an implausible unit", file=capture.source, found=facts, hint=right)
     raise PoseError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 from collections import Counter
 from collections.abc import Iterable
@@ -19,8 +20,8 @@ COLOR_SUFFIXES = (".jpg", ".jpeg", ".png", ".ppm", ".bmp", ".webp")
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy")
 MAX_IMAGE_BYTES = 256 * 2**20
 MAX_PIXELS = 64 * 2**20
-NO_RETURN = (0, 65535)
-"""Integer depth values that mean `nothing measured`: 0 by every convention, 65535 by Kinect's (7-Scenes)."""
+SATURATED = 65535
+"""The integer depth that means `nothing measured` besides 0 (Kinect, 7-Scenes)."""
 
 
 @dataclass(frozen=True)
@@ -29,26 +30,38 @@ class DepthImage:
 
     path: Path
     unit: float
-    """Metres a step of integer images. Floating-point images are metres already."""
+    """Metres a step of integer images."""
+    float_unit: float = 1.0
+    """Metres a unit of floating-point images."""
 
     def __call__(self) -> F32:
-        raw = _load(self.path)
-        if raw.ndim != 2:
-            raise CaptureError(
-                "depth of another type", file=self.path, expected="one channel", found=f"{raw.shape[2]} channels"
-            )
+        raw = self._raw()
+        depth = raw.astype(np.float32) * np.float32(self._unit_of(raw))
         if raw.dtype.kind == "f":
-            depth = raw.astype(np.float32)
             depth[~np.isfinite(depth) | (depth < 0)] = 0
-            return depth
-        if raw.dtype.kind != "u" or raw.dtype.itemsize < 2:
-            # Eight bits cannot hold metric depth at any useful resolution: this is a picture of depth, not depth.
-            raise CaptureError(
-                "depth of another type", file=self.path, expected="16-bit unsigned or float", found=str(raw.dtype)
-            )
-        depth = raw.astype(np.float32) * np.float32(self.unit)
-        depth[np.isin(raw, NO_RETURN)] = 0
+        else:
+            depth[raw == SATURATED] = 0
         return depth
+
+    def step(self) -> float:
+        """Metres that the value 1 stands for in this file."""
+        return self._unit_of(self._raw())
+
+    def _unit_of(self, raw: NDArray) -> float:
+        return self.float_unit if raw.dtype.kind == "f" else self.unit
+
+    def _raw(self) -> NDArray:
+        """The values as stored; refused unless they are one channel of 16-bit unsigned or floating-point numbers."""
+        raw = _load(self.path)
+        # Eight bits cannot hold metric depth at any useful resolution: that is a picture of depth, not depth.
+        if raw.ndim != 2 or not (raw.dtype.kind == "f" or (raw.dtype.kind == "u" and raw.dtype.itemsize > 1)):
+            raise CaptureError(
+                "depth of another type",
+                file=self.path,
+                expected="one channel, 16-bit unsigned or float",
+                found=f"{raw.dtype} of shape {raw.shape}",
+            )
+        return raw
 
 
 @dataclass(frozen=True)
@@ -62,7 +75,7 @@ class ColorImage:
 
         # A viewer would turn the picture upright; the depth image beside it has no such tag and would not follow.
         bgr = _decode(self.path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-        return np.ascontiguousarray(bgr[..., ::-1])
+        return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8)
 
 
 def common_size(readers: Iterable[DepthImage | ColorImage], look_at: int = 5) -> tuple[int, int] | None:
@@ -82,9 +95,12 @@ def common_size(readers: Iterable[DepthImage | ColorImage], look_at: int = 5) ->
 def _load(path: Path) -> NDArray:
     if path.suffix.lower() == ".npy":
         try:
-            return np.load(path, allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
+            array = np.load(io.BytesIO(read_bytes(path, MAX_IMAGE_BYTES)), allow_pickle=False)
+        except (OSError, ValueError, EOFError, MemoryError) as error:
             raise CaptureError("corrupt array file", file=path, found=str(error)) from error
+        if not isinstance(array, np.ndarray):
+            raise CaptureError("corrupt array file", file=path, expected="one array", found="an archive")
+        return array
     import cv2
 
     return _decode(path, cv2.IMREAD_UNCHANGED)

@@ -12,6 +12,7 @@ import numpy as np
 
 from realsim.capture.finish import Finished
 from realsim.capture.layout import Recognition
+from realsim.capture.selection import NOT_NEEDED
 from realsim.geometry import angle_deg
 from realsim.types import Scan
 
@@ -82,7 +83,8 @@ def inspect_frames(finished: Finished, recognition: Recognition) -> Inspection:
             round(float(np.median([look.depth_range[1] for look in looks])), 3),
         ],
     }
-    wrong = list(capture.warnings) + [f"{n} frames dropped: {reason}" for reason, n in reasons.items()]
+    wrong = [*capture.warnings]
+    wrong += [f"{n} dropped: {reason}" for reason, n in reasons.items() if not reason.startswith(NOT_NEEDED)]
     if coverage < 0.3:
         wrong.append(f"only {coverage:.0%} of the pixels have depth in range")
     return Inspection(

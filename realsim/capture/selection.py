@@ -12,6 +12,8 @@ from realsim.types import F64, Dropped, Frame
 
 FULL_TURN_DEG = 60.0
 """A rotation after which nothing of the first view is left (the field of view of a depth camera)."""
+NOT_NEEDED = "not needed"
+"""How the reason of a frame begins that is good but not among the picked."""
 STILL = 0.01
 """Change counted for a step even if nothing moved, so that a camera at rest still gets a frame now and then."""
 
@@ -25,7 +27,7 @@ def pick(frames: Sequence[Frame], looks: Sequence[Look], limit: int) -> list[Dro
         return []
     travelled = np.concatenate([[0.0], np.cumsum(view_changes(frames, looks))])
     kept = _best_cut(travelled, [look.sharpness or 0.0 for look in looks], limit)
-    reason = f"not needed: {limit} of {len(frames)} frames were picked by sharpness and view change"
+    reason = f"{NOT_NEEDED}: at most {limit} of {len(frames)} frames are picked by sharpness and view change"
     return [Dropped(frame.name, reason) for i, frame in enumerate(frames) if i not in kept]
 
 

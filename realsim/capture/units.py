@@ -28,7 +28,7 @@ def check_unit(frames: Sequence[Frame], looks: Sequence[Look], source: Path) -> 
     if not medians:
         return None
     median = float(np.median(medians))
-    unit = getattr(frames[0].read_depth, "unit", None)
+    unit = step_of(frames[0])
     found = f"{median:.4g} m" + (f" with {unit:g} m a step" if unit else "")
     if _within(median, PLAUSIBLE_MEDIAN):
         if _within(median, USUAL_MEDIAN):
@@ -42,6 +42,12 @@ def check_unit(frames: Sequence[Frame], looks: Sequence[Look], source: Path) -> 
         found=found,
         hint=f"likely {' or '.join(likely)}: pass --capture.depth-unit {UNITS[likely[0]]:g}" if likely else None,
     )
+
+
+def step_of(frame: Frame) -> float | None:
+    """Metres that the value 1 stands for in the frame's depth file, where its reader can tell."""
+    step = getattr(frame.read_depth, "step", None)
+    return None if step is None else step()
 
 
 def _within(value: float, limits: tuple[float, float]) -> bool:

@@ -21,14 +21,19 @@ from realsim.files import read_text
 from realsim.types import F64, FrameSet
 
 INTRINSICS = ("camera_intrinsic.json", "camera_intrinsics.json", "intrinsic.json")
+PLAIN = ("intrinsics.json", "intrinsics.yaml", "intrinsics.txt")
 CAM_PARAMS = "*cam_params*.json"
 TRAJECTORIES = ("trajectory.log", "scene/trajectory.log")
 
 
 def intrinsics_file(folder: Path) -> Path | None:
-    """Open3D's own name first, then what its RealSense scripts leave (`cam_params_realsense.json`)."""
-    named = next((folder / name for name in INTRINSICS if (folder / name).is_file()), None)
-    return named or next(iter(sorted(folder.glob(CAM_PARAMS))), None)
+    """Open3D's own name first, then what RealSense scripts leave (`cam_params_realsense.json`), then a plain folder's
+    names, but only beside a trajectory: without one it is layout `plain`.
+    """
+    candidates = [folder / name for name in INTRINSICS] + sorted(folder.glob(CAM_PARAMS))
+    if trajectory_file(folder) is not None:
+        candidates += [folder / name for name in PLAIN]
+    return next((path for path in candidates if path.is_file()), None)
 
 
 def trajectory_file(folder: Path) -> Path | None:
@@ -63,8 +68,8 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     pairs, rule = pair_by_stem(color, depth)
     camera = read_camera(source)
     of_depth, of_color, assumed = cameras(camera, color, depth)
-    unit, unit_note = depth_unit(0.001, "Open3D's convention", config, camera)
-    assumptions = [*camera.notes, *assumed, rule, unit_note, "depth is registered to colour"]
+    unit = depth_unit(0.001, "Open3D's convention", config, camera)
+    assumptions = [*camera.notes, *assumed, rule, unit.note, "depth is registered to colour"]
 
     trajectory = None if config.ignore_poses else trajectory_file(folder)
     poses: dict[str, F64] = {}

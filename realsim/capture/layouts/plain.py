@@ -45,10 +45,11 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     pairs, rule = pair_by_stem(color, depth)
     camera = read_camera(source)
     of_depth, of_color, assumed = cameras(camera, color, depth)
-    unit, unit_note = depth_unit(0.001, "the usual convention; this layout has none of its own", config, camera)
+    unit = depth_unit(0.001, "the usual convention; this layout has none of its own", config, camera)
     frames, dropped = frames_of(pairs, of_depth, unit, color_intrinsics=of_color, with_color=bool(color))
-    assumptions = [*camera.notes, *assumed, unit_note]
+    assumptions = [*camera.notes, *assumed, unit.note]
     assumptions += [rule, "depth is registered to colour"] if color else ["there is no colour"]
+    assumptions.append("this layout has no poses: they have to be estimated")
     return capture(folder, LAYOUT.name, frames, dropped, assumptions, camera.warnings)
 
 

@@ -53,13 +53,13 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     color, depth = list_files(color_in, COLOR_SUFFIXES), list_files(depth_in, DEPTH_SUFFIXES)
     depth_source, color_source = camera_file(folder, "depth"), camera_file(folder, "color")
     if depth_source is None or color_source is None:
-        raise no_intrinsics(folder, (CAMERAS["depth"][0], CAMERAS["color"][0]))
+        raise no_intrinsics(folder, (CAMERAS["depth"][0], CAMERAS["color"][0]), "export the scan with its intrinsics")
     depth_size = common_size(DepthImage(p, 1.0) for p in depth)
     color_size = common_size(ColorImage(p) for p in color)
     if depth_size is None or color_size is None:
         raise CaptureError("no image can be read", file=depth_in if depth_size is None else color_in)
     depth_camera, color_camera = read_camera(depth_source), read_camera(color_source)
-    unit, unit_note = depth_unit(0.001, "ScanNet's convention", config)
+    unit = depth_unit(0.001, "ScanNet's convention", config)
     pairs, rule = pair_by_stem(color, depth)
     pose_files = {} if config.ignore_poses else {p.stem: p for p in list_files(folder / POSES, (".txt",))}
 
@@ -82,7 +82,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         *color_camera.notes,
         f"colour is {color_size[0]}x{color_size[1]}, depth {depth_size[0]}x{depth_size[1]}, each with its own camera "
         "at the same place",
-        unit_note,
+        unit.note,
         rule,
     ]
     if pose_files:

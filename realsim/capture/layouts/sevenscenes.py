@@ -23,7 +23,7 @@ INTRINSICS = ("camera-intrinsics.txt", "intrinsics.txt", "intrinsics.json", "int
 def frame_files(folder: Path) -> dict[str, dict[str, Path]]:
     """frame name -> its files by role (`color`, `depth`, `pose`), in natural order."""
     found: dict[str, dict[str, Path]] = {}
-    for path in folder.glob("frame-*.*.*"):
+    for path in sorted(folder.glob("frame-*.*.*")):
         name, role = path.name.split(".")[:2]
         if role in ("color", "depth", "pose"):
             found.setdefault(name, {})[role] = path
@@ -62,7 +62,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     of_depth, of_color, assumed = cameras(
         camera, [p.color for p in pairs if p.color], [p.depth for p in pairs if p.depth]
     )
-    unit, unit_note = depth_unit(0.001, "7-Scenes' convention", config, camera)
+    unit = depth_unit(0.001, "7-Scenes' convention", config, camera)
     posed = not config.ignore_poses and any("pose" in f for f in files.values())
 
     def pose_of(pair: Pair) -> F64 | None:
@@ -73,7 +73,14 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         return read_matrix(files[pair.name]["pose"])
 
     frames, dropped = frames_of(pairs, of_depth, unit, color_intrinsics=of_color, pose_of=pose_of)
-    assumptions = [*camera.notes, *assumed, unit_note, "depth 0 and 65535 are invalid", "depth is registered to colour"]
+    assumptions = [
+        *camera.notes,
+        f"the camera is that of {source}",
+        *assumed,
+        unit.note,
+        "depth 0 and 65535 are invalid",
+        "depth is registered to colour",
+    ]
     if posed:
         assumptions.append("poses are camera to world in metres, OpenCV camera axes, one file a frame")
     return capture(folder, LAYOUT.name, frames, dropped, assumptions, camera.warnings)

@@ -53,21 +53,21 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     warnings += more
     camera = read_camera(source)
     of_depth, of_color, assumed = cameras(camera, color, depth)
-    unit, unit_note = depth_unit(1 / 5000, "TUM's convention", config, camera)
+    unit = depth_unit(1 / 5000, "TUM's convention", config, camera)
 
+    # File names usually are the timestamps; where they do not tell frames apart, the timestamps themselves do.
+    names = [path.stem for path in color]
+    if len(set(names)) < len(names):
+        names = [f"{t:.6f}" for t in color_times]
     matches = associate(color_times, depth_times, config.max_time_difference)
-    times = {color[i].stem: float(color_times[i]) for i, _ in matches}
-    pairs = [Pair(color[i].stem, color[i], depth[j]) for i, j in matches]
-    matched = {i for i, _ in matches}
-    lonely = tuple(
-        Dropped(path.stem, f"no depth image within {config.max_time_difference:g} s")
-        for i, path in enumerate(color)
-        if i not in matched
-    )
+    times = {names[i]: float(color_times[i]) for i, _ in matches}
+    pairs = [Pair(names[i], color[i], depth[j]) for i, j in matches]
+    reason = f"no depth image within {config.max_time_difference:g} s"
+    lonely = tuple(Dropped(name, reason) for name in names if name not in times)
     assumptions = [
         *camera.notes,
         *assumed,
-        unit_note,
+        unit.note,
         f"colour and depth at most {config.max_time_difference:g} s apart are one frame; its time is that of colour",
         "depth is registered to colour",
     ]
