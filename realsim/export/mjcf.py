@@ -38,9 +38,7 @@ def scene_xml(
     asset = ET.SubElement(root, "asset")
     _materials(asset, texture)
     ET.SubElement(asset, "mesh", name="visual", file=visual, inertia="shell")
-    for a in contact.assets:
-        kind = {"content_type": "image/vnd.mujoco.hfield"} if a.kind == "hfield" else {}
-        ET.SubElement(asset, a.kind, {"name": a.name, "file": a.file, **kind, **a.attributes})
+    _assets(asset, contact)
     world = ET.SubElement(root, "worldbody")
     _lights_and_camera(world, bounds)
     ET.SubElement(
@@ -62,6 +60,17 @@ def scene_xml(
         ET.SubElement(root, "include", file=robot)
     ET.indent(root, "  ")
     return ET.tostring(root, "unicode") + "\n"
+
+
+def contact_elements(contact: ContactModel) -> str:
+    """MJCF that holds the collision geoms alone."""
+    root = ET.Element("mujoco", model="contact")
+    _materials(asset := ET.SubElement(root, "asset"), None)
+    _assets(asset, contact)
+    world = ET.SubElement(root, "worldbody")
+    for geom in contact.geoms:
+        ET.SubElement(world, "geom", _geom(geom))
+    return ET.tostring(root, "unicode")
 
 
 def platform_names(platforms: Iterable[Platform]) -> list[str]:
@@ -100,12 +109,18 @@ def _materials(asset: ET.Element, texture: str | None) -> None:
         ET.SubElement(asset, "material", name="scan", texture="scan", specular="0", shininess="0")
 
 
+def _assets(asset: ET.Element, contact: ContactModel) -> None:
+    for a in contact.assets:
+        kind = {"content_type": "image/vnd.mujoco.hfield"} if a.kind == "hfield" else {}
+        ET.SubElement(asset, a.kind, {"name": a.name, "file": a.file, **kind, **a.attributes})
+
+
 def _lights_and_camera(world: ET.Element, bounds: NDArray[np.float64]) -> None:
     centre, size = bounds.mean(0), bounds[1] - bounds[0]
     high = bounds[1, 2] + 4
     ET.SubElement(world, "light", pos=numbers([*centre[:2], high]), dir="0.2 0.3 -1", type="directional")
     # Beside the terrain, from the side on which y is negative, looking at its middle and down by 35 degrees.
-    distance = 0.9 * float(np.hypot(size[0], size[1])) + 0.5
+    distance = 0.65 * float(np.hypot(size[0], size[1])) + 0.5
     down = np.radians(35)
     eye = centre + distance * np.array([0, -np.cos(down), np.sin(down)])
     up = [0, np.sin(down), np.cos(down)]

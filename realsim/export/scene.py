@@ -52,7 +52,7 @@ def write_scene(folder: Path, aligned: AlignedScene, mesh: TerrainMesh, config: 
         files |= robot.files | {"robot.xml": robot.spec.to_xml().encode()}
     bounds = np.stack([mesh.vertices.min(0), mesh.vertices.max(0)])
     xml = scene_xml(
-        contact, aligned.platforms, bounds, visual="visual.obj", texture=texture, robot=robot and "robot.xml"
+        contact, aligned.platforms, bounds, visual="visual.obj", texture=texture, robot="robot.xml" if robot else None
     )
     for name, data in files.items():
         write_bytes(folder / name, data)
