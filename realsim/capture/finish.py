@@ -17,6 +17,9 @@ from realsim.capture.units import check_unit
 from realsim.errors import CaptureError
 from realsim.types import F32, Dropped, Frame, FrameSet
 
+LEAST_COVERAGE = 0.01
+"""Share of pixels with depth in range below which a frame says nothing."""
+
 
 @dataclass(frozen=True)
 class Finished:
@@ -82,8 +85,12 @@ def finish(raw: FrameSet, config: CaptureConfig) -> Finished:
 
 
 def _empty(looks: Sequence[Look], config: CaptureConfig) -> list[Dropped]:
-    reason = f"no valid depth between {config.min_depth:g} and {config.max_depth:g} m"
-    return [Dropped(look.name, reason) for look in looks if look.valid_share == 0]
+    limits = f"between {config.min_depth:g} and {config.max_depth:g} m"
+    return [
+        Dropped(look.name, f"{'hardly any' if look.valid_share else 'no'} valid depth {limits}")
+        for look in looks
+        if look.valid_share < LEAST_COVERAGE
+    ]
 
 
 def _without(capture: FrameSet, looks: Sequence[Look], dropped: Sequence[Dropped]) -> tuple[FrameSet, list[Look]]:

@@ -171,18 +171,23 @@ def test_depth_of_another_size(tmp_path):
     assert "48x36" in said
 
 
-@pytest.mark.parametrize("kind", ["eight bits", "three channels", "signed"])
+@pytest.mark.parametrize("kind", ["eight bits", "three channels", "signed", "one row", "archive"])
 def test_depth_of_another_type(kind, tmp_path):
     views = walk(8)
     write_plain(tmp_path, views)
     path = tmp_path / "depth/000005.png"
     raw = millimetres(views[5].depth)
-    if kind == "signed":
+    if kind in ("signed", "one row"):
         path.unlink()
-        np.save(path.with_suffix(".npy"), raw.astype(np.int32))
+        np.save(path.with_suffix(".npy"), raw.astype(np.int32) if kind == "signed" else raw.ravel())
+    elif kind == "archive":
+        path.unlink()
+        np.savez(path.with_suffix(".npz"), raw)
+        path.with_suffix(".npz").rename(path.with_suffix(".npy"))
     else:
         write_image(path, (raw // 16).astype(np.uint8) if kind == "eight bits" else np.repeat(raw[..., None], 3, 2))
-    assert "depth of another type" in reason(frames_of(tmp_path), "000005")
+    expected = "corrupt array" if kind == "archive" else "depth of another type"
+    assert expected in reason(frames_of(tmp_path), "000005")
 
 
 def test_pickled_arrays_are_not_opened(tmp_path):
@@ -212,6 +217,14 @@ def test_all_invalid_depth(tmp_path):
     capture = frames_of(tmp_path)
     assert [d.name for d in capture.dropped] == ["000003", "000004"]
     assert all("no valid depth" in d.reason for d in capture.dropped)
+
+
+def test_hardly_any_depth(tmp_path):
+    write_open3d(tmp_path, walk(6))
+    raw = np.zeros((72, 96), np.uint16)
+    raw[10, 10:20] = 1500
+    write_image(tmp_path / "depth/000003.png", raw)
+    assert "hardly any valid depth" in reason(frames_of(tmp_path), "000003")
 
 
 def test_nothing_left_is_an_error_that_says_why(tmp_path):
@@ -257,6 +270,20 @@ def test_depth_in_an_implausible_unit(steps, tmp_path):
     with pytest.raises(CaptureError, match="implausible unit") as caught:
         read(tmp_path, CONFIG)
     assert caught.value.expected is not None
+
+
+def test_float_depth_in_millimetres(tmp_path):
+    views = walk(4)
+    write_plain(tmp_path, views)
+    for i, view in enumerate(views):
+        (tmp_path / f"depth/{i:06d}.png").unlink()
+        np.save(tmp_path / f"depth/{i:06d}.npy", (1000 * view.depth).astype(np.float32))
+    with pytest.raises(CaptureError, match="implausible unit") as caught:
+        read(tmp_path, CONFIG)
+    assert "millimetres" in str(caught.value.hint)
+    assert "--capture.depth-unit 0.001" in str(caught.value.hint)
+    capture = frames_of(tmp_path, CaptureConfig(depth_unit=0.001))
+    np.testing.assert_allclose(capture.frames[0].depth(), views[0].depth, atol=1e-5)
 
 
 def test_tum_depth_read_as_millimetres_is_found_by_the_poses(tmp_path):

@@ -169,6 +169,14 @@ def test_open3d_reads_what_realsense_scripts_leave(tmp_path):
     assert "column by column" in " ".join(capture.assumptions)
 
 
+def test_open3d_trajectory_beside_a_plain_camera_is_not_overlooked(tmp_path):
+    write_open3d(tmp_path, walk(4))
+    (tmp_path / "camera_intrinsic.json").rename(tmp_path / "intrinsics.json")
+    capture = frames_of(tmp_path)
+    assert capture.layout == "open3d"
+    assert capture.has_poses
+
+
 def test_open3d_headers_with_gaps_name_their_frames(tmp_path):
     views = walk(8)
     write_open3d(tmp_path, views)
