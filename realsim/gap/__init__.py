@@ -1,1 +1,32 @@
-"""."""
+"""Diagnose the sim-to-real gap: where it lies, which unmodelled effect causes it, how far it shrinks.
+
+    from realsim.gap import load_case, diagnose
+    found = diagnose(load_case("case"))
+    print(found.sentence)
+
+`apply_patch` changes a plain MuJoCo spec, `explain` says what an effect looks like, `run_case` does it all on disk.
+"""
+
+from __future__ import annotations
+
+from realsim.gap.case import Case, Run, load_case
+from realsim.gap.config import DiagnoseConfig
+from realsim.gap.diagnose import diagnose
+from realsim.gap.diagnosis import Diagnosis
+from realsim.gap.effects import EFFECTS
+from realsim.gap.explain import explain
+from realsim.gap.patch import apply_patch
+from realsim.gap.run import run_case
+
+__all__ = [
+    "EFFECTS",
+    "Case",
+    "DiagnoseConfig",
+    "Diagnosis",
+    "Run",
+    "apply_patch",
+    "diagnose",
+    "explain",
+    "load_case",
+    "run_case",
+]

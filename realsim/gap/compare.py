@@ -1,0 +1,119 @@
+"""How far log and simulator are apart: bins, noise floor, weights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from realsim.gap.case import Case
+from realsim.gap.config import DiagnoseConfig
+from realsim.gap.simulate import Channel, measured
+from realsim.types import F64
+
+CORRELATION = 5.0
+"""Unmodelled detail is correlated over about a tenth of a second: that many bins count as one."""
+CLOCK_SIGMA = 3e-4
+"""Seconds: jitter of time stamps that nobody logs. Its error grows with the rate of a signal."""
+
+# What structure of no consequence remains in any good simulator: (absolute, share of the signal's own spread).
+DETAIL = {
+    "joint_pos": (8e-4, 0.002),
+    "joint_vel": (8e-3, 0.006),
+    "joint_torque": (2e-2, 0.015),
+    "base_pos": (8e-4, 0.005),
+    "base_rot": (1.2e-3, 0.005),
+    "imu_gyro": (1e-2, 0.01),
+    "imu_acc": (8e-2, 0.015),
+}
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The floor, channel by channel."""
+
+    sensor: F64
+    """(C,) standard deviation of a sample, from the log's own high frequencies."""
+    detail: F64
+    """(C,) standard deviation of slow structure that is no gap."""
+
+
+class Comparison:
+    """Log against simulator on regular bins. Residuals are (B, C) a run, in the units of the channels."""
+
+    def __init__(self, case: Case, channels: Sequence[Channel], nominal: Sequence[F64], config: DiagnoseConfig) -> None:
+        self.case, self.channels, self.config = case, tuple(channels), config
+        self._starts, self._counts, self._values, self.times = [], [], [], []
+        self._valid = []
+        for run in case.runs:
+            bins = np.floor(run.time / config.bin_seconds).astype(int)
+            starts = np.flatnonzero(np.diff(bins, prepend=bins[0] - 1))
+            values = measured(run, channels)
+            good = np.isfinite(values)
+            self._starts.append(starts)
+            self._valid.append(good)
+            self._counts.append(np.add.reduceat(good.astype(float), starts, axis=0))
+            self._values.append(np.where(good, values, 0.0))
+            self.times.append(np.add.reduceat(run.time, starts) / np.diff(np.append(starts, len(run.time))))
+        self._rates = [self._rate(i, y) for i, y in enumerate(nominal)]
+        self.noise = self._floor(nominal)
+        self.set_detail(self.noise.detail)
+
+    def residual(self, run: int, simulated: F64) -> F64:
+        """(B, C) mean of measured - simulated in each bin; NaN where a bin has no sample or the simulator failed."""
+        diff = np.where(self._valid[run], self._values[run] - simulated, 0.0)
+        total = np.add.reduceat(diff, self._starts[run], axis=0)
+        count = self._counts[run]
+        return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+    def change(self, run: int, simulated: F64, base: F64) -> F64:
+        """(B, C) mean change of the prediction in each bin."""
+        diff = np.where(self._valid[run], simulated - base, 0.0)
+        total = np.add.reduceat(diff, self._starts[run], axis=0)
+        return total / np.maximum(self._counts[run], 1)
+
+    def set_detail(self, detail: F64) -> None:
+        """Set the size of slow structure, and with it the weights."""
+        self.detail = np.asarray(detail, float)
+        self.weights = []
+        for i in range(len(self.case.runs)):
+            self.weights.append(1.0 / (self.variance(i) + CORRELATION * self.detail**2))
+            self.weights[i][self._counts[i] == 0] = 0.0
+
+    def variance(self, run: int) -> F64:
+        """(B, C) variance of the sensors' noise in each bin."""
+        sample = self.noise.sensor**2 + (CLOCK_SIGMA * self._rates[run]) ** 2
+        return sample / np.maximum(self._counts[run], 1)
+
+    def floor(self, run: int) -> F64:
+        """(B, C) mean square that a perfect diagnosis would leave: sensors and detail."""
+        return self.variance(run) + self.noise.detail**2
+
+    # ------------------------------------------------------------ inside
+
+    def _rate(self, run: int, nominal: F64) -> F64:
+        """(B, C) size of the signals' rate of change, from the nominal simulator."""
+        rate = np.abs(np.gradient(np.nan_to_num(nominal), self.case.runs[run].time, axis=0))
+        width = np.diff(np.append(self._starts[run], len(rate)))[:, None]
+        return np.add.reduceat(rate, self._starts[run], axis=0) / width
+
+    def _floor(self, nominal: Sequence[F64]) -> Noise:
+        sensor, detail = [], []
+        for c, channel in enumerate(self.channels):
+            second, spread = [], []
+            for i, y in enumerate(nominal):
+                r = np.where(self._valid[i][:, c], self._values[i][:, c] - y[:, c], np.nan)
+                second.append(r[:-2] - 2 * r[1:-1] + r[2:])
+                spread.append(self._values[i][self._valid[i][:, c], c])
+            kinks = np.concatenate(second)
+            kinks = kinks[np.isfinite(kinks)]
+            robust = 1.4826 * float(np.median(np.abs(kinks))) if len(kinks) else 0.0
+            # A coarse encoder has a median of zero: then the mean of the smaller kinks speaks.
+            trimmed = float(np.sqrt(np.mean(np.sort(kinks**2)[: max(int(0.9 * len(kinks)), 1)]))) if len(kinks) else 0.0
+            sensor.append(max(robust, trimmed) / np.sqrt(6) + 1e-9)
+            absolute, relative = DETAIL[channel.signal]
+            values = np.concatenate(spread)
+            values = values[np.isfinite(values)]
+            detail.append(np.hypot(absolute, relative * float(np.std(values)) if len(values) else 0.0))
+        return Noise(np.array(sensor), np.array(detail))

@@ -1,0 +1,55 @@
+"""What can be set about a diagnosis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class DiagnoseConfig:
+    effects: tuple[str, ...] = ()
+    """Effects to consider; all of the library if empty."""
+    max_causes: int = 3
+    """At most this many causes are accepted."""
+    threads: int = 2
+    """Threads of the batch simulator."""
+    max_runs: int = 12
+    """At most this many runs are simulated, spread over the log; the rest are left out and named."""
+    max_seconds: float = 10.0
+    """At most this many seconds of each run are simulated, from its start."""
+    screen_seconds: float = 0.0
+    """Simulated seconds a candidate may cost while screening; 0 chooses by the size of the robot."""
+    bin_seconds: float = 0.02
+    """Samples are averaged over bins of this width before comparison, seconds."""
+    settle_seconds: float = 0.6
+    """The simulator holds the first command for this long before a run begins."""
+    holdout: int = 1
+    """Runs that no fit sees, for the shrinkage (0 if the log has only one run)."""
+    finalists: int = 6
+    """Rivals that are refitted with the full nonlinear simulation at each stage of the selection."""
+    min_gain: float = 12.0
+    """Least gain in log-likelihood, after the nuisances, for an effect to be accepted."""
+    min_share: float = 0.04
+    """Least share of the gap above the nuisances that an effect must remove on unseen runs."""
+    min_deviation: float = 3.0
+    """A cause must exceed the small deviations that are everywhere by this factor (standard deviations)."""
+    equivalent_loss: float = 0.03
+    """Rivals that lose less than this share of the removed gap on unseen runs are called equivalent."""
+    unexplained_share: float = 0.30
+    """From this share of the gap left over, the verdict is `unexplained`."""
+    bootstrap: int = 400
+    """Resamples for intervals."""
+    seed: int = 0
+    """Seed of everything random."""
+    report: bool = True
+    """Write report.html beside diagnosis.json."""
+
+    def __post_init__(self) -> None:
+        if self.max_causes < 1 or self.finalists < 1 or self.threads < 1 or self.max_runs < 1:
+            raise ValueError("max_causes, finalists, threads and max_runs must be at least 1")
+        if not 0 < self.bin_seconds <= 0.2:
+            raise ValueError("bin_seconds must lie in (0, 0.2]")
+        if not 0 <= self.unexplained_share <= 1 or not 0 <= self.min_share < 1:
+            raise ValueError("shares lie in 0..1")
+        if self.holdout < 0 or self.settle_seconds < 0 or self.max_seconds <= 0:
+            raise ValueError("holdout, settle_seconds and max_seconds must not be negative")

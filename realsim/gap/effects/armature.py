@@ -1,0 +1,37 @@
+"""The rotor's reflected inertia differs."""
+
+from __future__ import annotations
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    nominal = min(context.armature(j) for j in place)
+    inertia = min(context.inertia[j] for j in place)
+    step = max(0.4 * nominal, 0.1 * inertia, 1e-6)
+    return (Parameter("armature", "kg m^2", (-0.9 * nominal, 20 * max(nominal, inertia)), step, 0.03 * nominal + 1e-7),)
+
+
+def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+    share = max(context.inertial_share[j] for j in place)
+    return Excitation(share > 0.005, f"acceleration takes {share:.1%} of the torque")
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    for joint in place:
+        target = edit.spec.joint(edit.motor_joint(joint))
+        target.armature = max(target.armature + values["armature"], 1e-7)
+
+
+EFFECT = Effect(
+    name="armature",
+    title="rotor inertia (armature)",
+    scope="joint",
+    description="The inertia of the rotor seen through the gear is not the model's.",
+    signature="Error in proportion to acceleration, the same in every pose; overshoot after steps.",
+    excitation="Fast changes of velocity.",
+    places=each_joint,
+    parameters=_parameters,
+    excited_by=_excited,
+    apply=_apply,
+)

@@ -1,0 +1,41 @@
+"""Play between motor and link."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    return (Parameter("gap", "rad", (0.0, 0.3), 0.02, nuisance=0.0012),)
+
+
+def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+    turns = min(context.load_reversals[j] for j in place)
+    return Excitation(turns >= 1, f"the torque through the gear changes sign {turns} times")
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    """A rotor of its own, tied to the link only at the ends of the play."""
+    if values["gap"] <= 0:
+        return
+    for joint in place:
+        tendon = edit.split_rotor(joint)
+        half = 0.5 * values["gap"]
+        tendon.limited, tendon.range = 1, np.array([-half, half])
+        tendon.solref_limit = np.array([2.2 * edit.context.timestep, 1.0])
+
+
+EFFECT = Effect(
+    name="backlash",
+    title="backlash",
+    scope="joint",
+    description="The link is free to move within a gap before the motor takes it along. The gap is its full width.",
+    signature="The link jumps by the gap when the load changes sign; motor and link encoders differ by up to the gap.",
+    excitation="Load that changes sign; output-side encoders.",
+    places=each_joint,
+    parameters=_parameters,
+    excited_by=_excited,
+    apply=_apply,
+)

@@ -1,0 +1,89 @@
+"""What an effect is: its parameters, where it can act, whether a log excites it, and how it changes a simulator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from realsim.gap.edit import Edit as Edit
+
+if TYPE_CHECKING:
+    from realsim.gap.context import Context
+
+Place = tuple[str, ...]
+"""Names of joints or bodies; () for effects that act everywhere."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect, in a coordinate where 0 is the nominal simulator.
+
+    Fits run in this coordinate because effects are close to linear in it (a delay, 1/stiffness, a fraction of the
+    peak torque); `report` turns it into the contract's unit.
+    """
+
+    name: str
+    """Name in the contract's output."""
+    unit: str
+    bounds: tuple[float, float]
+    """Of the coordinate."""
+    step: float
+    """A size worth calling a gap; sensitivities are secants over it."""
+    nuisance: float = 0.0
+    """Standard deviation of the unnamed deviations that every robot has; 0 if there are none of this kind."""
+    report: Callable[[float], float] = float
+    """Coordinate -> value in `unit` as the contract wants it."""
+    default: float = 0.0
+    """Value of the coordinate when the parameter is not fitted."""
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """Whether a log can show the effect at a place, and why."""
+
+    yes: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A way in which a robot can differ from its simulator."""
+
+    name: str
+    title: str
+    scope: str
+    """`joint`, `body`, `terrain` (static bodies that the robot touches) or `global`."""
+    description: str
+    signature: str
+    """What it looks like in a log."""
+    excitation: str
+    """What a log must contain to show it."""
+    places: Callable[[Context], list[Place]]
+    parameters: Callable[[Context, Place], tuple[Parameter, ...]]
+    excited_by: Callable[[Context, Place], Excitation]
+    apply: Callable[[Edit, Place, dict[str, float]], None]
+    """(edit, place, coordinates by parameter name) -> None; edits in place."""
+    patchable: bool = True
+    """Whether MJCF alone can express it (else the patch carries a wrapper)."""
+    variants: tuple[tuple[str, ...], ...] = ((),)
+    """Sets of parameters that are fitted together; the rest keep their defaults. () means all of them."""
+
+
+def each_joint(context: Context) -> list[Place]:
+    """One place a driven joint."""
+    return [(name,) for name in context.driven]
+
+
+def everywhere(context: Context) -> list[Place]:
+    """The single place of a global effect."""
+    return [()]
+
+
+def nowhere(context: Context) -> list[Place]:
+    """No place at all."""
+    return []
+
+
+def always(context: Context, place: Place) -> Excitation:
+    return Excitation(True, "any motion shows it")

@@ -1,0 +1,40 @@
+"""The ground gives way more (or less) than the model's."""
+
+from __future__ import annotations
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
+
+
+def _places(context) -> list[Place]:  # type: ignore[no-untyped-def]
+    return [()] if context.touches else []
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    return (Parameter("time_constant", "s", (-0.006, 0.3), 0.02, nuisance=0.0015),)
+
+
+def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+    return Excitation(context.touches, "the robot stands on it" if context.touches else "nothing touches")
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    for body in [edit.spec.worldbody, *(edit.spec.body(b) for b in edit.context.terrain)]:
+        for geom in body.geoms:
+            solref = geom.solref
+            if solref[0] > 0:
+                solref[0] = max(solref[0] + values["time_constant"], 2 * edit.context.timestep)
+                geom.solref = solref
+
+
+EFFECT = Effect(
+    name="contact_compliance",
+    title="contact compliance",
+    scope="global",
+    description="The time constant of the ground's contact (MuJoCo's solref) is larger: a mat, grass, rubber feet.",
+    signature="Softer touchdown, the base sinks and sways with the load; joints are right.",
+    excitation="Load changes and touchdowns.",
+    places=_places,
+    parameters=_parameters,
+    excited_by=_excited,
+    apply=_apply,
+)

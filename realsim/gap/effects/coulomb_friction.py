@@ -1,0 +1,38 @@
+"""More (or less) dry friction in a joint."""
+
+from __future__ import annotations
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    nominal = min(context.friction(j) for j in place)
+    scale = min(context.torque_scale(j) for j in place)
+    top = max(context.torque_range[j] for j in place)
+    step = max(0.5 * nominal, 0.04 * scale, 1e-4)
+    return (Parameter("friction", "N m", (-nominal, top), step, nuisance=0.05 * nominal + 0.002 * scale),)
+
+
+def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+    turns = min(context.reversals[j] for j in place)
+    return Excitation(turns >= 1, f"the velocity changes sign {turns} times")
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    for joint in place:
+        target = edit.spec.joint(edit.motor_joint(joint))
+        target.frictionloss = max(target.frictionloss + values["friction"], 0.0)
+
+
+EFFECT = Effect(
+    name="coulomb_friction",
+    title="Coulomb friction",
+    scope="joint",
+    description="A constant torque against the motion, and sticking at rest.",
+    signature="An error of constant size that changes sign with the velocity; flats at reversals; hysteresis at rest.",
+    excitation="Slow motion with reversals, from both sides.",
+    places=each_joint,
+    parameters=_parameters,
+    excited_by=_excited,
+    apply=_apply,
+)

@@ -1,0 +1,40 @@
+"""The velocity gain of the servo differs."""
+
+from __future__ import annotations
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    return (Parameter("ratio", "ratio", (-0.85, 2.0), 0.25, nuisance=0.03, report=lambda z: 1 + z),)
+
+
+def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+    speed = max(context.speed[j] for j in place)
+    torque = context.case.command_kind == "torque"
+    return Excitation(not torque and speed > 0.02, f"peak speed {speed:.2g} rad/s")
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    ratio = 1 + values["ratio"]
+    for joint in place:
+        actuator = edit.spec.actuator(edit.context.actuator[joint])
+        gain, bias = actuator.gainprm, actuator.biasprm
+        if edit.context.case.command_kind == "velocity":
+            gain[0] = gain[0] * ratio
+        bias[2] = bias[2] * ratio
+        actuator.gainprm, actuator.biasprm = gain, bias
+
+
+EFFECT = Effect(
+    name="damping_gain",
+    title="damping gain (kd)",
+    scope="joint",
+    description="The servo turns velocity into torque with another gain than the model's.",
+    signature="Lag in proportion to speed, both ways; overshoot after steps; shows in the drive's torque, unlike viscous friction.",
+    excitation="Fast motion; measured torque tells it from viscous friction.",
+    places=each_joint,
+    parameters=_parameters,
+    excited_by=_excited,
+    apply=_apply,
+)

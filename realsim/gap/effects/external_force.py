@@ -1,0 +1,45 @@
+"""Something pulls or pushes that the model does not know."""
+
+from __future__ import annotations
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
+
+FOREVER = 1e6
+
+
+def _places(context) -> list[Place]:  # type: ignore[no-untyped-def]
+    return [(name,) for name in context.bodies]
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    weight = 9.81 * max(context.moved_mass(place[0]), 0.05 * context.total_mass)
+    force = [Parameter(f"f{a}", "N", (-6 * weight, 6 * weight), 0.15 * weight) for a in "xyz"]
+    start = Parameter("start", "s", (-1.0, 60.0), 0.1, default=-1.0)
+    return (*force, start, Parameter("end", "s", (0.0, FOREVER), 0.1, default=FOREVER))
+
+
+def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+    return Excitation(True, "any force shows")
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    """A force in world axes at the body's centre of mass, from `start` to `end` seconds of each run."""
+    for name in place:
+        force = [values[f"f{a}"] for a in "xyz"]
+        actuator = edit.add_force(name, force)
+        edit.signals.pulses.append((actuator, values["start"], values["end"]))
+
+
+EFFECT = Effect(
+    name="external_force",
+    title="external force",
+    scope="body",
+    description="A force in world axes at a body's centre of mass (a cable, a tether, a hand), always or for a while.",
+    signature="An error with no command behind it, in one direction of the world whatever the pose.",
+    excitation="Several poses tell a constant force from a payload; replicates tell a passing one from the command.",
+    places=_places,
+    parameters=_parameters,
+    excited_by=_excited,
+    apply=_apply,
+    variants=(("fx",), ("fy",), ("fz",), ("fx", "fy", "fz")),
+)

@@ -1,0 +1,41 @@
+"""The IMU reads a constant too much."""
+
+from __future__ import annotations
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
+
+
+def _places(context) -> list[Place]:  # type: ignore[no-untyped-def]
+    return [()] if context.case.has_imu else []
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    gyro = [Parameter(f"gyro_{a}", "rad/s", (-1.0, 1.0), 0.05, nuisance=0.004) for a in "xyz"]
+    acc = [Parameter(f"acc_{a}", "m/s^2", (-5.0, 5.0), 0.5, nuisance=0.04) for a in "xyz"]
+    return (*gyro, *acc)
+
+
+def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+    return Excitation(context.case.has_imu, "an IMU is logged")
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    signals = edit.signals
+    signals.gyro_bias = tuple(b + values[f"gyro_{a}"] for a, b in zip("xyz", signals.gyro_bias, strict=True))  # type: ignore[assignment]
+    signals.acc_bias = tuple(b + values[f"acc_{a}"] for a, b in zip("xyz", signals.acc_bias, strict=True))  # type: ignore[assignment]
+
+
+EFFECT = Effect(
+    name="imu_bias",
+    title="IMU bias",
+    scope="global",
+    description="Constant offsets on the gyroscope and accelerometer.",
+    signature="A constant in the IMU only; joints and base are right.",
+    excitation="An IMU and any motion.",
+    places=_places,
+    parameters=_parameters,
+    excited_by=_excited,
+    apply=_apply,
+    patchable=False,
+    variants=(("gyro_x", "gyro_y", "gyro_z"), ("acc_x", "acc_y", "acc_z")),
+)

@@ -1,0 +1,52 @@
+"""A spring between motor and link."""
+
+from __future__ import annotations
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+
+
+def _softest_step(context, place: Place) -> float:  # type: ignore[no-untyped-def]
+    """rad/(N m) below which the explicit spring is not stable at the model's time step."""
+    return max(context.timestep**2 / (0.6 * max(context.armature(j), 0.2 * context.inertia[j])) for j in place)
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    scale = 1 / min(max(context.peak_torque[j], 1e-6) for j in place)
+    least = _softest_step(context, place)
+    step = max(0.02 * scale, 1.5 * least)
+    report = lambda z: 1 / max(z, 1e-9)  # noqa: E731
+    return (Parameter("stiffness", "N m/rad", (0.0, max(0.6 * scale, 4 * least)), step, 0.0012 * scale, report),)
+
+
+def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+    load = context.load(place)
+    return Excitation(load > 0.01, f"the gear carries {load:.0%} of the torque range")
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    if values["stiffness"] <= 0:
+        return
+    stiffness = 1 / max(values["stiffness"], _softest_step(edit.context, place))
+    for joint in place:
+        tendon = edit.split_rotor(joint)
+        spring = tendon.stiffness
+        spring[0] = stiffness
+        tendon.stiffness = spring
+        tendon.springlength = [0.0, 0.0]
+        damping = tendon.damping
+        damping[0] = 0.04 * (stiffness * edit.context.inertia[joint]) ** 0.5
+        tendon.damping = damping
+
+
+EFFECT = Effect(
+    name="joint_compliance",
+    title="joint compliance",
+    scope="joint",
+    description="The gear or link gives way like a spring in series with the motor.",
+    signature="Output-side position error in proportion to the load, without the servo reacting; ringing after steps.",
+    excitation="Load; output-side encoders, or an IMU beyond the joint.",
+    places=each_joint,
+    parameters=_parameters,
+    excited_by=_excited,
+    apply=_apply,
+)

@@ -1,0 +1,41 @@
+"""The encoder's zero is wrong."""
+
+from __future__ import annotations
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    return (
+        Parameter("offset", "rad", (-0.4, 0.4), 0.03, nuisance=0.002),
+        Parameter("reading_offset", "rad", (-0.4, 0.4), 0.03, nuisance=0.002),
+    )
+
+
+def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+    return Excitation(True, "gravity, contact or the servo's own reading shows it")
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    """`offset`: servo and log read it alike. `reading_offset`: only the logged encoder has it."""
+    for joint in place:
+        loop, read = edit.signals.joint_offset, edit.signals.read_offset
+        loop[joint] = loop.get(joint, 0.0) + values["offset"]
+        read[joint] = read.get(joint, 0.0) + values["reading_offset"]
+
+
+EFFECT = Effect(
+    name="joint_offset",
+    title="encoder zero offset",
+    scope="joint",
+    description="The reading is the true angle plus a constant: of the encoder that the servo uses too, or only of the "
+    "one that is logged (`reading_offset`).",
+    signature="A constant error of a joint, or gravity loads and foot positions that belong to another angle.",
+    excitation="Gravity on the joint, or feet on the ground.",
+    places=each_joint,
+    parameters=_parameters,
+    excited_by=_excited,
+    apply=_apply,
+    patchable=False,
+    variants=(("offset",), ("reading_offset",)),
+)

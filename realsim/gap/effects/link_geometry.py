@@ -1,0 +1,47 @@
+"""A link is longer or shorter than in the model."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
+
+
+def _places(context) -> list[Place]:  # type: ignore[no-untyped-def]
+    return [(name,) for name in context.bodies if context.direction(name) is not None]
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    reach = context.reach(place[0])
+    return (Parameter("length", "m", (-0.4 * reach, 0.6 * reach), 0.1 * reach, nuisance=0.001),)
+
+
+def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+    return Excitation(True, "gravity on what the link carries, or its feet on the ground")
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    """Everything at the far end (next bodies, feet) moves along the link; the link's own mass stays."""
+    for name in place:
+        shift = values["length"] * edit.context.direction(name)
+        body = edit.spec.body(name)
+        for child in body.bodies:
+            child.pos = np.asarray(child.pos) + shift
+        if not len(body.bodies):
+            for geom in body.geoms:
+                if not np.isfinite(np.asarray(geom.fromto)).all():
+                    geom.pos = np.asarray(geom.pos) + shift
+
+
+EFFECT = Effect(
+    name="link_geometry",
+    title="link geometry",
+    scope="body",
+    description="A link's length differs along the direction to its far end.",
+    signature="Feet and tool stand elsewhere than the joint angles say; the gravity torque of what it carries changes.",
+    excitation="Feet on the ground with base pose, or a loaded link.",
+    places=_places,
+    parameters=_parameters,
+    excited_by=_excited,
+    apply=_apply,
+)

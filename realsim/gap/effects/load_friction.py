@@ -1,0 +1,37 @@
+"""Dry friction in proportion to the transmitted torque."""
+
+from __future__ import annotations
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    return (Parameter("ratio", "ratio", (-0.05, 0.8), 0.1, nuisance=0.01),)
+
+
+def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+    load, turns = context.load(place), min(context.reversals[j] for j in place)
+    return Excitation(load > 0.02 and turns >= 1, f"load {load:.0%} of the range, {turns} reversals")
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    """The force is fed in along the simulated motion (a second pass), because MuJoCo's dry friction is constant."""
+    for joint in place:
+        edit.signals.load_friction[joint] = edit.signals.load_friction.get(joint, 0.0) + values["ratio"]
+        edit.add_actuator(f"load_friction_{joint}", edit.motor_joint(joint), gain=1.0)
+
+
+EFFECT = Effect(
+    name="load_friction",
+    title="load-dependent friction",
+    scope="joint",
+    description="Gear friction that grows with the torque that the gear carries: a ratio of its size.",
+    signature="Like Coulomb friction, but larger where the load is; lifting and lowering differ, an unloaded joint is "
+    "right.",
+    excitation="The same motion under different loads.",
+    places=each_joint,
+    parameters=_parameters,
+    excited_by=_excited,
+    apply=_apply,
+    patchable=False,
+)

@@ -1,0 +1,38 @@
+"""The actuator gives more or less force than it is asked for."""
+
+from __future__ import annotations
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    return (Parameter("ratio", "ratio", (-0.85, 2.0), 0.15, nuisance=0.015, report=lambda z: 1 + z),)
+
+
+def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+    load = context.load(place)
+    return Excitation(load > 0.02, f"the drive works at {load:.0%} of its torque range")
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    ratio = 1 + values["ratio"]
+    for joint in place:
+        actuator = edit.spec.actuator(edit.context.actuator[joint])
+        actuator.gainprm = actuator.gainprm * ratio
+        actuator.biasprm = actuator.biasprm * ratio
+        if actuator.forcerange[1] > actuator.forcerange[0]:
+            actuator.forcerange = actuator.forcerange * ratio
+
+
+EFFECT = Effect(
+    name="motor_gain",
+    title="motor gain",
+    scope="joint",
+    description="The whole force of the actuator is scaled (torque constant, supply voltage, gear efficiency).",
+    signature="More sag under load and slower response at once: stiffness and damping change by the same ratio.",
+    excitation="Load or acceleration.",
+    places=each_joint,
+    parameters=_parameters,
+    excited_by=_excited,
+    apply=_apply,
+)

@@ -1,0 +1,28 @@
+"""Joint readings arrive late."""
+
+from __future__ import annotations
+
+from realsim.gap.effects.base import Edit, Effect, Parameter, Place, always, everywhere
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    return (Parameter("delay", "s", (-0.01, 0.2), 0.01, nuisance=0.0012),)
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    edit.signals.observation_delay += values["delay"]
+
+
+EFFECT = Effect(
+    name="observation_delay",
+    title="observation delay",
+    scope="global",
+    description="Joint positions, velocities and torques are logged a fixed time after they were true; the IMU is not.",
+    signature="The same lag at all joints and speeds, while IMU and base pose are on time.",
+    excitation="Motion; an IMU or base pose tells it from a delay of the command.",
+    places=everywhere,
+    parameters=_parameters,
+    excited_by=always,
+    apply=_apply,
+    patchable=False,
+)

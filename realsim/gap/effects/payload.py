@@ -1,0 +1,64 @@
+"""A mass that the model does not know."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
+
+
+def _places(context) -> list[Place]:  # type: ignore[no-untyped-def]
+    return [(name,) for name in context.bodies]
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    body = context.case.model.body(place[0])
+    mass, total = float(body.mass[0]), context.moved_mass(place[0])
+    reach = context.reach(place[0])
+    step = max(0.15 * mass, 0.05 * total)
+    where = [
+        Parameter(axis, "m", (float(c) - reach, float(c) + reach), 0.05, default=float(c))
+        for axis, c in zip("xyz", body.ipos, strict=True)
+    ]
+    return (Parameter("mass", "kg", (-0.7 * mass, 3 * max(total, mass)), step, nuisance=0.012 * mass), *where)
+
+
+def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+    return Excitation(True, "gravity and acceleration act on it")
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    """A point mass at (x, y, z) in the body's frame; inertia about the new centre of mass (parallel axes)."""
+    added = values["mass"]
+    if added == 0:
+        return
+    where = np.array([values[a] for a in "xyz"])
+    for name in place:
+        body = edit.spec.body(name)
+        edit.set_inertia(body, *add_point_mass(*edit.inertia_of(body), added, where))
+
+
+def add_point_mass(mass: float, com: np.ndarray, inertia: np.ndarray, added: float, where: np.ndarray):  # type: ignore[no-untyped-def]
+    """(mass, com, 3x3 inertia about com) of the body with a point mass added; all in the body's frame."""
+    total = mass + added
+    center = (mass * com + added * where) / total
+    result = inertia.copy()
+    for m, r in ((mass, com - center), (added, where - center)):
+        result = result + m * (r @ r * np.eye(3) - np.outer(r, r))
+    return total, center, result
+
+
+EFFECT = Effect(
+    name="payload",
+    title="payload",
+    scope="body",
+    description="A mass fixed to a body at a point (x, y, z in the body's frame).",
+    signature="More sag in every pose that carries it, in the joints between it and the base; slower acceleration; more "
+    "weight on the feet.",
+    excitation="Gravity in several poses; accelerations tell it from a constant force.",
+    places=_places,
+    parameters=_parameters,
+    excited_by=_excited,
+    apply=_apply,
+    variants=(("mass",), ("mass", "x", "y", "z")),
+)

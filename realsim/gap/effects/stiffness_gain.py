@@ -1,0 +1,37 @@
+"""The position gain of the servo differs."""
+
+from __future__ import annotations
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    return (Parameter("ratio", "ratio", (-0.85, 2.0), 0.15, nuisance=0.015, report=lambda z: 1 + z),)
+
+
+def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+    position = context.case.command_kind == "position"
+    return Excitation(position, "a position servo" if position else "the servo has no position gain")
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    ratio = 1 + values["ratio"]
+    for joint in place:
+        actuator = edit.spec.actuator(edit.context.actuator[joint])
+        gain, bias = actuator.gainprm, actuator.biasprm
+        gain[0], bias[1] = gain[0] * ratio, bias[1] * ratio
+        actuator.gainprm, actuator.biasprm = gain, bias
+
+
+EFFECT = Effect(
+    name="stiffness_gain",
+    title="stiffness gain (kp)",
+    scope="joint",
+    description="The servo turns position error into torque with another gain than the model's.",
+    signature="Steady position error under load scales with 1/ratio; fast motion changes less than with a motor gain.",
+    excitation="Load at rest or slow motion.",
+    places=each_joint,
+    parameters=_parameters,
+    excited_by=_excited,
+    apply=_apply,
+)

@@ -1,0 +1,56 @@
+"""Friction that is higher at rest and in slow motion."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    nominal = min(context.friction(j) for j in place)
+    scale = min(context.torque_scale(j) for j in place)
+    top = max(context.torque_range[j] for j in place)
+    step = max(0.6 * nominal, 0.05 * scale, 1e-4)
+    speed = max(context.speed[j] for j in place)
+    return (
+        Parameter("static_friction", "N m", (0.0, top), step),
+        Parameter("stribeck_velocity", "rad/s", (0.02 * speed, 0.6 * speed), 0.05 * speed, default=0.12 * speed),
+    )
+
+
+def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+    turns = min(context.reversals[j] for j in place)
+    return Excitation(turns >= 2, f"the velocity changes sign {turns} times")
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    """Dry friction raised by F, minus clip(c v, -F, F) with c = F / v_s: the piecewise-linear Stribeck curve."""
+    extra = values["static_friction"]
+    if extra <= 0:
+        return
+    for joint in place:
+        name = edit.motor_joint(joint)
+        target = edit.spec.joint(name)
+        target.frictionloss = target.frictionloss + extra
+        inertia = edit.context.inertia[joint]
+        slope = min(extra / values["stribeck_velocity"], 0.4 * inertia / edit.context.timestep)
+        helper = edit.add_actuator(f"stribeck_{joint}", name)
+        bias = np.zeros_like(helper.biasprm)
+        bias[2] = slope
+        helper.biasprm = bias
+        helper.forcerange, helper.forcelimited = np.array([-extra, extra]), 1
+
+
+EFFECT = Effect(
+    name="stribeck_friction",
+    title="Stribeck friction",
+    scope="joint",
+    description="Dry friction is higher near rest and falls to its level in motion over the Stribeck velocity.",
+    signature="Stick and jerk at slow reversals; fast motion is right.",
+    excitation="Very slow motion with reversals beside fast motion.",
+    places=each_joint,
+    parameters=_parameters,
+    excited_by=_excited,
+    apply=_apply,
+)

@@ -1,0 +1,37 @@
+"""A piece of terrain is higher or lower than in the model."""
+
+from __future__ import annotations
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
+
+
+def _places(context) -> list[Place]:  # type: ignore[no-untyped-def]
+    return [(name,) for name in context.terrain]
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    return (Parameter("height", "m", (-0.1, 0.1), 0.01, nuisance=0.0012),)
+
+
+def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+    return Excitation(context.touches, "the robot stands on it")
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    for name in place:
+        body = edit.spec.body(name)
+        body.pos = body.pos + [0.0, 0.0, values["height"]]
+
+
+EFFECT = Effect(
+    name="terrain_height",
+    title="terrain height",
+    scope="terrain",
+    description="A piece of terrain stands higher or lower by a constant.",
+    signature="From the first moment the leg on it is more or less loaded, and the base leans.",
+    excitation="Standing on it, with base pose, IMU or joint positions under load.",
+    places=_places,
+    parameters=_parameters,
+    excited_by=_excited,
+    apply=_apply,
+)

@@ -1,0 +1,59 @@
+"""The ground (or the mount of a fixed base) is not level."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, everywhere
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    return tuple(Parameter(name, "rad", (-0.4, 0.4), 0.04, nuisance=0.002) for name in ("roll", "pitch"))
+
+
+def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+    return Excitation(True, "gravity shows it")
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    """A floating robot stands on turned ground; for a fixed base, gravity turns the other way in the base's frame."""
+    turn = rotation(values["roll"], values["pitch"])
+    if not edit.context.case.floating:
+        edit.spec.option.gravity = turn.T @ np.asarray(edit.spec.option.gravity)
+        return
+    for item in [*edit.spec.worldbody.geoms, *(edit.spec.body(b) for b in edit.context.terrain)]:
+        item.pos = turn @ item.pos
+        item.quat = multiply(quaternion(values["roll"], values["pitch"]), item.quat)
+
+
+def rotation(roll: float, pitch: float) -> np.ndarray:
+    """(3, 3) about the fixed axes, first x then y."""
+    c, s, d, t = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    return np.array([[d, 0, t], [0, 1, 0], [-t, 0, d]]) @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+
+
+def quaternion(roll: float, pitch: float) -> np.ndarray:
+    """w x y z of `rotation`."""
+    x = np.array([np.cos(roll / 2), np.sin(roll / 2), 0, 0])
+    return multiply(np.array([np.cos(pitch / 2), 0, np.sin(pitch / 2), 0]), x)
+
+
+def multiply(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Hamilton product of w x y z quaternions."""
+    w, v, a, u = p[0], np.asarray(p[1:]), q[0], np.asarray(q[1:])
+    return np.concatenate([[w * a - v @ u], w * u + a * v + np.cross(v, u)])
+
+
+EFFECT = Effect(
+    name="terrain_tilt",
+    title="terrain tilt",
+    scope="global",
+    description="The ground as a whole is tilted about the world's x and y axes (for a fixed base: its mount).",
+    signature="The base leans by the tilt in every pose; uphill and downhill legs carry different loads.",
+    excitation="Standing; base pose or IMU.",
+    places=everywhere,
+    parameters=_parameters,
+    excited_by=_excited,
+    apply=_apply,
+    variants=(("roll",), ("pitch",), ("roll", "pitch")),
+)

@@ -1,0 +1,41 @@
+"""The drive saturates earlier than the model says."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    peak = max(context.peak_torque[j] for j in place)
+    return (Parameter("limit", "N m", (0.0, 0.97), 0.35, report=lambda z: peak * (1 - z)),)
+
+
+def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+    peak = max(context.peak_torque[j] for j in place)
+    return Excitation(peak > 0, f"the nominal drive uses up to {peak:.3g} N m: only lower limits would show")
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    if values["limit"] <= 0:
+        return  # the coordinate is the cut below the highest torque that the nominal drive ever uses
+    limit = max(edit.context.peak_torque[j] for j in place) * (1 - values["limit"])
+    for joint in place:
+        actuator = edit.spec.actuator(edit.context.actuator[joint])
+        actuator.forcerange = np.array([-limit, limit])
+        actuator.forcelimited = 1
+
+
+EFFECT = Effect(
+    name="torque_limit",
+    title="torque limit",
+    scope="joint",
+    description="The force of the actuator is clipped at a lower value than in the model (current limit, heat).",
+    signature="No error until the load or acceleration is high; then the joint falls behind, and catches up.",
+    excitation="Torques above the true limit: fast steps, heavy poses.",
+    places=each_joint,
+    parameters=_parameters,
+    excited_by=_excited,
+    apply=_apply,
+)

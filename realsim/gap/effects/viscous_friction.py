@@ -1,0 +1,40 @@
+"""More (or less) friction in proportion to speed."""
+
+from __future__ import annotations
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+
+
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+    nominal = min(context.damping(j) for j in place)
+    scale = min(context.torque_scale(j) / context.speed_scale(j) for j in place)
+    step = max(0.5 * nominal, 0.08 * scale, 1e-5)
+    bounds = (-nominal, 20 * max(scale, nominal))
+    return (Parameter("damping", "N m s/rad", bounds, step, nuisance=0.05 * nominal + 0.003 * scale),)
+
+
+def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+    speed = max(context.speed[j] for j in place)
+    return Excitation(speed > 0.02, f"peak speed {speed:.2g} rad/s")
+
+
+def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    for joint in place:
+        target = edit.spec.joint(edit.motor_joint(joint))
+        damping = target.damping
+        damping[0] = max(damping[0] + values["damping"], 0.0)
+        target.damping = damping
+
+
+EFFECT = Effect(
+    name="viscous_friction",
+    title="viscous friction",
+    scope="joint",
+    description="A torque against the motion in proportion to speed (grease, back-EMF through the gear).",
+    signature="Lag that grows with speed; nothing at rest; the drive's torque shows it, a damping gain's does not.",
+    excitation="Several speeds; measured torque tells it from a damping gain.",
+    places=each_joint,
+    parameters=_parameters,
+    excited_by=_excited,
+    apply=_apply,
+)

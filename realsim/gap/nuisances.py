@@ -1,0 +1,54 @@
+"""Small deviations that every robot has and that are no gap: what they look like and how large they usually are.
+
+Beside the effects' own `nuisance` sizes (a per cent of mass, a few per cent of friction), these belong to the sensors.
+They have the form of effects so that the same code finds their sensitivities, but they are never a cause.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from realsim.gap.edit import Edit
+from realsim.gap.effects.base import Effect, Parameter, Place, always
+
+
+def _base_places(context: Any) -> list[Place]:
+    return [()] if context.case.floating and context.case.has("base_pos") else []
+
+
+def _base_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
+    shift = [Parameter(a, "m", (-0.05, 0.05), 0.01, nuisance=0.003) for a in "xyz"]
+    turn = [Parameter(f"r{a}", "rad", (-0.1, 0.1), 0.01, nuisance=0.003) for a in "xyz"]
+    return (*shift, *turn)
+
+
+def _base_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    edit.signals.base_bias = (values["x"], values["y"], values["z"])
+    edit.signals.base_turn = (values["rx"], values["ry"], values["rz"])
+
+
+def _torque_places(context: Any) -> list[Place]:
+    return [(j,) for j in context.driven] if context.case.has("joint_torque") else []
+
+
+def _torque_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
+    """A current times a constant has an unknown gain; a measured torque is good to a few per cent."""
+    size = 0.25 if context.case.torque_kind == "current_times_constant" else 0.02
+    return (Parameter("gain", "ratio", (-0.9, 3.0), 0.1, nuisance=size),)
+
+
+def _torque_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    for joint in place:
+        edit.signals.torque_gain[joint] = values["gain"]
+
+
+def _make(name: str, places: Any, parameters: Any, apply: Any, description: str) -> Effect:
+    return Effect(name, name, "sensor", description, "", "", places, parameters, always, apply, patchable=False)
+
+
+NUISANCES = {
+    "base_bias": _make("base_bias", _base_places, _base_parameters, _base_apply, "Calibration of the motion capture."),
+    "torque_gain": _make(
+        "torque_gain", _torque_places, _torque_parameters, _torque_apply, "Gain of the torque estimate."
+    ),
+}

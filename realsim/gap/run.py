@@ -1,0 +1,37 @@
+"""One case on disk: read, diagnose, write."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from realsim.files import output_folder, write_text
+from realsim.gap.case import load_case
+from realsim.gap.config import DiagnoseConfig
+from realsim.gap.diagnose import Progress, diagnose
+from realsim.gap.patch import patched_xml
+
+
+def run_case(
+    folder: Path,
+    out: Path,
+    config: DiagnoseConfig | None = None,
+    progress: Progress | None = None,
+    *,
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Diagnose the case in `folder` and write diagnosis.json, model.xml (patched) and report.html to `out`.
+
+    Returns what diagnosis.json holds. Raises GapError with the reason where a log cannot support a diagnosis.
+    """
+    config = config or DiagnoseConfig()
+    found = diagnose(load_case(Path(folder)), config, progress)
+    with output_folder(Path(out), overwrite=overwrite) as work:
+        found.write(work)
+        fit, simulator = found.evidence["fit"], found.evidence["simulator"]
+        write_text(work / "model.xml", patched_xml(simulator, fit))
+        if config.report:
+            from realsim.gap.report import write_report
+
+            write_report(work / "report.html", found)
+    return found.as_dict()

@@ -1,0 +1,343 @@
+"""The batch simulator: runs of a case, replayed by the nominal model or by one that effects have changed."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from realsim.errors import GapError
+from realsim.gap.case import Case, Run
+from realsim.gap.config import DiagnoseConfig
+from realsim.gap.context import Context, base_body, build_context, measure
+from realsim.gap.edit import Edit
+from realsim.gap.effects import EFFECTS
+from realsim.gap.effects.base import Effect, Place
+from realsim.gap.nuisances import NUISANCES
+from realsim.types import F64
+
+Setting = tuple[str, Place, dict[str, float]]
+"""(effect name, place, coordinates by parameter name; missing ones keep their defaults)."""
+
+LIMIT = 1e4
+"""A coordinate or speed beyond this (m, rad, /s) means that the simulation has exploded."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One scalar that simulator and log share."""
+
+    signal: str
+    label: str
+    """Joint name or axis."""
+    index: int
+    """Column of the signal."""
+
+
+class Simulator:
+    """Replays runs. `simulate` returns, for each run, (T, C) at the logged time stamps; NaN from where it failed.
+
+    A run begins after the first command was held for `settle_seconds` from the logged initial pose, so that a changed
+    model starts from its own rest. Held commands are averaged over simulation steps, which makes delays of a fraction
+    of a step exact in the mean.
+    """
+
+    def __init__(self, case: Case, config: DiagnoseConfig) -> None:
+        self.case, self.config = case, config
+        self.context: Context = build_context(case)
+        self.channels = _channels(case)
+        self.simulated_seconds = 0.0
+        self._pool: Any = None
+        self._raw: list[dict[str, F64]] | None = None
+        self._raw = self._rollout(Edit(self.context), None)
+        measure(self.context, [_inside(raw) for raw in self._raw])
+
+    def close(self) -> None:
+        if self._pool is not None:
+            self._pool.close()
+            self._pool = None
+
+    def __enter__(self) -> Simulator:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def nominal_tracks(self) -> list[dict[str, F64]]:
+        """pos, vel, torque (N, J) on the simulator's own grid, a dict a run."""
+        assert self._raw is not None
+        return self._raw
+
+    def edited(self, settings: Sequence[Setting]) -> Edit:
+        """The changed simulator."""
+        edit = Edit(self.context)
+        for name, place, values in settings:
+            effect = lookup(name)
+            full = {p.name: p.default for p in effect.parameters(self.context, place)}
+            unknown = set(values) - set(full)
+            if unknown:
+                raise GapError(f"{name} has no parameter {sorted(unknown)[0]!r}", expected=", ".join(full))
+            effect.apply(edit, place, full | values)
+        return edit
+
+    def simulate(self, settings: Sequence[Setting] = (), runs: Sequence[int] | None = None) -> list[F64]:
+        """(T, C) a run, of the runs with these indices (all if None)."""
+        chosen = list(range(len(self.case.runs))) if runs is None else list(runs)
+        edit = self.edited(settings)
+        if not edit.touched and not edit.signals.moves_the_robot():
+            assert self._raw is not None
+            raw = [self._raw[i] for i in chosen]
+        else:
+            raw = self._rollout(edit, chosen)
+        return [self._read(self.case.runs[i], r, edit) for i, r in zip(chosen, raw, strict=True)]
+
+    # ------------------------------------------------------------ inside
+
+    def _rollout(self, edit: Edit, chosen: list[int] | None) -> list[dict[str, F64]]:
+        import mujoco
+
+        runs = [self.case.runs[i] for i in chosen] if chosen is not None else list(self.case.runs)
+        spec = edit.spec
+        try:
+            model = spec.compile()
+        except Exception as error:  # the effect's values do not make a body (negative inertia, say)
+            raise GapError("the changed model does not compile", found=str(error).splitlines()[0]) from error
+        dt = model.opt.timestep
+        settle = self._settle_steps(dt)
+        steps = [settle + int(np.ceil((run.duration + 0.05) / dt)) + 2 for run in runs]
+        state = np.stack([self._initial_state(model, run, edit) for run in runs])
+        control = np.zeros((len(runs), max(steps), model.nu))
+        for i, run in enumerate(runs):
+            control[i] = self._control(model, run, edit, max(steps), settle, dt)
+        passes = 2 if edit.signals.load_friction else 1
+        previous = [self._raw[i] for i in (chosen or range(len(runs)))] if self._raw and passes == 2 else None
+        result: list[dict[str, F64]] = []
+        for _ in range(passes):
+            if previous is not None:
+                self._feed_friction(model, control, previous, edit)
+            sensors = self._roll(model, state, control)
+            result = [self._tracks(model, s[:n], settle, edit) for s, n in zip(sensors, steps, strict=True)]
+            previous = result
+        self.simulated_seconds += passes * float(sum(steps)) * dt
+        del mujoco
+        return result
+
+    def _roll(self, model: Any, state: F64, control: F64) -> F64:
+        import mujoco
+        from mujoco import rollout
+
+        if self._pool is None:
+            self._pool = rollout.Rollout(nthread=self.config.threads)
+        datas = [mujoco.MjData(model) for _ in range(self.config.threads)]
+        with quiet_mujoco():
+            _, sensors = self._pool.rollout(model, datas, state, control, chunk_size=1)
+        return np.asarray(sensors)
+
+    def _settle_steps(self, dt: float) -> int:
+        factor = 2.0 if self.case.floating else 1.0
+        return int(round(self.config.settle_seconds * factor / dt))
+
+    def _initial_state(self, model: Any, run: Run, edit: Edit) -> F64:
+        import mujoco
+
+        data = mujoco.MjData(model)
+        nominal = self.case.model
+        if run.init_qpos is not None:
+            for j in range(nominal.njnt):
+                width = 7 if nominal.jnt_type[j] == 0 else 4 if nominal.jnt_type[j] == 1 else 1
+                a, b = nominal.jnt_qposadr[j], model.joint(nominal.joint(j).name).qposadr[0]
+                data.qpos[b : b + width] = run.init_qpos[a : a + width]
+        elif self.case.floating and "base_pos" in run.signals:
+            adr = int(model.joint(int(np.flatnonzero(model.jnt_type == 0)[0])).qposadr[0])
+            data.qpos[adr : adr + 3] = _first(run.signals["base_pos"])
+            if "base_quat" in run.signals:
+                quat = _first(run.signals["base_quat"])
+                data.qpos[adr + 3 : adr + 7] = quat / max(np.linalg.norm(quat), 1e-9)
+        first = _first(run.signals["joint_pos"])
+        for j, name in enumerate(self.case.joint_names):
+            true = first[j] - edit.signals.joint_offset.get(name, 0.0) - edit.signals.read_offset.get(name, 0.0)
+            data.qpos[model.joint(name).qposadr[0]] = true
+            if name in edit.signals.rotors:
+                data.qpos[model.joint(edit.signals.rotors[name]).qposadr[0]] = true
+        mujoco.mj_forward(model, data)
+        kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        state = np.zeros(mujoco.mj_stateSize(model, kind))
+        mujoco.mj_getState(model, data, state, kind)
+        return state
+
+    def _control(self, model: Any, run: Run, edit: Edit, steps: int, settle: int, dt: float) -> F64:
+        command = run.command.copy()
+        if self.case.command_kind == "position":
+            for u, name in enumerate(self.case.actuator_names):
+                joint = next((j for j, a in self.context.actuator.items() if a == name), None)
+                command[:, u] -= edit.signals.joint_offset.get(joint or "", 0.0)
+        grid = (np.arange(steps + 1) - settle) * dt
+        mean = held_mean(run.time, command, grid - edit.signals.command_delay)
+        control = np.zeros((steps, model.nu))
+        for u, name in enumerate(self.case.actuator_names):
+            control[:, model.actuator(name).id] = mean[:, u]
+        for name, start, end in edit.signals.pulses:
+            control[:, model.actuator(name).id] = (grid[:-1] >= start) & (grid[:-1] < end)
+        return control
+
+    def _feed_friction(self, model: Any, control: F64, tracks: list[dict[str, F64]], edit: Edit) -> None:
+        """Friction against the motion of the pass before; it fades in over a hundredth of the peak speed."""
+        for joint, ratio in edit.signals.load_friction.items():
+            j = self.case.joint_names.index(joint)
+            u = model.actuator(f"load_friction_{joint}").id
+            slow = 0.01 * max(np.abs(t["vel"][:, j]).max(initial=0) for t in tracks) + 1e-9
+            for i, track in enumerate(tracks):
+                force = -ratio * np.abs(track["torque"][:, j]) * np.tanh(track["vel"][:, j] / slow)
+                count = min(len(force), control.shape[1])
+                control[i, :count, u] = np.nan_to_num(force[:count])
+
+    def _tracks(self, model: Any, sensors: F64, settle: int, edit: Edit) -> dict[str, F64]:
+        """Signals on the simulator's grid, from the first settling step; NaN after a failure."""
+
+        def take(prefix: str, names: Sequence[str], width: int = 1) -> F64:
+            columns = [model.sensor(prefix + n).adr[0] + k for n in names for k in range(width)]
+            return sensors[:, columns]
+
+        pos, vel = take("rs_pos_", self.case.joint_names), take("rs_vel_", self.case.joint_names)
+        force = take("rs_force_", self.case.actuator_names)
+        torque = np.zeros_like(pos)
+        for j, joint in enumerate(self.case.joint_names):
+            if joint in self.context.actuator:
+                u = self.case.actuator_names.index(self.context.actuator[joint])
+                gear = float(self.case.model.actuator(self.context.actuator[joint]).gear[0])
+                torque[:, j] = gear * force[:, u] - edit.signals.torque_damping.get(joint, 0.0) * vel[:, j]
+        tracks = {"pos": pos, "vel": vel, "torque": torque}
+        if self.case.floating:
+            tracks["base_pos"], tracks["base_quat"] = take("rs_base_pos", [""], 3), take("rs_base_quat", [""], 4)
+        if self.case.imu_site:
+            tracks["gyro"], tracks["acc"] = take("rs_gyro", [""], 3), take("rs_acc", [""], 3)
+        bad = ~np.isfinite(sensors).all(axis=1) | (np.abs(vel) > LIMIT).any(axis=1)
+        if bad.any():
+            for name in tracks:
+                tracks[name] = tracks[name].copy()
+                tracks[name][int(np.argmax(bad)) :] = np.nan
+        tracks["settle"] = np.array([settle * model.opt.timestep, model.opt.timestep])
+        return tracks
+
+    def _read(self, run: Run, raw: dict[str, F64], edit: Edit) -> F64:
+        """(T, C) at the time stamps of the run, through the wrappers."""
+        s = edit.signals
+        settle, dt = raw["settle"]
+        now = (run.time + settle) / dt
+        late = now - s.observation_delay / dt
+        columns: dict[str, F64] = {}
+        names = self.case.joint_names
+        shift = np.array([s.joint_offset.get(n, 0.0) + s.read_offset.get(n, 0.0) for n in names])
+        columns["joint_pos"] = sample(raw["pos"], late) + shift
+        columns["joint_vel"] = sample(raw["vel"], late)
+        gain = np.array([1 + s.torque_gain.get(n, 0.0) for n in names])
+        columns["joint_torque"] = sample(raw["torque"], late) * gain
+        if "base_pos" in raw:
+            columns["base_pos"] = sample(raw["base_pos"], now) + np.array(s.base_bias)
+            if "base_quat" in run.signals:
+                reference = _first(run.signals["base_quat"])
+                columns["base_rot"] = rotation_from(sample(raw["base_quat"], now), reference) + np.array(s.base_turn)
+        if "gyro" in raw:
+            columns["imu_gyro"] = sample(raw["gyro"], now) + np.array(s.gyro_bias)
+            columns["imu_acc"] = sample(raw["acc"], now) + np.array(s.acc_bias)
+        return np.stack([columns[c.signal][:, c.index] for c in self.channels], axis=1)
+
+
+def lookup(name: str) -> Effect:
+    """An effect of the library, or one of the nuisances."""
+    return NUISANCES[name] if name in NUISANCES else EFFECTS[name]
+
+
+def measured(run: Run, channels: Sequence[Channel]) -> F64:
+    """(T, C) of the log, orientation as a rotation vector from the first sample."""
+    columns = dict(run.signals)
+    if "base_quat" in columns:
+        columns["base_rot"] = rotation_from(columns["base_quat"], _first(columns["base_quat"]))
+    return np.stack([columns[c.signal][:, c.index] for c in channels], axis=1)
+
+
+def _channels(case: Case) -> tuple[Channel, ...]:
+    found = []
+    for signal in ("joint_pos", "joint_vel", "joint_torque"):
+        if case.has(signal) and not (signal == "joint_torque" and case.torque_kind == "none"):
+            found += [Channel(signal, name, i) for i, name in enumerate(case.joint_names)]
+    if case.floating and case.has("base_pos"):
+        found += [Channel("base_pos", a, i) for i, a in enumerate("xyz")]
+        if case.has("base_quat"):
+            found += [Channel("base_rot", a, i) for i, a in enumerate("xyz")]
+    if case.imu_site:
+        for signal in ("imu_gyro", "imu_acc"):
+            if case.has(signal):
+                found += [Channel(signal, a, i) for i, a in enumerate("xyz")]
+    return tuple(found)
+
+
+def held_mean(time: F64, values: F64, grid: F64) -> F64:
+    """Mean over [grid[k], grid[k+1]] of values (T, U) that are held from each time stamp to the next; (N - 1, U)."""
+    span = np.diff(time, append=time[-1] + 1.0)[:, None]
+    integral = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values * span, axis=0)])
+    index = np.clip(np.searchsorted(time, grid, side="right") - 1, 0, len(time) - 1)
+    at = integral[index] + values[index] * (grid - time[index])[:, None]
+    return np.diff(at, axis=0) / np.diff(grid)[:, None]
+
+
+def sample(values: F64, position: F64) -> F64:
+    """Linear interpolation of rows (N, K) at fractional row numbers."""
+    position = np.clip(position, 0, len(values) - 1.000001)
+    low = position.astype(int)
+    w = (position - low)[:, None]
+    return values[low] * (1 - w) + values[low + 1] * w
+
+
+def rotation_from(quat: F64, reference: F64) -> F64:
+    """(T, 3) rotation vectors, world axes, that turn the reference orientation into each of quat (T, 4) w x y z."""
+    q = quat / np.maximum(np.linalg.norm(quat, axis=1, keepdims=True), 1e-12)
+    w0, v0 = reference[0], -np.asarray(reference[1:])
+    w = q[:, 0] * w0 - q[:, 1:] @ v0
+    v = q[:, :1] * v0 + w0 * q[:, 1:] + np.cross(q[:, 1:], v0)
+    v, w = np.where(w[:, None] < 0, -v, v), np.abs(w)
+    norm = np.linalg.norm(v, axis=1)
+    angle = 2 * np.arctan2(norm, w)
+    return v * np.where(norm > 1e-9, angle / np.maximum(norm, 1e-9), 2.0)[:, None]
+
+
+def _first(values: F64, count: int = 5) -> F64:
+    """Median of the first finite rows: the pose at rest, without the encoder's noise."""
+    good = values[np.isfinite(values).all(axis=1)][:count]
+    if not len(good):
+        raise GapError("a signal has no complete sample")
+    return np.median(good, axis=0)
+
+
+def _inside(raw: dict[str, F64]) -> dict[str, F64]:
+    settle, dt = raw["settle"]
+    return {k: raw[k][int(round(settle / dt)) :] for k in ("pos", "vel", "torque")}
+
+
+def base_name(case: Case) -> str:
+    """Name of the floating base's body."""
+    return str(case.model.body(base_body(case)).name)
+
+
+@contextlib.contextmanager
+def quiet_mujoco() -> Any:
+    """MuJoCo reports a diverging simulation to a log file in the working directory; failures are found by value here."""
+    import mujoco
+
+    setter = getattr(mujoco, "set_mju_user_warning", None)
+    if setter is None:
+        yield
+        return
+    setter(_swallow)
+    try:
+        yield
+    finally:
+        setter(None)
+
+
+def _swallow(message: str) -> None:
+    del message
