@@ -27,8 +27,8 @@ class CaptureConfig:
     """Seconds between a colour and a depth image that still count as one frame (layouts with timestamps)."""
     max_pose_gap: float = 0.1
     """Seconds between two poses across which a pose is still interpolated (layouts with timestamps)."""
-    drop_blurred: bool = True
-    """Drop frames that are much less sharp than their neighbours."""
+    keep_blurred: bool = False
+    """Keep frames that are much less sharp than their neighbours."""
 
     def __post_init__(self) -> None:
         if self.max_frames < 0:

@@ -76,14 +76,14 @@ def check_agreement(capture: FrameSet) -> tuple[Agreement | None, str | None]:
     facts += f", but at {found.others[found.better]:.0%} with {found.better}"
     if found.better in DEPTH_FACTORS:
         unit = step_of(capture.frames[0])
-        right = f"pass --capture.depth-unit {unit * DEPTH_FACTORS[found.better]:g}" if unit else None
+        right = f"pass --depth-unit {unit * DEPTH_FACTORS[found.better]:g}" if unit else None
         raise CaptureError("depth in an implausible unit", file=capture.source, found=facts, hint=right)
     raise PoseError(
         "the poses are of another convention than this layout's",
         file=capture.source,
         expected="camera to world, OpenCV camera axes",
         found=facts,
-        hint="convert the poses, or pass --capture.ignore-poses to have them estimated",
+        hint="convert the poses, or pass --ignore-poses to have them estimated",
     )
 
 

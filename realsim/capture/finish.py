@@ -69,7 +69,7 @@ def finish(raw: FrameSet, config: CaptureConfig) -> Finished:
     capture, looks = _without(capture, looks, _empty(looks, config))
     _some_left(capture)
     capture, looks = _without(capture, looks, duplicates(looks))
-    if config.drop_blurred:
+    if not config.keep_blurred:
         capture, looks = _without(capture, looks, blurred(looks))
     capture, looks = _without(capture, looks, pick(capture.frames, looks, config.max_frames))
     agreement, pose_note = check_agreement(capture)

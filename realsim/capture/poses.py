@@ -109,7 +109,7 @@ def settle_poses(capture: FrameSet) -> tuple[FrameSet, PoseReport]:
             file=capture.source,
             expected="camera-to-world matrices with a proper rotation",
             found=f"{count} of {len(dropped)} times: {reason}",
-            hint="mend the poses, or pass --capture.ignore-poses to have them estimated",
+            hint="mend the poses, or pass --ignore-poses to have them estimated",
         )
     mended = sum(d > ROUNDING for d in deviations)
     report = PoseReport(given, mended, max(deviations))

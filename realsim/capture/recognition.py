@@ -36,7 +36,7 @@ def recognise(path: Path, name: str, layouts: Mapping[str, Layout]) -> tuple[Lay
             "the capture could be of several layouts",
             file=path,
             found="; ".join(f"{known}: {', '.join(complete[known].evidence)}" for known in winners),
-            hint=" or ".join(f"--capture.layout {known}" for known in winners),
+            hint=" or ".join(f"--layout {known}" for known in winners),
         )
     return layouts[winners[0]], complete[winners[0]]
 

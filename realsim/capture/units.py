@@ -33,14 +33,14 @@ def check_unit(frames: Sequence[Frame], looks: Sequence[Look], source: Path) -> 
     if _within(median, PLAUSIBLE_MEDIAN):
         if _within(median, USUAL_MEDIAN):
             return None
-        return f"the median depth is {found}: unusual, check the unit (--capture.depth-unit)"
+        return f"the median depth is {found}: unusual, check the unit (--depth-unit)"
     likely = [name for name, u in UNITS.items() if unit and _within(median / unit * u, USUAL_MEDIAN)]
     raise CaptureError(
         "depth in an implausible unit",
         file=source,
         expected=f"a median depth between {PLAUSIBLE_MEDIAN[0]:g} and {PLAUSIBLE_MEDIAN[1]:g} m",
         found=found,
-        hint=f"likely {' or '.join(likely)}: pass --capture.depth-unit {UNITS[likely[0]]:g}" if likely else None,
+        hint=f"likely {' or '.join(likely)}: pass --depth-unit {UNITS[likely[0]]:g}" if likely else None,
     )
 
 

@@ -247,7 +247,7 @@ def test_blurred_frame(tmp_path):
     write_plain(tmp_path, views)
     write_image(tmp_path / "rgb/000004.png", cv2.GaussianBlur(views[4].color, (0, 0), 2.5))
     assert "blurred" in reason(frames_of(tmp_path), "000004")
-    assert len(frames_of(tmp_path, CaptureConfig(drop_blurred=False))) == 10
+    assert len(frames_of(tmp_path, CaptureConfig(keep_blurred=True))) == 10
 
 
 def test_a_whole_soft_capture_is_not_blurred_against_itself(tmp_path):
@@ -281,7 +281,7 @@ def test_float_depth_in_millimetres(tmp_path):
     with pytest.raises(CaptureError, match="implausible unit") as caught:
         read(tmp_path, CONFIG)
     assert "millimetres" in str(caught.value.hint)
-    assert "--capture.depth-unit 0.001" in str(caught.value.hint)
+    assert "--depth-unit 0.001" in str(caught.value.hint)
     capture = frames_of(tmp_path, CaptureConfig(depth_unit=0.001))
     np.testing.assert_allclose(capture.frames[0].depth(), views[0].depth, atol=1e-5)
 
@@ -293,7 +293,7 @@ def test_tum_depth_read_as_millimetres_is_found_by_the_poses(tmp_path):
         write_image(tmp_path / f"depth/{i:06d}.png", millimetres(view.depth, 5000))
     with pytest.raises(CaptureError, match="implausible unit") as caught:
         read(tmp_path, CONFIG)
-    assert "--capture.depth-unit 0.0002" in str(caught.value)
+    assert "--depth-unit 0.0002" in str(caught.value)
     capture = frames_of(tmp_path, CaptureConfig(depth_unit=0.0002))
     np.testing.assert_allclose(capture.frames[0].depth(), views[0].depth, atol=2e-4)
 
@@ -335,7 +335,7 @@ def test_only_bad_poses_are_an_error_with_a_way_out(damage, tmp_path):
     views = walk(4)
     write_open3d(tmp_path, views)
     write_log(tmp_path / "trajectory.log", [damage(v.T_world_camera) for v in views])
-    with pytest.raises(PoseError, match=r"--capture\.ignore-poses"):
+    with pytest.raises(PoseError, match=r"--ignore-poses"):
         read(tmp_path, CONFIG)
 
 

@@ -153,7 +153,7 @@ def test_two_layouts_in_one_folder_are_ambiguous(tmp_path):
     write_sevenscenes(tmp_path, walk(4))
     with pytest.raises(CaptureError, match="several layouts") as caught:
         read(tmp_path, CONFIG)
-    assert "--capture.layout tum" in str(caught.value)
+    assert "--layout tum" in str(caught.value)
     assert frames_of(tmp_path, CaptureConfig(layout="sevenscenes")).layout == "sevenscenes"
 
 

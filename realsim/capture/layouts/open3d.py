@@ -136,7 +136,7 @@ def poses_by_name(
         file=path,
         expected=f"{len(pairs)} poses, one a frame",
         found=f"{len(matrices)} poses",
-        hint="mend the trajectory, or pass --capture.ignore-poses to have the poses estimated",
+        hint="mend the trajectory, or pass --ignore-poses to have the poses estimated",
     )
 
 

@@ -132,7 +132,7 @@ def poses_at(
             file=path,
             expected=f"poses between {min(times.values()):.3f} and {max(times.values()):.3f}",
             found=f"poses between {stamps[0]:.3f} and {stamps[-1]:.3f}",
-            hint="mend the timestamps, or pass --capture.ignore-poses to have the poses estimated",
+            hint="mend the timestamps, or pass --ignore-poses to have the poses estimated",
         )
     notes = [
         "poses are camera to world in metres, OpenCV camera axes, written as tx ty tz qx qy qz qw",
