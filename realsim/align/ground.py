@@ -17,6 +17,8 @@ HINT_DEG = 25.0
 """The ground lies within this angle of a direction up that the source gives."""
 RIVAL = 0.6
 """A plane that scores this share of the best one is a rival worth a word."""
+STAGE = 2.5
+"""m²: a level plane above the ground that is larger than platforms are might be a ground of its own."""
 BLOCK = 0.5
 """Metres: ground points this close share their errors (poses, the sensor's pattern), so they are drawn together."""
 
@@ -116,7 +118,7 @@ def _score(plane: Plane, cloud: Cloud, up: F64 | None) -> dict[str, float]:
     if up is not None:
         angle = float(np.degrees(np.arccos(np.clip(plane.normal @ up / np.linalg.norm(up), -1, 1))))
         figures["angle_to_given_up_deg"] = angle
-        score *= float(angle < HINT_DEG)
+        score *= float(np.exp(-((angle / 10) ** 2))) if angle < HINT_DEG else 0.0
     figures["score"] = float(score)
     return figures
 
@@ -148,12 +150,14 @@ def _rivals(scored: list[tuple[dict[str, float], Plane]], cloud: Cloud, up_known
         angle = float(np.degrees(np.arccos(np.clip(plane.normal @ ground.normal, -1, 1))))
         if angle < 4:
             step = float(np.median(ground.height(cloud.points[plane.inliers])))
-            if plane.area > 0.4 * ground.area:
+            if step > 0 and plane.area > max(STAGE, 0.2 * ground.area):
                 warnings.append(
                     f"two grounds: the lower level plane ({ground.area:.1f} m²) was taken as the ground, "
                     f"another of {plane.area:.1f} m² lies {100 * step:.0f} cm above it"
-                    if step > 0
-                    else f"two grounds: the plane taken as the ground covers {ground.area:.1f} m², "
+                )
+            elif step < -BELOW:
+                warnings.append(
+                    f"two grounds: the level plane taken as the ground covers {ground.area:.1f} m², "
                     f"another of {plane.area:.1f} m² lies {-100 * step:.0f} cm below it"
                 )
         elif figures["score"] > RIVAL * best["score"] and angle < 60:
