@@ -11,4 +11,10 @@ from realsim.registry import Registry
 
 __all__ = ["CONTACT", "write_scene"]
 
-CONTACT = Registry("collision representation", {"hfield": "realsim.export.contact.hfield:hfield"})
+CONTACT = Registry(
+    "collision representation",
+    {
+        "boxes": "realsim.export.contact.boxes:boxes",
+        "hfield": "realsim.export.contact.hfield:hfield",
+    },
+)

@@ -112,7 +112,8 @@ def _materials(asset: ET.Element, texture: str | None) -> None:
 def _assets(asset: ET.Element, contact: ContactModel) -> None:
     for a in contact.assets:
         kind = {"content_type": "image/vnd.mujoco.hfield"} if a.kind == "hfield" else {}
-        ET.SubElement(asset, a.kind, {"name": a.name, "file": a.file, **kind, **a.attributes})
+        file = {"file": a.file} if a.file else {}
+        ET.SubElement(asset, a.kind, {"name": a.name, **file, **kind, **a.attributes})
 
 
 def _lights_and_camera(world: ET.Element, bounds: NDArray[np.float64]) -> None:

@@ -45,7 +45,7 @@ def write_scene(folder: Path, aligned: AlignedScene, mesh: TerrainMesh, config: 
         texture = "visual.png"
         files[texture], uv = bake(vertices, triangles, colors)
     files["visual.obj"] = obj_bytes(vertices, triangles, normals, uv)
-    files |= {asset.file: asset.data for asset in contact.assets}
+    files |= {asset.file: asset.data for asset in contact.assets if asset.file}
     robot = None
     if config.robot:
         robot = robots.load(config.robot).placed(_standing_place(aligned))

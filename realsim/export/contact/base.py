@@ -31,15 +31,24 @@ class Geom:
 
 @dataclass(frozen=True)
 class Asset:
-    """A file that geoms refer to."""
+    """A height field in a file, or the corners of a convex part, that geoms refer to."""
 
     name: str
     kind: Literal["hfield", "mesh"]
-    file: str
-    """Path relative to the scene's folder."""
-    data: bytes
+    file: str | None = None
+    """Path relative to the scene's folder; None for a part that stands in the MJCF itself."""
+    data: bytes = b""
+    """Content of the file."""
     attributes: Mapping[str, str] = field(default_factory=dict)
     """More attributes of the MJCF element."""
+    points: NDArray[np.float64] | None = None
+    """(M, 3) corners of a convex part, simulation frame; MuJoCo takes their hull."""
+
+    @staticmethod
+    def of_points(name: str, points: NDArray[np.float64]) -> Asset:
+        """A convex part given by its corners (M, 3), written into the MJCF to a hundredth of a millimetre."""
+        text = " ".join(f"{v + 0.0:.5f}" for v in np.round(points, 5).ravel())
+        return Asset(name, "mesh", attributes={"vertex": text}, points=points)
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,9 @@ def spec_of(contact: ContactModel) -> Any:
     """An `MjSpec` that holds a representation's geoms and nothing else."""
     import mujoco
 
-    return mujoco.MjSpec.from_string(contact_elements(contact), assets={a.file: a.data for a in contact.assets})
+    return mujoco.MjSpec.from_string(
+        contact_elements(contact), assets={a.file: a.data for a in contact.assets if a.file}
+    )
 
 
 class SimTouch:

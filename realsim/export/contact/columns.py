@@ -1,0 +1,134 @@
+"""A mesh as columns: what is solid above each cell of a fine grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.errors import ExportError
+from realsim.types import TerrainMesh
+
+F64 = NDArray[np.float64]
+MAX_CELLS = 4_000_000
+MAX_LAYERS = 8
+NARROW = 0.02  # metres: a gap lower than this is closed, nothing that matters fits in
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Solid intervals of every column, the topmost first."""
+
+    lower: F64
+    """(2,) x y of the centre of cell [0, 0], metres."""
+    cell: float
+    """Metres between cell centres."""
+    top: F64
+    """(L, rows, columns) z where interval l ends above; NaN where the column has fewer intervals."""
+    bottom: F64
+    """(L, rows, columns) z where it ends below; -inf where it reaches the ground."""
+
+    def xy(self, row: NDArray, column: NDArray) -> F64:
+        """(..., 2) metres of (fractional) cell indices."""
+        return self.lower + self.cell * np.stack([column, row], -1)
+
+
+def columns(mesh: TerrainMesh, ground_z: float, cell: float) -> Columns:
+    """Cast a ray down through every cell and count how deep it is inside the mesh.
+
+    An upward facing triangle is a way in, a downward facing one a way out, so solids may overlap. A surface that is
+    never left (a scan without an underside) is solid down to the ground.
+
+    Args:
+        ground_z: z of the ground; what lies at most 2 cm above it stands on it.
+        cell: metres; coarsened where the grid would have more than MAX_CELLS cells.
+    """
+    lower, upper = mesh.vertices[mesh.triangles].min((0, 1)), mesh.vertices[mesh.triangles].max((0, 1))
+    cell = max(cell, float(np.sqrt((upper - lower)[:2].prod() / MAX_CELLS)))
+    counts = np.maximum(np.ceil((upper - lower)[:2] / cell).astype(int), 1)
+    origin = lower[:2] + ((upper - lower)[:2] - (counts - 1) * cell) / 2
+    x, y = np.meshgrid(origin[0] + cell * np.arange(counts[0]), origin[1] + cell * np.arange(counts[1]))
+    ray, z, up = _crossings(mesh, x.ravel(), y.ravel(), (lower + upper) / 2, float(upper[2]) + 1)
+    top, bottom = _intervals(ray, z, up, x.size)
+    top, bottom = _tidy(top, bottom, ground_z)
+    shape = (len(top), counts[1], counts[0])
+    return Columns(origin, cell, top.reshape(shape), bottom.reshape(shape))
+
+
+def _crossings(
+    mesh: TerrainMesh, x: F64, y: F64, centre: F64, above: float
+) -> tuple[NDArray[np.int64], F64, NDArray[np.bool_]]:
+    """All crossings of downward rays, by ray and then from above: (ray, z, faces up)."""
+    from typing import Any
+
+    import open3d
+
+    o3d: Any = open3d
+    corners = mesh.vertices[mesh.triangles]
+    faces_up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        o3d.core.Tensor((mesh.vertices - centre).astype(np.float32)),
+        o3d.core.Tensor(np.ascontiguousarray(mesh.triangles, np.uint32)),
+    )
+    rays = np.zeros((len(x), 6), np.float32)
+    rays[:, 0], rays[:, 1], rays[:, 2], rays[:, 5] = x - centre[0], y - centre[1], above - centre[2], -1
+    hits = scene.list_intersections(o3d.core.Tensor(rays))
+    ray, t = hits["ray_ids"].numpy().astype(np.int64), hits["t_hit"].numpy().astype(np.float64)
+    up = faces_up[hits["primitive_ids"].numpy()]
+    order = np.lexsort((t, ray))
+    ray, z, up = ray[order], above - t[order], up[order]
+    # A ray through an edge that two triangles share is reported twice.
+    again = np.r_[False, (np.diff(ray) == 0) & (np.abs(np.diff(z)) < 1e-5) & (up[1:] == up[:-1])]
+    return ray[~again], z[~again], up[~again]
+
+
+def _intervals(ray: NDArray[np.int64], z: F64, up: NDArray[np.bool_], count: int) -> tuple[F64, F64]:
+    """(tops, bottoms), each (L, count): walk down all columns at once, crossing by crossing."""
+    top = np.full((MAX_LAYERS, count), np.nan)
+    bottom = np.full((MAX_LAYERS, count), -np.inf)
+    depth, layer = np.zeros(count, np.int64), np.full(count, -1)
+    first = np.r_[True, np.diff(ray) != 0]
+    start = np.flatnonzero(first)
+    rank = np.arange(len(ray)) - np.repeat(start, np.diff(np.r_[start, len(ray)])) if len(ray) else np.zeros(0, int)
+    for k in range(int(rank.max(initial=-1)) + 1):
+        now = rank == k
+        r, height, enters = ray[now], z[now], up[now]
+        opens = enters & (depth[r] == 0) & (layer[r] < MAX_LAYERS - 1)
+        layer[r[opens]] += 1
+        top[layer[r[opens]], r[opens]] = height[opens]
+        closes = ~enters & (depth[r] == 1)
+        bottom[layer[r[closes]], r[closes]] = height[closes]
+        depth[r] = np.maximum(depth[r] + np.where(enters, 1, -1), 0)
+    used = max(int(layer.max(initial=-1)) + 1, 1)
+    return top[:used], bottom[:used]
+
+
+def _tidy(top: F64, bottom: F64, ground_z: float) -> tuple[F64, F64]:
+    """Close gaps that are too narrow for anything, downwards from the topmost interval."""
+    top, bottom = top.copy(), bottom.copy()
+    for k in range(len(top) - 1, 0, -1):
+        narrow = np.isfinite(top[k]) & (bottom[k - 1] - top[k] < NARROW)
+        bottom[k - 1][narrow] = bottom[k][narrow]
+        # What lay below moves up by one.
+        for j in range(k, len(top)):
+            after = (top[j + 1], bottom[j + 1]) if j + 1 < len(top) else (np.nan, -np.inf)
+            top[j] = np.where(narrow, after[0], top[j])
+            bottom[j] = np.where(narrow, after[1], bottom[j])
+    bottom[np.isfinite(top) & (bottom < ground_z + NARROW)] = -np.inf
+    return top, bottom
+
+
+def check_extent(mesh: TerrainMesh) -> None:
+    """Refuse a mesh without triangles, or of a size that no terrain has."""
+    if len(mesh.triangles) == 0:
+        raise ExportError("the mesh has no triangles")
+    extent = float(np.ptp(mesh.vertices[mesh.triangles].reshape(-1, 3), 0).max())
+    if not 0.02 <= extent <= 200:
+        raise ExportError(
+            "the mesh is not of a terrain's size",
+            expected="0.02 to 200 metres",
+            found=f"{extent:.4g} metres",
+            hint="give the mesh's unit with --unit mm (or cm, inch)",
+        )

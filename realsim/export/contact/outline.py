@@ -1,0 +1,154 @@
+"""Outlines of regions on a grid, and their division into convex polygons."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+Edge = tuple[int, int]
+
+
+def outlines(mask: NDArray[np.bool_], tolerance: float) -> list[F64]:
+    """Closed outlines of a region, simplified: [(M, 2) row, column in cells], outer rings and holes.
+
+    Args:
+        mask: (rows, columns).
+        tolerance: cells by which the simplified outline may leave the traced one.
+    """
+    from scipy import ndimage
+    from skimage.measure import approximate_polygon, find_contours
+
+    # A little blur turns the staircase of an oblique edge into a line; half way down is where the edge was.
+    soft = ndimage.gaussian_filter(np.pad(mask, 3).astype(float), 0.7)
+    rings = []
+    for contour in find_contours(soft, 0.5):
+        ring = _simplify(contour[:-1] - 3, tolerance, approximate_polygon)
+        if len(ring) >= 3 and abs(area(ring)) > 1.0:
+            rings.append(ring)
+    return rings
+
+
+def _simplify(ring: F64, tolerance: float, approximate: object) -> F64:
+    """Douglas-Peucker from the two farthest points, then every side fitted to the points that it stands for."""
+    start = int(np.argmax(((ring - ring.mean(0)) ** 2).sum(1)))
+    ring = np.roll(ring, -start, axis=0)
+    closed = np.concatenate([ring, ring[:1]])
+    corners = approximate(closed, tolerance)[:-1]  # type: ignore[operator]
+    if len(corners) < 3:
+        return corners
+    place = [int(np.argmin(((ring - c) ** 2).sum(1))) for c in corners]
+    lines = []
+    for a, b in zip(place, [*place[1:], len(ring)], strict=True):
+        points = closed[a : b + 1]
+        inner = points[1:-1] if len(points) > 8 else points  # the trace cuts corners short
+        middle = inner.mean(0)
+        direction = np.linalg.svd(inner - middle)[2][0] if len(inner) > 1 else closed[b] - closed[a]
+        lines.append((middle, direction))
+    out = []
+    for k, corner in enumerate(corners):
+        met = _meet(lines[k - 1], lines[k])
+        out.append(met if met is not None and np.linalg.norm(met - corner) < 2 * tolerance else corner)
+    return np.array(out)
+
+
+def _meet(one: tuple[F64, F64], two: tuple[F64, F64]) -> F64 | None:
+    """Where two lines (point, direction) cross; None where they are within 15 degrees of parallel."""
+    (p, u), (q, v) = one, two
+    cross = u[0] * v[1] - u[1] * v[0]
+    if abs(cross) < np.sin(np.radians(15)) * np.linalg.norm(u) * np.linalg.norm(v):
+        return None
+    d = q - p
+    return p + (d[0] * v[1] - d[1] * v[0]) / cross * u
+
+
+def area(ring: F64) -> float:
+    """Signed area of a ring (M, 2)."""
+    x, y = ring[:, 0], ring[:, 1]
+    return float(0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+
+
+def convex_parts(rings: list[F64], tolerance: float) -> list[F64]:
+    """Divide a polygon with holes into few convex polygons.
+
+    Triangles are merged, the pair that bulges least first, as long as the merged piece's hull leaves the piece by at
+    most `tolerance` (with a tolerance of 0 this is Hertel and Mehlhorn's method, at most four times the fewest).
+
+    Args:
+        rings: outer rings and holes (M, 2), any orientation, even-odd.
+
+    Returns:
+        [(M, 2) counter-clockwise].
+    """
+    from manifold3d import CrossSection, FillRule, triangulate
+
+    section = CrossSection([np.asarray(r) for r in rings], FillRule.EvenOdd)
+    polygons = [np.asarray(p, float) for p in section.to_polygons()]
+    if not polygons:
+        return []
+    points = np.concatenate(polygons)
+    pieces: list[set[Edge] | None] = []
+    for a, b, c in np.asarray(triangulate([p.astype(np.float32) for p in polygons])).tolist():
+        if abs(area(points[[a, b, c]])) > 1e-12:
+            pieces.append({(a, b), (b, c), (c, a)})
+    owner: dict[Edge, int] = {edge: i for i, piece in enumerate(pieces) if piece for edge in piece}
+    bulge: dict[Edge, float] = {}
+    for edge in owner:
+        if edge[::-1] in owner and edge[0] < edge[1]:
+            bulge[edge] = _bulge(points, pieces, owner, edge)
+    while bulge:
+        edge = min(bulge, key=lambda e: (bulge[e], e))
+        if bulge[edge] > tolerance:
+            break
+        keep, lose = owner[edge], owner[edge[::-1]]
+        merged = _union(pieces[keep], pieces[lose])  # type: ignore[arg-type]
+        inner = (pieces[keep] | pieces[lose]) - merged  # type: ignore[operator]
+        pieces[keep], pieces[lose] = merged, None
+        for e in inner:
+            bulge.pop(e, None)
+            owner.pop(e, None)
+        for e in merged:
+            owner[e] = keep
+        for e in merged:
+            key = e if e[0] < e[1] else e[::-1]
+            if key in bulge:
+                bulge[key] = _bulge(points, pieces, owner, key)
+    return [hull(points[[a for a, _ in sorted(piece)]]) for piece in pieces if piece]
+
+
+def hull(points: F64) -> F64:
+    """(M, 2) convex hull, counter-clockwise (Andrew's monotone chain)."""
+    ordered = sorted(map(tuple, points.tolist()))
+
+    def chain(sequence: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
+        out: list[tuple[float, ...]] = []
+        for p in sequence:
+            while (
+                len(out) > 1
+                and ((out[-1][0] - out[-2][0]) * (p[1] - out[-2][1]) - (out[-1][1] - out[-2][1]) * (p[0] - out[-2][0]))
+                <= 1e-12
+            ):
+                out.pop()
+            out.append(p)
+        return out[:-1]
+
+    return np.array(chain(ordered) + chain(ordered[::-1]))
+
+
+def _union(one: set[Edge], two: set[Edge]) -> set[Edge]:
+    both = one | two
+    return {e for e in both if e[::-1] not in both}
+
+
+def _bulge(points: F64, pieces: list[set[Edge] | None], owner: dict[Edge, int], edge: Edge) -> float:
+    """How far the hull of two merged pieces leaves them: the deepest dent of their common outline."""
+    one, two = pieces[owner[edge]], pieces[owner[edge[::-1]]]
+    assert one is not None and two is not None
+    ring = _union(one, two)
+    corners = points[sorted({a for a, _ in ring})]
+    outer = hull(corners)
+    a, b = outer, np.roll(outer, -1, axis=0)
+    side = b - a
+    normal = np.stack([side[:, 1], -side[:, 0]], 1) / np.maximum(np.linalg.norm(side, axis=1), 1e-12)[:, None]
+    depth = -((corners[:, None, :] - a[None]) * normal[None]).sum(2)  # how far inside each side of the hull
+    return float(depth.min(1).max())
