@@ -57,7 +57,7 @@ def gather(aligned: AlignedScene, resolution: float | None, min_views: int) -> E
     def one(i: int) -> tuple[tuple[np.ndarray, np.ndarray], DepthMap, int, bool]:
         view = metric.load(i)
         T_sim_camera = aligned.T_sim_camera(i)
-        seen, depth = sample_view(view, T_sim_camera, aligned.bounds, sigma)
+        seen, depth = sample_view(view, T_sim_camera, aligned.bounds, sigma, phase=i)
         return (
             grid.rows_of(seen),
             depth_map(depth, *pinhole(view), T_sim_camera),
@@ -81,9 +81,9 @@ def gather(aligned: AlignedScene, resolution: float | None, min_views: int) -> E
     cells = len(points)
     points = drop_tails(points, 3 * cell)
     points = points.where(points.views >= min_views)
-    points, noise = project(points, 1.5 * cell)
+    points, noise = project(points, 1.5 * cell, iterations=1, neighbours=16)
     flying = seen_through(*votes(points.points, maps, sigma, cell))
-    points = thin(points.where(~flying), 0.75 * cell)
+    points, _ = project(thin(points.where(~flying), 0.75 * cell), 1.5 * cell, iterations=2, neighbours=24)
     statistics = {
         "samples": total,
         "cells": cells,

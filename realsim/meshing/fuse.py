@@ -118,7 +118,8 @@ def project(points: Points, radius: float, iterations: int = 2, neighbours: int 
     """Move points along their normals onto the local surface; also smooths the normals. Returns the noise before.
 
     Bilateral moving least squares: neighbours count by distance, by how alike they face, and by weight, so that a
-    point at an edge listens only to its own face (after Fleishman et al., Robust Moving Least-Squares, 2005).
+    point at an edge listens only to its own face (after Fleishman et al., Robust Moving Least-Squares, 2005). Points
+    whose neighbours nearly all face another way are dropped: their normal is wrong.
     The noise is the robust deviation of a point from its neighbours' plane, metres.
     """
     from scipy.spatial import cKDTree
@@ -131,7 +132,7 @@ def project(points: Points, radius: float, iterations: int = 2, neighbours: int 
     missing = near == len(P)
     near[missing] = 0
     base = np.exp(-0.5 * (distance / radius) ** 2, where=~missing, out=np.zeros_like(distance)) * points.weights[near]
-    noise = 0.0
+    noise, alike = 0.0, np.ones(len(P), bool)
     for step in range(iterations):
         agree = np.einsum("mki,mi->mk", N[near], N)
         w = base * np.exp((np.minimum(agree, 1) - 1) / 0.06)
@@ -140,10 +141,13 @@ def project(points: Points, radius: float, iterations: int = 2, neighbours: int 
         move = (w * offset).sum(1) / np.maximum(total, 1e-12)
         if step == 0:
             noise = float(1.4826 * np.median(np.abs(move)))
+            # Even in a corner of three faces a good point finds a quarter of its neighbours facing its way.
+            own = base * (distance < 1e-9)
+            alike = (w - own).sum(1) > 0.1 * (base - own).sum(1)
         P = P + np.clip(move, -radius, radius)[:, None] * N
         N = np.einsum("mk,mki->mi", w, N[near])
         N /= np.maximum(np.linalg.norm(N, axis=1, keepdims=True), 1e-12)
-    return Points(P, N, points.weights, points.views, points.colors), noise
+    return Points(P, N, points.weights, points.views, points.colors).where(alike), noise
 
 
 def drop_tails(points: Points, radius: float, ratio: float = 0.05) -> Points:

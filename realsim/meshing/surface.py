@@ -60,7 +60,11 @@ class Surface:
         import open3d as o3d
 
         scene, origin = self.raycaster()
-        return scene.compute_distance(o3d.core.Tensor.from_numpy((points - origin).astype(np.float32))).numpy().astype(float)
+        return (
+            scene.compute_distance(o3d.core.Tensor.from_numpy((points - origin).astype(np.float32)))
+            .numpy()
+            .astype(float)
+        )
 
     def sample(self, n: int, seed: int) -> F64:
         """(n, 3) points spread evenly over the area."""

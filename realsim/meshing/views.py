@@ -86,11 +86,13 @@ def _slope(d: F32, axis: int, sigma: float) -> tuple[F32, Bool]:
     return slope.astype(np.float32), np.minimum(bend_l, bend_r) < 8 * np.float32(sigma)
 
 
-def sample_view(view: PointView, T_sim_camera: F64, bounds: F64, sigma: float) -> tuple[Samples, F32]:
+def sample_view(view: PointView, T_sim_camera: F64, bounds: F64, sigma: float, phase: int = 0) -> tuple[Samples, F32]:
     """Samples of one view inside `bounds` (2, 3), and its smoothed depth (H, W) in metres, 0 where unknown.
 
     Args:
         sigma: noise of inverse depth, 1/m (`noise_of`).
+        phase: which of each 2 x 2 pixels becomes a sample. The smoothing has spread every pixel over its neighbours,
+            so that one in four carries nearly all; views take turns.
     """
     import cv2
 
@@ -112,6 +114,9 @@ def sample_view(view: PointView, T_sim_camera: F64, bounds: F64, sigma: float) -
     ray_length = np.sqrt(1 + (ray**2).sum(-1))
     cosine = np.divide(smooth, length * ray_length, out=np.zeros_like(d), where=length > 0)
     keep &= cosine > MIN_COSINE
+    turn = np.zeros_like(keep)
+    turn[phase % 2 :: 2, phase // 2 % 2 :: 2] = True
+    keep &= turn
 
     z = np.divide(1.0, smooth, out=np.zeros_like(d), where=smooth > 0)
     points = transform(T_sim_camera, (view.points[keep] * (z[keep] * d[keep])[:, None]).astype(np.float64))
