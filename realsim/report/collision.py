@@ -19,18 +19,19 @@ def collision_triangles(scene_xml: Path) -> tuple[F64, Any]:
 
     model = mujoco.MjModel.from_xml_path(str(scene_xml))
     kinds = mujoco.mjtGeom
-    draw = {
-        kinds.mjGEOM_BOX: _box,
-        kinds.mjGEOM_MESH: _mesh,
-        kinds.mjGEOM_HFIELD: _height_field,
-        kinds.mjGEOM_SDF: _mesh,
-    }
+    drawn = (
+        (kinds.mjGEOM_BOX, _box),
+        (kinds.mjGEOM_MESH, _mesh),
+        (kinds.mjGEOM_SDF, _mesh),
+        (kinds.mjGEOM_HFIELD, _height_field),
+    )
+    draw = {int(kind): function for kind, function in drawn}
     parts: list[tuple[F64, Any]] = []
     for g in range(model.ngeom):
         solid = model.geom_contype[g] or model.geom_conaffinity[g]
-        if model.geom_bodyid[g] != 0 or not solid or model.geom_type[g] not in draw:
+        if model.geom_bodyid[g] != 0 or not solid or int(model.geom_type[g]) not in draw:
             continue
-        V, F = draw[model.geom_type[g]](model, g)
+        V, F = draw[int(model.geom_type[g])](model, g)
         R = np.zeros(9)
         mujoco.mju_quat2Mat(R, model.geom_quat[g])
         parts.append((V @ R.reshape(3, 3).T + model.geom_pos[g], F))

@@ -22,36 +22,27 @@ def reconstruction_page(folder: Path, result: Reconstruction, judgement: Judgeme
     metric = result.aligned.metric
     backend = metric.backend if metric is not None else "scan"
     views = f"{len(metric)} views" if metric is not None else "a scan"
+    drag = "Drag to turn, two fingers or the right button to move, pinch or wheel to zoom."
+    outlined = "Height of the surface; outlined are the level tops that were found, dots and strokes are the cameras."
+    scene_view = viewer3d.viewer(scene_layers(folder, result), label="the reconstructed scene in 3D")
     body = [
         page.verdict(judgement.level, judgement.headline, judgement.reasons),
         page.facts(_facts(result)),
         page.grid(
-            page.card(
-                "The scene",
-                viewer3d.viewer(scene_layers(folder, result), label="the reconstructed scene in 3D"),
-                "Drag to turn, two fingers or the right button to move, pinch or wheel to zoom.",
-                wide=True,
-            ),
-            page.card(
-                "From above",
-                map_from_above(result.aligned, result.mesh),
-                "Height of the surface; outlined are the level tops that were found; dots are the cameras.",
-                wide=True,
-            ),
-            *_scale_card(result),
-            _checks_card(judgement),
-            *_residual_card(result),
-            *_thumbnail_card(result),
-            _notes_card(result),
-            _platform_card(result),
-            _dropped_card(result),
-            _mesh_card(result),
-            _time_card(result),
-            _use_card(),
-            _versions_card(result),
+            page.card("The scene", scene_view, drag, wide=True),
+            page.card("From above", map_from_above(result.aligned, result.mesh), outlined, wide=True),
+        ),
+        page.columns(
+            [_checks_card(judgement)],
+            [_notes_card(result), *_scale_card(result), _platform_card(result)],
+        ),
+        page.grid(*_residual_card(result), *_thumbnail_card(result)),
+        page.columns(
+            [_dropped_card(result), _time_card(result), _use_card()],
+            [_mesh_card(result), _versions_card(result)],
         ),
     ]
-    title = f"Reconstruction of {result.source.source.name}"
+    title = f"Reconstruction of {'/'.join(result.source.source.parts[-2:])}"
     subtitle = f"{views}, layout {result.source.layout}, backend {backend}, surface by {result.mesh.method}"
     return page.document(title, subtitle, "".join(body), scripts=[viewer3d.script()])
 
@@ -62,8 +53,7 @@ def _facts(result: Reconstruction) -> list[tuple[str, str, str]]:
     scale = scale_of(result)
     if scale is not None:
         half = (scale.ci90[1] - scale.ci90[0]) / 2
-        out.append(("Scale", f"{scale.value:.4f} ± {half:.4f}", f"90 % interval, {scale.method}"))
-    assert aligned.gravity is not None
+        out.append(("Scale", f"{scale.value:.4f}", f"± {half:.4f} (90 %), {scale.method}"))
     out.append(("Level", f"± {aligned.gravity.tilt_sigma_deg:.2f}°", "one sigma of the tilt"))
     if aligned.metric is not None:
         dropped = len(dropped_frames(result))
@@ -103,8 +93,11 @@ def _scale_card(result: Reconstruction) -> list[str]:
 
 
 def _checks_card(judgement: Judgement) -> str:
-    rows = [[page.badge(c.level), c.name, c.found, c.limits] for c in judgement.checks]
-    body = page.table(["", "check", "found", "rule"], rows, raw=[0])
+    rows = [
+        [page.badge(c.level), f"{page.esc(c.name)}<small>{page.esc(c.limits)}</small>", c.found]
+        for c in judgement.checks
+    ]
+    body = page.table(["", "check and its rule", "found"], rows, raw=[0, 1])
     return page.card("What the verdict rests on", body, "The worst of these is the verdict.")
 
 
@@ -148,7 +141,8 @@ def _notes_card(result: Reconstruction) -> str:
 
 def _platform_card(result: Reconstruction) -> str:
     def numbers(values: np.ndarray) -> str:
-        return " ".join(f"{v:.3f}" for v in values)
+        # Adding zero turns -0.000 into 0.000.
+        return "  ".join(f"{v:.3f}" for v in np.round(values, 3) + 0.0)
 
     rows = [
         [p.role, numbers(p.centroid), numbers(p.size), f"{np.degrees(p.yaw):.1f}°"] for p in result.aligned.platforms

@@ -59,6 +59,11 @@ def grid(*cards: str) -> str:
     return f'<div class="grid">{"".join(cards)}</div>'
 
 
+def columns(left: Sequence[str], right: Sequence[str]) -> str:
+    """Two stacks of cards side by side; one after the other on a phone."""
+    return grid(*(f'<div class="stack">{"".join(cards)}</div>' for cards in (left, right)))
+
+
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], *, raw: Sequence[int] = ()) -> str:
     """A table of texts; columns in `raw` already hold HTML. Wide tables scroll on their own."""
 

@@ -13,7 +13,7 @@ U8 = NDArray[np.uint8]
 
 # Control colours, evenly spaced, interpolated linearly in sRGB. Height: dark blue to sand, lightness rises throughout,
 # so that it also reads in grey. Signed: blue, grey in the middle, red.
-HEIGHT = ((24, 32, 84), (22, 84, 136), (22, 138, 146), (86, 184, 122), (190, 214, 104), (250, 232, 160))
+HEIGHT = ((58, 70, 120), (38, 108, 150), (34, 150, 152), (96, 188, 126), (192, 214, 108), (252, 236, 168))
 SIGNED = ((20, 74, 158), (96, 158, 222), (226, 228, 232), (238, 140, 104), (172, 26, 42))
 
 

@@ -43,6 +43,7 @@ def summary(result: Reconstruction, judgement: Judgement) -> dict[str, Any]:
             "used": [] if metric is None else [f.name for f in metric.frames],
             "dropped": [{"name": n, "stage": s, "reason": r} for n, s, r in dropped_frames(result)],
         },
+        "cameras": {} if metric is None else {f.name: aligned.T_sim_camera(i) for i, f in enumerate(metric.frames)},
         "points": None if result.points is None else _points(result),
         "mesh": _mesh(result),
         "contact": dict(result.scene.contact),

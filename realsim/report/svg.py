@@ -45,6 +45,15 @@ def ticks(low: float, high: float, count: int = 5) -> list[float]:
     return [round(k * step, 12) for k in range(first, math.floor(high / step + 1e-9) + 1)]
 
 
+def labelled(values: Sequence[float]) -> list[tuple[float, str]]:
+    """Ticks with their text: as many digits as tell neighbours apart."""
+    for digits in range(3, 13):
+        texts = [number(v, digits) for v in values]
+        if len(set(texts)) == len(texts):
+            break
+    return list(zip(values, texts, strict=True)) if values else []
+
+
 def padded(values: ArrayLike, share: float = 0.06) -> Range:
     """Range of the finite values with a little air on both sides; (0, 1) if there are none."""
     v = np.asarray(values, float).ravel()
@@ -90,8 +99,8 @@ class Axes:
         self.width, self.height = width, height
         self.box = (left, top, width - right, height - bottom)
         self.labels = (x_label, y_label)
-        self._x_ticks = x_ticks if x_ticks is not None else [(t, number(t)) for t in ticks(*x)]
-        self._y_ticks = y_ticks if y_ticks is not None else [(t, number(t)) for t in ticks(*y, count=4)]
+        self._x_ticks = x_ticks if x_ticks is not None else labelled(ticks(*x))
+        self._y_ticks = y_ticks if y_ticks is not None else labelled(ticks(*y, count=4))
         self._grid = grid
         self._marks: list[str] = []
         self._outside: list[str] = []

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from realsim.report import svg
+from realsim.report import raster, svg
 from realsim.report.page import esc
-from realsim.types import F64, AlignedScene, TerrainMesh
+from realsim.types import F64, U8, AlignedScene, TerrainMesh
 
 _CELLS = 900
 """Cells along the longer side of the height map at most."""
@@ -42,7 +42,9 @@ def map_from_above(aligned: AlignedScene, mesh: TerrainMesh) -> str:
     extent = (float(x0), float(x1), float(y0), float(y1))
     heights = height_map(mesh, extent)
     low, high = (float(v) for v in np.nanpercentile(heights, [0.5, 99.8]))
-    axes = svg.heat(heights, extent, low=low, high=high, x_label="x (m)", y_label="y (m)", width=980)
+    axes = svg.Axes(extent[:2], extent[2:], width=980, equal=True, x_label="x (m)", y_label="y (m)", grid=False)
+    picture = shaded(raster.colorize(heights, low, high), heights, (extent[1] - extent[0]) / heights.shape[1])
+    axes.image(raster.png_uri(picture), extent)
     for p in aligned.platforms:
         ink = {"start": "var(--c1)", "goal": "var(--c5)"}.get(p.role, "#ffffff")
         axes.polyline(p.outline, ink, width=2.4, closed=True, title=_about(p))
@@ -54,7 +56,17 @@ def map_from_above(aligned: AlignedScene, mesh: TerrainMesh) -> str:
             axes.text(
                 p.centroid[0], p.centroid[1], p.role, dy=30 if p.role == "start" else 5, fill="var(--ink)", halo=True
             )
-    return axes.svg("height map from above", "broad") + svg.color_bar(low, high, "m")
+    return f'<div class="scroll">{axes.svg("height map from above", "broad")}</div>' + svg.color_bar(low, high, "m")
+
+
+def shaded(picture: U8, heights: F64, cell: float) -> U8:
+    """The picture (H, W, 4), lit from the upper left as a relief."""
+    slope_y, slope_x = np.gradient(heights, cell)
+    light = (1.0 + 0.5 * slope_x + 0.5 * slope_y) / np.sqrt(1 + slope_x**2 + slope_y**2)
+    light = np.clip(np.nan_to_num(light, nan=1.0), 0.45, 1.2)
+    out = picture.copy()
+    out[..., :3] = np.clip(picture[..., :3] * light[..., None], 0, 255)
+    return out
 
 
 def camera_positions(aligned: AlignedScene) -> F64:
@@ -68,13 +80,15 @@ def _camera_path(axes: svg.Axes, aligned: AlignedScene, eyes: F64) -> None:
     if not len(eyes):
         return
     assert aligned.metric is not None
-    axes.polyline(eyes[:, :2], "var(--ink)", width=1.2, opacity=0.55)
-    axes.dots(eyes[:, :2], "var(--ink)", radius=2.2, titles=[f.name for f in aligned.metric.frames])
-    every = max(1, len(eyes) // 16)
-    for i in range(0, len(eyes), every):
-        ahead = aligned.T_sim_camera(i)[:2, 2]
-        axes.polyline([eyes[i, :2], eyes[i, :2] + 0.16 * ahead], "var(--ink)", width=1.4)
-    axes.text(eyes[0, 0], eyes[0, 1], "first view", dy=-8, fill="var(--ink)", halo=True)
+    names = [f.name for f in aligned.metric.frames]
+    ahead = np.stack([aligned.T_sim_camera(i)[:2, 2] for i in range(len(eyes))])
+    looks = np.full((3 * len(eyes), 2), np.nan)
+    looks[0::3], looks[1::3] = eyes[:, :2], eyes[:, :2] + 0.1 * ahead
+    # Light on dark, so that the way is readable over the map and beside it, in both themes.
+    for ink, extra in (("#1b2030", 1.8), ("#ffffff", 0.0)):
+        axes.polyline(eyes[:, :2], ink, width=1.2 + extra).polyline(looks, ink, width=0.9 + extra)
+        axes.dots(eyes[:, :2], ink, radius=2.0 + extra / 2, titles=names)
+    axes.text(eyes[0, 0], eyes[0, 1], "first view", anchor="start", dy=-10, fill="var(--ink)", halo=True)
 
 
 def _about(p: Any) -> str:

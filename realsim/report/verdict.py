@@ -79,12 +79,12 @@ def graded(
 
 def percent(value: float) -> str:
     """A share as text."""
-    return f"{100 * value:.2g} %" if abs(value) < 0.1 else f"{100 * value:.0f} %"
+    return f"{100 * value:.2g}\u00a0%" if abs(value) < 0.1 else f"{100 * value:.0f}\u00a0%"
 
 
 def millimetres(value: float) -> str:
     """A length as text."""
-    return f"{1000 * value:.1f} mm"
+    return f"{1000 * value:.1f}\u00a0mm"
 
 
 def _degrees(value: float) -> str:

@@ -92,7 +92,9 @@
     const layers = data.map(l => upload(gl, l));
     const solid = layers.filter(l => l.kind === "triangles" && l.visible);
     const { centre, radius } = bounds(solid.length ? solid : layers);
-    const home = () => ({ turn: -1.95, rise: 0.62, distance: radius * 2.15, target: centre.slice() });
+    // A landscape window shows a long scene from nearer by.
+    const home = () => ({ turn: -1.95, rise: 0.62, target: centre.slice(),
+      distance: radius * (host.clientWidth > 1.6 * host.clientHeight ? 1.55 : 2.1) });
     let camera = home(), waiting = false;
 
     function axes() {

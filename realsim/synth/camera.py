@@ -35,6 +35,8 @@ def walk(bounds: F64, count: int, rng: np.random.Generator, *, both_sides: bool 
     Args:
         bounds: (2, 3) of the terrain.
     """
+    from scipy.interpolate import PchipInterpolator
+
     low, high = bounds
     length, height = high[0] - low[0], 1.12 + high[2]
     right = low[1] - 0.62
@@ -52,7 +54,8 @@ def walk(bounds: F64, count: int, rng: np.random.Generator, *, both_sides: bool 
         eyes += [(low[0] + a * length, left, height) for a in along[::-1]]
         aims += [(low[0] + max(a - 0.09, 0.0) * length, 0.0, -0.2) for a in along[::-1]]
     s = np.linspace(0, 1, count)
-    eye, aim = _smooth(np.array(eyes), s), _smooth(np.array(aims), s)
+    at = np.r_[0, np.cumsum(np.linalg.norm(np.diff(np.array(eyes), axis=0), axis=1))]
+    eye, aim = (PchipInterpolator(at / at[-1], np.array(points))(s) for points in (eyes, aims))
     sway = [_sway(rng, s, amplitude) for amplitude in (0.03, 0.03, 0.035, 0.06, 0.05, 0.04, 0.05)]
     return np.stack(
         [
@@ -60,14 +63,6 @@ def walk(bounds: F64, count: int, rng: np.random.Generator, *, both_sides: bool 
             for i in range(count)
         ]
     )
-
-
-def _smooth(points: F64, s: F64) -> F64:
-    """(N, 3) on a curve through (M, 3) control points at shares `s` (N,) of its length."""
-    from scipy.interpolate import PchipInterpolator
-
-    at = np.r_[0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]
-    return PchipInterpolator(at / at[-1], points)(s)
 
 
 def _sway(rng: np.random.Generator, s: F64, amplitude: float) -> F64:

@@ -115,21 +115,21 @@ def compare(scene_folder: Path, truth_folder: Path) -> dict[str, Any]:
 def register(mesh: Surface, target: Samples, *, scale: bool) -> Fit:
     """The rigid motion (or similarity) that lays the mesh onto the samples; starts from the delivered pose and from
     a half turn, in case start and goal were taken for each other."""
-    starts = [make_T(), make_T(exp_so3([0, 0, np.pi]), [float(target.points[:, 0].max()) / 2, 0, 0])]
-    fits = [_refine(mesh, target, T, scale) for T in starts]
-    best = min(fits, key=lambda f: f.rms)
+    turned = make_T(exp_so3([0, 0, np.pi]), [float(target.points[:, 0].max()) - 0.45, 0, 0])
+    starts = [_refine(mesh, target, T, scale, coarse=True) for T in (make_T(), turned)]
+    best = _refine(mesh, target, min(starts, key=lambda f: f.rms).T, scale, coarse=False)
     if not np.isfinite(best.rms):
         raise RealsimError("the mesh cannot be registered to the truth", hint="is it a reconstruction of this capture?")
     return best
 
 
-def _refine(mesh: Surface, target: Samples, T: F64, scale: bool) -> Fit:
+def _refine(mesh: Surface, target: Samples, T: F64, scale: bool, *, coarse: bool) -> Fit:
     rng = np.random.default_rng(0)
     weight = _balance(target)
-    pick = rng.choice(len(weight), 30_000, p=weight / weight.sum())
+    pick = rng.choice(len(weight), 4_000 if coarse else 20_000, p=weight / weight.sum())
     P, N = target.points[pick], target.normals[pick]
-    factor, rms = 1.0, float("inf")
-    for reach in [0.2] * 8 + [0.1] * 8 + [0.05] * 8 + [0.02] * 24:
+    factor, rms = float(np.cbrt(np.linalg.det(T[:3, :3]))), float("inf")
+    for reach in [0.2] * 8 + [0.1] * 8 + [0.05] * 8 if coarse else [0.05] * 4 + [0.02] * 16:
         back = np.linalg.inv(T)
         q = transform(T, mesh.closest(transform(back, P)))
         r = ((q - P) * N).sum(1)

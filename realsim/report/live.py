@@ -1,0 +1,124 @@
+"""A live viewer of a scene folder in the browser (viser), with a switch for each layer."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from realsim.errors import MissingExtraError, RealsimError
+from realsim.files import read_json
+from realsim.geometry import R_to_quat
+from realsim.report.collision import collision_triangles
+
+
+def view(folder: Path, port: int = 8080, *, wait: bool = True) -> Any:
+    """Serve a scene on this machine until interrupted.
+
+    Args:
+        folder: a folder that `realsim reconstruct` wrote.
+        port: where the page is served (http://localhost:PORT).
+        wait: False returns the running server at once; `server.stop()` ends it.
+
+    Returns:
+        The viser server if not `wait`, else None.
+
+    Raises:
+        MissingExtraError: viser is not installed.
+        RealsimError: no scene in the folder.
+    """
+    for name in ("scene.xml", "mesh.ply", "report.json"):
+        if not (folder / name).is_file():
+            raise RealsimError("no scene here", file=folder / name, hint="give a folder made by `realsim reconstruct`")
+    try:
+        import viser
+    except ImportError as error:
+        raise MissingExtraError("viser", "viewer", "the live viewer") from error
+    report = read_json(folder / "report.json")
+    server = viser.ViserServer(host="127.0.0.1", port=port, label=f"realsim: {folder.absolute().name}", verbose=False)
+    server.scene.set_up_direction("+z")
+    server.scene.world_axes.visible = True
+    _switch(server, "mesh", _mesh(server, folder / "mesh.ply"))
+    _switch(server, "cloud", _cloud(server, folder / "mesh.ply"), on=False)
+    _switch(server, "collision", _collision(server, folder / "scene.xml"), on=False)
+    _switch(server, "frames", _frames(server, report))
+    _switch(server, "platforms", _platforms(server, report))
+    if not wait:
+        return server
+    try:
+        while True:
+            time.sleep(3600)
+    except KeyboardInterrupt:
+        server.stop()
+    return None
+
+
+def _switch(server: Any, name: str, handles: list[Any], *, on: bool = True) -> None:
+    """A checkbox that shows and hides the handles; without any, it is there and cannot be used."""
+    box = server.gui.add_checkbox(name, on and bool(handles), disabled=not handles)
+
+    def update(_: Any = None) -> None:
+        for handle in handles:
+            handle.visible = box.value
+
+    box.on_update(update)
+    update()
+
+
+def _load(path: Path) -> Any:
+    import trimesh
+
+    mesh: Any = trimesh.load(path, process=False, force="mesh")
+    return mesh
+
+
+def _mesh(server: Any, path: Path) -> list[Any]:
+    return [server.scene.add_mesh_trimesh("/mesh", _load(path))]
+
+
+def _cloud(server: Any, path: Path) -> list[Any]:
+    """The vertices of the surface as points in their colours."""
+    mesh = _load(path)
+    colors = np.asarray(mesh.visual.vertex_colors)[:, :3] if mesh.visual.kind == "vertex" else (120, 130, 150)
+    return [server.scene.add_point_cloud("/cloud", np.asarray(mesh.vertices, np.float32), colors, point_size=0.006)]
+
+
+def _collision(server: Any, path: Path) -> list[Any]:
+    V, F = collision_triangles(path)
+    if not len(F):
+        return []
+    return [server.scene.add_mesh_simple("/collision", V, F, color=(236, 148, 62), opacity=0.7, flat_shading=True)]
+
+
+def _frames(server: Any, report: dict[str, Any]) -> list[Any]:
+    """A pyramid for every camera, named after its frame."""
+    handles = []
+    for name, T in (report.get("cameras") or {}).items():
+        T = np.asarray(T, float)
+        handles.append(
+            server.scene.add_camera_frustum(
+                f"/frames/{name}", fov=0.75, aspect=4 / 3, scale=0.08, wxyz=R_to_quat(T[:3, :3]), position=T[:3, 3]
+            )
+        )
+    return handles
+
+
+def _platforms(server: Any, report: dict[str, Any]) -> list[Any]:
+    """The rectangle of every platform's top, and its role."""
+    handles = []
+    for i, p in enumerate(report["platforms"]):
+        centre, (length, width, _) = np.asarray(p["centroid"], float), p["size"]
+        c, s = np.cos(p["yaw"]), np.sin(p["yaw"])
+        ring = 0.5 * np.array(
+            [[-length, -width], [length, -width], [length, width], [-length, width], [-length, -width]]
+        )
+        ring = ring @ np.array([[c, s], [-s, c]]) + centre[:2]
+        points = np.column_stack([ring, np.full(5, centre[2] + 0.005)])
+        segments = np.stack([points[:-1], points[1:]], axis=1)
+        handles.append(server.scene.add_line_segments(f"/platforms/{i}", segments, (226, 70, 120), line_width=3))
+        handles.append(
+            server.scene.add_label(f"/platforms/{i}/role", p["role"], position=centre + np.array([0, 0, 0.05]))
+        )
+    return handles

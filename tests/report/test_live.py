@@ -1,0 +1,37 @@
+"""The live viewer starts, serves a page, and stops."""
+
+from __future__ import annotations
+
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import pytest
+import trimesh
+
+from realsim.errors import RealsimError
+from realsim.report import write_report
+from realsim.report.live import view
+
+from .scene import reconstruction
+
+
+def test_viewer_serves_and_stops(tmp_path: Path) -> None:
+    pytest.importorskip("viser")
+    result = reconstruction(tmp_path)
+    trimesh.Trimesh(result.mesh.vertices, result.mesh.triangles, process=False).export(tmp_path / "mesh.ply")
+    write_report(tmp_path, result)
+    server = view(tmp_path, 18431, wait=False)
+    url = f"http://127.0.0.1:{server.get_port()}"
+    try:
+        with urllib.request.urlopen(url, timeout=10) as answer:
+            assert b"<html" in answer.read()
+    finally:
+        server.stop()
+    with pytest.raises((urllib.error.URLError, ConnectionError)):
+        urllib.request.urlopen(url, timeout=2)
+
+
+def test_viewer_says_what_is_missing(tmp_path: Path) -> None:
+    with pytest.raises(RealsimError, match="no scene here"):
+        view(tmp_path, wait=False)

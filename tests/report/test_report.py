@@ -1,0 +1,144 @@
+"""report.json has what was promised, report.html stands alone, and the verdict follows its stated rules."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from realsim.report import write_report
+from realsim.report.verdict import judge
+from realsim.types import AlignedScene, Reconstruction
+
+from .scene import reconstruction
+
+
+def test_json_has_the_promised_fields(tmp_path: Path) -> None:
+    write_report(tmp_path, reconstruction(tmp_path))
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert np.shape(report["T_sim_world"]) == (4, 4)
+    assert set(report["scale"]) >= {"value", "ci90", "per_frame_spread", "method"}
+    assert report["scale"]["ci90"] == [0.999, 1.003]
+    assert set(report["gravity"]) >= {"normal_world", "tilt_sigma_deg", "inlier_rms_m"}
+    for role, x in (("start", 0.0), ("goal", 3.0)):
+        assert report[role]["centroid"] == [x, 0, 0]
+        assert report[role]["size"] == [0.9, 0.8, 0.35]
+    assert report["frames"]["used"] == [f"{i:06d}" for i in range(5)]
+    assert report["frames"]["dropped"] == [{"name": "000009", "stage": "scale", "reason": "blurred <b>"}]
+    assert [set(s) >= {"name", "seconds", "peak_mb"} for s in report["stages"]] == [True, True]
+    assert report["contact"]["representation"] == "boxes"
+    assert report["mesh"]["watertight"] is True
+    assert {"realsim", "numpy", "mujoco"} <= set(report["versions"])
+    assert report["warnings"] == []
+    assert report["verdict"]["level"] == "good"
+
+
+def test_same_result_same_bytes_whatever_it_cost(tmp_path: Path) -> None:
+    pages, reports = [], []
+    for seconds in (1.0, 2.0):
+        result = reconstruction(tmp_path)
+        result = replace(result, stages=tuple(replace(s, seconds=seconds) for s in result.stages))
+        write_report(tmp_path, result)
+        page = (tmp_path / "report.html").read_text()
+        pages.append(re.sub(r'<section class="card"><h3>Time and memory.*?</section>', "", page))
+        reports.append({**json.loads((tmp_path / "report.json").read_text()), "stages": None})
+    assert pages[0] == pages[1]
+    assert reports[0] == reports[1]
+
+
+class _Links(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.links: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.links += [v or "" for k, v in attrs if k in ("src", "href", "srcset", "data")]
+        if tag not in ("meta", "link", "img", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_page_stands_alone_and_is_well_formed(tmp_path: Path) -> None:
+    write_report(tmp_path, reconstruction(tmp_path))
+    text = (tmp_path / "report.html").read_text()
+    parser = _Links()
+    parser.feed(text)
+    assert parser.open == []
+    assert parser.links
+    assert all(link.startswith("data:") for link in parser.links)
+    assert "http://" not in text.replace("http://www.w3.org", "")
+    assert "https://" not in text
+    assert "blurred &lt;b&gt;" in text  # what comes from data is escaped
+    assert len(text) < 6e6
+
+
+def test_scan_without_cameras_has_a_report(tmp_path: Path) -> None:
+    write_report(tmp_path, reconstruction(tmp_path, scan=True))
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["frames"]["used"] == []
+    assert report["scale"]["value"] == 1.0
+    assert report["world"] == "scan"
+
+
+def _with(result: Reconstruction, **changes: object) -> Reconstruction:
+    aligned: AlignedScene = result.aligned
+    metric = aligned.metric
+    assert metric is not None
+    if "ci90" in changes:
+        metric = replace(metric, scale=replace(metric.scale, ci90=changes["ci90"]))
+    if "tilt" in changes:
+        aligned = replace(aligned, gravity=replace(aligned.gravity, tilt_sigma_deg=changes["tilt"]))
+    if "platforms" in changes:
+        aligned = replace(aligned, platforms=changes["platforms"])
+    return replace(result, aligned=replace(aligned, metric=metric))
+
+
+@pytest.mark.parametrize(
+    ("changes", "level"),
+    [
+        ({}, "good"),
+        ({"ci90": (0.98, 1.02)}, "look"),
+        ({"ci90": (0.9, 1.1)}, "bad"),
+        ({"ci90": (float("nan"), float("nan"))}, "bad"),
+        ({"tilt": 0.4}, "look"),
+        ({"tilt": 1.5}, "bad"),
+        ({"platforms": ()}, "look"),
+    ],
+)
+def test_verdict_follows_its_rules(tmp_path: Path, changes: dict[str, object], level: str) -> None:
+    judgement = judge(_with(reconstruction(tmp_path), **changes))
+    assert judgement.level == level
+    assert bool(judgement.reasons) == (level != "good")
+
+
+def test_a_warning_asks_for_a_look(tmp_path: Path) -> None:
+    assert judge(reconstruction(tmp_path, warnings=("two grounds",))).level == "look"
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is not installed")
+def test_browser_runs_the_page_without_errors(tmp_path: Path) -> None:
+    write_report(tmp_path, reconstruction(tmp_path))
+    command = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader"]
+    command += ["--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update"]
+    command += [
+        "--disable-sync",
+        "--enable-unsafe-swiftshader",
+        "--enable-logging=stderr",
+        "--virtual-time-budget=2000",
+    ]
+    command += [f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", f"file://{tmp_path / 'report.html'}"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    errors = [line for line in done.stderr.splitlines() if "CONSOLE" in line and ("Error" in line or "error" in line)]
+    assert errors == []
+    assert "<canvas" in done.stdout
+    assert 'aria-pressed="true">mesh</button>' in done.stdout
