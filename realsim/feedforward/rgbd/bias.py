@@ -38,9 +38,15 @@ def judge_gain(step: Step, tracks: Tracks, surface: Surface, n_frames: int, aske
     """The gain with an honest standard error, or 1 where it is not observable."""
     if not asked:
         return GainEstimate(1.0, float("inf"))
-    group = {f"frames_{length}": step.owner // length for length in _block_lengths(n_frames)}
-    errors = {name: grouped_error(step.influence, g) for name, g in group.items()}
-    sigma = max(step.gain_sigma, *errors.values())
+    errors = {
+        f"blocks_of_{length}_frames": grouped_error(step.influence, step.owner // length)
+        for length in _block_lengths(n_frames)
+    }
+    cells = image_cells(tracks, surface)
+    errors["image_cells"] = grouped_error(step.influence[: len(cells)], cells)
+    frames_error = max(v for name, v in errors.items() if name != "image_cells")
+    # Errors of poses and errors of the sensor's pattern are different errors: their squares add.
+    sigma = float(np.hypot(max(step.gain_sigma, frames_error), errors["image_cells"]))
     found = step.state.gain
     statistics: dict[str, Any] = {
         "found": found,
@@ -70,6 +76,13 @@ def grouped_error(influence: F64, group: NDArray[np.int64]) -> float:
     total = total[np.bincount(group) > 0]
     n = len(total)
     return float(np.sqrt(n / (n - 1) * ((total - total.mean()) ** 2).sum())) if n > 1 else float("inf")
+
+
+def image_cells(tracks: Tracks, surface: Surface) -> NDArray[np.int64]:
+    """(3M + K,) cell of the image, about 7 degrees wide, of each residual of tracks and surfaces."""
+    xy = np.concatenate([np.repeat(tracks.xy, 3, axis=0), surface.p[:, :2] / np.maximum(surface.p[:, 2:], 1e-6)])
+    cell = np.clip(np.floor(xy / 0.12).astype(int), -50, 49) + 50
+    return cell[:, 0] * 100 + cell[:, 1]
 
 
 def residual_vs_depth(step: Step, tracks: Tracks) -> dict[str, Any]:

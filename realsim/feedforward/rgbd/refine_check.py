@@ -181,7 +181,7 @@ def _per_frame(pair: np.ndarray, weight: F64, error: F64, limit: float, n: int) 
 def _nowhere(evidence: Evidence, T: F64, agreement: F64) -> np.ndarray:
     """Frames that overlap with nothing although the frames before and after see the same surface."""
     bad = np.zeros(len(T), bool)
-    for k in np.flatnonzero(np.isnan(agreement)):
+    for k in np.flatnonzero(np.isnan(agreement)).tolist():
         if 0 < k < len(T) - 1:
             z = evidence.views[k - 1].depth
             points = (evidence.views[k - 1].camera.rays() * z[..., None])[z > 0][::97].astype(float)
@@ -277,13 +277,14 @@ def _explain(
 
 def _named(frames: Sequence[Frame], bad: np.ndarray, agreement: F64, middle: F64) -> tuple[Dropped, ...]:
     out = []
-    for k in np.flatnonzero(bad):
+    for k in np.flatnonzero(bad).tolist():
         if np.isnan(agreement[k]):
             reason = "its pose looks at nothing that the frames before and after see"
         else:
+            against, off = 100 * (1 - agreement[k]), 100 * middle[k]
             reason = (
-                f"its pose contradicts the depth: {100 * (1 - agreement[k]):.0f} percent of the frames it overlaps with "
-                f"disagree, by {100 * middle[k]:.1f} cm (median)"
+                f"its pose contradicts the depth: {against:.0f} percent of the frames it overlaps with disagree, "
+                f"by {off:.1f} cm (median)"
             )
         out.append(Dropped(frames[k].name, reason))
     return tuple(out)

@@ -97,7 +97,9 @@ def _features(color: NDArray[np.uint8]) -> tuple[F64, F32]:
     import cv2
 
     gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
-    sift = cv2.SIFT_create(nfeatures=N_FEATURES, contrastThreshold=0.02)  # type: ignore[attr-defined]
+    # Without `enable_precise_upscale` features of the first octave sit a quarter pixel off: 0.04 percent of the depth
+    # gain on rendered captures.
+    sift = cv2.SIFT_create(N_FEATURES, 3, 0.02, 10, 1.6, True)  # type: ignore[attr-defined]
     points, raw = sift.detectAndCompute(gray, None)
     if raw is None or not len(points):
         return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
