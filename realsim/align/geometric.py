@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.align.cloud import Cloud
+from realsim.align.platforms import LEAST_AREA, large
 from realsim.align.segment import Label, Labels
 from realsim.types import F64, Bool
 
@@ -21,8 +22,6 @@ LEVEL_DEG = 5.0
 """A platform's top is level to within this."""
 STEP = 0.012
 """Metres: neighbouring cells of one face differ by less in height; two boxes that touch mostly differ by more."""
-LEAST_SIDE, LEAST_AREA = 0.30, 0.15
-"""Metres and m²: two feet and some room. What is smaller is an obstacle, however level."""
 CELL = 0.02
 CLUSTER_CELL = 0.06
 
@@ -58,7 +57,7 @@ def level_faces(cloud: Cloud) -> list[NDArray[np.intp]]:
         # Normals bend at the rim, so the face is completed by height: all points of its plane near its region.
         on_plane = np.abs(z - (cloud.points[:, :2] @ slope + height)) < band
         face = np.flatnonzero(on_plane & _near(cloud.points[:, :2], points[:, :2]))
-        if _large(cloud.points[face, :2]):
+        if large(cloud.points[face, :2]):
             faces.append(face)
     return sorted(faces, key=lambda f: -len(f))
 
@@ -153,16 +152,6 @@ def _near(xy: F64, region: F64, distance: float = 0.05) -> Bool:
     out = np.zeros(len(xy), bool)
     out[inside] = grid[tuple(cell[inside].T)]
     return out
-
-
-def _large(xy: F64) -> bool:
-    import cv2
-
-    if len(xy) < 20:
-        return False
-    _, sides, _ = cv2.minAreaRect(xy.astype(np.float32))
-    area = len(np.unique(np.floor(xy / CELL).astype(np.int64) @ [1_000_003, 1])) * CELL**2
-    return min(sides) > LEAST_SIDE and area > LEAST_AREA
 
 
 def _cells(xy: F64, cell: float) -> tuple[NDArray[np.int64], tuple[int, int]]:

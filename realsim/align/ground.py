@@ -19,8 +19,10 @@ RIVAL = 0.6
 """A plane that scores this share of the best one is a rival worth a word."""
 STAGE = 2.5
 """m²: a level plane above the ground that is larger than platforms are might be a ground of its own."""
-BLOCK = 0.5
-"""Metres: ground points this close share their errors (poses, the sensor's pattern), so they are drawn together."""
+HIGHEST_STAGE = 1.5
+"""Metres above the ground beyond which a level plane is a table or a ceiling, not a ground."""
+BLOCK, FEW_BLOCKS = 1.0, 6
+"""Metres of a block of ground whose points share their errors, and how few say little about themselves."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +152,7 @@ def _rivals(scored: list[tuple[dict[str, float], Plane]], cloud: Cloud, up_known
         angle = float(np.degrees(np.arccos(np.clip(plane.normal @ ground.normal, -1, 1))))
         if angle < 4:
             step = float(np.median(ground.height(cloud.points[plane.inliers])))
-            if step > 0 and plane.area > max(STAGE, 0.2 * ground.area):
+            if 0 < step < HIGHEST_STAGE and plane.area > max(STAGE, 0.2 * ground.area):
                 warnings.append(
                     f"two grounds: the lower level plane ({ground.area:.1f} m²) was taken as the ground, "
                     f"another of {plane.area:.1f} m² lies {100 * step:.0f} cm above it"
@@ -188,30 +190,40 @@ def _upside_down(plane: Plane, cloud: Cloud, up_world: F64 | None) -> list[str]:
 
 
 def tilt_sigma_deg(cloud: Cloud, plane: Plane, seed: int, resamples: int = 200) -> float:
-    """One standard deviation of the plane's tilt (both axes together), degrees: a bootstrap over blocks of ground.
+    """One standard deviation of the plane's tilt (both axes together), degrees.
 
-    Points near each other share errors, so blocks of 0.5 m are drawn, not points (Künsch 1989, in the plane). Few
-    blocks say little about themselves: below 8 the spread is widened to what the residual over the extent allows.
+    Two parts, added in squares. A bootstrap over blocks of ground of 1 m, since points near each other share errors
+    (Künsch 1989, in the plane); with few blocks, at least what the residual over the extent allows. And half of what
+    the better-seen and the worse-seen half of the ground disagree by: a sensor's own pattern bends all frames the same
+    way, which no resampling shows, but it grows with distance.
     """
     points, w = cloud.points[plane.inliers], plane_weights(cloud)[plane.inliers]
+    seen = cloud.weights[plane.inliers]
     uv, h = points @ plane_axes(plane.normal).T, plane.height(points)
     cells = np.floor(uv / BLOCK).astype(np.int64)
     _, block = np.unique(cells[:, 0] * 1_000_003 + cells[:, 1], return_inverse=True)
     blocks = int(block.max()) + 1
     centre = np.average(uv, axis=0, weights=w)
-    A = np.column_stack([np.ones(len(uv)), uv - centre])
     # The normal equations of h = a + b u + c v, summed by block: a resample is then a 3x3 solve.
-    products = np.column_stack(
-        [A[:, i] * A[:, j] for i in range(3) for j in range(3)] + [A[:, i] * h for i in range(3)]
-    )
-    sums = np.stack([np.bincount(block, w * c, blocks) for c in products.T], axis=1)
+    A = np.column_stack([np.ones(len(uv)), uv - centre])
+    columns = [A[:, i] * A[:, j] for i in range(3) for j in range(3)] + [A[:, i] * h for i in range(3)]
+    products = w[:, None] * np.column_stack(columns)
+    sums = np.stack([np.bincount(block, c, blocks) for c in products.T], axis=1)
     rng = np.random.default_rng(seed)
-    drawn = sums[rng.integers(0, blocks, (resamples, blocks))].sum(1)
-    N, b = drawn[:, :9].reshape(-1, 3, 3), drawn[:, 9:]
-    ridge = 1e-9 * np.trace(N.mean(0)) * np.eye(3)
-    slopes = np.linalg.solve(N + ridge, b[..., None])[:, 1:, 0]
-    sigma = float(np.sqrt((slopes**2).sum(1).mean()))
-    if blocks < 8:
+    slopes = _slopes(sums[rng.integers(0, blocks, (resamples, blocks))].sum(1))
+    variance = float((slopes**2).sum(1).mean())
+    if blocks < FEW_BLOCKS:
         extent = float(np.sqrt(np.linalg.eigvalsh(np.cov((uv - centre).T, aweights=w))[0]))
-        sigma = max(sigma, plane.rms / max(extent, 1e-3))
-    return float(np.degrees(np.arctan(sigma)))
+        variance = max(variance, (plane.rms / max(extent, 1e-3)) ** 2)
+    better = seen > np.median(seen)
+    if better.any():  # all of a scan is seen alike
+        near, far = _slopes(np.stack([products[better].sum(0), products[~better].sum(0)]))
+        variance += 0.25 * float(((near - far) ** 2).sum())
+    return float(np.degrees(np.arctan(np.sqrt(variance))))
+
+
+def _slopes(sums: F64) -> F64:
+    """(R, 2) slopes that solve R stacked normal equations (R, 12)."""
+    N, b = sums[:, :9].reshape(-1, 3, 3), sums[:, 9:]
+    ridge = 1e-9 * np.trace(N.mean(0)) * np.eye(3)
+    return np.linalg.solve(N + ridge, b[..., None])[:, 1:, 0]

@@ -13,6 +13,8 @@ from realsim.geometry import transform
 from realsim.types import F64, Platform
 
 CELL = 0.02
+LEAST_SIDE, LEAST_AREA = 0.30, 0.15
+"""Metres and m²: two feet and some room. What is smaller is an obstacle, however level."""
 JOIN = 0.05
 """Metres: platform points closer than this, and on one plane, belong to one face."""
 
@@ -40,9 +42,25 @@ class Face:
 
 
 def find_faces(cloud: Cloud, labels: Labels) -> list[Face]:
-    """The connected faces among the points labelled PLATFORM, the largest first. Levelled frame."""
+    """The connected faces among the points labelled PLATFORM that are large enough, the largest first. Levelled."""
     index = np.flatnonzero(labels == Label.PLATFORM)
-    return sorted((_face(cloud.take(index[part])) for part in _connected(cloud.points[index])), key=lambda f: -f.area)
+    parts = [index[part] for part in _connected(cloud.points[index])]
+    return sorted((_face(cloud.take(p)) for p in parts if large(cloud.points[p, :2])), key=lambda f: -f.area)
+
+
+def large(xy: F64) -> bool:
+    """Whether points (M, 2) of a level face leave room to stand: a least side and a least area."""
+    import cv2
+
+    if len(xy) < 20:
+        return False
+    _, sides, _ = cv2.minAreaRect(xy.astype(np.float32))
+    return min(sides) > LEAST_SIDE and _seen_area(xy) > LEAST_AREA
+
+
+def _seen_area(xy: F64) -> float:
+    """m^2 of the 2 cm cells with points in them."""
+    return len(np.unique(np.floor(xy / CELL).astype(np.int64) @ [1_000_003, 1])) * CELL**2
 
 
 def to_platform(face: Face, T_sim_level: F64, role: str = "platform") -> Platform:
@@ -100,7 +118,7 @@ def _face(points: Cloud) -> Face:
     slope_x, slope_y, height = np.linalg.lstsq(A, xyz[:, 2], rcond=None)[0]
     hull = cv2.convexHull(xyz[:, :2].astype(np.float32))[:, 0].astype(np.float64)
     box = cv2.boxPoints(cv2.minAreaRect(xyz[:, :2].astype(np.float32))).astype(np.float64)
-    seen = len(np.unique(np.floor(xyz[:, :2] / CELL).astype(np.int64), axis=0)) * CELL**2
+    seen = _seen_area(xyz[:, :2])
     rectangle = polygon_area_centroid(hull)[0] > 0.9 * polygon_area_centroid(box)[0]
     outline = _counter_clockwise(box if rectangle else hull)
     area, centroid = polygon_area_centroid(outline)
