@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from realsim.capture.association import associate, interpolate_poses
 from realsim.capture.intrinsics import camera_matrix
 from realsim.capture.listing import natural_key, pair_by_stem
+from realsim.capture.lzf import decompress
 from realsim.capture.poses import MENDABLE, rigid
 from realsim.capture.selection import pick
 from realsim.capture.survey import Look, sharpness
@@ -110,6 +111,55 @@ def test_files_are_paired_and_ordered_by_number(numbers):
     assert [int(p.name) for p in pairs] == sorted(numbers)
     assert all(p.color and p.depth and int(p.color.stem[2:]) == int(p.depth.stem[2:]) for p in pairs)
     assert sorted(map(str, numbers), key=natural_key) == [str(n) for n in sorted(numbers)]
+
+
+def compress(data: bytes) -> bytes:
+    """A small LZF compressor: greedy, one table of the last place of each three bytes. Only to test the reader."""
+    out, literal, last, at = bytearray(), bytearray(), {}, 0
+
+    def flush() -> None:
+        for start in range(0, len(literal), 32):
+            run = literal[start : start + 32]
+            out.append(len(run) - 1)
+            out.extend(run)
+        literal.clear()
+
+    while at < len(data):
+        key = data[at : at + 3]
+        back = at - last.get(key, -10_000) - 1
+        last[key] = at
+        if len(key) == 3 and 0 <= back < 8192:
+            length = 3
+            while at + length < len(data) and length < 264 and data[at + length] == data[at - back - 1 + length]:
+                length += 1
+            flush()
+            code = length - 2
+            out.append((min(code, 7) << 5) | (back >> 8))
+            if code >= 7:
+                out.append(code - 7)
+            out.append(back & 255)
+            at += length
+        else:
+            literal.append(data[at])
+            at += 1
+    flush()
+    return bytes(out)
+
+
+@FAST
+@given(st.lists(st.tuples(st.binary(min_size=1, max_size=12), st.integers(1, 60)), max_size=12))
+def test_lzf_unpacks_what_was_packed(parts):
+    data = b"".join(piece * times for piece, times in parts)
+    assert decompress(compress(data), len(data)) == data
+
+
+@FAST
+@given(st.binary(max_size=200), st.integers(0, 400))
+def test_lzf_never_returns_another_size(data, size):
+    try:
+        assert len(decompress(data, size)) == size
+    except ValueError as error:
+        assert "compressed data" in str(error)  # noqa: PT017
 
 
 # ---------------------------------------------------------------- the choice among too many frames

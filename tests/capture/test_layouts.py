@@ -239,6 +239,32 @@ def test_scannet_keeps_two_cameras_and_drops_untracked_frames(tmp_path):
     assert (of_color.width, of_color.fx) == (2 * CAMERA.width, 2 * CAMERA.fx)
 
 
+@pytest.mark.parametrize("data", ["ascii", "binary"])
+@pytest.mark.parametrize("kind", ["rgb F 4", "rgb U 4", "rgba U 4"])
+def test_pcd_colour_and_padding_as_pcl_writes_them(kind, data, tmp_path):
+    """PCL's own PointXYZRGB has four bytes after xyz and twelve after rgb, and its rgb is a float."""
+    name, letter, _ = kind.split()
+    view = walk(1)[0]
+    points, rgb = camera_points(view).reshape(-1, 3), view.color.reshape(-1, 3).astype(np.uint32)
+    packed = rgb[:, 0] << 16 | rgb[:, 1] << 8 | rgb[:, 2]
+    header = (
+        f"VERSION .7\nFIELDS x y z _ {name} _\nSIZE 4 4 4 1 4 1\nTYPE F F F U {letter} U\nCOUNT 1 1 1 4 1 12\n"
+        f"WIDTH {CAMERA.width}\nHEIGHT {CAMERA.height}\nPOINTS {len(points)}\nDATA {data}\n"
+    )
+    if data == "binary":
+        table = np.zeros(len(points), [("p", "<f4", 3), ("_", "u1", 4), ("c", "<u4"), ("__", "u1", 12)])
+        table["p"], table["c"] = points, packed
+        body = table.tobytes()
+    else:
+        shown = [repr(float(v)) for v in packed.view(np.float32)] if letter == "F" else [str(v) for v in packed]
+        rows = [f"{x} {y} {z} 0 0 0 0 {c} {'0 ' * 12}" for (x, y, z), c in zip(points, shown, strict=True)]
+        body = "\n".join(rows).encode()
+    (tmp_path / "a.pcd").write_bytes(header.encode() + body)
+    frame = frames_of(tmp_path).frames[0]
+    np.testing.assert_allclose(frame.depth(), view.depth, atol=1e-6)
+    np.testing.assert_array_equal(frame.color(), view.color)
+
+
 OPENGL = np.diag([1.0, -1, -1])
 BODY = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 

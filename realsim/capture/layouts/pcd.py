@@ -113,8 +113,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         )
     reading, residual = find_reading(headers)
     posed, viewpoint_note = _viewpoints(headers, reading)
-    color_fields = ({"rgb", "rgba"} & set(h.fields) for h in headers.values())
-    colored = all(color_fields)
+    colored = all(h.color_field for h in headers.values())
     frames = tuple(
         Frame(
             path.stem,
