@@ -42,4 +42,9 @@ class Layout:
     recognise: Callable[[Path], Recognition]
     """A cheap look at names (no image is decoded); must not raise for a folder of any other kind."""
     read: Callable[[Path, CaptureConfig], FrameSet | Scan]
-    """All frames in order, lazily: `read_depth` in metres without range limits, poses as written (4x4, unchecked)."""
+    """All frames in order, lazily: `read_depth` in metres without range limits, poses as written (4x4, unchecked).
+
+    The readers of a frame are called again and again, from two threads, and travel to other processes: small picklable
+    objects such as `DepthImage`, without open files. A reader that has a method `step()` (metres that the value 1
+    stands for) lets the check of the depth unit name the unit that would fit.
+    """

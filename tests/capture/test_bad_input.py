@@ -394,6 +394,15 @@ def test_repeated_timestamps_and_missing_partners(tmp_path):
     assert "no depth image within 0.02 s" in capture.dropped[0].reason
 
 
+def test_an_image_that_is_listed_but_not_there(tmp_path):
+    write_tum(tmp_path, walk(6))
+    path = sorted((tmp_path / "depth").iterdir())[2]
+    path.unlink()
+    capture = frames_of(tmp_path)
+    assert len(capture) == 5
+    assert "cannot be read" in capture.dropped[0].reason
+
+
 @pytest.mark.parametrize(
     ("row", "error"),
     [("1700000000.1 0 0 0 0 0 0", "wrong length"), ("1700000000.1 0 0 zero 0 0 0 1", "not a number")],

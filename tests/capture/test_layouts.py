@@ -386,6 +386,37 @@ def test_poses_can_be_ignored(tmp_path):
     assert not capture.has_poses
 
 
+def test_exif_orientation_is_not_applied(tmp_path):
+    """A phone held upright tags its pictures so that viewers turn them; the depth image has no such tag."""
+    views = walk(3)
+    write_plain(tmp_path, views)
+    tag = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0"
+    for path in list((tmp_path / "rgb").iterdir()):
+        jpeg = cv2.imencode(".jpg", cv2.imread(str(path)))[1].tobytes()
+        path.unlink()
+        marker = b"\xff\xe1" + (len(tag) + 2).to_bytes(2, "big") + tag
+        path.with_suffix(".jpg").write_bytes(jpeg[:2] + marker + jpeg[2:])
+    assert cv2.imread(str(tmp_path / "rgb/000000.jpg")).shape[:2] == (96, 72), "a viewer turns it"
+    capture = frames_of(tmp_path)
+    assert capture.dropped == ()
+    color = capture.frames[0].color()
+    assert color is not None
+    assert color.shape == (72, 96, 3)
+
+
+def test_tiff_and_16_bit_colour(tmp_path):
+    views = walk(3)
+    write_plain(tmp_path, views)
+    for i, view in enumerate(views):
+        (tmp_path / f"depth/{i:06d}.png").unlink()
+        depth = view.depth.astype(np.float32) if i == 1 else np.rint(view.depth * 1000).astype(np.uint16)
+        assert cv2.imwrite(str(tmp_path / f"depth/{i:06d}.tiff"), depth)
+        assert cv2.imwrite(str(tmp_path / f"rgb/{i:06d}.png"), view.color[..., ::-1].astype(np.uint16) * 257)
+    for frame, view in zip(frames_of(tmp_path).frames, views, strict=True):
+        np.testing.assert_allclose(frame.depth(), view.depth, atol=5.1e-4)
+        np.testing.assert_array_equal(frame.color(), view.color)
+
+
 def test_numpy_depth_in_metres(tmp_path):
     views = walk(3)
     write_plain(tmp_path, views)
