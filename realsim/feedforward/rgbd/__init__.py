@@ -58,41 +58,49 @@ def _posed(frames: FrameSet, config: PointsConfig) -> list[int] | None:
 
 
 def _given(frames: FrameSet, posed: list[int], config: PointsConfig) -> Solution:
-    from realsim.feedforward.rgbd.check import check_poses
-    from realsim.feedforward.rgbd.tracks import prepare
+    from realsim.feedforward.rgbd.refine_check import check_poses
+    from realsim.feedforward.rgbd.tracks import Evidence
 
     chosen = [frames.frames[i] for i in posed]
-    T = np.stack([_pose(f) for f in chosen])
-    views = prepare(chosen)
-    reasons = check_poses(views, T, frames.source)
-    dropped = [Dropped(f.name, "has no pose") for f in frames.frames if f.T_world_camera is None]
-    dropped += [Dropped(chosen[k].name, why) for k, why in sorted(reasons.items())]
-    keep = [k for k in range(len(chosen)) if k not in reasons]
-    chosen, views, T = [chosen[k] for k in keep], [views[k] for k in keep], T[keep]
-    found: dict[str, Any] = {"T_world_camera": T, "statistics": {"poses": "given"}}
+    T = np.stack([f.T_world_camera for f in chosen if f.T_world_camera is not None])
+    evidence = Evidence.of(chosen, config.seed)
+    check = check_poses(chosen, T, evidence=evidence, seed=config.seed)
+    keep = check.kept(chosen)
+    found: dict[str, Any] = {"T_world_camera": T[keep], "statistics": {"poses": "given"}, "warnings": ()}
     if config.refine:
         gain = config.correct_depth_bias and frames.poses_metric
-        found = _refined(chosen, T, estimate_gain=gain, trust="metric", seed=config.seed, views=views)
+        rest, options = evidence.subset(keep), {"estimate_gain": gain, "trust": "metric", "seed": config.seed}
+        found = _refined([chosen[k] for k in keep], T[keep], evidence=rest, **options)
         found["statistics"]["poses"] = "given, refined"
-    return Solution(used=tuple(posed[k] for k in keep), world_is_capture=True, dropped=tuple(dropped), **found)
+    found["statistics"]["check"] = dict(check.statistics)
+    found["warnings"] = check.warnings + found["warnings"]
+    unposed = tuple(Dropped(f.name, "has no pose") for f in frames.frames if f.T_world_camera is None)
+    return Solution(
+        used=tuple(posed[k] for k in keep), world_is_capture=True, dropped=unposed + check.contradicting, **found
+    )
 
 
 def _estimated(frames: FrameSet, config: PointsConfig) -> Solution:
     from realsim.feedforward.rgbd.estimate import estimate
-    from realsim.feedforward.rgbd.tracks import prepare
+    from realsim.feedforward.rgbd.tracks import Evidence
 
     if len(frames) == 1:
         return Solution((0,), np.eye(4)[None], world_is_capture=False, statistics={"poses": "one frame"})
-    views = prepare(frames.frames)
-    result = estimate(views, config.seed)
+    evidence = Evidence.of(frames.frames, config.seed)
+    result = estimate(evidence.views, config.seed)
+    found: dict[str, Any] = {"T_world_camera": result.T_world_camera, "statistics": {}}
+    if result.statistics.get("by_shape"):  # without features nothing has looked at all views at once yet
+        found = _refined(
+            [frames.frames[i] for i in result.used],
+            result.T_world_camera,
+            estimate_gain=False,
+            trust="estimated",
+            seed=config.seed,
+            evidence=evidence.subset(result.used),
+        )
+    found["statistics"] = {**found["statistics"], "poses": "estimated", **result.statistics}
     dropped = tuple(Dropped(frames.frames[i].name, why) for i, why in sorted(result.lost.items()))
-    return Solution(
-        used=result.used,
-        T_world_camera=result.T_world_camera,
-        world_is_capture=False,
-        dropped=dropped,
-        statistics={"poses": "estimated", **result.statistics},
-    )
+    return Solution(used=result.used, world_is_capture=False, dropped=dropped, **found)
 
 
 def _refined(frames: list[Frame], T: F64, **options: Any) -> dict[str, Any]:
@@ -103,7 +111,7 @@ def _refined(frames: list[Frame], T: F64, **options: Any) -> dict[str, Any]:
     return {
         "T_world_camera": result.T_world_camera,
         "depth_gain": result.depth_gain,
-        "depth_gain_sigma": result.depth_gain_sigma,
+        "depth_gain_sigma": result.depth_gain_sigma if options["estimate_gain"] else None,
         "pose_sigma_m": result.residual_m,
         "warnings": tuple(result.warnings),
         "statistics": {
@@ -111,11 +119,6 @@ def _refined(frames: list[Frame], T: F64, **options: Any) -> dict[str, Any]:
             "residual_m": {f.name: float(r) for f, r in zip(frames, result.per_frame_residual_m, strict=True)},
         },
     }
-
-
-def _pose(frame: Frame) -> F64:
-    assert frame.T_world_camera is not None
-    return frame.T_world_camera
 
 
 BACKEND = Backend(solve, pointmaps)

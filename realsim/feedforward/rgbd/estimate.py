@@ -12,7 +12,17 @@ from realsim.errors import PoseError
 from realsim.feedforward.rgbd.bundle import Adjusted, Observations, adjust
 from realsim.feedforward.rgbd.graph import Edge, components, optimise, spanning_poses
 from realsim.feedforward.rgbd.overlap import overlap
-from realsim.feedforward.rgbd.pairs import ALL_PAIRS, MIN_AGREEMENT, by_features, by_shape, candidates, guided
+from realsim.feedforward.rgbd.pairs import (
+    MIN_AGREEMENT,
+    as_edge,
+    believable,
+    by_features,
+    by_shape,
+    candidates,
+    guided,
+    shape_features,
+    shape_starts,
+)
 from realsim.feedforward.rgbd.tracks import Match, Tracks, View, build_tracks
 from realsim.geometry import invert_T
 from realsim.progress import track
@@ -24,6 +34,10 @@ SIGMA_INVERSE = 0.003
 """Noise of inverse depth, 1/m: 3 mm at 1 m, 12 mm at 2 m (range noise, quantisation and fixed pattern together)."""
 EDGE_LIMIT = 6.0
 """Standard deviations beyond which a pair contradicts the graph and is left out."""
+SUSPICIOUS = 20
+"""Features that match although the depth contradicts them: from so many on it is worth telling."""
+SHAPE_WINDOW = 2
+"""Frames that features leave apart are compared by shape with so many that follow."""
 NEIGHBOURS = 8
 """After the first solution each frame is matched again with so many that share the most surface with it."""
 
@@ -47,42 +61,78 @@ def estimate(views: Sequence[View], seed: int) -> Estimate:
     Raises:
         PoseError: fewer than two views hang together.
     """
-    edges, matches = connect(views, seed)
-    used, T, edges = _place(views, edges)
-    lost = _lost(views, edges, used)
+    net = connect(views, seed)
+    used, T, edges = _place(views, net.edges)
+    lost = _lost(views, net, used)
+    chosen, statistics = [views[i] for i in used], {"pairs": len(edges)}
     local = {int(v): k for k, v in enumerate(used)}
-    matches = [m for m in matches if m.i in local and m.j in local and _fits(m, T, local)]
-    chosen = [views[i] for i in used]
-    statistics: dict[str, Any] = {"pairs": len(edges)}
-    if matches:
-        first = [Match(local[m.i], local[m.j], m.a, m.b, m.T_i_j) for m in matches]
-        T = bundle(chosen, T, first).T_world_camera
+    first = [Match(local[m.i], local[m.j], m.a, m.b, m.T_i_j) for m in net.matches if _fits(m, T, local)]
+    if net.matches:
+        if first:
+            T = bundle(chosen, T, first).T_world_camera
         T, more = bundle_again(chosen, T)
         statistics |= more
+    else:
+        here = [Edge(local[e.i], local[e.j], e.T_i_j, e.weight, e.root) for e in edges]
+        T, closed = close_loops(chosen, T, here)
+        statistics |= {"pairs": len(closed), "by_shape": True}
     return Estimate(tuple(int(i) for i in used), invert_T(T[0]) @ T, lost, statistics)
 
 
-def connect(views: Sequence[View], seed: int) -> tuple[list[Edge], list[Match]]:
+@dataclass(frozen=True)
+class Net:
+    """What pairs of views say."""
+
+    edges: list[Edge]
+    """Believed."""
+    matches: list[Match]
+    """Features behind the edges that have any."""
+    doubts: dict[tuple[int, int], str]
+    """Pairs whose features match but whose depth says otherwise."""
+
+
+def connect(views: Sequence[View], seed: int) -> Net:
     """Every believable pair, by features first; by shape where features leave the sequence in pieces."""
-    edges, matches = [], []
+    net = Net([], [], {})
     for i, j in track(candidates(views, seed), "pairs"):
         found = by_features(views, i, j, seed)
-        if found is not None:
-            edges.append(found[0])
-            matches.append(found[1])
-    parts = components(len(views), edges)
-    if len(parts) == 1:
-        return edges, matches
+        if found is None:
+            continue
+        matched, fit = found
+        if believable(fit):
+            net.edges.append(as_edge(matched))
+            net.matches.append(matched)
+        elif len(matched.a) >= SUSPICIOUS:
+            net.doubts[i, j] = (
+                f"{len(matched.a)} features match {{}}, but at that motion {1 - fit.agreement:.0%} of the depth is "
+                "impossible: something was moved between the frames?"
+            )
+    _connect_by_shape(views, net, seed)
+    return net
+
+
+def _connect_by_shape(views: Sequence[View], net: Net, seed: int) -> None:
+    """Add edges by shape between neighbours in the sequence that lie in different parts."""
     label = np.zeros(len(views), int)
-    for k, part in enumerate(parts):
+    for k, part in enumerate(components(len(views), net.edges)):
         label[part] = k
-    reach = len(views) if len(views) <= ALL_PAIRS else 2
-    loose = [(i, j) for i in range(len(views)) for j in range(i + 1, min(i + 1 + reach, len(views)))]
-    for i, j in track([p for p in loose if label[p[0]] != label[p[1]]], "shapes"):
-        edge = by_shape(views, i, j, seed)
+    n = len(views)
+    loose = [(i, j) for i in range(n) for j in range(i + 1, min(i + 1 + SHAPE_WINDOW, n)) if label[i] != label[j]]
+    features = {k: shape_features(views[k]) for k in sorted({k for pair in loose for k in pair})}
+    for i, j in track(loose, "shapes"):
+        starts = shape_starts(features[i], features[j], np.random.default_rng((seed, i, j)))
+        edge = by_shape(views, i, j, starts)
         if edge is not None:
-            edges.append(edge)
-    return edges, matches
+            net.edges.append(edge)
+
+
+def close_loops(views: Sequence[View], T: F64, edges: list[Edge]) -> tuple[F64, list[Edge]]:
+    """Register all overlapping pairs by shape, starting from poses that are nearly right, and optimise again."""
+    known = {(e.i, e.j) for e in edges}
+    for i, j in track(neighbours(views, T), "loops"):
+        if (i, j) not in known and (edge := by_shape(views, i, j, [invert_T(T[i]) @ T[j]])) is not None:
+            edges = [*edges, edge]
+    return optimise(T, edges)[0], edges
 
 
 def _place(views: Sequence[View], edges: list[Edge]) -> tuple[np.ndarray, F64, list[Edge]]:
@@ -107,21 +157,24 @@ def _place(views: Sequence[View], edges: list[Edge]) -> tuple[np.ndarray, F64, l
 
 
 def _fits(m: Match, T: F64, local: dict[int, int]) -> bool:
-    """Whether a pair's motion is the graph's, to within what a later adjustment can mend."""
+    """Whether a pair is in the graph, with a motion that a later adjustment can mend."""
+    if m.i not in local or m.j not in local:
+        return False
     E = invert_T(m.T_i_j) @ invert_T(T[local[m.i]]) @ T[local[m.j]]
     return bool(np.linalg.norm(E[:3, 3]) < 0.15 and np.trace(E[:3, :3]) > 1 + 2 * np.cos(0.1))
 
 
-def _lost(views: Sequence[View], edges: list[Edge], used: np.ndarray) -> dict[int, str]:
+def _lost(views: Sequence[View], net: Net, used: np.ndarray) -> dict[int, str]:
+    """Index -> why, of the views that are not used."""
     out = {}
-    for part in components(len(views), edges):
-        for i in part:
-            if i in used:
-                continue
-            with_ = [views[k].name for k in part if k != i]
-            out[int(i)] = "does not fit to any frame that is used" + (
-                f" (only to {', '.join(with_[:3])}{' ...' if len(with_) > 3 else ''})" if with_ else ""
+    for part in components(len(views), net.edges):
+        for i in (int(i) for i in part if i not in used):
+            others = [views[k].name for k in part if k != i]
+            only = f" (only to {', '.join(others[:3])}{' ...' if len(others) > 3 else ''})" if others else ""
+            doubt = next(
+                (text.format(views[a + b - i].name) for (a, b), text in net.doubts.items() if i in (a, b)), None
             )
+            out[i] = f"does not fit to any frame that is used{only}" + (f"; {doubt}" if doubt else "")
     return out
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from realsim.feedforward.rgbd.graph import exp_se3, hat
 from realsim.feedforward.rgbd.tracks import View
 from realsim.geometry import invert_T, transform
 from realsim.types import F64, Bool
@@ -75,22 +76,30 @@ def overlap(A: View, B: View, T_a_b: F64, stride: int = 2) -> Overlap:
     return Overlap(agree / max(asked, 1), agree / max(agree + against, 1))
 
 
-def register(A: View, B: View, T_a_b: F64, reach: tuple[float, ...] = (0.2, 0.1, 0.05)) -> tuple[F64, F64, float]:
+def register(
+    A: View,
+    B: View,
+    T_a_b: F64,
+    reach: tuple[float, ...] = (0.2, 0.1, 0.05),
+    ties: tuple[F64, F64] | None = None,
+) -> tuple[F64, F64, float]:
     """Projective point-to-plane registration (Blais and Levine 1995; Chen and Medioni 1991), both ways.
 
     Args:
         T_a_b: (4, 4) start.
         reach: metres at 1.5 m beyond which surfaces do not attract each other, coarse to fine.
+        ties: (M, 3) points in A and the same points in B, which hold the motion where surfaces slide.
 
     Returns:
         (4, 4) motion, (6, 6) information of its twist (v, w) on B's side, RMS distance in metres.
     """
-    from realsim.feedforward.rgbd.graph import exp_se3
-
     T, H, rms = np.array(T_a_b, float), np.zeros((6, 6)), np.inf
     for limit in reach:
         for _ in range(15):
-            J, r, sigma = _planes(A, B, T, limit)
+            rows = [_planes(A, B, T, limit)]
+            if ties is not None:
+                rows.append(_ties(*ties, T))
+            J, r, sigma = (np.concatenate(part) for part in zip(*rows, strict=True))
             if len(r) < 50:
                 return T, np.zeros((6, 6)), np.inf
             w = 1 / (1 + (r / (2.5 * sigma)) ** 2) / sigma**2
@@ -121,5 +130,15 @@ def _planes(A: View, B: View, T: F64, limit: float) -> tuple[F64, F64, F64]:
             k, p = -n, land_.points[ok]
             J.append(np.concatenate([k, np.cross(p, k)], 1))
         r.append(d)
-        sigma.append(0.002 * z**2 + 0.001)
+        # Neighbouring depth pixels err together: each of the some thousands counts as a hundredth.
+        sigma.append(10 * (0.002 * z**2 + 0.001))
     return np.concatenate(J), np.concatenate(r), np.concatenate(sigma)
+
+
+def _ties(P: F64, Q: F64, T: F64) -> tuple[F64, F64, F64]:
+    """The same for matched points P of A and Q of B: three rows a point."""
+    R = T[:3, :3]
+    # d(T exp(v, w) Q) = R (v + w x Q), and w x Q = -hat(Q) w.
+    J = np.concatenate([np.broadcast_to(R, (len(Q), 3, 3)), -R @ hat(Q)], 2)
+    sigma = np.repeat(0.004 * P[:, 2] ** 2 + 0.003, 3)
+    return J.reshape(-1, 6), (transform(T, Q) - P).ravel(), sigma

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from realsim.feedforward.rgbd.graph import Edge, whitening
-from realsim.feedforward.rgbd.overlap import overlap, register
+from realsim.feedforward.rgbd.overlap import Overlap, overlap, register
 from realsim.feedforward.rgbd.tracks import Match, View, match, rigid_ransac
 from realsim.geometry import invert_T, transform
 from realsim.types import F64
@@ -20,10 +20,10 @@ ALL_PAIRS = 16
 """Up to so many frames, everything is compared with everything."""
 WORDS = 512
 """Size of the visual vocabulary."""
-MIN_OVERLAP, MIN_AGREEMENT = 0.06, 0.8
+MIN_OVERLAP, MIN_AGREEMENT = 0.06, 0.85
 """What two depth images must share, and how little they may contradict each other, for a pair to be believed."""
-SHAPE_CORRELATION = 100.0
-"""Neighbouring depth pixels err together: so many of them count as one independent measurement."""
+LOOSE = 0.02
+"""Standard deviation, metres or radians, beyond which a registration by shape slides."""
 
 Pair = tuple[int, int]
 
@@ -62,21 +62,43 @@ def _lookalikes(views: Sequence[View], seed: int) -> Iterable[Pair]:
                 yield min(i, int(j)), max(i, int(j))
 
 
-def by_features(views: Sequence[View], i: int, j: int, seed: int) -> tuple[Edge, Match] | None:
-    """The motion that the features of a pair agree on, if the depth images do not contradict it."""
+def by_features(views: Sequence[View], i: int, j: int, seed: int) -> tuple[Match, Overlap] | None:
+    """The motion that most features of a pair agree on, and what the depth images say to it. None: too few features.
+
+    The depth images are the judge: `believable`. Features may all lie on something that was moved between the frames.
+    """
     found = match(views, i, j, seed)
-    if found is None or not believable(views, found):
+    if found is None:
         return None
-    n = len(found.a)
-    # A match is off by a centimetre or so, and matches of one pair err together: hence no better than a tenth.
-    spread = max(1 / np.sqrt(n), 0.1)
-    return Edge(i, j, found.T_i_j, float(n), whitening(0.02 * spread, 0.01 * spread)), found
+    fit = overlap(views[i], views[j], found.T_i_j)
+    if not believable(fit):
+        # Few matches close together leave the far end of the picture loose; surfaces can hold it, if it is true.
+        found = _tightened(views, found) or found
+        fit = overlap(views[i], views[j], found.T_i_j)
+    return found, fit
 
 
-def believable(views: Sequence[View], found: Match) -> bool:
-    """Whether the depth images of a pair fit at its motion."""
-    fit = overlap(views[found.i], views[found.j], found.T_i_j)
+def believable(fit: Overlap) -> bool:
+    """Whether two depth images fit together well enough to rely on it."""
     return fit.fraction > MIN_OVERLAP and fit.agreement > MIN_AGREEMENT
+
+
+def as_edge(found: Match) -> Edge:
+    """A pair's motion for the pose graph."""
+    # A match is off by a centimetre or so, and matches of one pair err together: hence no better than a tenth.
+    spread = max(1 / np.sqrt(len(found.a)), 0.1)
+    return Edge(found.i, found.j, found.T_i_j, float(len(found.a)), whitening(0.02 * spread, 0.01 * spread))
+
+
+def _tightened(views: Sequence[View], found: Match) -> Match | None:
+    """The same matches with the motion that they and the surfaces agree on; None if most matches must give way."""
+    A, B = views[found.i], views[found.j]
+    P, Q = A.points[found.a], B.points[found.b]
+    T, _, _ = register(A, B, found.T_i_j, ties=(P, Q))
+    keep = np.linalg.norm(transform(T, Q) - P, axis=1) < 0.015 * np.minimum(P[:, 2], Q[:, 2]) + 0.015
+    if keep.sum() < max(12, 0.6 * len(P)):
+        return None
+    return Match(found.i, found.j, found.a[keep], found.b[keep], T)
 
 
 def guided(views: Sequence[View], i: int, j: int, T_i_j: F64, radius_px: float = 6.0) -> Match | None:
@@ -115,45 +137,44 @@ def guided(views: Sequence[View], i: int, j: int, T_i_j: F64, radius_px: float =
 # ---------------------------------------------------------------- by shape
 
 
-def by_shape(views: Sequence[View], i: int, j: int, seed: int) -> Edge | None:
-    """The motion that brings two depth images together: from rest, and from the shape features that they share.
+def by_shape(views: Sequence[View], i: int, j: int, starts: Sequence[F64]) -> Edge | None:
+    """The motion that brings two depth images together, the best from any of `starts`.
 
     None where the images do not agree, or where what they share leaves the motion open (bare floor slides).
     """
     A, B = views[i], views[j]
-    starts = [np.eye(4), *_shape_starts(A, B, np.random.default_rng((seed, i, j, 1)))]
     best: Edge | None = None
     for start in starts:
         T, information, rms = register(A, B, start)
         fit = overlap(A, B, T)
         if fit.fraction < 3 * MIN_OVERLAP or fit.agreement < MIN_AGREEMENT or not np.isfinite(rms):
             continue
-        information = information / SHAPE_CORRELATION
-        if np.linalg.eigvalsh(np.linalg.inv(information + 1e-9 * np.eye(6))).max() > 0.02**2:
+        information = information + 1e-9 * np.eye(6)
+        if np.linalg.eigvalsh(np.linalg.inv(information)).max() > LOOSE**2:
             continue
         weight = 1e3 * fit.fraction * fit.agreement
         if best is None or weight > best.weight:
-            best = Edge(i, j, T, weight, np.linalg.cholesky(information + 1e-9 * np.eye(6)).T)
+            best = Edge(i, j, T, weight, np.asarray(np.linalg.cholesky(information).T, float))
     return best
 
 
-def _shape_starts(A: View, B: View, rng: np.random.Generator) -> list[F64]:
-    """A motion from matched FPFH descriptors (Rusu et al. 2009), if there is one."""
-    clouds = [_shape_features(v) for v in (A, B)]
-    (P, f), (Q, g) = clouds
-    if min(len(P), len(Q)) < 50:
-        return []
+def shape_starts(a: tuple[F64, F64], b: tuple[F64, F64], rng: np.random.Generator) -> list[F64]:
+    """Motions to start from: rest, and that of matched `shape_features` if enough of them agree."""
     from scipy.spatial import cKDTree
 
+    (P, f), (Q, g) = a, b
+    rest = [np.eye(4)]
+    if min(len(P), len(Q)) < 50:
+        return rest
     ab, ba = cKDTree(g).query(f)[1], cKDTree(f).query(g)[1]
-    a = np.flatnonzero(ba[ab] == np.arange(len(f)))
-    if len(a) < 12:
-        return []
-    found = rigid_ransac(P[a], Q[ab[a]], rng, trials=4000)
-    return [] if found is None else [found[0]]
+    mutual = np.flatnonzero(ba[ab] == np.arange(len(f)))
+    if len(mutual) < 12:
+        return rest
+    found = rigid_ransac(P[mutual], Q[ab[mutual]], rng, trials=2000)
+    return rest if found is None else [*rest, found[0]]
 
 
-def _shape_features(view: View, cell: float = 0.06) -> tuple[F64, F64]:
+def shape_features(view: View, cell: float = 0.06) -> tuple[F64, F64]:
     """(M, 3) points about `cell` metres apart and their (M, 33) FPFH descriptors; flat surroundings are left out."""
     import open3d as o3d
 
@@ -166,7 +187,7 @@ def _shape_features(view: View, cell: float = 0.06) -> tuple[F64, F64]:
     if len(cloud.points) < 50:
         return np.zeros((0, 3)), np.zeros((0, 33))
     near = o3d.geometry.KDTreeSearchParamHybrid(radius=5 * cell, max_nn=100)
-    features = np.asarray(o3d.pipelines.registration.compute_fpfh_feature(cloud, near).data).T
+    features = np.asarray(o3d.pipelines.registration.compute_fpfh_feature(cloud, near).data).T  # type: ignore[call-arg]
     # A plane's descriptor is the commonest; what lies far from the mean tells places apart.
     unusual = np.linalg.norm(features - np.median(features, 0), axis=1)
     keep = unusual > np.median(unusual)
