@@ -17,8 +17,8 @@ REPEATS = 5
 def step_cost(spec: Any, place: NDArray[np.float64]) -> dict[str, float]:
     """Time of a step with G1 at `place` (3,) metres (the ground under its feet), as a multiple of that on a plane.
 
-    Plane and terrain take turns and the fastest of five runs counts, so that other work on the machine drops out of
-    the ratio as far as it can.
+    Time of the processor, not of the clock; plane and terrain take turns and the fastest of five runs counts, so that
+    other work on the machine drops out of the ratio as far as it can.
 
     Returns:
         `step_cost_vs_plane` (standing), `walk_cost_vs_plane` (stepping in place), `steps_per_second` (standing),
@@ -61,13 +61,13 @@ def _run(model: Any, swing: float) -> tuple[float, float]:
         for joint, part in (("hip_pitch", -1), ("knee", 2), ("ankle_pitch", -1)):
             pattern[model.actuator(f"g1/{side}_{joint}_joint").id] = sign * part
     contacts = 0
-    began = time.perf_counter()
+    began = time.thread_time()
     for step in range(STEPS):
         if swing:
             data.ctrl[:] = home + swing * np.sin(2 * np.pi * step * model.opt.timestep / 0.5) * pattern
         mujoco.mj_step(model, data)
         contacts += data.ncon
-    return time.perf_counter() - began, contacts / STEPS
+    return time.thread_time() - began, contacts / STEPS
 
 
 def standing_place(xyz: NDArray[np.float64], radius: float = 0.2) -> NDArray[np.float64]:

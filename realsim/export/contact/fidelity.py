@@ -38,7 +38,7 @@ class Region:
         inside = raised if len(raised) else used
         lower = np.maximum(inside.min(0)[:2] - margin, used.min(0)[:2])
         upper = np.minimum(inside.max(0)[:2] + margin, used.max(0)[:2])
-        return Region(lower, upper, float(min(used[:, 2].min(), ground_z)), float(used[:, 2].max()))
+        return Region(lower, upper, ground_z, float(used[:, 2].max()))
 
     def grid(self, count: int) -> tuple[F64, float]:
         """((M, 2) about `count` points on a square grid, area of a cell in m^2)."""
@@ -136,7 +136,7 @@ class _Compare:
         """From above everything straight down."""
         start = np.column_stack([xy, np.full(len(xy), region.top + self.reach + 0.05)])
         down = np.broadcast_to([0.0, 0.0, -1.0], start.shape)
-        return self.move(start, quats, down, region.top - region.bottom + 2 * self.reach + 0.1)
+        return self.move(start, quats, down, region.top - region.bottom + 2 * self.reach + 0.3)
 
     def push(self, region: Region, count: int, rng: np.random.Generator) -> Touches:
         """From free places between the ground and the top sideways and up, as far as 25 cm."""
@@ -144,7 +144,9 @@ class _Compare:
         start = rng.random((4 * count, 3)) * size + [*region.lower, region.bottom]
         direction = PUSHES[rng.integers(len(PUSHES), size=len(start))]
         quats = np.tile(UPRIGHT, (len(start), 1))
-        free = (self.exact(start, quats) > 0.005) & ~self.reference.buried(start)
+        free = self.exact(start, quats) > 0.005
+        for point in self.probe.points(0.02):
+            free &= ~self.reference.buried(start + point)
         start, direction, quats = (a[free][:count] for a in (start, direction, quats))
         return self.move(start, quats, direction, 0.25)
 

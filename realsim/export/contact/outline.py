@@ -143,7 +143,8 @@ def _union(one: set[Edge], two: set[Edge]) -> set[Edge]:
 def _bulge(points: F64, pieces: list[set[Edge] | None], owner: dict[Edge, int], edge: Edge) -> float:
     """How far the hull of two merged pieces leaves them: the deepest dent of their common outline."""
     one, two = pieces[owner[edge]], pieces[owner[edge[::-1]]]
-    assert one is not None and two is not None
+    assert one is not None
+    assert two is not None
     ring = _union(one, two)
     corners = points[sorted({a for a, _ in ring})]
     outer = hull(corners)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
-WINDOW = 5  # cells a side over which a cell's own plane is fitted
+WINDOWS = (5, 3)  # cells a side over which a cell's own plane is fitted; the small one for narrow faces
 SMALLEST = 12  # cells: what is smaller is not worth a plane
 
 
@@ -25,39 +25,60 @@ def segment(z: F64, cell: float, tolerance: float) -> tuple[I64, F64]:
     Returns:
         (rows, columns) index of the plane or -1, and (P, 3) planes a b c with z = a column + b row + c (in cells).
     """
-    from scipy import ndimage
 
-    rows, columns = np.indices(z.shape)
     labels = np.full(z.shape, -1)
     planes: list[F64] = []
-    smooth = _roughness(z, cell) < tolerance / 2
     free = np.isfinite(z)
-    while True:
-        candidates = np.pad(smooth & free, 1)
-        if candidates.sum() < SMALLEST:
-            break
-        depth = ndimage.distance_transform_cdt(candidates, "chessboard")[1:-1, 1:-1]
-        seed = np.unravel_index(int(np.argmax(depth)), depth.shape)
-        reach = max(int(depth[seed]) - 1, 1)
-        near = free & (np.abs(rows - seed[0]) <= reach) & (np.abs(columns - seed[1]) <= reach)
-        taken = near
-        for _ in range(5):
-            plane = _fit(z, taken)
-            off = np.abs(z - (plane[0] * columns + plane[1] * rows + plane[2]))
-            fits = free & (off * _steepness(plane, cell) < tolerance)
-            pieces, _ = ndimage.label(fits)
-            home = pieces[seed]
-            grown = pieces == home if home else near
-            if (grown == taken).all():
-                break
-            taken = grown
-        if taken.sum() >= SMALLEST:
-            labels[taken] = len(planes)
-            planes.append(_fit(z, taken))
-            free &= ~taken
-        smooth &= ~taken  # whether it became a plane or not, it is no seed any more
-        smooth[seed] = False
+    for window in WINDOWS:
+        smooth = free & (_roughness(np.where(free, z, np.nan), cell, window) < tolerance / 2)
+        while (seed := _widest(smooth)) is not None:
+            place, reach = seed
+            taken = _grow(z, free, _patch(z, free, place, reach, cell, tolerance), place, cell, tolerance)
+            if taken.sum() >= SMALLEST:
+                labels[taken] = len(planes)
+                planes.append(_fit(z, taken))
+                free &= ~taken
+            smooth &= ~taken  # whether it became a plane or not, it is no seed any more
+            smooth[place] = False
     return labels, np.array(planes).reshape(-1, 3)
+
+
+def _widest(mask: NDArray[np.bool_]) -> tuple[tuple[int, int], int] | None:
+    """(the cell that is farthest from the mask's rim, how far in cells), None for an empty mask."""
+    from scipy import ndimage
+
+    if not mask.any():
+        return None
+    depth = ndimage.distance_transform_cdt(np.pad(mask, 1), "chessboard")[1:-1, 1:-1]
+    row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
+    return (int(row), int(column)), int(depth[row, column])
+
+
+def _patch(
+    z: F64, free: NDArray[np.bool_], seed: tuple[int, int], reach: int, cell: float, tolerance: float
+) -> NDArray[np.bool_]:
+    """The largest square about the seed, from `reach` halving down, that is planar as a whole."""
+    rows, columns = np.indices(z.shape)
+    while True:
+        near = free & (np.abs(rows - seed[0]) <= reach) & (np.abs(columns - seed[1]) <= reach)
+        if reach <= 1 or _off(z, _fit(z, near), cell)[near].max() < tolerance:
+            return near
+        reach //= 2
+
+
+def _grow(
+    z: F64, free: NDArray[np.bool_], taken: NDArray[np.bool_], seed: tuple[int, int], cell: float, tolerance: float
+) -> NDArray[np.bool_]:
+    """The connected cells about the seed that lie on one plane, starting from the plane of those in `taken`."""
+    from scipy import ndimage
+
+    for _ in range(6):
+        pieces, _ = ndimage.label(free & (_off(z, _fit(z, taken), cell) < tolerance))
+        grown = pieces == pieces[seed]
+        if not pieces[seed] or (grown == taken).all():
+            break
+        taken = grown
+    return taken
 
 
 def heights(plane: F64, shape: tuple[int, int]) -> F64:
@@ -115,27 +136,32 @@ def _fit(z: F64, where: NDArray[np.bool_]) -> F64:
     return np.array([a, b, c - a * c0 - b * r0])
 
 
+def _off(z: F64, plane: F64, cell: float) -> F64:
+    """(rows, columns) metres perpendicular to a plane."""
+    return np.abs(z - heights(plane, (z.shape[0], z.shape[1]))) * _steepness(plane, cell)
+
+
 def _steepness(plane: F64, cell: float) -> float:
     """z component of a plane's unit normal: turns vertical distances into perpendicular ones."""
     return float(1 / np.sqrt(1 + (plane[0] / cell) ** 2 + (plane[1] / cell) ** 2))
 
 
-def _roughness(z: F64, cell: float) -> F64:
+def _roughness(z: F64, cell: float, window: int) -> F64:
     """(rows, columns) RMS distance, metres, of a cell's window from its own plane; inf at rims and steps."""
     from scipy import ndimage
 
     known = np.isfinite(z)
     base = np.nanmean(z) if known.any() else 0.0
     full = np.where(known, z - base, 0.0)
-    k = np.arange(WINDOW) - WINDOW // 2
-    flat = np.ones(WINDOW)
+    k = np.arange(window) - window // 2
+    flat = np.ones(window)
 
     def moment(values: F64, along_row: F64, along_column: F64) -> F64:
         once = ndimage.correlate1d(values, along_column, axis=1, mode="constant")
         return ndimage.correlate1d(once, along_row, axis=0, mode="constant")
 
-    n = WINDOW**2
-    spread_ = WINDOW * float((k**2).sum())
+    n = window**2
+    spread_ = window * float((k**2).sum())
     mean = moment(full, flat, flat) / n
     slope_c = moment(full, flat, k.astype(float)) / spread_
     slope_r = moment(full, k.astype(float), flat) / spread_
