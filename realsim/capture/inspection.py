@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any
@@ -14,7 +13,7 @@ from realsim.capture.finish import Finished
 from realsim.capture.layout import Recognition
 from realsim.capture.selection import NOT_NEEDED
 from realsim.geometry import angle_deg
-from realsim.types import Scan
+from realsim.types import F64, Dropped, Scan
 
 
 @dataclass(frozen=True)
@@ -28,7 +27,8 @@ class Inspection:
     frames: Mapping[str, Any]
     """used, dropped {name: reason}, resolution of depth and colour, intrinsics."""
     depth: Mapping[str, Any]
-    """coverage (mean share of pixels with depth in range), least covered frame, median and 2..98 percentile metres."""
+    """coverage (mean share of pixels with depth in range), the least covered frame, median and 2nd and 98th percentile
+    in metres (median over the frames)."""
     poses: Mapping[str, Any]
     """given, path length, baseline and turn between neighbours (median and largest), share of compared pixels where
     depth agrees with the poses, worst deviation from SO(3)."""
@@ -62,7 +62,6 @@ def inspect_frames(finished: Finished, recognition: Recognition) -> Inspection:
     cameras = {(f.intrinsics, f.color_intrinsics) for f in capture.frames}
     camera = capture.frames[0].intrinsics
     color_size = looks[0].sizes[1]
-    reasons = Counter(d.reason for d in capture.dropped)
     frames = {
         "seen": finished.seen,
         "used": len(capture),
@@ -78,13 +77,12 @@ def inspect_frames(finished: Finished, recognition: Recognition) -> Inspection:
         "coverage": coverage,
         "least_coverage": {looks[int(shares.argmin())].name: round(float(shares.min()), 3)},
         "median_m": round(float(np.median([look.median_depth for look in looks])), 3),
-        "range_m": [
-            round(float(np.median([look.depth_range[0] for look in looks])), 3),
-            round(float(np.median([look.depth_range[1] for look in looks])), 3),
-        ],
+        "range_m": {
+            "p2": round(float(np.median([look.depth_range[0] for look in looks])), 3),
+            "p98": round(float(np.median([look.depth_range[1] for look in looks])), 3),
+        },
     }
-    wrong = [*capture.warnings]
-    wrong += [f"{n} dropped: {reason}" for reason, n in reasons.items() if not reason.startswith(NOT_NEEDED)]
+    wrong = [*capture.warnings, *_losses(capture.dropped)]
     if coverage < 0.3:
         wrong.append(f"only {coverage:.0%} of the pixels have depth in range")
     return Inspection(
@@ -123,8 +121,8 @@ def _pose_figures(finished: Finished) -> dict[str, Any]:
     if len(steps):
         figures |= {
             "path_m": round(float(steps.sum()), 3),
-            "neighbour_baseline_m": [round(float(v), 4) for v in (np.median(steps), steps.max())],
-            "neighbour_turn_deg": [round(float(v), 2) for v in (np.median(turns), np.max(turns))],
+            "neighbour_baseline_m": _spread(steps, 4),
+            "neighbour_turn_deg": _spread(turns, 2),
         }
     if finished.agreement is not None:
         figures["depth_agrees"] = round(finished.agreement.as_read, 3)
@@ -132,6 +130,19 @@ def _pose_figures(finished: Finished) -> dict[str, Any]:
         "worst_off_so3": float(f"{finished.poses.worst_deviation:.1e}"),
         "mended": finished.poses.mended,
     }
+
+
+def _spread(values: Sequence[float] | F64, digits: int) -> dict[str, float]:
+    return {"median": round(float(np.median(values)), digits), "largest": round(float(np.max(values)), digits)}
+
+
+def _losses(dropped: Sequence[Dropped]) -> list[str]:
+    """One line a reason why frames are lost; frames that are good but not picked are no loss."""
+    names: dict[str, list[str]] = {}
+    for d in dropped:
+        if not d.reason.startswith(NOT_NEEDED):
+            names.setdefault(d.reason, []).append(d.name)
+    return [f"{who[0] if len(who) == 1 else f'{len(who)} frames'}: {reason}" for reason, who in names.items()]
 
 
 def _lines(figures: Mapping[str, Any]) -> list[str]:
@@ -143,8 +154,6 @@ def _lines(figures: Mapping[str, Any]) -> list[str]:
             lines += [f"{key} {len(value)}", *(f"  {line}" for line in shown + more)]
         elif isinstance(value, Mapping):
             lines.append(f"{key} " + "  ".join(f"{k} {v}" for k, v in value.items()))
-        elif isinstance(value, list):
-            lines.append(f"{key} " + " to ".join(str(v) for v in value))
         else:
             lines.append(f"{key} {'none' if value is None else value}")
     return lines
