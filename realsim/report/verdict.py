@@ -110,7 +110,7 @@ def _scale(result: Reconstruction) -> Iterator[Check]:
 def _gravity(result: Reconstruction) -> Iterator[Check]:
     gravity = result.aligned.gravity
     yield graded("Tilt uncertainty of the ground", gravity.tilt_sigma_deg, 0.3, 1.0, _degrees)
-    yield graded("Roughness of the ground (RMS)", gravity.inlier_rms_m, 0.010, 0.030, millimetres)
+    yield graded("Roughness of the ground (RMS)", gravity.inlier_rms_m, 0.020, 0.050, millimetres)
 
 
 def _frames(result: Reconstruction) -> Iterator[Check]:

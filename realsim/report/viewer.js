@@ -22,7 +22,7 @@
         if (dot(n, eye) > 0.0) n = -n;
         vec3 sun = normalize(mat3(view) * vec3(0.35, -0.5, 0.8));
         vec3 sky = mat3(view) * vec3(0.0, 0.0, 1.0);
-        c *= 0.46 + 0.42 * max(dot(n, sun), 0.0) + 0.14 * dot(n, sky) + 0.10 * max(dot(n, -normalize(eye)), 0.0);
+        c *= 0.54 + 0.44 * max(dot(n, sun), 0.0) + 0.14 * dot(n, sky) + 0.10 * max(dot(n, -normalize(eye)), 0.0);
       }
       result = vec4(c * opacity, opacity);
     }`;

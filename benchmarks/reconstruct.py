@@ -1,0 +1,353 @@
+"""How good are reconstructions, what do they cost, and how do others do on the same frames?
+
+    python benchmarks/reconstruct.py                         the three rendered captures, two real ones, two peers
+    python benchmarks/reconstruct.py --captures stake_a --no-real
+    python benchmarks/reconstruct.py --frames 60 240 960     cost against the number of frames
+
+Captures come from REALSIM_SHARED (default ../shared); `score.py` there measures every mesh. Each run has a process of
+its own, one after the other, so that times and peak memory are its own. Figures go to benchmarks/results/.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+SHARED = Path(os.environ.get("REALSIM_SHARED", ROOT.parent / "shared"))
+RESULTS = ROOT / "benchmarks" / "results"
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Options:
+    captures: tuple[str, ...] = ("stake_a", "narrow_a", "mixed_a")
+    """Rendered captures of REALSIM_SHARED/captures; none skips them."""
+    poses: tuple[str, ...] = ("given", "hidden")
+    """With the capture's poses, without them, or both."""
+    peers: bool = True
+    """Run Open3D's steps and plain TSDF with true poses beside it."""
+    real: bool = True
+    """Run the real captures as well."""
+    frames: tuple[int, ...] = ()
+    """Measure cost on synthetic captures of these lengths instead of everything else."""
+    keep: Path | None = None
+    """Keep the scenes in this folder."""
+
+
+def main(options: Options) -> None:
+    """Run what was asked for, print the tables, write the JSON."""
+    with tempfile.TemporaryDirectory() as temporary:
+        work = options.keep or Path(temporary)
+        if options.frames:
+            rows = [scaling(n, work) for n in options.frames]
+            show(rows, ("frames", "seconds", "peak_mb", "seconds_a_frame", "points", "mesh"))
+            write("reconstruct_scaling", rows)
+            return
+        rows = []
+        for name in options.captures:
+            rows += rendered(name, options, work)
+        if rows:
+            show(rows, _COLUMNS)
+            _show_ratios(rows)
+        real = [boxes(work), stairs(work)] if options.real else []
+        for row in real:
+            print("\n".join(f"  {k:<28} {_text(v)}" for k, v in row.items() if k != "stages"), end="\n\n")
+        write("reconstruct", rows + real)
+
+
+_COLUMNS = (
+    "capture", "method", "scale_error", "tilt_deg", "yaw_deg", "origin_mm", "tops_mm", "delivered_tops_mm", "f1", "f2",
+    "chamfer_mm", "seconds", "peak_mb",
+)  # fmt: skip
+
+
+def rendered(name: str, options: Options, work: Path) -> list[Row]:
+    """One capture with exact truth: realsim with and without poses, and the peers."""
+    from benchmarks import reconstruct_peers as peers
+
+    source, gt = SHARED / "captures" / name / "capture", SHARED / "captures" / name / "gt"
+    rows = []
+    for mode in options.poses:
+        out = work / f"{name}-{mode}"
+        cost = measured(_reconstruct, source, out, "estimate" if mode == "hidden" else "given")
+        rows.append({"capture": name, "method": f"realsim, poses {mode}", **cost, **score(out, gt)})
+    if options.peers:
+        truth = read_truth(gt)
+        for method, run in (("open3d steps", peers.open3d_steps), ("tsdf, true poses", peers.tsdf_with_true_poses)):
+            out = work / f"{name}-{method.split(',')[0].replace(' ', '-')}"
+            cost = measured(run, source, out, truth)
+            rows.append({"capture": name, "method": method, **cost, **score(out, gt)})
+    return rows
+
+
+def read_truth(gt: Path) -> dict[str, Any]:
+    """Poses and frame of the truth, JSON-able."""
+    poses = json.loads((gt / "gt_poses.json").read_text())
+    T = json.loads((gt / "gt.json").read_text())["T_sim_from_world"]
+    return {"T_sim_world": T, "T_world_camera": [p["T_world_cam"] for p in poses], "names": [p["index"] for p in poses]}
+
+
+def score(out: Path, gt: Path) -> Row:
+    """What score.py says of a mesh; an empty row with the reason if it says nothing."""
+    result = out / "score.json"
+    command = [sys.executable, SHARED / "captures" / "score.py", out, gt, "--json", result, "--quiet"]
+    done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
+    if not result.is_file():
+        return {"score_error": done.stderr.strip().splitlines()[-1:] or ["no mesh"]}
+    s = json.loads(result.read_text())
+    rigid, delivered = s["rigid"], s["delivered"]
+    return {
+        "registered": s["registered"],
+        "scale_error": s["abs_rel_scale_error"],
+        "tilt_deg": s["gravity_tilt_error_deg"],
+        "yaw_deg": abs(s["yaw_error_deg"]),
+        "origin_mm": s["origin_error_mm"],
+        "tops_mm": rigid.get("obstacles", {}).get("top_abs_dz_median_mm"),
+        "delivered_tops_mm": delivered.get("obstacles", {}).get("top_abs_dz_median_mm"),
+        "f1": rigid.get("f_score_10mm"),
+        "f2": rigid.get("f_score_20mm"),
+        "chamfer_mm": rigid.get("chamfer_mm"),
+    }
+
+
+def scaling(frames: int, work: Path) -> Row:
+    """Cost of a synthetic capture of so many frames, poses given, every frame used."""
+    from realsim.synth import SynthConfig, write_capture
+
+    made = write_capture(work / f"synth-{frames}", SynthConfig(frames=frames, poses=True), overwrite=True)
+    cost = measured(_reconstruct, made.capture, work / f"scene-{frames}", "given", 0)
+    stages = {s["name"]: s["seconds"] for s in cost.get("stages", [])}
+    return {"frames": frames, **cost, "seconds_a_frame": cost["seconds"] / frames, **stages}
+
+
+def boxes(work: Path) -> Row:
+    """Four real views of boxes on a floor: the size of a paper sheet, and whether the boxes stand upright."""
+    data = SHARED / "real_captures" / "realsense_boxes_floor" / "data"
+    source = work / "boxes-frames"
+    for kind in ("color", "depth"):
+        (source / kind).mkdir(parents=True, exist_ok=True)
+        for i in range(4):
+            (source / kind / f"{i:06d}.png").write_bytes((data / kind / f"{i:06d}.png").read_bytes())
+    (source / "camera_intrinsic.json").write_bytes((data / "cam_params_realsense.json").read_bytes())
+    cost = measured(_reconstruct, source, work / "boxes", "estimate")
+    if "error" in cost:
+        return {"capture": "realsense_boxes_floor", **cost}
+    report = json.loads((work / "boxes" / "report.json").read_text())
+    return {
+        "capture": "realsense_boxes_floor",
+        **cost,
+        "frames_used": len(report["frames"]["used"]),
+        **measured_sheet(source, work / "boxes", report),
+        "upright_error_deg": upright_error(work / "boxes" / "mesh.ply"),
+    }
+
+
+LETTER = (0.2159, 0.2794)
+
+
+def measured_sheet(source: Path, scene: Path, report: dict[str, Any]) -> Row:
+    """Sides of the white sheet, corners found in each picture and cast onto the reconstructed surface."""
+    import cv2
+
+    from realsim.capture.intrinsics import camera_matrix  # noqa: F401  (the folder is read by the same rules)
+    from realsim.synth.errors import read_surface
+
+    surface = read_surface(scene / "mesh.ply")
+    k = np.reshape(json.loads((source / "camera_intrinsic.json").read_text())["intrinsic_matrix"], (3, 3)).T
+    sides = []
+    for name in report["frames"]["used"]:
+        picture = cv2.imread(str(source / "color" / f"{name}.png"))
+        corners = None if picture is None else find_sheet(picture)
+        if corners is None:
+            continue
+        T = np.asarray(report["cameras"][name])
+        rays = np.column_stack([(corners - k[:2, 2]) / [k[0, 0], k[1, 1]], np.ones(4)]) @ T[:3, :3].T
+        points = T[:3, 3] + surface.hit(np.tile(T[:3, 3], (4, 1)), rays)[:, None] * rays
+        edges = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
+        sides.append(sorted([(edges[0] + edges[2]) / 2, (edges[1] + edges[3]) / 2]))
+    if not sides:
+        return {"sheet_mm": None}
+    short, long = np.median(np.array(sides), axis=0)
+    error = max(abs(short / LETTER[0] - 1), abs(long / LETTER[1] - 1))
+    return {"sheet_mm": [1e3 * short, 1e3 * long], "sheet_error": error, "sheet_views": len(sides)}
+
+
+def find_sheet(picture: np.ndarray) -> np.ndarray | None:
+    """(4, 2) corners of the largest bright, colourless quadrilateral, or None."""
+    import cv2
+
+    hsv = cv2.cvtColor(picture, cv2.COLOR_BGR2HSV)
+    white = ((hsv[..., 2] > 150) & (hsv[..., 1] < 50)).astype(np.uint8)
+    white = cv2.morphologyEx(white, cv2.MORPH_CLOSE, np.ones((15, 15), np.uint8))
+    contours, _ = cv2.findContours(white, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    for contour in sorted(contours, key=cv2.contourArea, reverse=True):
+        if cv2.contourArea(contour) < 2000:
+            return None
+        quad = cv2.approxPolyDP(cv2.convexHull(contour), 0.03 * cv2.arcLength(contour, True), True)
+        x, y, w, h = cv2.boundingRect(contour)
+        whole = x > 2 and y > 2 and x + w < picture.shape[1] - 2 and y + h < picture.shape[0] - 2
+        if len(quad) == 4 and whole and cv2.contourArea(quad) < 1.25 * cv2.contourArea(contour):
+            return quad.reshape(4, 2).astype(float)
+    return None
+
+
+def upright_error(mesh_ply: Path) -> float:
+    """Degrees by which steep faces lean, area-weighted median."""
+    normals, area, _ = _faces(mesh_ply)
+    steep = np.abs(normals[:, 2]) < 0.25
+    lean = np.degrees(np.arcsin(np.abs(normals[steep, 2])))
+    order = np.argsort(lean)
+    weight = np.cumsum(area[steep][order])
+    return float(lean[order][np.searchsorted(weight, weight[-1] / 2)]) if steep.any() else float("nan")
+
+
+RISER = 0.19
+
+
+def stairs(work: Path) -> Row:
+    """Five real views of a staircase: heights of the treads above the floor, and how regular the risers are."""
+    source = SHARED / "real_captures" / "pcl_kinect_stairs" / "tutorials" / "pairwise"
+    cost = measured(_reconstruct, source, work / "stairs", "estimate")
+    if "error" in cost:
+        return {"capture": "pcl_kinect_stairs", **cost}
+    report = json.loads((work / "stairs" / "report.json").read_text())
+    heights = tread_heights(work / "stairs" / "mesh.ply", report["ground_z"])
+    steps = np.round(heights / RISER)
+    slope = float(steps @ heights / max(steps @ steps, 1e-9)) if len(heights) else float("nan")
+    residual = float(np.sqrt(np.mean((heights - slope * steps) ** 2))) if len(heights) else float("nan")
+    return {
+        "capture": "pcl_kinect_stairs",
+        **cost,
+        "frames_used": len(report["frames"]["used"]),
+        "tread_heights_m": heights.round(3).tolist(),
+        "riser_m": slope,
+        "riser_error": abs(slope / RISER - 1),
+        "regularity_rms_mm": 1e3 * residual,
+    }
+
+
+def tread_heights(mesh_ply: Path, ground_z: float) -> np.ndarray:
+    """Heights above the ground at which level surface gathers: peaks of its area over height."""
+    from scipy.ndimage import gaussian_filter1d
+    from scipy.signal import find_peaks
+
+    normals, area, centres = _faces(mesh_ply)
+    level = normals[:, 2] > 0.95
+    z = centres[level, 2] - ground_z
+    edges = np.arange(0.08, 1.8, 0.005)
+    profile = gaussian_filter1d(np.histogram(z, edges, weights=area[level])[0], 3)
+    peaks, _ = find_peaks(profile, height=0.01, distance=18, prominence=0.005)
+    return (edges[peaks] + edges[peaks + 1]) / 2
+
+
+def _faces(mesh_ply: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    from realsim.synth.errors import read_surface
+
+    s = read_surface(mesh_ply)
+    t = s.vertices[s.triangles]
+    n = np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])
+    length = np.maximum(np.linalg.norm(n, axis=1), 1e-15)
+    return n / length[:, None], length / 2, t.mean(1)
+
+
+def measured(function: Callable[..., Row], *args: Any) -> Row:
+    """Run in a fresh process: its result, wall time and peak resident memory; an error is a row as well."""
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context) as pool:
+        try:
+            return pool.submit(_timed, function, args).result()
+        except Exception as error:  # one failure must not lose the figures of the others
+            return {"seconds": float("nan"), "peak_mb": float("nan"), "error": f"{type(error).__name__}: {error}"}
+
+
+def _timed(function: Callable[..., Row], args: tuple[Any, ...]) -> Row:
+    import resource
+
+    began = time.perf_counter()
+    row = function(*args)
+    seconds = time.perf_counter() - began
+    return {"seconds": seconds, "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3, **row}
+
+
+def _reconstruct(source: Path, out: Path, poses: str, max_frames: int | None = None) -> Row:
+    from dataclasses import replace
+
+    from realsim.pipeline import ReconstructConfig, reconstruct
+
+    config = ReconstructConfig(overwrite=True, no_cache=True)
+    config = replace(config, points=replace(config.points, poses=poses))
+    if max_frames is not None:
+        config = replace(config, capture=replace(config.capture, max_frames=max_frames))
+    result = reconstruct(source, out, config)
+    return {"stages": [{"name": s.name, "seconds": s.seconds, "peak_mb": s.peak_mb} for s in result.stages]}
+
+
+def show(rows: list[Row], columns: tuple[str, ...]) -> None:
+    """A plain table; what failed is named below it."""
+    cells = [[_text(row.get(c)) for c in columns] for row in rows]
+    widths = [max(len(c), *(len(r[i]) for r in cells)) for i, c in enumerate(columns)]
+    for line in [list(columns), *cells]:
+        print("  ".join(text.ljust(w) for text, w in zip(line, widths, strict=True)).rstrip())
+    for row in rows:
+        if "error" in row:
+            print(f"{row.get('capture', row.get('frames'))} {row.get('method', '')}: {row['error']}")
+        if "stages" in row:
+            stages = ", ".join(f"{s['name']} {s['seconds']:.1f} s {s['peak_mb']:.0f} MB" for s in row["stages"])
+            print(f"{row.get('capture', row.get('frames'))} {row.get('method', '')}: {stages}")
+    print()
+
+
+def _show_ratios(rows: list[Row]) -> None:
+    """Time of realsim over that of Open3D's steps, same capture, same run."""
+    peers = {r["capture"]: r["seconds"] for r in rows if r["method"] == "open3d steps"}
+    for row in rows:
+        if row["method"].startswith("realsim") and row["capture"] in peers:
+            print(f"{row['capture']} {row['method']}: {row['seconds'] / peers[row['capture']]:.2f} x open3d steps")
+    print()
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4f}" if abs(value) < 1 else f"{value:.1f}"
+    if isinstance(value, (list, tuple)):
+        return " ".join(_text(v) for v in value)
+    return "-" if value is None else str(value)
+
+
+def write(name: str, rows: list[Row]) -> None:
+    """The figures and what they were measured on."""
+    from realsim.files import to_json, write_text
+    from realsim.report.summary import versions
+
+    machine = {"cpu": _cpu(), "cores": os.cpu_count(), "system": platform.system()}
+    write_text(RESULTS / f"{name}.json", to_json({"machine": machine, "versions": versions(), "rows": rows}))
+    print(f"written: {RESULTS / f'{name}.json'}")
+
+
+def _cpu() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))
