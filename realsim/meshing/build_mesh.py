@@ -6,7 +6,7 @@ import numpy as np
 
 from realsim.errors import MeshError
 from realsim.meshing import METHODS
-from realsim.meshing.clean import canonical, tidy
+from realsim.meshing.clean import canonical, tidy, uncrossed
 from realsim.meshing.config import MeshConfig
 from realsim.meshing.decimate import decimate
 from realsim.meshing.evidence import Evidence, gather
@@ -51,7 +51,7 @@ def build(aligned: AlignedScene, config: MeshConfig) -> TerrainMesh:
             f"the surface keeps {len(reduced.surface.triangles)} triangles: fewer would move it by more than "
             f"{1e3 * config.max_error:.1f} mm"
         )
-    surface = reduced.surface
+    surface = uncrossed(reduced.surface)
     if evidence is not None:
         surface = colored_from(surface, evidence.points.points, evidence.points.colors)
     elif full.colors is not None:

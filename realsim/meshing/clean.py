@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.meshing.quality import corner_fans, degenerate
+from realsim.meshing.quality import corner_fans, crossing, degenerate, passes
 from realsim.meshing.surface import Surface, edges_of
+from realsim.types import Bool
 
 
 def weld(surface: Surface, tolerance: float) -> Surface:
@@ -20,7 +21,7 @@ def weld(surface: Surface, tolerance: float) -> Surface:
 
 def tidy(surface: Surface) -> Surface:
     """Manifold, without degenerate or doubled triangles, in canonical order (so that equal input gives equal bytes)."""
-    for _ in range(3):
+    for _ in range(5):
         surface = surface.where(~degenerate(surface))
         _, first = np.unique(np.sort(surface.triangles, axis=1), axis=0, return_index=True)
         keep = np.zeros(len(surface.triangles), bool)
@@ -33,19 +34,34 @@ def tidy(surface: Surface) -> Surface:
     return canonical(_split_fans(surface))
 
 
-def _on_bad_edge(surface: Surface) -> np.ndarray:
-    """(K,) triangles at an edge that more than two share, but for the two largest there."""
+def _on_bad_edge(surface: Surface) -> Bool:
+    """(K,) triangles to remove at bad edges.
+
+    Where more than two share an edge, all but the two largest: fins are small beside the sheets they stand on. Where
+    two pass it in the same direction, both: one of them is the wrong way round and neither says which.
+    """
     _, count, of_half = edges_of(surface.triangles)
     bad = np.zeros(len(surface.triangles), bool)
-    if len(count) == 0 or count.max() <= 2:
+    if len(count) == 0:
         return bad
-    area = surface.areas()
     half = np.flatnonzero(count[of_half] > 2)
-    # Keep the two largest triangles of an edge: veils and fins are small beside the sheets they stand on.
-    order = half[np.lexsort((-area[half // 3], of_half[half]))]
+    order = half[np.lexsort((-surface.areas()[half // 3], of_half[half]))]
     rank = np.arange(len(order)) - np.searchsorted(of_half[order], of_half[order])
     bad[order[rank >= 2] // 3] = True
+    passed = passes(surface.triangles, of_half, len(count))
+    clash = (count == 2) & (passed != 1)
+    bad[np.flatnonzero(clash[of_half]) // 3] = True
     return bad
+
+
+def uncrossed(surface: Surface, at_most: float = 0.001) -> Surface:
+    """Without triangles that cut others, if they are few (a share of `at_most`); else as it is, for the report."""
+    for _ in range(3):
+        cut = crossing(surface)
+        if not cut.any() or cut.mean() > at_most:
+            break
+        surface = tidy(surface.where(~cut))
+    return surface
 
 
 def _split_fans(surface: Surface) -> Surface:

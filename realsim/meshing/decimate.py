@@ -9,7 +9,7 @@ import numpy as np
 from realsim.meshing.clean import tidy
 from realsim.meshing.surface import Surface
 
-SAMPLES = 100_000
+MAX_SAMPLES = 100_000
 
 
 @dataclass(frozen=True)
@@ -38,12 +38,13 @@ def decimate(surface: Surface, max_triangles: int, max_error: float, seed: int =
         error = hausdorff(surface, smaller, seed)
         if error <= max_error:
             return Decimated(smaller, error, target == max_triangles)
-        target = int(1.5 * target)
+        target = 2 * target
     return Decimated(surface, 0.0, False)
 
 
-def hausdorff(a: Surface, b: Surface, seed: int = 0, samples: int = SAMPLES) -> float:
+def hausdorff(a: Surface, b: Surface, seed: int = 0) -> float:
     """Largest distance (metres) of sampled points and of all vertices of each surface from the other."""
+    samples = min(MAX_SAMPLES, max(len(a.triangles), len(b.triangles)))
     one = b.distance(np.concatenate([a.vertices, a.sample(samples, seed)])).max()
     other = a.distance(np.concatenate([b.vertices, b.sample(samples, seed)])).max()
     return float(max(one, other))

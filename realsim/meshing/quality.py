@@ -39,29 +39,34 @@ def corner_fans(triangles: np.ndarray) -> np.ndarray:
     return connected_components(links, directed=False)[1].astype(np.int64)
 
 
+def passes(triangles: np.ndarray, of_half: np.ndarray, edges: int) -> np.ndarray:
+    """(E,) how often each edge is passed from its lower to its higher vertex."""
+    forward = (triangles < np.roll(triangles, -1, axis=1)).ravel()
+    return np.bincount(of_half[forward], minlength=edges)
+
+
 def non_manifold(surface: Surface) -> tuple[int, int]:
     """Edges shared by more than two triangles or passed twice in one direction; vertices where fans merely touch."""
     t = surface.triangles.astype(np.int64)
     if len(t) == 0:
         return 0, 0
     _, count, of_half = edges_of(surface.triangles)
-    half = np.stack([t, np.roll(t, -1, axis=1)], -1).reshape(-1, 2)
-    forward = np.bincount(of_half[half[:, 0] < half[:, 1]], minlength=len(count))
+    forward = passes(surface.triangles, of_half, len(count))
     bad_edges = int(((count > 2) | (np.maximum(forward, count - forward) > 1)).sum())
     fans = np.unique(np.stack([t.ravel(), corner_fans(surface.triangles)], -1), axis=0)[:, 0]
     return bad_edges, int((np.unique(fans, return_counts=True)[1] > 1).sum())
 
 
-def self_intersections(surface: Surface) -> int:
-    """Triangles that cut another one (exact test of all pairs that share no corner, over a bounding volume tree)."""
+def crossing(surface: Surface) -> Bool:
+    """(K,) triangles that cut another one (exact test of all pairs that share no corner, over a bounding volume)."""
     import pymeshlab
 
     if len(surface.triangles) == 0:
-        return 0
+        return np.zeros(0, bool)
     meshes = pymeshlab.MeshSet()
     meshes.add_mesh(pymeshlab.Mesh(surface.vertices, surface.triangles))
     meshes.compute_selection_by_self_intersections_per_face()
-    return int(meshes.current_mesh().selected_face_number())
+    return np.asarray(meshes.current_mesh().face_selection_array(), bool)
 
 
 def check(surface: Surface) -> MeshQuality:
@@ -79,7 +84,7 @@ def check(surface: Surface) -> MeshQuality:
         triangles=len(surface.triangles),
         watertight=watertight,
         manifold=manifold,
-        self_intersections=self_intersections(surface),
+        self_intersections=int(crossing(surface).sum()),
         degenerate=int(degenerate(surface).sum()),
         components=components(surface.triangles)[0],
         volume_m3=volume,

@@ -14,6 +14,8 @@ from realsim.types import F64, AlignedScene, Bool, TerrainMesh
 
 SKIRT = 0.10
 """Metres of ground below the lowest surface."""
+CRUMB = 5e-4
+"""Cubic metres; smaller solids that float free are noise."""
 
 
 def solid(mesh: TerrainMesh, aligned: AlignedScene, cell: float | None = None) -> Surface:
@@ -30,7 +32,7 @@ def solid(mesh: TerrainMesh, aligned: AlignedScene, cell: float | None = None) -
     surface = Surface(mesh.vertices, mesh.triangles)
     cell = cell or mesh.resolution
     grid = Columns(surface, aligned.bounds, aligned.ground_z, cell)
-    closed = grid.surface(grid.occupied(surface), surface)
+    closed = grid.surface(grid.occupied, surface)
     body = manifold3d.Manifold(
         manifold3d.Mesh64(vert_properties=closed.vertices, tri_verts=closed.triangles.astype(np.uint64))
     )
@@ -49,18 +51,18 @@ def invent(seen: Surface, aligned: AlignedScene, evidence: Evidence | None, cell
         cell: metres of the grid; this surface is only as fine as that.
     """
     grid = Columns(seen, aligned.bounds, aligned.ground_z, cell)
-    occupied = grid.occupied(seen)
+    occupied = grid.occupied
     if evidence is not None and evidence.maps:
         inner = np.argwhere(occupied & (grid.axes[2] > aligned.ground_z + cell)[None, None, :])
         points = np.stack([grid.axes[k][inner[:, k]] for k in range(3)], -1)
         empty = seen_through(*votes(points, list(evidence.maps), evidence.sigma, cell))
-        occupied[tuple(inner[empty].T)] = False
+        occupied = grid.carved(occupied, inner[empty])
     closed = grid.surface(occupied, seen)
     centre = closed.centres()
     inside = ((centre[:, :2] > aligned.bounds[0, :2] + cell) & (centre[:, :2] < aligned.bounds[1, :2] - cell)).all(1)
     inside &= centre[:, 2] > aligned.ground_z - 0.5 * SKIRT
     # A triangle that runs along the seen surface repeats it; only what leaves it is new.
-    return closed.where(inside & (seen.distance(centre) > 1.0 * cell))
+    return closed.where(inside & (seen.distance(centre) > 0.75 * cell))
 
 
 class Columns:
@@ -75,9 +77,13 @@ class Columns:
         if np.prod(count.astype(float)) > 2e8:
             raise MeshError("the grid is too fine for the scene", found=f"{cell} m", hint="use a coarser cell")
         self.axes = tuple(lower[k] + cell * np.arange(count[k]) for k in range(3))
+        self.occupied, self.hit = self._cast(surface)
 
-    def occupied(self, surface: Surface) -> Bool:
-        """(nx, ny, nz) nodes whose nearest surface above faces up, or that lie below the ground."""
+    def _cast(self, surface: Surface) -> tuple[Bool, Bool]:
+        """Two (nx, ny, nz): nodes that are solid, and nodes with a surface between them and the next one above.
+
+        Solid is what the nearest surface above covers from above, and what lies below the ground.
+        """
         import open3d as o3d
 
         x, y, z = self.axes
@@ -96,6 +102,8 @@ class Columns:
         state = np.full((X.size, len(z)), -1, np.int8)
         level = np.clip(np.ceil((height - z[0]) / self.cell).astype(np.int64) - 1, -1, len(z) - 1)
         valid = level >= 0
+        hit = np.zeros((X.size, len(z)), bool)
+        hit[ray[valid], level[valid]] = True
         order = np.lexsort((-height[valid], ray[valid]))
         state[ray[valid][order], level[valid][order]] = up[valid][order]
         for k in range(len(z) - 2, -1, -1):
@@ -104,7 +112,23 @@ class Columns:
         filled = (state == 1) | ((state < 0) & (z < self.ground_z)[None, :])
         # A surface below the ground plane is sensor noise or a hollow; nothing is empty beneath it.
         filled[:, z < self.ground_z - 0.5 * SKIRT] = True
-        return filled.reshape(len(x), len(y), len(z))
+        shape = (len(x), len(y), len(z))
+        return without_crumbs(filled.reshape(shape), self.cell), hit.reshape(shape)
+
+    def carved(self, occupied: Bool, empty: NDArray[np.int64]) -> Bool:
+        """Without the nodes (M, 3) that cameras looked through, and without what hangs beneath those unmeasured.
+
+        Looking through needs a clear distance to what is behind, so that the last centimetres above a floor are never
+        seen through; without a surface in between they are as empty as what is above them.
+        """
+        occupied = occupied.copy()
+        free = np.zeros_like(occupied)
+        free[tuple(empty.T)] = True
+        for k in range(occupied.shape[2] - 2, -1, -1):
+            if self.axes[2][k] <= self.ground_z:
+                break
+            free[:, :, k] |= free[:, :, k + 1] & ~self.hit[:, :, k] & occupied[:, :, k]
+        return without_crumbs(occupied & ~free, self.cell)
 
     def surface(self, occupied: Bool, near: Surface) -> Surface:
         """The closed border of the occupied nodes; where `near` runs within two cells, exactly along it."""
@@ -123,6 +147,19 @@ class Columns:
         sign = np.where(occupied[tuple(index.T)], -1.0, 1.0)
         field[tuple(index[close].T)] = (sign * np.maximum(distance, 1e-3))[close]
         padded = np.pad(field, 1, constant_values=1.0)
-        vertices, triangles, _, _ = marching_cubes(padded, 0.0, gradient_direction="ascent")
+        vertices, triangles, _, _ = marching_cubes(padded, 0.0, gradient_direction="descent")
         lower = np.array([axis[0] for axis in self.axes])
         return tidy(Surface((vertices - 1.0) * self.cell + lower, triangles.astype(np.int32)))
+
+
+def without_crumbs(occupied: Bool, cell: float) -> Bool:
+    """Without enclosed bubbles, and without pieces smaller than CRUMB that touch nothing."""
+    from scipy import ndimage
+
+    occupied = ndimage.binary_fill_holes(occupied)
+    label, n = ndimage.label(occupied)
+    if n > 1:
+        volume = np.bincount(label.ravel()) * cell**3
+        volume[0] = 0
+        occupied = (volume >= CRUMB)[label]
+    return np.asarray(occupied, bool)

@@ -24,7 +24,7 @@ def supported(surface: Surface, points: Points, resolution: float) -> Bool:
     reach = np.maximum(REACH * resolution, 0)
     agree = np.einsum("vki,vi->vk", points.normals[near], normal) > 0.5
     ok = ((distance < reach) & agree).any(1) | (distance[:, 0] < 0.5 * resolution)
-    return ok[surface.triangles].all(1)
+    return np.asarray(ok[surface.triangles].all(1), bool)
 
 
 def not_seen_through(
@@ -37,7 +37,7 @@ def not_seen_through(
     doubtful = distance > 0.6 * resolution
     ok = np.ones(len(surface.vertices), bool)
     ok[doubtful] = ~seen_through(*votes(surface.vertices[doubtful], maps, sigma, resolution))
-    return ok[surface.triangles].all(1)
+    return np.asarray(ok[surface.triangles].all(1), bool)
 
 
 def vertex_normals(surface: Surface) -> np.ndarray:

@@ -27,7 +27,12 @@ def reconstruct(aligned: AlignedScene, resolution: float, min_weight: float = 3.
     size = aligned.bounds[1] - aligned.bounds[0]
     blocks = int(4 * np.prod(np.ceil(size / (BLOCK * resolution)) + 1)) + 1000
     grid = o3d.t.geometry.VoxelBlockGrid(
-        ("tsdf", "weight"), (o3c.float32, o3c.float32), ((1), (1)), resolution, BLOCK, blocks
+        ("tsdf", "weight"),
+        (o3c.float32, o3c.float32),
+        (o3c.SizeVector([1]), o3c.SizeVector([1])),
+        resolution,
+        BLOCK,
+        blocks,
     )
     far = float(np.linalg.norm(size) + 10)
     for i in track(range(len(metric)), "fusing"):

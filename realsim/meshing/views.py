@@ -98,8 +98,8 @@ def sample_view(view: PointView, T_sim_camera: F64, bounds: F64, sigma: float, p
 
     d = inverse_depth(view)
     valid = d > 0
-    smooth = cv2.bilateralFilter(d, 7, max(3.0 * sigma, 1e-6), 2.5)
-    smooth = np.where(valid & (np.abs(smooth - d) < 4 * sigma), smooth, 0).astype(np.float32)
+    blurred = np.asarray(cv2.bilateralFilter(d, 7, max(3.0 * sigma, 1e-6), 2.5), np.float32)
+    smooth: F32 = np.where(valid & (np.abs(blurred - d) < 4 * sigma), blurred, np.float32(0))
     du, ok_u = _slope(smooth, 1, sigma)
     dv, ok_v = _slope(smooth, 0, sigma)
     keep = (smooth > 0) & ok_u & ok_v & view.mask

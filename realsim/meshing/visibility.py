@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,7 @@ def depth_map(depth: F32, fx: float, fy: float, cx: float, cy: float, T_sim_came
     # A hole next to a pixel makes that pixel unknown: what is in the hole may be near.
     known = cv2.erode(known.astype(np.uint8), kernel) > 0
 
-    def pack(z: F32) -> NDArray[np.uint16]:
+    def pack(z: NDArray[Any]) -> NDArray[np.uint16]:
         return np.where(known, np.clip(z / UNIT, 0, 65535), 0).astype(np.uint16)
 
     return DepthMap(pack(near), pack(far), fx / 2, fy / 2, (cx - 0.5) / 2, (cy - 0.5) / 2, invert_T(T_sim_camera))
