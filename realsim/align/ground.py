@@ -15,6 +15,10 @@ BELOW = 0.04
 """Metres under a plane beyond which a point counts as lying below it."""
 HINT_DEG = 25.0
 """The ground lies within this angle of a direction up that the source gives."""
+SIDEWAYS = 0.35
+"""How much less a ground is believed that makes the camera have been held sideways or upside down."""
+DOUBTFUL, IMPLAUSIBLE = 0.2, 0.05
+"""Share of its extent that a ground keeps as its score: below the one it is warned of, below the other refused."""
 RIVAL = 0.6
 """A plane that scores this share of the best one is a rival worth a word."""
 STAGE = 2.5
@@ -61,15 +65,17 @@ def find_ground(cloud: Cloud, seed: int, up_world: F64 | None = None) -> Ground:
         assumptions.append(said)
     scored = sorted(((_score(p, cloud, hint), p) for p in planes), key=lambda s: -s[0]["score"])
     best, plane = scored[0]
-    if best["score"] <= 0:
+    if best["plausibility"] < IMPLAUSIBLE:
         raise AlignError(
             "no ground is visible",
             expected="a large plane with the cameras above it and the rest of the scene on it",
             found="; ".join(_described(figures) for figures, _ in scored[:4]),
-            hint="capture the floor around the terrain too",
+            hint="capture the floor around the terrain too, not only from straight above",
         )
     warnings = _rivals(scored, cloud, hint is not None)
-    warnings += _upside_down(plane, cloud, up_world)
+    warnings += _upside_down(plane, cloud)
+    if best["plausibility"] < DOUBTFUL:
+        warnings.append(f"the ground is doubtful, it might be a wall: {_described(best)}")
     sigma = tilt_sigma_deg(cloud, plane, seed)
     gravity = Gravity(
         normal_world=plane.normal,
@@ -104,25 +110,38 @@ def _score(plane: Plane, cloud: Cloud, up: F64 | None) -> dict[str, float]:
     figures = {"area_m2": plane.area, "share_above": above, "rms_m": plane.rms}
     score = plane.area * max(0.0, (above - 0.5) / 0.5) ** 2
     if len(cloud.cameras):
-        camera_height = float(np.median(plane.height(cloud.cameras[:, :3, 3])))
-        figures["camera_height_m"] = camera_height
-        score *= _plausible_height(camera_height)
-        # A camera is held by a person: its horizon is level, whichever of its four sides is down.
-        R = cloud.cameras[:, :3, :3]
-        x, y = np.abs(R[:, :, 0] @ plane.normal), np.abs(R[:, :, 1] @ plane.normal)
-        roll = float(min(np.mean(x), np.mean(y)))
-        figures["camera_roll_deg"] = float(np.degrees(np.arcsin(min(1.0, roll))))
-        score *= float(np.exp(-((roll / 0.35) ** 2)))
-        # Between floor and ceiling the side of the image that is stored as lower is a hint, no more.
-        upright = float(np.mean(-(R[:, :, 1] @ plane.normal)))
-        figures["camera_upright"] = upright
-        score *= 1.0 if upright > -0.3 else 0.5
+        figures["camera_height_m"] = float(np.median(plane.height(cloud.cameras[:, :3, 3])))
+        score *= _plausible_height(figures["camera_height_m"])
+        if up is None:
+            score *= _plausible_hold(cloud.cameras[:, :3, :3], plane.normal, figures)
     if up is not None:
         angle = float(np.degrees(np.arccos(np.clip(plane.normal @ up / np.linalg.norm(up), -1, 1))))
         figures["angle_to_given_up_deg"] = angle
         score *= float(np.exp(-((angle / 10) ** 2))) if angle < HINT_DEG else 0.0
     figures["score"] = float(score)
+    figures["plausibility"] = float(score / plane.area)
     return figures
+
+
+def _plausible_hold(R: F64, normal: F64, figures: dict[str, float]) -> float:
+    """How well a plane fits the way people hold cameras, 0..1: with a level horizon, not looking straight down.
+
+    A wall that fills the view looks like a floor from above; what tells them apart is that a camera seldom looks
+    straight down and that the side of the image stored as upper is mostly up.
+
+    Args:
+        R: (N, 3, 3) camera rotations.
+        figures: the angles are added to it.
+    """
+    right, down, view = np.abs(R[:, :, 0] @ normal), R[:, :, 1] @ normal, R[:, :, 2] @ normal
+    roll = float(min(np.mean(right), np.mean(np.abs(down))))  # sideways is as level as upright
+    pitch, upright = float(np.mean(-view)), float(np.mean(-down))
+    figures["camera_roll_deg"] = float(np.degrees(np.arcsin(min(1.0, roll))))
+    figures["camera_pitch_down_deg"] = float(np.degrees(np.arcsin(np.clip(pitch, -1, 1))))
+    figures["camera_upright"] = upright
+    level = float(np.exp(-((roll / 0.35) ** 2)))
+    steep = float(np.clip((1 - pitch) / 0.15, 0.1, 1.0))  # full up to 58 degrees down
+    return level * steep * (1.0 if upright > 0.15 else SIDEWAYS)
 
 
 def _plausible_height(height: float) -> float:
@@ -136,6 +155,8 @@ def _described(figures: dict[str, float]) -> str:
     text = f"a plane of {figures['area_m2']:.1f} m² with {100 * figures['share_above']:.0f} percent of the scene above"
     if "camera_height_m" in figures:
         text += f", cameras {figures['camera_height_m']:.2f} m over it"
+    if "camera_pitch_down_deg" in figures:
+        text += f" looking {figures['camera_pitch_down_deg']:.0f}° down at it"
     if "angle_to_given_up_deg" in figures:
         text += f", {figures['angle_to_given_up_deg']:.0f}° from the given direction up"
     return text
@@ -162,8 +183,8 @@ def _rivals(scored: list[tuple[dict[str, float], Plane]], cloud: Cloud, up_known
                     f"two grounds: the level plane taken as the ground covers {ground.area:.1f} m², "
                     f"another of {plane.area:.1f} m² lies {-100 * step:.0f} cm below it"
                 )
-        elif figures["score"] > RIVAL * best["score"] and angle < 60:
-            if not up_known and figures["score"] > 0.8 * best["score"]:
+        elif figures["score"] > RIVAL * best["score"]:
+            if not up_known and angle < 60 and figures["score"] > 0.8 * best["score"]:
                 raise AlignError(
                     "two grounds: which of them is level cannot be told",
                     expected="one large plane below everything else",
@@ -174,7 +195,7 @@ def _rivals(scored: list[tuple[dict[str, float], Plane]], cloud: Cloud, up_known
     return warnings
 
 
-def _upside_down(plane: Plane, cloud: Cloud, up_world: F64 | None) -> list[str]:
+def _upside_down(plane: Plane, cloud: Cloud) -> list[str]:
     if not len(cloud.cameras):
         return []
     upright = -(cloud.cameras[:, :3, 1] @ plane.normal)

@@ -109,8 +109,17 @@ def test_no_ground_is_refused(render, walk):
     level = make_T(np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]]), [2.0, 0, 1.2])
     with pytest.raises(AlignError, match="no ground"):
         align(render(wall, [level], floor=False, up_world=np.array([0, 0, 1.0])), CONFIG)
+    with pytest.raises(AlignError, match="no ground"):
+        align(render(wall, [level], floor=False), CONFIG)
     with pytest.raises(AlignError, match="no points"):
         align(render([], poses, floor=False), CONFIG)
+
+
+def test_a_wall_in_front_is_not_the_ground(render):
+    """One view, looking ahead: much wall, little floor."""
+    level = make_T(np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]]), [0.0, 0, 0.6])
+    aligned = align(render([((2.5, 0.0, 0.0), (0.1, 8.0, 6.0), 0.1)], [level]), CONFIG)
+    assert aligned.gravity.normal_world[2] > 0.9999
 
 
 def test_two_grounds_the_lower_is_taken_and_both_are_named(render, walk):
@@ -200,7 +209,7 @@ def mesh_of(boxes, size=6.0):
 
 
 def test_a_mesh_made_by_hand(course, source):
-    V, F = mesh_of(course[:4], 4.0)
+    V, F = mesh_of(course[:4], 3.0)
     aligned = align(Scan(source, "mesh", V, F), CONFIG)
     tilt, yaw, origin = errors(aligned, np.eye(4), truth())
     assert tilt < 0.05
@@ -212,7 +221,7 @@ def test_a_mesh_made_by_hand(course, source):
 
 
 def test_a_cloud_with_y_up_and_no_normals(course, source):
-    V, F = mesh_of(course[:4], 4.0)
+    V, F = mesh_of(course[:4], 3.0)
     from realsim.align.cloud import _sampled
 
     points, _ = _sampled(V, F, 0)
@@ -225,7 +234,7 @@ def test_a_cloud_with_y_up_and_no_normals(course, source):
 
 
 def test_a_scan_that_knows_up_is_believed(course, source):
-    V, F = mesh_of(course[:4], 4.0)
+    V, F = mesh_of(course[:4], 3.0)
     T = make_T(exp_so3([2.0, 0.5, -1.0]))
     aligned = align(Scan(source, "mesh", transform(T, V), F, up_world=T[:3, 2]), CONFIG)
     assert errors(aligned, T, truth())[0] < 0.05
