@@ -18,6 +18,8 @@ VOXEL = 0.02
 """Metres. Means inside a voxel keep positions far more exact than this."""
 MERGE_EVERY = 8
 """Frames between two reductions of what has been gathered."""
+CHUNK = 2_000_000
+"""Points of a scan that are reduced at once."""
 SCAN_DENSITY = 2e4
 """Points a square metre that are sampled from a mesh, enough for 2 cm voxels..."""
 MAX_SAMPLES = 2_000_000
@@ -39,7 +41,9 @@ class Cloud:
     oriented: bool
     """Whether the normals' signs are known."""
     cameras: F64
-    """(N, 4, 4) poses, N = 0 for scans without a sensor position."""
+    """(N, 4, 4) poses; of a scan, its sensor's position if known (N = 1) or nothing (N = 0)."""
+    held: bool
+    """Whether the cameras' rotations mean something: they do not for scans."""
     voxel: float = VOXEL
 
     def __len__(self) -> int:
@@ -54,6 +58,7 @@ class Cloud:
             self.frames[keep],
             self.oriented,
             self.cameras,
+            self.held,
             self.voxel,
         )
 
@@ -97,7 +102,7 @@ def from_views(scene: MetricScene, voxel: float = VOXEL) -> Cloud:
     points, seen_from = rows[:, 1:4] / rows[:, :1], rows[:, 4:7] / rows[:, :1]
     normals = _normals(points, voxel)
     normals *= np.where(np.einsum("ij,ij->i", normals, seen_from - points) < 0, -1.0, 1.0)[:, None]
-    return Cloud(points, normals, rows[:, 0], rows[:, 7].astype(np.int32), True, scene.T_world_camera, voxel)
+    return Cloud(points, normals, rows[:, 0], rows[:, 7].astype(np.int32), True, scene.T_world_camera, True, voxel)
 
 
 def from_scan(scan: Scan, seed: int, voxel: float = VOXEL) -> Cloud:
@@ -111,11 +116,15 @@ def from_scan(scan: Scan, seed: int, voxel: float = VOXEL) -> Cloud:
         points, normals = _sampled(scan.points, scan.triangles, seed)
     finite = np.isfinite(points).all(1)
     points, normals = points[finite], None if normals is None else normals[finite]
-    rows = np.ones((len(points), 7))
-    rows[:, 1:4] = points
-    rows[:, 4:7] = 0 if normals is None else normals
     anchor = points.mean(0) if len(points) else np.zeros(3)
-    _, rows = _reduced(_keys(points - anchor, voxel), rows)
+    gathered: list[tuple[NDArray[np.int64], F64]] = [(np.zeros(0, np.int64), np.zeros((0, 7)))]
+    for start in range(0, len(points), CHUNK):
+        part = slice(start, start + CHUNK)
+        rows = np.ones((len(points[part]), 7))
+        rows[:, 1:4] = points[part]
+        rows[:, 4:7] = 0 if normals is None else normals[part]
+        gathered = [_merged([*gathered, _reduced(_keys(points[part] - anchor, voxel), rows)])]
+    rows = gathered[0][1]
     if len(rows) < 100:
         raise AlignError(
             "too few points to align",
@@ -127,14 +136,14 @@ def from_scan(scan: Scan, seed: int, voxel: float = VOXEL) -> Cloud:
     found = _normals(points, voxel)
     cameras = np.zeros((0, 4, 4))
     if scan.sensor_position is not None:
-        cameras = np.eye(4)[None].repeat(1, 0)
+        cameras = np.eye(4)[None].copy()
         cameras[0, :3, 3] = scan.sensor_position
         found *= np.where(np.einsum("ij,ij->i", found, scan.sensor_position - points) < 0, -1.0, 1.0)[:, None]
     elif normals is not None:
         found *= np.where(np.einsum("ij,ij->i", found, given) < 0, -1.0, 1.0)[:, None]
     oriented = scan.sensor_position is not None or normals is not None
     ones = np.ones(len(points))
-    return Cloud(points, found, ones, ones.astype(np.int32), oriented, cameras, voxel)
+    return Cloud(points, found, ones, ones.astype(np.int32), oriented, cameras, False, voxel)
 
 
 def depth_edges(z: F32, mask: Bool) -> Bool:

@@ -60,7 +60,7 @@ def find_ground(cloud: Cloud, seed: int, up_world: F64 | None = None) -> Ground:
         )
     assumptions: list[str] = []
     hint = up_world
-    if hint is None and not len(cloud.cameras):
+    if hint is None and not cloud.held:
         hint, said = _scan_up(planes)
         assumptions.append(said)
     scored = sorted(((_score(p, cloud, hint), p) for p in planes), key=lambda s: -s[0]["score"])
@@ -72,7 +72,7 @@ def find_ground(cloud: Cloud, seed: int, up_world: F64 | None = None) -> Ground:
             found="; ".join(_described(figures) for figures, _ in scored[:4]),
             hint="capture the floor around the terrain too, not only from straight above",
         )
-    warnings = _rivals(scored, cloud, hint is not None)
+    warnings = _rivals(scored, cloud, up_world is not None)
     warnings += _upside_down(plane, cloud)
     if best["plausibility"] < DOUBTFUL:
         warnings.append(f"the ground is doubtful, it might be a wall: {_described(best)}")
@@ -83,7 +83,7 @@ def find_ground(cloud: Cloud, seed: int, up_world: F64 | None = None) -> Ground:
         tilt_sigma_deg=sigma,
         inlier_rms_m=plane.rms,
         inliers=int(plane.inliers.sum()),
-        method="largest level plane below the cameras" if len(cloud.cameras) else "largest level plane of the scan",
+        method="largest level plane below the cameras" if cloud.held else "largest level plane of the scan",
     )
     return Ground(plane, gravity, tuple(assumptions), tuple(warnings), tuple(figures for figures, _ in scored))
 
@@ -112,7 +112,7 @@ def _score(plane: Plane, cloud: Cloud, up: F64 | None) -> dict[str, float]:
     if len(cloud.cameras):
         figures["camera_height_m"] = float(np.median(plane.height(cloud.cameras[:, :3, 3])))
         score *= _plausible_height(figures["camera_height_m"])
-        if up is None:
+        if up is None and cloud.held:
             score *= _plausible_hold(cloud.cameras[:, :3, :3], plane.normal, figures)
     if up is not None:
         angle = float(np.degrees(np.arccos(np.clip(plane.normal @ up / np.linalg.norm(up), -1, 1))))
@@ -196,7 +196,7 @@ def _rivals(scored: list[tuple[dict[str, float], Plane]], cloud: Cloud, up_known
 
 
 def _upside_down(plane: Plane, cloud: Cloud) -> list[str]:
-    if not len(cloud.cameras):
+    if not cloud.held:
         return []
     upright = -(cloud.cameras[:, :3, 1] @ plane.normal)
     share = float(np.mean(upright < -0.3))

@@ -42,8 +42,8 @@ def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
     T_level_world = T_level_cloud @ T_cloud_world
     if isinstance(source, MetricScene):
         faces = refined(faces, source, T_level_world)
-    near = level.cameras[0, :2, 3] if len(level.cameras) else transform(T_level_world, np.zeros(3))[:2]
-    roles = as_asked(faces, by_rule(faces, near), source, config, T_level_world)
+    # The levelled frame's origin lies below the first camera: the nearer platform is the one nearer to it.
+    roles = as_asked(faces, by_rule(faces, np.zeros(2)), source, config, T_level_world)
     assumptions += _assumed(roles, source, len(level.cameras) > 0)
     T_sim_level = simulation_frame(faces, roles)
     platforms = tuple(
@@ -75,15 +75,14 @@ def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
 def levelling(ground: Ground, cloud: Cloud) -> F64:
     """(4, 4) T_level_cloud: z up, ground at z = 0, origin below the first camera, x along its view in the plan.
 
-    Where it looks straight down, x is the direction of the image's upper side. Scans without a sensor: origin below
-    the source's origin, x along the source's own x (or z, where x is up).
+    Where it looks straight down, x is the direction of the image's upper side. Scans: origin below the sensor, or
+    the source's origin if that is not known, x along the source's own x (or z, where x is up).
     """
     z = ground.plane.normal
-    if len(cloud.cameras):
-        origin = cloud.cameras[0, :3, 3]
+    origin = cloud.cameras[0, :3, 3] if len(cloud.cameras) else np.zeros(3)
+    ahead = [np.eye(3)[0], np.eye(3)[2]]
+    if cloud.held:
         ahead = [cloud.cameras[0, :3, 2], -cloud.cameras[0, :3, 1]]
-    else:
-        origin, ahead = np.zeros(3), [np.eye(3)[0], np.eye(3)[2]]
     forward = next(a for a in ahead if np.linalg.norm(a - (a @ z) * z) > 0.2)
     x = forward - (forward @ z) * z
     x /= np.linalg.norm(x)

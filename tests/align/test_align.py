@@ -193,6 +193,28 @@ def test_an_unknown_segmenter_is_named(render, course, walk):
         align(render(course, walk(4)), AlignConfig(segmenter="geometrc"))
 
 
+def test_another_segmenter_can_be_installed(render, course, walk, monkeypatch):
+    """An entry point is found by its name, and must return a label a point."""
+
+    class Point:
+        name = "theirs"
+
+        def __init__(self, function):
+            self.load = lambda: function
+
+    def nothing_but_ground(cloud):
+        return np.where(np.abs(cloud.points[:, 2]) < 0.03, 1, 0)
+
+    scene = render(course, walk(6))
+    monkeypatch.setattr("realsim.align.segment.entry_points", lambda group: [Point(nothing_but_ground)])
+    aligned = align(scene, AlignConfig(segmenter="theirs"))
+    assert aligned.platforms == ()
+    assert aligned.statistics["labels"]["obstacle"] == 0
+    monkeypatch.setattr("realsim.align.segment.entry_points", lambda group: [Point(lambda cloud: np.full(3, 7))])
+    with pytest.raises(AlignError, match="contract"):
+        align(scene, AlignConfig(segmenter="theirs"))
+
+
 def mesh_of(boxes, size=6.0):
     """Vertices and triangles of boxes on a square floor, z up."""
     V = [np.array([[-size, -size, 0], [size, -size, 0], [size, size, 0], [-size, size, 0]], float)]
@@ -238,6 +260,13 @@ def test_a_scan_that_knows_up_is_believed(course, source):
     T = make_T(exp_so3([2.0, 0.5, -1.0]))
     aligned = align(Scan(source, "mesh", transform(T, V), F, up_world=T[:3, 2]), CONFIG)
     assert errors(aligned, T, truth())[0] < 0.05
+
+
+def test_a_scanner_that_knows_where_it_stood_starts_nearest(course, source):
+    V, F = mesh_of(course[:4], 3.0)
+    aligned = align(Scan(source, "cloud", V, F, sensor_position=np.array([2.9, 1.0, 1.5])), CONFIG)
+    assert errors(aligned, np.eye(4), truth((2.4, 0.3, 0.25), (0, 0, 0.30)))[2] < 8
+    assert not any("sensor stood" in a for a in aligned.assumptions)
 
 
 def test_a_scan_of_nothing_is_refused(source):
