@@ -47,8 +47,8 @@ class RefineResult:
     """(N,) robust RMS distance between a frame's points and the same points as other frames see them; NaN if none."""
     warnings: tuple[str, ...] = ()
     statistics: Mapping[str, Any] = field(default_factory=dict)
-    """JSON-able; `sigma_z_over_z2` (1/m) is the sensor's depth noise a in sigma = a * depth^2, as it remains after a fit
-    over 5x5 pixels: noise that is shared by neighbouring pixels, which no local smoothing removes."""
+    """JSON-able; `sigma_z_over_z2` (1/m) is the sensor's depth noise a in sigma = a * depth^2, as it remains after a
+    fit over 5x5 pixels: noise that neighbouring pixels share, which no local smoothing removes."""
 
 
 def refine(
