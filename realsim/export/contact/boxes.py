@@ -46,11 +46,11 @@ def boxes(mesh: TerrainMesh, ground_z: float, config: SceneConfig) -> ContactMod
     check_extent(mesh)
     grid = columns(mesh, ground_z, CELL)
     tolerance = max(0.003, 2 * (mesh.noise_m or 0.0) if mesh.noise_m and mesh.noise_m < 0.004 else 0.003)
-    pits = np.isfinite(grid.top[0]) & (grid.top[0] < ground_z - PIT)
     floor: tuple[Geom, ...] = (floor_plane(ground_z),)
     base = ground_z
-    if pits.sum() * grid.cell**2 > 0.005:
-        base = float(np.nanmin(grid.top)) - PIT
+    pits = _pits(grid, ground_z)
+    if pits.any():
+        base = float(grid.top[0][pits].min()) - PIT
         floor = floor_around(_extent(grid), ground_z)
     prisms = [p for layer in range(len(grid.top)) for p in _layer(grid, layer, base, tolerance)]
     return as_contact("boxes", prisms, floor, {"cell_m": grid.cell, "plane_tolerance_m": tolerance})
@@ -69,6 +69,18 @@ def as_contact(name: str, prisms: list[Prism], floor: tuple[Geom, ...], statisti
             box = Geom(f"part_{k}", "mesh", asset=f"part_{k}")
         geoms.append(box)
     return ContactModel(name, tuple(geoms), tuple(assets), statistics | {"parts": len(prisms)})
+
+
+def _pits(grid: Columns, ground_z: float) -> NDArray[np.bool_]:
+    """(rows, columns) what lies clearly below the ground over at least 100 cm^2 in one piece, and not in threads: a
+    few stray cells at the rim of a scan are no pit."""
+    from scipy import ndimage
+
+    low = np.isfinite(grid.top[0]) & (grid.top[0] < ground_z - PIT)
+    pieces, count = ndimage.label(ndimage.binary_opening(low, np.ones((5, 5))))
+    sizes = np.bincount(pieces.ravel(), minlength=count + 1) * grid.cell**2
+    sizes[0] = 0
+    return (sizes > 0.01)[pieces]
 
 
 def _extent(grid: Columns) -> F64:
@@ -91,6 +103,9 @@ def _layer(grid: Columns, layer: int, base: float, tolerance: float) -> list[Pri
         if inside.sum() < SMALLEST or np.nanmax(z) < base + 0.01:
             continue
         under = np.where(inside, np.maximum(bottom[place], base), np.nan)
+        # A scanned wall is never quite upright: what hangs over by a cell or two is wall, not underside.
+        hangs = ndimage.binary_opening(inside & (under > base), np.ones((3, 3)))
+        under[inside & ~hangs] = base
         out += _island(grid, (place[0].start, place[1].start), z, under, base, tolerance)
     return out
 

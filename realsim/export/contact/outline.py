@@ -17,27 +17,27 @@ def outlines(mask: NDArray[np.bool_], tolerance: float) -> list[F64]:
         tolerance: cells by which the simplified outline may leave the traced one.
     """
     from scipy import ndimage
-    from skimage.measure import approximate_polygon, find_contours
+    from skimage.measure import find_contours
 
     # A little blur turns the staircase of an oblique edge into a line; half way down is where the edge was.
     soft = ndimage.gaussian_filter(np.pad(mask, 3).astype(float), 0.7)
     rings = []
     for contour in find_contours(soft, 0.5):
-        ring = _simplify(contour[:-1] - 3, tolerance, approximate_polygon)
+        ring = _simplify(contour[:-1] - 3, tolerance)
         if len(ring) >= 3 and abs(area(ring)) > 1.0:
             rings.append(ring)
     return rings
 
 
-def _simplify(ring: F64, tolerance: float, approximate: object) -> F64:
+def _simplify(ring: F64, tolerance: float) -> F64:
     """Douglas-Peucker from the two farthest points, then every side fitted to the points that it stands for."""
     start = int(np.argmax(((ring - ring.mean(0)) ** 2).sum(1)))
     ring = np.roll(ring, -start, axis=0)
     closed = np.concatenate([ring, ring[:1]])
-    corners = approximate(closed, tolerance)[:-1]  # type: ignore[operator]
+    place = _douglas_peucker(closed, tolerance)[:-1]
+    corners = closed[place]
     if len(corners) < 3:
         return corners
-    place = [int(np.argmin(((ring - c) ** 2).sum(1))) for c in corners]
     lines = []
     for a, b in zip(place, [*place[1:], len(ring)], strict=True):
         points = closed[a : b + 1]
@@ -50,6 +50,26 @@ def _simplify(ring: F64, tolerance: float, approximate: object) -> F64:
         met = _meet(lines[k - 1], lines[k])
         out.append(met if met is not None and np.linalg.norm(met - corner) < 2 * tolerance else corner)
     return np.array(out)
+
+
+def _douglas_peucker(points: F64, tolerance: float) -> list[int]:
+    """Indices of the points of a line that have to stay for it to move by at most `tolerance` (1973)."""
+    keep, open_ = {0, len(points) - 1}, [(0, len(points) - 1)]
+    while open_:
+        a, b = open_.pop()
+        if b - a < 2:
+            continue
+        chord, inner = points[b] - points[a], points[a + 1 : b] - points[a]
+        length = float(np.linalg.norm(chord))
+        off = np.linalg.norm(inner, axis=1)
+        if length > 1e-12:  # a closed ring starts and ends at one point
+            off = np.abs(chord[0] * inner[:, 1] - chord[1] * inner[:, 0]) / length
+        far = int(np.argmax(off))
+        if off[far] > tolerance:
+            middle = a + 1 + far
+            keep.add(middle)
+            open_ += [(a, middle), (middle, b)]
+    return sorted(keep)
 
 
 def _meet(one: tuple[F64, F64], two: tuple[F64, F64]) -> F64 | None:
