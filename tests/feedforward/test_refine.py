@@ -165,9 +165,10 @@ def test_estimated_poses_keep_the_scale_of_the_depth() -> None:
         refine(frames, T, estimate_gain=True, trust="estimated", evidence=evidence)
 
 
-def test_without_baseline_the_gain_is_not_invented() -> None:
-    frames = frames_of(1.02)[:1] * 4
-    T = np.repeat(truth()[0][:1], 4, axis=0)
+@pytest.mark.parametrize("n", [1, 4])
+def test_without_baseline_the_gain_is_not_invented(n: int) -> None:
+    frames = frames_of(1.02)[:1] * n
+    T = np.repeat(truth()[0][:1], n, axis=0)
     found = refine(frames, T, estimate_gain=True, trust="metric")
     assert found.depth_gain == 1.0
     assert found.depth_gain_sigma > 0.01

@@ -47,9 +47,9 @@ def judge_gain(step: Step, tracks: Tracks, surface: Surface, n_frames: int, aske
     }
     cells = image_cells(tracks, surface)
     errors["image_cells"] = grouped_error(step.influence[: len(cells)], cells)
-    frames_error = max(v for name, v in errors.items() if name != "image_cells")
+    by_frames = [v for name, v in errors.items() if name != "image_cells" and np.isfinite(v)]
     # Errors of poses and errors of the sensor's pattern are different errors: their squares add.
-    parts = (max(step.gain_sigma, frames_error), errors["image_cells"], SYSTEMATIC)
+    parts = (max([step.gain_sigma, *by_frames]), errors["image_cells"], SYSTEMATIC)
     sigma = float(np.linalg.norm([part for part in parts if np.isfinite(part)]))
     found = step.state.gain
     statistics: dict[str, Any] = {
