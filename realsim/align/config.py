@@ -23,3 +23,7 @@ class AlignConfig:
     margin: float = 0.5
     """Metres of ground kept around the terrain."""
     seed: Annotated[int, tyro.conf.Suppress] = 0
+
+    def __post_init__(self) -> None:
+        if not self.margin >= 0:
+            raise ValueError("need margin >= 0")

@@ -23,3 +23,5 @@ class ScaleConfig:
     def __post_init__(self) -> None:
         if not 0 < self.warn_spread <= self.max_spread:
             raise ValueError("need 0 < warn_spread <= max_spread")
+        if self.bootstrap < 10:
+            raise ValueError("need bootstrap >= 10")
