@@ -13,6 +13,7 @@ from realsim.meshing import METHODS, MeshConfig, build, solid
 from realsim.meshing.quality import check
 from realsim.meshing.surface import Surface
 from realsim.types import AlignedScene, TerrainMesh
+
 from .scenes import Ball, Box, distance, one_side, ring, scene
 
 BLOCK = Box((-0.25, -0.2, 0.0), (0.25, 0.2, 0.3))

@@ -9,6 +9,7 @@ from realsim.errors import MeshError
 from realsim.geometry import exp_so3, invert_T, make_T, transform
 from realsim.meshing import MeshConfig, build
 from realsim.types import Scan
+
 from .scenes import SOURCE, Box, aligned, distance
 
 BOUNDS = ((-0.8, -0.8, -0.1), (0.8, 0.8, 0.8))
