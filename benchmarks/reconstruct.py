@@ -166,7 +166,7 @@ def measured_sheet(source: Path, scene: Path, report: dict[str, Any]) -> Row:
     """Sides of the white sheet, corners found in each picture and cast onto the reconstructed surface."""
     import cv2
 
-    from realsim.capture.intrinsics import camera_matrix  # noqa: F401  (the folder is read by the same rules)
+    from benchmarks.reconstruct_sheet import find_sheet
     from realsim.synth.errors import read_surface
 
     surface = read_surface(scene / "mesh.ply")
@@ -187,25 +187,6 @@ def measured_sheet(source: Path, scene: Path, report: dict[str, Any]) -> Row:
     short, long = np.median(np.array(sides), axis=0)
     error = max(abs(short / LETTER[0] - 1), abs(long / LETTER[1] - 1))
     return {"sheet_mm": [1e3 * short, 1e3 * long], "sheet_error": error, "sheet_views": len(sides)}
-
-
-def find_sheet(picture: np.ndarray) -> np.ndarray | None:
-    """(4, 2) corners of the largest bright, colourless quadrilateral, or None."""
-    import cv2
-
-    hsv = cv2.cvtColor(picture, cv2.COLOR_BGR2HSV)
-    white = ((hsv[..., 2] > 150) & (hsv[..., 1] < 50)).astype(np.uint8)
-    white = cv2.morphologyEx(white, cv2.MORPH_CLOSE, np.ones((15, 15), np.uint8))
-    contours, _ = cv2.findContours(white, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    for contour in sorted(contours, key=cv2.contourArea, reverse=True):
-        if cv2.contourArea(contour) < 2000:
-            return None
-        quad = cv2.approxPolyDP(cv2.convexHull(contour), 0.03 * cv2.arcLength(contour, True), True)
-        x, y, w, h = cv2.boundingRect(contour)
-        whole = x > 2 and y > 2 and x + w < picture.shape[1] - 2 and y + h < picture.shape[0] - 2
-        if len(quad) == 4 and whole and cv2.contourArea(quad) < 1.25 * cv2.contourArea(contour):
-            return quad.reshape(4, 2).astype(float)
-    return None
 
 
 def upright_error(mesh_ply: Path) -> float:
