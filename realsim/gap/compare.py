@@ -17,6 +17,9 @@ CORRELATION = 5.0
 CLOCK_SIGMA = 3e-4
 """Seconds: jitter of time stamps that nobody logs. Its error grows with the rate of a signal."""
 
+TEMPER = 0.25
+TEMPER_SECONDS = 1.0
+
 # What structure of no consequence remains in any good simulator: (absolute, share of the signal's own spread).
 DETAIL = {
     "joint_pos": (8e-4, 0.002),
@@ -58,7 +61,8 @@ class Comparison:
             self.times.append(np.add.reduceat(run.time, starts) / np.diff(np.append(starts, len(run.time))))
         self._rates = [self._rate(i, y) for i, y in enumerate(nominal)]
         self.noise = self._floor(nominal)
-        self.set_detail(self.noise.detail)
+        self.version = 0
+        self.set_detail([self.noise.detail for _ in case.runs])
 
     def residual(self, run: int, simulated: F64) -> F64:
         """(B, C) mean of measured - simulated in each bin; NaN where a bin has no sample or the simulator failed."""
@@ -73,13 +77,28 @@ class Comparison:
         total = np.add.reduceat(diff, self._starts[run], axis=0)
         return total / np.maximum(self._counts[run], 1)
 
-    def set_detail(self, detail: F64) -> None:
-        """Set the size of slow structure, and with it the weights."""
-        self.detail = np.asarray(detail, float)
+    def set_detail(self, detail: Sequence[F64]) -> None:
+        """Set the size of slow structure, (C,) or (B, C) a run, and with it the weights."""
         self.weights = []
-        for i in range(len(self.case.runs)):
-            self.weights.append(1.0 / (self.variance(i) + CORRELATION * self.detail**2))
+        for i, d in enumerate(detail):
+            self.weights.append(1.0 / (self.variance(i) + CORRELATION * d**2))
             self.weights[i][self._counts[i] == 0] = 0.0
+        self.version += 1
+
+    def temper(self, runs: Sequence[int], simulated: Sequence[F64]) -> None:
+        """Weigh errors against the gap that is still there: a model that explains most of it is good enough for now.
+
+        Without this, a large gap would be fitted by absurd values of many small deviations, because sensors are so
+        precise that their price does not count. The tolerance is a quarter of the local error (about a second wide).
+        """
+        detail: list[F64] = [self.noise.detail for _ in self.case.runs]
+        for run, y in zip(runs, simulated, strict=True):
+            r = np.nan_to_num(self.residual(run, y))
+            width = max(int(TEMPER_SECONDS / self.config.bin_seconds), 1)
+            kernel = np.ones(min(width, len(r))) / min(width, len(r))
+            local = np.stack([np.convolve(r[:, c] ** 2, kernel, mode="same") for c in range(r.shape[1])], axis=1)
+            detail[run] = np.hypot(self.noise.detail, TEMPER * np.sqrt(local))
+        self.set_detail(detail)
 
     def variance(self, run: int) -> F64:
         """(B, C) variance of the sensors' noise in each bin."""

@@ -25,17 +25,17 @@ class DiagnoseConfig:
     """The simulator holds the first command for this long before a run begins."""
     holdout: int = 1
     """Runs that no fit sees, for the shrinkage (0 if the log has only one run)."""
-    finalists: int = 6
+    finalists: int = 5
     """Rivals that are refitted with the full nonlinear simulation at each stage of the selection."""
     min_gain: float = 12.0
     """Least gain in log-likelihood, after the nuisances, for an effect to be accepted."""
-    min_share: float = 0.04
+    min_share: float = 0.08
     """Least share of the gap above the nuisances that an effect must remove on unseen runs."""
     min_deviation: float = 3.0
     """A cause must exceed the small deviations that are everywhere by this factor (standard deviations)."""
     equivalent_loss: float = 0.03
     """Rivals that lose less than this share of the removed gap on unseen runs are called equivalent."""
-    unexplained_share: float = 0.30
+    unexplained_share: float = 0.20
     """From this share of the gap left over, the verdict is `unexplained`."""
     bootstrap: int = 400
     """Resamples for intervals."""

@@ -33,6 +33,8 @@ class Signals:
     """Offset of the logged base orientation as a rotation vector, rad."""
     torque_gain: dict[str, float] = field(default_factory=dict)
     """Joint -> g: logged torque = (1 + g) * true torque."""
+    torque_phase: float = 0.0
+    """How much of the step of a held command the logged torque has already seen when it is sampled (0: as simulated)."""
     torque_damping: dict[str, float] = field(default_factory=dict)
     """Joint -> N m s/rad that belongs to the drive's torque although the simulator has it as joint damping."""
     load_friction: dict[str, float] = field(default_factory=dict)

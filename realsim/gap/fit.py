@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,6 +60,16 @@ class Fitter:
     def nominal(self) -> Fit:
         """No cause at all."""
         return self._measure((), None)
+
+    def tighten(self, fit: Fit) -> Fit:
+        """Weigh errors against what this fit leaves, and measure it anew."""
+        self.screen.comparison.temper(self.screen.runs, fit.predictions)
+        return self.remeasure(fit)
+
+    def remeasure(self, fit: Fit) -> Fit:
+        """The same fit under the present weights."""
+        evidence = self.screen.evidence(fit.predictions)
+        return replace(fit, evidence=evidence, misfit=marginal(evidence, fit.prior)[2])
 
     def fit(self, causes: Sequence[Cause], starts: Sequence[Sequence[float]] = (), iterations: int = 4) -> Fit | None:
         """The best values near the causes' own and the further `starts` (all values in a row); None if none runs."""

@@ -15,6 +15,8 @@ from realsim.gap.simulate import Setting, Simulator
 from realsim.types import F64
 
 BLOCK_SECONDS = 0.5
+REASONABLE = 3.0
+"""Standard deviations up to which a small deviation is an everyday one."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,18 @@ def nuisance_settings(screen: Screen, fit: Fit, scale: float = 1.0) -> list[Sett
         if abs(v) > 0.02 * atom.parameter.nuisance:
             values.setdefault((atom.effect, atom.place), {})[atom.parameter.name] = v
     return [(name, place, named) for (name, place), named in values.items()]
+
+
+def leftover(screen: Screen, fit: Fit) -> F64:
+    """(runs,) mean square in units of the floor that stays when the small deviations do what they reasonably can."""
+    e = fit.evidence
+    x, _ = posterior(np.sum(e.A, axis=0), np.sum(e.b, axis=0), fit.prior)
+    x = np.clip(x, -REASONABLE * fit.prior, REASONABLE * fit.prior)
+    result = []
+    for k, run in enumerate(screen.runs):
+        r = screen.comparison.residual(run, fit.predictions[k]) - screen.fitted(k, x)
+        result.append(float(np.nanmean(r**2 / screen.comparison.floor(run))))
+    return np.array(result)
 
 
 def errors(

@@ -42,6 +42,18 @@ def _torque_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         edit.signals.torque_gain[joint] = values["gain"]
 
 
+def _phase_places(context: Any) -> list[Place]:
+    return [()] if context.case.has("joint_torque") else []
+
+
+def _phase_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
+    return (Parameter("phase", "ratio", (-2.0, 2.0), 0.5, nuisance=0.5),)
+
+
+def _phase_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    edit.signals.torque_phase = values["phase"]
+
+
 def _make(name: str, places: Any, parameters: Any, apply: Any, description: str) -> Effect:
     return Effect(name, name, "sensor", description, "", "", places, parameters, always, apply, patchable=False)
 
@@ -50,5 +62,12 @@ NUISANCES = {
     "base_bias": _make("base_bias", _base_places, _base_parameters, _base_apply, "Calibration of the motion capture."),
     "torque_gain": _make(
         "torque_gain", _torque_places, _torque_parameters, _torque_apply, "Gain of the torque estimate."
+    ),
+    "torque_phase": _make(
+        "torque_phase",
+        _phase_places,
+        _phase_parameters,
+        _phase_apply,
+        "When the torque is sampled, beside the command.",
     ),
 }

@@ -76,6 +76,9 @@ class Screen:
     ) -> None:
         self.simulator, self.comparison, self.runs = simulator, comparison, list(runs)
         self.skipped: dict[str, str] = {}
+        self._version = -1
+        self._A: list[F64] = []
+        self._weighted: list[F64] = []
         context = simulator.context
         chosen = [n for n in EFFECTS if not effects or n in effects]
         self.atoms: list[Atom] = []
@@ -132,8 +135,8 @@ class Screen:
 
     def evidence(self, simulated: Sequence[F64]) -> Evidence:
         """Normal equations of the residual about these predictions (one a screened run)."""
-        if not hasattr(self, "_A") or self._detail_used is not self.comparison.detail:
-            self._A, self._detail_used = [], self.comparison.detail
+        if self._version != self.comparison.version:
+            self._A, self._version = [], self.comparison.version
             self._weighted = []
             for run, G in zip(self.runs, self._columns, strict=True):
                 W = self.comparison.weights[run].reshape(-1, 1).astype(np.float32)

@@ -223,6 +223,15 @@ class Simulator:
         tracks["settle"] = np.array([settle * model.opt.timestep, model.opt.timestep])
         return tracks
 
+    def _command_steps(self, run: Run) -> F64:
+        """(T, J) what each new command adds to a position servo's torque at once, N m."""
+        steps = np.zeros((len(run.time), len(self.case.joint_names)))
+        for joint, name in self.context.actuator.items():
+            u = self.case.actuator_names.index(name)
+            gain = float(self.case.model.actuator(name).gainprm[0])
+            steps[:, self.case.joint_names.index(joint)] = gain * np.diff(run.command[:, u], prepend=run.command[0, u])
+        return steps
+
     def _read(self, run: Run, raw: dict[str, F64], edit: Edit) -> F64:
         """(T, C) at the time stamps of the run, through the wrappers."""
         s = edit.signals
@@ -236,6 +245,8 @@ class Simulator:
         columns["joint_vel"] = sample(raw["vel"], late)
         gain = np.array([1 + s.torque_gain.get(n, 0.0) for n in names])
         columns["joint_torque"] = sample(raw["torque"], late) * gain
+        if s.torque_phase:
+            columns["joint_torque"] += s.torque_phase * self._command_steps(run)
         if "base_pos" in raw:
             columns["base_pos"] = sample(raw["base_pos"], now) + np.array(s.base_bias)
             if "base_quat" in run.signals:
@@ -325,18 +336,15 @@ def base_name(case: Case) -> str:
 
 @contextlib.contextmanager
 def quiet_mujoco() -> Any:
-    """MuJoCo reports a diverging simulation to a log file in the working directory; failures are found by value here."""
+    """Failures are found by value; without this MuJoCo writes them to a log file in the working directory too."""
     import mujoco
 
-    setter = getattr(mujoco, "set_mju_user_warning", None)
-    if setter is None:
-        yield
-        return
+    setter, previous = mujoco.set_mju_user_warning, mujoco.get_mju_user_warning()
     setter(_swallow)
     try:
         yield
     finally:
-        setter(None)
+        setter(previous)
 
 
 def _swallow(message: str) -> None:

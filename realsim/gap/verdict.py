@@ -10,10 +10,11 @@ import numpy as np
 
 from realsim.gap.case import Case
 from realsim.gap.config import DiagnoseConfig
-from realsim.gap.heldout import Shrinkage
+from realsim.gap.heldout import Shrinkage, leftover
 from realsim.gap.screen import Screen
-from realsim.gap.select import Selection
+from realsim.gap.select import Selection, is_gap
 from realsim.gap.simulate import lookup
+from realsim.types import F64
 
 
 @dataclass(frozen=True)
@@ -63,22 +64,17 @@ def judge(case: Case, config: DiagnoseConfig, screen: Screen, selection: Selecti
     del case
     reasons = []
     fit = selection.fit
-    left = misfit_per_sample(screen, fit)
-    first = misfit_per_sample(screen, selection.nominal)
-    unexplained = left_share(screen, selection)
-    if shrunk.before_over_floor > 2.0:
-        unexplained = max(unexplained, shrunk.unexplained)
-    probabilities = [
-        float(1 / (1 + np.exp(-min(selection.gains.get(i, 0.0), 30.0) + 5))) for i in range(len(fit.causes))
-    ]
+    first, left, unexplained = remains(screen, selection)
+    gains = [min(selection.gains.get(i, 0.0), 30.0) for i in range(len(fit.causes))]
+    probabilities = [float(1 / (1 + np.exp(5 - g))) for g in gains]
+    gap = is_gap(left)
     if not fit.causes:
-        if left > GATE:
-            reasons.append(f"{left:.2f} times the floor is left after the small deviations, and no effect holds")
+        reasons.append(f"{left.mean():.2f} times the floor stays beside the small deviations (nominal {first:.1f})")
+        if gap:
             return Judgement("unexplained", max(unexplained, 0.5), probabilities, tuple(reasons))
-        reasons.append(f"{left:.2f} times the floor is left after the small deviations: within the floor")
         return Judgement("no_gap", 0.0, probabilities, tuple(reasons))
-    reasons.append(f"misfit {first:.2f} -> {left:.2f} in units of the floor")
-    if unexplained > config.unexplained_share and left > GATE:
+    reasons.append(f"{first:.1f} -> {left.mean():.2f} in units of the floor")
+    if gap and unexplained > config.unexplained_share:
         reasons.append(f"{unexplained:.0%} of the gap stays")
         return Judgement("unexplained", unexplained, probabilities, tuple(reasons))
     if selection.equivalent:
@@ -88,24 +84,18 @@ def judge(case: Case, config: DiagnoseConfig, screen: Screen, selection: Selecti
     return Judgement("identified", unexplained, probabilities, tuple(reasons))
 
 
-GATE = 1.0
-"""Misfit in units of the floor above which something is there."""
+def remains(screen: Screen, selection: Selection) -> tuple[float, F64, float]:
+    """(nominal, final, share): mean squares in units of the floor, and the share of the gap above it that stays.
 
-
-def misfit_per_sample(screen: Screen, fit: Any) -> float:
-    """Weighted squared residual after the nuisances, a sample, in units of what the floor alone gives."""
-    count = sum(float((screen.comparison.weights[r] > 0).sum()) for r in screen.runs)
-    expected = 0.0
-    for r in screen.runs:
-        w = screen.comparison.weights[r]
-        expected += float((w * screen.comparison.floor(r)).sum())
-    del count
-    return 2 * fit.misfit / max(expected, 1e-9)
-
-
-def left_share(screen: Screen, selection: Selection) -> float:
-    """Share of the misfit above the floor that the causes leave on the fitted runs."""
-    before, after = misfit_per_sample(screen, selection.nominal), misfit_per_sample(screen, selection.fit)
-    raw = 2 * 0.5 * sum(selection.nominal.evidence.c)
-    del raw
-    return float(np.clip((after - 1) / max(before - 1, 1e-9), 0, 1)) if before > 1 and after > 1 else 0.0
+    The final one is after causes and small deviations. The share is taken run by run, so that one run that diverges
+    does not speak for all.
+    """
+    before = []
+    for k, run in enumerate(screen.runs):
+        r0 = screen.comparison.residual(run, selection.nominal.predictions[k])
+        before.append(float(np.nanmean(r0**2 / screen.comparison.floor(run))))
+    a, b = leftover(screen, selection.fit), np.array(before)
+    weight = np.log1p(np.maximum(b - 1, 0))
+    shares = np.clip((a - 1) / np.maximum(b - 1, 1e-9), 0, 1)
+    share = float((weight * shares).sum() / weight.sum()) if weight.sum() > 0 else 0.0
+    return float(b.mean()), a, share
