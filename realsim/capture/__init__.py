@@ -23,6 +23,9 @@ LAYOUTS = Registry(
         "sevenscenes": "realsim.capture.layouts.sevenscenes:LAYOUT",
         "scannet": "realsim.capture.layouts.scannet:LAYOUT",
         "pcd": "realsim.capture.layouts.pcd:LAYOUT",
+        "nerfstudio": "realsim.capture.layouts.nerfstudio:LAYOUT",
+        "polycam": "realsim.capture.layouts.polycam:LAYOUT",
+        "scannerapp": "realsim.capture.layouts.scannerapp:LAYOUT",
         "plain": "realsim.capture.layouts.plain:LAYOUT",
     },
 )

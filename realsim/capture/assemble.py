@@ -11,7 +11,7 @@ from realsim.capture.images import ColorImage, DepthImage, common_size
 from realsim.capture.intrinsics import Camera
 from realsim.capture.listing import Pair
 from realsim.errors import CaptureError, RealsimError
-from realsim.types import F64, Dropped, Frame, FrameSet, Intrinsics
+from realsim.types import F32, F64, Dropped, Frame, FrameSet, Intrinsics
 
 
 @dataclass(frozen=True)
@@ -80,6 +80,24 @@ def cameras(
     return of_depth, of_color, (assumption,)
 
 
+@dataclass(frozen=True)
+class View:
+    """What a layout knows of one frame besides its images; the fields are those of `Frame`."""
+
+    intrinsics: Intrinsics
+    color_intrinsics: Intrinsics | None = None
+    T_world_camera: F64 | None = None
+    timestamp: float | None = None
+    read_confidence: Callable[[], F32] | None = None
+
+
+def on_two_grids(of_color: Intrinsics, depth_size: tuple[int, int]) -> tuple[Intrinsics, Intrinsics | None]:
+    """(camera of the depth, camera of the colour or None if the same) where both show the same view, as phones do."""
+    if (of_color.width, of_color.height) == depth_size:
+        return of_color, None
+    return of_color.resized(*depth_size), of_color
+
+
 def frames_of(
     pairs: Sequence[Pair],
     intrinsics: Intrinsics,
@@ -90,11 +108,22 @@ def frames_of(
     pose_of: Callable[[Pair], F64 | None] = lambda pair: None,
     time_of: Callable[[Pair], float | None] = lambda pair: None,
 ) -> tuple[tuple[Frame, ...], tuple[Dropped, ...]]:
-    """One lazy frame a pair; incomplete pairs and frames whose pose cannot be read are dropped and named.
+    """`frames_with` for a capture with one camera; `pose_of` may raise a RealsimError, which costs that frame only."""
+
+    def view_of(pair: Pair) -> View:
+        return View(intrinsics, color_intrinsics, pose_of(pair), time_of(pair))
+
+    return frames_with(pairs, unit, view_of, with_color=with_color)
+
+
+def frames_with(
+    pairs: Sequence[Pair], unit: DepthUnit, view_of: Callable[[Pair], View], *, with_color: bool = True
+) -> tuple[tuple[Frame, ...], tuple[Dropped, ...]]:
+    """One lazy frame a pair; incomplete pairs and frames whose camera or pose cannot be read are dropped and named.
 
     Args:
+        view_of: may raise a RealsimError, which costs that frame only.
         with_color: whether this capture has colour, so that a frame without it is incomplete.
-        pose_of: may raise a RealsimError, which costs that frame only.
     """
     frames: list[Frame] = []
     dropped: list[Dropped] = []
@@ -106,19 +135,20 @@ def frames_of(
             dropped.append(Dropped(pair.name, "depth without colour"))
             continue
         try:
-            pose = pose_of(pair)
+            view = view_of(pair)
         except RealsimError as error:
             dropped.append(Dropped(pair.name, one_line(error)))
             continue
         frames.append(
             Frame(
                 pair.name,
-                intrinsics,
+                view.intrinsics,
                 DepthImage(pair.depth, unit.integer, unit.floating),
                 None if pair.color is None else ColorImage(pair.color),
-                color_intrinsics,
-                T_world_camera=pose,
-                timestamp=time_of(pair),
+                view.color_intrinsics,
+                view.read_confidence,
+                view.T_world_camera,
+                view.timestamp,
                 files=tuple(p for p in (pair.color, pair.depth) if p is not None),
             )
         )
@@ -138,12 +168,21 @@ def capture(
     dropped: tuple[Dropped, ...],
     assumptions: Sequence[str],
     warnings: Sequence[str] = (),
+    up_world: F64 | None = None,
 ) -> FrameSet:
-    """The frame set of a layout, refused if it is empty."""
+    """The frame set of a layout, refused if it is empty. Warnings that repeat (one a frame) are said once."""
     if not frames:
         reasons = "; ".join(f"{d.name}: {d.reason}" for d in dropped[:3]) or "no images"
         raise CaptureError("no frame of this capture can be used", file=path, found=reasons)
-    return FrameSet(frames, path, layout, assumptions=tuple(assumptions), warnings=tuple(warnings), dropped=dropped)
+    return FrameSet(
+        frames,
+        path,
+        layout,
+        up_world=up_world,
+        assumptions=tuple(dict.fromkeys(assumptions)),
+        warnings=tuple(dict.fromkeys(warnings)),
+        dropped=dropped,
+    )
 
 
 def _text(size: tuple[int, int]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import struct
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -71,14 +71,40 @@ class ColorImage:
     path: Path
 
     def __call__(self) -> U8:
+        return decode_color(read_bytes(self.path, MAX_IMAGE_BYTES), self.path)
+
+
+@dataclass(frozen=True)
+class ConfidenceImage:
+    """A reader of one confidence image: `()` -> (H, W) float32, 0 (worst) to 1 (best)."""
+
+    path: Path
+    best: int
+    """The value that stands for full confidence (ARKit 2, Polycam 255)."""
+
+    def __call__(self) -> F32:
         import cv2
 
-        # A viewer would turn the picture upright; the depth image beside it has no such tag and would not follow.
-        bgr = _decode(self.path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-        return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8)
+        return confidence(_decode(self.path, cv2.IMREAD_UNCHANGED), self.best, self.path)
 
 
-def common_size(readers: Iterable[DepthImage | ColorImage], look_at: int = 5) -> tuple[int, int] | None:
+def confidence(raw: NDArray, best: int, source: Path) -> F32:
+    """Levels 0 to `best` (uint8, one channel) as 0 to 1.
+
+    Raises:
+        CaptureError: another type, or higher levels than there are.
+    """
+    if raw.dtype != np.uint8 or raw.ndim != 2 or raw.max(initial=0) > best:
+        raise CaptureError(
+            "confidence of another type",
+            file=source,
+            expected=f"one channel of 8 bits, 0 to {best}",
+            found=f"{raw.dtype} of shape {raw.shape} up to {raw.max(initial=0)}",
+        )
+    return raw.astype(np.float32) / np.float32(best)
+
+
+def common_size(readers: Iterable[Callable[[], NDArray]], look_at: int = 5) -> tuple[int, int] | None:
     """(width, height) that most of the first readable images have; None if none can be read."""
     sizes: list[tuple[int, int]] = []
     for reader in readers:
@@ -107,9 +133,30 @@ def _load(path: Path) -> NDArray:
 
 
 def _decode(path: Path, flags: int) -> NDArray:
+    return decode(read_bytes(path, MAX_IMAGE_BYTES), flags, path)
+
+
+def decode_color(data: bytes, source: Path) -> U8:
+    """(h, w, 3) RGB of an encoded image, as stored.
+
+    Raises:
+        CaptureError: damaged.
+    """
     import cv2
 
-    data = read_bytes(path, MAX_IMAGE_BYTES)
+    # A viewer would turn the picture upright; the depth image beside it has no such tag and would not follow.
+    bgr = decode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, source)
+    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8)
+
+
+def decode(data: bytes, flags: int, path: Path) -> NDArray:
+    """An encoded image through OpenCV's decoder with its `flags`; `path` is only named in errors.
+
+    Raises:
+        CaptureError: damaged.
+    """
+    import cv2
+
     problem = damage(data)
     if problem is not None:
         raise CaptureError("corrupt or truncated image", file=path, found=problem)

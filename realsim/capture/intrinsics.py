@@ -263,6 +263,8 @@ def _distortion_warning(data: Mapping, source: Path) -> tuple[str, ...]:
     """Lens distortion is not undone here; a warning says so where a file gives any."""
     value = _first(data, ("distortion_coefficients", "dist_coeffs", "distortion", "coeffs"))
     value = value.get("data") if isinstance(value, Mapping) else value
+    if value is None:
+        value = [data.get(name, 0.0) for name in ("k1", "k2", "p1", "p2", "k3", "k4")]
     if not isinstance(value, Sequence) or isinstance(value, str):
         return ()
     figures = [v for v in value if isinstance(v, (int, float))]

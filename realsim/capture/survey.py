@@ -85,6 +85,8 @@ def look_at(frame: Frame, config: CaptureConfig) -> Look:
     depth, color = frame.depth(), frame.color()
     camera = frame.intrinsics
     _check_size("depth", depth, (camera.width, camera.height))
+    if frame.read_confidence is not None:
+        _check_size("confidence", frame.read_confidence(), (camera.width, camera.height))
     digest = hashlib.blake2b(np.ascontiguousarray(depth).data, digest_size=16)
     sharp = None
     if color is not None:

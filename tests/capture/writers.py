@@ -145,6 +145,79 @@ def write_pcd(
     path.write_bytes(("\n".join(header) + "\n").encode() + body)
 
 
+OPENGL = np.diag([1.0, -1, -1, 1])
+OF_COLOR = CAMERA.resized(2 * CAMERA.width, 2 * CAMERA.height)
+"""The camera of phones' colour images, which have more pixels than their depth."""
+
+
+def enlarged(view: View) -> np.ndarray:
+    return cv2.resize(view.color, (OF_COLOR.width, OF_COLOR.height), interpolation=cv2.INTER_NEAREST)
+
+
+def write_jpeg(path: Path, image: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(jpeg(image))
+
+
+def jpeg(image: np.ndarray) -> bytes:
+    """As little lossy as JPEG can be: no colour subsampling."""
+    how = [cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    return cv2.imencode(".jpg", image[..., ::-1], how)[1].tobytes()
+
+
+def write_nerfstudio(folder: Path, views: Sequence[View]) -> None:
+    frames = []
+    for i, view in enumerate(views):
+        write_image(folder / f"images/frame_{i + 1:05d}.png", view.color)
+        write_image(folder / f"depths/frame_{i + 1:05d}.png", millimetres(view.depth))
+        frames.append(
+            {
+                "file_path": f"./images/frame_{i + 1:05d}.png",
+                "depth_file_path": f"depths/frame_{i + 1:05d}.png",
+                "transform_matrix": (view.T_world_camera @ OPENGL).tolist(),
+            }
+        )
+    c = CAMERA
+    camera = {"fl_x": c.fx, "fl_y": c.fy, "cx": c.cx + 0.5, "cy": c.cy + 0.5, "w": c.width, "h": c.height}
+    identity = np.eye(4)[:3].tolist()
+    data = {"camera_model": "OPENCV", **camera, "k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0}
+    # The order of the frames is that of the file names, whatever that of the list.
+    data |= {"applied_transform": identity, "frames": frames[::-1]}
+    (folder / "transforms.json").write_text(json.dumps(data))
+
+
+def write_polycam(folder: Path, views: Sequence[View], kind: str = "corrected_") -> None:
+    root, c = folder / "keyframes", OF_COLOR
+    for view in views:
+        name = f"{round(view.time * 1e6)}"
+        write_jpeg(root / f"{kind}images/{name}.jpg", enlarged(view))
+        write_image(root / f"depth/{name}.png", millimetres(view.depth))
+        write_image(root / f"confidence/{name}.png", np.where(view.depth > 0, 255, 127).astype(np.uint8))
+        T = view.T_world_camera @ OPENGL
+        data = {"fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy, "width": c.width, "height": c.height}
+        data |= {f"t_{i}{j}": T[i, j] for i in range(3) for j in range(4)}
+        data |= {"blur_score": 90.1, "timestamp": int(name), "neighbors": []}
+        (root / f"{kind}cameras").mkdir(exist_ok=True)
+        (root / f"{kind}cameras/{name}.json").write_text(json.dumps(data))
+    (folder / "mesh_info.json").write_text("{}")
+
+
+def write_scannerapp(folder: Path, views: Sequence[View]) -> None:
+    for i, view in enumerate(views):
+        write_jpeg(folder / f"frame_{i:05d}.jpg", enlarged(view))
+        write_image(folder / f"depth_{i:05d}.png", millimetres(view.depth))
+        write_image(folder / f"conf_{i:05d}.png", np.where(view.depth > 0, 2, 0).astype(np.uint8))
+        data = {
+            "frame_index": i,
+            "time": view.time,
+            "intrinsics": OF_COLOR.K.ravel().tolist(),
+            "cameraPoseARFrame": (view.T_world_camera @ OPENGL).ravel().tolist(),
+            "motionQuality": 1,
+        }
+        (folder / f"frame_{i:05d}.json").write_text(json.dumps(data))
+    (folder / "info.json").write_text('{"title": "scan"}')
+
+
 WRITERS: dict[str, Callable[[Path, Sequence[View]], None]] = {
     "open3d": write_open3d,
     "tum": write_tum,
@@ -152,5 +225,10 @@ WRITERS: dict[str, Callable[[Path, Sequence[View]], None]] = {
     "scannet": write_scannet,
     "pcd": write_pcd_folder,
     "plain": write_plain,
+    "nerfstudio": write_nerfstudio,
+    "polycam": write_polycam,
+    "scannerapp": write_scannerapp,
 }
+LOSSY = {"polycam": 4.0, "scannerapp": 4.0}
+"""Layouts whose colour is compressed with losses -> grey levels by which it may differ on average."""
 WITHOUT_POSES = {"pcd", "plain"}

@@ -1,0 +1,117 @@
+"""Polycam's raw data: keyframes/ with images, depth, confidence, cameras, and the corrected ones where it made them.
+
+Format: https://github.com/PolyCam/polyform (README, "Polycam's data format"). Depth is in millimetres, confidence 0,
+127 or 255; `t_ij` is the camera-to-world matrix row by row in ARKit's axes and world.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from realsim.capture.arkit import AXES_NOTE, GRIDS_NOTE, UP, WORLD_NOTE, from_opengl
+from realsim.capture.assemble import View, capture, depth_unit, frames_with, on_two_grids
+from realsim.capture.config import CaptureConfig
+from realsim.capture.images import COLOR_SUFFIXES, ConfidenceImage, DepthImage, common_size
+from realsim.capture.intrinsics import camera_from_mapping, no_intrinsics
+from realsim.capture.layout import Layout, Recognition
+from realsim.capture.listing import Pair, list_files, pair_by_stem
+from realsim.errors import CaptureError, PoseError
+from realsim.files import read_json
+from realsim.types import F64, FrameSet
+
+FOLDERS = {"corrected": ("corrected_images", "corrected_cameras"), "as recorded": ("images", "cameras")}
+"""In the order of preference."""
+MATRIX_KEYS = [[f"t_{row}{column}" for column in range(4)] for row in range(3)]
+
+
+def keyframes(folder: Path) -> Path:
+    """The folder that holds images/, cameras/ and depth/: `keyframes`, or the given one itself."""
+    return folder / "keyframes" if (folder / "keyframes").is_dir() else folder
+
+
+def complete_set(root: Path) -> str | None:
+    """The preferred kind of images and cameras that is there, or None."""
+    for kind, (images, cameras) in FOLDERS.items():
+        if list_files(root / images, COLOR_SUFFIXES) and list_files(root / cameras, (".json",)):
+            return kind
+    return None
+
+
+def recognise(folder: Path) -> Recognition:
+    root = keyframes(folder)
+    cameras = [name for _, name in FOLDERS.values() if list_files(root / name, (".json",))]
+    # Without any camera only the name of the folder speaks for this layout.
+    if not cameras and root == folder:
+        return Recognition()
+    kind = complete_set(root)
+    missing = []
+    if not cameras:
+        missing.append("intrinsics (cameras/*.json)")
+    if not list_files(root / "depth", (".png",)):
+        missing.append("depth images (keyframes/depth/*.png)")
+    if cameras and kind is None:
+        missing.append("colour images (keyframes/images/)")
+    evidence = [f"{root.name}/{name}/*.json" for name in cameras] + ["keyframes/"] * (not cameras)
+    return Recognition(tuple(evidence), tuple(missing), score=35)
+
+
+def read(folder: Path, config: CaptureConfig) -> FrameSet:
+    root = keyframes(folder)
+    kind = complete_set(root)
+    depth = list_files(root / "depth", (".png",))
+    if not depth:
+        raise CaptureError("colour without depth", file=root, expected="depth/*.png: exported as raw data, LiDAR mode")
+    if kind is None:
+        raise no_intrinsics(root, ("cameras/*.json with images/",), "export the capture as raw data (developer mode)")
+    images, cameras = FOLDERS[kind]
+    color = list_files(root / images, COLOR_SUFFIXES)
+    pairs, _ = pair_by_stem(color, depth)
+    depth_size = common_size(DepthImage(p, 1.0) for p in depth)
+    if depth_size is None:
+        raise CaptureError("no depth image can be read", file=root / "depth")
+    unit = depth_unit(0.001, "Polycam's convention", config)
+    sure = {p.stem: p for p in list_files(root / "confidence", (".png",))}
+    unknown = [] if len(sure) else ["there are no confidence maps"]
+
+    def view_of(pair: Pair) -> View:
+        source = root / cameras / f"{pair.name}.json"
+        data = read_json(source)
+        camera = camera_from_mapping(data, source)
+        if camera.width is None or camera.height is None:
+            raise CaptureError("the camera does not say its image size", file=source, expected="width and height")
+        of_depth, of_color = on_two_grids(camera.sized((camera.width, camera.height)), depth_size)
+        pose = None if config.ignore_poses else from_opengl(_matrix(data, source))
+        confidence = ConfidenceImage(sure[pair.name], 255) if pair.name in sure else None
+        # File names are microseconds.
+        time = int(pair.name) * 1e-6 if pair.name.isdigit() else None
+        return View(of_depth, of_color, pose, time, confidence)
+
+    frames, dropped = frames_with(pairs, unit, view_of)
+    said = {
+        "corrected": "corrected images and cameras are used: undistorted, poses optimised by Polycam",
+        "as recorded": "there are no corrected images and cameras: those of ARKit are used, which drift, and the "
+        "images are slightly distorted",
+    }[kind]
+    assumptions = [said, unit.note, GRIDS_NOTE, *unknown, "frames are named by their time in microseconds"]
+    assumptions += [] if config.ignore_poses else [AXES_NOTE, WORLD_NOTE]
+    return capture(folder, LAYOUT.name, frames, dropped, assumptions, up_world=None if config.ignore_poses else UP)
+
+
+def _matrix(data: Mapping[str, Any], source: Path) -> F64:
+    try:
+        rows = [[float(data[key]) for key in row] for row in MATRIX_KEYS]
+    except (KeyError, TypeError, ValueError) as error:
+        raise PoseError("no camera pose", file=source, expected="numbers t_00 to t_23", found=str(error)) from error
+    return np.array([*rows, [0.0, 0, 0, 1]])
+
+
+LAYOUT = Layout(
+    "polycam",
+    "keyframes/ with cameras/ (or corrected_cameras/), images/ and depth/: Polycam's raw data",
+    recognise,
+    read,
+)

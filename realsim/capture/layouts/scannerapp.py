@@ -1,0 +1,100 @@
+"""3D Scanner App, export "All Data": frame_00000.json, frame_00000.jpg, depth_00000.png, conf_00000.png.
+
+Every frame has a JSON with `cameraPoseARFrame` (4x4, row by row, camera to world in ARKit's axes and world) and
+`intrinsics` (3x3, row by row, of the colour image), and depth in millimetres; only some have a colour image.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from realsim.capture.arkit import AXES_NOTE, BEST_CONFIDENCE, GRIDS_NOTE, UP, WORLD_NOTE, from_opengl
+from realsim.capture.assemble import View, capture, depth_unit, frames_with, on_two_grids
+from realsim.capture.config import CaptureConfig
+from realsim.capture.images import COLOR_SUFFIXES, ColorImage, ConfidenceImage, DepthImage, common_size
+from realsim.capture.intrinsics import camera_from_mapping, no_intrinsics
+from realsim.capture.layout import Layout, Recognition
+from realsim.capture.listing import Pair, list_files, natural_key
+from realsim.errors import CaptureError, PoseError
+from realsim.files import read_json
+from realsim.types import F64, FrameSet
+
+
+def numbered(folder: Path, prefix: str, suffixes: tuple[str, ...]) -> dict[str, Path]:
+    """Number in the file name (as written) -> file, for files `prefix_NUMBER.suffix`."""
+    found = [p for p in list_files(folder, suffixes) if p.stem.startswith(f"{prefix}_")]
+    return {n: p for p in found if (n := p.stem.removeprefix(f"{prefix}_")).isdigit()}
+
+
+def recognise(folder: Path) -> Recognition:
+    kinds = {
+        "frame_*.json": (numbered(folder, "frame", (".json",)), "intrinsics (frame_*.json)"),
+        "depth_*.png": (numbered(folder, "depth", (".png",)), "depth images (depth_*.png)"),
+        "frame_*.jpg": (numbered(folder, "frame", COLOR_SUFFIXES), "colour images (frame_*.jpg)"),
+    }
+    evidence = tuple(f"{len(found)} x {name}" for name, (found, _) in kinds.items() if found)
+    # Numbered pictures alone could be anybody's.
+    if not kinds["frame_*.json"][0] and not kinds["depth_*.png"][0]:
+        return Recognition()
+    return Recognition(evidence, tuple(lack for found, lack in kinds.values() if not found), score=30)
+
+
+def read(folder: Path, config: CaptureConfig) -> FrameSet:
+    color, depth = numbered(folder, "frame", COLOR_SUFFIXES), numbered(folder, "depth", (".png",))
+    sure, facts = numbered(folder, "conf", (".png",)), numbered(folder, "frame", (".json",))
+    if not depth or not color:
+        raise CaptureError(
+            "colour without depth" if color else "depth without colour",
+            file=folder,
+            expected="depth_*.png and frame_*.jpg",
+            hint='export the scan as "All Data"',
+        )
+    if not facts:
+        raise no_intrinsics(folder, ("frame_*.json",), 'export the scan as "All Data"')
+    depth_size = common_size(DepthImage(p, 1.0) for p in depth.values())
+    color_size = common_size(ColorImage(p) for p in color.values())
+    if depth_size is None or color_size is None:
+        raise CaptureError("no image can be read", file=folder)
+    unit = depth_unit(0.001, "3D Scanner App's convention", config)
+    pairs = [Pair(n, color[n], depth.get(n)) for n in sorted(color, key=natural_key)]
+
+    def view_of(pair: Pair) -> View:
+        if pair.name not in facts:
+            raise CaptureError(f"there is no frame_{pair.name}.json")
+        source = facts[pair.name]
+        data = read_json(source)
+        of_depth, of_color = on_two_grids(camera_from_mapping(data, source).sized(color_size), depth_size)
+        pose = None if config.ignore_poses else from_opengl(_matrix(data, source))
+        confidence = ConfidenceImage(sure[pair.name], BEST_CONFIDENCE) if pair.name in sure else None
+        return View(of_depth, of_color, pose, _time(data), confidence)
+
+    frames, dropped = frames_with(pairs, unit, view_of)
+    colorless = len(depth.keys() - color.keys())
+    assumptions = [unit.note, GRIDS_NOTE, "every frame has intrinsics of its own"]
+    if colorless:
+        assumptions.append(f"{colorless} depth images have no colour image (the app keeps a few) and are not used")
+    assumptions += [] if config.ignore_poses else [AXES_NOTE, WORLD_NOTE]
+    return capture(folder, LAYOUT.name, frames, dropped, assumptions, up_world=None if config.ignore_poses else UP)
+
+
+def _matrix(data: dict[str, Any], source: Path) -> F64:
+    try:
+        T = np.array(data.get("cameraPoseARFrame"), dtype=float).ravel()
+    except (TypeError, ValueError) as error:
+        raise PoseError("cameraPoseARFrame is not a matrix of numbers", file=source) from error
+    if T.size != 16:
+        raise PoseError("a pose of the wrong length", file=source, expected="16 numbers in cameraPoseARFrame")
+    return T.reshape(4, 4)
+
+
+def _time(data: dict[str, Any]) -> float | None:
+    time = data.get("time")
+    return float(time) if isinstance(time, (int, float)) and not isinstance(time, bool) else None
+
+
+LAYOUT = Layout(
+    "scannerapp", 'frame_*.json, frame_*.jpg and depth_*.png: "All Data" of 3D Scanner App', recognise, read
+)
