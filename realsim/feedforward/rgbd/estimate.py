@@ -28,7 +28,7 @@ from realsim.geometry import invert_T
 from realsim.progress import track
 from realsim.types import F64
 
-SIGMA_PX = 0.5
+SIGMA_PX = 0.25
 """Localisation noise of features, pixels."""
 SIGMA_INVERSE = 0.003
 """Noise of inverse depth, 1/m: 3 mm at 1 m, 12 mm at 2 m (range noise, quantisation and fixed pattern together)."""
