@@ -21,6 +21,7 @@ from realsim.types import TerrainMesh
 
 F64 = NDArray[np.float64]
 CELL = 0.005  # metres
+EDGE = 1.0  # cells by which outlines are simplified, and by which convex parts may bulge over them
 DEPTH = 0.05  # metres that solids reach into the ground
 THINNEST = 0.003  # metres
 PIT = 0.015  # metres below the ground from which a plane will not do as floor
@@ -100,7 +101,7 @@ def _layer(grid: Columns, layer: int, base: float, tolerance: float) -> list[Pri
     for k, place in enumerate(ndimage.find_objects(islands), start=1):
         inside = islands[place] == k
         z = np.where(inside, top[place], np.nan)
-        if inside.sum() < SMALLEST or np.nanmax(z) < base + 0.01:
+        if _speck(float(np.nanmax(z)) - base, float(inside.sum()) * grid.cell**2):
             continue
         under = np.where(inside, np.maximum(bottom[place], base), np.nan)
         # A scanned wall is never quite upright: what hangs over by a cell or two is wall, not underside.
@@ -108,6 +109,11 @@ def _layer(grid: Columns, layer: int, base: float, tolerance: float) -> list[Pri
         under[inside & ~hangs] = base
         out += _island(grid, (place[0].start, place[1].start), z, under, base, tolerance)
     return out
+
+
+def _speck(height: float, area: float) -> bool:
+    """Whether an island is noise on the floor: lower than 1 cm, or below 2.5 cm and smaller than half a foot."""
+    return height < 0.01 or area < 3e-4 or (height < 0.025 and area < 6e-3)
 
 
 def _island(grid: Columns, corner: tuple[int, int], z: F64, under: F64, base: float, tolerance: float) -> list[Prism]:
@@ -128,8 +134,12 @@ def _island(grid: Columns, corner: tuple[int, int], z: F64, under: F64, base: fl
     out = []
     for pair in np.unique(pairs[pairs >= 0]):
         t, b = divmod(int(pair), len(bottom_planes))
-        for part in convex_parts(outlines(pairs == pair, 0.8), 0.4):
-            out.append(_prism(grid, corner, part, top_planes[t], None if b == 0 else bottom_planes[b], base))
+        here = pairs == pair
+        rise = min(float(np.hypot(*top_planes[t][:2])) / 2, THINNEST)  # from a cell's centre to the region's edge
+        limits = float(z[here].max()) + rise, float(under[here].min()) - rise
+        for part in convex_parts(outlines(here, EDGE), EDGE):
+            prism = _prism(grid, corner, part, top_planes[t], None if b == 0 else bottom_planes[b], base, limits)
+            out.append(prism)
     return out
 
 
@@ -152,11 +162,26 @@ def _without_crumbs(pairs: NDArray[np.int64], width: int, top_cost: F64, bottom_
     return np.where(labels >= 0, names[np.maximum(labels, 0)], -1)
 
 
-def _prism(grid: Columns, corner: tuple[int, int], part: F64, top: F64, bottom: F64 | None, base: float) -> Prism:
-    """From (row, column) within an island to metres; turned counter-clockwise in x y."""
+def _prism(
+    grid: Columns,
+    corner: tuple[int, int],
+    part: F64,
+    top: F64,
+    bottom: F64 | None,
+    base: float,
+    limits: tuple[float, float],
+) -> Prism:
+    """From (row, column) within an island to metres; turned counter-clockwise in x y.
+
+    `limits` are the highest top and the lowest underside of the region: where its outline leaves its cells by a few
+    millimetres, a steep plane would stand out as a spike.
+    """
     row, column = part[:, 0], part[:, 1]
     z_top = top[0] * column + top[1] * row + top[2]
     z_bottom = np.full(len(part), base - DEPTH) if bottom is None else bottom[0] * column + bottom[1] * row + bottom[2]
+    z_top = np.minimum(z_top, limits[0])
+    if bottom is not None:
+        z_bottom = np.maximum(z_bottom, limits[1])
     z_bottom = np.minimum(z_bottom, z_top - THINNEST)
     xy = grid.xy(row + corner[0], column + corner[1])
     return Prism(xy[::-1], z_top[::-1], z_bottom[::-1])

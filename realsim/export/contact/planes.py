@@ -34,13 +34,19 @@ def segment(z: F64, cell: float, tolerance: float) -> tuple[I64, F64]:
         while (seed := _widest(smooth)) is not None:
             place, reach = seed
             taken = _grow(z, free, _patch(z, free, place, reach, cell, tolerance), place, cell, tolerance)
-            if taken.sum() >= SMALLEST:
+            if taken.sum() >= SMALLEST and not _is_wall(taken, _fit(z, taken), cell):
                 labels[taken] = len(planes)
                 planes.append(_fit(z, taken))
                 free &= ~taken
             smooth &= ~taken  # whether it became a plane or not, it is no seed any more
             smooth[place] = False
     return labels, np.array(planes).reshape(-1, 3)
+
+
+def _is_wall(taken: NDArray[np.bool_], plane: F64, cell: float) -> bool:
+    """Steeper than 75 degrees and at most three cells wide: a scanned wall, better cut upright than as a plane."""
+    seed = _widest(taken)
+    return _steepness(plane, cell) < np.cos(np.radians(75)) and seed is not None and seed[1] <= 2
 
 
 def _widest(mask: NDArray[np.bool_]) -> tuple[tuple[int, int], int] | None:
