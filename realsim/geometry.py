@@ -96,15 +96,14 @@ def R_to_quat(R: ArrayLike) -> Array:
 
 def rotation_between(a: ArrayLike, b: ArrayLike) -> Array:
     """The shortest rotation that takes direction `a` (3,) to direction `b` (3,)."""
-    a = np.asarray(a, float) / np.linalg.norm(a)
-    b = np.asarray(b, float) / np.linalg.norm(b)
-    axis = np.cross(a, b)
-    s, c = float(np.linalg.norm(axis)), float(a @ b)
+    u = np.asarray(a, float) / np.linalg.norm(a)
+    v = np.asarray(b, float) / np.linalg.norm(b)
+    axis = np.cross(u, v)
+    s, c = float(np.linalg.norm(axis)), float(u @ v)
     if s < 1e-12:
         if c > 0:
             return np.eye(3)
-        side = np.eye(3)[np.argmin(np.abs(a))]
-        axis = np.cross(a, side)
+        axis = np.cross(u, np.eye(3)[np.argmin(np.abs(u))])
         return exp_so3(np.pi * axis / np.linalg.norm(axis))
     return exp_so3(np.arctan2(s, c) * axis / s)
 

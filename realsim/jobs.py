@@ -7,6 +7,7 @@ one item can never stop the others. Locally, N of them run side by side; with Ra
 from __future__ import annotations
 
 import json
+import logging
 import os
 import subprocess
 import sys
@@ -119,7 +120,7 @@ def _on_ray(jobs: Sequence[Job], address: str) -> Iterator[Outcome]:
     with ExitStack() as stack:
         if not ray.is_initialized():
             try:
-                ray.init(address=address, log_to_driver=False, logging_level="error")
+                ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
             except (ConnectionError, ValueError, RuntimeError) as error:
                 raise RealsimError(
                     "no Ray cluster answers",

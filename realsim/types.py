@@ -224,13 +224,15 @@ class ScaleEstimate:
 
     value: float
     ci90: tuple[float, float]
-    """90 percent bootstrap interval over frames."""
+    """90 percent interval: the frames' bootstrap, widened by what is not known of the sensor's own scale."""
     per_frame: tuple[float, ...]
     """One ratio a frame used, in the order of the frames; NaN where a frame had too few pixels."""
     per_frame_spread: float
     """Robust relative spread of the ratios (1.4826 MAD / median)."""
     method: str
     warnings: tuple[str, ...] = ()
+    sensor_sigma: float = 0.0
+    """Relative standard error of the depth sensor's own scale (after correction), as it entered the interval."""
 
 
 @dataclass(frozen=True)

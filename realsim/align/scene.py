@@ -15,7 +15,7 @@ from realsim.align.rim import refined
 from realsim.align.roles import Roles, as_asked, by_rule, simulation_frame
 from realsim.align.segment import Label, segmented
 from realsim.geometry import invert_T, make_T, transform
-from realsim.types import F64, AlignedScene, Gravity, MetricScene, Scan
+from realsim.types import F64, AlignedScene, Gravity, MetricScene, Platform, Scan
 
 
 def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
@@ -51,6 +51,9 @@ def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
         for i, face in enumerate(faces)
     )
     bounds, cropped = crop(_moved(level, T_sim_level), labels, platforms, float(T_sim_level[2, 3]), config.margin)
+
+    platforms, outside = _kept(platforms, bounds)
+    cropped += outside
 
     T_sim_world = T_sim_level @ T_level_world
     return AlignedScene(
@@ -97,6 +100,18 @@ def _cloud(source: MetricScene | Scan, seed: int) -> tuple[Cloud, F64]:
         return from_scan(source, seed), np.eye(4)
     T_cloud_world = invert_T(source.T_world_camera[0])
     return from_views(replace(source, T_world_camera=T_cloud_world @ source.T_world_camera)), T_cloud_world
+
+
+def _kept(platforms: tuple[Platform, ...], bounds: F64) -> tuple[tuple[Platform, ...], list[str]]:
+    """The platforms that stand within the bounds as a whole, and in words the others: nothing can stand on those."""
+    low, high = bounds[0, :2], bounds[1, :2]
+    inside = tuple(p for p in platforms if ((p.outline >= low) & (p.outline <= high)).all())
+    said = [
+        f"a level top of {p.size[0]:.2f} x {p.size[1]:.2f} m at x {p.centroid[0]:.1f}, y {p.centroid[1]:.1f} m, outside"
+        for p in platforms
+        if not any(p is q for q in inside)
+    ]
+    return inside, said
 
 
 def _moved(cloud: Cloud, T: F64) -> Cloud:

@@ -34,8 +34,9 @@ def demo(
         overwrite: replace an existing folder.
     """
     from realsim.export.config import SceneConfig
-    from realsim.synth import compare, write_capture
+    from realsim.synth.capture import write_capture
     from realsim.synth.config import SynthConfig
+    from realsim.synth.errors import compare
 
     if out.exists() and any(out.iterdir()) and not overwrite:
         raise RealsimError("the output folder exists and is not empty", file=out, hint="pass --overwrite")

@@ -15,7 +15,7 @@ def synth(config: SynthConfig, out: Path = Path("synth"), overwrite: bool = Fals
         out: gets capture/ (what `realsim reconstruct` reads) and truth/ (what it may not see).
         overwrite: replace an existing folder.
     """
-    from realsim.synth import write_capture
+    from realsim.synth.capture import write_capture
 
     made = write_capture(out, config, overwrite=overwrite)
     return CommandResult(

@@ -40,6 +40,7 @@ def to_metric(points: Pointmaps, config: ScaleConfig, up_world: F64 | None = Non
         pixels = _paired(points, i, up_world)
         ratios.append(float("nan") if pixels is None else ratio(*pixels, rng))
     scale = estimate(np.array(ratios), [f.name for f in points.frames], config)
+    scale = with_sensor(scale, _sensor_sigma(points, config))
 
     poses = points.T_world_camera.copy()
     poses[:, :3, 3] *= scale.value
@@ -112,6 +113,24 @@ def estimate(ratios: F64, names: list[str], config: ScaleConfig) -> ScaleEstimat
         method=config.method,
         warnings=tuple(warnings),
     )
+
+
+def with_sensor(scale: ScaleEstimate, sigma: float) -> ScaleEstimate:
+    """Widen the interval by the sensor's own relative scale error `sigma`, which all frames share.
+
+    Frames that agree with each other tell how well the ratio is known, not whether the sensor measures true metres.
+    The two errors are independent: their 90 percent half widths add in squares.
+    """
+    low, high = scale.ci90
+    own = 1.645 * sigma * scale.value
+    down, up = np.hypot(scale.value - low, own), np.hypot(high - scale.value, own)
+    return replace(scale, ci90=(float(scale.value - down), float(scale.value + up)), sensor_sigma=sigma)
+
+
+def _sensor_sigma(points: Pointmaps, config: ScaleConfig) -> float:
+    """Relative standard error of the corrected sensor's scale: the gain's where metric poses gave one."""
+    known = points.depth_gain_sigma
+    return config.sensor_sigma if known is None or not np.isfinite(known) else min(float(known), config.sensor_sigma)
 
 
 def bootstrap_median(values: F64, resamples: int, seed: int) -> tuple[float, float]:

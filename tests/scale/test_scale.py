@@ -86,10 +86,20 @@ def test_depth_that_is_the_prediction_gives_one(method):
         z = points.frames[i].depth() * np.float32(0.992)
         return PointView(CAMERA.rays() * z[..., None], (z > 0).astype(np.float32), z > 0)
 
-    scale = to_metric(replace(points, load=load), replace(FAST, method=method)).scale
+    scale = to_metric(replace(points, load=load), replace(FAST, method=method, sensor_sigma=0.0)).scale
     assert scale.value == pytest.approx(1.0, abs=1e-6)
     assert scale.ci90[0] <= 1.0 <= scale.ci90[1]
     assert scale.ci90[1] - scale.ci90[0] < 1e-5
+
+
+def test_the_interval_knows_what_is_not_known_of_the_sensor():
+    """Frames that agree do not make the sensor true; metric poses that gave its gain do."""
+    points = capture(units=1.0, noise=0.0)
+    unknown = to_metric(points, FAST).scale
+    corrected = to_metric(replace(points, depth_gain_sigma=0.0005), FAST).scale
+    assert unknown.ci90[1] - unknown.ci90[0] == pytest.approx(2 * 1.645 * FAST.sensor_sigma, rel=0.01)
+    assert corrected.ci90[1] - corrected.ci90[0] == pytest.approx(2 * 1.645 * 0.0005, rel=0.05)
+    assert corrected.sensor_sigma == 0.0005
 
 
 @settings(max_examples=20, deadline=None)
