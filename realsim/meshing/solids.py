@@ -32,7 +32,8 @@ def solid(mesh: TerrainMesh, aligned: AlignedScene, cell: float | None = None) -
     surface = Surface(mesh.vertices, mesh.triangles)
     cell = cell or mesh.resolution
     grid = Columns(surface, aligned.bounds, aligned.ground_z, cell)
-    closed = grid.surface(grid.occupied, surface)
+    occupied = grid.without_curtains(surface) if mesh.invented.any() else grid.occupied
+    closed = grid.surface(occupied, surface)
     body = manifold3d.Manifold(
         manifold3d.Mesh64(vert_properties=closed.vertices, tri_verts=closed.triangles.astype(np.uint64))
     )
@@ -129,6 +130,25 @@ class Columns:
                 break
             free[:, :, k] |= free[:, :, k + 1] & ~self.hit[:, :, k] & occupied[:, :, k]
         return without_crumbs(occupied & ~free, self.cell)
+
+    def without_curtains(self, surface: Surface) -> Bool:
+        """Occupied nodes without the curtains that hang where a closing surface has a slit.
+
+        Such a curtain is thinner than five cells and has no surface along it; a real thin wall has.
+        """
+        from scipy import ndimage
+
+        above = self.occupied & (self.axes[2] > self.ground_z + self.cell)[None, None, :]
+        index = np.argwhere(above)
+        if len(index) == 0:
+            return self.occupied
+        points = np.stack([self.axes[k][index[:, k]] for k in range(3)], -1)
+        away = index[surface.distance(points) > 1.2 * self.cell]
+        thick = ndimage.binary_opening(self.occupied, np.ones((5, 5, 1), bool))
+        curtain = np.zeros_like(above)
+        curtain[tuple(away.T)] = True
+        curtain &= ~thick
+        return without_crumbs(self.occupied & ~curtain, self.cell)
 
     def surface(self, occupied: Bool, near: Surface) -> Surface:
         """The closed border of the occupied nodes; where `near` runs within two cells, exactly along it."""
