@@ -89,9 +89,7 @@ def reconstruct(source: Path, out: Path, config: ReconstructConfig | None = None
     run = _Run(config)
     with output_folder(out, overwrite=config.overwrite) as folder:
         data = run.stage("capture", lambda: capture.read(source, config.capture))
-        points = None if isinstance(data, Scan) else run.points(data)
-        metric = data if points is None else run.stage("scale", lambda: run.metric(data, points))
-        aligned = run.align(metric)
+        points, aligned = run.scan(data) if isinstance(data, Scan) else run.frames(data)
         mesh = run.mesh(aligned)
         scene = run.stage("export", lambda: export.write_scene(folder, aligned, mesh, config.scene))
         result = Reconstruction(
@@ -113,13 +111,22 @@ class _Run:
     def stage(self, name: str, work: Callable[[], T]) -> T:
         return self._timed(name, lambda: (work(), False))
 
+    def scan(self, scan: Scan) -> tuple[None, AlignedScene]:
+        """A finished surface enters at `align`."""
+        return None, self.align(scan)
+
+    def frames(self, frames: FrameSet) -> tuple[Pointmaps, AlignedScene]:
+        points = self.points(frames)
+        metric = self.stage("scale", lambda: self.metric(frames, points))
+        return points, self.align(metric)
+
     def points(self, frames: FrameSet) -> Pointmaps:
         config = self.config.points
         self.key = digest(code_digest("capture", "feedforward"), source_digest(frames), self.config.capture, config)
         solution = self._kept("points", lambda: feedforward.solve(frames, config))
         return feedforward.pointmaps(frames, solution, config)
 
-    def metric(self, frames: FrameSet | Scan, points: Pointmaps) -> MetricScene:
+    def metric(self, frames: FrameSet, points: Pointmaps) -> MetricScene:
         self.key = digest(self.key, code_digest("scale"), self.config.scale)
         return scale.to_metric(points, self.config.scale, frames.up_world)
 
