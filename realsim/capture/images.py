@@ -88,6 +88,11 @@ class ConfidenceImage:
         return confidence(_decode(self.path, cv2.IMREAD_UNCHANGED), self.best, self.path)
 
 
+def metres(raw: NDArray) -> F32:
+    """Floating-point depth in metres (H, W) as float32, 0 where it is NaN, infinite or negative."""
+    return np.where(np.isfinite(raw) & (raw > 0), raw, 0).astype(np.float32)
+
+
 def confidence(raw: NDArray, best: int, source: Path) -> F32:
     """Levels 0 to `best` (uint8, one channel) as 0 to 1.
 

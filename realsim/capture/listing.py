@@ -35,6 +35,14 @@ def list_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
     return sorted(found, key=lambda p: natural_key(p.name))
 
 
+def single_file(path: Path, suffixes: Sequence[str]) -> Path | None:
+    """The path itself if it is a file with one of the suffixes, or the only such file of a folder; else None."""
+    if path.is_file():
+        return path if path.suffix.lower() in suffixes else None
+    found = list_files(path, suffixes)
+    return found[0] if len(found) == 1 else None
+
+
 def subfolder(folder: Path, names: Sequence[str], suffixes: Sequence[str]) -> Path | None:
     """The first of the named subfolders that holds such files, or None."""
     return next((folder / name for name in names if list_files(folder / name, suffixes)), None)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 
-from realsim.geometry import R_to_quat
+from realsim.geometry import R_to_quat, invert_T, log_so3
 
-from .scene import CAMERA, View
+from .scene import CAMERA, START_TIME, View
 
 
 def write_image(path: Path, image: np.ndarray) -> None:
@@ -218,6 +220,120 @@ def write_scannerapp(folder: Path, views: Sequence[View]) -> None:
     (folder / "info.json").write_text('{"title": "scan"}')
 
 
+def record3d_metadata(views: Sequence[View]) -> dict:
+    c = OF_COLOR
+    poses = []
+    for view in views:
+        T = view.T_world_camera @ OPENGL
+        w, x, y, z = R_to_quat(T[:3, :3])
+        poses.append([x, y, z, w, *T[:3, 3]])
+    return {
+        "w": c.width,
+        "h": c.height,
+        "dw": CAMERA.width,
+        "dh": CAMERA.height,
+        "fps": 10,
+        "K": c.K.T.ravel().tolist(),
+        "perFrameIntrinsicCoeffs": [[c.fx, c.fy, c.cx, c.cy]] * len(views),
+        "frameTimestamps": [view.time for view in views],
+        "poses": poses,
+        "initPose": [0, 0, 0, 1, 0, 0, 0],
+    }
+
+
+def record3d_members(views: Sequence[View]) -> dict[str, bytes]:
+    """Name in the archive -> content."""
+    lzfse = pytest.importorskip("lzfse", reason="extra phone is not installed")
+    members = {"metadata": json.dumps(record3d_metadata(views)).encode()}
+    for i, view in enumerate(views):
+        depth = np.where(view.depth > 0, view.depth, np.nan).astype("<f4")
+        members[f"rgbd/{i}.jpg"] = jpeg(enlarged(view))
+        members[f"rgbd/{i}.depth"] = lzfse.compress(depth.tobytes())
+        members[f"rgbd/{i}.conf"] = lzfse.compress(np.where(view.depth > 0, 2, 0).astype(np.uint8).tobytes())
+    return members
+
+
+def write_record3d(folder: Path, views: Sequence[View]) -> None:
+    write_zip(folder / "2024-05-01--10-00-00.r3d", record3d_members(views))
+
+
+def write_zip(path: Path, members: dict[str, bytes]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+
+
+def write_record3d_exr(folder: Path, views: Sequence[View]) -> None:
+    exr = pytest.importorskip("OpenEXR", reason="extra phone is not installed")
+    root = folder / "EXR_RGBD"
+    (root / "depth").mkdir(parents=True)
+    for i, view in enumerate(views):
+        write_jpeg(root / f"rgb/{i}.jpg", enlarged(view))
+        depth = np.where(view.depth > 0, view.depth, np.nan).astype(np.float32)
+        with exr.File({"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}, {"R": depth}) as file:
+            file.write(str(root / f"depth/{i}.exr"))
+    (root / "metadata.json").write_text(json.dumps(record3d_metadata(views)))
+
+
+ODOMETRY = "timestamp, frame, x, y, z, qx, qy, qz, qw, fx, fy, cx, cy, distortion_center_x, distortion_center_y"
+
+
+def write_stray(folder: Path, views: Sequence[View], header: str = ODOMETRY, depth: str = "png") -> None:
+    """As the app writes it: every field after a comma has a space before it, unknown fields are empty."""
+    c = OF_COLOR
+    write_video(folder / "rgb.mp4", [enlarged(view) for view in views])
+    lines = [header]
+    for i, view in enumerate(views):
+        write_image(folder / f"confidence/{i:06d}.png", np.where(view.depth > 0, 2, 1).astype(np.uint8))
+        raw = millimetres(view.depth)
+        if depth == "png":
+            write_image(folder / f"depth/{i:06d}.png", raw)
+        else:
+            (folder / "depth").mkdir(exist_ok=True)
+            np.save(folder / f"depth/{i:06d}.npy", raw)
+        T = view.T_world_camera
+        w, x, y, z = R_to_quat(T[:3, :3])
+        known = dict(zip(("x", "y", "z", "qx", "qy", "qz", "qw"), [*T[:3, 3], x, y, z, w], strict=True))
+        known |= {"timestamp": view.time, "fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy}
+        words = {key: f"{value:.9f}" for key, value in known.items()} | {"frame": f"{i:06d}"}
+        lines.append(", ".join(words.get(key, "") for key in header.split(", ")))
+    (folder / "odometry.csv").write_text("\n".join(lines) + "\n")
+    rows = [", ".join(f"{v:.6f}" for v in row) for row in c.K]
+    (folder / "camera_matrix.csv").write_text("\n".join(rows))
+    (folder / "imu.csv").write_text("timestamp, a_x, a_y, a_z, alpha_x, alpha_y, alpha_z\n")
+
+
+def write_video(path: Path, images: Sequence[np.ndarray]) -> None:
+    """Lossless; the decoder goes by content, not by name."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    work = path.with_suffix(".avi")
+    height, width = images[0].shape[:2]
+    writer = cv2.VideoWriter(str(work), cv2.VideoWriter_fourcc(*"FFV1"), 30, (width, height))
+    assert writer.isOpened()
+    for image in images:
+        writer.write(np.ascontiguousarray(image[..., ::-1]))
+    writer.release()
+    work.rename(path)
+
+
+def write_arkitscenes(folder: Path, views: Sequence[View]) -> None:
+    c, lines = CAMERA, []
+    for view in views:
+        # Pose and camera carry times that differ by a millisecond, as they do in the dataset.
+        name = f"41069021_{view.time - START_TIME + 3000:.3f}"
+        write_image(folder / f"lowres_wide/{name}.png", view.color)
+        write_image(folder / f"lowres_depth/{name}.png", millimetres(view.depth))
+        write_image(folder / f"confidence/{name}.png", np.where(view.depth > 0, 2, 1).astype(np.uint8))
+        (folder / "lowres_wide_intrinsics").mkdir(exist_ok=True)
+        pincam = folder / f"lowres_wide_intrinsics/41069021_{view.time - START_TIME + 3000.001:.3f}.pincam"
+        pincam.write_text(f"{c.width} {c.height} {c.fx} {c.fy} {c.cx} {c.cy}\n")
+        T = invert_T(view.T_world_camera)
+        numbers = [*log_so3(T[:3, :3]), *T[:3, 3]]
+        lines.append(f"{view.time - START_TIME + 2999.999:.6f} " + " ".join(f"{v:.9f}" for v in numbers))
+    (folder / "lowres_wide.traj").write_text("\n".join(lines) + "\n")
+
+
 WRITERS: dict[str, Callable[[Path, Sequence[View]], None]] = {
     "open3d": write_open3d,
     "tum": write_tum,
@@ -228,7 +344,11 @@ WRITERS: dict[str, Callable[[Path, Sequence[View]], None]] = {
     "nerfstudio": write_nerfstudio,
     "polycam": write_polycam,
     "scannerapp": write_scannerapp,
+    "record3d": write_record3d,
+    "record3d_exr": write_record3d_exr,
+    "stray": write_stray,
+    "arkitscenes": write_arkitscenes,
 }
-LOSSY = {"polycam": 4.0, "scannerapp": 4.0}
+LOSSY = {"polycam": 4.0, "scannerapp": 4.0, "record3d": 4.0, "record3d_exr": 4.0}
 """Layouts whose colour is compressed with losses -> grey levels by which it may differ on average."""
 WITHOUT_POSES = {"pcd", "plain"}

@@ -1,0 +1,258 @@
+"""Record3D's `.r3d`: a zip archive with `metadata` (JSON) and rgbd/0.jpg, 0.depth, 0.conf, 1.jpg, ...
+
+Depth is LZFSE-compressed float32 in metres on the grid `dh` x `dw`, confidence LZFSE-compressed uint8 in ARKit's
+levels. In the metadata, `K` is the colour camera's matrix column by column, `perFrameIntrinsicCoeffs` fx fy cx cy of
+each frame, and `poses` are qx qy qz qw tx ty tz with ARKit's camera axes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from realsim.capture import lzfse
+from realsim.capture.archive import Member, names
+from realsim.capture.arkit import AXES_NOTE, BEST_CONFIDENCE, GRIDS_NOTE, OPENGL, UP, WORLD_NOTE, from_opengl, pose_xyzw
+from realsim.capture.assemble import capture, on_two_grids, one_line
+from realsim.capture.config import CaptureConfig
+from realsim.capture.images import MAX_IMAGE_BYTES, MAX_PIXELS, confidence, decode_color, metres
+from realsim.capture.intrinsics import camera_from_mapping, check
+from realsim.capture.layout import Layout, Recognition
+from realsim.capture.listing import single_file
+from realsim.errors import CaptureError, PoseError, RealsimError
+from realsim.files import MAX_TEXT_BYTES
+from realsim.types import F32, F64, U8, Dropped, Frame, FrameSet, Intrinsics
+
+DEPTH_SIZES = ((256, 192), (640, 480), (320, 240))
+"""(width, height) in landscape of LiDAR and TrueDepth maps, for files from before `dw` and `dh` were written."""
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """What `metadata` says, checked for shape only."""
+
+    source: Path
+    color_size: tuple[int, int]
+    depth_size: tuple[int, int] | None
+    shared: Intrinsics
+    """The camera of the colour images where a frame has none of its own."""
+    cameras: F64 | None
+    """(N, 4) fx fy cx cy, or None."""
+    poses: F64 | None
+    """(N, 7) qx qy qz qw tx ty tz, or None."""
+    times: F64 | None
+    """(N,) seconds, or None."""
+
+    def camera(self, i: int) -> Intrinsics:
+        """Camera of frame i's colour image."""
+        if self.cameras is None or i >= len(self.cameras):
+            return self.shared
+        return check(Intrinsics(*self.color_size, *(float(v) for v in self.cameras[i])), self.source)
+
+    def pose(self, i: int) -> F64 | None:
+        """(4, 4) camera to world, OpenCV axes; None without any poses."""
+        if self.poses is None:
+            return None
+        if i >= len(self.poses):
+            raise PoseError("there is no pose for this frame")
+        # Rotation first in the file, position first in `pose_xyzw`.
+        return from_opengl(pose_xyzw(self.poses[i][[4, 5, 6, 0, 1, 2, 3]]))
+
+    def time(self, i: int) -> float | None:
+        return None if self.times is None or i >= len(self.times) else float(self.times[i])
+
+    @property
+    def relative(self) -> bool:
+        """Whether the first pose is the identity: then the world is the first camera's, not ARKit's."""
+        return self.poses is not None and bool(np.abs(self.pose(0) @ OPENGL - np.eye(4)).max() < 1e-3)
+
+
+@dataclass(frozen=True)
+class ZippedDepth:
+    """`()` -> (H, W) float32 metres, 0 where invalid."""
+
+    member: Member
+    size: tuple[int, int]
+
+    def __call__(self) -> F32:
+        width, height = self.size
+        return metres(np.frombuffer(_unpack(self.member, 4 * width * height), "<f4").reshape(height, width))
+
+
+@dataclass(frozen=True)
+class ZippedConfidence:
+    """`()` -> (H, W) float32, 0 to 1."""
+
+    member: Member
+    size: tuple[int, int]
+
+    def __call__(self) -> F32:
+        width, height = self.size
+        raw = np.frombuffer(_unpack(self.member, width * height), np.uint8).reshape(height, width)
+        return confidence(raw, BEST_CONFIDENCE, Path(self.member.name))
+
+
+@dataclass(frozen=True)
+class ZippedColor:
+    """`()` -> (h, w, 3) uint8 RGB."""
+
+    member: Member
+
+    def __call__(self) -> U8:
+        return decode_color(self.member.read(), Path(self.member.name))
+
+
+def recognise(path: Path) -> Recognition:
+    found = single_file(path, (".r3d",))
+    return Recognition() if found is None else Recognition((found.name,), (), score=40)
+
+
+def read(path: Path, config: CaptureConfig) -> FrameSet:
+    source = single_file(path, (".r3d",))
+    if source is None:
+        raise CaptureError("no .r3d file", file=path, expected="one .r3d file, or a folder that holds one")
+    lzfse.require()
+    members = set(names(source))
+    numbers = sorted(
+        int(n[5:-6]) for n in members if n.startswith("rgbd/") and n[5:-6].isdigit() and n[-6:] == ".depth"
+    )
+    if not numbers:
+        raise CaptureError("colour without depth", file=source, expected="rgbd/0.depth and so on in the archive")
+    data = parse_json(Member(source, "metadata", MAX_TEXT_BYTES).read(), source)
+    meta = read_metadata(data, source, config)
+    depth_size = meta.depth_size or _known_size(source, numbers, meta.color_size)
+    if depth_size[0] * depth_size[1] > MAX_PIXELS:
+        raise CaptureError("an impossible depth size", file=source, found=f"{depth_size[0]}x{depth_size[1]}")
+
+    frames: list[Frame] = []
+    dropped: list[Dropped] = []
+    for number, at in zip(numbers, rows(numbers, meta), strict=True):
+        name = f"{number:06d}"
+        if f"rgbd/{number}.jpg" not in members:
+            dropped.append(Dropped(name, "depth without colour"))
+            continue
+        try:
+            of_depth, of_color = on_two_grids(meta.camera(at), depth_size)
+            pose = meta.pose(at)
+        except RealsimError as error:
+            dropped.append(Dropped(name, one_line(error)))
+            continue
+        sure = Member(source, f"rgbd/{number}.conf", MAX_IMAGE_BYTES)
+        frames.append(
+            Frame(
+                name,
+                of_depth,
+                ZippedDepth(Member(source, f"rgbd/{number}.depth", MAX_IMAGE_BYTES), depth_size),
+                ZippedColor(Member(source, f"rgbd/{number}.jpg", MAX_IMAGE_BYTES)),
+                of_color,
+                ZippedConfidence(sure, depth_size) if sure.name in members else None,
+                pose,
+                meta.time(at),
+                (source,),
+            )
+        )
+    assumptions = ["depth is in metres (Record3D's convention)", GRIDS_NOTE, *pose_notes(meta)]
+    up = UP if meta.poses is not None and not meta.relative else None
+    return capture(path, LAYOUT.name, tuple(frames), tuple(dropped), assumptions, up_world=up)
+
+
+def read_metadata(data: Any, source: Path, config: CaptureConfig) -> Metadata:
+    """The metadata of a recording.
+
+    Raises:
+        CaptureError: no camera, or a table of another shape.
+        PoseError: the poses are no table of seven columns.
+    """
+    if not isinstance(data, Mapping):
+        raise CaptureError("the metadata are not an object", file=source)
+    camera = camera_from_mapping({"K": data.get("K"), "w": data.get("w"), "h": data.get("h")}, source)
+    if not camera.width or not camera.height:
+        raise CaptureError("the metadata do not say the image size", file=source, expected="w and h")
+    size = (camera.width, camera.height)
+    poses = None if config.ignore_poses else _table(data, "poses", 7, source)
+    times = _table(data, "frameTimestamps", 1, source)
+    return Metadata(
+        source,
+        size,
+        _depth_size(data),
+        camera.sized(size),
+        _table(data, "perFrameIntrinsicCoeffs", 4, source),
+        poses,
+        None if times is None else times[:, 0],
+    )
+
+
+def rows(numbers: Sequence[int], meta: Metadata) -> list[int]:
+    """Row of the metadata's tables for each file number: the number itself, or, where the files were numbered anew
+    (as many as rows, but not counted from 0), the place in the order.
+    """
+    count = next((len(t) for t in (meta.poses, meta.cameras, meta.times) if t is not None), 0)
+    renumbered = max(numbers) >= count == len(numbers)
+    return list(range(len(numbers))) if renumbered else list(numbers)
+
+
+def pose_notes(meta: Metadata) -> list[str]:
+    """What is assumed about cameras and poses."""
+    own = ["every frame has intrinsics of its own"] if meta.cameras is not None else ["one camera for all frames"]
+    if meta.poses is None:
+        return [*own, "no poses are used"]
+    if meta.relative:
+        return [*own, AXES_NOTE, "the first pose is the identity: the world is the first camera's, up is not known"]
+    return [*own, AXES_NOTE, WORLD_NOTE]
+
+
+def parse_json(data: bytes, source: Path) -> Any:
+    try:
+        return json.loads(data)
+    except ValueError as error:
+        raise CaptureError("broken JSON in the metadata", file=source, found=str(error)) from error
+
+
+def _table(data: Mapping[str, Any], key: str, columns: int, source: Path) -> F64 | None:
+    """(N, columns) numbers under a key, None if absent or empty."""
+    value = data.get(key)
+    if not value:
+        return None
+    try:
+        table = np.array(value, dtype=float)
+        table = table.reshape(len(table), -1)
+    except (TypeError, ValueError) as error:
+        raise CaptureError(f"{key} is not a table of numbers", file=source, found=str(error)) from error
+    if table.shape[1] != columns:
+        kind = PoseError if key == "poses" else CaptureError
+        raise kind(f"{key} of the wrong length", file=source, expected=f"{columns} a frame", found=f"{table.shape[1]}")
+    return table
+
+
+def _depth_size(data: Mapping[str, Any]) -> tuple[int, int] | None:
+    width, height = data.get("dw"), data.get("dh")
+    good = isinstance(width, int) and isinstance(height, int) and width > 0 and height > 0
+    return (width, height) if good else None  # type: ignore[return-value]
+
+
+def _known_size(source: Path, numbers: Sequence[int], color_size: tuple[int, int]) -> tuple[int, int]:
+    """The size of depth maps where the metadata do not say it: that of a known sensor with as many pixels."""
+    for number in numbers[:5]:
+        try:
+            size = lzfse.unpacked_size(Member(source, f"rgbd/{number}.depth", MAX_IMAGE_BYTES).read())
+        except (RealsimError, ValueError):
+            continue
+        for long, short in DEPTH_SIZES:
+            if size == 4 * long * short:
+                return (long, short) if color_size[0] > color_size[1] else (short, long)
+    raise CaptureError("the size of the depth maps is not known", file=source, expected="dw and dh in the metadata")
+
+
+def _unpack(member: Member, size: int) -> bytes:
+    try:
+        return lzfse.decompress(member.read(), size)
+    except ValueError as error:
+        raise CaptureError("corrupt or truncated depth", file=member.name, found=str(error)) from error
+
+
+LAYOUT = Layout("record3d", "a .r3d file of Record3D, or a folder that holds one", recognise, read)

@@ -1,0 +1,183 @@
+"""Stray Scanner: rgb.mp4, depth/, confidence/, odometry.csv, camera_matrix.csv.
+
+Format: https://github.com/strayrobots/scanner, docs/format.md and its encoders. Depth is in millimetres (`.png`, in old
+versions `.npy`), confidence in ARKit's levels. The odometry holds positions in ARKit's world and quaternions x y z w
+that the app has already turned to OpenCV's camera axes. Its header tells the versions apart: `x, y, z, qx, ...` alone,
+with `timestamp, frame` before, or also with `fx, fy, cx, cy` after.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from realsim.capture.arkit import BEST_CONFIDENCE, GRIDS_NOTE, UP, WORLD_NOTE, pose_xyzw
+from realsim.capture.assemble import DepthUnit, capture, on_two_grids, one_line
+from realsim.capture.config import CaptureConfig
+from realsim.capture.images import ConfidenceImage, DepthImage, common_size
+from realsim.capture.intrinsics import Camera, no_intrinsics, read_camera
+from realsim.capture.layout import Layout, Recognition
+from realsim.capture.listing import last_number, list_files
+from realsim.capture.video import VideoFrame, open_video
+from realsim.errors import CaptureError, PoseError, RealsimError
+from realsim.files import read_text
+from realsim.types import F64, Dropped, Frame, FrameSet, Intrinsics
+
+VIDEO, ODOMETRY, CAMERA = "rgb.mp4", "odometry.csv", "camera_matrix.csv"
+POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+OWN_CAMERA = ("fx", "fy", "cx", "cy")
+HEADERS = {7: POSE, 9: ("timestamp", "frame", *POSE)}
+"""Columns of files without a header, which the first version wrote, by their count."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the odometry."""
+
+    frame: int
+    values: Mapping[str, str]
+
+    def numbers(self, names: tuple[str, ...]) -> list[float] | None:
+        """The named columns, or None where one is absent or empty (the app leaves out what the phone does not say).
+
+        Raises:
+            PoseError: something else than a number.
+        """
+        words = [self.values.get(name, "") for name in names]
+        if not all(words):
+            return None
+        try:
+            return [float(word) for word in words]
+        except ValueError as error:
+            raise PoseError("a row of the odometry holds something that is not a number", found=str(error)) from error
+
+
+def recognise(folder: Path) -> Recognition:
+    there = [name for name in (ODOMETRY, VIDEO, CAMERA) if (folder / name).is_file()]
+    if ODOMETRY not in there and CAMERA not in there:
+        return Recognition()
+    missing = []
+    if not list_files(folder / "depth", (".png", ".npy")):
+        missing.append("depth images (depth/)")
+    if VIDEO not in there:
+        missing.append(f"colour images ({VIDEO})")
+    if CAMERA not in there:
+        missing.append(f"intrinsics ({CAMERA})")
+    return Recognition(tuple(there), tuple(missing), score=35)
+
+
+def read(folder: Path, config: CaptureConfig) -> FrameSet:
+    depth = {n: p for p in list_files(folder / "depth", (".png", ".npy")) if (n := last_number(p.stem)) is not None}
+    if not depth:
+        raise CaptureError("colour without depth", file=folder, expected="depth/000000.png and so on")
+    if not (folder / VIDEO).is_file():
+        raise CaptureError("depth without colour", file=folder, expected=VIDEO)
+    if not (folder / CAMERA).is_file():
+        raise no_intrinsics(folder, (CAMERA,))
+    video = open_video(folder / VIDEO)
+    depth_size = common_size(DepthImage(p, 1.0) for p in depth.values())
+    if depth_size is None:
+        raise CaptureError("no depth image can be read", file=folder / "depth")
+    unit = config.depth_unit or 0.001
+    why = "as asked for" if config.depth_unit else "Stray Scanner's convention, for arrays too"
+    steps = DepthUnit(unit, unit, f"depth is in steps of {unit:g} m ({why})")
+    table = read_odometry(folder / ODOMETRY) if (folder / ODOMETRY).is_file() else {}
+    posed = bool(table) and not config.ignore_poses
+    sure = {n: p for p in list_files(folder / "confidence", (".png",)) if (n := last_number(p.stem)) is not None}
+    camera = read_camera(folder / CAMERA)
+
+    frames: list[Frame] = []
+    dropped: list[Dropped] = []
+    for number in sorted(depth):
+        name = f"{number:06d}"
+        row = table.get(number)
+        try:
+            if number >= video.count:
+                raise CaptureError(f"the video ends before this frame: it has {video.count}")
+            of_depth, of_color = on_two_grids(_camera(row, camera, video.size), depth_size)
+            pose = _pose(row) if posed else None
+        except RealsimError as error:
+            dropped.append(Dropped(name, one_line(error)))
+            continue
+        time = row.numbers(("timestamp",)) if row else None
+        frames.append(
+            Frame(
+                name,
+                of_depth,
+                DepthImage(depth[number], steps.integer, steps.floating),
+                VideoFrame(video.path, number),
+                of_color,
+                ConfidenceImage(sure[number], BEST_CONFIDENCE) if number in sure else None,
+                pose,
+                time[0] if time else None,
+                (video.path, depth[number]),
+            )
+        )
+    dropped += [Dropped(f"{n:06d}", "colour without depth") for n in sorted(table.keys() - depth.keys())]
+    own = any(row.numbers(OWN_CAMERA) for row in table.values())
+    assumptions = [
+        steps.note,
+        GRIDS_NOTE,
+        f"every frame has intrinsics of its own, in {ODOMETRY}" if own else f"{CAMERA} is the camera of all frames",
+        "the n-th image of the video belongs to depth image n",
+    ]
+    if posed:
+        assumptions += [
+            "poses are camera to world in metres, OpenCV camera axes (the app turns ARKit's itself), written as "
+            "x y z qx qy qz qw",
+            WORLD_NOTE,
+        ]
+    warnings = []
+    if table and video.count < len(table):
+        warnings.append(f"{VIDEO} has {video.count} images for {len(table)} poses: the rest has no colour")
+    return capture(folder, LAYOUT.name, tuple(frames), tuple(dropped), assumptions, warnings, UP if posed else None)
+
+
+def read_odometry(path: Path) -> dict[int, Row]:
+    """Frame number -> row.
+
+    Raises:
+        PoseError: no poses in it, or rows of different length.
+    """
+    lines = [[w.strip() for w in line.split(",")] for line in read_text(path).splitlines() if line.strip()]
+    if not lines:
+        raise PoseError("the odometry is empty", file=path)
+    headed = any(word.isalpha() for word in lines[0] if word not in ("nan", "inf"))
+    header = tuple(lines[0]) if headed else HEADERS.get(len(lines[0]), ())
+    if not set(POSE) <= set(header):
+        raise PoseError(
+            "this header is not known",
+            file=path,
+            expected=f"columns {', '.join(POSE)}",
+            found=", ".join(lines[0])[:120],
+        )
+    rows: dict[int, Row] = {}
+    for place, words in enumerate(lines[headed:]):
+        if len(words) != len(header):
+            raise PoseError(
+                f"row {place + 1} has the wrong length", file=path, expected=f"{len(header)}", found=f"{len(words)}"
+            )
+        values = dict(zip(header, words, strict=True))
+        word = values.get("frame", str(place))
+        if not word.isdigit():
+            raise PoseError(f"row {place + 1} has no frame number", file=path, found=word)
+        rows.setdefault(int(word), Row(int(word), values))
+    return rows
+
+
+def _camera(row: Row | None, camera: Camera, size: tuple[int, int]) -> Intrinsics:
+    own = row.numbers(OWN_CAMERA) if row else None
+    if own is None:
+        return camera.sized(size)
+    return Camera(own[0], own[1], own[2], own[3], None, None, camera.source).sized(size)
+
+
+def _pose(row: Row | None) -> F64:
+    numbers = row.numbers(POSE) if row else None
+    if numbers is None:
+        raise PoseError("there is no pose for this frame")
+    return pose_xyzw(numbers)
+
+
+LAYOUT = Layout("stray", "rgb.mp4, depth/, odometry.csv and camera_matrix.csv of Stray Scanner", recognise, read)
