@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from realsim import robots
 from realsim.export.check import check_scene
@@ -13,9 +14,13 @@ from realsim.export.contact.base import ContactModel
 from realsim.export.glb import glb_bytes
 from realsim.export.mjcf import scene_xml
 from realsim.export.ply import ply_bytes
-from realsim.export.visual import bake, compact, obj_bytes, vertex_normals
+from realsim.export.visual import bake, obj_bytes, vertex_normals
 from realsim.files import write_bytes, write_text
-from realsim.types import AlignedScene, SceneFiles, TerrainMesh
+from realsim.meshes import compact, simplify
+from realsim.types import F64, AlignedScene, SceneFiles, TerrainMesh
+
+DRAWN_TRIANGLES = 80_000
+"""What a viewer draws fluently; the exact surface is in mesh.ply and mesh.glb."""
 
 
 def write_scene(folder: Path, aligned: AlignedScene, mesh: TerrainMesh, config: SceneConfig) -> SceneFiles:
@@ -40,11 +45,8 @@ def write_scene(folder: Path, aligned: AlignedScene, mesh: TerrainMesh, config: 
         "mesh.ply": ply_bytes(vertices, triangles, colors),
         "mesh.glb": glb_bytes(vertices, triangles, normals, colors),
     }
-    uv, texture = None, None
-    if colors is not None:
-        texture = "visual.png"
-        files[texture], uv = bake(vertices, triangles, colors)
-    files["visual.obj"] = obj_bytes(vertices, triangles, normals, uv)
+    files |= _visual(*simplify(vertices, triangles, colors, DRAWN_TRIANGLES))
+    texture = "visual.png" if "visual.png" in files else None
     files |= {asset.file: asset.data for asset in contact.assets if asset.file}
     robot = None
     if config.robot:
@@ -65,6 +67,15 @@ def write_scene(folder: Path, aligned: AlignedScene, mesh: TerrainMesh, config: 
         **contact.statistics,
     }
     return SceneFiles(folder, path, folder / "mesh.ply", folder / "mesh.glb", summary, checks, contact.warnings)
+
+
+def _visual(vertices: F64, triangles: NDArray[np.int32], colors: NDArray[np.uint8] | None) -> dict[str, bytes]:
+    """What MuJoCo draws: an OBJ, and its texture where there is colour."""
+    normals = vertex_normals(vertices, triangles)
+    if colors is None:
+        return {"visual.obj": obj_bytes(vertices, triangles, normals)}
+    image, uv = bake(vertices, triangles, colors)
+    return {"visual.png": image, "visual.obj": obj_bytes(vertices, triangles, normals, uv)}
 
 
 def _standing_place(aligned: AlignedScene) -> np.ndarray:

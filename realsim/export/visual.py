@@ -12,13 +12,6 @@ F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 
 
-def compact(vertices: F64, triangles: I32, *per_vertex: NDArray | None) -> tuple:
-    """Only the vertices that triangles use: (vertices, triangles, *per_vertex) with new indices, order kept."""
-    used, inverse = np.unique(triangles, return_inverse=True)
-    arrays = tuple(None if a is None else a[used] for a in per_vertex)
-    return (vertices[used], inverse.reshape(-1, 3).astype(np.int32), *arrays)
-
-
 def vertex_normals(vertices: F64, triangles: I32) -> F64:
     """(V, 3) unit normals, mean of the adjoining triangles weighted by area; +z where a vertex has none."""
     corners = vertices[triangles]

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from realsim.meshes import compact, simplify
 from realsim.report import raster
 from realsim.report.collision import collision_triangles
-from realsim.report.viewer3d import Layer, camera_frustums, compact, simplify
+from realsim.report.viewer3d import Layer, camera_frustums
 from realsim.types import AlignedScene, Reconstruction, TerrainMesh
 
 MESH_TRIANGLES, COLLISION_TRIANGLES = 60_000, 20_000

@@ -55,35 +55,6 @@ def viewer(layers: Sequence[Layer], *, label: str = "3D view") -> str:
     )
 
 
-def simplify(vertices: ArrayLike, triangles: ArrayLike, colors: ArrayLike | None, limit: int) -> tuple[Any, Any, Any]:
-    """A mesh of at most about `limit` triangles for display (quadric decimation; Garland and Heckbert 1997).
-
-    Returns vertices (V, 3), triangles (K, 3) and colours (V, 3) uint8 or None. Never used for what is exported.
-    """
-    V, F = np.asarray(vertices, float), np.asarray(triangles, np.int32)
-    if len(F) <= limit:
-        return V, F, None if colors is None else np.asarray(colors, np.uint8)
-    import open3d as o3d
-
-    mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(V), o3d.utility.Vector3iVector(F))
-    if colors is not None:
-        mesh.vertex_colors = o3d.utility.Vector3dVector(np.asarray(colors, float) / 255)
-    mesh = mesh.simplify_quadric_decimation(limit)
-    rgb = np.asarray(mesh.vertex_colors)
-    return (
-        np.asarray(mesh.vertices),
-        np.asarray(mesh.triangles),
-        (rgb * 255).round().clip(0, 255).astype(np.uint8) if len(rgb) else None,
-    )
-
-
-def compact(vertices: ArrayLike, triangles: ArrayLike, colors: ArrayLike | None = None) -> tuple[Any, Any, Any]:
-    """Leave out the vertices that no triangle uses."""
-    V, F = np.asarray(vertices), np.asarray(triangles)
-    used, inverse = np.unique(F, return_inverse=True)
-    return V[used], inverse.reshape(F.shape), None if colors is None else np.asarray(colors)[used]
-
-
 def camera_frustums(T: ArrayLike, half_width: float, half_height: float, length: float = 0.12) -> tuple[Any, Any]:
     """Line segments that draw cameras as small pyramids.
 

@@ -22,8 +22,9 @@ from realsim.export import CONTACT, write_scene
 from realsim.export.config import SceneConfig
 from realsim.export.contact.hfield import hfield
 from realsim.export.heights import HeightGrid
-from realsim.export.visual import bake, compact, vertex_normals
+from realsim.export.visual import bake, vertex_normals
 from realsim.files import output_folder
+from realsim.meshes import compact
 from realsim.types import TerrainMesh
 
 from .terrain import GROUND, box, platform, scene, terrain_mesh, two_platforms

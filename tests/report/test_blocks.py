@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from realsim.meshes import simplify
 from realsim.report import page, raster, svg, viewer3d
 from realsim.report.collision import collision_triangles
 
@@ -95,7 +96,7 @@ def test_simplify_keeps_the_surface() -> None:
     i = np.arange(n * n).reshape(n, n)
     a, b, c, d = i[:-1, :-1].ravel(), i[:-1, 1:].ravel(), i[1:, :-1].ravel(), i[1:, 1:].ravel()
     F = np.vstack([np.column_stack([a, b, d]), np.column_stack([a, d, c])])
-    V2, F2, C2 = viewer3d.simplify(V, F, np.full((n * n, 3), 200), 500)
+    V2, F2, C2 = simplify(V, F, np.full((n * n, 3), 200), 500)
     assert len(F2) <= 600
     assert C2.shape == (len(V2), 3)
     t = V2[F2]
