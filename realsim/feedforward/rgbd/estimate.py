@@ -11,7 +11,7 @@ import numpy as np
 from realsim.errors import PoseError
 from realsim.feedforward.rgbd.bundle import Adjusted, Observations, adjust
 from realsim.feedforward.rgbd.graph import Edge, components, optimise, spanning_poses
-from realsim.feedforward.rgbd.overlap import overlap
+from realsim.feedforward.rgbd.overlap import FINE, overlap
 from realsim.feedforward.rgbd.pairs import (
     MIN_AGREEMENT,
     as_edge,
@@ -40,6 +40,8 @@ SHAPE_WINDOW = 2
 """Frames that features leave apart are compared by shape with so many that follow."""
 NEIGHBOURS = 8
 """After the first solution each frame is matched again with so many that share the most surface with it."""
+SHAPE_NEIGHBOURS = 5
+"""The same without colour, where a pair costs ten times as much."""
 
 
 @dataclass(frozen=True)
@@ -127,12 +129,16 @@ def _connect_by_shape(views: Sequence[View], net: Net, seed: int) -> None:
 
 
 def close_loops(views: Sequence[View], T: F64, edges: list[Edge]) -> tuple[F64, list[Edge]]:
-    """Register all overlapping pairs by shape, starting from poses that are nearly right, and optimise again."""
-    known = {(e.i, e.j) for e in edges}
-    for i, j in track(neighbours(views, T), "loops"):
-        if (i, j) not in known and (edge := by_shape(views, i, j, [invert_T(T[i]) @ T[j]])) is not None:
-            edges = [*edges, edge]
-    return optimise(T, edges)[0], edges
+    """Register all overlapping pairs by shape, starting from poses that are nearly right, and optimise; twice."""
+    for _ in range(2):
+        known = {(e.i, e.j): e for e in edges}
+        for i, j in track(neighbours(views, T, SHAPE_NEIGHBOURS), "loops"):
+            edge = by_shape(views, i, j, [invert_T(T[i]) @ T[j]], FINE)
+            if edge is not None and ((i, j) not in known or edge.weight >= known[i, j].weight):
+                known[i, j] = edge
+        edges = list(known.values())
+        T, _ = optimise(T, edges)
+    return T, edges
 
 
 def _place(views: Sequence[View], edges: list[Edge]) -> tuple[np.ndarray, F64, list[Edge]]:
@@ -209,21 +215,21 @@ def bundle_again(views: Sequence[View], T: F64) -> tuple[F64, dict[str, Any]]:
     }
 
 
-def neighbours(views: Sequence[View], T: F64) -> list[tuple[int, int]]:
-    """Pairs i < j that share surface at the given poses: for every view the NEIGHBOURS with the largest overlap.
+def neighbours(views: Sequence[View], T: F64, count: int = NEIGHBOURS) -> list[tuple[int, int]]:
+    """Pairs i < j that share surface at the given poses: for every view `count` of those with the largest overlap.
 
     Near centres and like directions come first, so that the cost stays linear in the number of views.
     """
     from scipy.spatial import cKDTree
 
     place = np.concatenate([T[:, :3, 3] + 1.5 * T[:, :3, 2], 0.5 * T[:, :3, 3]], 1)
-    _, near = cKDTree(place).query(place, k=min(len(views), 3 * NEIGHBOURS + 1))
+    _, near = cKDTree(place).query(place, k=min(len(views), 3 * count + 1))
     pairs = set()
     for i, row in enumerate(near):
         fits = [(overlap(views[i], views[j], invert_T(T[i]) @ T[j], 6), int(j)) for j in row if j != i]
         good = sorted(((-f.fraction, j) for f, j in fits if f.fraction > 0.1 and f.agreement > 0.5 * MIN_AGREEMENT))
         # Every other one of the ranking: the nearest views add little that the next do not.
-        pairs |= {(min(i, j), max(i, j)) for _, j in [*good[:2], *good[2 : 2 * NEIGHBOURS : 2]]}
+        pairs |= {(min(i, j), max(i, j)) for _, j in [*good[:2], *good[2 : 2 * count - 2 : 2]]}
     return sorted(pairs)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from realsim.feedforward.rgbd.graph import Edge, whitening
-from realsim.feedforward.rgbd.overlap import Overlap, overlap, register
+from realsim.feedforward.rgbd.overlap import COARSE, FINE, Overlap, overlap, register
 from realsim.feedforward.rgbd.tracks import Match, View, match, rigid_ransac
 from realsim.geometry import invert_T, transform
 from realsim.types import F64
@@ -94,7 +94,7 @@ def _tightened(views: Sequence[View], found: Match) -> Match | None:
     """The same matches with the motion that they and the surfaces agree on; None if most matches must give way."""
     A, B = views[found.i], views[found.j]
     P, Q = A.points[found.a], B.points[found.b]
-    T, _, _ = register(A, B, found.T_i_j, ties=(P, Q))
+    T, _, _ = register(A, B, found.T_i_j, (0.2, *FINE), (P, Q))
     keep = np.linalg.norm(transform(T, Q) - P, axis=1) < 0.015 * np.minimum(P[:, 2], Q[:, 2]) + 0.015
     if keep.sum() < max(12, 0.6 * len(P)):
         return None
@@ -138,7 +138,9 @@ def guided(views: Sequence[View], i: int, j: int, T_i_j: F64, radius_px: float =
 # ---------------------------------------------------------------- by shape
 
 
-def by_shape(views: Sequence[View], i: int, j: int, starts: Sequence[F64]) -> Edge | None:
+def by_shape(
+    views: Sequence[View], i: int, j: int, starts: Sequence[F64], reach: tuple[float, ...] = COARSE
+) -> Edge | None:
     """The motion that brings two depth images together, the best from any of `starts`.
 
     None where the images do not agree, or where what they share leaves the motion open (bare floor slides).
@@ -146,7 +148,7 @@ def by_shape(views: Sequence[View], i: int, j: int, starts: Sequence[F64]) -> Ed
     A, B = views[i], views[j]
     best: Edge | None = None
     for start in starts:
-        T, information, rms = register(A, B, start)
+        T, information, rms = register(A, B, start, reach)
         fit = overlap(A, B, T)
         if fit.fraction < 3 * MIN_OVERLAP or fit.agreement < MIN_AGREEMENT or not np.isfinite(rms):
             continue
