@@ -15,6 +15,10 @@ CONTACT = Registry(
     "collision representation",
     {
         "boxes": "realsim.export.contact.boxes:boxes",
+        "hybrid": "realsim.export.contact.hybrid:hybrid",
+        "convex": "realsim.export.contact.convex:convex",
         "hfield": "realsim.export.contact.hfield:hfield",
+        "sdf": "realsim.export.contact.sdf:sdf",
+        "hull": "realsim.export.contact.hull:hull",
     },
 )

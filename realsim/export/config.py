@@ -11,6 +11,8 @@ class SceneConfig:
     """Collision representation."""
     hfield_resolution: float = 0.02
     """Metres a cell of the collision height field."""
+    convex_threshold: float = 0.01
+    """Metres of concavity that a part of the convex decomposition may have."""
     robot: str | None = None
     """Robot to put on the start platform: `g1`, or `menagerie:NAME`."""
     drop_tolerance: float = 0.010

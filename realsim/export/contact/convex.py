@@ -1,0 +1,52 @@
+"""`convex`: approximate convex decomposition (CoACD) of every solid that stands on the ground."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.export.config import SceneConfig
+from realsim.export.contact.base import Asset, ContactModel, Geom
+from realsim.export.contact.islands import Island, Terrain, terrain
+from realsim.export.contact.solids import island_solid
+from realsim.types import TerrainMesh
+
+F64 = NDArray[np.float64]
+CELL = 0.01  # metres: finer solids take CoACD minutes
+OVERLAP = 0.0005  # metres by which parts are grown, so that nothing slips between them
+
+
+def convex(mesh: TerrainMesh, ground_z: float, config: SceneConfig) -> ContactModel:
+    """Convex parts whose concavity is at most `config.convex_threshold` metres, on an infinite floor.
+
+    CoACD: Wei, Liu, Ling, Su, SIGGRAPH 2022. Solids are closed beforehand from columns of 1 cm.
+    """
+    whole = terrain(mesh, ground_z, CELL)
+    parts = [part for island in whole.islands for part in convex_parts(whole, island, config.convex_threshold)]
+    assets = tuple(Asset.of_points(f"part_{k}", part) for k, part in enumerate(parts))
+    geoms = tuple(Geom(a.name, "mesh", asset=a.name) for a in assets)
+    statistics = {"threshold_m": config.convex_threshold, "parts": len(parts)}
+    return ContactModel("convex", (*whole.floor, *geoms), assets, statistics)
+
+
+def convex_parts(whole: Terrain, island: Island, threshold: float) -> list[F64]:
+    """[(M, 3) corners of a convex part, metres], each grown by OVERLAP about its middle."""
+    import coacd
+
+    coacd.set_log_level("error")
+    solid = coacd.Mesh(*island_solid(whole, island))
+    parts = coacd.run_coacd(
+        solid,
+        threshold=threshold,
+        real_metric=True,
+        preprocess_mode="off",
+        mcts_iterations=60,
+        max_ch_vertex=64,
+        seed=0,
+    )
+    out = []
+    for vertices, _ in parts:
+        corners = np.asarray(vertices, float)
+        outward = corners - corners.mean(0)
+        out.append(corners + OVERLAP * np.sign(outward))
+    return out
