@@ -15,7 +15,7 @@ class MeshConfig:
     resolution: float | None = None
     """Metres a cell; chosen from the data's noise if not given."""
     max_triangles: int = 200_000
-    """Decimate to at most this many."""
+    """Decimate to at most this many, as far as `max_error` allows."""
     max_error: float = 0.002
     """Metres that decimation may move the surface."""
     min_views: int = 1

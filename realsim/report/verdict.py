@@ -101,7 +101,7 @@ def _scale(result: Reconstruction) -> Iterator[Check]:
     if estimate is None:
         return
     half = (estimate.ci90[1] - estimate.ci90[0]) / 2 / estimate.value
-    yield graded("Scale uncertainty (90 % interval, half width)", half, 0.005, 0.03, percent)
+    yield graded("Scale uncertainty (90 % interval, half width)", half, 0.015, 0.03, percent)
     limits: Mapping[str, Any] = result.config.get("scale", {})
     look, bad = float(limits.get("warn_spread", 0.05)), float(limits.get("max_spread", 0.25))
     yield graded("Disagreement of scale between frames", estimate.per_frame_spread, look, bad, percent)

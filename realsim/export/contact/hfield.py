@@ -39,7 +39,7 @@ def hfield(mesh: TerrainMesh, ground_z: float, config: SceneConfig) -> ContactMo
     share = float(holes.mean())
     warnings = (
         (f"{share:.0%} of the collision height field had no surface above it and was taken to be ground",)
-        if share > 0.05
+        if share > 0.15
         else ()
     )
     return ContactModel("hfield", (field, *floor_around(bounds, ground_z)), (asset,), statistics, warnings)
