@@ -105,7 +105,7 @@ def split_runs(case: Case, config: DiagnoseConfig, simulator: Simulator) -> tupl
     single = [i for i in range(count) if not any(i in g for g in twins)] or list(range(count))
     held = single[-config.holdout :] if config.holdout and count > config.holdout + 1 else []
     fitted = [i for i in range(count) if i not in held]
-    most = 6 if len(case.joint_names) <= 8 else 4 if len(case.joint_names) <= 16 else 3
+    most = 6 if len(case.joint_names) <= 8 else 3
     if len(fitted) > most:
         repeated = {i for g in twins for i in g[1:]}
         order = sorted(fitted, key=lambda i: (i in repeated, -_liveliness(case, i)))

@@ -13,6 +13,8 @@ from realsim.gap.fit import Cause, Fit
 from realsim.gap.simulate import Simulator, lookup
 
 Z90 = 1.6449
+MODEL_ERROR = 0.025
+"""Relative error of a fitted value that comes from the simplified form of an effect."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,8 @@ def describe_cause(simulator: Simulator, cause: Cause, sigmas: np.ndarray, proba
     reported = {}
     for name, value, sigma in zip(cause.candidate.names, cause.values, sigmas, strict=True):
         p = parameters[name]
+        # The robot's own everyday deviation of this very kind, and the model's imperfection, belong to the interval.
+        sigma = float(np.sqrt(sigma**2 + p.nuisance**2 + (MODEL_ERROR * (value - p.default)) ** 2))
         low, high = (float(np.clip(value + s * Z90 * sigma, *p.bounds)) for s in (-1, 1))
         ends = sorted((p.report(low), p.report(high)))
         label = "offset" if name == "reading_offset" else name

@@ -340,8 +340,10 @@ def _same_thing(a: Candidate, b: Candidate) -> bool:
 
 def _as_good(screen: Screen, config: DiagnoseConfig, best: Fit, rival: Fit, removed: float) -> bool:
     """Within a small share of what the best removes, and no run by run preference beyond its scatter."""
-    loss = rival.misfit - best.misfit
+    loss = rival.misfit - best.misfit + _complexity(rival) - _complexity(best)
     if loss < 4.0:
         return True
+    if _complexity(rival) > _complexity(best):
+        return False  # a richer effect that is no better only mimics the simpler one
     mean, error, _ = heldout(screen, rival, best)
     return loss < max(config.equivalent_loss * removed, 8.0) and mean < 2 * error

@@ -52,6 +52,7 @@ class Simulator:
         self.simulated_seconds = 0.0
         self._pool: Any = None
         self._raw: list[dict[str, F64]] | None = None
+        self._coarse: dict[tuple[int, tuple[int, ...]], list[dict[str, F64]]] = {}
         self._raw = self._rollout(Edit(self.context), None)
         measure(self.context, [_inside(raw) for raw in self._raw])
 
@@ -84,28 +85,34 @@ class Simulator:
             effect.apply(edit, place, full | values)
         return edit
 
-    def simulate(self, settings: Sequence[Setting] = (), runs: Sequence[int] | None = None) -> list[F64]:
-        """(T, C) a run, of the runs with these indices (all if None)."""
+    def simulate(
+        self, settings: Sequence[Setting] = (), runs: Sequence[int] | None = None, coarse: int = 1
+    ) -> list[F64]:
+        """(T, C) a run, of the runs with these indices (all if None); `coarse` multiplies the time step."""
         chosen = list(range(len(self.case.runs))) if runs is None else list(runs)
         edit = self.edited(settings)
-        if not edit.touched and not edit.signals.moves_the_robot():
+        if edit.touched or edit.signals.moves_the_robot():
+            raw = self._rollout(edit, chosen, coarse)
+        elif coarse == 1:
             assert self._raw is not None
             raw = [self._raw[i] for i in chosen]
         else:
-            raw = self._rollout(edit, chosen)
+            key = (coarse, tuple(chosen))
+            if key not in self._coarse:
+                self._coarse[key] = self._rollout(edit, chosen, coarse)
+            raw = self._coarse[key]
         return [self._read(self.case.runs[i], r, edit) for i, r in zip(chosen, raw, strict=True)]
 
     # ------------------------------------------------------------ inside
 
-    def _rollout(self, edit: Edit, chosen: list[int] | None) -> list[dict[str, F64]]:
-        import mujoco
-
+    def _rollout(self, edit: Edit, chosen: list[int] | None, coarse: int = 1) -> list[dict[str, F64]]:
         runs = [self.case.runs[i] for i in chosen] if chosen is not None else list(self.case.runs)
         spec = edit.spec
         try:
             model = spec.compile()
         except Exception as error:  # the effect's values do not make a body (negative inertia, say)
             raise GapError("the changed model does not compile", found=str(error).splitlines()[0]) from error
+        model.opt.timestep *= coarse
         dt = model.opt.timestep
         settle = self._settle_steps(dt)
         steps = [settle + int(np.ceil((run.duration + 0.05) / dt)) + 2 for run in runs]
@@ -114,7 +121,7 @@ class Simulator:
         for i, run in enumerate(runs):
             control[i] = self._control(model, run, edit, max(steps), settle, dt)
         passes = 2 if edit.signals.load_friction else 1
-        previous = [self._raw[i] for i in (chosen or range(len(runs)))] if self._raw and passes == 2 else None
+        previous = [self._raw[i] for i in (chosen or range(len(runs)))] if self._raw and passes == 2 and coarse == 1 else None
         result: list[dict[str, F64]] = []
         for _ in range(passes):
             if previous is not None:
@@ -123,7 +130,6 @@ class Simulator:
             result = [self._tracks(model, s[:n], settle, edit) for s, n in zip(sensors, steps, strict=True)]
             previous = result
         self.simulated_seconds += passes * float(sum(steps)) * dt
-        del mujoco
         return result
 
     def _roll(self, model: Any, state: F64, control: F64) -> F64:
@@ -138,8 +144,7 @@ class Simulator:
         return np.asarray(sensors)
 
     def _settle_steps(self, dt: float) -> int:
-        factor = 2.0 if self.case.floating else 1.0
-        return int(round(self.config.settle_seconds * factor / dt))
+        return round(self.config.settle_seconds / dt)
 
     def _initial_state(self, model: Any, run: Run, edit: Edit) -> F64:
         import mujoco

@@ -205,6 +205,7 @@ def replay(
     out = [real.joint(j).qposadr[0] for j in joints]
     motor = [real.joint(f"rotor_{j}" if j in {*truth.backlash, *truth.compliance} else j).qposadr[0] for j in joints]
     dof = [real.joint(f"rotor_{j}" if j in {*truth.backlash, *truth.compliance} else j).dofadr[0] for j in joints]
+    link = [real.joint(j).dofadr[0] for j in joints]
     get = lambda d, default: np.array([d.get(j, default) for j in joints])  # noqa: E731
     gain, kp, kd = get(truth.motor_gain, 1.0), get(truth.kp, 1.0), get(truth.kd, 1.0)
     kp = kp * nominal.actuator_gainprm[:, 0] * (1 + np.array([drift[j][0] * 0.5 for j in joints]))
@@ -233,7 +234,7 @@ def replay(
         data.qfrc_applied[dof] = torque - extra + ripple * np.sin(9 * data.qpos[motor])
         for name, f in truth.force.items():
             data.xfrc_applied[real.body(name).id, :3] = f
-        pos[k], vel[k], tau[k] = data.qpos[out], data.qvel[dof], torque
+        pos[k], vel[k], tau[k] = data.qpos[out], data.qvel[link], torque
         mujoco.mj_step(real, data)
     jitter = nuisance * 2e-4
     time = true_time + rng.normal(0, jitter, count) if nuisance else true_time
