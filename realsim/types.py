@@ -411,6 +411,9 @@ class SceneFiles:
     """What goes under `contact` in report.json."""
     checks: Mapping[str, Any] = field(default_factory=dict)
     """What was dropped and stepped, and what came of it."""
+    contact_map: F64 | None = None
+    """(N, 3) x y of balls lowered on the terrain, simulation frame, and signed error at first touch (positive:
+    phantom surface), metres; for the report's heat map."""
     warnings: tuple[str, ...] = ()
 
 

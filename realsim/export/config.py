@@ -7,8 +7,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class SceneConfig:
-    contact: str = "hfield"
-    """Collision representation."""
+    contact: str = "auto"
+    """Collision representation; `auto` takes the cheapest that meets `contact_tolerance`."""
+    contact_tolerance: tuple[float, float] = (0.005, 0.015)
+    """Metres that contact may be off the mesh: median and 95th percentile."""
+    contact_probes: int = 2000
+    """Balls that are lowered to measure it."""
     hfield_resolution: float = 0.02
     """Metres a cell of the collision height field."""
     convex_threshold: float = 0.01
@@ -21,5 +25,11 @@ class SceneConfig:
     def __post_init__(self) -> None:
         if not 0.002 <= self.hfield_resolution <= 0.5:
             raise ValueError("hfield_resolution must lie between 0.002 and 0.5 metres")
+        if not 0 < self.contact_tolerance[0] <= self.contact_tolerance[1]:
+            raise ValueError("need 0 < median <= 95th percentile in contact_tolerance")
+        if not 100 <= self.contact_probes <= 100_000:
+            raise ValueError("contact_probes must lie between 100 and 100000")
+        if not 0.001 <= self.convex_threshold <= 0.2:
+            raise ValueError("convex_threshold must lie between 0.001 and 0.2 metres")
         if self.drop_tolerance <= 0:
             raise ValueError("drop_tolerance must be positive")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from realsim import robots
 from realsim.export.check import check_scene
 from realsim.export.config import SceneConfig
-from realsim.export.contact.base import ContactModel
+from realsim.export.contact.choose import fit_contact
 from realsim.export.glb import glb_bytes
 from realsim.export.mjcf import scene_xml
 from realsim.export.ply import ply_bytes
@@ -36,9 +36,9 @@ def write_scene(folder: Path, aligned: AlignedScene, mesh: TerrainMesh, config: 
         ExportError: the scene does not compile, step, or hold what is dropped on its platforms.
         RealsimError: a file cannot be written.
     """
-    from realsim.export import CONTACT
-
-    contact: ContactModel = CONTACT[config.contact](mesh, aligned.ground_z, config)
+    start = aligned.platform("start")
+    fitted = fit_contact(mesh, aligned.ground_z, config, None if start is None else start.centroid)
+    contact = fitted.contact
     vertices, triangles, colors = compact(mesh.vertices, mesh.seen, mesh.colors)
     normals = vertex_normals(vertices, triangles)
     files = {
@@ -61,12 +61,17 @@ def write_scene(folder: Path, aligned: AlignedScene, mesh: TerrainMesh, config: 
     path = folder / "scene.xml"
     write_text(path, xml)
     checks = check_scene(path, aligned.platforms, config.drop_tolerance, robot.root if robot else None)
-    summary = {
-        "representation": contact.representation,
-        "geoms": _count_types(contact),
-        **contact.statistics,
-    }
-    return SceneFiles(folder, path, folder / "mesh.ply", folder / "mesh.glb", summary, checks, contact.warnings)
+    error = np.column_stack([fitted.fidelity.touches.start[:, :2], fitted.fidelity.touches.error])
+    return SceneFiles(
+        folder,
+        path,
+        folder / "mesh.ply",
+        folder / "mesh.glb",
+        contact=fitted.summary,
+        checks=checks,
+        contact_map=error,
+        warnings=fitted.warnings,
+    )
 
 
 def _visual(vertices: F64, triangles: NDArray[np.int32], colors: NDArray[np.uint8] | None) -> dict[str, bytes]:
@@ -82,10 +87,3 @@ def _standing_place(aligned: AlignedScene) -> np.ndarray:
     """(3,) where the ground under the robot's feet is: the start platform's top, else the ground at the origin."""
     start = aligned.platform("start")
     return np.array([0.0, 0.0, aligned.ground_z]) if start is None else start.centroid
-
-
-def _count_types(contact: ContactModel) -> dict[str, int]:
-    counts: dict[str, int] = {}
-    for geom in contact.geoms:
-        counts[geom.type] = counts.get(geom.type, 0) + 1
-    return counts

@@ -155,6 +155,14 @@ class Reference:
         away = points - near
         return away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
 
+    def top(self, xy: F64) -> F64:
+        """(M,) z of the highest surface at x y (M, 2); NaN where there is none."""
+        above = float(self.vertices[:, 2].max()) + 1.0
+        start = np.column_stack([xy, np.full(len(xy), above)]) - self.centre
+        rays = np.concatenate([start, np.broadcast_to([0, 0, -1.0], start.shape)], 1).astype(np.float32)
+        t = self._scene.cast_rays(self._o3d.core.Tensor(rays))["t_hit"].numpy().astype(np.float64)
+        return np.where(np.isfinite(t), above - t, np.nan)
+
     def buried(self, points: F64) -> NDArray[np.bool_]:
         """(M,) whether the first surface straight above faces up, so that the point is inside or below a solid."""
         rays = np.concatenate([points - self.centre, np.broadcast_to([0, 0, 1.0], points.shape)], 1)
