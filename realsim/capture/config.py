@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
+"""Name of a unit of scans -> metres."""
+
 
 @dataclass(frozen=True)
 class CaptureConfig:
@@ -39,7 +42,7 @@ class CaptureConfig:
             raise ValueError("need 0 <= min_depth < max_depth")
         if self.depth_unit is not None and not self.depth_unit > 0:
             raise ValueError("depth_unit must be positive")
-        if self.unit not in ("m", "cm", "mm", "inch"):
-            raise ValueError("unit must be one of m, cm, mm, inch")
+        if self.unit not in UNITS:
+            raise ValueError(f"unit must be one of {', '.join(UNITS)}")
         if self.max_time_difference < 0 or self.max_pose_gap < 0:
             raise ValueError("max_time_difference and max_pose_gap must not be negative")

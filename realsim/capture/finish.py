@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -78,7 +79,7 @@ def finish(raw: FrameSet, config: CaptureConfig) -> Finished:
     notes = [pose_note] if confirmed else [unit_note, pose_note]
     capture = replace(
         capture,
-        frames=tuple(_limited(f, config) for f in capture.frames),
+        frames=_files_named_once([_limited(f, config) for f in capture.frames]),
         warnings=(*capture.warnings, *(note for note in notes if note is not None)),
     )
     return Finished(capture, tuple(looks), poses, agreement, seen)
@@ -109,6 +110,18 @@ def _some_left(capture: FrameSet) -> None:
         file=capture.source,
         found="; ".join(f"{count} x {reason}" for reason, count in reasons),
     )
+
+
+def _files_named_once(frames: Sequence[Frame]) -> tuple[Frame, ...]:
+    """A video or an archive that many frames are read from is named by the first of them alone: together the frames
+    still name all that they are read from, and whoever digests it reads each file once.
+    """
+    seen: set[Path] = set()
+    out = []
+    for frame in frames:
+        out.append(replace(frame, files=tuple(f for f in frame.files if f not in seen)))
+        seen.update(frame.files)
+    return tuple(out)
 
 
 def _limited(frame: Frame, config: CaptureConfig) -> Frame:

@@ -452,7 +452,8 @@ def test_clouds_that_fit_no_camera(tmp_path):
 
 
 def test_unorganised_clouds(tmp_path):
-    write_pcd(tmp_path / "a.pcd", np.ones((1, 50, 3)))
+    for name in ("a", "b"):
+        write_pcd(tmp_path / f"{name}.pcd", np.ones((1, 50, 3)))
     with pytest.raises(CaptureError, match="organised point clouds"):
         read(tmp_path, CONFIG)
 

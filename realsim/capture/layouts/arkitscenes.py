@@ -94,8 +94,8 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     ]
     if posed:
         assumptions += [
-            f"{TRAJECTORY} holds world to camera (rotation vector, translation in metres), OpenCV camera axes: inverted "
-            "here",
+            f"{TRAJECTORY} holds world to camera (rotation vector, translation in metres), OpenCV camera axes: "
+            "inverted here",
             "the world has z up",
         ]
     up = np.array([0.0, 0.0, 1.0]) if posed else None

@@ -1,0 +1,125 @@
+"""A finished surface (a LiDAR cloud, a phone's mesh, one made by hand), which enters the pipeline at `align`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from realsim.capture.config import UNITS, CaptureConfig
+from realsim.capture.layout import Layout, Recognition
+from realsim.capture.listing import list_files, single_file
+from realsim.capture.scanfile import READERS, RawScan, read_scan
+from realsim.errors import CaptureError
+from realsim.types import F64, Bool, Scan
+
+SUFFIXES = tuple(READERS)
+PLAUSIBLE_EXTENT = (0.2, 100.0)
+"""Metres: how long a terrain with its surroundings can be. Beyond, the unit is wrong, or it is a map."""
+USUAL_EXTENT = (0.5, 40.0)
+
+
+def recognise(path: Path) -> Recognition:
+    found = single_file(path, SUFFIXES)
+    if found is not None:
+        # Lowest of all: captures often come with the mesh that the phone made of them.
+        return Recognition((found.name,), (), score=1)
+    several = [p.name for p in list_files(path, SUFFIXES)]
+    if not several:
+        return Recognition()
+    return Recognition((f"{len(several)} scan files",), (f"single scan file (name one: {', '.join(several[:4])})",), 1)
+
+
+def read(path: Path, config: CaptureConfig) -> Scan:
+    source = single_file(path, SUFFIXES)
+    if source is None:
+        raise CaptureError("no scan", file=path, expected=f"one file {', '.join(SUFFIXES)}, or a folder that holds one")
+    raw, warnings = _checked(read_scan(source), source)
+    points = raw.points * UNITS[config.unit]
+    unusual = check_extent(points, config.unit, source)
+    shape = "a cloud" if raw.triangles is None else "a mesh"
+    assumptions = [
+        f"{shape} in {config.unit}{'' if config.unit == 'm' else ', as asked for'}: "
+        f"{np.ptp(points, axis=0)[0]:.3g} x {np.ptp(points, axis=0)[1]:.3g} x {np.ptp(points, axis=0)[2]:.3g} m",
+        *raw.notes,
+    ]
+    if raw.up is None:
+        assumptions.append("the file does not say which way is up")
+    return Scan(
+        path,
+        LAYOUT.name,
+        points,
+        raw.triangles,
+        raw.normals,
+        raw.colors,
+        up_world=None if raw.up is None else np.array(raw.up),
+        assumptions=tuple(assumptions),
+        warnings=(*raw.warnings, *warnings, *([unusual] if unusual else [])),
+    )
+
+
+def check_extent(points: F64, unit: str, source: Path) -> str | None:
+    """A warning where the size is unusual, None where it is not.
+
+    Args:
+        points: (M, 3) metres, with `unit` applied.
+
+    Raises:
+        CaptureError: no terrain is of this size; names the units under which it would be usual.
+    """
+    # A few stray points far away must not decide.
+    low, high = np.percentile(points, [0.5, 99.5], axis=0)
+    extent = float((high - low).max())
+    likely = [name for name, metres in UNITS.items() if _within(extent / UNITS[unit] * metres, USUAL_EXTENT)]
+    if _within(extent, PLAUSIBLE_EXTENT):
+        if unit in likely:
+            return None
+        return f"the scan is {extent:.3g} m long: unusual, check the unit (--unit)"
+    hint = f"pass --unit {' or --unit '.join(likely)}" if likely else "crop the scan to the terrain"
+    raise CaptureError(
+        "the scan is of an implausible size",
+        file=source,
+        expected=f"a terrain {PLAUSIBLE_EXTENT[0]:g} to {PLAUSIBLE_EXTENT[1]:g} m long",
+        found=f"{extent:.4g} m with the unit {unit}",
+        hint=hint,
+    )
+
+
+def _checked(raw: RawScan, source: Path) -> tuple[RawScan, list[str]]:
+    """Without NaN and infinity, normals of length 1; a warning for what was left out.
+
+    Raises:
+        CaptureError: empty, or triangles that refer to points that are not there.
+    """
+    if not len(raw.points) or (raw.triangles is not None and not len(raw.triangles)):
+        raise CaptureError("the scan is empty", file=source, expected="points or triangles")
+    if raw.triangles is not None and not (raw.triangles.min() >= 0 and raw.triangles.max() < len(raw.points)):
+        raise CaptureError("triangles refer to points that are not there", file=source)
+    finite: Bool = np.isfinite(raw.points).all(axis=1)
+    if not finite.any():
+        raise CaptureError("no point of the scan is a number", file=source, found=f"{len(finite)} with NaN or infinity")
+    warnings = []
+    triangles = raw.triangles
+    if not finite.all():
+        warnings.append(f"{(~finite).sum()} of {len(finite)} points are NaN or infinite and left out")
+        if triangles is not None:
+            renumbered = np.cumsum(finite, dtype=np.int32) - 1
+            triangles = renumbered[triangles[finite[triangles].all(1)]]
+            if not len(triangles):
+                raise CaptureError("no triangle of the scan is made of numbers", file=source)
+    normals = raw.normals
+    if normals is not None:
+        lengths = np.linalg.norm(normals[finite], axis=1)
+        usable = bool(np.isfinite(lengths).all() and (lengths > 1e-6).all())
+        if not usable:
+            warnings.append("some normals are zero or NaN: normals are not used")
+        normals = normals[finite] / lengths[:, None] if usable else None
+    colors = None if raw.colors is None else raw.colors[finite]
+    return RawScan(raw.points[finite], triangles, normals, colors, raw.up, raw.notes, raw.warnings), warnings
+
+
+def _within(value: float, limits: tuple[float, float]) -> bool:
+    return limits[0] <= value <= limits[1]
+
+
+LAYOUT = Layout("scan", f"one finished scan: {', '.join(SUFFIXES)}", recognise, read)

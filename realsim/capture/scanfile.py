@@ -1,0 +1,234 @@
+"""Surfaces and clouds from files: PLY, PCD, LAS/LAZ, OBJ, STL, GLB to plain arrays in the file's own unit."""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.capture.pcdfile import read_columns, read_header, unpack_rgb
+from realsim.errors import CaptureError, MissingExtraError, RealsimError
+from realsim.files import check_size, read_bytes
+from realsim.types import F64, U8
+
+MAX_VERTICES = 20_000_000
+"""More would not fit the pipeline's memory; nothing of a terrain is lost at a point a millimetre apart."""
+MAX_SCAN_BYTES = 2 * 2**30
+
+
+@dataclass(frozen=True)
+class RawScan:
+    """What a file holds, in its own unit and world."""
+
+    points: F64
+    """(M, 3)."""
+    triangles: NDArray[np.int32] | None = None
+    """(K, 3), None for a cloud."""
+    normals: F64 | None = None
+    """(M, 3), as written."""
+    colors: U8 | None = None
+    """(M, 3) RGB."""
+    up: tuple[float, float, float] | None = None
+    """Against gravity, where the format defines it."""
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def read_scan(path: Path) -> RawScan:
+    """The content of a scan file, by its suffix; points and triangles as written, unchecked.
+
+    Raises:
+        CaptureError: damaged, or more than MAX_VERTICES points.
+        MissingExtraError: a package for the format is not installed.
+    """
+    check_size(path, MAX_SCAN_BYTES)
+    try:
+        raw = READERS[path.suffix.lower()](path)
+    except RealsimError:
+        raise
+    except Exception as error:  # the parsers of other packages raise whatever damaged files lead them to
+        found = f"{type(error).__name__}: {error}".splitlines()[0][:200]
+        raise CaptureError("corrupt or truncated scan", file=path, found=found) from error
+    check_count(len(raw.points), path)
+    return raw
+
+
+def check_count(count: int, path: Path) -> None:
+    """Refuse more points than can be handled, before they are read where the header says so."""
+    if count > MAX_VERTICES:
+        raise CaptureError(
+            "the scan is too large",
+            file=path,
+            expected=f"at most {MAX_VERTICES} points",
+            found=f"{count}",
+            hint="crop it to the terrain or thin it out first; a point every few millimetres is enough",
+        )
+
+
+def read_pcd(path: Path) -> RawScan:
+    """Points, normals and colours of a PCD file, organised or not; points without a return are left out."""
+    header = read_header(path)
+    check_count(header.points, path)
+    columns = read_columns(path, header)
+    points = np.stack([columns[axis] for axis in "xyz"], 1).astype(float)
+    normals = _columns(columns, ("normal_x", "normal_y", "normal_z"))
+    colors = None if header.color_field is None else unpack_rgb(columns[header.color_field])
+    kept = ~np.isnan(points).any(1)
+    viewpoint = " ".join(f"{v:g}" for v in header.viewpoint)
+    return RawScan(
+        points[kept],
+        None,
+        None if normals is None else normals[kept],
+        None if colors is None else colors[kept],
+        notes=(f"VIEWPOINT is {viewpoint} and was not applied",),
+    )
+
+
+def read_las(path: Path) -> RawScan:
+    """Points and colours of a LAS or LAZ file; its z is up."""
+    try:
+        import laspy
+    except ImportError as error:
+        raise MissingExtraError("laspy", "lidar", f"reading {path.suffix} files") from error
+    with laspy.open(path) as file:
+        check_count(file.header.point_count, path)
+        las = file.read()
+    colors = None
+    if {"red", "green", "blue"} <= set(las.point_format.dimension_names):
+        deep = np.stack([np.asarray(las[name]) for name in ("red", "green", "blue")], 1)
+        # The format has 16 bits for each colour; some writers use the lower eight only.
+        colors = (deep >> 8 if deep.max(initial=0) > 255 else deep).astype(np.uint8)
+    points = np.asarray(las.xyz, float)
+    notes = ("z is up (LAS)", "coordinates are taken as they are, whatever reference system the file names")
+    return RawScan(points, None, None, colors, (0.0, 0.0, 1.0), notes)
+
+
+def read_ply(path: Path) -> RawScan:
+    """A cloud or a mesh."""
+    with path.open("rb") as file:
+        head = file.read(4096)
+    count = re.search(rb"element vertex (\d+)", head)
+    if not head.startswith(b"ply") or count is None:
+        raise CaptureError("not a PLY file", file=path, expected="a header with `element vertex`")
+    check_count(int(count[1]), path)
+    return _load(path)
+
+
+def read_stl(path: Path) -> RawScan:
+    """A mesh whose triangles share no vertices in the file: equal ones are joined."""
+    with path.open("rb") as file:
+        head = file.read(84)
+    size = path.stat().st_size
+    if len(head) == 84 and 84 + 50 * struct.unpack("<I", head[80:])[0] == size:
+        check_count(3 * struct.unpack("<I", head[80:])[0], path)
+    raw = _load(path)
+    points, index = np.unique(raw.points, axis=0, return_inverse=True)
+    triangles = None if raw.triangles is None else index.ravel()[raw.triangles].astype(np.int32)
+    return replace(raw, points=points, triangles=triangles, normals=None, colors=None)
+
+
+def read_glb(path: Path) -> RawScan:
+    """All meshes of a glTF file in its world, which has y up and metres."""
+    raw = _load(path)
+    return replace(raw, up=(0.0, 1.0, 0.0), notes=("y is up (glTF)", *raw.notes))
+
+
+def _load(path: Path) -> RawScan:
+    """Any mesh or cloud through trimesh: from memory, so that it cannot follow names of other files."""
+    import trimesh
+
+    data = io.BytesIO(read_bytes(path, MAX_SCAN_BYTES))
+    kind = path.suffix.lower()[1:]
+    more: dict[str, Any] = {"skip_materials": True} if kind == "obj" else {}
+    scene = trimesh.load_scene(data, file_type=kind, process=False, **more)
+    parts = []
+    for node in scene.graph.nodes_geometry:
+        T, name = scene.graph[node]
+        part = _part(scene.geometry[name], np.asarray(T, float))
+        if part is not None:
+            parts.append(part)
+    if not parts:
+        raise CaptureError("the scan is empty", file=path, expected="points or triangles")
+    return _joined(parts)
+
+
+def _part(geometry: Any, T: F64) -> RawScan | None:
+    """One geometry of a scene at its place; None for lines and empty ones."""
+    points = np.asarray(getattr(geometry, "vertices", np.zeros((0, 3))), float)
+    if points.ndim != 2 or points.shape[1] != 3 or not len(points):
+        return None
+    A = T[:3, :3]
+    placed = points @ A.T + T[:3, 3]
+    if getattr(geometry, "faces", None) is None:
+        return _cloud_part(geometry, placed, A)
+    triangles = np.asarray(geometry.faces, np.int32).reshape(-1, 3)
+    # A mirroring transform turns the triangles inside out.
+    if np.linalg.det(A) < 0:
+        triangles = triangles[:, ::-1].copy()
+    textured = geometry.visual.kind == "texture"
+    colors = None
+    if geometry.visual.kind in ("vertex", "face"):
+        colors = np.asarray(geometry.visual.vertex_colors, np.uint8)[:, :3]
+    notes = ("textures are not read",) if textured else ()
+    return RawScan(placed, triangles, None, colors, notes=notes)
+
+
+def _cloud_part(geometry: Any, points: F64, A: F64) -> RawScan:
+    raw = geometry.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
+    normals = None if raw is None else _columns(raw, ("nx", "ny", "nz"))
+    colors = getattr(geometry, "colors", None)
+    good = colors is not None and np.ndim(colors) == 2 and len(colors) == len(points)
+    return RawScan(
+        points,
+        None,
+        None if normals is None or len(normals) != len(points) else normals @ A.T,
+        np.asarray(colors, np.uint8)[:, :3] if good else None,
+    )
+
+
+def _joined(parts: list[RawScan]) -> RawScan:
+    """Several parts as one. Clouds beside meshes are left out; colours are kept where all parts have them."""
+    notes: dict[str, None] = {}
+    meshes = [p for p in parts if p.triangles is not None and len(p.triangles)]
+    if meshes and len(meshes) < len(parts):
+        notes["only the triangles are used: loose points beside them are left out"] = None
+    parts = meshes or parts
+    notes |= {note: None for p in parts for note in p.notes}
+    if len(parts) == 1:
+        return replace(parts[0], triangles=parts[0].triangles if meshes else None, notes=tuple(notes))
+    offsets = np.cumsum([0, *(len(p.points) for p in parts[:-1])])
+    colored = all(p.colors is not None for p in parts)
+    triangles = [p.triangles + o for p, o in zip(parts, offsets, strict=True) if p.triangles is not None]
+    return RawScan(
+        np.concatenate([p.points for p in parts]),
+        np.concatenate(triangles).astype(np.int32) if meshes else None,
+        None,
+        np.concatenate([p.colors for p in parts if p.colors is not None]) if colored else None,
+        notes=(*notes, f"{len(parts)} meshes in the file are taken as one"),
+    )
+
+
+def _columns(table: Any, names: tuple[str, ...]) -> F64 | None:
+    """(M, len(names)) of named columns, or None where one is absent."""
+    present = getattr(getattr(table, "dtype", None), "names", None) or (table if isinstance(table, dict) else ())
+    if not all(name in present for name in names):
+        return None
+    return np.stack([np.asarray(table[name], float).ravel() for name in names], 1)
+
+
+READERS: dict[str, Callable[[Path], RawScan]] = {
+    ".ply": read_ply,
+    ".pcd": read_pcd,
+    ".las": read_las,
+    ".laz": read_las,
+    ".obj": _load,
+    ".stl": read_stl,
+    ".glb": read_glb,
+}
