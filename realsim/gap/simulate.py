@@ -121,7 +121,9 @@ class Simulator:
         for i, run in enumerate(runs):
             control[i] = self._control(model, run, edit, max(steps), settle, dt)
         passes = 2 if edit.signals.load_friction else 1
-        previous = [self._raw[i] for i in (chosen or range(len(runs)))] if self._raw and passes == 2 and coarse == 1 else None
+        previous = (
+            [self._raw[i] for i in (chosen or range(len(runs)))] if self._raw and passes == 2 and coarse == 1 else None
+        )
         result: list[dict[str, F64]] = []
         for _ in range(passes):
             if previous is not None:
