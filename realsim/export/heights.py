@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.errors import ExportError
-from realsim.types import TerrainMesh
 
 MAX_NODES = 16_000_000
 
@@ -69,9 +68,9 @@ class Surface:
         return np.where(np.isfinite(t), above - t, np.nan)
 
 
-def height_grid(mesh: TerrainMesh, resolution: float) -> HeightGrid:
-    """The mesh from above on a grid of at most `resolution` metres spacing that spans its bounding box exactly."""
-    surface = Surface(mesh.vertices, mesh.triangles)
+def height_grid(vertices: NDArray[np.float64], triangles: NDArray[np.int32], resolution: float) -> HeightGrid:
+    """A mesh from above on a grid of at most `resolution` metres spacing that spans its bounding box exactly."""
+    surface = Surface(vertices, triangles)
     extent = (surface.upper - surface.lower)[:2]
     cells = np.maximum(np.ceil(extent / resolution - 1e-9).astype(int), 1)
     if np.prod(cells + 1.0) > MAX_NODES:

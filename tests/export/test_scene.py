@@ -205,7 +205,7 @@ def compiled_nodes(heights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
     import realsim.export.contact.hfield as module
 
     patch = pytest.MonkeyPatch()
-    patch.setattr(module, "height_grid", lambda mesh, resolution: grid)
+    patch.setattr(module, "height_grid", lambda vertices, triangles, resolution: grid)
     try:
         mesh = TerrainMesh(vertices, np.array([[0, 1, columns]], np.int32), None, np.zeros(1, bool), None, "", 0.1)  # type: ignore[arg-type]
         contact = hfield(mesh, -1.0, SceneConfig())

@@ -22,7 +22,7 @@ def hfield(mesh: TerrainMesh, ground_z: float, config: SceneConfig) -> ContactMo
     stands at the lowest of them. The file is MuJoCo's own binary format, whose first row lies at the lowest y; an
     8-bit image would round a 1 m terrain to 4 mm steps and turn the rows round.
     """
-    grid = height_grid(mesh, config.hfield_resolution)
+    grid = height_grid(mesh.vertices, mesh.triangles, config.hfield_resolution)
     holes = np.isnan(grid.z)
     z = np.where(holes, ground_z, grid.z).astype(np.float32)
     lowest, highest = float(z.min()), float(z.max())
