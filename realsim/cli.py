@@ -25,6 +25,7 @@ COMMANDS = Registry(
     {
         "reconstruct": "realsim.commands.reconstruct:reconstruct",
         "inspect": "realsim.commands.inspect:inspect",
+        "record": "realsim.commands.record:record",
         "view": "realsim.commands.view:view",
         "diagnose": "realsim.commands.diagnose:diagnose",
         "synth": "realsim.commands.synth:synth",
@@ -34,6 +35,7 @@ COMMANDS = Registry(
 SUMMARIES = {
     "reconstruct": "frames or a scan -> a metric, level MuJoCo scene with a report",
     "inspect": "what a capture is taken for, and what is wrong with it",
+    "record": "frames of a RealSense camera into a folder",
     "view": "look at a scene in the browser, live",
     "diagnose": "a robot's logs and its model -> where the sim-to-real gap lies, what causes it, how much",
     "synth": "render a synthetic capture with its truth",

@@ -30,6 +30,7 @@ LAYOUTS = Registry(
         "stray": "realsim.capture.layouts.stray:LAYOUT",
         "arkitscenes": "realsim.capture.layouts.arkitscenes:LAYOUT",
         "scannerapp": "realsim.capture.layouts.scannerapp:LAYOUT",
+        "realsense": "realsim.capture.layouts.realsense:LAYOUT",
         "scan": "realsim.capture.layouts.scan:LAYOUT",
         "plain": "realsim.capture.layouts.plain:LAYOUT",
     },

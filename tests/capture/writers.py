@@ -13,6 +13,7 @@ import pytest
 
 from realsim.geometry import R_to_quat, invert_T, log_so3
 
+from .fake_realsense import write_bag
 from .scene import CAMERA, START_TIME, View
 
 
@@ -334,6 +335,10 @@ def write_arkitscenes(folder: Path, views: Sequence[View]) -> None:
     (folder / "lowres_wide.traj").write_text("\n".join(lines) + "\n")
 
 
+def write_realsense(folder: Path, views: Sequence[View]) -> None:
+    write_bag(folder / "20240501_100000.bag", views)
+
+
 WRITERS: dict[str, Callable[[Path, Sequence[View]], None]] = {
     "open3d": write_open3d,
     "tum": write_tum,
@@ -348,7 +353,8 @@ WRITERS: dict[str, Callable[[Path, Sequence[View]], None]] = {
     "record3d_exr": write_record3d_exr,
     "stray": write_stray,
     "arkitscenes": write_arkitscenes,
+    "realsense": write_realsense,
 }
 LOSSY = {"polycam": 4.0, "scannerapp": 4.0, "record3d": 4.0, "record3d_exr": 4.0}
 """Layouts whose colour is compressed with losses -> grey levels by which it may differ on average."""
-WITHOUT_POSES = {"pcd", "plain"}
+WITHOUT_POSES = {"pcd", "plain", "realsense"}

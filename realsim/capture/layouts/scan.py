@@ -16,7 +16,7 @@ from realsim.types import F64, Bool, Scan
 SUFFIXES = tuple(READERS)
 PLAUSIBLE_EXTENT = (0.2, 100.0)
 """Metres: how long a terrain with its surroundings can be. Beyond, the unit is wrong, or it is a map."""
-USUAL_EXTENT = (0.5, 40.0)
+USUAL_EXTENT = (0.5, 30.0)
 
 
 def recognise(path: Path) -> Recognition:
@@ -95,7 +95,7 @@ def _checked(raw: RawScan, source: Path) -> tuple[RawScan, list[str]]:
         raise CaptureError("the scan is empty", file=source, expected="points or triangles")
     if raw.triangles is not None and not (raw.triangles.min() >= 0 and raw.triangles.max() < len(raw.points)):
         raise CaptureError("triangles refer to points that are not there", file=source)
-    finite: Bool = np.isfinite(raw.points).all(axis=1)
+    finite: Bool = np.asarray(np.isfinite(raw.points).all(axis=1))
     if not finite.any():
         raise CaptureError("no point of the scan is a number", file=source, found=f"{len(finite)} with NaN or infinity")
     warnings = []
