@@ -6,11 +6,12 @@ A collision representation is a function `(TerrainMesh, ground_z, SceneConfig) -
 
 from __future__ import annotations
 
+from realsim.export.contact_mesh import contact_mesh
 from realsim.export.formats import EXPORTERS, export_scene
 from realsim.export.scene import write_scene
 from realsim.registry import Registry
 
-__all__ = ["CONTACT", "EXPORTERS", "export_scene", "write_scene"]
+__all__ = ["CONTACT", "EXPORTERS", "contact_mesh", "export_scene", "write_scene"]
 
 CONTACT = Registry(
     "collision representation",

@@ -17,7 +17,7 @@ from realsim.export.ply import ply_bytes
 from realsim.export.visual import bake, obj_bytes, vertex_normals
 from realsim.files import write_bytes, write_text
 from realsim.meshes import compact, simplify
-from realsim.types import F64, AlignedScene, SceneFiles, TerrainMesh
+from realsim.types import F64, AlignedScene, Platform, SceneFiles, TerrainMesh
 
 DRAWN_TRIANGLES = 80_000
 """What a viewer draws fluently; the exact surface is in mesh.ply and mesh.glb."""
@@ -37,7 +37,28 @@ def write_scene(folder: Path, aligned: AlignedScene, mesh: TerrainMesh, config: 
         RealsimError: a file cannot be written.
     """
     start = aligned.platform("start")
-    fitted = fit_contact(mesh, aligned.ground_z, config, None if start is None else start.centroid)
+    place = np.array([0.0, 0.0, aligned.ground_z]) if start is None else start.centroid
+    stand = None if start is None else start.centroid
+    return write_terrain(folder, mesh, aligned.ground_z, config, aligned.platforms, robot_at=place, cost_at=stand)
+
+
+def write_terrain(
+    folder: Path,
+    mesh: TerrainMesh,
+    ground_z: float,
+    config: SceneConfig,
+    platforms: tuple[Platform, ...] = (),
+    *,
+    robot_at: F64 | None = None,
+    cost_at: F64 | None = None,
+) -> SceneFiles:
+    """The same for a mesh with its ground alone.
+
+    Args:
+        robot_at: (3,) the ground under the robot's feet; the ground at the origin if None.
+        cost_at: (3,) where G1 stands when the cost of a step is measured; the highest level place if None.
+    """
+    fitted = fit_contact(mesh, ground_z, config, cost_at)
     contact = fitted.contact
     vertices, triangles, colors = compact(mesh.vertices, mesh.seen, mesh.colors)
     normals = vertex_normals(vertices, triangles)
@@ -50,18 +71,17 @@ def write_scene(folder: Path, aligned: AlignedScene, mesh: TerrainMesh, config: 
     files |= {asset.file: asset.data for asset in contact.assets if asset.file}
     robot = None
     if config.robot:
-        robot = robots.load(config.robot).placed(_standing_place(aligned))
+        robot = robots.load(config.robot).placed(np.array([0, 0, ground_z]) if robot_at is None else robot_at)
         files |= robot.files | {"robot.xml": robot.spec.to_xml().encode()}
     bounds = np.stack([mesh.vertices.min(0), mesh.vertices.max(0)])
-    xml = scene_xml(
-        contact, aligned.platforms, bounds, visual="visual.obj", texture=texture, robot="robot.xml" if robot else None
-    )
+    include = "robot.xml" if robot else None
+    xml = scene_xml(contact, platforms, bounds, visual="visual.obj", texture=texture, robot=include)
     for name, data in files.items():
         write_bytes(folder / name, data)
     path = folder / "scene.xml"
     write_text(path, xml)
-    checks = check_scene(path, aligned.platforms, config.drop_tolerance, robot.root if robot else None)
-    error = np.column_stack([fitted.fidelity.touches.start[:, :2], fitted.fidelity.touches.error])
+    checks = check_scene(path, platforms, config.drop_tolerance, robot.root if robot else None)
+    touches = fitted.fidelity.touches
     return SceneFiles(
         folder,
         path,
@@ -69,7 +89,7 @@ def write_scene(folder: Path, aligned: AlignedScene, mesh: TerrainMesh, config: 
         folder / "mesh.glb",
         contact=fitted.summary,
         checks=checks,
-        contact_map=error,
+        contact_map=np.column_stack([touches.start[:, :2], touches.error]),
         warnings=fitted.warnings,
     )
 
@@ -81,9 +101,3 @@ def _visual(vertices: F64, triangles: NDArray[np.int32], colors: NDArray[np.uint
         return {"visual.obj": obj_bytes(vertices, triangles, normals)}
     image, uv = bake(vertices, triangles, colors)
     return {"visual.png": image, "visual.obj": obj_bytes(vertices, triangles, normals, uv)}
-
-
-def _standing_place(aligned: AlignedScene) -> np.ndarray:
-    """(3,) where the ground under the robot's feet is: the start platform's top, else the ground at the origin."""
-    start = aligned.platform("start")
-    return np.array([0.0, 0.0, aligned.ground_z]) if start is None else start.centroid
