@@ -1,209 +1,101 @@
-"""report.html of a diagnosis: where, what, how much on the first screen, then the evidence."""
+"""report.html of a diagnosis: where, what and how much on the first screen, then the evidence.
+
+    write_report(folder / "report.html", found)
+
+The page shows what a `Diagnosis` holds. All that it simulates are the runs of the check, before and after, to draw
+them; where they cannot be drawn it says why and leaves the drawing out.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from realsim.files import write_text
 from realsim.gap.diagnosis import Diagnosis
-from realsim.gap.groups import kind_of
-from realsim.gap.report_robot import robot_view
-from realsim.gap.where import PHASES
-from realsim.report import page, svg, viewer3d
+from realsim.gap.report_evidence import (
+    assumptions_card,
+    causes_card,
+    equivalents_card,
+    health_card,
+    noise_card,
+    patch_card,
+    ranking_card,
+)
+from realsim.gap.report_overlays import overlays_card, path_card
+from realsim.gap.report_plots import how_much_card, what_card, where_card
+from realsim.gap.report_robot import robot_card
+from realsim.gap.report_series import Replay, replay
+from realsim.gap.report_words import LEVELS, WORDS, lead, percent, times
+from realsim.report import page, viewer3d
 
-LEVELS: dict[str, page.Level] = {"no_gap": "good", "identified": "good", "ambiguous": "look", "unexplained": "bad"}
-RED = ((255, 255, 255), (253, 212, 158), (252, 141, 89), (215, 48, 31), (127, 0, 0))
+# Three cards in a row on a screen, one below the other on a phone.
+_TRIO = 'class="grid" style="grid-template-columns:repeat(auto-fit,minmax(min(300px,100%),1fr))"'
 
 
 def write_report(path: Path, found: Diagnosis) -> None:
-    """Write the self-contained page."""
-    write_text(path, render(found))
+    """Write the page of a diagnosis to the file `path`."""
+    write_text(Path(path), diagnosis_page(found))
 
 
-def render(found: Diagnosis) -> str:
-    """The page as text."""
-    simulator = found.evidence["simulator"]
-    case = simulator.case
-    parts = [
-        page.verdict(LEVELS[found.verdict], found.sentence, found.statistics["reasons"]),
+def diagnosis_page(found: Diagnosis) -> str:
+    """The whole page as text."""
+    shown = replay(found)
+    trio = "".join([where_card(found), what_card(found), how_much_card(found, shown)])
+    body = [
+        _banner(found),
+        f"<div {_TRIO}>{trio}</div>",
         page.facts(_facts(found)),
-        page.grid(
-            page.card(
-                "Where", _where(found), "Share of the squared gap above the floor, by joint and phase of motion."
-            ),
-            page.card(
-                "What", _what(found), "Gain in log-likelihood of each effect at its best place, alone or on top."
-            ),
-            page.card("How much", _how_much(found), "Squared error on unseen runs; 1 is the nominal simulator."),
+        page.grid(overlays_card(found, shown)),
+        page.columns(
+            [robot_card(found), *path_card(found)],
+            [*causes_card(found), *equivalents_card(found), patch_card(found)],
         ),
-        page.card("Worst moments, before and after", _overlays(found), wide=True),
-        page.card("Robot", robot_view(found), "Colour: share of the gap at each joint's link.", wide=True),
-        page.card("Causes", _causes(found), wide=True),
-        page.card("All effects tried", _ranking(found), wide=True),
-        page.card("Error by horizon and signal", _horizons(found), wide=True),
-        page.card("Data health", _health(found), wide=True),
-        page.card("Apply the patch", page.code(_howto(found)), wide=True),
+        page.grid(ranking_card(found)),
+        page.columns([health_card(found), *noise_card(found)], [assumptions_card(found, shown)]),
     ]
-    title = f"Gap of {case.folder.name}"
-    subtitle = f"{len(case.joint_names)} joints, {case.base} base, {len(case.runs)} runs, torque {case.torque_kind}"
-    return page.document(title, subtitle, "".join(parts), scripts=[viewer3d.script()])
+    return page.document(*_title(found, shown), "".join(body), scripts=[viewer3d.script()])
+
+
+def _title(found: Diagnosis, shown: Replay) -> tuple[str, str]:
+    said = found.statistics
+    parts = [f"{said['logged_seconds']:g} s of log" if "logged_seconds" in said else ""]
+    if shown.case is not None:
+        runs, joints = len(shown.case.runs), len(shown.case.joint_names)
+        parts += [f"{runs} run{'s' * (runs != 1)}", f"{joints} joint{'s' * (joints != 1)}"]
+    if "seconds" in said:
+        parts.append(f"diagnosed in {said['seconds']:.0f} s with {said.get('simulated_seconds', 0):.0f} simulated")
+    name = "" if shown.case is None or not shown.case.folder.name else f" of {shown.case.folder.name}"
+    return f"Sim-to-real gap{name}", ", ".join(filter(None, parts))
+
+
+def _banner(found: Diagnosis) -> str:
+    """The verdict in one word and one sentence, and where the gap lies in another."""
+    small = lead(found)
+    note = f"<ul><li>{page.esc(small)}</li></ul>" if small else ""
+    return (
+        f'<section class="verdict {LEVELS[found.verdict]}"><div class="word">{WORDS[found.verdict]}</div>'
+        f"<div><h2>{page.esc(found.sentence)}</h2>{note}</div></section>"
+    )
 
 
 def _facts(found: Diagnosis) -> list[tuple[str, str, str]]:
-    s, stats = found.shrinkage, found.statistics
-    low, high = s["ci90"]
-    seen = "on runs that no fit has seen" if s["unseen"] else "on the fitted runs: no other was left"
-    return [
-        ("verdict", found.verdict.replace("_", " "), "what the log supports"),
-        ("error removed", f"{s['fraction']:.0%}", f"[{low:.0%}, {high:.0%}] {seen}"),
-        ("gap", f"{stats['gap_over_floor']:.1f}", "mean square in units of the noise floor"),
-        ("unexplained", f"{found.unexplained_share:.0%}", "of the gap above the floor"),
-        ("time", f"{stats['seconds']:.0f} s", f"{stats['simulated_seconds']:.0f} simulated seconds") if "seconds" in stats
-        else ("runs", str(len(stats["fitted_runs"])), "fitted"),
-    ]  # fmt: skip
-
-
-def _where(found: Diagnosis) -> str:
-    """Heat map of channels (joints, base axes) by phase."""
-    comparison = found.evidence["comparison"]
-    shares = found.evidence["shares"]
-    labels = list(dict.fromkeys(c.label for c in comparison.channels))
-    grid = np.zeros((len(labels), len(PHASES)))
-    for c, channel in enumerate(comparison.channels):
-        grid[labels.index(channel.label)] += shares[c]
-    keep = np.argsort(-grid.sum(axis=1))[:12]
-    keep = np.sort(keep)
-    top = float(grid.max()) or 1.0
-    rows = []
-    for i in keep:
-        cells = [f'<span style="background:{_shade(v / top)}">{v:.0%}</span>' for v in grid[i]]
-        rows.append([labels[i], *cells])
-    return page.table(["", *PHASES], rows, raw=range(1, len(PHASES) + 1))
-
-
-def _shade(level: float) -> str:
-    r, g, b = (int(255 - (255 - c) * min(max(level, 0), 1)) for c in (240, 110, 80))
-    return f"rgb({r},{g},{b});color:#111;padding:2px 6px;border-radius:4px"
-
-
-def _what(found: Diagnosis) -> str:
-    rows = [r for r in found.ranking if r.get("gain") is not None][:8]
-    if not rows:
-        return page.bullets([], "No effect gains anything beyond the everyday deviations.")
-    accepted = {c["effect"] for c in found.causes}
-    return svg.bars(
-        [svg.Bar(r["effect"], max(r["gain"], 0.0), fill=svg.color(1 if r["effect"] in accepted else 0)) for r in rows],
-        x_label="gain in log-likelihood",
-    )
-
-
-def _how_much(found: Diagnosis) -> str:
-    s = found.shrinkage
-    low, high = s["ci90"]
-    items = [svg.Bar("nominal", 1.0), svg.Bar("diagnosed", s["after"], 1 - high, 1 - low, fill=svg.color(1))]
-    for name, value in s["baselines"].items():
-        if name != "nominal" and value == value:
-            items.append(svg.Bar(name.split(" (")[0], min(value, 1.5), fill=svg.color(2), text=f"{value:.2f}"))
-    return svg.bars(items, x_label="squared error, nominal = 1")
-
-
-def _overlays(found: Diagnosis) -> str:
-    """Log, nominal and diagnosed simulator around the worst moment of the channels that hold most of the gap."""
-    simulator, comparison, fit = (found.evidence[k] for k in ("simulator", "comparison", "fit"))
-    shares = found.evidence["shares"].sum(axis=1)
-    run = int(np.argmax([np.nansum(r**2 / comparison.floor(i)) for i, r in enumerate(found.evidence["residuals"])]))
-    before = found.evidence["residuals"][run]
-    after = comparison.residual(run, simulator.simulate(fit.settings(), runs=[run])[0])
-    time = comparison.times[run]
-    plots = []
-    for c in np.argsort(-shares)[:4]:
-        channel = comparison.channels[c]
-        plots.append(
-            svg.line(
-                [svg.Series("nominal", time, before[:, c]), svg.Series("diagnosed", time, after[:, c])],
-                x_label="s",
-                y_label=f"{channel.signal} {channel.label}, log - simulator",
-                rules=[(0.0, "")],
-            )
-        )
-    name = simulator.case.runs[run].name
-    return f'<p class="note">{page.esc(name)}: measured minus simulated</p>' + page.grid(*plots)
-
-
-def _causes(found: Diagnosis) -> str:
-    if not found.causes:
-        return page.bullets([], "none")
-    rows = []
-    for group, causes in [("cause", found.causes), *((f"instead {i + 1}", s) for i, s in enumerate(found.equivalent))]:
-        for c in causes:
-            values = ", ".join(
-                f"{n} {p['value']:.4g} {p['unit']} [{p['ci90'][0]:.4g}, {p['ci90'][1]:.4g}]"
-                for n, p in c["parameters"].items()
-            )
-            place = ", ".join(c.get("joints") or c.get("bodies") or ["everywhere"])
-            rows.append([group, c["effect"], place, values, f"{c['probability']:.2f}"])
-    return page.table(["", "effect", "where", "values [90 %]", "probability"], rows)
-
-
-def _ranking(found: Diagnosis) -> str:
-    def figure(value: Any) -> str:
-        return "" if value is None else f"{value:.1f}"
-
-    rows = [
-        [
-            r["effect"],
-            ", ".join(r.get("place") or [])[:60],
-            figure(r.get("linear_gain")),
-            figure(r.get("gain")),
-            figure(r.get("heldout_gain")),
-            figure(r.get("heldout_se")),
-            r["outcome"],
-        ]
-        for r in found.ranking
-    ]
-    head = ["effect", "best place", "screen", "gain", "per unseen run", "±", "outcome"]
-    return page.fold(f"{len(rows)} effects", page.table(head, rows))
-
-
-def _horizons(found: Diagnosis) -> str:
-    stats = found.statistics
-    left = svg.bars(
-        [svg.Bar(k, 1e3 * v) for k, v in stats["error_by_horizon_rad"].items()], x_label="joint error growth, mrad rms"
-    )
-    right = svg.bars([svg.Bar(k, v) for k, v in stats["by_signal"].items()], x_label="share of the gap")
-    rows = [
-        [k, f"{v['rms_before']:.4g}", f"{v['rms_after']:.4g}", f"{v['floor']:.4g}"]
-        for k, v in found.shrinkage["per_signal"].items()
-    ]
-    return page.grid(left, right) + page.table(["signal", "rms before", "rms after", "floor"], rows)
-
-
-def _health(found: Diagnosis) -> str:
-    h = found.health
-    lines = [
-        f"sample step {1e3 * h['clock']['median_step_s']:.2f} ms, jitter {1e3 * h['clock']['jitter_s']:.2f} ms",
-        f"encoder step {1e3 * h['quantum']['joint_pos']:.3g} mrad",
-        *(f"{share:.1%} of {name} is missing" for name, share in h["missing"].items()),
-        *h["warnings"],
-    ]
-    return page.bullets(lines)
-
-
-def _howto(found: Diagnosis) -> str:
-    joints = sorted({kind_of(j) for c in found.causes for j in c.get("joints", [])})
-    about = f"# changes: {', '.join(c['effect'] for c in found.causes) or 'nothing'} {', '.join(joints)}".rstrip()
-    return "\n".join(
-        [
-            about,
-            "import json, mujoco",
-            "from realsim.gap import apply_patch",
-            "",
-            'patch = json.load(open("diagnosis.json"))["patch"]',
-            'spec = mujoco.MjSpec.from_file("model.xml")      # the nominal model',
-            "wrappers = apply_patch(spec, patch)               # delays, encoder zeros: for your stepping loop",
-            "model = spec.compile()",
-        ]
-    )
+    shrunk, said = found.shrinkage, found.statistics
+    size = said.get("gap_over_floor")
+    facts = []
+    if size is not None:
+        facts.append(("Error of the simulator", times(size**0.5), "the noise floor (root mean square)"))
+        if found.causes:
+            after = max(size * shrunk["after"], 0.0) ** 0.5
+            facts.append(("With the patch", times(after), "the noise floor, nothing else fitted"))
+    if found.causes:
+        low, high = shrunk["ci90"]
+        note = f"{percent(low)} to {percent(high)} (90 %)"
+        facts.append(("Squared error removed", percent(shrunk["fraction"]), note))
+    if found.verdict != "no_gap":
+        facts.append(("Unexplained", percent(found.unexplained_share), "of the gap above the floor"))
+    unseen = shrunk.get("unseen", True)
+    names = ", ".join(shrunk.get("runs", []))
+    facts.append(("Checked on", names or "no run", "no fit has seen it" if unseen else "also fitted: no run to spare"))
+    warnings = len(found.health.get("warnings", []))
+    facts.append(("Data health", f"{warnings} warning{'s' * (warnings != 1)}" if warnings else "good", "see below"))
+    return facts

@@ -76,6 +76,7 @@ def select(
     nominal = fitter.remeasure(nominal)
     if current.causes:
         current = fitter.fit(current.causes) or current
+        current = _exchange(screen, fitter, current, notes)
     current = _prune(screen, fitter, config, current, notes)
     gains = {}
     for i in range(len(current.causes)):
@@ -274,6 +275,30 @@ def _unseen(fit: Fit, others: list[int], k: int) -> float:
 def _without(fitter: Fitter, fit: Fit, i: int, nominal: Fit) -> Fit | None:
     rest = [c for j, c in enumerate(fit.causes) if j != i]
     return fitter.fit(rest) if rest else nominal
+
+
+def _exchange(screen: Screen, fitter: Fitter, fit: Fit, notes: list[str]) -> Fit:
+    """Try every cause's rivals once more beside the others: the first choice was made when they were still missing."""
+    if len(fit.causes) < 2:
+        return fit
+    for i in range(len(fit.causes)):
+        others = [c for j, c in enumerate(fit.causes) if j != i]
+        beside = fitter.fit(others, iterations=2)
+        if beside is None:
+            continue
+        tried = 0
+        for gain, candidate, estimate in ranked(screen, beside):
+            if gain <= 0 or tried >= 3:
+                break
+            if candidate.key == fit.causes[i].candidate.key:
+                continue
+            tried += 1
+            trial = _refit(screen, fitter, beside, candidate, estimate)
+            if trial is not None and trial.misfit + _complexity(trial) < fit.misfit + _complexity(fit) - 5.0:
+                gone = fit.causes[i].candidate
+                notes.append(f"{gone.effect} {', '.join(gone.place)} gave way to {candidate.effect}")
+                return _exchange(screen, fitter, trial, notes) if len(notes) < 6 else trial
+    return fit
 
 
 def _prune(screen: Screen, fitter: Fitter, config: DiagnoseConfig, fit: Fit, notes: list[str]) -> Fit:

@@ -1,0 +1,257 @@
+"""Tables below the plots: causes, equivalents, ranking, health, patch, assumptions."""
+
+from __future__ import annotations
+
+from difflib import unified_diff
+from typing import Any
+
+import numpy as np
+
+from realsim.gap.diagnosis import Diagnosis
+from realsim.gap.effects import EFFECTS
+from realsim.gap.patch import patched_xml
+from realsim.gap.report_series import Replay
+from realsim.gap.report_words import interval, percent, place_of, places, signal_name, title_of
+from realsim.report import page, svg
+
+APPLY = """\
+import json
+import mujoco
+from realsim.gap import apply_patch
+
+spec = mujoco.MjSpec.from_file("{model}")
+patch = json.load(open("diagnosis.json"))["patch"]
+wrappers = apply_patch(spec, patch)
+model = spec.compile()"""
+
+
+# ---------------------------------------------------------------- causes
+
+
+def causes_card(found: Diagnosis) -> list[str]:
+    """What to add, with intervals."""
+    if not found.causes:
+        return []
+    body = _cause_table(found.causes, certain=True) + _explained(found.causes)
+    note = "Changes against model.xml, with 90 % intervals: × multiplies, a unit adds, limits and delays are absolute."
+    return [page.card("Causes and their size", body, note)]
+
+
+def _cause_table(causes: Any, *, certain: bool) -> str:
+    rows = []
+    for c in causes:
+        named = c["parameters"].items()
+        values = "".join(f"<div>{page.esc(_parameter(n, p, len(named)))}</div>" for n, p in named)
+        what = f"<b>{page.esc(title_of(c['effect']))}</b><small>{page.esc(places(place_of(c)))}</small>"
+        rows.append([what, values, *([percent(c["probability"])] if certain else [])])
+    head = ["effect", "value [90 % interval]", *(["probability"] if certain else [])]
+    return page.table(head, rows, raw=[0, 1])
+
+
+def _parameter(name: str, parameter: dict[str, Any], count: int) -> str:
+    text = interval(parameter) if count == 1 else f"{name.replace('_', ' ')} {interval(parameter)}"
+    return f"{text}, {parameter['note']}" if parameter.get("note") else text
+
+
+def _explained(causes: Any) -> str:
+    names = dict.fromkeys(c["effect"] for c in causes)
+    rows = [[title_of(n), EFFECTS[n].description, EFFECTS[n].signature] for n in names if n in EFFECTS]
+    return page.fold("What these effects look like", page.table(["", "what it is", "in a log"], rows)) if rows else ""
+
+
+def equivalents_card(found: Diagnosis) -> list[str]:
+    """Sets that the log cannot tell from the causes, and what to record next."""
+    if not found.equivalent and found.next_experiment is None:
+        return []
+    parts = []
+    for i, other in enumerate(found.equivalent, 1):
+        parts.append(f"<h4>Alternative {i}</h4>" + _cause_table(other, certain=False))
+    if found.next_experiment is not None:
+        rows = [[k.replace("_", " "), _plain(v)] for k, v in found.next_experiment.items()]
+        parts.append("<h4>What to record to decide</h4>" + page.table(["", ""], rows))
+    else:
+        effects = dict.fromkeys(c["effect"] for s in (found.causes, *found.equivalent) for c in s)
+        said = [f"{title_of(n)}: {EFFECTS[n].excitation}" for n in effects if n in EFFECTS]
+        parts.append("<h4>No experiment was designed; what shows each of these</h4>" + page.bullets(said))
+    note = "These explain the log as well as the causes above. Until a run tells them apart, trust none of them alone."
+    return [page.card("Cannot be told apart", "".join(parts), note)]
+
+
+# ---------------------------------------------------------------- ranking
+
+
+def ranking_card(found: Diagnosis) -> str:
+    """All effects of the library, best first, with what became of each."""
+    here = {c["effect"] for c in found.causes}
+    same = {c["effect"] for s in found.equivalent for c in s} - here
+    fitted, screened, untried = [], [], []
+    for r in found.ranking:
+        level, word = ("good", "cause") if r["effect"] in here else ("look", "equivalent")
+        badge = page.badge(level, word) if r["effect"] in here | same else ""
+        what = f"<b>{page.esc(title_of(r['effect']))}</b> {badge}<small>{page.esc(r['effect'])}</small>"
+        where = places(r.get("place", []))
+        if "linear_gain" not in r:
+            untried.append([what, r["outcome"].removeprefix("not tried: ")])
+        elif r.get("gain") is None:
+            screened.append([what, where, _gain(r["linear_gain"]), _outcome(r, here, same)])
+        else:
+            fitted.append([what, where, _spread(r), _gain(r["gain"]), _gain(r["linear_gain"]), _outcome(r, here, same)])
+    head = ["effect", "best place", "gain a left-out run", "gain fitted", "by the linear screen", "outcome"]
+    parts = ["<h4>Fitted with the full simulation</h4>", page.table(head, fitted, raw=[0])] if fitted else []
+    if screened:
+        rows = page.table(["effect", "best place", "by the linear screen", "outcome"], screened, raw=[0])
+        parts.append(page.fold(f"{len(screened)} effects that the linear screen ruled out", rows))
+    if untried:
+        rows = page.table(["effect", "why not"], untried, raw=[0])
+        parts.append(page.fold(f"{len(untried)} effects that this log cannot show", rows))
+    if not parts:
+        parts = [page.bullets([], "No effect had to be tried.")]
+    note = "Gains are differences of log-likelihood; ± is the standard error over runs, each left out in turn."
+    return page.card("All effects", "".join(parts), note, wide=True)
+
+
+def _outcome(r: dict[str, Any], here: set[str], same: set[str]) -> str:
+    """Why an effect is not among the causes, in words."""
+    outcome = r["outcome"]
+    if r["effect"] in here:
+        outcome = "accepted"
+    elif r["effect"] in same:
+        outcome = "explains the log as well"
+    elif outcome == "refitted":
+        outcome = "no better than what was accepted"
+    elif outcome == "screened":
+        outcome = "gains too little to be fitted" if r["linear_gain"] > 0 else "does not explain the error"
+    return f"{outcome} (beside cause {r['stage']})" if r.get("stage") else outcome
+
+
+def _gain(value: float) -> str:
+    return svg.number(round(value, 1), 4 if abs(value) < 1e4 else 5)
+
+
+def _spread(r: dict[str, Any]) -> str:
+    if r.get("heldout_gain") is None:
+        return "–"
+    return f"{_gain(r['heldout_gain'])} ± {_gain(r.get('heldout_se') or 0.0)}"
+
+
+# ---------------------------------------------------------------- health
+
+
+def health_card(found: Diagnosis) -> str:
+    """Clock, gaps, quantisation and warnings."""
+    health = found.health
+    warnings = list(health.get("warnings", []))
+    badge = page.badge("look", f"{len(warnings)} to look at") if warnings else page.badge("good", "nothing wrong")
+    rows = [[name, value] for key, v in health.items() if key != "warnings" for name, value in _flat(key, v)]
+    body = f"<p>{badge}</p>{page.bullets(warnings) if warnings else ''}{page.table(['figure', 'value'], rows)}"
+    return page.card("Data health", body)
+
+
+_NAMES = {
+    "clock median_step_s": ("sampling step (median)", "s"),
+    "clock jitter_s": ("jitter of the time stamps", "s"),
+    "quantum joint_pos": ("smallest step of an encoder", "rad"),
+}
+
+
+def _flat(name: str, value: Any) -> list[tuple[str, str]]:
+    if isinstance(value, dict):
+        return [item for k, v in value.items() for item in _flat(f"{name} {k}", v)]
+    if name.startswith("missing "):
+        return [(f"missing, {signal_name(name.removeprefix('missing '))}", percent(value))]
+    said, unit = _NAMES.get(name, (name.replace("_", " "), ""))
+    return [(said, f"{_plain(value)} {unit}".strip())]
+
+
+def noise_card(found: Diagnosis) -> list[str]:
+    """The noise floor, signal by signal."""
+    comparison = found.evidence.get("comparison")
+    if comparison is None:
+        return []
+    rows = []
+    for signal in dict.fromkeys(c.signal for c in comparison.channels):
+        columns = [i for i, c in enumerate(comparison.channels) if c.signal == signal]
+        noise = comparison.noise
+        rows.append(
+            [signal_name(signal), *(svg.number(float(np.median(v[columns]))) for v in (noise.sensor, noise.detail))]
+        )
+    note = "Standard deviations, in the signal's unit: what sensors add to a sample, and slow detail that is no gap."
+    return [page.card("Noise floor", page.table(["signal", "sensor", "detail"], rows), note)]
+
+
+# ---------------------------------------------------------------- patch
+
+
+def patch_card(found: Diagnosis) -> str:
+    """How to use the result, to copy and paste."""
+    if not found.causes:
+        return page.card("The patch", page.bullets([], "There is nothing to change."))
+    simulator, fit = found.evidence.get("simulator"), found.evidence.get("fit")
+    folder = simulator.case.folder.name if simulator is not None else ""
+    parts = [page.code(APPLY.format(model=f"{folder}/model.xml" if folder else "model.xml"))]
+    wrappers = found.patch.get("wrappers", {})
+    if wrappers:
+        rows = [[k.replace("_", " "), _plain(v)] for k, v in wrappers.items()]
+        parts += ["<h4>For the loop that steps the simulator</h4>", page.table(["", "value"], rows)]
+    if simulator is not None and fit is not None:
+        changed = model_changes(simulator, fit)
+        if changed:
+            parts.append(page.fold("What changes in model.xml", page.code(changed)))
+    note = (
+        "model.xml beside this page has all of this that MJCF can express; the code applies it to your own model. "
+        f"{'No model can hold the rest: `wrappers` has it.' if wrappers else 'Nothing else is needed.'}"
+    )
+    return page.card("Apply the patch", "".join(parts), note)
+
+
+def model_changes(simulator: Any, fit: Any) -> str:
+    """Lines of MJCF that differ, nominal (-) and patched (+), both as MuJoCo writes them."""
+    spec = simulator.case.spec.copy()
+    spec.compile()
+    before, after = str(spec.to_xml()).splitlines(), patched_xml(simulator, fit).splitlines()
+    lines = list(unified_diff(before, after, lineterm="", n=0))[2:]
+    return "\n".join(line[0] + " " + line[1:].strip() for line in lines if not line.startswith("@@"))
+
+
+# ---------------------------------------------------------------- assumptions
+
+
+def assumptions_card(found: Diagnosis, shown: Replay) -> str:
+    """What the figures rest on."""
+    said = found.statistics
+    parts = ["<h4>How the verdict came about</h4>", page.bullets([*said.get("reasons", []), *said.get("notes", [])])]
+    assumed = [
+        "Every part of the robot may differ a little from the model; only what is larger than that can be a cause.",
+        "Slow errors are taken as correlated over a tenth of a second when intervals are computed.",
+    ]
+    if shown.comparison is not None:
+        config = shown.comparison.config
+        assumed += [
+            f"Samples are averaged over bins of {1e3 * config.bin_seconds:g} ms before they are compared.",
+            f"The simulator holds the first command for {config.settle_seconds:g} s before a run begins.",
+        ]
+    parts += ["<h4>Assumed</h4>", page.bullets(assumed)]
+    rows = [
+        ["runs that were fitted", ", ".join(said.get("fitted_runs", []))],
+        ["runs of the check", ", ".join(found.shrinkage.get("runs", []))],
+        ["candidates screened", str(said.get("candidates", "–"))],
+        ["full simulations in fits", str(said.get("fits", "–"))],
+        ["simulated / logged", f"{said.get('simulated_seconds', 0):g} s / {said.get('logged_seconds', 0):g} s"],
+        ["time", f"{said.get('seconds', 0):g} s"],
+    ]
+    parts += ["<h4>Made with</h4>", page.table(["", ""], rows)]
+    return page.card("What this rests on", "".join(parts))
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return svg.number(value)
+    if isinstance(value, dict):
+        if set(value) >= {"value", "unit"}:
+            return " ".join(filter(None, [_plain(value["value"]), str(value["unit"]), str(value.get("what", ""))]))
+        return ", ".join(f"{k}: {_plain(v)}" for k, v in value.items())
+    if isinstance(value, (list, tuple)):
+        return ", ".join(_plain(v) for v in value)
+    return "–" if value is None else str(value)

@@ -1,0 +1,194 @@
+"""The three plots of the first screen: where, what, how much."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from realsim.gap.diagnosis import Z90, Diagnosis
+from realsim.gap.report_series import Replay, horizons, place_shares
+from realsim.gap.report_words import percent, places, short, signal_name, title_of
+from realsim.gap.where import PHASES
+from realsim.report import page, svg
+
+WIDTH = 340
+"""SVG units; about the width of a third of the page, and of a phone."""
+_ROWS, _RIVALS = 9, 7
+FOUND, RIVAL, OTHER = "var(--good)", "var(--look)", "var(--faint)"
+
+
+# ---------------------------------------------------------------- where
+
+
+def where_card(found: Diagnosis) -> str:
+    """A heat map: joint (or signal of the base) by phase of motion, and shares by signal."""
+    if "shares" not in found.evidence:
+        return page.card("Where", page.bullets([], "The shares by place were not kept with this diagnosis."))
+    names, shares = place_shares(found)
+    order = np.argsort(-shares.sum(axis=1), kind="stable")
+    rows = [(short(n, 17) if kind == "joint" else signal_name(n), shares[i]) for i in order for kind, n in [names[i]]]
+    if len(rows) > _ROWS:
+        rest = np.sum([r for _, r in rows[_ROWS - 1 :]], axis=0)
+        rows = [*rows[: _ROWS - 1], (f"{len(rows) - _ROWS + 1} others", rest)]
+    note = "Share of the squared error above the noise floor, by place and by phase of its motion."
+    if found.verdict == "no_gap":
+        note = "Where the little error above the noise floor lies; it is too small to be a gap."
+    return page.card("Where", _heat(rows, PHASES) + _by_signal(found), note)
+
+
+def _heat(rows: Sequence[tuple[str, Any]], columns: Sequence[str]) -> str:
+    n, m = len(rows), len(columns)
+    height = 27 if n < 7 else 23
+    left = 12 + 6.0 * max(len(name) for name, _ in rows)
+    axes = svg.Axes((0, m + 1.05), (0, n), width=WIDTH, height=height * n + 40, left=left, right=0, top=4, bottom=36,
+                    x_ticks=[], y_ticks=[(n - i - 0.5, name) for i, (name, _) in enumerate(rows)], grid=False)  # fmt: skip
+    top = max(float(np.max([r for _, r in rows])), 1e-9)
+    for i, (name, row) in enumerate(rows):
+        y = n - i
+        for j, share in enumerate(row):
+            ring = [(j + 0.03, y - 0.04), (j + 0.97, y - 0.04), (j + 0.97, y - 0.96), (j + 0.03, y - 0.96)]
+            axes.polyline(ring, "none", fill="var(--line)", closed=True, opacity=0.55)
+            text = f"{name}, {columns[j]}: {percent(share)}"
+            strength = 0.95 * math.sqrt(max(share, 0) / top)
+            axes.polyline(ring, "none", fill="var(--c1)", closed=True, opacity=round(strength, 3), title=text)
+            if share >= 0.005:
+                axes.text(j + 0.5, y - 0.5, f"{100 * share:.0f}", fill="var(--ink)", dy=4)
+        axes.text(m + 1.0, y - 0.5, percent(float(np.sum(row))), fill="var(--ink)", anchor="end", dy=4)
+    for j, name in enumerate(columns):
+        for k, word in enumerate(name.split()):
+            axes.text(j + 0.5, 0, word, dy=13 + 12 * k, outside=True)
+    axes.text(m + 1.0, 0, "all", anchor="end", dy=13, outside=True)
+    return axes.svg("share of the gap by place and phase of motion")
+
+
+def _by_signal(found: Diagnosis) -> str:
+    parts = [(s, v) for s, v in found.statistics.get("by_signal", {}).items() if v > 0.001]
+    if len(parts) < 2:
+        return ""
+    axes = svg.Axes((0, sum(v for _, v in parts)), (0, 1), width=WIDTH, height=14, left=0, right=0, top=2, bottom=0,
+                    x_ticks=[], y_ticks=[], grid=False)  # fmt: skip
+    at = 0.0
+    for i, (signal, share) in enumerate(parts):
+        ring = [(at, 0), (at + share, 0), (at + share, 1), (at, 1)]
+        axes.polyline(ring, "var(--card)", fill=svg.color(i), closed=True)
+        axes.legend(f"{signal_name(signal)} {percent(share)}", svg.color(i))
+        at += share
+    return axes.svg("share of the gap by signal")
+
+
+# ---------------------------------------------------------------- what
+
+
+def what_card(found: Diagnosis) -> str:
+    """The best effects that were fitted, by what they gain on runs left out of the fit."""
+    tried = [r for r in found.ranking if r.get("heldout_gain") is not None]
+    if not tried:
+        empty = "No effect had to be fitted: what differs is within the noise floor and everyday deviations."
+        return page.card("What", page.bullets([], empty if found.verdict == "no_gap" else "No effect could be fitted."))
+    here = {c["effect"] for c in found.causes}
+    same = {c["effect"] for s in found.equivalent for c in s} - here
+    first = [r for r in tried if r["effect"] in here | same]
+    first.sort(key=lambda r: (r["effect"] not in here, -r["heldout_gain"]))
+    others = sorted((r for r in tried if r not in first), key=lambda r: -r["heldout_gain"])
+    rows = [*first, *others][:_RIVALS]
+    bars = []
+    for r in rows:
+        kind = FOUND if r["effect"] in here else RIVAL if r["effect"] in same else OTHER
+        mark = {FOUND: "✓ ", RIVAL: "≈ "}.get(kind, "")
+        stage = f", beside cause {r['stage']}" if r.get("stage") else ""
+        label = f"{mark}{title_of(r['effect'])} · {places(map(short, r.get('place', [])), 2)}{stage}"
+        spread = Z90 * (r.get("heldout_se") or 0.0)
+        value = r["heldout_gain"]
+        bars.append((label, value, value - spread, value + spread, kind, svg.number(value, 3)))
+    top = max(max(b[1] for b in bars), 1.0)
+    picture = _labelled_bars(bars, (-0.12 * top, 1.25 * top), "gain in log-likelihood a run, runs left out in turn")
+    legend = [("in the diagnosis", FOUND)] if here else []
+    legend += [("explains the log as well", RIVAL)] if same else []
+    keys = "".join(
+        f'<span><i style="background:{c}"></i>{page.esc(t)}</span>' for t, c in [*legend, ("other effects", OTHER)]
+    )
+    note = "Each effect fitted at its best place, judged on runs its fit left out; whiskers are 90 %."
+    return page.card("What", f'{picture}<div class="legend">{keys}</div>', note)
+
+
+def _labelled_bars(
+    rows: Sequence[tuple[str, float, float, float, str, str]], x: tuple[float, float], x_label: str
+) -> str:
+    """Bars with their names above: (name, value, low, high, fill, text). Names get the whole width that way."""
+    n = len(rows)
+    axes = svg.Axes(x, (-0.5, n - 0.5), width=WIDTH, height=38 * n + 38, left=4, right=4, top=2, y_ticks=[],
+                    x_label=x_label)  # fmt: skip
+    axes.rule(0.0, vertical=True)
+    for i, (name, value, low, high, fill, text) in enumerate(rows):
+        y = n - 1 - i
+        axes.text(x[0], y, name, fill="var(--ink)" if fill != OTHER else "var(--soft)", anchor="start", dx=3, dy=-6)
+        end = 0.0
+        if math.isfinite(value):
+            axes.bar(y - 0.2, min(value, x[1]), fill, thickness=0.3, title=f"{name}: {text}")
+            if high > low:
+                axes.whisker(y - 0.2, max(low, x[0]), min(high, x[1]), "var(--ink)", horizontal=True)
+            end = max(value, high, 0.0)
+        room = x[1] - 0.17 * (x[1] - x[0])
+        axes.text(min(end, room), y - 0.2, text, fill="var(--ink)", anchor="start", dx=6, dy=4, halo=end > room)
+    return axes.svg(x_label)
+
+
+# ---------------------------------------------------------------- how much
+
+
+def how_much_card(found: Diagnosis, shown: Replay) -> str:
+    """Error left on unseen runs beside the baselines, and before and after for each signal and horizon."""
+    shrunk = found.shrinkage
+    rows = [("nominal simulator", 1.0, 1.0, 1.0, OTHER, "100 %")]
+    if found.causes:
+        low, high = (1 - v for v in reversed(shrunk["ci90"]))
+        rows.append(("✓ with this diagnosis", shrunk["after"], low, high, FOUND, percent(shrunk["after"])))
+    for name, value in shrunk.get("baselines", {}).items():
+        if name != "nominal":
+            text = percent(value) if math.isfinite(value) else "does not run"
+            rows.append((_plain(name), value, value, value, OTHER, text))
+    unseen = shrunk.get("unseen", True)
+    note = f"Squared error left on {'runs that no fit has seen' if unseen else 'the fitted runs (none was left over)'}."
+    body = _labelled_bars(rows, (-0.02, 1.3), "") + _before_after(found, shown)
+    return page.card("How much", body, note)
+
+
+def _plain(baseline: str) -> str:
+    """best wrong effect (joint_offset) -> best wrong effect: encoder offset."""
+    name, _, effect = baseline.partition(" (")
+    return f"{name}: {title_of(effect.rstrip(')'))}" if effect else name
+
+
+def _before_after(found: Diagnosis, shown: Replay) -> str:
+    """Root mean square by signal and by horizon, in units of the noise floor, on a logarithmic axis."""
+    rows: list[tuple[str, float, float | None]] = []
+    for signal, v in found.shrinkage.get("per_signal", {}).items():
+        after = v["rms_after"] / v["floor"] if found.causes else None
+        rows.append((signal_name(signal), v["rms_before"] / v["floor"], after))
+    rows += [(f"growth in {name}", b, a) for name, b, a in horizons(shown) if name != "whole run"]
+    values = [v for _, b, a in rows for v in (b, a) if v is not None and v > 0]
+    if not values:
+        return ""
+    n = len(rows)
+    low, high = math.log10(min([0.7, *values])) - 0.1, math.log10(max([3.0, *values])) + 0.15
+    tens = [(float(k), svg.number(10.0**k)) for k in range(math.ceil(low), math.floor(high) + 1)]
+    axes = svg.Axes((low, high), (-0.6, n - 0.4), width=WIDTH, height=21 * n + 42, top=4, right=4,
+                    left=12 + 6.0 * max(len(r[0]) for r in rows), x_ticks=tens, grid=True,
+                    y_ticks=[(n - 1 - i, r[0]) for i, r in enumerate(rows)], x_label="error / noise floor (log)")  # fmt: skip
+    axes.span(low, 0.0, FOUND, vertical=True)
+    for i, (name, before, after) in enumerate(rows):
+        y = n - 1 - i
+        b = math.log10(max(before, 1e-9))
+        if after is not None and after > 0:
+            a = math.log10(after)
+            axes.polyline([(a, y), (b, y)], OTHER, width=2)
+            axes.dots([(a, y)], FOUND, radius=4.2, titles=[f"{name}: after {svg.number(after)}"])
+        axes.dots([(b, y)], "var(--c1)", radius=4.2, titles=[f"{name}: before {svg.number(before)}"])
+    axes.legend("before", "var(--c1)")
+    if found.causes:
+        axes.legend("after", FOUND)
+    axes.legend("within the noise floor", f"color-mix(in srgb, {FOUND} 22%, transparent)")
+    return axes.svg("error by signal and horizon in units of the noise floor")

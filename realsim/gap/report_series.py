@@ -1,0 +1,107 @@
+"""What the report draws over time: the runs of the check, replayed before and after."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from realsim.errors import GapError
+from realsim.gap.case import Case
+from realsim.gap.compare import Comparison
+from realsim.gap.diagnosis import Diagnosis
+from realsim.gap.where import by_horizon
+from realsim.types import F64
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Runs of the check as the nominal and the patched simulator see them; empty with a reason if they cannot."""
+
+    case: Case | None
+    comparison: Comparison | None
+    runs: tuple[int, ...] = ()
+    before: tuple[F64, ...] = ()
+    """(T, C) a run, nominal."""
+    after: tuple[F64, ...] = ()
+    """(T, C) a run, with the causes; empty where there are none."""
+    reason: str = ""
+    """Why something is missing, or nothing."""
+
+    def errors(self, simulated: tuple[F64, ...]) -> list[F64]:
+        """(B, C) binned errors a run."""
+        assert self.comparison is not None
+        return [self.comparison.residual(r, y) for r, y in zip(self.runs, simulated, strict=True)]
+
+
+def replay(found: Diagnosis) -> Replay:
+    """Simulate the runs of the check with and without the causes."""
+    simulator, comparison = found.evidence.get("simulator"), found.evidence.get("comparison")
+    if simulator is None or comparison is None:
+        return Replay(None, None, reason="The simulator was not kept with this diagnosis.")
+    case = simulator.case
+    chosen = set(found.evidence.get("check", ()))
+    runs = tuple(i for i, r in enumerate(case.runs) if r.name in chosen)
+    if not runs:
+        return Replay(case, comparison, reason="No run was kept for the check.")
+    with simulator:  # its thread pool opens at need; leaving closes it
+        before = tuple(simulator.simulate(runs=runs))
+        fit = found.evidence.get("fit")
+        if not found.causes or fit is None:
+            return Replay(case, comparison, runs, before, reason="No cause was found, so there is nothing to add.")
+        try:
+            after = tuple(simulator.simulate(fit.settings(), runs=runs))
+        except GapError as error:
+            return Replay(case, comparison, runs, before, reason=f"The patched simulator does not run: {error}")
+    return Replay(case, comparison, runs, before, after)
+
+
+def horizons(shown: Replay) -> list[tuple[str, float, float | None]]:
+    """(horizon, before, after): growth of the joint position error over each horizon in units of its noise floor."""
+    if shown.comparison is None or not shown.before:
+        return []
+    columns = [i for i, c in enumerate(shown.comparison.channels) if c.signal == "joint_pos"]
+    floors = np.concatenate([shown.comparison.floor(r)[:, columns] for r in shown.runs])
+    floor = float(np.sqrt(floors.mean()))
+    first = by_horizon(shown.comparison, shown.errors(shown.before))
+    second: dict[str, float] = by_horizon(shown.comparison, shown.errors(shown.after)) if shown.after else {}
+    return [(name, v / floor, second[name] / floor if name in second else None) for name, v in first.items()]
+
+
+def worst_windows(shown: Replay, seconds: float = 1.5, count: int = 4) -> list[tuple[int, int, float, float]]:
+    """(position in `runs`, channel, start, end): where the nominal simulator is farthest off, in units of the floor.
+
+    At most one window a channel, and signals take turns, so that four windows show four things.
+    """
+    if shown.comparison is None or not shown.before:
+        return []
+    scored: list[tuple[float, int, int, float]] = []
+    for k, error in enumerate(shown.errors(shown.before)):
+        ratio = np.nan_to_num(error**2 / shown.comparison.floor(shown.runs[k]))
+        width = min(max(int(seconds / shown.comparison.config.bin_seconds), 1), len(ratio))
+        total = np.cumsum(np.vstack([np.zeros(ratio.shape[1]), ratio]), axis=0)
+        mean = (total[width:] - total[:-width]) / width
+        first = mean.argmax(axis=0)
+        for c, b in enumerate(first):
+            scored.append((float(mean[b, c]), k, c, float(shown.comparison.times[shown.runs[k]][b])))
+    scored.sort(reverse=True)
+    chosen: list[tuple[float, int, int, float]] = []
+    seen: dict[str, int] = {}
+    for turn in range(count):
+        for item in scored:
+            signal = shown.comparison.channels[item[2]].signal
+            if len(chosen) < count and seen.get(signal, 0) == turn and item[2] not in [i[2] for i in chosen]:
+                chosen.append(item)
+                seen[signal] = turn + 1
+    return [(k, c, start, start + seconds) for _, k, c, start in chosen]
+
+
+def place_shares(found: Diagnosis) -> tuple[list[tuple[str, str]], Any]:
+    """(kind, name) of each row and (R, phases) shares: one row a joint (all its signals), one a signal of the base."""
+    comparison, shares = found.evidence["comparison"], np.asarray(found.evidence["shares"])
+    rows: dict[tuple[str, str], F64] = {}
+    for channel, row in zip(comparison.channels, shares, strict=True):
+        key = ("joint", channel.label) if channel.signal.startswith("joint") else ("signal", channel.signal)
+        rows[key] = rows.get(key, np.zeros(shares.shape[1])) + row
+    return list(rows), np.array(list(rows.values()))

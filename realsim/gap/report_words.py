@@ -1,0 +1,114 @@
+"""Words and short numbers of the report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from realsim.gap.diagnosis import Diagnosis
+from realsim.gap.effects import EFFECTS
+from realsim.report import page, svg
+
+WORDS = {
+    "no_gap": "No gap",
+    "identified": "Identified",
+    "ambiguous": "Cannot tell apart",
+    "unexplained": "Unexplained",
+}
+LEVELS: dict[str, page.Level] = {"no_gap": "good", "identified": "good", "ambiguous": "look", "unexplained": "bad"}
+SIGNALS = {
+    "joint_pos": "joint position",
+    "joint_vel": "joint velocity",
+    "joint_torque": "joint torque",
+    "base_pos": "base position",
+    "base_rot": "base orientation",
+    "imu_gyro": "gyroscope",
+    "imu_acc": "accelerometer",
+}
+UNITS = {
+    "joint_pos": "rad",
+    "joint_vel": "rad/s",
+    "joint_torque": "N m",
+    "base_pos": "m",
+    "base_rot": "rad",
+    "imu_gyro": "rad/s",
+    "imu_acc": "m/s²",
+}
+_SLIDE_UNITS = {"joint_pos": "m", "joint_vel": "m/s", "joint_torque": "N"}
+
+
+def signal_name(signal: str) -> str:
+    """joint_pos -> joint position."""
+    return SIGNALS.get(signal, signal.replace("_", " "))
+
+
+def unit_of(signal: str, label: str, model: Any) -> str:
+    """Unit of a channel; sliding joints have metres."""
+    if signal in _SLIDE_UNITS and int(model.joint(label).type[0]) == 2:
+        return _SLIDE_UNITS[signal]
+    return UNITS.get(signal, "")
+
+
+def title_of(effect: str) -> str:
+    """The effect's title, or its name if it is not in the library."""
+    return str(EFFECTS[effect].title) if effect in EFFECTS else effect.replace("_", " ")
+
+
+def short(name: str, most: int = 20) -> str:
+    """A joint's or body's name for a narrow label."""
+    text = name.removesuffix("_joint").removesuffix("_link").replace("_", " ")
+    return text if len(text) <= most else text[: most - 1] + "…"
+
+
+def places(names: Iterable[str], most: int = 4) -> str:
+    """Joints or bodies in a row; nothing given means everywhere."""
+    listed = list(names)
+    if not listed:
+        return "everywhere"
+    more = f" and {len(listed) - most} more" if len(listed) > most else ""
+    return ", ".join(n.replace("_", " ") for n in listed[:most]) + more
+
+
+def place_of(cause: dict[str, Any]) -> list[str]:
+    """Joints or bodies of a cause in the contract's form."""
+    return list(cause.get("joints") or cause.get("bodies") or [])
+
+
+def percent(share: float) -> str:
+    """A share in percent; what is nearly all or nearly nothing does not round to all or nothing."""
+    if share != share:
+        return "–"
+    if 0.995 <= share < 1:
+        return ">99 %"
+    if 0 < share < 0.005:
+        return "<1 %"
+    return f"{svg.number(round(100 * share), 3) if abs(share) < 10 else svg.number(100 * share, 2)} %"
+
+
+def times(ratio: float) -> str:
+    """A ratio: 3.2 ×."""
+    return f"{svg.number(ratio, 2 if ratio < 100 else 3)} ×"
+
+
+def interval(parameter: dict[str, Any]) -> str:
+    """1.9 N m [1.6, 2.2]."""
+    low, high = parameter["ci90"]
+    value, unit = svg.number(parameter["value"]), parameter["unit"]
+    return f"{value} {'×' if unit == 'ratio' else unit} [{svg.number(low)}, {svg.number(high)}]"
+
+
+def lead(found: Diagnosis) -> str:
+    """Where most of the gap lies, in a sentence; nothing where there is no gap."""
+    if found.verdict == "no_gap" or not found.where:
+        return ""
+    by_place: dict[str, float] = {}
+    for entry in found.where:
+        key = entry.get("joint") or signal_name(entry["signal"])
+        by_place[key] = by_place.get(key, 0.0) + entry["share"]
+    place, share = max(by_place.items(), key=lambda item: item[1])
+    inside = [e for e in found.where if (e.get("joint") or signal_name(e["signal"])) == place]
+    by_phase: dict[str, float] = {}
+    for entry in inside:
+        by_phase[entry["phase"]] = by_phase.get(entry["phase"], 0.0) + entry["share"]
+    phase = max(by_phase, key=lambda p: by_phase[p])
+    return f"{percent(share)} of the gap lies in {place.replace('_', ' ')}, most of it in phase “{phase}”."

@@ -1,0 +1,190 @@
+"""Bad logs are refused with the reason, or mended and said."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from realsim.errors import GapError, UnknownNameError
+from realsim.gap import DiagnoseConfig, diagnose, explain, load_case
+from realsim.gap.diagnose import replicates
+from .truth import Truth
+
+
+@pytest.fixture
+def case(made, tmp_path: Path) -> Path:
+    """A private copy to spoil."""
+    folder = tmp_path / "case"
+    shutil.copytree(made("plain", Truth()), folder)
+    return folder
+
+
+def change(folder: Path, run: str = "run_01", **arrays: object) -> None:
+    path = folder / "runs" / f"{run}.npz"
+    with np.load(path) as data:
+        kept = dict(data)
+    for name, value in arrays.items():
+        new = value(kept[name]) if callable(value) else value
+        if new is None:
+            kept.pop(name)
+        else:
+            kept[name] = new
+    np.savez(path, **kept)
+
+
+def only_one_run(folder: Path) -> None:
+    for path in sorted((folder / "runs").glob("*.npz"))[1:]:
+        path.unlink()
+
+
+def relog(folder: Path, **values: object) -> None:
+    log = json.loads((folder / "log.json").read_text())
+    (folder / "log.json").write_text(json.dumps(log | values))
+
+
+def test_reads_what_was_written(case: Path) -> None:
+    found = load_case(case)
+    assert found.joint_names == ("shoulder", "elbow")
+    assert len(found.runs) == 4
+    assert found.runs[0].time[0] == 0
+    assert found.actuator_of("elbow") == "elbow_servo"
+    assert not found.floating
+
+
+@pytest.mark.parametrize("name", ["log.json", "model.xml"])
+def test_missing_file_is_named(case: Path, name: str) -> None:
+    (case / name).unlink()
+    with pytest.raises(GapError, match=name):
+        load_case(case)
+
+
+@pytest.mark.parametrize("name", ["time", "command", "joint_pos"])
+def test_missing_array_is_named(case: Path, name: str) -> None:
+    only_one_run(case)
+    change(case, **{name: lambda a: None})
+    with pytest.raises(GapError, match=name):
+        load_case(case)
+
+
+def test_wrong_joint_name_gives_the_closest(case: Path) -> None:
+    relog(case, joint_names=["sholder", "elbow"])
+    with pytest.raises(GapError, match="did you mean shoulder"):
+        load_case(case)
+
+
+def test_mismatched_lengths(case: Path) -> None:
+    only_one_run(case)
+    change(case, joint_pos=lambda a: a[:-3])
+    with pytest.raises(GapError, match="wrong shape"):
+        load_case(case)
+
+
+def test_one_broken_run_is_left_out_and_said(case: Path) -> None:
+    (case / "runs" / "run_02.npz").write_bytes(b"not a zip")
+    found = load_case(case)
+    assert len(found.runs) == 3
+    assert "run_02" in found.dropped_runs[0]
+
+
+def test_clock_that_runs_backwards_is_refused(case: Path) -> None:
+    only_one_run(case)
+    change(case, time=lambda t: t[::-1].copy())
+    with pytest.raises(GapError, match="backwards"):
+        load_case(case)
+
+
+def test_a_single_late_stamp_is_left_out_and_said(case: Path) -> None:
+    def late(t):
+        t = t.copy()
+        t[50] = t[40]
+        return t
+
+    change(case, time=late)
+    assert any("backwards" in w for w in load_case(case).warnings)
+
+
+def test_nan_stretches_are_borne(case: Path) -> None:
+    def holes(a):
+        a = a.copy()
+        a[100:180] = np.nan
+        return a
+
+    change(case, joint_pos=holes)
+    found = diagnose(load_case(case), DiagnoseConfig(effects=("command_delay",), report=False))
+    assert found.verdict in ("no_gap", "unexplained", "identified", "ambiguous")
+
+
+def test_all_nan_joint_is_refused(case: Path) -> None:
+    only_one_run(case)
+    change(case, joint_pos=lambda a: np.full_like(a, np.nan))
+    with pytest.raises(GapError, match="no finite position"):
+        load_case(case)
+
+
+def test_constant_commands_do_not_excite(case: Path) -> None:
+    for path in (case / "runs").glob("*.npz"):
+        change(case, path.stem, command=lambda c: np.repeat(c[:1], len(c), axis=0))
+    with pytest.raises(GapError, match="no run excites"):
+        diagnose(load_case(case))
+
+
+def test_exploding_model_is_named_with_the_time(case: Path) -> None:
+    xml = (case / "model.xml").read_text().replace('kp="150" kv="8"', 'kp="-4000" kv="-900"')
+    (case / "model.xml").write_text(xml.replace('forcerange="-45 45"', 'forcerange="-1e7 1e7"'))
+    with pytest.raises(GapError, match=r"explodes[\s\S]*run_01"):
+        diagnose(load_case(case))
+
+
+def test_torque_in_other_units_is_said(made, tmp_path: Path) -> None:
+    folder = tmp_path / "case"
+    shutil.copytree(made("torque", Truth(), torque="measured"), folder)
+    for path in (folder / "runs").glob("*.npz"):
+        change(folder, path.stem, joint_torque=lambda t: 1000 * t)
+    found = diagnose(load_case(folder), DiagnoseConfig(effects=("command_delay",)))
+    assert any("N m" in w for w in found.health["warnings"])
+
+
+def test_one_run_only_is_said(case: Path) -> None:
+    only_one_run(case)
+    found = diagnose(load_case(case), DiagnoseConfig(effects=("command_delay", "coulomb_friction")))
+    assert found.shrinkage["unseen"] is False
+    assert any("only one run" in w for w in found.health["warnings"])
+
+
+def test_many_runs_are_subsampled_and_said(case: Path) -> None:
+    for i in range(20):
+        shutil.copy(case / "runs" / "run_01.npz", case / "runs" / f"more_{i:02d}.npz")
+    found = diagnose(load_case(case), DiagnoseConfig(effects=("command_delay",), max_runs=4))
+    assert any("24 runs" in w for w in found.health["warnings"])
+
+
+def test_model_with_an_entity_bomb_is_refused(case: Path) -> None:
+    (case / "model.xml").write_text('<!DOCTYPE a [<!ENTITY b "c">]><mujoco>&b;</mujoco>')
+    with pytest.raises(GapError, match="plain XML"):
+        load_case(case)
+
+
+def test_tendons_and_loops_are_borne_and_said(case: Path) -> None:
+    xml = (case / "model.xml").read_text()
+    extra = (
+        '<tendon><fixed name="strap"><joint joint="shoulder" coef="1"/><joint joint="elbow" coef="0.1"/></fixed></tendon>'
+        '<equality><joint joint1="elbow" joint2="shoulder" active="false"/></equality></mujoco>'
+    )
+    (case / "model.xml").write_text(xml.replace("</mujoco>", extra))
+    found = load_case(case)
+    assert any("tendon" in w for w in found.warnings)
+    assert any("closed loops" in w for w in found.warnings)
+
+
+def test_replicates_are_found(case: Path) -> None:
+    shutil.copy(case / "runs" / "run_01.npz", case / "runs" / "run_09.npz")
+    assert replicates(load_case(case)) == [[0, 4]]
+
+
+def test_unknown_effect_gives_the_closest() -> None:
+    with pytest.raises(UnknownNameError, match="coulomb_friction"):
+        explain("coulomb")
