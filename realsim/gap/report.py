@@ -29,7 +29,7 @@ from realsim.gap.report_words import LEVELS, WORDS, lead, percent, times
 from realsim.report import page, viewer3d
 
 # Three cards in a row on a screen, one below the other on a phone.
-_TRIO = 'class="grid" style="grid-template-columns:repeat(auto-fit,minmax(min(300px,100%),1fr))"'
+_TRIO = 'class="grid" style="grid-template-columns:repeat(auto-fit,minmax(min(300px,100%),1fr));align-items:stretch"'
 
 
 def write_report(path: Path, found: Diagnosis) -> None:

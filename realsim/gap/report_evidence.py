@@ -86,8 +86,8 @@ def ranking_card(found: Diagnosis) -> str:
     same = {c["effect"] for s in found.equivalent for c in s} - here
     fitted, screened, untried = [], [], []
     for r in found.ranking:
-        level, word = ("good", "cause") if r["effect"] in here else ("look", "equivalent")
-        badge = page.badge(level, word) if r["effect"] in here | same else ""
+        badge = page.badge("good", "cause") if r["effect"] in here else ""
+        badge = page.badge("look", "equivalent") if r["effect"] in same else badge
         what = f"<b>{page.esc(title_of(r['effect']))}</b> {badge}<small>{page.esc(r['effect'])}</small>"
         where = places(r.get("place", []))
         if "linear_gain" not in r:

@@ -11,7 +11,7 @@ from realsim.gap.simulate import measured
 from realsim.report import page, raster, svg
 from realsim.types import F64
 
-_ROW = 'style="display:grid;gap:14px 26px;grid-template-columns:repeat(auto-fit,minmax(min(330px,100%),1fr))"'
+_ROW = 'style="display:grid;gap:14px 26px;grid-template-columns:repeat(auto-fit,minmax(min(420px,100%),1fr))"'
 _MEASURED, _NOMINAL, _PATCHED = "var(--ink)", "var(--c1)", "var(--good)"
 _POINTS = 220
 """At most this many points a curve: more cannot be seen."""
@@ -35,7 +35,8 @@ def overlays_card(found: Diagnosis, shown: Replay) -> str:
 
 
 def _overlay(shown: Replay, k: int, channel: int, start: float, end: float) -> str:
-    assert shown.case is not None and shown.comparison is not None
+    assert shown.case is not None
+    assert shown.comparison is not None
     run, c = shown.case.runs[shown.runs[k]], shown.comparison.channels[channel]
     inside = np.flatnonzero((run.time >= start) & (run.time <= end))
     inside = inside[:: max(1, -(-len(inside) // _POINTS))]

@@ -43,8 +43,9 @@ def _heat(rows: Sequence[tuple[str, Any]], columns: Sequence[str]) -> str:
     n, m = len(rows), len(columns)
     height = 27 if n < 7 else 23
     left = 12 + 6.0 * max(len(name) for name, _ in rows)
+    labels = [(n - i - 0.5, name) for i, (name, _) in enumerate(rows)]
     axes = svg.Axes((0, m + 1.05), (0, n), width=WIDTH, height=height * n + 40, left=left, right=0, top=4, bottom=36,
-                    x_ticks=[], y_ticks=[(n - i - 0.5, name) for i, (name, _) in enumerate(rows)], grid=False)  # fmt: skip
+                    x_ticks=[], y_ticks=labels, grid=False)  # fmt: skip
     top = max(float(np.max([r for _, r in rows])), 1e-9)
     for i, (name, row) in enumerate(rows):
         y = n - i
@@ -121,10 +122,10 @@ def _labelled_bars(
     n = len(rows)
     axes = svg.Axes(x, (-0.5, n - 0.5), width=WIDTH, height=38 * n + 38, left=4, right=4, top=2, y_ticks=[],
                     x_label=x_label)  # fmt: skip
-    axes.rule(0.0, vertical=True)
     for i, (name, value, low, high, fill, text) in enumerate(rows):
         y = n - 1 - i
         axes.text(x[0], y, name, fill="var(--ink)" if fill != OTHER else "var(--soft)", anchor="start", dx=3, dy=-6)
+        axes.polyline([(0, y - 0.42), (0, y + 0.02)], OTHER, width=1)
         end = 0.0
         if math.isfinite(value):
             axes.bar(y - 0.2, min(value, x[1]), fill, thickness=0.3, title=f"{name}: {text}")
@@ -173,11 +174,12 @@ def _before_after(found: Diagnosis, shown: Replay) -> str:
     if not values:
         return ""
     n = len(rows)
+    labels = [(n - 1 - i, r[0]) for i, r in enumerate(rows)]
     low, high = math.log10(min([0.7, *values])) - 0.1, math.log10(max([3.0, *values])) + 0.15
     tens = [(float(k), svg.number(10.0**k)) for k in range(math.ceil(low), math.floor(high) + 1)]
     axes = svg.Axes((low, high), (-0.6, n - 0.4), width=WIDTH, height=21 * n + 42, top=4, right=4,
-                    left=12 + 6.0 * max(len(r[0]) for r in rows), x_ticks=tens, grid=True,
-                    y_ticks=[(n - 1 - i, r[0]) for i, r in enumerate(rows)], x_label="error / noise floor (log)")  # fmt: skip
+                    left=12 + 6.0 * max(len(name) for _, name in labels), x_ticks=tens, y_ticks=labels,
+                    x_label="error / noise floor (log)")  # fmt: skip
     axes.span(low, 0.0, FOUND, vertical=True)
     for i, (name, before, after) in enumerate(rows):
         y = n - 1 - i

@@ -39,17 +39,19 @@ def robot_card(found: Diagnosis) -> str:
             ground.append((V, F, np.tile(np.array(_GROUND, np.uint8), (len(V), 1))))
         else:
             parts.append((V, F, np.tile(colors[body], (len(V), 1))))
+    parts.append(_frame(parts))
     layers = [_layer("robot", parts), *([_layer("ground", ground)] if ground else []), *_marks(found, case, data)]
-    body = viewer(layers, label="the robot, coloured by the share of the gap")
+    view = viewer(layers, label="the robot, coloured by the share of the gap")
     scale = svg.color_bar(0.0, 100 * top, "%", HEAT)
     note = "Colour: share of the gap seen at the joint that moves a part, or at the base. Drag to turn."
-    return page.card("On the robot", body + scale + _key(found), note)
+    return page.card("On the robot", view + scale + _key(found), note)
 
 
 def _key(found: Diagnosis) -> str:
     if not any(place_of(c) for c in found.causes):
         return ""
-    return f'<div class="legend"><span><i style="background:rgb{_MARK}"></i>where the diagnosis puts the cause</span></div>'
+    mark = f'<i style="background:rgb{_MARK}"></i>'
+    return f'<div class="legend"><span>{mark}where the diagnosis puts the cause</span></div>'
 
 
 def first_pose(model: Any, run: Run, joint_names: tuple[str, ...]) -> Any:
@@ -99,6 +101,13 @@ def _layer(name: str, parts: list[tuple[F64, Any, Any]]) -> Layer:
     cells = [np.asarray(F) + o for (_, F, _), o in zip(parts, offsets[:-1], strict=True)]
     colors = [C for _, _, C in parts]
     return Layer(name, vertices, np.vstack(cells) if cells else None, np.vstack(colors) if colors else None)
+
+
+def _frame(parts: list[tuple[F64, Any, Any]]) -> tuple[F64, Any, Any]:
+    """A triangle without area that spans the robot's box and some air, so that the first view holds all of it."""
+    P = np.vstack([V for V, _, _ in parts]) if parts else np.zeros((1, 3))
+    middle, half = (P.min(axis=0) + P.max(axis=0)) / 2, 0.62 * (P.max(axis=0) - P.min(axis=0))
+    return np.stack([middle - half, middle + half, middle]), np.array([[0, 1, 2]]), np.zeros((3, 3), np.uint8)
 
 
 def _marks(found: Diagnosis, case: Case, data: Any) -> list[Layer]:

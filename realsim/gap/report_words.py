@@ -79,9 +79,9 @@ def percent(share: float) -> str:
     if share != share:
         return "–"
     if 0.995 <= share < 1:
-        return ">99 %"
+        return f"{min(100 * share, 99.99):.4g} %"
     if 0 < share < 0.005:
-        return "<1 %"
+        return f"{svg.number(100 * share, 1)} %" if share >= 1e-6 else "<0.0001 %"
     return f"{svg.number(round(100 * share), 3) if abs(share) < 10 else svg.number(100 * share, 2)} %"
 
 
