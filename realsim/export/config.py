@@ -17,6 +17,8 @@ class SceneConfig:
     """Metres a cell of the collision height field."""
     convex_threshold: float = 0.01
     """Metres of concavity that a part of the convex decomposition may have."""
+    convex_columns: int = 6000
+    """Columns of 1 cm that a convex decomposition may take on; its time grows faster than their number."""
     robot: str | None = None
     """Robot to put on the start platform: `g1`, or `menagerie:NAME`."""
     drop_tolerance: float = 0.010

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from realsim.errors import UnknownNameError
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import ContactModel
+from realsim.export.contact.convex import TooManyColumnsError
 from realsim.export.contact.cost import standing_place, step_cost
 from realsim.export.contact.fidelity import Fidelity, measure
 from realsim.export.contact.probe import Reference, spec_of
@@ -50,8 +51,15 @@ def fit_contact(
     reference = Reference(mesh.vertices, mesh.triangles)
     names = CANDIDATES if config.contact == "auto" else (config.contact,)
     tried: list[tuple[ContactModel, Fidelity]] = []
+    refused: list[dict[str, Any]] = []
     for name in names:
-        contact = CONTACT[name](mesh, ground_z, config)
+        try:
+            contact = CONTACT[name](mesh, ground_z, config)
+        except TooManyColumnsError as error:
+            if config.contact != "auto":
+                raise
+            refused.append({"representation": name, "refused": error.found})
+            continue
         fidelity = measure(spec_of(contact), reference, ground_z, probes=config.contact_probes)
         tried.append((contact, fidelity))
         if fidelity.meets(*config.contact_tolerance):
@@ -66,7 +74,7 @@ def fit_contact(
         heights = reference.top(start[:, :2])
         place = standing_place(np.column_stack([start[:, :2], heights])[np.isfinite(heights) & (np.abs(error) < 0.01)])
     cost = step_cost(spec_of(contact), place)
-    considered = [
+    considered = refused + [
         {"representation": c.representation} | {k: f.figures[k] for k in ("median_mm", "p95_mm", "leaks")}
         for c, f in tried
     ]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.errors import ExportError
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import Asset, ContactModel, Geom
 from realsim.export.contact.islands import Island, Terrain, terrain
@@ -16,12 +19,36 @@ CELL = 0.01  # metres: finer solids take CoACD minutes
 OVERLAP = 0.0005  # metres by which parts are grown, so that nothing slips between them
 
 
+class TooManyColumnsError(ExportError):
+    """What is to be decomposed is too large to be decomposed in reasonable time."""
+
+
+def check_columns(whole: Terrain, islands: Iterable[Island], config: SceneConfig) -> None:
+    """Refuse before the time is spent, by a count and not by a clock: the same input must give the same scene.
+
+    Raises:
+        TooManyColumnsError: the islands have more than `config.convex_columns` columns.
+    """
+    count = sum(int(np.isfinite(island.top).sum()) for island in islands)
+    if count > config.convex_columns:
+        raise TooManyColumnsError(
+            "the terrain is too large for a convex decomposition",
+            expected=f"at most {config.convex_columns} columns of {100 * whole.grid.cell:g} cm",
+            found=f"{count}, {count * whole.grid.cell**2:.2f} m^2 of curved surface",
+            hint="choose --contact hfield or boxes, or raise --convex-columns",
+        )
+
+
 def convex(mesh: TerrainMesh, ground_z: float, config: SceneConfig) -> ContactModel:
     """Convex parts whose concavity is at most `config.convex_threshold` metres, on an infinite floor.
 
     CoACD: Wei, Liu, Ling, Su, SIGGRAPH 2022. Solids are closed beforehand from columns of 1 cm.
+
+    Raises:
+        TooManyColumnsError: see `check_columns`.
     """
     whole = terrain(mesh, ground_z, CELL)
+    check_columns(whole, whole.islands, config)
     parts = [part for island in whole.islands for part in convex_parts(whole, island, config.convex_threshold)]
     assets = tuple(Asset.of_points(f"part_{k}", part) for k, part in enumerate(parts))
     geoms = tuple(Geom(a.name, "mesh", asset=a.name) for a in assets)

@@ -7,7 +7,7 @@ import numpy as np
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import Asset, ContactModel, Geom
 from realsim.export.contact.boxes import island_prisms
-from realsim.export.contact.convex import CELL, convex_parts
+from realsim.export.contact.convex import CELL, check_columns, convex_parts
 from realsim.export.contact.islands import Island, Terrain, terrain
 from realsim.export.contact.prisms import Prism, as_contact
 from realsim.types import TerrainMesh
@@ -16,7 +16,11 @@ MANY = 40  # prisms: a surface that takes more is not made of planes
 
 
 def hybrid(mesh: TerrainMesh, ground_z: float, config: SceneConfig) -> ContactModel:
-    """Island by island whichever describes it: planes, or convex parts of its solid."""
+    """Island by island whichever describes it: planes, or convex parts of its solid.
+
+    Raises:
+        TooManyColumnsError: too much of the terrain is curved.
+    """
     fine, coarse = terrain(mesh, ground_z), terrain(mesh, ground_z, CELL)
     prisms: list[Prism] = []
     curved: set[int] = set()
@@ -26,6 +30,7 @@ def hybrid(mesh: TerrainMesh, ground_z: float, config: SceneConfig) -> ContactMo
             prisms += found
         else:
             curved |= _same_place(fine, island, coarse)
+    check_columns(coarse, (coarse.islands[n] for n in curved), config)
     contact = as_contact("hybrid", prisms, fine.floor, {"cell_m": fine.grid.cell, "convex_islands": len(curved)})
     geoms, assets = list(contact.geoms), list(contact.assets)
     for n in sorted(curved):
