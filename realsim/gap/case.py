@@ -14,7 +14,7 @@ from realsim.errors import GapError
 from realsim.files import check_size, inside, read_json, read_text
 from realsim.types import F64
 
-SIGNAL_SHAPES = {
+SIGNAL_SHAPES: dict[str, str | int] = {
     "joint_pos": "J",
     "joint_vel": "J",
     "joint_torque": "J",
@@ -222,7 +222,7 @@ def read_run(path: Path, shape: dict[str, int], nq: int, nv: int, warnings: list
     _check_shape(path, "command", data["command"], (count, shape["U"]))
     signals = {}
     for name, columns in SIGNAL_SHAPES.items():
-        width = shape[columns] if isinstance(columns, str) else columns
+        width = shape[columns] if isinstance(columns, str) else int(columns)
         if name in data and width:
             _check_shape(path, name, data[name], (count, width))
             signals[name] = np.where(np.isfinite(data[name]), data[name], np.nan)

@@ -34,9 +34,9 @@ class Signals:
     torque_gain: dict[str, float] = field(default_factory=dict)
     """Joint -> g: logged torque = (1 + g) * true torque."""
     torque_phase: float = 0.0
-    """How much of the step of a held command the logged torque has already seen when it is sampled (0: as simulated)."""
-    torque_damping: dict[str, float] = field(default_factory=dict)
-    """Joint -> N m s/rad that belongs to the drive's torque although the simulator has it as joint damping."""
+    """Share of a held command's step that the logged torque has seen when it is sampled (0: as simulated)."""
+    back_emf: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Joint -> (N m s/rad, N m): the drive's torque is clip(servo force - first * velocity, second both ways)."""
     load_friction: dict[str, float] = field(default_factory=dict)
     """Joint -> friction as a ratio of the transmitted torque."""
     pulses: list[tuple[str, float, float]] = field(default_factory=list)

@@ -175,10 +175,10 @@ class Fitter:
             if moved is None:
                 return None
             for k, (run, m, y) in enumerate(zip(self.screen.runs, moved, base, strict=True)):
-                columns[k].append(self.screen.comparison.change(run, m, y).reshape(-1) / width)
+                columns[k].append(np.asarray(self.screen.comparison.change(run, m, y).reshape(-1) / width))
         return [np.stack(c, axis=1) for c in columns]
 
-    def _local(self, candidates: Sequence[Candidate], z: F64, parameters: list[Parameter]):  # type: ignore[no-untyped-def]
+    def _local(self, candidates: Sequence[Candidate], z: F64, parameters: list[Parameter]):
         """Marginal information (m, m) and the scores (runs, m) at z; None if it cannot be simulated."""
         base = self._predict(candidates, z)
         if base is None:
@@ -213,7 +213,7 @@ class Fitter:
             return None
         info, scores, _ = local
         scale = np.array([abs(p.step) for p in parameters])
-        ridge = np.diag((damping * np.diag(info) + 0.05 / scale**2))
+        ridge = np.diag(damping * np.diag(info) + 0.05 / scale**2)
         free = np.ones(len(z), bool)
         gradient = scores.sum(axis=0)
         for j, p in enumerate(parameters):  # a value that leans on its bound stays there
@@ -252,11 +252,11 @@ class Fitter:
     def _covariance(self, info: F64, scores: F64, parameters: list[Parameter]) -> F64:
         """The model's own, or the one that the runs' disagreement speaks of (sandwich), whichever is larger."""
         scale = np.array([abs(p.step) for p in parameters])
-        inverse = np.linalg.inv(info + np.diag(1e-2 / scale**2))
+        inverse: F64 = np.asarray(np.linalg.inv(info + np.diag(1e-2 / scale**2)), dtype=np.float64)
         runs = len(scores)
         if runs < 3:
             return inverse
         centred = scores - scores.mean(axis=0)
         sandwich = inverse @ (centred.T @ centred * runs / (runs - 1)) @ inverse
         ratio = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(inverse), 1e-30), 1.0))
-        return inverse * np.outer(ratio, ratio)
+        return np.asarray(inverse * np.outer(ratio, ratio))

@@ -52,7 +52,7 @@ def wrappers(signals: Signals) -> dict[str, Any]:
         found["load_friction"] = {
             "value": dict(signals.load_friction),
             "unit": "ratio",
-            "what": "each step, set the control of actuator load_friction_JOINT to -ratio * |drive torque| * sign(velocity)",
+            "what": "each step, control of actuator load_friction_JOINT = -ratio * |drive torque| * sign(velocity)",
         }
     if signals.pulses:
         found["external_force"] = [{"actuator": n, "start_s": s, "end_s": e} for n, s, e in signals.pulses]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from realsim.gap.effects.base import Effect, Parameter, Place
 from realsim.gap.groups import like_joints
 from realsim.gap.nuisances import NUISANCES
 from realsim.gap.simulate import Simulator, lookup
-from realsim.types import F64
+from realsim.types import F32, F64
 
 
 @dataclass(frozen=True)
@@ -78,11 +79,11 @@ class Screen:
         self.skipped: dict[str, str] = {}
         self._version = -1
         self._A: list[F64] = []
-        self._weighted: list[F64] = []
+        self._weighted: list[F32] = []
         context = simulator.context
         chosen = [n for n in EFFECTS if not effects or n in effects]
         self.atoms: list[Atom] = []
-        columns: list[list[F64]] = [[] for _ in self.runs]
+        columns: list[list[F32]] = [[] for _ in self.runs]
         wanted: list[Atom] = []
         for effect in [*(EFFECTS[n] for n in chosen), *NUISANCES.values()]:
             places = effect.places(context)
@@ -110,7 +111,7 @@ class Screen:
         self.prior = np.array([a.parameter.nuisance for a in self.atoms])
         self.candidates = self._candidates(chosen)
 
-    def _column(self, atom: Atom, base: list[F64]) -> list[F64] | None:
+    def _column(self, atom: Atom, base: list[F64]) -> list[F32] | None:
         """Change of the prediction by one unit of the parameter, a flat (B * C) array a run; None if it cannot run."""
         p = atom.parameter
         # Where small deviations are everyday, the slope at the nominal model counts: it must predict them.
@@ -144,7 +145,7 @@ class Screen:
             self._weighted = []
             for run, G in zip(self.runs, self._columns, strict=True):
                 W = self.comparison.weights[run].reshape(-1, 1).astype(np.float32)
-                self._weighted.append(G * W)
+                self._weighted.append(np.asarray(G * W, dtype=np.float32))
                 self._A.append((G.T @ self._weighted[-1]).astype(float))
         b, c = [], []
         for run, GW, y in zip(self.runs, self._weighted, simulated, strict=True):
@@ -155,7 +156,7 @@ class Screen:
             c.append(float((W * r * r).sum()))
         return Evidence(self._A, b, c)
 
-    def fitted(self, k: int, x: F64) -> F64:
+    def fitted(self, k: int, x: F64) -> Any:
         """(B, C) change of the prediction of screened run k by atoms x."""
         run = self.runs[k]
         return (self._columns[k] @ x.astype(np.float32)).reshape(self.comparison.weights[run].shape)
@@ -168,7 +169,7 @@ class Screen:
         for name in chosen:
             effect = EFFECTS[name]
             places = [p for p in effect.places(context) if any(a.effect == name and a.place == p for a in self.atoms)]
-            groups = [(p,) for p in places]
+            groups: list[tuple[Place, ...]] = [(p,) for p in places]
             if effect.scope == "joint" and len(places) > 1:
                 groups += [tuple((j,) for j in g) for g in like_joints([p[0] for p in places])]
             elif effect.scope == "terrain" and len(places) > 1:
@@ -251,4 +252,4 @@ def score(A: F64, b: F64, directions: F64, size: F64) -> tuple[float, F64, F64]:
     full = info + np.diag(1 / size**2)
     estimate = np.linalg.solve(full, s)
     occam = 0.5 * np.linalg.slogdet(np.eye(len(size)) + (size[:, None] * info) * size)[1]
-    return float(0.5 * s @ estimate - occam), estimate, np.linalg.inv(full)
+    return float(0.5 * s @ estimate - occam), np.asarray(estimate), np.asarray(np.linalg.inv(full))

@@ -14,7 +14,6 @@ from realsim.gap.screen import Candidate, Screen, marginal, posterior, score, sl
 from realsim.gap.simulate import lookup
 from realsim.types import F64
 
-
 GATE_MEDIAN, GATE_MEAN = 1.4, 2.8
 """Mean square in units of the floor, over runs, above which there is a gap."""
 LEAST_IMPROVEMENT = 0.15
@@ -58,7 +57,9 @@ def select(
 ) -> Selection:
     """Causes of the gap on the screened runs."""
     nominal = fitter.nominal()
-    current, trials, notes = nominal, [], []
+    current = nominal
+    trials: list[Trial] = []
+    notes: list[str] = []
     stages: list[tuple[Fit, list[Fit]]] = []
     for stage in range(config.max_causes):
         tick(f"selection, cause {stage + 1}", stage / config.max_causes)
@@ -360,7 +361,7 @@ def _close_rivals(stages: Sequence[tuple[Fit, list[Fit]]], fit: Fit) -> list[Cau
 
 
 def _same_thing(a: Candidate, b: Candidate) -> bool:
-    return a.effect == b.effect and bool(set(a.place) & set(b.place)) or (a.effect == b.effect and not a.place)
+    return (a.effect == b.effect and bool(set(a.place) & set(b.place))) or (a.effect == b.effect and not a.place)
 
 
 def _as_good(screen: Screen, config: DiagnoseConfig, best: Fit, rival: Fit, removed: float) -> bool:

@@ -163,7 +163,7 @@ class Simulator:
             data.qpos[adr : adr + 3] = _first(run.signals["base_pos"])
             if "base_quat" in run.signals:
                 quat = _first(run.signals["base_quat"])
-                data.qpos[adr + 3 : adr + 7] = quat / max(np.linalg.norm(quat), 1e-9)
+                data.qpos[adr + 3 : adr + 7] = quat / max(float(np.linalg.norm(quat)), 1e-9)
         first = _first(run.signals["joint_pos"])
         for j, name in enumerate(self.case.joint_names):
             true = first[j] - edit.signals.joint_offset.get(name, 0.0) - edit.signals.read_offset.get(name, 0.0)
@@ -216,7 +216,10 @@ class Simulator:
             if joint in self.context.actuator:
                 u = self.case.actuator_names.index(self.context.actuator[joint])
                 gear = float(self.case.model.actuator(self.context.actuator[joint]).gear[0])
-                torque[:, j] = gear * force[:, u] - edit.signals.torque_damping.get(joint, 0.0) * vel[:, j]
+                torque[:, j] = gear * force[:, u]
+                if joint in edit.signals.back_emf:
+                    slope, top = edit.signals.back_emf[joint]
+                    torque[:, j] = np.clip(torque[:, j] - slope * vel[:, j], -top, top)
         tracks = {"pos": pos, "vel": vel, "torque": torque}
         if self.case.floating:
             tracks["base_pos"], tracks["base_quat"] = take("rs_base_pos", [""], 3), take("rs_base_quat", [""], 4)
@@ -294,7 +297,7 @@ def _channels(case: Case) -> tuple[Channel, ...]:
     return tuple(found)
 
 
-def held_mean(time: F64, values: F64, grid: F64) -> F64:
+def held_mean(time: F64, values: F64, grid: Any) -> F64:
     """Mean over [grid[k], grid[k+1]] of values (T, U) that are held from each time stamp to the next; (N - 1, U)."""
     span = np.diff(time, append=time[-1] + 1.0)[:, None]
     integral = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values * span, axis=0)])
@@ -332,8 +335,8 @@ def _first(values: F64, count: int = 5) -> F64:
 
 
 def _inside(raw: dict[str, F64]) -> dict[str, F64]:
-    settle, dt = raw["settle"]
-    return {k: raw[k][int(round(settle / dt)) :] for k in ("pos", "vel", "torque")}
+    settle, dt = (float(v) for v in raw["settle"])
+    return {k: raw[k][round(settle / dt) :] for k in ("pos", "vel", "torque")}
 
 
 def base_name(case: Case) -> str:

@@ -55,7 +55,7 @@ def localise(
             if shares[c, p] > 0.005:
                 place = {"joint": channel.label} if channel.signal.startswith("joint") else {"body": channel.label}
                 entries.append({"signal": channel.signal, **place, "phase": phase, "share": float(shares[c, p])})
-    entries.sort(key=lambda e: -e["share"])
+    entries.sort(key=lambda e: -float(str(e["share"])))
     return entries[:40], shares
 
 
@@ -75,7 +75,7 @@ def by_horizon(comparison: Comparison, residuals: Sequence[F64]) -> dict[str, fl
     columns = [i for i, c in enumerate(comparison.channels) if c.signal == "joint_pos"]
     result = {}
     for horizon in HORIZONS:
-        lag = max(int(round(horizon / comparison.config.bin_seconds)), 1)
+        lag = max(round(horizon / comparison.config.bin_seconds), 1)
         growth = [r[lag:, columns] - r[:-lag, columns] for r in residuals if len(r) > lag]
         if growth:
             result[f"{horizon:g} s"] = float(np.sqrt(np.nanmean(np.concatenate(growth) ** 2)))

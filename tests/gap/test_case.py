@@ -12,6 +12,7 @@ import pytest
 from realsim.errors import GapError, UnknownNameError
 from realsim.gap import DiagnoseConfig, diagnose, explain, load_case
 from realsim.gap.diagnose import replicates
+
 from .truth import Truth
 
 
@@ -171,7 +172,8 @@ def test_model_with_an_entity_bomb_is_refused(case: Path) -> None:
 def test_tendons_and_loops_are_borne_and_said(case: Path) -> None:
     xml = (case / "model.xml").read_text()
     extra = (
-        '<tendon><fixed name="strap"><joint joint="shoulder" coef="1"/><joint joint="elbow" coef="0.1"/></fixed></tendon>'
+        '<tendon><fixed name="strap"><joint joint="shoulder" coef="1"/>'
+        '<joint joint="elbow" coef="0.1"/></fixed></tendon>'
         '<equality><joint joint1="elbow" joint2="shoulder" active="false"/></equality></mujoco>'
     )
     (case / "model.xml").write_text(xml.replace("</mujoco>", extra))

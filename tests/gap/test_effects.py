@@ -7,12 +7,41 @@ import pytest
 
 from realsim.gap import EFFECTS, DiagnoseConfig, diagnose, explain, load_case
 from realsim.gap.simulate import Simulator
+
 from .truth import Truth
 
-CONTRACT = """command_delay motor_gain stiffness_gain damping_gain torque_limit torque_speed_limit coulomb_friction
-viscous_friction stribeck_friction load_friction armature backlash joint_offset joint_compliance payload com_offset
-link_inertia ground_friction contact_compliance terrain_height terrain_tilt terrain_scale terrain_wobble
-observation_delay imu_bias camera_delay camera_mount depth_noise external_force link_geometry""".split()
+CONTRACT = [
+    "command_delay",
+    "motor_gain",
+    "stiffness_gain",
+    "damping_gain",
+    "torque_limit",
+    "torque_speed_limit",
+    "coulomb_friction",
+    "viscous_friction",
+    "stribeck_friction",
+    "load_friction",
+    "armature",
+    "backlash",
+    "joint_offset",
+    "joint_compliance",
+    "payload",
+    "com_offset",
+    "link_inertia",
+    "ground_friction",
+    "contact_compliance",
+    "terrain_height",
+    "terrain_tilt",
+    "terrain_scale",
+    "terrain_wobble",
+    "observation_delay",
+    "imu_bias",
+    "camera_delay",
+    "camera_mount",
+    "depth_noise",
+    "external_force",
+    "link_geometry",
+]
 
 INJECTED = {
     "command_delay": Truth(delay=0.012),

@@ -16,6 +16,7 @@ from realsim.gap.effects.terrain_tilt import quaternion, rotation
 from realsim.gap.groups import kind_of, like_joints
 from realsim.gap.screen import posterior, score
 from realsim.gap.simulate import held_mean, rotation_from
+
 from .truth import Truth
 
 

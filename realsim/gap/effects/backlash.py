@@ -7,11 +7,11 @@ import numpy as np
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("gap", "rad", (0.0, 0.3), 0.02, nuisance=0.0012),)
 
 
-def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+def _excited(context, place: Place) -> Excitation:
     turns = min(context.load_reversals[j] for j in place)
     return Excitation(turns >= 1, f"the torque through the gear changes sign {turns} times")
 

@@ -6,11 +6,11 @@ from realsim.errors import GapError
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, nowhere
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("rotation", "rad", (0.0, 0.3), 0.02),)
 
 
-def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+def _excited(context, place: Place) -> Excitation:
     return Excitation(False, "the log holds no camera images, so nothing can show it")
 
 
@@ -25,7 +25,8 @@ EFFECT = Effect(
     title="camera mount",
     scope="global",
     description="The camera is mounted elsewhere than in the model.",
-    signature="Depth is seen from another pose than the model's: all distances shift with the view direction. Joints, base and IMU are right.",
+    signature="Depth is seen from another pose than the model's: all distances shift with the view direction. Joints, "
+    "base and IMU are right.",
     excitation="Camera images, which the log format does not carry yet: never excited.",
     places=nowhere,
     parameters=_parameters,

@@ -7,16 +7,16 @@ import numpy as np
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
 
 
-def _places(context) -> list[Place]:  # type: ignore[no-untyped-def]
+def _places(context) -> list[Place]:
     return [(name,) for name in context.bodies]
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     reach = context.reach(place[0])
     return tuple(Parameter(axis, "m", (-reach, reach), 0.02, nuisance=0.0015) for axis in "xyz")
 
 
-def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+def _excited(context, place: Place) -> Excitation:
     return Excitation(True, "gravity acts on it")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from realsim.gap.effects.base import Edit, Effect, Parameter, Place, always, everywhere
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("delay", "s", (-0.01, 0.2), 0.01, nuisance=0.0012),)
 
 
@@ -18,8 +18,8 @@ EFFECT = Effect(
     title="command delay",
     scope="global",
     description="Every command acts a fixed time after it was logged (bus, queue, low-level control rate).",
-    signature="The same lag at all joints and speeds; error in proportion to the speed of the command; IMU and base lag "
-    "with the joints.",
+    signature="The same lag at all joints and speeds; error in proportion to the speed of the command; IMU and base "
+    "lag with the joints.",
     excitation="Commands that change; an IMU or base pose tells it from a delay of the joint readings.",
     places=everywhere,
     parameters=_parameters,

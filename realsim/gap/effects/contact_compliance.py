@@ -5,15 +5,15 @@ from __future__ import annotations
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
 
 
-def _places(context) -> list[Place]:  # type: ignore[no-untyped-def]
+def _places(context) -> list[Place]:
     return [()] if context.touches else []
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("time_constant", "s", (-0.006, 0.3), 0.02, nuisance=0.0015),)
 
 
-def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+def _excited(context, place: Place) -> Excitation:
     return Excitation(context.touches, "the robot stands on it" if context.touches else "nothing touches")
 
 

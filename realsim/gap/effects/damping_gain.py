@@ -5,11 +5,11 @@ from __future__ import annotations
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("ratio", "ratio", (-0.85, 2.0), 0.25, nuisance=0.03, report=lambda z: 1 + z),)
 
 
-def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+def _excited(context, place: Place) -> Excitation:
     speed = max(context.speed[j] for j in place)
     torque = context.case.command_kind == "torque"
     return Excitation(not torque and speed > 0.02, f"peak speed {speed:.2g} rad/s")
@@ -31,7 +31,8 @@ EFFECT = Effect(
     title="damping gain (kd)",
     scope="joint",
     description="The servo turns velocity into torque with another gain than the model's.",
-    signature="Lag in proportion to speed, both ways; overshoot after steps; shows in the drive's torque, unlike viscous friction.",
+    signature="Lag in proportion to speed, both ways; overshoot after steps; shows in the drive's torque, "
+    "unlike viscous friction.",
     excitation="Fast motion; measured torque tells it from viscous friction.",
     places=each_joint,
     parameters=_parameters,

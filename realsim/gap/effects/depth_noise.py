@@ -6,11 +6,11 @@ from realsim.errors import GapError
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, nowhere
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("sigma", "m", (0.0, 0.3), 0.02),)
 
 
-def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+def _excited(context, place: Place) -> Excitation:
     return Excitation(False, "the log holds no camera images, so nothing can show it")
 
 

@@ -7,18 +7,18 @@ from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
 FOREVER = 1e6
 
 
-def _places(context) -> list[Place]:  # type: ignore[no-untyped-def]
+def _places(context) -> list[Place]:
     return [(name,) for name in context.bodies]
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     weight = 9.81 * max(context.moved_mass(place[0]), 0.05 * context.total_mass)
     force = [Parameter(f"f{a}", "N", (-6 * weight, 6 * weight), 0.15 * weight) for a in "xyz"]
     start = Parameter("start", "s", (-1.0, 60.0), 0.1, default=-1.0)
     return (*force, start, Parameter("end", "s", (0.0, FOREVER), 0.1, default=FOREVER))
 
 
-def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+def _excited(context, place: Place) -> Excitation:
     return Excitation(True, "any force shows")
 
 

@@ -5,24 +5,26 @@ from __future__ import annotations
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
 
 
-def _places(context) -> list[Place]:  # type: ignore[no-untyped-def]
+def _places(context) -> list[Place]:
     return [()] if context.case.has_imu else []
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     gyro = [Parameter(f"gyro_{a}", "rad/s", (-1.0, 1.0), 0.05, nuisance=0.004) for a in "xyz"]
     acc = [Parameter(f"acc_{a}", "m/s^2", (-5.0, 5.0), 0.5, nuisance=0.04) for a in "xyz"]
     return (*gyro, *acc)
 
 
-def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+def _excited(context, place: Place) -> Excitation:
     return Excitation(context.case.has_imu, "an IMU is logged")
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     signals = edit.signals
-    signals.gyro_bias = tuple(b + values[f"gyro_{a}"] for a, b in zip("xyz", signals.gyro_bias, strict=True))  # type: ignore[assignment]
-    signals.acc_bias = tuple(b + values[f"acc_{a}"] for a, b in zip("xyz", signals.acc_bias, strict=True))  # type: ignore[assignment]
+    x, y, z = signals.gyro_bias
+    signals.gyro_bias = (x + values["gyro_x"], y + values["gyro_y"], z + values["gyro_z"])
+    x, y, z = signals.acc_bias
+    signals.acc_bias = (x + values["acc_x"], y + values["acc_y"], z + values["acc_z"])
 
 
 EFFECT = Effect(

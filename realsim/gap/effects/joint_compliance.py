@@ -5,12 +5,12 @@ from __future__ import annotations
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
 
 
-def _softest_step(context, place: Place) -> float:  # type: ignore[no-untyped-def]
+def _softest_step(context, place: Place) -> float:
     """rad/(N m) below which the explicit spring is not stable at the model's time step."""
     return max(context.timestep**2 / (0.6 * max(context.armature(j), 0.2 * context.inertia[j])) for j in place)
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     scale = 1 / min(max(context.peak_torque[j], 1e-6) for j in place)
     least = _softest_step(context, place)
     step = max(0.02 * scale, 1.5 * least)
@@ -18,7 +18,7 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore
     return (Parameter("stiffness", "N m/rad", (0.0, max(0.6 * scale, 4 * least)), step, 0.0012 * scale, report),)
 
 
-def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+def _excited(context, place: Place) -> Excitation:
     load = context.load(place)
     return Excitation(load > 0.01, f"the gear carries {load:.0%} of the torque range")
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     return (
         Parameter("offset", "rad", (-0.4, 0.4), 0.03, nuisance=0.002),
         Parameter("reading_offset", "rad", (-0.4, 0.4), 0.03, nuisance=0.002),
     )
 
 
-def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+def _excited(context, place: Place) -> Excitation:
     return Excitation(True, "gravity, contact or the servo's own reading shows it")
 
 

@@ -7,23 +7,26 @@ import numpy as np
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
 
 
-def _places(context) -> list[Place]:  # type: ignore[no-untyped-def]
+def _places(context) -> list[Place]:
     return [(name,) for name in context.bodies if context.direction(name) is not None]
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     reach = context.reach(place[0])
     return (Parameter("length", "m", (-0.4 * reach, 0.6 * reach), 0.1 * reach, nuisance=0.001),)
 
 
-def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+def _excited(context, place: Place) -> Excitation:
     return Excitation(True, "gravity on what the link carries, or its feet on the ground")
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     """Everything at the far end (next bodies, feet) moves along the link; the link's own mass stays."""
     for name in place:
-        shift = values["length"] * edit.context.direction(name)
+        direction = edit.context.direction(name)
+        if direction is None:
+            continue
+        shift = values["length"] * direction
         body = edit.spec.body(name)
         for child in body.bodies:
             child.pos = np.asarray(child.pos) + shift

@@ -5,7 +5,7 @@ from __future__ import annotations
 from realsim.gap.effects.base import Edit, Effect, Parameter, Place, always, everywhere
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("delay", "s", (-0.01, 0.2), 0.01, nuisance=0.0012),)
 
 

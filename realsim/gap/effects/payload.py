@@ -7,11 +7,11 @@ import numpy as np
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
 
 
-def _places(context) -> list[Place]:  # type: ignore[no-untyped-def]
+def _places(context) -> list[Place]:
     return [(name,) for name in context.bodies]
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     body = context.case.model.body(place[0])
     mass, total = float(body.mass[0]), context.moved_mass(place[0])
     reach = context.reach(place[0])
@@ -23,7 +23,7 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore
     return (Parameter("mass", "kg", (-0.7 * mass, 3 * max(total, mass)), step, nuisance=0.012 * mass), *where)
 
 
-def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+def _excited(context, place: Place) -> Excitation:
     return Excitation(True, "gravity and acceleration act on it")
 
 
@@ -38,7 +38,7 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         edit.set_inertia(body, *add_point_mass(*edit.inertia_of(body), added, where))
 
 
-def add_point_mass(mass: float, com: np.ndarray, inertia: np.ndarray, added: float, where: np.ndarray):  # type: ignore[no-untyped-def]
+def add_point_mass(mass: float, com: np.ndarray, inertia: np.ndarray, added: float, where: np.ndarray):
     """(mass, com, 3x3 inertia about com) of the body with a point mass added; all in the body's frame."""
     total = mass + added
     center = (mass * com + added * where) / total
@@ -53,8 +53,8 @@ EFFECT = Effect(
     title="payload",
     scope="body",
     description="A mass fixed to a body at a point (x, y, z in the body's frame).",
-    signature="More sag in every pose that carries it, in the joints between it and the base; slower acceleration; more "
-    "weight on the feet.",
+    signature="More sag in every pose that carries it, in the joints between it and the base; slower acceleration; "
+    "more weight on the feet.",
     excitation="Gravity in several poses; accelerations tell it from a constant force.",
     places=_places,
     parameters=_parameters,

@@ -7,7 +7,7 @@ import numpy as np
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     nominal = min(context.friction(j) for j in place)
     scale = min(context.torque_scale(j) for j in place)
     top = max(context.torque_range[j] for j in place)
@@ -19,7 +19,7 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore
     )
 
 
-def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+def _excited(context, place: Place) -> Excitation:
     turns = min(context.reversals[j] for j in place)
     return Excitation(turns >= 2, f"the velocity changes sign {turns} times")
 

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
 
 
-def _places(context) -> list[Place]:  # type: ignore[no-untyped-def]
+def _places(context) -> list[Place]:
     return [(name,) for name in context.terrain]
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("height", "m", (-0.1, 0.1), 0.01, nuisance=0.0012),)
 
 
-def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+def _excited(context, place: Place) -> Excitation:
     return Excitation(context.touches, "the robot stands on it")
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     for name in place:
         body = edit.spec.body(name)
-        body.pos = body.pos + [0.0, 0.0, values["height"]]
+        body.pos = np.asarray(body.pos) + np.array([0.0, 0.0, values["height"]])
 
 
 EFFECT = Effect(

@@ -5,11 +5,11 @@ from __future__ import annotations
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
 
 
-def _places(context) -> list[Place]:  # type: ignore[no-untyped-def]
+def _places(context) -> list[Place]:
     return [(name,) for name in context.terrain]
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     weight = 9.81 * context.total_mass
     soft, rock = 0.02 / weight, 0.15 / (0.05 * weight)
     return (
@@ -19,7 +19,7 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore
     )
 
 
-def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+def _excited(context, place: Place) -> Excitation:
     return Excitation(context.touches, "the robot stands on it")
 
 

@@ -7,12 +7,12 @@ import numpy as np
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     peak = max(context.peak_torque[j] for j in place)
     return (Parameter("limit", "N m", (0.0, 0.97), 0.35, report=lambda z: peak * (1 - z)),)
 
 
-def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+def _excited(context, place: Place) -> Excitation:
     peak = max(context.peak_torque[j] for j in place)
     return Excitation(peak > 0, f"the nominal drive uses up to {peak:.3g} N m: only lower limits would show")
 

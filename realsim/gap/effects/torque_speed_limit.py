@@ -7,18 +7,22 @@ import numpy as np
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     speed = max(context.speed[j] for j in place)
     return (Parameter("no_load_speed", "rad/s", (0.0, 1.6), 0.7, report=lambda z: speed / max(z, 1e-3)),)
 
 
-def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+def _excited(context, place: Place) -> Excitation:
     share = max(context.load_at_speed[j] for j in place)
     return Excitation(share > 0.08, f"torque and speed together reach {share:.0%} of range times peak speed")
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
-    """clip(u, -T - c v, T - c v) with c = T / v0 is the same as clip(u + c v, -T, T) - c v: plain MuJoCo."""
+    """The drive gives clip(u, max(-T, -T - c v), min(T, T - c v)) with c = T / v0, in plain MuJoCo.
+
+    clip(u, -T - c v, T - c v) is clip(u + c v, -T, T) - c v: the servo with more velocity gain, and a helper that takes
+    it off again; the joint's own limit on actuator forces then keeps braking within T.
+    """
     if values["no_load_speed"] <= 0:
         return
     for joint in place:
@@ -29,11 +33,14 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         bias[2] += slope
         actuator.biasprm = bias
         actuator.forcerange, actuator.forcelimited = np.array([-limit, limit]), 1
-        target = edit.spec.joint(edit.motor_joint(joint))
-        damping = target.damping
-        damping[0] += slope
-        target.damping = damping
-        edit.signals.torque_damping[joint] = edit.signals.torque_damping.get(joint, 0.0) + slope
+        name = edit.motor_joint(joint)
+        helper = edit.add_actuator(f"back_emf_{joint}", name)
+        bias = np.zeros_like(helper.biasprm)
+        bias[2] = -slope
+        helper.biasprm = bias
+        target = edit.spec.joint(name)
+        target.actfrcrange, target.actfrclimited = np.array([-limit, limit]), 1
+        edit.signals.back_emf[joint] = (slope, limit)
 
 
 EFFECT = Effect(

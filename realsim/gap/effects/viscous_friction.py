@@ -5,7 +5,7 @@ from __future__ import annotations
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore[no-untyped-def]
+def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     nominal = min(context.damping(j) for j in place)
     scale = min(context.torque_scale(j) / context.speed_scale(j) for j in place)
     step = max(0.5 * nominal, 0.08 * scale, 1e-5)
@@ -13,7 +13,7 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:  # type: ignore
     return (Parameter("damping", "N m s/rad", bounds, step, nuisance=0.05 * nominal + 0.003 * scale),)
 
 
-def _excited(context, place: Place) -> Excitation:  # type: ignore[no-untyped-def]
+def _excited(context, place: Place) -> Excitation:
     speed = max(context.speed[j] for j in place)
     return Excitation(speed > 0.02, f"peak speed {speed:.2g} rad/s")
 
