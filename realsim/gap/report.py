@@ -46,14 +46,20 @@ def diagnosis_page(found: Diagnosis) -> str:
         f"<div {_TRIO}>{trio}</div>",
         page.facts(_facts(found)),
         page.grid(overlays_card(found, shown)),
-        page.columns(
-            [robot_card(found), *path_card(found)],
-            [*causes_card(found), *equivalents_card(found), patch_card(found)],
-        ),
-        page.grid(ranking_card(found)),
-        page.columns([health_card(found), *noise_card(found)], [assumptions_card(found, shown)]),
+        *_evidence(found, shown),
     ]
     return page.document(*_title(found, shown), "".join(body), scripts=[viewer3d.script()])
+
+
+def _evidence(found: Diagnosis, shown: Replay) -> list[str]:
+    """Everything below the plots; without causes, what the data are like moves up to where they would stand."""
+    robot = [robot_card(found), *path_card(found)]
+    data = [health_card(found), *noise_card(found)]
+    answer = [*causes_card(found), *equivalents_card(found), *patch_card(found)]
+    rests = assumptions_card(found, shown)
+    if not answer:
+        return [page.columns(robot, [*data, rests]), page.grid(ranking_card(found))]
+    return [page.columns(robot, answer), page.grid(ranking_card(found)), page.columns(data, [rests])]
 
 
 def _title(found: Diagnosis, shown: Replay) -> tuple[str, str]:
@@ -86,13 +92,13 @@ def _facts(found: Diagnosis) -> list[tuple[str, str, str]]:
         facts.append(("Error of the simulator", times(size**0.5), "the noise floor (root mean square)"))
         if found.causes:
             after = max(size * shrunk["after"], 0.0) ** 0.5
-            facts.append(("With the patch", times(after), "the noise floor, nothing else fitted"))
+            facts.append(("With the patch", times(after), "the noise floor; causes only"))
     if found.causes:
         low, high = shrunk["ci90"]
         note = f"{percent(low)} to {percent(high)} (90 %)"
         facts.append(("Squared error removed", percent(shrunk["fraction"]), note))
     if found.verdict != "no_gap":
-        facts.append(("Unexplained", percent(found.unexplained_share), "of the gap above the floor"))
+        facts.append(("Unexplained", percent(found.unexplained_share), "of the gap, beyond everyday deviations"))
     unseen = shrunk.get("unseen", True)
     names = ", ".join(shrunk.get("runs", []))
     facts.append(("Checked on", names or "no run", "no fit has seen it" if unseen else "also fitted: no run to spare"))

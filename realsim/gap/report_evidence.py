@@ -11,7 +11,7 @@ from realsim.gap.diagnosis import Diagnosis
 from realsim.gap.effects import EFFECTS
 from realsim.gap.patch import patched_xml
 from realsim.gap.report_series import Replay
-from realsim.gap.report_words import interval, percent, place_of, places, signal_name, title_of
+from realsim.gap.report_words import after, interval, percent, place_of, places, signal_name, title_of
 from realsim.report import page, svg
 
 APPLY = """\
@@ -121,7 +121,7 @@ def _outcome(r: dict[str, Any], here: set[str], same: set[str]) -> str:
         outcome = "no better than what was accepted"
     elif outcome == "screened":
         outcome = "gains too little to be fitted" if r["linear_gain"] > 0 else "does not explain the error"
-    return f"{outcome} (beside cause {r['stage']})" if r.get("stage") else outcome
+    return f"{outcome}, {after(r['stage'])}" if r.get("stage") else outcome
 
 
 def _gain(value: float) -> str:
@@ -182,10 +182,10 @@ def noise_card(found: Diagnosis) -> list[str]:
 # ---------------------------------------------------------------- patch
 
 
-def patch_card(found: Diagnosis) -> str:
+def patch_card(found: Diagnosis) -> list[str]:
     """How to use the result, to copy and paste."""
     if not found.causes:
-        return page.card("The patch", page.bullets([], "There is nothing to change."))
+        return []
     simulator, fit = found.evidence.get("simulator"), found.evidence.get("fit")
     folder = simulator.case.folder.name if simulator is not None else ""
     parts = [page.code(APPLY.format(model=f"{folder}/model.xml" if folder else "model.xml"))]
@@ -201,7 +201,7 @@ def patch_card(found: Diagnosis) -> str:
         "model.xml beside this page has all of this that MJCF can express; the code applies it to your own model. "
         f"{'No model can hold the rest: `wrappers` has it.' if wrappers else 'Nothing else is needed.'}"
     )
-    return page.card("Apply the patch", "".join(parts), note)
+    return [page.card("Apply the patch", "".join(parts), note)]
 
 
 def model_changes(simulator: Any, fit: Any) -> str:

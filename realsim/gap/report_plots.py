@@ -10,13 +10,14 @@ import numpy as np
 
 from realsim.gap.diagnosis import Z90, Diagnosis
 from realsim.gap.report_series import Replay, horizons, place_shares
-from realsim.gap.report_words import percent, places, short, signal_name, title_of
+from realsim.gap.report_words import after, percent, places, short, signal_name, title_of
 from realsim.gap.where import PHASES
 from realsim.report import page, svg
 
 WIDTH = 340
 """SVG units; about the width of a third of the page, and of a phone."""
 _ROWS, _RIVALS = 9, 7
+_PHASE_LABELS = {"at rest": "rest", "reversal": "turns", "fast forward": "fast +", "fast backward": "fast −"}
 FOUND, RIVAL, OTHER = "var(--good)", "var(--look)", "var(--faint)"
 
 
@@ -27,22 +28,32 @@ def where_card(found: Diagnosis) -> str:
     """A heat map: joint (or signal of the base) by phase of motion, and shares by signal."""
     if "shares" not in found.evidence:
         return page.card("Where", page.bullets([], "The shares by place were not kept with this diagnosis."))
-    names, shares = place_shares(found)
-    order = np.argsort(-shares.sum(axis=1), kind="stable")
-    rows = [(short(n, 17) if kind == "joint" else signal_name(n), shares[i]) for i in order for kind, n in [names[i]]]
+    rows = _rows(found)
     if len(rows) > _ROWS:
         rest = np.sum([r for _, r in rows[_ROWS - 1 :]], axis=0)
         rows = [*rows[: _ROWS - 1], (f"{len(rows) - _ROWS + 1} others", rest)]
-    note = "Share of the squared error above the noise floor, by place and by phase of its motion."
+    note = "Share of the squared error above the noise floor, percent, by place and phase of motion."
     if found.verdict == "no_gap":
         note = "Where the little error above the noise floor lies; it is too small to be a gap."
     return page.card("Where", _heat(rows, PHASES) + _by_signal(found), note)
 
 
+def _rows(found: Diagnosis) -> list[tuple[str, Any]]:
+    """(name, (phases,) shares), largest first: one a channel where that is few, else one a joint."""
+    channels = found.evidence["comparison"].channels
+    if len(channels) <= _ROWS:
+        said = [f"{short(c.label, 12)} {signal_name(c.signal).removeprefix('joint ')}" for c in channels]
+        shares = np.asarray(found.evidence["shares"])
+    else:
+        names, shares = place_shares(found)
+        said = [short(name, 17) if kind == "joint" else signal_name(name) for kind, name in names]
+    return [(said[i], shares[i]) for i in np.argsort(-shares.sum(axis=1), kind="stable")]
+
+
 def _heat(rows: Sequence[tuple[str, Any]], columns: Sequence[str]) -> str:
     n, m = len(rows), len(columns)
     height = 27 if n < 7 else 23
-    left = 12 + 6.0 * max(len(name) for name, _ in rows)
+    left = 10 + 5.7 * max(len(name) for name, _ in rows)
     labels = [(n - i - 0.5, name) for i, (name, _) in enumerate(rows)]
     axes = svg.Axes((0, m + 1.05), (0, n), width=WIDTH, height=height * n + 40, left=left, right=0, top=4, bottom=36,
                     x_ticks=[], y_ticks=labels, grid=False)  # fmt: skip
@@ -59,7 +70,7 @@ def _heat(rows: Sequence[tuple[str, Any]], columns: Sequence[str]) -> str:
                 axes.text(j + 0.5, y - 0.5, f"{100 * share:.0f}", fill="var(--ink)", dy=4)
         axes.text(m + 1.0, y - 0.5, percent(float(np.sum(row))), fill="var(--ink)", anchor="end", dy=4)
     for j, name in enumerate(columns):
-        for k, word in enumerate(name.split()):
+        for k, word in enumerate(_PHASE_LABELS.get(name, name).split()):
             axes.text(j + 0.5, 0, word, dy=13 + 12 * k, outside=True)
     axes.text(m + 1.0, 0, "all", anchor="end", dy=13, outside=True)
     return axes.svg("share of the gap by place and phase of motion")
@@ -99,13 +110,14 @@ def what_card(found: Diagnosis) -> str:
     for r in rows:
         kind = FOUND if r["effect"] in here else RIVAL if r["effect"] in same else OTHER
         mark = {FOUND: "✓ ", RIVAL: "≈ "}.get(kind, "")
-        stage = f", beside cause {r['stage']}" if r.get("stage") else ""
+        stage = f", {after(r['stage'])}" if r.get("stage") else ""
         label = f"{mark}{title_of(r['effect'])} · {places(map(short, r.get('place', [])), 2)}{stage}"
         spread = Z90 * (r.get("heldout_se") or 0.0)
         value = r["heldout_gain"]
         bars.append((label, value, value - spread, value + spread, kind, svg.number(value, 3)))
     top = max(max(b[1] for b in bars), 1.0)
-    picture = _labelled_bars(bars, (-0.12 * top, 1.25 * top), "gain in log-likelihood a run, runs left out in turn")
+    end = 1.25 * min(max(b[3] for b in bars), 1.6 * top)
+    picture = _labelled_bars(bars, (-0.1 * end, max(end, top)), "gain in log-likelihood a run, runs left out in turn")
     legend = [("in the diagnosis", FOUND)] if here else []
     legend += [("explains the log as well", RIVAL)] if same else []
     keys = "".join(
@@ -116,12 +128,15 @@ def what_card(found: Diagnosis) -> str:
 
 
 def _labelled_bars(
-    rows: Sequence[tuple[str, float, float, float, str, str]], x: tuple[float, float], x_label: str
+    rows: Sequence[tuple[str, float, float, float, str, str]],
+    x: tuple[float, float],
+    x_label: str,
+    x_ticks: Sequence[tuple[float, str]] | None = None,
 ) -> str:
     """Bars with their names above: (name, value, low, high, fill, text). Names get the whole width that way."""
     n = len(rows)
-    axes = svg.Axes(x, (-0.5, n - 0.5), width=WIDTH, height=38 * n + 38, left=4, right=4, top=2, y_ticks=[],
-                    x_label=x_label)  # fmt: skip
+    axes = svg.Axes(x, (-0.5, n - 0.5), width=WIDTH, height=38 * n + (38 if x_label else 22), left=4, right=4,
+                    top=2, bottom=36 if x_label else 20, y_ticks=[], x_label=x_label, x_ticks=x_ticks)  # fmt: skip
     for i, (name, value, low, high, fill, text) in enumerate(rows):
         y = n - 1 - i
         axes.text(x[0], y, name, fill="var(--ink)" if fill != OTHER else "var(--soft)", anchor="start", dx=3, dy=-6)
@@ -153,7 +168,9 @@ def how_much_card(found: Diagnosis, shown: Replay) -> str:
             rows.append((_plain(name), value, value, value, OTHER, text))
     unseen = shrunk.get("unseen", True)
     note = f"Squared error left on {'runs that no fit has seen' if unseen else 'the fitted runs (none was left over)'}."
-    body = _labelled_bars(rows, (-0.02, 1.3), "") + _before_after(found, shown)
+    end = 1.22 * max(1.0, *(min(high, 1.4) for _, _, _, high, _, _ in rows if math.isfinite(high)))
+    ticks = [(k / 4, f"{25 * k} %") for k in range(int(4 * end) + 1)]
+    body = _labelled_bars(rows, (-0.02, end), "", ticks) + _before_after(found, shown)
     return page.card("How much", body, note)
 
 

@@ -32,7 +32,8 @@ def robot_card(found: Diagnosis) -> str:
     data = first_pose(case.model, case.runs[0], case.joint_names)
     shares = body_shares(found, case)
     top = max(shares.max(), 1e-9)
-    colors = raster.colorize(shares[:, None] / top, 0.0, 1.0, HEAT)[:, 0, :3]
+    gap = found.verdict != "no_gap"
+    colors = raster.colorize(shares[:, None] / top * gap, 0.0, 1.0, HEAT)[:, 0, :3]
     parts, ground = [], []
     for body, (V, F) in solids(case.model, data):
         if case.model.body_weldid[body] == 0:
@@ -42,8 +43,9 @@ def robot_card(found: Diagnosis) -> str:
     parts.append(_frame(parts))
     layers = [_layer("robot", parts), *([_layer("ground", ground)] if ground else []), *_marks(found, case, data)]
     view = viewer(layers, label="the robot, coloured by the share of the gap")
-    scale = svg.color_bar(0.0, 100 * top, "%", HEAT)
+    scale = svg.color_bar(0.0, 100 * top, "%", HEAT) if gap else ""
     note = "Colour: share of the gap seen at the joint that moves a part, or at the base. Drag to turn."
+    note = note if gap else "As the log begins. There is no gap to colour. Drag to turn."
     return page.card("On the robot", view + scale + _key(found), note)
 
 
@@ -104,25 +106,41 @@ def _layer(name: str, parts: list[tuple[F64, Any, Any]]) -> Layer:
 
 
 def _frame(parts: list[tuple[F64, Any, Any]]) -> tuple[F64, Any, Any]:
-    """A triangle without area that spans the robot's box and some air, so that the first view holds all of it."""
+    """Two triangles without area that span the robot's box and some air, so that the first view holds all of it."""
     P = np.vstack([V for V, _, _ in parts]) if parts else np.zeros((1, 3))
     middle, half = (P.min(axis=0) + P.max(axis=0)) / 2, 0.62 * (P.max(axis=0) - P.min(axis=0))
-    return np.stack([middle - half, middle + half, middle]), np.array([[0, 1, 2]]), np.zeros((3, 3), np.uint8)
+    return np.stack([middle - half, middle + half]), np.array([[0, 0, 0], [1, 1, 1]]), np.zeros((2, 3), np.uint8)
 
 
 def _marks(found: Diagnosis, case: Case, data: Any) -> list[Layer]:
-    """A rod along the axis of every joint, and a ball at the centre of every body, that a cause names."""
+    """A ring about the axis of every joint, and a cage around every body, that a cause names."""
     size = _extent(case.model, data)
     parts: list[tuple[F64, Any, Any]] = []
     for cause in found.causes:
         for joint in cause.get("joints", []):
             j = case.model.joint(joint).id
-            half = 0.09 * size * data.xaxis[j]
-            parts.append(_painted(_rod(data.xanchor[j] - half, data.xanchor[j] + half, 0.012 * size)))
+            half = 0.1 * size * data.xaxis[j]
+            parts.append(_painted(_rod(data.xanchor[j] - half, data.xanchor[j] + half, 0.008 * size)))
+            if case.model.jnt_type[j] == 3:
+                parts.append(_painted(_ring(data.xanchor[j], data.xaxis[j], 0.1 * size, 0.012 * size)))
         for body in cause.get("bodies", []):
-            V, F = _ball(np.full(3, 0.035 * size))
-            parts.append(_painted((V + data.xipos[case.model.body(body).id], F)))
+            low, high = _box_of(case.model, data, case.model.body(body).id, 0.02 * size)
+            parts += [_painted(_rod(a, b, 0.006 * size)) for a, b in _edges(low, high)]
     return [_layer("cause", parts)] if parts else []
+
+
+def _box_of(model: Any, data: Any, body: int, air: float) -> tuple[F64, F64]:
+    """Lowest and highest corner of a body's shapes in the world; a small cube at its centre where it has none."""
+    P = [V for b, (V, _) in solids(model, data) if b == body]
+    points = np.vstack(P) if P else data.xipos[body][None]
+    air = air if P else 2 * air
+    return points.min(axis=0) - air, points.max(axis=0) + air
+
+
+def _edges(low: F64, high: F64) -> list[tuple[F64, F64]]:
+    """The twelve edges of a box."""
+    corners = [np.array([x, y, z]) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+    return [(a, b) for i, a in enumerate(corners) for b in corners[i + 1 :] if np.sum(a != b) == 1]
 
 
 def _painted(solid: Solid) -> tuple[F64, Any, Any]:
@@ -174,11 +192,23 @@ def _skeleton(model: Any, data: Any, body: int, radius: float) -> list[Solid]:
 
 def _rod(a: F64, b: F64, radius: float) -> Solid:
     """A capsule between two points."""
-    z = (b - a) / max(float(np.linalg.norm(b - a)), 1e-9)
-    x = np.cross(z, [0.0, 0.0, 1.0] if abs(z[2]) < 0.9 else [1.0, 0.0, 0.0])
-    x /= np.linalg.norm(x)
     V, F = _capsule(radius, float(np.linalg.norm(b - a)) / 2)
-    return V @ np.stack([x, np.cross(z, x), z]) + (a + b) / 2, F
+    return V @ _turned(b - a) + (a + b) / 2, F
+
+
+def _turned(z: F64) -> F64:
+    """(3, 3) rows are the axes of a frame whose third axis lies along z: V @ R turns V there."""
+    z = z / max(float(np.linalg.norm(z)), 1e-9)
+    x = np.cross(z, [0.0, 0.0, 1.0] if abs(z[2]) < 0.9 else [1.0, 0.0, 0.0])
+    x /= max(float(np.linalg.norm(x)), 1e-9)
+    return np.stack([x, np.cross(z, x), z])
+
+
+def _ring(centre: F64, axis: F64, radius: float, thickness: float) -> Solid:
+    """A torus about an axis."""
+    turn = np.linspace(0, 2 * np.pi, 9)
+    V, F = _surface(np.column_stack([radius + thickness * np.cos(turn), thickness * np.sin(turn)]), 40)
+    return V @ _turned(axis) + centre, F
 
 
 def _surface(rings: F64, sides: int = 18) -> Solid:

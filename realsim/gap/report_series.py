@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -72,28 +73,26 @@ def horizons(shown: Replay) -> list[tuple[str, float, float | None]]:
 def worst_windows(shown: Replay, seconds: float = 1.5, count: int = 4) -> list[tuple[int, int, float, float]]:
     """(position in `runs`, channel, start, end): where the nominal simulator is farthest off, in units of the floor.
 
-    At most one window a channel, and signals take turns, so that four windows show four things.
+    Signals and channels take turns, so that four windows show four things where there are as many.
     """
     if shown.comparison is None or not shown.before:
         return []
+    channels = shown.comparison.channels
     scored: list[tuple[float, int, int, float]] = []
     for k, error in enumerate(shown.errors(shown.before)):
         ratio = np.nan_to_num(error**2 / shown.comparison.floor(shown.runs[k]))
         width = min(max(int(seconds / shown.comparison.config.bin_seconds), 1), len(ratio))
-        total = np.cumsum(np.vstack([np.zeros(ratio.shape[1]), ratio]), axis=0)
-        mean = (total[width:] - total[:-width]) / width
-        first = mean.argmax(axis=0)
-        for c, b in enumerate(first):
-            scored.append((float(mean[b, c]), k, c, float(shown.comparison.times[shown.runs[k]][b])))
-    scored.sort(reverse=True)
+        # Windows side by side, so that two of one channel never show the same.
+        for first in range(0, len(ratio) - width + 1, width):
+            start = float(shown.comparison.times[shown.runs[k]][first])
+            scored += [(float(v), k, c, start) for c, v in enumerate(ratio[first : first + width].mean(axis=0))]
     chosen: list[tuple[float, int, int, float]] = []
-    seen: dict[str, int] = {}
-    for turn in range(count):
-        for item in scored:
-            signal = shown.comparison.channels[item[2]].signal
-            if len(chosen) < count and seen.get(signal, 0) == turn and item[2] not in [i[2] for i in chosen]:
-                chosen.append(item)
-                seen[signal] = turn + 1
+    while scored and len(chosen) < count:
+        of_channel = Counter(c for _, _, c, _ in chosen)
+        of_signal = Counter(channels[c].signal for _, _, c, _ in chosen)
+        best = min(scored, key=lambda w: (of_channel[w[2]], of_signal[channels[w[2]].signal], -w[0]))
+        scored.remove(best)
+        chosen.append(best)
     return [(k, c, start, start + seconds) for _, k, c, start in chosen]
 
 

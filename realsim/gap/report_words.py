@@ -69,6 +69,11 @@ def places(names: Iterable[str], most: int = 4) -> str:
     return ", ".join(n.replace("_", " ") for n in listed[:most]) + more
 
 
+def after(stage: int) -> str:
+    """In which company an effect was fitted: beside how many causes that were found before."""
+    return f"after {stage} cause{'s' * (stage != 1)}"
+
+
 def place_of(cause: dict[str, Any]) -> list[str]:
     """Joints or bodies of a cause in the contract's form."""
     return list(cause.get("joints") or cause.get("bodies") or [])
@@ -78,10 +83,12 @@ def percent(share: float) -> str:
     """A share in percent; what is nearly all or nearly nothing does not round to all or nothing."""
     if share != share:
         return "–"
-    if 0.995 <= share < 1:
-        return f"{min(100 * share, 99.99):.4g} %"
-    if 0 < share < 0.005:
-        return f"{svg.number(100 * share, 1)} %" if share >= 1e-6 else "<0.0001 %"
+    if 0.9995 <= share < 1:
+        return ">99.9 %"
+    if 0 < share < 0.0005:
+        return "<0.1 %"
+    if share < 0.0095 or 0.995 <= share < 0.9995:
+        return f"{100 * share:.1f} %"
     return f"{svg.number(round(100 * share), 3) if abs(share) < 10 else svg.number(100 * share, 2)} %"
 
 
@@ -98,9 +105,9 @@ def interval(parameter: dict[str, Any]) -> str:
 
 
 def lead(found: Diagnosis) -> str:
-    """Where most of the gap lies, in a sentence; nothing where there is no gap."""
+    """Where most of the gap lies, in a sentence; why there is none where there is none."""
     if found.verdict == "no_gap" or not found.where:
-        return ""
+        return ". ".join(r[:1].upper() + r[1:] for r in found.statistics.get("reasons", [])[:1])
     by_place: dict[str, float] = {}
     for entry in found.where:
         key = entry.get("joint") or signal_name(entry["signal"])
