@@ -41,13 +41,16 @@ class Region:
         return Region(lower, upper, ground_z, float(used[:, 2].max()))
 
     def grid(self, count: int) -> tuple[F64, float]:
-        """((M, 2) about `count` points on a square grid, area of a cell in m^2)."""
+        """((M, 2) about `count` points, one at random in every cell of a square grid; area of a cell in m^2).
+
+        At random, because a regular grid hits or misses a straight edge all along."""
         size = np.maximum(self.upper - self.lower, 1e-6)
         spacing = float(np.sqrt(size.prod() / count))
         cells = np.maximum((size / spacing).astype(int), 1)
-        axes = [low + (np.arange(n) + 0.5) * s / n for low, n, s in zip(self.lower, cells, size, strict=True)]
-        x, y = np.meshgrid(*axes)
-        return np.column_stack([x.ravel(), y.ravel()]), float(size.prod() / cells.prod())
+        x, y = np.meshgrid(*(np.arange(n) for n in cells))
+        index = np.column_stack([x.ravel(), y.ravel()])
+        jitter = np.random.default_rng(0).random(index.shape)
+        return self.lower + (index + jitter) * size / cells, float(size.prod() / cells.prod())
 
 
 @dataclass(frozen=True)

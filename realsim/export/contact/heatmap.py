@@ -10,19 +10,21 @@ NONE, GOOD, PHANTOM, MISSING = (235, 235, 235), (247, 247, 247), (178, 24, 43), 
 
 
 def heatmap_png(contact_map: NDArray[np.float64], pixels: int = 6) -> bytes:
-    """PNG of (N, 3) x, y, signed error in metres on a square grid: red where MuJoCo touches what is not there, blue
+    """PNG of (N, 3) x, y, signed error in metres: red where MuJoCo touches what is not there, blue
     where it lacks what is there, white where both agree, full colour at 15 mm. x to the right, y up."""
     import cv2
 
-    x, y, error = contact_map.T
-    columns, rows = (np.unique(np.round(v, 6), return_inverse=True) for v in (x, y))
-    shape = (len(rows[0]), len(columns[0]))
-    image = np.full((*shape, 3), NONE, np.uint8)
+    xy, error = contact_map[:, :2], contact_map[:, 2]
+    lower, size = xy.min(0), np.maximum(np.ptp(xy, axis=0), 1e-6)
+    cell = float(np.sqrt(size.prod() / len(xy))) * 1.15  # a little wider than the probes are apart: no empty rows
+    column, row = ((xy - lower) / cell).astype(int).T
+    image = np.full((row.max() + 1, column.max() + 1, 3), NONE, np.uint8)
     strength = np.clip(np.abs(np.nan_to_num(error)) / LIMIT, 0, 1)[:, None]
     full = np.where(np.nan_to_num(error)[:, None] > 0, PHANTOM, MISSING)
     color = np.array(GOOD) * (1 - strength) + full * strength
-    known = np.isfinite(error)
-    image[rows[1][known], columns[1][known]] = np.rint(color[known]).astype(np.uint8)
+    order = np.argsort(np.abs(np.nan_to_num(error)), kind="stable")  # of several in a pixel, the worst is seen
+    order = order[np.isfinite(error[order])]
+    image[row[order], column[order]] = np.rint(color[order]).astype(np.uint8)
     image = np.kron(image[::-1], np.ones((pixels, pixels, 1), np.uint8))
     _, data = cv2.imencode(".png", image[..., ::-1])
     return data.tobytes()

@@ -51,6 +51,6 @@ def count_leaks(
     over = ((ends[:, :2] > extent.min(0)[:2]) & (ends[:, :2] < extent.max(0)[:2])).all(1)
     # An edge that is a few millimetres off lets a ball lie where there should be solid; that is counted as error, not
     # as a leak.
-    deep = reference.distance(ends) > DEEP
+    deep = reference.depth(ends) > DEEP
     inside = (reference.buried(ends) & deep) | (ends[:, 2] < min(ground_z, extent[:, 2].min()) - RADIUS)
     return {"leaks": int((inside & over).sum()), "leak_objects": int(over.sum())}

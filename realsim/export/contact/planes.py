@@ -105,9 +105,17 @@ def spread(labels: I64, inside: NDArray[np.bool_], cost: F64, outside: F64 | Non
         outside: (rows, columns) misfit of being no part of this at all, or None where that is no choice. Cells at the
             rim may choose it, and are -1 in the result.
     """
+    from scipy import ndimage
+
+    if not (labels >= 0).any():
+        return labels
+    index = np.indices(inside.shape)
+    if outside is not None:
+        # Leaving is a choice only for what suits it better than the nearest label, which may still have to get there.
+        near = ndimage.distance_transform_cdt(labels < 0, "taxicab", return_distances=False, return_indices=True)
+        outside = np.where(outside < cost[labels[near[0], near[1]], index[0], index[1]], outside, np.inf)
     labels = np.pad(labels, 1, constant_values=-1)
     gone = np.pad(~inside, 1, constant_values=True)
-    index = np.indices(inside.shape)
     shifts = ((-1, 0), (1, 0), (0, -1), (0, 1))
     rows, columns = inside.shape
     while True:
@@ -118,10 +126,9 @@ def spread(labels: I64, inside: NDArray[np.bool_], cost: F64, outside: F64 | Non
             part = (slice(1 + dr, 1 + dr + rows), slice(1 + dc, 1 + dc + columns))
             neighbour = labels[part]
             known = neighbour >= 0
-            if len(cost):
-                value = np.where(known, cost[np.maximum(neighbour, 0), index[0], index[1]], np.inf)
-                better = value < best
-                best, choice = np.where(better, value, best), np.where(better, neighbour, choice)
+            value = np.where(known, cost[np.maximum(neighbour, 0), index[0], index[1]], np.inf)
+            better = value < best
+            best, choice = np.where(better, value, best), np.where(better, neighbour, choice)
             if outside is not None:
                 better = gone[part] & (outside < best)
                 best, choice = np.where(better, outside, best), np.where(better, -1, choice)

@@ -171,6 +171,16 @@ class Reference:
         found = triangle < len(self.triangles)
         return found & self.up[np.where(found, triangle, 0)]
 
+    def depth(self, points: F64) -> F64:
+        """(M,) metres to the surface upwards and to the sides, whichever is nearest; of a point in a solid, how far
+        it got in (the floor beneath does not count). Points of no solid get what is in their way."""
+        angle = np.arange(8) * np.pi / 4
+        ways = np.vstack([np.column_stack([np.cos(angle), np.sin(angle), np.zeros(8)]), [[0, 0, 1.0]]])
+        start = np.repeat(points - self.centre, len(ways), axis=0)
+        rays = np.concatenate([start, np.tile(ways, (len(points), 1))], 1).astype(np.float32)
+        t = self._scene.cast_rays(self._o3d.core.Tensor(rays))["t_hit"].numpy().astype(np.float64)
+        return t.reshape(len(points), len(ways)).min(1)
+
     def clearance(self, probe: Probe, positions: F64, quats: F64) -> F64:
         """(N,) distance of the probe's surface at poses (N, 3), (N, 4) from the reference."""
         from scipy.spatial.transform import Rotation

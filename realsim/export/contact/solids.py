@@ -23,7 +23,8 @@ def island_solid(whole: Terrain, island: Island) -> tuple[F64, NDArray[np.int32]
     top = np.pad(island.top, 2, constant_values=np.nan)
     under = np.pad(island.under, 2, constant_values=np.nan)
     under = np.where(under <= whole.base, whole.base - DEPTH, under)
-    lowest, highest = np.nanmin(under) - 2 * cell, np.nanmax(top) + 2 * cell
+    # Off the faces by an odd part of a cell: nodes exactly on a face make triangles without area.
+    lowest, highest = np.nanmin(under) - 2.37 * cell, np.nanmax(top) + 2 * cell
     z = np.arange(lowest, highest + cell, cell)
     field = np.minimum(top[..., None] - z, z - under[..., None])
     # Beside the island the field is as far outside as half a cell: walls come out half way between cells.
