@@ -258,6 +258,13 @@ def test_a_whole_soft_capture_is_not_blurred_against_itself(tmp_path):
     assert len(frames_of(tmp_path)) == 10
 
 
+def test_pictures_without_any_detail_are_not_blurred(tmp_path):
+    write_plain(tmp_path, walk(6))
+    for i in range(6):
+        write_image(tmp_path / f"rgb/{i:06d}.png", np.full((72, 96, 3), 40 * i, np.uint8))
+    assert len(frames_of(tmp_path)) == 6
+
+
 # ---------------------------------------------------------------- depth unit
 
 

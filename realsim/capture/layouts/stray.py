@@ -82,7 +82,16 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     unit = config.depth_unit or 0.001
     why = "as asked for" if config.depth_unit else "Stray Scanner's convention, for arrays too"
     steps = DepthUnit(unit, unit, f"depth is in steps of {unit:g} m ({why})")
-    table = read_odometry(folder / ODOMETRY) if (folder / ODOMETRY).is_file() else {}
+    warnings: list[str] = []
+    table: dict[int, Row] = {}
+    if (folder / ODOMETRY).is_file():
+        try:
+            table = read_odometry(folder / ODOMETRY)
+        except PoseError as error:
+            # Its poses are not wanted, and the camera has a file of its own.
+            if not config.ignore_poses:
+                raise
+            warnings.append(f"{ODOMETRY} cannot be read: {one_line(error)}")
     posed = bool(table) and not config.ignore_poses
     sure = {n: p for p in list_files(folder / "confidence", (".png",)) if (n := last_number(p.stem)) is not None}
     camera = read_camera(folder / CAMERA)
@@ -128,7 +137,6 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
             "x y z qx qy qz qw",
             WORLD_NOTE,
         ]
-    warnings = []
     if table and video.count < len(table):
         warnings.append(f"{VIDEO} has {video.count} images for {len(table)} poses: the rest has no colour")
     return capture(folder, LAYOUT.name, tuple(frames), tuple(dropped), assumptions, warnings, UP if posed else None)
