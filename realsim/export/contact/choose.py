@@ -70,9 +70,9 @@ def fit_contact(
         contact, fidelity = min(tried, key=lambda t: t[1].figures["p95_mm"] + t[1].figures["leaks"])
         warnings = (*contact.warnings, _unmet(contact, fidelity, config.contact_tolerance))
     if place is None:
-        start, error = fidelity.touches.start, np.nan_to_num(fidelity.touches.error)
+        start, off = fidelity.touches.start, np.nan_to_num(fidelity.touches.error)
         heights = reference.top(start[:, :2])
-        place = standing_place(np.column_stack([start[:, :2], heights])[np.isfinite(heights) & (np.abs(error) < 0.01)])
+        place = standing_place(np.column_stack([start[:, :2], heights])[np.isfinite(heights) & (np.abs(off) < 0.01)])
     cost = step_cost(spec_of(contact), place)
     considered = refused + [
         {"representation": c.representation} | {k: f.figures[k] for k in ("median_mm", "p95_mm", "leaks")}

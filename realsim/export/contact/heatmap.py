@@ -25,6 +25,6 @@ def heatmap_png(contact_map: NDArray[np.float64], pixels: int = 6) -> bytes:
     order = np.argsort(np.abs(np.nan_to_num(error)), kind="stable")  # of several in a pixel, the worst is seen
     order = order[np.isfinite(error[order])]
     image[row[order], column[order]] = np.rint(color[order]).astype(np.uint8)
-    image = np.kron(image[::-1], np.ones((pixels, pixels, 1), np.uint8))
-    _, data = cv2.imencode(".png", image[..., ::-1])
+    image = image[::-1, :, ::-1].repeat(pixels, 0).repeat(pixels, 1)  # OpenCV wants blue first
+    _, data = cv2.imencode(".png", image)
     return data.tobytes()

@@ -1,0 +1,172 @@
+"""Every format is read back with what its users read it with, and holds the same geometry."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+from defusedxml import ElementTree
+
+from realsim.errors import ExportError, UnknownNameError
+from realsim.export import EXPORTERS, export_scene, write_scene
+from realsim.export.config import SceneConfig
+from realsim.export.formats import load_scene
+from realsim.export.heights import Surface
+
+from .terrain import GROUND, two_platforms
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene with boxes, a prism (the wedge of the mesh is the step turned up) and a floor plane."""
+    folder = tmp_path_factory.mktemp("scene")
+    aligned, mesh = two_platforms()
+    write_scene(folder, aligned, mesh, SceneConfig(contact="boxes", contact_probes=200, robot="g1"))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def exported(folder: Path) -> dict[str, list[Path]]:
+    return export_scene(folder, list(EXPORTERS))
+
+
+def test_a_scene_reads_back_as_it_was_written(folder: Path) -> None:
+    scene = load_scene(folder)
+    assert scene.floor_z == pytest.approx(GROUND)
+    assert len(scene.boxes) + len(scene.convex) == 3
+    assert set(scene.sites) == {"start", "goal"}
+    assert scene.colors is not None
+
+
+@pytest.mark.parametrize("name", list(EXPORTERS))
+def test_exports_are_repeatable(folder: Path, exported: dict[str, list[Path]], tmp_path: Path, name: str) -> None:
+    again = export_scene(folder, [name], tmp_path)[name]
+    assert [p.read_bytes() for p in again] == [p.read_bytes() for p in exported[name]]
+
+
+@pytest.mark.parametrize("name", ["glb", "obj", "stl", "ply"])
+def test_meshes_hold_the_scan(folder: Path, exported: dict[str, list[Path]], name: str) -> None:
+    scene = load_scene(folder)
+    mesh = trimesh.load(exported[name][0], force="mesh", process=False)
+    assert len(mesh.faces) == len(scene.triangles)
+    corners = np.asarray(mesh.triangles).reshape(-1, 3)
+    if name == "glb":  # y up
+        corners = np.column_stack([corners[:, 0], -corners[:, 2], corners[:, 1]])
+    np.testing.assert_allclose(corners, scene.vertices[scene.triangles].reshape(-1, 3), atol=2e-5)
+
+
+@pytest.mark.parametrize("name", ["mjcf", "warp", "urdf"])
+def test_what_mujoco_reads_has_the_same_heights(folder: Path, exported: dict[str, list[Path]], name: str) -> None:
+    """A ray down onto collision geometry; URDF goes through MuJoCo's own URDF reader."""
+    model = mujoco.MjModel.from_xml_path(str(exported[name][0]))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    visible = np.array([1, 0, 0, 1, 0, 0], np.uint8)
+    hit = np.zeros(1, np.int32)
+    for x, y, z in [(0.1, 0.3, 0.0), (2.1, 0.3, 0.05), (1.0, 0.1, -0.2), (1.0, -0.6, GROUND)]:
+        start = np.array([x, y, 0.3])
+        distance = mujoco.mj_ray(
+            model, data, start, np.array([0, 0, -1.0]), visible, 1, 0 if name == "mjcf" else -1, hit
+        )
+        if name == "mjcf":  # the robot's body is in the way of nothing here, the floor is of the world
+            distance = mujoco.mj_ray(model, data, start, np.array([0, 0, -1.0]), visible, 1, -1, hit)
+        assert 0.3 - distance == pytest.approx(z, abs=0.002)
+
+
+def test_warp_profile_is_primitives_with_bits_and_advice(exported: dict[str, list[Path]]) -> None:
+    model = mujoco.MjModel.from_xml_path(str(exported["warp"][0]))
+    assert (model.geom_contype == 1).all()
+    assert (model.geom_conaffinity == 0).all()
+    assert set(model.geom_type.tolist()) <= {int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_BOX)}
+    advice = json.loads(exported["warp"][1].read_text())
+    assert advice["nconmax_per_world"] >= advice["measured"]["contacts"] > 0
+
+
+def test_usd_is_metric_upright_and_collides(folder: Path, exported: dict[str, list[Path]]) -> None:
+    pytest.importorskip("pxr")
+    from pxr import Usd, UsdGeom, UsdPhysics
+
+    stage = Usd.Stage.Open(str(exported["usd"][0]))
+    assert UsdGeom.GetStageUpAxis(stage) == "Z"
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 1.0
+    assert stage.GetDefaultPrim().GetPath() == "/terrain"
+    colliders = [p for p in stage.Traverse() if p.HasAPI(UsdPhysics.CollisionAPI)]
+    scene = load_scene(folder)
+    assert len(colliders) == len(scene.all_boxes()) + len(scene.convex)
+    cache = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "guide"])
+    for box in scene.boxes:
+        prim = stage.GetPrimAtPath(f"/terrain/collision/{box.name}")
+        bound = cache.ComputeWorldBound(prim).ComputeAlignedRange()
+        reach = np.abs(box.rotation) @ box.half
+        np.testing.assert_allclose(bound.GetMin(), box.position - reach, atol=1e-4)
+        np.testing.assert_allclose(bound.GetMax(), box.position + reach, atol=1e-4)
+    scan = UsdGeom.Mesh(stage.GetPrimAtPath("/terrain/scan"))
+    np.testing.assert_allclose(np.array(scan.GetPointsAttr().Get()), scene.vertices, atol=1e-5)
+
+
+def test_sdf_has_every_collision_and_its_files(folder: Path, exported: dict[str, list[Path]]) -> None:
+    path = exported["sdf"][0]
+    root = ElementTree.parse(path).getroot()
+    assert root.find("model/static").text == "true"
+    scene = load_scene(folder)
+    collisions = root.findall("model/link/collision")
+    assert len(collisions) == 1 + len(scene.boxes) + len(scene.convex)
+    sizes = {c.get("name"): c.find("geometry/box/size").text for c in collisions if c.find("geometry/box") is not None}
+    for box in scene.boxes:
+        np.testing.assert_allclose(np.array(sizes[box.name].split(), float), 2 * box.half, rtol=1e-6)
+    for uri in root.iter("uri"):
+        assert (path.parent / uri.text).is_file()
+
+
+def test_terrain_mesh_is_closed_centred_and_flat_at_the_border(exported: dict[str, list[Path]]) -> None:
+    mesh = trimesh.load(exported["terrain"][0], force="mesh")
+    assert mesh.is_watertight
+    np.testing.assert_allclose(mesh.bounds.mean(0)[:2], 0, atol=1e-3)
+    about = json.loads(exported["terrain"][1].read_text())
+    start = np.array(about["platforms"]["start"]["center"])
+    assert start[2] == pytest.approx(-GROUND, abs=1e-3)
+    surface = Surface(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32))
+    assert surface.height(start[None, :2])[0] == pytest.approx(start[2], abs=0.002)
+
+
+def test_height_map_in_both_files(exported: dict[str, list[Path]]) -> None:
+    import cv2
+
+    npz, png, metadata = exported["heightmap"]
+    arrays, m = np.load(npz, allow_pickle=False), json.loads(metadata.read_text())
+    image = cv2.imread(str(png), cv2.IMREAD_UNCHANGED)
+    assert image.dtype == np.uint16
+    z = np.where(image == m["unseen"], np.nan, m["offset_m"] + m["step_m"] * image)[::-1]
+    np.testing.assert_allclose(z, arrays["z"], atol=1e-5)
+    i, j = np.rint((np.array([0.0, 2.0]) - arrays["lower"][::-1]) / arrays["spacing"][::-1]).astype(int)
+    assert arrays["z"][i, j] == pytest.approx(0.05, abs=1e-4)  # the goal, at y = 0 and x = 2
+
+
+def test_a_height_field_is_exported_too(tmp_path: Path) -> None:
+    aligned, mesh = two_platforms()
+    (tmp_path / "scene").mkdir()
+    config = SceneConfig(contact="hfield", contact_probes=200, hfield_resolution=0.05)
+    write_scene(tmp_path / "scene", aligned, mesh, config)
+    names = ["warp", "usd", "urdf", "sdf"]
+    files = export_scene(tmp_path / "scene", names, tmp_path / "out")
+    model = mujoco.MjModel.from_xml_path(str(files["warp"][0]))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    hit = np.zeros(1, np.int32)
+    for x, y, z in [(0.1, 0.3, 0.0), (2.1, -0.2, 0.05), (1.05, 0.15, -0.2)]:
+        distance = mujoco.mj_ray(model, data, np.array([x, y, 1.0]), np.array([0, 0, -1.0]), None, 1, -1, hit)
+        assert 1 - distance == pytest.approx(z, abs=1e-3)
+    with pytest.raises(ExportError, match="boxes"):
+        export_scene(tmp_path / "scene", ["terrain"], tmp_path / "out")
+
+
+def test_unknown_formats_and_folders_without_a_scene(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="usd"):
+        export_scene(folder, ["glb", "usdx"], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(ExportError, match="not a scene folder"):
+        export_scene(tmp_path, ["glb"])

@@ -1,0 +1,108 @@
+"""Any mesh from anywhere: mended with a note, or refused with a message."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from benchmarks.solids import block, terrain, with_floor
+from realsim.errors import ExportError
+from realsim.export import contact_mesh
+from realsim.export.config import SceneConfig
+from realsim.export.mend import ground_height, mend, read_mesh
+
+CONFIG = SceneConfig(contact_probes=200)
+
+
+def stl(path: Path, scale: float = 1.0, *, flipped: bool = False) -> Path:
+    mesh = terrain("stairs")
+    faces = mesh.triangles[:, ::-1] if flipped else mesh.triangles
+    trimesh.Trimesh(mesh.vertices * scale, faces, process=False).export(path)
+    return path
+
+
+def test_millimetres_are_refused_unless_said(tmp_path: Path) -> None:
+    path = stl(tmp_path / "a.stl", 1000)
+    with pytest.raises(ExportError, match="--unit mm"):
+        read_mesh(path)
+    mesh, _ = read_mesh(path, "mm")
+    assert np.ptp(mesh.vertices, 0).max() < 10
+
+
+def test_a_micrometre_mesh_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match="terrain's size"):
+        read_mesh(stl(tmp_path / "a.stl", 1e-6))
+
+
+def test_inside_out_is_turned_round(tmp_path: Path) -> None:
+    mesh, notes = read_mesh(stl(tmp_path / "a.stl", flipped=True))
+    assert any("inside out" in n for n in notes)
+    right, _ = read_mesh(stl(tmp_path / "b.stl"))
+    assert ground_height(mesh) == pytest.approx(ground_height(right)) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_nan_and_flat_triangles_are_taken_out() -> None:
+    mesh = terrain("stairs")
+    vertices = np.concatenate([mesh.vertices, [[np.nan, 0, 0]]])
+    bad = np.array([[0, 1, len(vertices) - 1], [0, 0, 1], [0, 1, 10**6]])
+    mended, notes = mend(vertices, np.concatenate([mesh.triangles, bad]))
+    assert len(mended.triangles) == len(mesh.triangles)
+    assert np.isfinite(mended.vertices).all()
+    assert any("2 triangles" in n for n in notes)
+    assert any("1 triangles without area" in n for n in notes)
+
+
+def test_open_and_non_manifold_are_said() -> None:
+    mesh = terrain("stairs")
+    _, notes = mend(mesh.vertices, np.concatenate([mesh.triangles, mesh.triangles[:1]]))
+    assert any("not manifold" in n for n in notes)
+    assert any("open" in n for n in notes)
+
+
+@pytest.mark.parametrize("content", [b"", b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n", b"\x00garbage" * 9])
+def test_empty_and_broken_files(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "a.ply"
+    path.write_bytes(content)
+    with pytest.raises(ExportError):
+        read_mesh(path)
+
+
+def test_all_nan() -> None:
+    with pytest.raises(ExportError, match="no usable triangles"):
+        mend(np.full((3, 3), np.nan), np.array([[0, 1, 2]]))
+
+
+def test_other_suffixes_and_units_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.blend"
+    path.write_bytes(b"x")
+    with pytest.raises(ExportError, match="not a mesh file"):
+        read_mesh(path)
+    with pytest.raises(ExportError, match="unknown unit"):
+        read_mesh(path, "furlong")
+
+
+def test_glb_stands_up_again(tmp_path: Path) -> None:
+    mesh = terrain("stairs")
+    upright = np.column_stack([mesh.vertices[:, 0], mesh.vertices[:, 2], -mesh.vertices[:, 1]])
+    trimesh.Trimesh(upright, mesh.triangles, process=False).export(tmp_path / "a.glb")
+    loaded, notes = read_mesh(tmp_path / "a.glb")
+    np.testing.assert_allclose(loaded.vertices.max(0), mesh.vertices.max(0), atol=1e-5)
+    assert notes[0].startswith("y of the file")
+
+
+def test_a_self_intersecting_mesh_is_one_solid(tmp_path: Path) -> None:
+    """Two boxes through each other, not united: the measure agrees with the contact."""
+    one, two = with_floor(block(0, 0, 0.4, 0.2, 0.2)), block(0.1, 0.05, 0.2, 0.4, 0.3).to_mesh64()
+    offset = len(one.vertices)
+    vertices = np.concatenate([one.vertices, np.asarray(two.vert_properties)[:, :3]])
+    faces = np.concatenate([one.triangles, np.asarray(two.tri_verts, np.int32) + offset])
+    trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "a.ply")
+    out = tmp_path / "out"
+    out.mkdir()
+    files = contact_mesh(tmp_path / "a.ply", out, CONFIG)
+    assert files.contact["p95_mm"] < 10
+    assert files.contact["leaks"] == 0
+    assert {"scene.xml", "contact.json", "contact.png", "mesh.ply"} <= {p.name for p in out.iterdir()}
