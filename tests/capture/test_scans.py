@@ -95,7 +95,7 @@ def test_ply_normals_are_kept(tmp_path):
 def test_las(suffix, deep, tmp_path):
     laspy = pytest.importorskip("laspy", reason="extra lidar is not installed")
     corner = np.array([500_000.0, 4_100_000, 120])
-    points = np.random.default_rng(2).uniform(corner, corner + [3, 2, 0.3], (400, 3))
+    points = np.random.default_rng(2).uniform(corner, corner + np.array([3, 2, 0.3]), (400, 3))
     header = laspy.LasHeader(point_format=3, version="1.2")
     header.scales, header.offsets = [1e-4] * 3, [500_000, 4_100_000, 100]
     las = laspy.LasData(header)

@@ -18,7 +18,7 @@ from realsim.capture.arkit import AXES_NOTE, from_opengl
 from realsim.capture.assemble import DepthUnit, View, capture, frames_with, on_two_grids
 from realsim.capture.config import CaptureConfig
 from realsim.capture.images import ColorImage, DepthImage, common_size
-from realsim.capture.intrinsics import Camera, camera_from_mapping
+from realsim.capture.intrinsics import Camera, camera_from_mapping, no_intrinsics
 from realsim.capture.layout import Layout, Recognition
 from realsim.capture.listing import Pair, natural_key
 from realsim.errors import CaptureError, PoseError, RealsimError
@@ -52,6 +52,8 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     entries = data.get("frames") if isinstance(data, Mapping) else None
     if not isinstance(entries, Sequence) or not entries or not all(isinstance(e, Mapping) for e in entries):
         raise CaptureError("no frames in this file", file=path, expected='a list of objects under "frames"')
+    if not any("fl_x" in holder for holder in (data, *entries)):
+        raise no_intrinsics(path, ("fl_x fl_y cx cy",), "write fl_x, fl_y, cx, cy, w and h at the top of the file")
     pairs, by_name = _pairs(folder, entries)
     depth_size = common_size(DepthImage(p.depth, 1.0) for p in pairs if p.depth)
     color_size = common_size(ColorImage(p.color) for p in pairs if p.color)
