@@ -2,51 +2,47 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from realsim.commands import CommandResult
-from realsim.export import contact_mesh
 from realsim.export.config import SceneConfig
 from realsim.files import output_folder
 
 
-@dataclass(frozen=True)
-class ContactOptions:
-    scene: SceneConfig = field(default_factory=SceneConfig)
-    unit: Literal["m", "cm", "mm", "inch"] = "m"
-    """Unit of the file's numbers."""
-    up: Literal["auto", "z", "y"] = "auto"
-    """Axis that points up; `auto` is y for GLB and z for the rest."""
-    ground: float | None = None
-    """z of the ground in metres; found from the mesh if not given."""
-    overwrite: bool = False
-    """Replace an output folder that exists."""
-
-
 def contact(
-    mesh: Annotated[Path, tyro.conf.Positional], config: ContactOptions, out: Path = Path("contact")
+    mesh: Annotated[Path, tyro.conf.Positional],
+    config: SceneConfig,
+    out: Path = Path("contact"),
+    unit: Literal["m", "cm", "mm", "inch"] = "m",
+    up: Literal["auto", "z", "y"] = "auto",
+    ground_z: float | None = None,
+    overwrite: bool = False,
 ) -> CommandResult:
-    """Give a mesh the cheapest collision geometry that matches it, and say in millimetres how well.
+    """Give a mesh collision geometry for MuJoCo, chosen by measured error and cost, and say how far it is off.
 
     Args:
         mesh: .ply, .obj, .stl, .glb or .off.
-        out: gets scene.xml, contact.json (all figures) and contact.png (where it is off).
+        out: gets scene.xml, the mesh, contact.json and contact.png.
+        unit: unit of the file.
+        up: axis of the file that points up.
+        ground_z: height of the ground in metres; found from the mesh if not given.
+        overwrite: replace an existing folder.
     """
-    with output_folder(out, overwrite=config.overwrite) as folder:
-        files = contact_mesh(mesh, folder, config.scene, unit=config.unit, up=config.up, ground_z=config.ground)
-    c = files.contact
-    geoms = ", ".join(f"{count} {kind}" for kind, count in c["geoms"].items())
+    from realsim.export import contact_mesh
+
+    with output_folder(out, overwrite=overwrite) as folder:
+        files = contact_mesh(mesh, folder, config, unit=unit, up=up, ground_z=ground_z)
+    c = dict(files.contact)
     lines = [
-        f"scene    {out / 'scene.xml'}",
-        f"contact  {c['representation']}: {geoms}",
-        f"error    {c['median_mm']:.2f} mm median, {c['p95_mm']:.2f} mm p95, {c['max_mm']:.1f} mm at most",
-        f"phantom  {c['phantom_area_cm2']:.0f} cm2, missing {c['missing_area_cm2']:.0f} cm2, leaks {c['leaks']}",
-        f"cost     {c['step_cost_vs_plane']:.2f} times a plane's step with G1 standing",
-        *(f"note     {note}" for note in c["mended"]),
-        *(f"warning  {warning}" for warning in files.warnings),
+        f"scene          {out / 'scene.xml'}",
+        f"representation {c['representation']}, {sum(c['geoms'].values())} geoms",
+        f"error          {c['median_mm']:.1f} mm median, {c['p95_mm']:.1f} mm at the 95th percentile",
+        f"phantom        {c['phantom_area_cm2']:.0f} cm2, missing {c['missing_area_cm2']:.0f} cm2, {c['leaks']} leaks",
+        f"step cost      {c['step_cost_vs_plane']:.2f} times a plane's",
+        *(f"mended         {note}" for note in c["mended"]),
+        *(f"note           {warning}" for warning in files.warnings),
     ]
-    return CommandResult("\n".join(lines), {"scene_xml": str(out / "scene.xml"), "contact": dict(c)})
+    return CommandResult("\n".join(lines), {"scene_xml": str(out / "scene.xml"), "contact": c})
