@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 WINDOWS = (5, 3)  # cells a side over which a cell's own plane is fitted; the small one for narrow faces
+MOST_SEEDS = 250  # places tried for a plane: a surface that needs more is not made of planes, and each costs a pass
 SMALLEST = 12  # cells: what is smaller is not worth a plane
 
 
 def segment(z: F64, cell: float, tolerance: float) -> tuple[I64, F64]:
-    """Grow planes over a height image until none fits what is left.
+    """Grow planes over a height image until none fits what is left, or `MOST_SEEDS` places were tried.
 
     The widest smooth place not yet taken is the next seed; its plane takes what is connected to it and lies within
     `tolerance`, and is fitted again to what it took.
@@ -29,9 +30,11 @@ def segment(z: F64, cell: float, tolerance: float) -> tuple[I64, F64]:
     labels = np.full(z.shape, -1)
     planes: list[F64] = []
     free = np.isfinite(z)
+    tried = 0
     for window in WINDOWS:
         smooth = free & (_roughness(np.where(free, z, np.nan), cell, window) < tolerance / 2)
-        while (seed := _widest(smooth)) is not None:
+        while tried < MOST_SEEDS and (seed := _widest(smooth)) is not None:
+            tried += 1
             place, reach = seed
             taken = _grow(z, free, _patch(z, free, place, reach, cell, tolerance), place, cell, tolerance)
             if taken.sum() >= SMALLEST and not _is_wall(taken, _fit(z, taken), cell):
