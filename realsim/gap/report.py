@@ -53,13 +53,12 @@ def diagnosis_page(found: Diagnosis) -> str:
 
 def _evidence(found: Diagnosis, shown: Replay) -> list[str]:
     """Everything below the plots; without causes, what the data are like moves up to where they would stand."""
-    robot = [robot_card(found), *path_card(found)]
-    data = [health_card(found), *noise_card(found)]
+    robot = [robot_card(found), *path_card(found), *noise_card(found)]
     answer = [*causes_card(found), *equivalents_card(found), *patch_card(found)]
     rests = assumptions_card(found, shown)
     if not answer:
-        return [page.columns(robot, [*data, rests]), page.grid(ranking_card(found))]
-    return [page.columns(robot, answer), page.grid(ranking_card(found)), page.columns(data, [rests])]
+        return [page.columns(robot, [health_card(found), rests]), page.grid(ranking_card(found))]
+    return [page.columns(robot, answer), page.grid(ranking_card(found)), page.columns([health_card(found)], [rests])]
 
 
 def _title(found: Diagnosis, shown: Replay) -> tuple[str, str]:

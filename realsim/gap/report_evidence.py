@@ -96,17 +96,20 @@ def ranking_card(found: Diagnosis) -> str:
             screened.append([what, where, _gain(r["linear_gain"]), _outcome(r, here, same)])
         else:
             fitted.append([what, where, _spread(r), _gain(r["gain"]), _gain(r["linear_gain"]), _outcome(r, here, same)])
-    head = ["effect", "best place", "gain a left-out run", "gain fitted", "by the linear screen", "outcome"]
+    head = ["effect", "best place", "left-out run", "all runs", "linear", "outcome"]
     parts = ["<h4>Fitted with the full simulation</h4>", page.table(head, fitted, raw=[0])] if fitted else []
     if screened:
-        rows = page.table(["effect", "best place", "by the linear screen", "outcome"], screened, raw=[0])
+        rows = page.table(["effect", "best place", "linear", "outcome"], screened, raw=[0])
         parts.append(page.fold(f"{len(screened)} effects that the linear screen ruled out", rows))
     if untried:
         rows = page.table(["effect", "why not"], untried, raw=[0])
         parts.append(page.fold(f"{len(untried)} effects that this log cannot show", rows))
     if not parts:
         parts = [page.bullets([], "No effect had to be tried.")]
-    note = "Gains are differences of log-likelihood; ± is the standard error over runs, each left out in turn."
+    note = (
+        "Gains in log-likelihood: on a run left out of the fit (mean and standard error over runs, each left out in "
+        "turn), on all fitted runs together, and as a linear screen foretold."
+    )
     return page.card("All effects", "".join(parts), note, wide=True)
 
 
@@ -131,7 +134,7 @@ def _gain(value: float) -> str:
 def _spread(r: dict[str, Any]) -> str:
     if r.get("heldout_gain") is None:
         return "–"
-    return f"{_gain(r['heldout_gain'])} ± {_gain(r.get('heldout_se') or 0.0)}"
+    return f"{_gain(r['heldout_gain'])}\u00a0±\u00a0{_gain(r.get('heldout_se') or 0.0)}"
 
 
 # ---------------------------------------------------------------- health

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.gap.case import Case
 from realsim.gap.diagnosis import Diagnosis
 from realsim.gap.report_series import Replay, worst_windows
-from realsim.gap.report_words import short, signal_name, unit_of
+from realsim.gap.report_shapes import solids
+from realsim.gap.report_words import HEAT, short, signal_name, unit_of
 from realsim.gap.simulate import measured
 from realsim.report import page, raster, svg
 from realsim.types import F64
@@ -15,6 +17,8 @@ _ROW = 'style="display:grid;gap:14px 26px;grid-template-columns:repeat(auto-fit,
 _MEASURED, _NOMINAL, _PATCHED = "var(--ink)", "var(--c1)", "var(--good)"
 _POINTS = 220
 """At most this many points a curve: more cannot be seen."""
+_NEAR = 1.5
+"""Lengths of the way from its middle: solids farther off do not widen the map."""
 
 
 def overlays_card(found: Diagnosis, shown: Replay) -> str:
@@ -27,7 +31,10 @@ def overlays_card(found: Diagnosis, shown: Replay) -> str:
     legend = "".join(f'<span><i style="background:{c}"></i>{t}</span>' for t, c in keys)
     unseen = found.shrinkage.get("unseen", True)
     said = "runs that no fit has seen" if unseen else "the fitted runs"
-    note = f"The stretches of {said} where the nominal simulator is farthest from the robot."
+    note = (
+        f"Stretches of {said} where the nominal simulator is far from the robot; below each, measured minus simulated"
+    )
+    note += " (in the stripe: within twice the noise floor)."
     if shown.reason:
         note = f"{note} {shown.reason}"
     body = f'<div {_ROW}>{"".join(parts)}</div><div class="legend">{legend}</div>'
@@ -42,20 +49,34 @@ def _overlay(shown: Replay, k: int, channel: int, start: float, end: float) -> s
     inside = inside[:: max(1, -(-len(inside) // _POINTS))]
     t = run.time[inside]
     real = measured(run, [c])[inside, 0]
-    curves = [(shown.before[k][inside, channel], _NOMINAL, 1.8)]
+    curves = [(shown.before[k][inside, channel], _NOMINAL)]
     if shown.after:
-        curves.append((shown.after[k][inside, channel], _PATCHED, 1.8))
+        curves.append((shown.after[k][inside, channel], _PATCHED))
+    span, unit = (float(start), float(end)), unit_of(c.signal, c.label, shown.case.model)
     # A simulator that flies away must not flatten the rest: the range is the robot's, and as much again.
     spread = svg.padded(real, 0.5)
-    every = np.concatenate([real, *(np.clip(y, *spread) for y, _, _ in curves)])
-    unit = unit_of(c.signal, c.label, shown.case.model)
-    axes = svg.Axes((float(start), float(end)), svg.padded(every, 0.08), x_label="time, s",
-                    y_label=f"{signal_name(c.signal)}, {unit}", height=200)  # fmt: skip
-    axes.dots(np.column_stack([t, real]), _MEASURED, radius=1.6)
-    for y, stroke, width in curves:
-        axes.polyline(np.column_stack([t, y]), stroke, width=width, dash="6 3" if stroke == _NOMINAL else "")
+    every = np.concatenate([real, *(np.clip(y, *spread) for y, _ in curves)])
     title = f"{short(c.label, 30)}, {signal_name(c.signal)}, {run.name}"
-    return f"<h4>{page.esc(title)}</h4>" + axes.svg(title)
+    axes = svg.Axes(span, svg.padded(every, 0.08), y_label=unit, height=170, left=52, bottom=8, x_ticks=[])
+    axes.dots(np.column_stack([t, real]), _MEASURED, radius=1.6)
+    for y, stroke in curves:
+        axes.polyline(np.column_stack([t, y]), stroke, width=1.8, dash="6 3" if stroke == _NOMINAL else "")
+    floor = 2 * float(np.hypot(shown.comparison.noise.sensor[channel], shown.comparison.noise.detail[channel]))
+    return f"<h4>{page.esc(title)}</h4>" + axes.svg(title) + _errors(t, [(real - y, s) for y, s in curves], floor, span)
+
+
+def _errors(t: F64, curves: list[tuple[F64, str]], floor: float, span: tuple[float, float]) -> str:
+    """Measured minus simulated on an axis of its own; what lies in the stripe is as good as no error."""
+    largest = max((float(np.nanmax(np.abs(e), initial=0.0)) for e, _ in curves), default=0.0)
+    half = 1.1 * max(largest, 1.5 * floor)
+    power = 10.0 ** np.floor(np.log10(0.8 * half))
+    even = float(0.8 * half // power * power)  # one digit, so that the label is short
+    axes = svg.Axes(span, (-half, half), x_label="time, s", y_label="error", height=104, left=52, top=2,
+                    y_ticks=[(v, svg.number(v, 1)) for v in (-even, 0.0, even)])  # fmt: skip
+    axes.span(-floor, floor, _PATCHED)
+    for error, stroke in curves:
+        axes.polyline(np.column_stack([t, error]), stroke, width=1.5)
+    return axes.svg("measured minus simulated")
 
 
 def path_card(found: Diagnosis) -> list[str]:
@@ -71,20 +92,39 @@ def path_card(found: Diagnosis) -> list[str]:
     P, e = np.concatenate(where), np.log10(np.maximum(np.concatenate(error), 1.0))
     step = max(1, len(P) // 700)
     P, e = P[::step], e[::step]
-    middle, half = (P.min(0) + P.max(0)) / 2, np.maximum((P.max(0) - P.min(0)).max() / 2, 0.02) * 1.08
+    ground = _footprints(comparison.case)
+    near = _NEAR * float(np.ptp(P, axis=0).max())
+    every = np.vstack([P, *(ring for ring in ground if np.abs(ring - P.mean(axis=0)).max() < near)])
+    middle = (every.min(axis=0) + every.max(axis=0)) / 2
+    half = max(float(np.ptp(every, axis=0).max()) / 2, 0.02) * 1.08
     top = max(float(e.max()), 0.3)
     rgb = raster.colorize(e[:, None], 0.0, top, HEAT)[:, 0, :3]
     axes = svg.Axes((middle[0] - half, middle[0] + half), (middle[1] - half, middle[1] + half), equal=True,
                     width=400, x_label="x, m", y_label="y, m")  # fmt: skip
+    for ring in ground:
+        axes.polyline(ring, "var(--faint)", fill="var(--line)", closed=True)
     for i in np.argsort(e, kind="stable"):
         axes.dots(P[i : i + 1], f"rgb({rgb[i][0]},{rgb[i][1]},{rgb[i][2]})", radius=2.4)
     scale = svg.color_bar(1.0, 10.0**top, "× floor", HEAT)
-    note = "Where the base was in all runs, coloured by the error of the nominal simulator there (logarithmic)."
+    note = (
+        "Where the base was in all runs, coloured by the error of the nominal simulator there (logarithmic). "
+        "Outlined: what stands on the ground."
+    )
     return [page.card("Where on the ground", axes.svg("the base from above, coloured by the error") + scale, note)]
 
 
-HEAT = ((158, 168, 182), (196, 184, 140), (236, 160, 72), (222, 92, 48), (166, 24, 44))
-"""Grey for no gap to dark red for the largest."""
+def _footprints(case: Case) -> list[F64]:
+    """(4, 2) rectangles around all solid things that do not move, from above."""
+    import mujoco
+
+    data = mujoco.MjData(case.model)
+    mujoco.mj_forward(case.model, data)
+    rings = []
+    for body, (V, _) in solids(case.model, data, planes=False):
+        if case.model.body_weldid[body] == 0:
+            (x0, y0), (x1, y1) = V.min(axis=0)[:2], V.max(axis=0)[:2]
+            rings.append(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))
+    return rings
 
 
 def _at(t: F64, time: F64, values: F64) -> F64:

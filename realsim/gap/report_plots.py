@@ -16,7 +16,7 @@ from realsim.report import page, svg
 
 WIDTH = 340
 """SVG units; about the width of a third of the page, and of a phone."""
-_ROWS, _RIVALS = 9, 7
+_CHANNELS, _ROWS, _RIVALS = 9, 13, 7
 _PHASE_LABELS = {"at rest": "rest", "reversal": "turns", "fast forward": "fast +", "fast backward": "fast −"}
 FOUND, RIVAL, OTHER = "var(--good)", "var(--look)", "var(--faint)"
 
@@ -41,7 +41,7 @@ def where_card(found: Diagnosis) -> str:
 def _rows(found: Diagnosis) -> list[tuple[str, Any]]:
     """(name, (phases,) shares), largest first: one a channel where that is few, else one a joint."""
     channels = found.evidence["comparison"].channels
-    if len(channels) <= _ROWS:
+    if len(channels) <= _CHANNELS:
         said = [f"{short(c.label, 12)} {signal_name(c.signal).removeprefix('joint ')}" for c in channels]
         shares = np.asarray(found.evidence["shares"])
     else:
@@ -52,7 +52,7 @@ def _rows(found: Diagnosis) -> list[tuple[str, Any]]:
 
 def _heat(rows: Sequence[tuple[str, Any]], columns: Sequence[str]) -> str:
     n, m = len(rows), len(columns)
-    height = 27 if n < 7 else 23
+    height = 27 if n < 7 else 23 if n < 10 else 19
     left = 10 + 5.7 * max(len(name) for name, _ in rows)
     labels = [(n - i - 0.5, name) for i, (name, _) in enumerate(rows)]
     axes = svg.Axes((0, m + 1.05), (0, n), width=WIDTH, height=height * n + 40, left=left, right=0, top=4, bottom=36,
@@ -193,7 +193,9 @@ def _before_after(found: Diagnosis, shown: Replay) -> str:
     n = len(rows)
     labels = [(n - 1 - i, r[0]) for i, r in enumerate(rows)]
     low, high = math.log10(min([0.7, *values])) - 0.1, math.log10(max([3.0, *values])) + 0.15
-    tens = [(float(k), svg.number(10.0**k)) for k in range(math.ceil(low), math.floor(high) + 1)]
+    steps = (1, 2, 5) if high - low < 2 else (1,)
+    tens = [(math.log10(m) + k, svg.number(m * 10.0**k)) for k in range(-2, 7) for m in steps]
+    tens = [t for t in tens if low <= t[0] <= high]
     axes = svg.Axes((low, high), (-0.6, n - 0.4), width=WIDTH, height=21 * n + 42, top=4, right=4,
                     left=12 + 6.0 * max(len(name) for _, name in labels), x_ticks=tens, y_ticks=labels,
                     x_label="error / noise floor (log)")  # fmt: skip

@@ -34,6 +34,8 @@ UNITS = {
     "imu_gyro": "rad/s",
     "imu_acc": "m/s²",
 }
+HEAT = ((158, 168, 182), (196, 184, 140), (236, 160, 72), (222, 92, 48), (166, 24, 44))
+"""Grey for no gap to dark red for the largest."""
 _SLIDE_UNITS = {"joint_pos": "m", "joint_vel": "m/s", "joint_torque": "N"}
 
 
@@ -87,7 +89,7 @@ def percent(share: float) -> str:
         return ">99.9 %"
     if 0 < share < 0.0005:
         return "<0.1 %"
-    if share < 0.0095 or 0.995 <= share < 0.9995:
+    if 0 < share < 0.0095 or 0.995 <= share < 0.9995:
         return f"{100 * share:.1f} %"
     return f"{svg.number(round(100 * share), 3) if abs(share) < 10 else svg.number(100 * share, 2)} %"
 
@@ -118,4 +120,6 @@ def lead(found: Diagnosis) -> str:
     for entry in inside:
         by_phase[entry["phase"]] = by_phase.get(entry["phase"], 0.0) + entry["share"]
     phase = max(by_phase, key=lambda p: by_phase[p])
+    if len(by_place) == 1:
+        return f"{percent(by_phase[phase])} of the gap lies in phase “{phase}”."
     return f"{percent(share)} of the gap lies in {place.replace('_', ' ')}, most of it in phase “{phase}”."

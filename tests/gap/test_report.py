@@ -1,0 +1,202 @@
+"""The report of a diagnosis stands alone, says what was found, and leaves out what it cannot show with a reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from realsim.gap import DiagnoseConfig, Diagnosis, diagnose, load_case
+from realsim.gap.report import diagnosis_page, write_report
+from realsim.gap.report_evidence import model_changes
+from realsim.gap.report_robot import body_shares
+from realsim.gap.report_series import horizons, replay, worst_windows
+from realsim.gap.report_shapes import solids
+from realsim.gap.report_words import WORDS, percent, short
+
+from .truth import Truth
+
+EFFECTS = ("coulomb_friction", "ground_friction")
+
+
+@pytest.fixture(scope="module")
+def found(made: Callable[..., Path]) -> Diagnosis:
+    folder = made("report", Truth(coulomb={"shoulder": 4.0}), runs=3, span=(2.2, 2.6))
+    return diagnose(load_case(folder), DiagnoseConfig(effects=EFFECTS, threads=1, bootstrap=50))
+
+
+class _Page(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.links: list[str] = []
+        self.text: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.links += [v or "" for k, v in attrs if k in ("src", "href", "srcset", "data")]
+        if tag not in ("meta", "link", "img", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] not in ("script", "style"):
+            self.text.append(data)
+
+
+def read(html: str) -> str:
+    """What a person reads; fails where the page is malformed or asks for anything outside itself."""
+    parser = _Page()
+    parser.feed(html)
+    assert parser.open == []
+    assert all(link.startswith("data:") for link in parser.links)
+    assert "https://" not in html
+    assert "http://" not in html.replace("http://www.w3.org", "")
+    return " ".join(parser.text)
+
+
+def test_page_says_what_was_found(found: Diagnosis, tmp_path: Path) -> None:
+    write_report(tmp_path / "report.html", found)
+    text = read((tmp_path / "report.html").read_text())
+    assert found.sentence in text
+    assert WORDS[found.verdict] in text
+    for title in ("Where", "What", "How much", "Before and after", "Apply the patch", "Data health", "All effects"):
+        assert title in text
+    for row in found.ranking:
+        assert row["effect"] in text or row["outcome"].removeprefix("not tried: ") in text
+    for name in found.shrinkage["baselines"]:
+        assert name.partition(" (")[0] in text
+    assert "with the diagnosis" in text
+    assert "apply_patch" in text
+
+
+def test_same_diagnosis_same_bytes(found: Diagnosis) -> None:
+    assert diagnosis_page(found) == diagnosis_page(found)
+
+
+def test_text_from_the_log_is_escaped(found: Diagnosis) -> None:
+    health = {**found.health, "warnings": ["run <script>alert(1)</script>"]}
+    html = diagnosis_page(replace(found, sentence="a <b> & c", health=health))
+    assert "<script>alert" not in html
+    assert "a &lt;b&gt; &amp; c" in html
+
+
+def test_without_evidence_every_missing_part_has_a_reason(found: Diagnosis) -> None:
+    text = read(diagnosis_page(replace(found, evidence={})))
+    assert found.sentence in text
+    assert "was not kept with this diagnosis" in text
+    assert "were not kept with this diagnosis" in text
+
+
+def test_no_gap_asks_for_nothing(found: Diagnosis) -> None:
+    shrunk = {**found.shrinkage, "baselines": {"nominal": 1.0}}
+    none = replace(found, verdict="no_gap", sentence="No gap.", causes=(), ranking=(), shrinkage=shrunk)
+    text = read(diagnosis_page(none))
+    assert "No effect had to be fitted" in text
+    assert "No cause was found" in text
+    assert "Apply the patch" not in text
+
+
+def test_ambiguous_names_the_other_set_and_what_would_tell(found: Diagnosis) -> None:
+    other = ({**found.causes[0], "effect": "viscous_friction"},)
+    unsure = replace(found, verdict="ambiguous", equivalent=(other,))
+    text = read(diagnosis_page(unsure))
+    assert "Cannot be told apart" in text
+    assert "viscous friction" in text.lower()
+    assert "No experiment was designed" in text
+    planned = replace(unsure, next_experiment={"motion": "slow ramps on the elbow", "seconds": 6.0})
+    assert "slow ramps on the elbow" in read(diagnosis_page(planned))
+
+
+def test_baseline_that_does_not_run_is_said(found: Diagnosis) -> None:
+    shrunk = {**found.shrinkage, "baselines": {"nominal": 1.0, "all effects at once": float("nan")}}
+    assert "does not run" in read(diagnosis_page(replace(found, shrinkage=shrunk)))
+
+
+def test_runs_of_the_check_get_closer(found: Diagnosis) -> None:
+    shown = replay(found)
+    assert [shown.case.runs[i].name for i in shown.runs] == list(found.shrinkage["runs"])  # type: ignore[union-attr]
+    before, after = (np.nanmean(shown.errors(y)[0] ** 2) for y in (shown.before, shown.after))
+    assert after < 0.5 * before
+    assert all(a is not None and a < b for _, b, a in horizons(shown))
+
+
+def test_worst_windows_show_different_things(found: Diagnosis) -> None:
+    shown = replay(found)
+    windows = worst_windows(shown, seconds=0.8, count=4)
+    assert len(windows) == len(set(windows)) == 4
+    assert {c for _, c, _, _ in windows} == set(range(len(shown.comparison.channels)))  # type: ignore[union-attr]
+    for k, _, start, end in windows:
+        assert start >= 0
+        assert end <= shown.case.runs[shown.runs[k]].duration + 0.1  # type: ignore[union-attr]
+
+
+def test_body_shares_are_shares(found: Diagnosis) -> None:
+    shares = body_shares(found, found.evidence["simulator"].case)
+    assert shares.min() >= 0
+    assert shares.sum() == pytest.approx(1.0, abs=1e-6)
+
+
+def test_changes_of_the_model_are_those_of_the_causes(found: Diagnosis) -> None:
+    fit = found.evidence["fit"]
+    lines = model_changes(found.evidence["simulator"], fit).splitlines()
+    changed = {joint for _, place, _ in fit.settings() for joint in place}
+    assert "shoulder" in changed
+    for sign in "-+":
+        mine = [line for line in lines if line[0] == sign]
+        assert {line.split('name="')[1].split('"')[0] for line in mine} == changed
+        assert all("frictionloss" in line for line in mine)
+
+
+SHAPES = """
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 .1"/>
+    <body name="a" pos="0 0 1"><freejoint/>
+      <geom type="box" size=".1 .2 .3"/>
+      <geom type="sphere" size=".1" pos="1 0 0"/>
+      <geom type="capsule" size=".05 .2" pos="2 0 0"/>
+      <geom type="cylinder" size=".05 .2" pos="3 0 0"/>
+      <geom type="ellipsoid" size=".1 .2 .3" pos="4 0 0"/>
+      <body name="bare" pos="0 0 .5"><joint name="j" axis="1 0 0"/>
+        <inertial pos="0 0 .2" mass="1" diaginertia=".1 .1 .1"/>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>"""
+
+
+def test_shapes_have_the_size_of_their_geoms() -> None:
+    model = mujoco.MjModel.from_xml_string(SHAPES)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    drawn = solids(model, data)
+    parts = [V for body, (V, _) in drawn if body == model.body("a").id]
+    sizes = [[0.2, 0.4, 0.6], [0.2, 0.2, 0.2], [0.1, 0.1, 0.5], [0.1, 0.1, 0.4], [0.2, 0.4, 0.6]]
+    for i, (V, size) in enumerate(zip(parts, sizes, strict=True)):
+        assert np.ptp(V, axis=0) == pytest.approx(size, rel=0.03)
+        assert (V.min(axis=0) + V.max(axis=0)) / 2 == pytest.approx([i, 0, 1], abs=2e-3)
+    assert all(F.min() >= 0 and F.max() < len(V) for _, (V, F) in drawn)
+    bare = np.vstack([V for body, (V, _) in drawn if body == model.body("bare").id])
+    assert bare[:, 2].max() > 1.85  # a rod through the centre of mass, and as far again
+    assert len(solids(model, data, planes=False)) == len(drawn) - 1
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [(0.0, "0 %"), (1e-6, "<0.1 %"), (0.004, "0.4 %"), (0.83, "83 %"), (0.9999, ">99.9 %"), (1.0, "100 %"),
+     (-0.126, "−13 %"), (1.27, "127 %"), (float("nan"), "–")],
+)  # fmt: skip
+def test_percent_never_rounds_to_all_or_nothing(share: float, text: str) -> None:
+    assert percent(share) == text
+
+
+def test_long_names_are_cut() -> None:
+    assert short("left_hip_pitch_joint") == "left hip pitch"
+    assert len(short("a" * 40)) == 20
