@@ -95,6 +95,6 @@ def _unmet(contact: ContactModel, fidelity: Fidelity, tolerance: tuple[float, fl
     f = fidelity.figures
     return (
         f"collision geometry ({contact.representation}) is off by {f['median_mm']:.1f} mm (median), "
-        f"{f['p95_mm']:.1f} mm (p95), {f['phantom_area_cm2']:.0f} cm2 phantom, {f['leaks']} leaks; asked for "
-        f"{tolerance[0] * 1000:g} and {tolerance[1] * 1000:g} mm, none and none"
+        f"{f['p95_mm']:.1f} mm (p95), {f['phantom_over_gaps_cm2']:.0f} cm2 phantom over gaps, {f['leaks']} leaks; "
+        f"asked for {tolerance[0] * 1000:g} and {tolerance[1] * 1000:g} mm, none and none"
     )
