@@ -75,6 +75,18 @@ class Context:
         """Mass of a body and all that it carries, kg."""
         return float(self.case.model.body(body).subtreemass[0])
 
+    def heavy(self, share: float) -> list[str]:
+        """Bodies that matter most on a robot of many links: a share of the mass, or the end of a limb."""
+        if len(self.bodies) <= 16:
+            return self.bodies
+        model = self.case.model
+        parents = {int(p) for p in model.body_parentid[1:]}
+        return [
+            b
+            for b in self.bodies
+            if model.body(b).mass[0] >= share * self.total_mass or model.body(b).id not in parents
+        ]
+
     def reach(self, body: str) -> float:
         """Size of a body: distance to its farthest child or geom end, m."""
         model = self.case.model

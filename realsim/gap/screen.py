@@ -96,7 +96,7 @@ class Screen:
                     continue
                 wanted += [Atom(effect.name, place, p) for p in effect.parameters(context, place) if _has_slope(p)]
         # Slopes of a large robot bear a coarser step: it halves the time, and both ends of the difference share it.
-        self.coarse = 2 if simulator.case.model.nv > 24 and context.timestep <= 0.0025 else 1
+        self.coarse = 2 if simulator.case.model.nv >= 12 and context.timestep <= 0.0025 else 1
         base = simulator.simulate(runs=self.runs, coarse=self.coarse)
         for k, atom in enumerate(wanted):
             tick("sensitivities", k / len(wanted))
@@ -107,6 +107,12 @@ class Screen:
             for i, column in enumerate(change):
                 columns[i].append(column)
         self._columns = [np.stack(c, axis=1) if c else np.zeros((0, 0), np.float32) for c in columns]
+        if not self.atoms:
+            raise GapError(
+                "nothing that the log could show changes the simulation",
+                file=simulator.case.folder,
+                hint="are the commands in the unit that log.json says, and do they move the joints?",
+            )
         self.index = {(a.effect, a.place, a.parameter.name): i for i, a in enumerate(self.atoms)}
         self.prior = np.array([a.parameter.nuisance for a in self.atoms])
         self.candidates = self._candidates(chosen)

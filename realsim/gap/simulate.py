@@ -139,7 +139,7 @@ class Simulator:
         from mujoco import rollout
 
         if self._pool is None:
-            self._pool = rollout.Rollout(nthread=self.config.threads)
+            self._pool = rollout.Rollout(nthread=self.config.threads if self.config.threads > 1 else 0)
         datas = [mujoco.MjData(model) for _ in range(self.config.threads)]
         with quiet_mujoco():
             _, sensors = self._pool.rollout(model, datas, state, control, chunk_size=1)

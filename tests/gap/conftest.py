@@ -18,7 +18,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     def make(name: str, truth: Truth, xml: str = ARM, **options: object) -> Path:
         folder = root / name
         if not folder.exists():
-            make_case(folder, xml, truth, **{"runs": 4, "seed": 3, **options})  # type: ignore[arg-type]
+            make_case(folder, xml, truth, **{"runs": 4, "seed": 3, "span": (3.2, 4.0), **options})  # type: ignore[arg-type]
         return folder
 
     return make

@@ -134,8 +134,11 @@ def test_constant_commands_do_not_excite(case: Path) -> None:
 
 
 def test_exploding_model_is_named_with_the_time(case: Path) -> None:
-    xml = (case / "model.xml").read_text().replace('kp="150" kv="8"', 'kp="-4000" kv="-900"')
-    (case / "model.xml").write_text(xml.replace('forcerange="-45 45"', 'forcerange="-1e7 1e7"'))
+    xml = (case / "model.xml").read_text()
+    servo = '<position name="shoulder_servo" joint="shoulder" kp="150" kv="8" forcerange="-45 45"/>'
+    assert servo in xml
+    wild = '<general name="shoulder_servo" joint="shoulder" biastype="affine" gainprm="1e7" biasprm="0 0 0"/>'
+    (case / "model.xml").write_text(xml.replace(servo, wild))
     with pytest.raises(GapError, match=r"explodes[\s\S]*run_01"):
         diagnose(load_case(case))
 

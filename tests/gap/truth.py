@@ -109,6 +109,7 @@ def make_case(
     velocity: bool = True,
     nuisance: float = 1.0,
     imu: str | None = None,
+    span: tuple[float, float] = (5.0, 6.5),
 ) -> Path:
     """Write a case of the contract whose robot differs from `xml` by `truth` and by small nuisances."""
     rng = np.random.default_rng(seed)
@@ -134,7 +135,7 @@ def make_case(
     kinds = ["sines", "slow", "steps", "chirp", "sines", "slow", "chirp", "steps"]
     drift = {j: nuisance * rng.normal(0, 0.02, 3) for j in joints}
     for i in range(runs):
-        seconds = rng.uniform(5, 6.5)
+        seconds = rng.uniform(*span)
         fine = commands(rng, kinds[i % len(kinds)], seconds, len(joints), rate, 0.6)
         data = replay(real, nominal, joints, fine, truth, rng, rate, drift, nuisance)
         if torque == "none":

@@ -8,7 +8,7 @@ from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
 
 
 def _places(context) -> list[Place]:
-    return [(name,) for name in context.bodies]
+    return [(name,) for name in context.heavy(0.015)]
 
 
 def _parameters(context, place: Place) -> tuple[Parameter, ...]:

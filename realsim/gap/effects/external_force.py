@@ -8,7 +8,7 @@ FOREVER = 1e6
 
 
 def _places(context) -> list[Place]:
-    return [(name,) for name in context.bodies]
+    return [(name,) for name in context.heavy(0.05)]
 
 
 def _parameters(context, place: Place) -> tuple[Parameter, ...]:
