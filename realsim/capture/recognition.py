@@ -9,6 +9,8 @@ from realsim.capture.layout import Layout, Recognition
 from realsim.errors import CaptureError
 
 MAX_SUBFOLDERS = 200
+LAST_RESORT = 1
+"""Score of a layout that is only taken where nothing speaks for another one."""
 
 
 def recognise(path: Path, name: str, layouts: Mapping[str, Layout]) -> tuple[Layout, Recognition]:
@@ -27,6 +29,9 @@ def recognise(path: Path, name: str, layouts: Mapping[str, Layout]) -> tuple[Lay
 
     seen = {known: layout.recognise(path) for known, layout in layouts.items()}
     complete = {known: r for known, r in seen.items() if r.complete}
+    # A mesh that lies in a broken capture must not be taken for it without a word.
+    if any(r.missing and r.score > LAST_RESORT for r in seen.values()):
+        complete = {known: r for known, r in complete.items() if r.score > LAST_RESORT}
     if not complete:
         raise _not_recognised(path, seen, layouts)
     top = max(r.score for r in complete.values())
@@ -43,7 +48,7 @@ def recognise(path: Path, name: str, layouts: Mapping[str, Layout]) -> tuple[Lay
 
 def _not_recognised(path: Path, seen: Mapping[str, Recognition], layouts: Mapping[str, Layout]) -> CaptureError:
     """The most helpful message: what the nearest layout lacks, or else what each one looks for."""
-    partial = {known: r for known, r in seen.items() if r.evidence}
+    partial = {known: r for known, r in seen.items() if r.missing}
     if partial:
         nearest = min(partial, key=lambda known: (len(partial[known].missing), -partial[known].score))
         missing = partial[nearest].missing
@@ -52,7 +57,7 @@ def _not_recognised(path: Path, seen: Mapping[str, Recognition], layouts: Mappin
             file=path,
             expected=", ".join(missing),
             found=", ".join(partial[nearest].evidence),
-            hint=_other_partials(partial, nearest),
+            hint=_other_partials(partial, nearest) or _last_resort(seen),
         )
     return CaptureError(
         "no capture layout was recognised",
@@ -72,6 +77,11 @@ def _headline(missing: tuple[str, ...]) -> str:
 def _other_partials(partial: Mapping[str, Recognition], nearest: str) -> str | None:
     others = [f"{known} would need {', '.join(r.missing)}" for known, r in partial.items() if known != nearest]
     return "; ".join(others) or None
+
+
+def _last_resort(seen: Mapping[str, Recognition]) -> str | None:
+    found = [f"--layout {known} reads {', '.join(r.evidence)}" for known, r in seen.items() if r.complete]
+    return " or ".join(found) or None
 
 
 def _what_is_there(path: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import struct
 import sys
 
@@ -15,8 +16,9 @@ from realsim.capture import scanfile as scanfile_module
 from realsim.errors import CaptureError, MissingExtraError, RealsimError
 from realsim.types import Scan
 
+from .scene import walk
 from .test_bad_input import cut
-from .writers import write_pcd
+from .writers import write_pcd, write_polycam
 
 CONFIG = CaptureConfig()
 
@@ -235,6 +237,21 @@ def test_several_scans_in_a_folder_are_not_guessed(tmp_path):
     terrain().export(tmp_path / "b.ply")
     with pytest.raises(CaptureError, match=r"name one: a.stl, b.ply"):
         read(tmp_path, CONFIG)
+
+
+def test_the_mesh_in_a_broken_capture_is_not_taken_for_it(tmp_path):
+    write_polycam(tmp_path, walk(3))
+    terrain().export(tmp_path / "raw.glb")
+    shutil.rmtree(tmp_path / "keyframes/depth")
+    with pytest.raises(CaptureError, match="colour without depth") as caught:
+        read(tmp_path, CONFIG)
+    assert "--layout scan reads raw.glb" in str(caught.value.hint)
+    assert scan_of(tmp_path, CaptureConfig(layout="scan")).triangles is not None
+
+
+def test_a_folder_with_one_unorganised_cloud_is_a_scan(tmp_path):
+    write_pcd(tmp_path / "a.pcd", np.random.default_rng(0).uniform(0, 2, (1, 200, 3)))
+    assert len(scan_of(tmp_path).points) == 200
 
 
 def test_obj_does_not_open_other_files(tmp_path):

@@ -86,6 +86,8 @@ def recognise(folder: Path) -> Recognition:
         header = read_header(files[0])
     except RealsimError as error:
         return Recognition((f"{len(files)} x *.pcd",), (f"a readable header ({error.message})",), score=20)
+    if not header.organised and len(files) == 1:
+        return Recognition()  # a scan
     if not header.organised:
         return Recognition((f"{len(files)} x *.pcd",), ("organised point clouds (HEIGHT more than 1)",), score=20)
     return Recognition((f"{len(files)} x *.pcd, organised {header.width}x{header.height}",), (), score=20)

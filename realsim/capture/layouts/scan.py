@@ -9,6 +9,7 @@ import numpy as np
 from realsim.capture.config import UNITS, CaptureConfig
 from realsim.capture.layout import Layout, Recognition
 from realsim.capture.listing import list_files, single_file
+from realsim.capture.recognition import LAST_RESORT
 from realsim.capture.scanfile import READERS, RawScan, read_scan
 from realsim.errors import CaptureError
 from realsim.types import F64, Bool, Scan
@@ -23,11 +24,13 @@ def recognise(path: Path) -> Recognition:
     found = single_file(path, SUFFIXES)
     if found is not None:
         # Lowest of all: captures often come with the mesh that the phone made of them.
-        return Recognition((found.name,), (), score=1)
+        return Recognition((found.name,), (), score=LAST_RESORT)
     several = [p.name for p in list_files(path, SUFFIXES)]
     if not several:
         return Recognition()
-    return Recognition((f"{len(several)} scan files",), (f"single scan file (name one: {', '.join(several[:4])})",), 1)
+    return Recognition(
+        (f"{len(several)} scan files",), (f"single scan file (name one: {', '.join(several[:4])})",), LAST_RESORT
+    )
 
 
 def read(path: Path, config: CaptureConfig) -> Scan:
