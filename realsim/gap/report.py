@@ -58,7 +58,7 @@ def _evidence(found: Diagnosis, shown: Replay) -> list[str]:
     rests = assumptions_card(found, shown)
     if not answer:
         return [page.columns(robot, [health_card(found), rests]), page.grid(ranking_card(found))]
-    return [page.columns(robot, answer), page.grid(ranking_card(found)), page.columns([health_card(found)], [rests])]
+    return [page.columns(answer, robot), page.grid(ranking_card(found)), page.columns([health_card(found)], [rests])]
 
 
 def _title(found: Diagnosis, shown: Replay) -> tuple[str, str]:

@@ -201,8 +201,8 @@ def patch_card(found: Diagnosis) -> list[str]:
         if changed:
             parts.append(page.fold("What changes in model.xml", page.code(changed)))
     note = (
-        "model.xml beside this page has all of this that MJCF can express; the code applies it to your own model. "
-        f"{'No model can hold the rest: `wrappers` has it.' if wrappers else 'Nothing else is needed.'}"
+        "model.xml beside this page has what MJCF can express; the code patches your own copy of the model. "
+        f"{'`wrappers` has what a compiled model does not hold.' if wrappers else 'Nothing else is needed.'}"
     )
     return [page.card("Apply the patch", "".join(parts), note)]
 

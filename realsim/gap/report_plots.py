@@ -17,7 +17,7 @@ from realsim.report import page, svg
 WIDTH = 340
 """SVG units; about the width of a third of the page, and of a phone."""
 _CHANNELS, _ROWS, _RIVALS = 9, 13, 7
-_PHASE_LABELS = {"at rest": "rest", "reversal": "turns", "fast forward": "fast +", "fast backward": "fast −"}
+_PHASE_LABELS = {"at rest": "rest", "reversal": "turns", "fast forward": "fast\u00a0+", "fast backward": "fast\u00a0−"}
 FOUND, RIVAL, OTHER = "var(--good)", "var(--look)", "var(--faint)"
 
 
@@ -42,12 +42,17 @@ def _rows(found: Diagnosis) -> list[tuple[str, Any]]:
     """(name, (phases,) shares), largest first: one a channel where that is few, else one a joint."""
     channels = found.evidence["comparison"].channels
     if len(channels) <= _CHANNELS:
-        said = [f"{short(c.label, 12)} {signal_name(c.signal).removeprefix('joint ')}" for c in channels]
+        said = [f"{_brief(c.label, 12)} {signal_name(c.signal).removeprefix('joint ')}" for c in channels]
         shares = np.asarray(found.evidence["shares"])
     else:
         names, shares = place_shares(found)
-        said = [short(name, 17) if kind == "joint" else signal_name(name) for kind, name in names]
+        said = [_brief(name) if kind == "joint" else signal_name(name) for kind, name in names]
     return [(said[i], shares[i]) for i in np.argsort(-shares.sum(axis=1), kind="stable")]
+
+
+def _brief(joint: str, most: int = 17) -> str:
+    """A joint's name for the narrowest place."""
+    return short(joint.replace("left_", "L_").replace("right_", "R_"), most)
 
 
 def _heat(rows: Sequence[tuple[str, Any]], columns: Sequence[str]) -> str:
@@ -55,7 +60,7 @@ def _heat(rows: Sequence[tuple[str, Any]], columns: Sequence[str]) -> str:
     height = 27 if n < 7 else 23 if n < 10 else 19
     left = 10 + 5.7 * max(len(name) for name, _ in rows)
     labels = [(n - i - 0.5, name) for i, (name, _) in enumerate(rows)]
-    axes = svg.Axes((0, m + 1.05), (0, n), width=WIDTH, height=height * n + 40, left=left, right=0, top=4, bottom=36,
+    axes = svg.Axes((0, m + 1.05), (0, n), width=WIDTH, height=height * n + 26, left=left, right=0, top=4, bottom=22,
                     x_ticks=[], y_ticks=labels, grid=False)  # fmt: skip
     top = max(float(np.max([r for _, r in rows])), 1e-9)
     for i, (name, row) in enumerate(rows):
@@ -70,7 +75,7 @@ def _heat(rows: Sequence[tuple[str, Any]], columns: Sequence[str]) -> str:
                 axes.text(j + 0.5, y - 0.5, f"{100 * share:.0f}", fill="var(--ink)", dy=4)
         axes.text(m + 1.0, y - 0.5, percent(float(np.sum(row))), fill="var(--ink)", anchor="end", dy=4)
     for j, name in enumerate(columns):
-        for k, word in enumerate(_PHASE_LABELS.get(name, name).split()):
+        for k, word in enumerate(_PHASE_LABELS.get(name, name).split(" ")):
             axes.text(j + 0.5, 0, word, dy=13 + 12 * k, outside=True)
     axes.text(m + 1.0, 0, "all", anchor="end", dy=13, outside=True)
     return axes.svg("share of the gap by place and phase of motion")
@@ -170,6 +175,8 @@ def how_much_card(found: Diagnosis, shown: Replay) -> str:
     note = f"Squared error left on {'runs that no fit has seen' if unseen else 'the fitted runs (none was left over)'}."
     end = 1.22 * max(1.0, *(min(high, 1.4) for _, _, _, high, _, _ in rows if math.isfinite(high)))
     ticks = [(k / 4, f"{25 * k} %") for k in range(int(4 * end) + 1)]
+    if shown.before:
+        note += " Below: before and after; growth is that of the joint position error over a horizon."
     body = _labelled_bars(rows, (-0.02, end), "", ticks) + _before_after(found, shown)
     return page.card("How much", body, note)
 
