@@ -21,7 +21,7 @@ class SceneConfig:
     """Columns of 1 cm that a convex decomposition may take on; its time grows faster than their number."""
     robot: str | None = None
     """Robot to put on the start platform: `g1`, or `menagerie:NAME`."""
-    drop_tolerance: float = 0.010
+    drop_tolerance: float = 0.030
     """Metres by which an object dropped on a platform may rest beside that platform's height."""
 
     def __post_init__(self) -> None:
