@@ -64,7 +64,7 @@ REPRESENTATIONS: dict[str, Callable[[TerrainMesh, float], ContactModel]] = {
     "auto": auto,
     "boxes": named("boxes"),
     "hybrid": named("hybrid"),
-    "convex": named("convex"),
+    "convex": named("convex", convex_columns=1_000_000),
     "hfield_2cm": named("hfield", hfield_resolution=0.02),
     "hfield_5cm": named("hfield", hfield_resolution=0.05),
     "sdf": named("sdf"),
@@ -124,7 +124,7 @@ def main() -> None:
         for representation in args.representations:
             rows.append(row(name, representation, mesh, ground_z, stand))
             print(line(rows[-1]), flush=True)
-    write_text(args.out, to_json({"probe": "ball of 1 cm, 2000 lowered", "rows": rows}))
+            write_text(args.out, to_json({"probe": "ball of 1 cm, 2000 lowered", "rows": rows}))
 
 
 if __name__ == "__main__":
