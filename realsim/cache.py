@@ -79,7 +79,9 @@ def code_digest(*packages: str) -> str:
 def source_digest(source: types.FrameSet | types.Scan) -> str:
     """Digest of a capture: what its files hold, and how they were read."""
     if isinstance(source, types.Scan):
-        return digest(source.points, source.triangles, source.normals, source.colors, source.sensor_position)
+        return digest(
+            source.points, source.triangles, source.normals, source.colors, source.sensor_position, source.up_world
+        )
     parts: list[Any] = [source.layout, source.poses_metric, source.up_world]
     for frame in source.frames:
         parts += [frame.name, frame.intrinsics, frame.color_intrinsics, frame.T_world_camera, *frame.files]

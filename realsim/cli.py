@@ -79,7 +79,11 @@ def main(argv: Sequence[str] | None = None) -> int:
                 "interrupted: nothing half-written is left; finished stages are kept and reused", style="yellow"
             )
         return 130
-    print(to_json(result.data) if as_json else result.text, end="" if as_json else "\n")
+    try:
+        print(to_json(result.data) if as_json else result.text, end="" if as_json else "\n", flush=True)
+    except BrokenPipeError:
+        # Whoever read this (head, a pager) has seen enough; the interpreter must not try to flush again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return result.exit_code
 
 

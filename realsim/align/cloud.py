@@ -114,6 +114,10 @@ def from_scan(scan: Scan, seed: int, voxel: float = VOXEL) -> Cloud:
     points, normals = scan.points, scan.normals
     if scan.triangles is not None and len(scan.triangles):
         points, normals = _sampled(scan.points, scan.triangles, seed)
+        if scan.up_world is not None:
+            # The underside of a closed mesh is level too, and as large as its ground; nothing stands on it.
+            upper = normals @ scan.up_world > -0.5
+            points, normals = points[upper], normals[upper]
     finite = np.isfinite(points).all(1)
     points, normals = points[finite], None if normals is None else normals[finite]
     anchor = points.mean(0) if len(points) else np.zeros(3)

@@ -81,7 +81,8 @@ def _surface_of_cloud(
         normals = np.asarray(cloud.normals).copy()
     _, near = tree.query(points[pick], k=12, workers=2)
     local = points[near] - points[near].mean(1, keepdims=True)
-    noise = float(np.median(np.sqrt(np.linalg.eigvalsh(np.swapaxes(local, 1, 2) @ local / 12)[:, 0])))
+    least = np.linalg.eigvalsh(np.swapaxes(local, 1, 2) @ local / 12)[:, 0]
+    noise = float(np.median(np.sqrt(np.maximum(least, 0.0))))
     resolution = config.resolution or float(np.clip(max(1.5 * spacing, 2 * noise), 0.004, 0.1))
     fused = thin(Points(points, normals, np.ones(len(points)), np.ones(len(points)), colors), 0.75 * resolution)
     surface = reconstruct(fused, resolution)
