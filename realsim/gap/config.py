@@ -17,8 +17,6 @@ class DiagnoseConfig:
     """At most this many runs are simulated, spread over the log; the rest are left out and named."""
     max_seconds: float = 10.0
     """At most this many seconds of each run are simulated, from its start."""
-    screen_seconds: float = 0.0
-    """Simulated seconds a candidate may cost while screening; 0 chooses by the size of the robot."""
     bin_seconds: float = 0.02
     """Samples are averaged over bins of this width before comparison, seconds."""
     settle_seconds: float = 0.6

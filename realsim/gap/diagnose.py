@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import GapError
 from realsim.gap.case import Case
 from realsim.gap.compare import Comparison
 from realsim.gap.config import DiagnoseConfig
@@ -46,7 +45,7 @@ def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progres
     began = time.perf_counter()
     case = _limited(case, config)
     with Simulator(case, config) as simulator:
-        health, case_runs = examine(simulator)
+        health = examine(simulator)
         nominal = simulator.simulate()
         comparison = Comparison(case, simulator.channels, nominal, config)
         fitted, held = split_runs(case, config, simulator)
@@ -69,7 +68,6 @@ def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progres
             "logged_seconds": round(sum(r.duration for r in case.runs), 2),
             "fits": fitter.evaluations,
         }
-    del case_runs
     return replace(found, statistics=statistics)
 
 
@@ -209,6 +207,7 @@ def _assemble(
         statistics={
             "gap_over_floor": shrunk.before_over_floor,
             "left_over_floor": shrunk.after_over_floor,
+            "structure_left": shrunk.structure,
             "by_signal": by_signal(comparison, shares),
             "error_by_horizon_rad": by_horizon(comparison, residuals),
             "atoms": len(screen.atoms),
@@ -256,8 +255,3 @@ def _ranking(selection: Selection, screen: Screen) -> list[dict[str, Any]]:
         if name in EFFECTS and name not in best
     ]
     return rows
-
-
-def refuse(message: str, case: Case, **facts: str) -> GapError:
-    """An error that names the case."""
-    return GapError(message, file=case.folder, **facts)

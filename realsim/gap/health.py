@@ -11,8 +11,8 @@ from realsim.gap.case import Case
 from realsim.gap.simulate import Simulator
 
 
-def examine(simulator: Simulator) -> tuple[dict[str, Any], list[str]]:
-    """(figures and warnings, names of runs). Raises GapError where no diagnosis is possible."""
+def examine(simulator: Simulator) -> dict[str, Any]:
+    """Figures and `warnings`. Raises GapError where no diagnosis is possible."""
     case = simulator.case
     warnings = list(case.warnings) + [f"left out: {d}" for d in case.dropped_runs]
     clock = [_clock(r.time) for r in case.runs]
@@ -48,7 +48,7 @@ def examine(simulator: Simulator) -> tuple[dict[str, Any], list[str]]:
         "missing": missing,
         "quantum": {k: _quantum(case, k) for k in ("joint_pos",)},
         "warnings": warnings,
-    }, [r.name for r in case.runs]
+    }
 
 
 def _clock(time: np.ndarray) -> dict[str, Any]:

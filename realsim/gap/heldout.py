@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from realsim.errors import GapError
+from realsim.gap.blackbox import predict
 from realsim.gap.compare import Comparison
 from realsim.gap.fit import Fit
 from realsim.gap.screen import Screen, posterior
@@ -39,6 +40,8 @@ class Shrinkage:
     """Mean squared error of the nominal simulator in units of the floor."""
     after_over_floor: float
     """The same of causes and nuisances together."""
+    structure: float = 0.0
+    """Share of what is then left that a black box still predicts on the unseen runs."""
     per_signal: dict[str, dict[str, float]] = field(default_factory=dict)
     baselines: dict[str, float] = field(default_factory=dict)
     """Error by baseline, 1 is the nominal simulator's."""
@@ -128,6 +131,12 @@ def shrinkage(
     for name, settings in rivals.items():
         found = errors(simulator, comparison, settings, runs)
         baselines[name] = mean_square(comparison, found, runs) / e0 if found is not None else float("nan")
+    learned = predict(simulator, comparison, _of(comparison, screen.runs, nominal), screen.runs, runs)
+    boxed = [a - p for a, p in zip(before, learned, strict=True)]
+    baselines["black-box residual (ridge)"] = mean_square(comparison, boxed, runs) / e0
+    left = with_nuisances(screen, comparison, fit, fit.settings(), screen.runs) or _of(comparison, screen.runs, fit)
+    further = predict(simulator, comparison, left, screen.runs, runs)
+    e3 = mean_square(comparison, [a - p for a, p in zip(clean, further, strict=True)], runs)
     return Shrinkage(
         runs=tuple(simulator.case.runs[i].name for i in runs),
         unseen=unseen,
@@ -139,9 +148,14 @@ def shrinkage(
         unexplained=float(np.clip((e2 - 1) / (e0 - 1), 0, 1)) if e0 > 1.0 else 0.0,
         before_over_floor=e0,
         after_over_floor=e2,
+        structure=float(np.clip(1 - e3 / e2, 0, 1)) if unseen else 0.0,
         per_signal=_per_signal(comparison, before, after, runs),
         baselines=baselines,
     )
+
+
+def _of(comparison: Comparison, runs: Sequence[int], fit: Fit) -> list[F64]:
+    return [comparison.residual(r, y) for r, y in zip(runs, fit.predictions, strict=True)]
 
 
 def _bootstrap(

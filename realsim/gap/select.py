@@ -68,7 +68,7 @@ def select(
             notes.append("what is left is within the floor and the small deviations")
             break
         fits = _rivals(screen, fitter, config, current, stage, trials)
-        best = next((f for f in fits if _acceptable(screen, config, current, f, trials, nominal)), None)
+        best = next((f for f in fits if _acceptable(screen, config, current, f, trials)), None)
         if best is None:
             break
         stages.append((current, fits))
@@ -173,9 +173,7 @@ def _refit(screen: Screen, fitter: Fitter, current: Fit, candidate: Candidate, e
     return fitter.fit(causes, [[*done, *s] for s in starts[1:]])
 
 
-def _acceptable(
-    screen: Screen, config: DiagnoseConfig, current: Fit, fit: Fit, trials: list[Trial], nominal: Fit
-) -> bool:
+def _acceptable(screen: Screen, config: DiagnoseConfig, current: Fit, fit: Fit, trials: list[Trial]) -> bool:
     """Whether the last cause of `fit` is more than noise, more than a small deviation, and holds on unseen runs."""
     gain = current.misfit - fit.misfit
     cause = fit.causes[-1]
@@ -196,7 +194,7 @@ def _acceptable(
         and left[1].mean() > (1 - LEAST_IMPROVEMENT) * left[0].mean()
     ):
         reasons.append("leaves as much as before")
-    if mean < share * max(total_gap(screen, nominal, current), 1e-9):
+    if mean < share * max(total_gap(screen, current), 1e-9):
         reasons.append("too small a share of the gap")
     for i in range(len(trials) - 1, -1, -1):
         t = trials[i]
@@ -243,9 +241,8 @@ def deviation(screen: Screen, cause: Cause) -> float:
     return float(np.sqrt(np.sum(np.square(sizes)) / 1.0)) if sizes else 0.0
 
 
-def total_gap(screen: Screen, nominal: Fit, current: Fit) -> float:
+def total_gap(screen: Screen, current: Fit) -> float:
     """Mean misfit a run that the current causes leave: what a further cause could gain."""
-    del nominal
     return current.misfit / len(screen.runs)
 
 
