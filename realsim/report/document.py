@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from realsim.report import page, raster, svg, viewer3d
+from realsim.report.contact import contact_card
 from realsim.report.layers import scene_layers
 from realsim.report.summary import quality_dict, versions
 from realsim.report.topdown import map_from_above
@@ -33,7 +34,7 @@ def reconstruction_page(folder: Path, result: Reconstruction, judgement: Judgeme
             page.card("From above", map_from_above(result.aligned, result.mesh), outlined, wide=True),
         ),
         page.columns(
-            [_checks_card(judgement)],
+            [_checks_card(judgement), *contact_card(result)],
             [_notes_card(result), *_scale_card(result), _platform_card(result)],
         ),
         page.grid(*_residual_card(result), *_thumbnail_card(result)),

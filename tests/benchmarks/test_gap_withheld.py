@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import json
-import sys
 from pathlib import Path
 
 import mujoco
@@ -12,14 +11,12 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
-
-from benchmarks.gap_score import score  # noqa: E402
-from benchmarks.gap_truth.cases import STRATA, make_case, plan  # noqa: E402
-from benchmarks.gap_truth.motions import sample_times  # noqa: E402
-from benchmarks.gap_truth.plant import Plant  # noqa: E402
-from benchmarks.gap_truth.robots import ROBOTS  # noqa: E402
-from benchmarks.gap_truth.truth import Truth  # noqa: E402
+from benchmarks.gap_score import score
+from benchmarks.gap_truth.cases import STRATA, make_case, plan
+from benchmarks.gap_truth.motions import sample_times
+from benchmarks.gap_truth.plant import Plant
+from benchmarks.gap_truth.robots import ROBOTS
+from benchmarks.gap_truth.truth import Truth
 
 
 def test_the_truth_knows_nothing_of_the_diagnosis_nor_the_other_way_round() -> None:

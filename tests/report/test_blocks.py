@@ -146,3 +146,14 @@ def test_pieces_escape_text() -> None:
         page.verdict("good", "<i>", ["<j>"]),
     ):
         assert not re.search(r"<(a|b|c|x|i|j)>", piece.replace("<b>&lt;b&gt;</b>", ""))
+
+
+def test_the_contact_map_shows_the_worst_of_a_cell_from_above() -> None:
+    from realsim.report.contact import error_grid
+
+    x, y = np.meshgrid(np.arange(10) / 10, np.arange(5) / 10)
+    error = np.zeros(x.size)
+    error[-1] = 0.02  # largest x, largest y: upper right
+    grid = error_grid(np.column_stack([x.ravel(), y.ravel(), error]))
+    assert grid[0, -1] == 0.02
+    assert np.nanmin(grid) == 0

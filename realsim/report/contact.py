@@ -1,0 +1,61 @@
+"""How far what a robot will feel is from what the camera saw: one card of the report."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from realsim.report import page, raster, svg
+from realsim.types import F64, Reconstruction
+
+_RANGE = 0.015  # metres at which the colour is full
+
+
+def contact_card(result: Reconstruction) -> list[str]:
+    """The measured error of the collision geometry as a map and in figures; empty where nothing was measured."""
+    contact = result.scene.contact
+    if result.scene.contact_map is None or "median_mm" not in contact:
+        return []
+    picture = raster.colorize(error_grid(result.scene.contact_map), -_RANGE, _RANGE, raster.SIGNED)
+    scale = max(1, 900 // picture.shape[1])
+    picture = picture.repeat(scale, 0).repeat(scale, 1)
+    image = f'<img src="{raster.png_uri(picture)}" alt="map of the contact error" style="width:100%;height:auto">'
+    bar = svg.color_bar(-1e3 * _RANGE, 1e3 * _RANGE, "mm", raster.SIGNED)
+    note = (
+        "A ball of 1 cm was lowered on every spot of the collision geometry: first touch minus the surface. Red is felt "
+        "where nothing is, blue is not felt where something is. Start on the left, seen from above."
+    )
+    return [page.card("Contact against the scan", image + bar + page.table(("figure", "value"), _rows(result)), note)]
+
+
+def _rows(result: Reconstruction) -> list[tuple[str, str]]:
+    c = result.scene.contact
+    geoms = ", ".join(f"{n} {kind}" for kind, n in dict(c.get("geoms", {})).items())
+    rows = [
+        ("representation", f"{c['representation']} ({geoms})"),
+        ("error, median", f"{c['median_mm']:.2f} mm"),
+        ("error, 95th percentile", f"{c['p95_mm']:.1f} mm"),
+        ("error, largest", f"{c['max_mm']:.0f} mm"),
+        ("phantom surface", f"{c['phantom_area_cm2']:.0f} cm²"),
+        ("missing surface", f"{c['missing_area_cm2']:.0f} cm²"),
+        ("leaks", f"{c['leaks']}"),
+    ]
+    if "step_cost_vs_plane" in c:
+        rows.append(("a step costs", f"{c['step_cost_vs_plane']:.2f} times a plane's, G1 standing"))
+    return rows
+
+
+def error_grid(contact_map: F64) -> F64:
+    """(rows, columns) signed error in metres of (N, 3) x, y, error; the worst of a cell; NaN where nothing was probed.
+
+    The first row is the largest y, so that the picture is seen from above with x to the right.
+    """
+    xy, error = contact_map[:, :2], contact_map[:, 2]
+    low, size = xy.min(0), np.maximum(np.ptp(xy, axis=0), 1e-6)
+    # A little wider than the probes are apart: no empty rows.
+    cell = 1.15 * float(np.sqrt(size.prod() / len(xy)))
+    column, row = ((xy - low) / cell).astype(int).T
+    grid = np.full((row.max() + 1, column.max() + 1), np.nan)
+    order = np.argsort(np.abs(np.nan_to_num(error)), kind="stable")
+    order = order[np.isfinite(error[order])]
+    grid[row[order], column[order]] = error[order]
+    return grid[::-1]
