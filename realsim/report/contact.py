@@ -21,8 +21,8 @@ def contact_card(result: Reconstruction) -> list[str]:
     image = f'<img src="{raster.png_uri(picture)}" alt="map of the contact error" style="width:100%;height:auto">'
     bar = svg.color_bar(-1e3 * _RANGE, 1e3 * _RANGE, "mm", raster.SIGNED)
     note = (
-        "A ball of 1 cm was lowered on every spot of the collision geometry: first touch minus the surface. Red is felt "
-        "where nothing is, blue is not felt where something is. Start on the left, seen from above."
+        "A ball of 1 cm was lowered on every spot of the collision geometry: first touch minus the surface. Red is "
+        "felt where nothing is, blue is not felt where something is. Start on the left, seen from above."
     )
     return [page.card("Contact against the scan", image + bar + page.table(("figure", "value"), _rows(result)), note)]
 

@@ -38,7 +38,8 @@ def mesh_layers(mesh: TerrainMesh) -> list[Layer]:
     seen = Layer("mesh", V, F, C)
     if not mesh.invented.any():
         return [seen]
-    V, F, _ = simplify(*compact(mesh.vertices, mesh.triangles[mesh.invented]), None, COLLISION_TRIANGLES)
+    unseen = compact(mesh.vertices, mesh.triangles[mesh.invented])
+    V, F, _ = simplify(unseen[0], unseen[1], None, COLLISION_TRIANGLES)
     return [seen, Layer("invented", V, F, (172, 112, 214), visible=False)]
 
 

@@ -10,13 +10,14 @@ import mujoco
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
 from benchmarks.gap_score import score
 from benchmarks.gap_truth.cases import STRATA, make_case, plan
 from benchmarks.gap_truth.motions import sample_times
 from benchmarks.gap_truth.plant import Plant
 from benchmarks.gap_truth.robots import ROBOTS
 from benchmarks.gap_truth.truth import Truth
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_the_truth_knows_nothing_of_the_diagnosis_nor_the_other_way_round() -> None:
