@@ -141,7 +141,7 @@ def _baselines(screen: Screen, selection: Selection) -> dict[str, Any]:
     others = [t for t in selection.trials if t.gain is not None and t.stage == 0 and t.effect not in mine | same]
     if others:
         best = max(others, key=lambda t: t.gain or 0.0)
-        places = next(c.places for c in screen.candidates if c.key == (best.effect, best.place, best.names))
+        places = next(c.places for c in screen.candidates if c.effect == best.effect and c.place == best.place)
         rivals[f"best wrong effect ({best.effect})"] = [(best.effect, p, best.values) for p in places]
     wide = replace(
         selection.nominal, prior=np.array([max(a.parameter.nuisance, abs(a.parameter.step)) for a in screen.atoms])

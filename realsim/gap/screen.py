@@ -167,6 +167,10 @@ class Screen:
         run = self.runs[k]
         return (self._columns[k] @ x.astype(np.float32)).reshape(self.comparison.weights[run].shape)
 
+    def columns(self, k: int, index: Sequence[int]) -> Any:
+        """(B * C, m) of some atoms on screened run k."""
+        return self._columns[k][:, list(index)]
+
     # ------------------------------------------------------------ candidates
 
     def _candidates(self, chosen: Sequence[str]) -> list[Candidate]:

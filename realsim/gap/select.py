@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -12,11 +13,12 @@ from realsim.gap.fit import Cause, Fit, Fitter
 from realsim.gap.heldout import leftover
 from realsim.gap.screen import Candidate, Screen, marginal, posterior, score, slab
 from realsim.gap.simulate import lookup
+from realsim.gap.windows import window_candidates
 from realsim.types import F64
 
 GATE_MEDIAN, GATE_MEAN = 1.4, 2.8
 """Mean square in units of the floor, over runs, above which there is a gap."""
-LEAST_IMPROVEMENT = 0.15
+LEAST_IMPROVEMENT = 0.08
 """Share of what is left that a further cause must remove."""
 
 
@@ -123,23 +125,32 @@ def _rivals(
         if len(trials) < 4000:
             trials.append(Trial(candidate.effect, candidate.place, candidate.names, stage, gain))
     fits = []
-    for gain, candidate, estimate in finalists:
-        fit = _refit(screen, fitter, current, candidate, estimate)
+    forces = [(g, c, v) for g, c, v in window_candidates(screen, current) if not _has(current, c)]
+    chosen: list[tuple[float, Candidate, Any]] = [*finalists, *forces]
+    for gain, candidate, estimate in chosen:
+        if isinstance(estimate, dict):
+            values = tuple(float(estimate[n]) for n in candidate.names)
+            fit = fitter.fit([*current.causes, Cause(candidate, values)], iterations=8)
+        else:
+            fit = _refit(screen, fitter, current, candidate, estimate)
         if fit is None:
             trials.append(
                 Trial(candidate.effect, candidate.place, candidate.names, stage, gain, outcome="fails to run")
             )
             continue
         mean, error, _ = heldout(screen, current, fit)
-        values = fit.causes[-1].named
         trials.append(
             Trial(
                 candidate.effect, candidate.place, candidate.names, stage, gain,
-                current.misfit - fit.misfit, mean, error, values, "refitted",
+                current.misfit - fit.misfit, mean, error, fit.causes[-1].named, "refitted",
             )
         )  # fmt: skip
         fits.append(fit)
     return sorted(fits, key=lambda f: f.misfit + _complexity(f))
+
+
+def _has(fit: Fit, candidate: Candidate) -> bool:
+    return any(c.candidate.effect == candidate.effect and c.candidate.place == candidate.place for c in fit.causes)
 
 
 def _complexity(fit: Fit) -> float:
@@ -183,7 +194,7 @@ def _acceptable(screen: Screen, config: DiagnoseConfig, current: Fit, fit: Fit, 
         reasons.append(f"gain {gain:.1f} is within noise")
     if deviation(screen, cause) < config.min_deviation:
         reasons.append("no larger than everyday deviations")
-    if significance(fit) < 2.0:
+    if len(screen.runs) >= 4 and significance(fit) < 2.0:  # three runs say too little about their own scatter
         reasons.append("within two standard errors of nothing")
     if not holds(mean, error, positive):
         reasons.append("does not hold on unseen runs")

@@ -68,6 +68,8 @@ class Truth:
     com: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     inertia: dict[str, float] = field(default_factory=dict)
     force: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    force_window: tuple[float, float] = (-10.0, 100.0)
+    """s of each run in which the force acts."""
     tilt: float = 0.0
     ripple: dict[str, float] = field(default_factory=dict)
     """Outside the library: torque that varies with the angle, N m."""
@@ -234,7 +236,8 @@ def replay(
         extra = stribeck * np.exp(-((v / 0.15) ** 2)) * np.tanh(v / 0.002) + load * np.abs(torque) * np.tanh(v / 0.005)
         data.qfrc_applied[dof] = torque - extra + ripple * np.sin(9 * data.qpos[motor])
         for name, f in truth.force.items():
-            data.xfrc_applied[real.body(name).id, :3] = f
+            on = truth.force_window[0] <= now < truth.force_window[1]
+            data.xfrc_applied[real.body(name).id, :3] = np.array(f) * on
         pos[k], vel[k], tau[k] = data.qpos[out], data.qvel[link], torque
         mujoco.mj_step(real, data)
     jitter = nuisance * 2e-4

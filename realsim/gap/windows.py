@@ -1,0 +1,83 @@
+"""When a force acts: windows of time in which a constant force would explain what is left."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from realsim.gap.fit import Fit
+from realsim.gap.screen import Candidate, Screen, posterior
+from realsim.types import F64
+
+LENGTHS = (0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0)
+GRID = 0.1
+MARGIN = 20.0
+
+
+def window_candidates(screen: Screen, fit: Fit, most: int = 2) -> list[tuple[float, Candidate, dict[str, float]]]:
+    """(gain, candidate, start values) of forces that act for a while, where that says much more than acting always.
+
+    The response to a force that lasts much longer than the servos' settling is nearly the constant force's response
+    cut to the window, so that no further simulation is needed to find the window; the fit then simulates it.
+    """
+    places = dict.fromkeys(a.place for a in screen.atoms if a.effect == "external_force")
+    found = []
+    left, weights = _left(screen, fit)
+    for place in places:
+        at = {n: screen.index[key] for n in ("fx", "fy", "fz") if (key := ("external_force", place, n)) in screen.index}
+        axes, index = tuple(at), list(at.values())  # a planar arm cannot feel a force across its plane
+        info, score = _by_time(screen, index, left, weights)
+        scale = np.array([abs(screen.atoms[i].parameter.step) for i in index])
+        whole = _gain(info.sum(axis=0), score.sum(axis=0), scale)[0]
+        best = _best_window(info, score, scale, screen.comparison.config.bin_seconds)
+        if best[0] > 1.5 * whole + MARGIN:
+            gain, start, end, force = best
+            directions = np.eye(len(screen.atoms))[:, index]
+            candidate = Candidate("external_force", (place,), (*axes, "start", "end"), directions, axes)
+            found.append((gain, candidate, dict(zip(axes, force, strict=True)) | {"start": start, "end": end}))
+    return sorted(found, key=lambda item: -item[0])[:most]
+
+
+def _left(screen: Screen, fit: Fit) -> tuple[list[F64], list[F64]]:
+    e = fit.evidence
+    x, _ = posterior(np.sum(e.A, axis=0), np.sum(e.b, axis=0), fit.prior)
+    x = np.clip(x, -3 * fit.prior, 3 * fit.prior)
+    left, weights = [], []
+    for k, run in enumerate(screen.runs):
+        r = screen.comparison.residual(run, fit.predictions[k])
+        weights.append(np.where(np.isfinite(r), screen.comparison.weights[run], 0.0))
+        left.append(np.nan_to_num(r) - screen.fitted(k, x))
+    return left, weights
+
+
+def _by_time(screen: Screen, index: list[int], left: list[F64], weights: list[F64]) -> tuple[F64, F64]:
+    """(T, m, m) information and (T, m) score of the force in each bin of time, all runs together."""
+    width = screen.comparison.config.bin_seconds
+    last = max(int(screen.comparison.times[r][-1] / width) for r in screen.runs) + 1
+    m = len(index)
+    info, score = np.zeros((last, m, m)), np.zeros((last, m))
+    for k, run in enumerate(screen.runs):
+        D = screen.columns(k, index).reshape(*weights[k].shape, len(index)).astype(float)
+        at = np.clip((screen.comparison.times[run] / width).astype(int), 0, last - 1)
+        W = weights[k][:, :, None] * D
+        np.add.at(info, at, np.einsum("bci,bcj->bij", W, D))
+        np.add.at(score, at, np.einsum("bci,bc->bi", W, left[k]))
+    return info, score
+
+
+def _gain(info: F64, score: F64, scale: F64) -> tuple[float, F64]:
+    force: F64 = np.asarray(np.linalg.solve(info + np.diag(0.02 / scale**2), score), dtype=np.float64)
+    return 0.5 * float(score @ force), force
+
+
+def _best_window(info: F64, score: F64, scale: F64, width: float) -> tuple[float, float, float, F64]:
+    total, tally = np.cumsum(info, axis=0), np.cumsum(score, axis=0)
+    best: tuple[float, float, float, F64] = (-np.inf, 0.0, 0.0, np.zeros(len(scale)))
+    step = max(int(GRID / width), 1)
+    for first in range(0, len(info) - 1, step):
+        for length in (*LENGTHS, len(info) * width):
+            end = min(first + int(length / width), len(info) - 1)
+            before = (total[first - 1], tally[first - 1]) if first else (0.0, 0.0)
+            gain, force = _gain(total[end] - before[0], tally[end] - before[1], scale)
+            if gain > best[0]:
+                best = (gain, first * width, end * width, force)
+    return best
