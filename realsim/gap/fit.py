@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -56,6 +57,7 @@ class Fitter:
     def __init__(self, screen: Screen) -> None:
         self.screen = screen
         self.evaluations = 0
+        self._recent: dict[Any, list[F64] | None] = {}
 
     def nominal(self) -> Fit:
         """No cause at all."""
@@ -131,12 +133,19 @@ class Fitter:
         return settings
 
     def _predict(self, candidates: Sequence[Candidate], z: F64) -> list[F64] | None:
+        key = (tuple(c.key for c in candidates), z.tobytes())
+        if key in self._recent:
+            return self._recent[key]
         self.evaluations += 1
         try:
-            found = self.screen.simulator.simulate(self._settings(candidates, z), runs=self.screen.runs)
+            made = self.screen.simulator.simulate(self._settings(candidates, z), runs=self.screen.runs)
+            found = made if all(np.isfinite(y).all() for y in made) else None
         except GapError:
-            return None
-        return found if all(np.isfinite(y).all() for y in found) else None
+            found = None
+        self._recent[key] = found
+        if len(self._recent) > 12:  # a line search ends where the next slopes begin: no need to simulate it again
+            self._recent.pop(next(iter(self._recent)))
+        return found
 
     def prior_beside(self, candidates: Sequence[Candidate]) -> F64:
         """A parameter that is a cause is not a nuisance at the same time."""

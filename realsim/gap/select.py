@@ -110,10 +110,12 @@ def _rivals(
 ) -> list[Fit]:
     """The best candidates of the linear screen, refitted together with what is already accepted; best first."""
     order = ranked(screen, current)
+    # Far behind the leader by the linear screen, only effects that are far from linear can still win.
+    least = max(0.5 * config.min_gain, 0.04 * order[0][0] if order else 0.0)
     finalists: list[tuple[float, Candidate, F64]] = []
     per_effect: dict[str, int] = {}
     for gain, candidate, estimate in order:
-        if gain > 0.5 * config.min_gain and len(finalists) < config.finalists + 4:
+        if gain > least and len(finalists) < config.finalists + 4:
             count = per_effect.get(candidate.effect, 0)
             # The first few take what is best; then every further effect gets its best place, so none is overlooked.
             if count < 2 or (len(finalists) < 3 and count < 3):
