@@ -12,6 +12,7 @@ from realsim.export.contact.base import ContactModel, Geom
 from realsim.types import Platform
 
 VISUAL_GROUP, COLLISION_GROUP = 2, 3
+DRAWN_BELOW = 0.03  # metres
 
 
 def scene_xml(
@@ -54,6 +55,8 @@ def scene_xml(
     )
     for geom in contact.geoms:
         ET.SubElement(world, "geom", _geom(geom))
+        if geom.visible and geom.type == "plane":
+            ET.SubElement(world, "geom", _drawn_floor(geom))
     for name, platform in zip(platform_names(platforms), platforms, strict=True):
         _platform_site(world, name, platform)
     if robot is not None:
@@ -70,6 +73,8 @@ def contact_elements(contact: ContactModel) -> str:
     world = ET.SubElement(root, "worldbody")
     for geom in contact.geoms:
         ET.SubElement(world, "geom", _geom(geom))
+        if geom.visible and geom.type == "plane":
+            ET.SubElement(world, "geom", _drawn_floor(geom))
     return ET.tostring(root, "unicode")
 
 
@@ -136,9 +141,18 @@ def _geom(geom: Geom) -> dict[str, str]:
         out["size"] = numbers(geom.size)
     if geom.asset is not None:
         out["hfield" if geom.type == "hfield" else "mesh"] = geom.asset
-    if geom.visible:
+    if geom.visible and geom.type != "plane":
         return out | {"material": "floor", "group": "0"}
     return out | {"rgba": "0.35 0.55 0.8 1", "group": str(COLLISION_GROUP)}
+
+
+def _drawn_floor(floor: Geom) -> dict[str, str]:
+    """What one sees of the floor: a little below where it is felt, so that it does not flicker through the scan."""
+    x, y, z = floor.pos
+    out = {"name": f"{floor.name}_drawn", "type": "plane", "pos": numbers((x, y, z - DRAWN_BELOW))}
+    if floor.size is not None:
+        out["size"] = numbers(floor.size)
+    return out | {"material": "floor", "group": "0", "contype": "0", "conaffinity": "0"}
 
 
 def _platform_site(world: ET.Element, name: str, platform: Platform) -> None:
