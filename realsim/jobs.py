@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+import socket
 import subprocess
 import sys
 import threading
@@ -119,6 +120,7 @@ def _on_ray(jobs: Sequence[Job], address: str) -> Iterator[Outcome]:
         raise MissingExtraError("ray", "ray", "--ray") from error
     with ExitStack() as stack:
         if not ray.is_initialized():
+            _check_reachable(address)
             try:
                 ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
             except (ConnectionError, ValueError, RuntimeError) as error:
@@ -137,3 +139,16 @@ def _on_ray(jobs: Sequence[Job], address: str) -> Iterator[Outcome]:
                 yield ray.get(ready)
             except ray.exceptions.RayError as error:
                 yield Outcome(job.name, 1, {"error": "Crash", "message": f"the Ray worker was lost: {error}"})
+
+
+def _check_reachable(address: str) -> None:
+    """Ray itself waits minutes for a cluster that is not there."""
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if not colon or not port.isdigit():
+        return
+    try:
+        socket.create_connection((host, int(port)), timeout=5).close()
+    except OSError as error:
+        raise RealsimError(
+            "no Ray cluster answers", expected="a running cluster (ray start --head)", found=f"{address}: {error}"
+        ) from error
