@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.geometry import pixel_rays, transform
+from realsim.ordered import in_order
 
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
@@ -258,9 +259,8 @@ class MetricScene:
         return len(self.frames)
 
     def views(self) -> Iterator[tuple[int, PointView]]:
-        """All views, one in memory at a time."""
-        for i in range(len(self.frames)):
-            yield i, self.load(i)
+        """All views in order, a few in memory at a time."""
+        yield from enumerate(in_order(self.load, len(self.frames)))
 
     def world_points(self, i: int) -> tuple[F64, PointView]:
         """((M, 3) world points of view i's valid pixels, the view)."""

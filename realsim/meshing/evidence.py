@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -14,6 +11,7 @@ from realsim.errors import MeshError
 from realsim.meshing.fuse import Grid, Points, drop_tails, project, thin
 from realsim.meshing.views import inverse_depth, noise_of, pinhole, sample_view
 from realsim.meshing.visibility import DepthMap, depth_map, seen_through, votes
+from realsim.ordered import in_order
 from realsim.progress import track
 from realsim.types import AlignedScene
 
@@ -66,7 +64,7 @@ def gather(aligned: AlignedScene, resolution: float | None, min_views: int) -> E
         )
 
     maps, total, has_color = [], 0, True
-    for rows, view_map, count, colored in track(_ordered(one, n), "surface points", n):
+    for rows, view_map, count, colored in track(in_order(one, n), "surface points", n):
         grid.add(*rows)
         maps.append(view_map)
         total += count
@@ -108,13 +106,3 @@ def choose_resolution(sigma: float, aligned: AlignedScene) -> float:
     distance = float(np.median(np.sort(np.linalg.norm(cameras - middle, axis=1))[: max(1, len(cameras) // 2)]))
     extent = float((aligned.bounds[1] - aligned.bounds[0]).max())
     return float(np.clip(np.round(2 * sigma * distance**2, 4), max(0.008, extent / 512), 0.04))
-
-
-def _ordered(function: Callable[[int], T], n: int) -> Iterator[T]:
-    """function(0), function(1), ... a few at a time in threads, handed on in order, few results in memory."""
-    with ThreadPoolExecutor(THREADS) as pool:
-        waiting = deque(pool.submit(function, i) for i in range(min(n, 2 * THREADS)))
-        for i in range(n):
-            yield waiting.popleft().result()
-            if i + 2 * THREADS < n:
-                waiting.append(pool.submit(function, i + 2 * THREADS))
