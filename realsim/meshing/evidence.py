@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
@@ -14,9 +13,6 @@ from realsim.meshing.visibility import DepthMap, depth_map, seen_through, votes
 from realsim.ordered import in_order
 from realsim.progress import track
 from realsim.types import AlignedScene
-
-T = TypeVar("T")
-THREADS = 2
 
 
 @dataclass(frozen=True)
