@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from realsim.errors import CaptureError
 from realsim.feedforward.config import PointsConfig
 from realsim.registry import Registry
@@ -12,6 +14,8 @@ BACKENDS = Registry(
     {
         "rgbd": "realsim.feedforward.rgbd:BACKEND",
         "colmap": "realsim.feedforward.colmap:BACKEND",
+        "onnx": "realsim.feedforward.onnx:BACKEND",
+        "onnx+depth": "realsim.feedforward.onnx.with_depth:BACKEND",
     },
 )
 
@@ -35,4 +39,9 @@ def pointmaps(frames: FrameSet, solution: Solution, config: PointsConfig) -> Poi
     return BACKENDS[config.backend].pointmaps(frames, solution, config)
 
 
-__all__ = ["BACKENDS", "pointmaps", "solve"]
+def inputs(config: PointsConfig) -> tuple[Path, ...]:
+    """Files besides the capture that a solution depends on; their content identifies it together with the frames."""
+    return BACKENDS[config.backend].inputs(config)
+
+
+__all__ = ["BACKENDS", "inputs", "pointmaps", "solve"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 from realsim.feedforward.config import PointsConfig
 from realsim.types import FrameSet, Pointmaps, Solution
@@ -17,3 +18,5 @@ class Backend:
     """Everything slow. Its result is plain arrays and may be kept on disk."""
     pointmaps: Callable[[FrameSet, Solution, PointsConfig], Pointmaps]
     """Cheap: views are made when they are asked for."""
+    inputs: Callable[[PointsConfig], tuple[Path, ...]] = lambda config: ()
+    """Files besides the capture that a solution depends on (a model's)."""

@@ -2,10 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
+
+
+@dataclass(frozen=True)
+class OnnxConfig:
+    """The backends `onnx` and `onnx+depth`."""
+
+    model: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """ONNX file of a feed-forward model, for the backends onnx and onnx+depth."""
+    provider: str | None = None
+    """Execution provider of onnxruntime: cpu, cuda, coreml, ... (default: the fastest that is installed)."""
+    max_views: int | None = None
+    """Most views in one run of the model (default: what it declares and what fits into memory)."""
+    min_confidence: float = 0.1
+    """Predicted pixels below this confidence (0..1) are left out."""
+    drop_least_sure: float = 5.0
+    """Percent of each view's predicted pixels that are left out as the least sure."""
+    kept_in: Annotated[Path | None, tyro.conf.Suppress] = None
+    """Folder in which a model's outputs are kept for the next run."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.min_confidence < 1:
+            raise ValueError("need 0 <= min_confidence < 1")
+        if not 0 <= self.drop_least_sure < 100:
+            raise ValueError("need 0 <= drop_least_sure < 100")
+        if self.max_views is not None and self.max_views < 1:
+            raise ValueError("need max_views >= 1")
 
 
 @dataclass(frozen=True)
@@ -18,5 +45,6 @@ class PointsConfig:
     """Refine given poses against the depth."""
     correct_depth_bias: bool = True
     """With metric poses given, recover the depth sensor's scale bias from multi-view consistency and correct it."""
+    onnx: OnnxConfig = field(default_factory=OnnxConfig)
     seed: Annotated[int, tyro.conf.Suppress] = 0
     """Seed of everything random in this stage."""

@@ -12,7 +12,7 @@ from realsim.errors import PoseError
 from realsim.feedforward.rgbd.bias import grouped_error
 from realsim.feedforward.rgbd.refine import refine
 from realsim.feedforward.rgbd.refine_adjust import initial_state
-from realsim.feedforward.rgbd.refine_check import BODY, FLIP, _shifted, check_poses
+from realsim.feedforward.rgbd.refine_check import BODY, FLIP, _shifted, check_poses, scale_by_depth
 from realsim.feedforward.rgbd.tracks import Evidence, build_tracks, rigid_ransac
 from realsim.geometry import angle_deg, exp_so3, invert_T, make_T, transform
 from realsim.types import Frame, Intrinsics
@@ -224,6 +224,22 @@ def test_a_wrong_convention_is_refused_by_name(word, break_it) -> None:  # type:
     frames, evidence = evidence_of()
     with pytest.raises(PoseError, match=word):
         check_poses(frames, break_it(truth()[0]), evidence=evidence)
+
+
+@pytest.mark.parametrize("units", [0.2, 7.3])
+def test_poses_up_to_scale_get_it_from_the_depth(units: float) -> None:
+    _, evidence = evidence_of()
+    T = truth()[0].copy()
+    T[:, :3, 3] *= units
+    factor, error = scale_by_depth(evidence, T)
+    assert factor * units == pytest.approx(1, abs=max(3 * error, 0.01))
+    assert error < 0.01
+
+
+def test_poses_up_to_scale_without_features_are_refused() -> None:
+    _, evidence = evidence_of(1.0, color=False)
+    with pytest.raises(PoseError, match="scale of the given poses"):
+        scale_by_depth(evidence, truth()[0])
 
 
 def test_millimetres_are_recognised_without_colour() -> None:

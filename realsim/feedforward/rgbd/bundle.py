@@ -57,15 +57,15 @@ def adjust(
     """Levenberg-Marquardt with Cauchy weights (scale `cauchy` standard deviations); camera `anchor` does not move."""
     T, X = np.array(T_world_camera, float), np.array(points, float)
     damping, done = 1e-4, 0
-    r, J_camera, J_point = _linearise(T, X, seen)
+    r, J_camera, J_point = linearise(T, X, seen)
     cost = _cost(r, cauchy)
     for done in range(1, iterations + 1):  # noqa: B007 (reported)
-        w = _weights(r, cauchy)
+        w = weights(r, cauchy)
         accepted = False
         for _ in range(6):
             dT, dX = _step(J_camera, J_point, r, w, seen, len(T), len(X), damping, anchor)
             T1, X1 = T @ exp_se3(dT), X + dX
-            r1, *J1 = _linearise(T1, X1, seen)
+            r1, *J1 = linearise(T1, X1, seen)
             cost1 = _cost(r1, cauchy)
             if cost1 < cost:
                 accepted = True
@@ -81,7 +81,7 @@ def adjust(
     return Adjusted(T, X, r, cost, done)
 
 
-def _linearise(T: F64, X: F64, seen: Observations) -> tuple[F64, F64, F64]:
+def linearise(T: F64, X: F64, seen: Observations) -> tuple[F64, F64, F64]:
     """Whitened residuals (M, 3) and their Jacobians by camera twist (M, 3, 6) and point (M, 3, 3)."""
     R = T[seen.camera, :3, :3]
     P = ((X[seen.point] - T[seen.camera, :3, 3])[:, None] @ R)[:, 0]
@@ -105,7 +105,7 @@ def _cost(r: F64, c: float) -> float:
     return float(c**2 * np.log1p(_squares(r) / c**2).sum())
 
 
-def _weights(r: F64, c: float) -> F64:
+def weights(r: F64, c: float) -> F64:
     """(M, 3) Cauchy weights of the residuals."""
     w = 1 / (1 + _squares(r) / c**2)
     return w[:, [0, 0, 1]]
@@ -119,10 +119,10 @@ def _step(
     from scipy.sparse.linalg import splu
 
     Wc, Wp = np.swapaxes(Jc * w[..., None], 1, 2), np.swapaxes(Jp * w[..., None], 1, 2)
-    U = _gather(Wc @ Jc, seen.camera, cameras)
-    V = _gather(Wp @ Jp, seen.point, points)
-    gc = _gather((Wc @ r[..., None])[..., 0], seen.camera, cameras)
-    gp = _gather((Wp @ r[..., None])[..., 0], seen.point, points)
+    U = gather(Wc @ Jc, seen.camera, cameras)
+    V = gather(Wp @ Jp, seen.point, points)
+    gc = gather((Wc @ r[..., None])[..., 0], seen.camera, cameras)
+    gp = gather((Wp @ r[..., None])[..., 0], seen.point, points)
     for D in (U, V):
         k = np.arange(D.shape[1])
         D[:, k, k] *= 1 + damping
@@ -139,7 +139,7 @@ def _step(
     return dc.reshape(cameras, 6), dp
 
 
-def _gather(values: F64, index: NDArray[np.int64], count: int) -> F64:
+def gather(values: F64, index: NDArray[np.int64], count: int) -> F64:
     """Sums of `values` (M, ...) that share an index, (count, ...)."""
     from scipy.sparse import csr_matrix
 

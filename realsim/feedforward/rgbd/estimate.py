@@ -10,7 +10,9 @@ import numpy as np
 
 from realsim.errors import PoseError
 from realsim.feedforward.rgbd.bundle import Adjusted, Observations, adjust
+from realsim.feedforward.rgbd.follow import SIGMA_INVERSE, SIGMA_PX, Landmarks, follow
 from realsim.feedforward.rgbd.graph import Edge, components, optimise, spanning_poses
+from realsim.feedforward.rgbd.keyframes import by_matching
 from realsim.feedforward.rgbd.overlap import FINE, overlap
 from realsim.feedforward.rgbd.pairs import (
     MIN_AGREEMENT,
@@ -28,10 +30,6 @@ from realsim.geometry import invert_T
 from realsim.progress import track
 from realsim.types import F64
 
-SIGMA_PX = 0.25
-"""Localisation noise of features, pixels."""
-SIGMA_INVERSE = 0.003
-"""Noise of inverse depth, 1/m: 3 mm at 1 m, 12 mm at 2 m (range noise, quantisation and fixed pattern together)."""
 EDGE_LIMIT = 6.0
 """Standard deviations beyond which a pair contradicts the graph and is left out."""
 SUSPICIOUS = 20
@@ -63,22 +61,44 @@ def estimate(views: Sequence[View], seed: int) -> Estimate:
     Raises:
         PoseError: fewer than two views hang together.
     """
+    keys, followers = by_matching(views, seed)
+    found, landmarks = _estimate_together([views[k] for k in keys], seed)
+    T = {keys[i]: pose for i, pose in zip(found.used, found.T_world_camera, strict=True)}
+    lost = {keys[i]: why for i, why in found.lost.items()}
+    lost |= {k: lost[key] for k, (key, _) in followers.items() if key in lost}
+    rest = [k for k in followers if k not in lost]
+    if rest:
+        starts = np.stack([T[followers[k][0]] @ followers[k][1] for k in rest])
+        if landmarks is not None:
+            starts, _ = follow([views[k] for k in rest], starts, landmarks)
+        T |= dict(zip(rest, starts, strict=True))
+    used = sorted(T)
+    poses = np.stack([T[k] for k in used])
+    statistics = found.statistics | ({"keyframes": len(keys)} if followers else {})
+    return Estimate(tuple(used), invert_T(poses[0]) @ poses, lost, statistics)
+
+
+def _estimate_together(views: Sequence[View], seed: int) -> tuple[Estimate, Landmarks | None]:
+    """All views in one adjustment, in the first one's camera; what it stands on, if these are features."""
     net = connect(views, seed)
     used, T, edges = _place(views, net.edges)
     lost = _lost(views, net, used)
     chosen, statistics = [views[i] for i in used], {"pairs": len(edges)}
     local = {int(v): k for k, v in enumerate(used)}
     first = [Match(local[m.i], local[m.j], m.a, m.b, m.T_i_j) for m in net.matches if _fits(m, T, local)]
+    landmarks = None
     if net.matches:
         if first:
-            T = bundle(chosen, T, first).T_world_camera
-        T, more = bundle_again(chosen, T)
+            T = bundle(chosen, T, build_tracks(chosen, first)).T_world_camera
+        landmarks, more = bundle_again(chosen, T)
+        if landmarks is not None:
+            T = landmarks.T_world_camera
         statistics |= more
     else:
         here = [Edge(local[e.i], local[e.j], e.T_i_j, e.weight, e.root) for e in edges]
         T, closed = close_loops(chosen, T, here)
         statistics |= {"pairs": len(closed), "by_shape": True}
-    return Estimate(tuple(int(i) for i in used), invert_T(T[0]) @ T, lost, statistics)
+    return Estimate(tuple(int(i) for i in used), T, lost, statistics), landmarks
 
 
 @dataclass(frozen=True)
@@ -187,9 +207,8 @@ def _lost(views: Sequence[View], net: Net, used: np.ndarray) -> dict[int, str]:
 # ---------------------------------------------------------------- adjustment over all frames
 
 
-def bundle(views: Sequence[View], T: F64, matches: Sequence[Match]) -> Adjusted:
+def bundle(views: Sequence[View], T: F64, tracks: Tracks) -> Adjusted:
     """Adjust poses and tracks twice, without the observations that the first time did not fit."""
-    tracks = build_tracks(views, matches)
     seen, points = _observations(tracks, T)
     first = adjust(T, points, seen, iterations=8)
     bad = np.hypot(first.residual[:, 0], first.residual[:, 1]) > 5
@@ -199,14 +218,15 @@ def bundle(views: Sequence[View], T: F64, matches: Sequence[Match]) -> Adjusted:
     return adjust(first.T_world_camera, first.points, Observations(seen.camera, seen.point, seen.measured, sigma))
 
 
-def bundle_again(views: Sequence[View], T: F64) -> tuple[F64, dict[str, Any]]:
+def bundle_again(views: Sequence[View], T: F64) -> tuple[Landmarks | None, dict[str, Any]]:
     """Match all overlapping pairs anew under guidance of the poses, which closes loops, and adjust."""
     matches = [m for i, j in neighbours(views, T) if (m := guided(views, i, j, invert_T(T[i]) @ T[j])) is not None]
     if not matches:
-        return T, {}
-    result = bundle(views, T, matches)
+        return None, {}
+    tracks = build_tracks(views, matches)
+    result = bundle(views, T, tracks)
     r = result.residual
-    return result.T_world_camera, {
+    return Landmarks(views, result.T_world_camera, tracks, result.points), {
         "matched_pairs": len(matches),
         "tracks": len(result.points),
         "observations": len(r),

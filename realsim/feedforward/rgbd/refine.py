@@ -18,6 +18,7 @@ import numpy as np
 
 from realsim.errors import PoseError
 from realsim.feedforward.rgbd.bias import GainEstimate, judge_gain
+from realsim.feedforward.rgbd.follow import Landmarks
 from realsim.feedforward.rgbd.refine_adjust import Sigmas, State, Step, initial_state, solve_step
 from realsim.feedforward.rgbd.refine_pairs import Surface, associate, choose_pairs, sample_surface
 from realsim.feedforward.rgbd.tracks import Evidence, Match, Tracks, View, build_tracks
@@ -45,6 +46,8 @@ class RefineResult:
     """Median over frames of `per_frame_residual_m`, metres."""
     per_frame_residual_m: F64
     """(N,) robust RMS distance between a frame's points and the same points as other frames see them; NaN if none."""
+    landmarks: Landmarks
+    """What other views of the same scene can be placed by; its gain is the one that was found, applied or not."""
     warnings: tuple[str, ...] = ()
     statistics: Mapping[str, Any] = field(default_factory=dict)
     """JSON-able; `sigma_z_over_z2` (1/m) is the sensor's depth noise a in sigma = a * depth^2, as it remains after a
@@ -91,6 +94,7 @@ def refine(
         gain.sigma,
         float(np.nanmedian(per_frame)) if np.isfinite(per_frame).any() else float("nan"),
         per_frame,
+        Landmarks(views, step.state.T, tracks, step.state.X, step.state.gain),
         gain.warnings + _warnings(views, tracks, per_frame),
         _statistics(step, given, matches, pairs, tracks, surface, gain, trust),
     )

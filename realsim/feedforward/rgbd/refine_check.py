@@ -119,6 +119,27 @@ def check_poses(
     return PoseCheck(agreement, middle, _named(frames, bad, agreement, middle), tuple(warnings), statistics)
 
 
+def scale_by_depth(evidence: Evidence, T_world_camera: F64) -> tuple[float, float]:
+    """What positions that are right up to scale must be multiplied by to be in the depth's metres, and the relative
+    standard error of it: baselines of neighbouring frames by features with depth, against those of the poses.
+
+    Raises:
+        PoseError: fewer than 8 pairs of frames match that are 10 cm apart.
+    """
+    n = len(T_world_camera)
+    matched = evidence.matches([(i, i + step) for step in (1, 2, 3) for i in range(n - step)])
+    none = np.zeros((0, 3))
+    scale, error = _scale([Edge(m.i, m.j, none, none, m.T_i_j[:3, 3]) for m in matched], T_world_camera)
+    if scale is None:
+        raise PoseError(
+            "the scale of the given poses cannot be told",
+            expected="at least 8 pairs of neighbouring frames, 10 cm apart, that share features",
+            found=f"{len(matched)} pairs that match",
+            hint="have the poses estimated (--poses estimate)",
+        )
+    return scale, error / scale
+
+
 def _edges(evidence: Evidence, T: F64, seed: int) -> list[Edge]:
     pairs = choose_pairs(evidence.views, T)
     matched = {(m.i, m.j): m for m in evidence.matches(pairs)}
@@ -234,7 +255,11 @@ def _hypotheses(T: F64, scale: float | None) -> Iterator[tuple[str, str, F64]]:
     for name, factor in factors.items():
         scaled = T.copy()
         scaled[:, :3, 3] *= factor
-        yield name, f"multiply the positions by {factor:.4g}", scaled
+        yield (
+            name,
+            f"multiply the positions by {factor:.4g}, or pass --no-metric-poses: the depth then scales them",
+            scaled,
+        )
     for shift in (-4, -3, -2, -1, -0.5, 0.5, 1, 2, 3, 4):
         text = f"a time offset between poses and images of {-shift:g} frames"
         yield text, "associate poses and images by their timestamps anew", _shifted(T, shift)

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from realsim.feedforward.rgbd.tracks import View
 from realsim.types import F64
 
+MOST_COMPARED = 64
+"""Of a dense capture each view is compared with so many of those that may see the same, evenly over the sequence."""
+
 
 def choose_pairs(views: Sequence[View], T_world_camera: F64, per_frame: int = 6) -> list[tuple[int, int]]:
     """Pairs i < j: neighbours in time, and per frame `per_frame` others that see the same surface.
@@ -30,6 +33,7 @@ def choose_pairs(views: Sequence[View], T_world_camera: F64, per_frame: int = 6)
         near = near[near != i]
         facing = np.einsum("na,a->n", T_world_camera[near, :3, 2], T_world_camera[i, :3, 2]) > 0.3
         near = near[facing]
+        near = near[np.unique(np.linspace(0, len(near) - 1, MOST_COMPARED).astype(int))] if len(near) else near
         seen = overlap(views, T_world_camera, i, near, samples[i])
         good = near[seen > 0.3][np.argsort(-seen[seen > 0.3], kind="stable")]
         for j in good[np.unique(np.linspace(0, len(good) - 1, per_frame).round().astype(int))] if len(good) else ():

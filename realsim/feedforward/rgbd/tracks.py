@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.geometry import make_T, transform
+from realsim.ordered import in_order
 from realsim.progress import track
 from realsim.types import F32, F64, Bool, Frame, Intrinsics
 
@@ -71,7 +72,8 @@ def prepare(frames: Sequence[Frame]) -> list[View]:
 
     Raises: what the frames' readers raise.
     """
-    return [_view(frame) for frame in track(frames, "features")]
+    views = in_order(lambda i: _view(frames[i]), len(frames))
+    return list(track(views, "features", total=len(frames)))
 
 
 def _view(frame: Frame) -> View:
@@ -243,6 +245,16 @@ class Tracks:
     focal: F64
     """(M,) pixels."""
     count: int
+    feature: NDArray[np.int64]
+    """(M,) which feature of its view."""
+
+    def of_features(self, views: Sequence[View]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """The point of every feature of the views that were tracked, -1 where it has none, all views in one row,
+        and where each view begins in it (N,)."""
+        start = np.cumsum([0] + [len(v.z) for v in views])
+        point = np.full(int(start[-1]), -1)
+        point[start[self.view] + self.feature] = self.point
+        return point, start[:-1]
 
 
 def build_tracks(views: Sequence[View], matches: Sequence[Match]) -> Tracks:
@@ -269,7 +281,8 @@ def build_tracks(views: Sequence[View], matches: Sequence[Match]) -> Tracks:
     xy = np.concatenate([v.xy for v in views])[feature] if total else np.zeros((0, 2))
     z = np.concatenate([v.z for v in views])[feature] if total else np.zeros(0)
     focal = np.array([v.focal for v in views])[owner]
-    return Tracks(owner, point, xy, z, focal, int(point[-1]) + 1 if len(point) else 0)
+    count = int(point[-1]) + 1 if len(point) else 0
+    return Tracks(owner, point, xy, z, focal, count, feature - start[owner])
 
 
 class Evidence:

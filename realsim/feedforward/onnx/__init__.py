@@ -1,0 +1,95 @@
+"""Pointmaps from a feed-forward model in an ONNX file: `onnx` by colour alone, `onnx+depth` together with the sensor.
+
+Any model that fits the contract (docs/models.md) runs through the same code; torch is not needed.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from realsim.errors import ModelError
+from realsim.feedforward.backend import Backend
+from realsim.feedforward.config import PointsConfig
+from realsim.types import Dropped, FrameSet, Pointmaps, Solution
+
+
+def solve(frames: FrameSet, config: PointsConfig) -> Solution:
+    """Poses and depth by the model alone, up to scale. Given poses and sensor depth are not looked at.
+
+    `arrays` of the result: `depth` (N, H, W) float32 on the model's grid, 0 where not believed, `conf` (N, H, W) uint8
+    (255 is sure), `grid` (N, 6) where the picture lies on it.
+
+    Raises:
+        ModelError, CaptureError, PoseError: see `realsim.feedforward.onnx.runner.predict`.
+    """
+    from realsim.feedforward.onnx.runner import predict
+    from realsim.feedforward.onnx.session import open_model
+    from realsim.feedforward.onnx.views import pack
+
+    model = open_model(model_file(config), config.onnx.provider)
+    views = predict(
+        frames.frames, model, config.onnx, with_depth=False, poses=True, kept_in=config.onnx.kept_in
+    )  # fmt: skip
+    T = views.T_world_camera if np.isfinite(views.T_world_camera).all() else np.eye(4)[None]
+    return Solution(
+        used=views.used,
+        T_world_camera=np.linalg.inv(T[0]) @ T,
+        world_is_capture=False,
+        metric_claim=views.metric_claim,
+        dropped=tuple(Dropped(frames.frames[i].name, why) for i, why in sorted(views.lost.items())),
+        warnings=views.warnings,
+        statistics={"poses": "by the model", **views.statistics},
+        arrays=pack(views),
+    )
+
+
+def pointmaps(frames: FrameSet, solution: Solution, config: PointsConfig) -> Pointmaps:
+    """Views on the frames' depth grids: the model's depth along the capture's own rays, camera frame, up to scale."""
+    from realsim.feedforward.onnx.views import predicted_view
+
+    used = tuple(frames.frames[i] for i in solution.used)
+    return Pointmaps(
+        frames=used,
+        T_world_camera=solution.T_world_camera,
+        load=lambda i: predicted_view(used[i], solution.arrays, i),
+        backend="onnx",
+        world_is_capture=False,
+        metric_claim=solution.metric_claim,
+        dropped=solution.dropped,
+        warnings=solution.warnings,
+        statistics=solution.statistics,
+    )
+
+
+def model_file(config: PointsConfig) -> Path:
+    """The model that the configuration names.
+
+    Raises:
+        ModelError: none.
+    """
+    if config.onnx.model is None:
+        raise ModelError(
+            f"the backend {config.backend} needs a model",
+            expected="--model FILE.onnx",
+            hint="docs/choosing.md lists some",
+        )
+    return config.onnx.model
+
+
+def model_files(config: PointsConfig) -> tuple[Path, ...]:
+    """Files besides the capture that the result depends on.
+
+    Raises:
+        ModelError: no model, or not one.
+    """
+    from realsim.feedforward.onnx.protobuf import read_envelope
+    from realsim.feedforward.onnx.spec import sidecar
+
+    path = model_file(config)
+    beside = sidecar(path)
+    return (*read_envelope(path).files, *((beside,) if beside.is_file() else ()))
+
+
+BACKEND = Backend(solve, pointmaps, model_files)

@@ -1,0 +1,17 @@
+"""What the outputs of a model mean. One kind is one file and one line here; the order is that of guessing."""
+
+from realsim.feedforward.onnx.adapters.base import Adapter, Call, Prediction
+from realsim.registry import Registry
+
+ADAPTERS = Registry(
+    "kind of model",
+    {
+        "pair": "realsim.feedforward.onnx.adapters.pair:ADAPTER",
+        "pointmap": "realsim.feedforward.onnx.adapters.pointmap:ADAPTER",
+        "depth": "realsim.feedforward.onnx.adapters.depth:ADAPTER",
+        "world": "realsim.feedforward.onnx.adapters.world:ADAPTER",
+        "mono": "realsim.feedforward.onnx.adapters.mono:ADAPTER",
+    },
+)
+
+__all__ = ["ADAPTERS", "Adapter", "Call", "Prediction"]

@@ -1,0 +1,52 @@
+"""Do the views of a prediction show one scene? A model places every view; only overlap shows that it belongs there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from realsim.types import F32, F64, Bool
+
+SAMPLES = 400
+TOLERANCE = 0.1
+"""Relative difference of depth at which two views still show the same surface."""
+OVERLAP = 0.05
+"""Share of a view's points that another view has to confirm."""
+
+
+def agreement(depth: F32, mask: Bool, K: F64, T: F64) -> F64:
+    """(N, N): the share of view i's points that view j confirms: inside its image, at the depth that it has there."""
+    n, _, w = depth.shape
+    out = np.zeros((n, n))
+    for i in range(n):
+        at = np.flatnonzero(mask[i])
+        if not len(at) or not np.isfinite(T[i]).all():
+            continue
+        at = at[np.linspace(0, len(at) - 1, min(SAMPLES, len(at))).astype(int)]
+        r, c = np.divmod(at, w)
+        z = depth[i, r, c].astype(float)
+        own = np.column_stack([(c - K[i, 0, 2]) / K[i, 0, 0] * z, (r - K[i, 1, 2]) / K[i, 1, 1] * z, z])
+        world = own @ T[i, :3, :3].T + T[i, :3, 3]
+        for j in range(n):
+            if j != i and np.isfinite(T[j]).all():
+                out[i, j] = _confirmed((world - T[j, :3, 3]) @ T[j, :3, :3], depth[j], mask[j], K[j])
+    return out
+
+
+def _confirmed(p: F64, depth: F32, mask: Bool, K: F64) -> float:
+    h, w = depth.shape
+    z = np.maximum(p[:, 2], 1e-9)
+    c, r = np.round(p[:, 0] / z * K[0, 0] + K[0, 2]), np.round(p[:, 1] / z * K[1, 1] + K[1, 2])
+    inside = (p[:, 2] > 0) & (c >= 0) & (r >= 0) & (c < w) & (r < h)
+    r, c, z = r[inside].astype(int), c[inside].astype(int), z[inside]
+    same = mask[r, c] & (np.abs(depth[r, c] - z) < TOLERANCE * z)
+    return float(same.sum()) / len(p)
+
+
+def connected(share: F64) -> list[np.ndarray]:
+    """Groups of views that hang together by overlap, the largest first; of equal ones that with the lower index."""
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    _, label = connected_components(csr_matrix(np.maximum(share, share.T) > OVERLAP), directed=False)
+    groups = [np.flatnonzero(label == k) for k in range(label.max() + 1)]
+    return sorted(groups, key=lambda g: (-len(g), g[0]))

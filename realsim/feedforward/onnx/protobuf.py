@@ -1,0 +1,165 @@
+"""The outer parts of an ONNX file, read without the onnx package and without loading its weights.
+
+What onnxruntime says about a broken file is one sentence for all causes. Here the file is walked once, so that a
+message can name the cause: not ONNX, weights in another file that is absent, an opset from the future.
+"""
+
+from __future__ import annotations
+
+import mmap
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from realsim.errors import ModelError
+from realsim.files import check_size, inside
+
+VARINT, I64, BYTES, I32 = 0, 1, 2, 5
+# Field numbers of onnx.proto.
+MODEL_IR, MODEL_PRODUCER, MODEL_GRAPH, MODEL_OPSET, MODEL_METADATA = 1, 2, 7, 8, 14
+GRAPH_INITIALIZER = 5
+TENSOR_EXTERNAL, TENSOR_LOCATION = 13, 14
+EXTERNAL = 1
+MAX_BYTES = 64 * 2**30
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """What a model file says about itself."""
+
+    path: Path
+    ir_version: int
+    opset: int
+    """Of the standard operators."""
+    producer: str
+    metadata: dict[str, str] = field(default_factory=dict)
+    external: tuple[str, ...] = ()
+    """Files of weights beside it, relative to its folder, sorted."""
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Everything that the model is made of."""
+        return (self.path, *(inside(self.path.parent, name) for name in self.external))
+
+
+def read_envelope(path: Path) -> Envelope:
+    """Walk an ONNX file.
+
+    Raises:
+        ModelError: absent, empty, not ONNX, or weights in a file that is absent or outside the model's folder.
+    """
+    check_size(path, MAX_BYTES)
+    if path.stat().st_size == 0:
+        raise ModelError("the model file is empty", file=path, expected="an ONNX file")
+    try:
+        with path.open("rb") as file:
+            # Not closed by hand: slices of it live as long as an error's traceback does.
+            found = _model(path, memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)))
+    except (ValueError, IndexError, UnicodeDecodeError):
+        found = None
+    if found is None or not found.opset:
+        raise ModelError(
+            "not an ONNX file",
+            file=path,
+            expected="an ONNX model (a protobuf with a graph and an opset)",
+            found=_looks_like(path),
+            hint="weights of a torch model are exported with the scripts in tools/export_onnx",
+        )
+    missing = [name for name in found.external if not inside(path.parent, name).is_file()]
+    if missing:
+        more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
+        raise ModelError(
+            "the model's weights lie in files that are absent",
+            file=path,
+            expected=", ".join(missing[:3]) + more + " beside the model",
+            hint="copy the .data file along with the .onnx file, under its own name",
+        )
+    return found
+
+
+def _model(path: Path, data: memoryview) -> Envelope | None:
+    ir, opset, producer, graph = 0, 0, "", False
+    metadata: dict[str, str] = {}
+    external: set[str] = set()
+    for number, value in _fields(data):
+        if number == MODEL_IR and isinstance(value, int):
+            ir = value
+        elif isinstance(value, int):
+            continue
+        elif number == MODEL_PRODUCER:
+            producer = str(value, "utf-8")
+        elif number == MODEL_OPSET:
+            parts = dict(_fields(value))
+            domain = parts.get(1, b"")
+            if not isinstance(domain, int) and bytes(domain) in (b"", b"ai.onnx"):
+                version = parts.get(2, 0)
+                opset = version if isinstance(version, int) else 0
+        elif number == MODEL_METADATA:
+            metadata.update([_pair(value)])
+        elif number == MODEL_GRAPH:
+            graph = True
+            external |= _external(value)
+    return Envelope(path, ir, opset, producer, metadata, tuple(sorted(external))) if graph else None
+
+
+def _external(graph: memoryview) -> set[str]:
+    """Names of the files that hold initializers."""
+    names = set()
+    for number, tensor in _fields(graph):
+        if number != GRAPH_INITIALIZER or isinstance(tensor, int):
+            continue
+        fields = list(_fields(tensor))
+        if (TENSOR_LOCATION, EXTERNAL) in fields:
+            pairs = dict(_pair(v) for n, v in fields if n == TENSOR_EXTERNAL and not isinstance(v, int))
+            names.add(pairs.get("location", ""))
+    return names - {""}
+
+
+def _pair(data: memoryview) -> tuple[str, str]:
+    parts = dict(_fields(data))
+    key, value = parts.get(1, b""), parts.get(2, b"")
+    if isinstance(key, int) or isinstance(value, int):
+        raise ValueError("not a pair of texts")
+    return str(key, "utf-8"), str(value, "utf-8")
+
+
+def _fields(data: memoryview) -> Iterator[tuple[int, int | memoryview]]:
+    """(field number, integer or bytes) of a protobuf message; raises ValueError or IndexError on anything else."""
+    at = 0
+    while at < len(data):
+        tag, at = _varint(data, at)
+        number, wire = tag >> 3, tag & 7
+        if wire == VARINT:
+            value, at = _varint(data, at)
+            yield number, value
+            continue
+        if wire == BYTES:
+            size, at = _varint(data, at)
+        elif wire in (I64, I32):
+            size = 8 if wire == I64 else 4
+        else:
+            raise ValueError(f"wire type {wire}")
+        if number == 0 or at + size > len(data):
+            raise ValueError("a field that ends after the file")
+        yield number, data[at : at + size]
+        at += size
+
+
+def _varint(data: memoryview, at: int) -> tuple[int, int]:
+    value = 0
+    for shift in range(0, 70, 7):
+        byte = data[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, at
+    raise ValueError("a number without an end")
+
+
+def _looks_like(path: Path) -> str:
+    with path.open("rb") as file:
+        head = file.read(8)
+    known = {b"PK\x03\x04": "a zip archive (a torch checkpoint?)", b"\x89HDF": "HDF5", b"\x80\x02": "a pickle"}
+    if len(head) == 8 and int.from_bytes(head, "little") < 2**27 and path.suffix == ".safetensors":
+        return "safetensors weights"
+    return next((what for magic, what in known.items() if head.startswith(magic)), f"bytes that begin {head.hex(' ')}")

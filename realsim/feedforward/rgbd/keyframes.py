@@ -1,0 +1,64 @@
+"""Which views carry the adjustment when a capture is dense.
+
+A video of thirty frames a second shows everything a hundred times. Views that hardly differ tell a joint adjustment
+nothing new, but couple to each other: its cost would grow with the square of the frame rate and more. So only views
+that moved on from the last one are adjusted together; the others follow them (follow.py), each on its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from realsim.feedforward.rgbd.pairs import believable, by_features
+from realsim.feedforward.rgbd.tracks import View
+from realsim.geometry import invert_T
+from realsim.progress import track
+from realsim.types import F64
+
+DENSE = 100
+"""Up to so many views all are adjusted together."""
+SHIFT, TURN = 0.04, np.radians(3.0)
+"""A view is new if it moved by more than this share of the scene's distance (6 cm at 1.5 m), or turned by more."""
+
+Followers = dict[int, tuple[int, F64]]
+"""Index of a view -> (index of its keyframe, (4, 4) points of the view into the keyframe's camera)."""
+
+
+def by_poses(views: Sequence[View], T_world_camera: F64) -> tuple[list[int], Followers]:
+    """Keyframes and followers where poses (N, 4, 4) are given."""
+    return _swept(views, lambda key, k: invert_T(T_world_camera[key]) @ T_world_camera[k])
+
+
+def by_matching(views: Sequence[View], seed: int) -> tuple[list[int], Followers]:
+    """The same from features alone: one pair a view. What cannot be matched to its keyframe is one itself."""
+
+    def motion(key: int, k: int) -> F64 | None:
+        found = by_features(views, key, k, seed)
+        return found[0].T_i_j if found is not None and believable(found[1]) else None
+
+    return _swept(views, motion)
+
+
+def _swept(views: Sequence[View], motion: Callable[[int, int], F64 | None]) -> tuple[list[int], Followers]:
+    """Walk through the sequence; a view is compared with the keyframe before it."""
+    if len(views) <= DENSE:
+        return list(range(len(views))), {}
+    keys, followers = [0], Followers()
+    for k in track(range(1, len(views)), "keyframes"):
+        key = keys[-1]
+        T = motion(key, k) if min(len(views[key].z), len(views[k].z)) else None
+        if T is not None and _near(T, views[key]):
+            followers[k] = (key, T)
+        else:
+            keys.append(k)
+    return keys, followers
+
+
+def _near(T: F64, view: View) -> bool:
+    known = view.depth[view.depth > 0]
+    if not len(known):
+        return False
+    turn = np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))
+    return bool(turn < TURN and np.linalg.norm(T[:3, 3]) < SHIFT * np.median(known))

@@ -1,0 +1,333 @@
+"""Exporters on small stand-ins with the interfaces of the published models: what they write fits the contract, and a
+graph that says something else than torch is not delivered. The published weights themselves are not here."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+torch = pytest.importorskip("torch", reason="exporters run where torch is installed")
+pytest.importorskip("onnx", reason="exporters write metadata with onnx")
+pytest.importorskip("onnxscript", reason="torch's newer exporter needs onnxscript")
+from torch import nn  # noqa: E402
+
+from realsim.feedforward.onnx.inspect import inspect_model  # noqa: E402
+from tools.export_onnx import blockers, depth_anything_3, dust3r, map_anything, moge, pi3, vggt  # noqa: E402
+from tools.export_onnx.common import ExportFailed, Family, Options, export, sample  # noqa: E402
+
+DIM = 16
+
+
+def options(tmp_path: Path, **changes: Any) -> Options:
+    values = {
+        "weights": "stand-in",
+        "out": tmp_path / "m.onnx",
+        "size": (28, 42),
+        "views": 2,
+        "exporter": "torchscript",
+    }
+    return Options(**{**values, **changes})
+
+
+def exported(module: Any, model: Any, chosen: Options) -> Any:
+    """Written, compared with torch, and taken by realsim."""
+    torch.manual_seed(0)
+    off = export(module.wrap(model.eval(), chosen), chosen)
+    assert max(off.values()) < chosen.tolerance
+    found = inspect_model(chosen.out)
+    assert found.fits, found.render()
+    assert not found.model.warnings  # nothing is guessed
+    assert [p.name for p in chosen.out.parent.iterdir()] == [chosen.out.name]
+    return found
+
+
+# ---------------------------------------------------------------- pieces
+
+
+class RoPE2D(nn.Module):
+    """Like CroCo's: a table as long as the largest position."""
+
+    def __init__(self, base: float = 100.0) -> None:
+        super().__init__()
+        self.base = base
+
+    def forward(self, tokens: Any, positions: Any) -> Any:
+        half = tokens.shape[-1] // 2
+        rate = 1 / self.base ** (torch.arange(0, half, 2).float() / half)
+        table = torch.outer(torch.arange(int(positions.max()) + 1).float(), rate)
+        table = torch.cat([table, table], -1)
+        out = []
+        for k, part in enumerate(tokens.chunk(2, dim=-1)):
+            angle = nn.functional.embedding(positions[..., k], table)[:, None]
+            a, b = part.chunk(2, dim=-1)
+            out.append(part * angle.cos() + torch.cat([-b, a], -1) * angle.sin())
+        return torch.cat(out, -1)
+
+
+def test_the_rotary_embedding_without_a_table_is_the_same() -> None:
+    torch.manual_seed(0)
+    holder = nn.ModuleList([RoPE2D(), nn.Linear(2, 2)])
+    tokens, positions = torch.randn(2, 3, 12, 16), blockers.grid_positions(2, 3, 4, "cpu")
+    assert torch.equal(positions[0], torch.cartesian_prod(torch.arange(3), torch.arange(4)))
+    before = holder[0](tokens, positions)
+    assert blockers.replace_rope(holder) == 1
+    torch.testing.assert_close(holder[0](tokens, positions), before)
+
+
+def test_the_nearest_rotation_does_not_change_by_leaving_out_the_svd() -> None:
+    """Rows of length one go out; the host's nearest rotation is that of the model's own orthogonalisation."""
+    from realsim.geometry import nearest_rotation
+
+    torch.manual_seed(0)
+    nine = torch.randn(5, 9)
+    for raw, rows in zip(nine, blockers.unit_rows(nine), strict=True):
+        m = nn.functional.normalize(raw.reshape(3, 3), dim=-1).T
+        u, _, vh = torch.linalg.svd(m.double())
+        v = vh.T
+        v = torch.cat([v[:, :2], v[:, 2:] * torch.det(v @ u.T)], 1)
+        torch.testing.assert_close(
+            torch.from_numpy(nearest_rotation(rows.reshape(3, 3).numpy())), v @ u.T, atol=1e-5, rtol=0
+        )
+
+
+# ---------------------------------------------------------------- stand-ins
+
+
+class Tokens(nn.Module):
+    """Pictures (B, 3, H, W) to patch tokens (B, n, DIM)."""
+
+    def __init__(self, patch: int = 14) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(3, DIM, patch, patch)
+
+    def forward(self, x: Any, is_training: bool = True) -> Any:
+        return {"x_norm_patchtokens": self.conv(x).flatten(2).transpose(1, 2)}
+
+
+class Head(nn.Module):
+    """Patch tokens to maps (B, H, W, channels)."""
+
+    def __init__(self, channels: int, patch: int = 14) -> None:
+        super().__init__()
+        self.patch, self.linear = patch, nn.Linear(DIM, channels * patch**2)
+
+    def forward(self, tokens: Any, size: Any) -> Any:
+        h, w = size
+        x = self.linear(tokens[0]).transpose(1, 2)
+        x = x.reshape(x.shape[0], -1, h // self.patch, w // self.patch)
+        return nn.functional.pixel_shuffle(x, self.patch).permute(0, 2, 3, 1)
+
+
+class Decoder(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.linear = nn.Linear(2 * DIM, DIM)
+
+    def forward(self, hidden: Any, xpos: Any) -> Any:
+        return self.linear(hidden)
+
+
+class CameraHead(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.res_conv = nn.ModuleList([nn.Linear(DIM, DIM) for _ in range(2)])
+        self.more_mlps = nn.Sequential(nn.Linear(DIM, DIM), nn.ReLU())
+        self.fc_t, self.fc_rot = nn.Linear(DIM, 3), nn.Linear(DIM, 9)
+
+
+class Pi3(nn.Module):
+    """Attributes and steps of Pi3 (pi3/models/pi3.py)."""
+
+    patch_start_idx = 1
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.encoder, self.rope = Tokens(), RoPE2D()
+        self.position_getter: Any = None
+        self.register_token = nn.Parameter(torch.randn(1, 1, 1, DIM))
+        self.point_decoder, self.conf_decoder, self.camera_decoder = Decoder(), Decoder(), Decoder()
+        self.point_head, self.conf_head, self.camera_head = Head(3), Head(1), CameraHead()
+        self.register_buffer("image_mean", torch.full((1, 3, 1, 1), 0.45))
+        self.register_buffer("image_std", torch.full((1, 3, 1, 1), 0.22))
+
+    def decode(self, hidden: Any, n: Any, h: Any, w: Any) -> Any:
+        views = hidden.shape[0]
+        place = self.position_getter(views, h // 14, w // 14, hidden.device) + 1
+        place = torch.cat([torch.zeros(views, 1, 2).to(place.dtype), place], 1)
+        hidden = torch.cat([self.register_token.repeat(1, views, 1, 1)[0], hidden], 1)
+        turned = self.rope(hidden[:, None], place)[:, 0]
+        # All views of a scene look at each other.
+        every = turned.reshape(-1, n * turned.shape[1], DIM)
+        mixed = torch.softmax(every @ every.transpose(1, 2), -1) @ every
+        return torch.cat([turned, mixed.reshape(turned.shape)], -1), place
+
+
+class AnyView(nn.Module):
+    """A dictionary of maps and cameras, as VGGT and Depth Anything 3 give."""
+
+    def __init__(self, cameras: dict[str, tuple[int, ...]], trailing: bool) -> None:
+        super().__init__()
+        self.encoder, self.head, self.trailing = Tokens(), Head(2), trailing
+        self.cameras = cameras
+        self.heads = nn.ModuleDict({k: nn.Linear(DIM, int(torch.tensor(s).prod())) for k, s in cameras.items()})
+        self.point_head: Any = nn.Linear(1, 1)
+
+    def forward(self, images: Any) -> Any:
+        b, n, _, h, w = images.shape
+        tokens = self.encoder(images.reshape(b * n, 3, h, w))["x_norm_patchtokens"]
+        maps = self.head([tokens], (h, w)).reshape(b, n, h, w, 2).exp()
+        mean = tokens.mean(1)
+        out = {k: self.heads[k](mean).reshape(b, n, *s) for k, s in self.cameras.items()}
+        depth = maps[..., :1] if self.trailing else maps[..., 0]
+        return {"depth": depth, "depth_conf": 1 + maps[..., 1], **out}
+
+
+class Identity(nn.Linear):
+    """A camera head that gives rotations whatever it sees."""
+
+    def forward(self, x: Any) -> Any:
+        value = torch.eye(4)[:3] if self.out_features == 12 else torch.diag(torch.tensor([50.0, 50.0, 1.0]))
+        return super().forward(x) * 1e-3 + value.flatten()
+
+
+class Listed(nn.Module):
+    """Views in a list, as MapAnything takes them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.encoder, self.head, self.pose = Tokens(), Head(4), nn.Linear(DIM, 7)
+
+    def forward(self, views: Any) -> Any:
+        out = []
+        for view in views:
+            assert view["data_norm_type"] == ["dinov2"]
+            tokens = self.encoder(view["img"])["x_norm_patchtokens"]
+            maps, seven = self.head([tokens], view["img"].shape[-2:]), self.pose(tokens.mean(1))
+            cam = {"cam_quats": seven[:, :4], "cam_trans": seven[:, 4:]}
+            points = torch.cat([maps[..., :2], maps[..., 2:3].exp()], -1)
+            out.append({"pts3d_cam": points, "conf": 1 + maps[..., 3].exp(), **cam})
+        return out
+
+
+class Stereo(nn.Module):
+    """Two views, as DUSt3R takes them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.patch_embed, self.rope, self.head1, self.head2 = Tokens(16), RoPE2D(), Head(4, 16), Head(4, 16)
+
+    def forward(self, view1: Any, view2: Any) -> Any:
+        found = []
+        for view, head in ((view1, self.head1), (view2, self.head2)):
+            h, w = view["img"].shape[-2:]
+            tokens = self.patch_embed(view["img"])["x_norm_patchtokens"]
+            tokens = self.rope(tokens[:, None], blockers.grid_positions(1, h // 16, w // 16, "cpu"))[:, 0]
+            maps = head([tokens], (h, w))
+            found.append(
+                {"pts3d": torch.cat([maps[..., :2], maps[..., 2:3].exp()], -1), "conf": 1 + maps[..., 3].exp()}
+            )
+        found[1]["pts3d_in_other_view"] = found[1].pop("pts3d")
+        return found
+
+
+class Single(nn.Module):
+    """One view, as MoGe-2 takes it."""
+
+    onnx_compatible_mode = False
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.encoder, self.head = Tokens(), Head(4)
+
+    def forward(self, image: Any, num_tokens: Any) -> Any:
+        assert self.onnx_compatible_mode
+        maps = self.head(list(self.encoder(image).values()), image.shape[-2:])
+        points = torch.cat([maps[..., :2], maps[..., 2:3].exp()], -1)
+        scale = 1 + 0 * num_tokens.float().reshape(1)
+        return {"points": points, "mask": maps[..., 3].sigmoid(), "metric_scale": scale}
+
+
+# ---------------------------------------------------------------- families
+
+
+@pytest.mark.parametrize("exporter", ["torchscript", "dynamo"])
+def test_pi3(tmp_path: Path, exporter: str) -> None:
+    found = exported(pi3, Pi3(), options(tmp_path, exporter=exporter))
+    spec = found.model.spec
+    assert (spec.kind, spec.pose, spec.conf) == ("pointmap", "raw9", "logit")
+    # Views and size are really free: two shapes of picture, one to three views.
+    assert len(found.trials) == 6
+    assert all(t.seconds is not None for t in found.trials)
+
+
+def test_vggt(tmp_path: Path) -> None:
+    found = exported(vggt, AnyView({"pose_enc": (9,)}, trailing=True), options(tmp_path))
+    assert found.model.spec.fit == "pad_white"
+    assert found.model.spec.fixed_hw == (28, 42)
+    assert [t.views for t in found.trials] == [1, 2, 3]
+
+
+def test_depth_anything_3(tmp_path: Path) -> None:
+    model = AnyView({"extrinsics": (3, 4), "intrinsics": (3, 3)}, trailing=False)
+    model.heads = nn.ModuleDict({"extrinsics": Identity(DIM, 12), "intrinsics": Identity(DIM, 9)})
+    found = exported(depth_anything_3, model, options(tmp_path))
+    assert (found.model.spec.pose, found.model.spec.norm) == ("w2c", "imagenet")
+
+
+def test_map_anything(tmp_path: Path) -> None:
+    found = exported(map_anything, Listed(), options(tmp_path, views=3))
+    assert found.model.spec.n_static == 3
+    assert found.model.spec.scale == "applied"
+
+
+def test_dust3r(tmp_path: Path) -> None:
+    found = exported(dust3r, Stereo(), options(tmp_path, size=(32, 48)))
+    assert (found.model.spec.kind, found.model.spec.scale) == ("pair", "none")
+    metric = dust3r.wrap(Stereo(), options(tmp_path, weights="naver/MASt3R_metric"))
+    assert metric.metadata["scale"] == "applied"
+
+
+def test_moge(tmp_path: Path) -> None:
+    found = exported(moge, Single(), options(tmp_path, views=1))
+    assert [p.name for p in found.model.spec.extra_inputs] == ["num_tokens"]
+    assert found.model.spec.scale == "factor"
+
+
+# ---------------------------------------------------------------- what goes wrong
+
+
+class Changing(nn.Module):
+    """Says something else whenever it is asked."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.calls = 0
+
+    def forward(self, images: Any) -> Any:
+        self.calls += 1
+        return (images * self.calls,)
+
+
+class Unwritable(nn.Module):
+    def forward(self, images: Any) -> Any:
+        return (torch.linalg.svd(images.reshape(-1, 3, 3))[1],)
+
+
+def test_a_graph_that_disagrees_with_torch_is_not_delivered(tmp_path: Path) -> None:
+    chosen = options(tmp_path)
+    with pytest.raises(ExportFailed, match="disagree beyond"):
+        export(Family(Changing(), ("y",), {}), chosen)
+    with pytest.raises(ExportFailed, match=r"cannot (write|load)"):
+        export(Family(Unwritable(), ("y",), {}), replace(chosen, size=(9, 9)))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_samples_are_repeatable_pictures(tmp_path: Path) -> None:
+    family = Family(nn.Identity(), ("y",), {})
+    a, b = (sample(family, 2, (28, 42))["images"] for _ in range(2))
+    assert torch.equal(a, b)
+    assert a.shape == (1, 2, 3, 28, 42)
+    assert 0 <= float(a.min()) < 0.2 < 0.8 < float(a.max()) <= 1
