@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.gap_score import score
-from benchmarks.gap_truth.cases import STRATA, make_case, plan
+from benchmarks.gap_truth.cases import STRATA, VISIBLE, Draw, make_case, plan
 from benchmarks.gap_truth.motions import sample_times
 from benchmarks.gap_truth.plant import Plant
 from benchmarks.gap_truth.robots import ROBOTS
@@ -34,12 +34,13 @@ def test_a_plan_is_fair_and_reproducible() -> None:
     assert rows == plan(200, 1)
     assert len(rows) == 200
     for stratum, share in STRATA.items():
-        assert sum(s == stratum for s, _, _ in rows) == pytest.approx(200 * share, abs=2)
-    assert len({r for _, r, _ in rows}) >= 4
+        assert sum(d.stratum == stratum for d in rows) == pytest.approx(200 * share, abs=2)
+    assert len({d.robot for d in rows}) >= 4
 
 
 def test_a_case_follows_the_contract_and_hides_its_label(tmp_path: Path) -> None:
-    label = make_case("single", "pendulum", 7, tmp_path / "case", runs=3)
+    label = make_case(Draw("single", "pendulum", 7, 0), tmp_path / "case", runs=3)
+    assert label["visibility"][0] >= VISIBLE
     log = json.loads((tmp_path / "case" / "log.json").read_text())
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "case" / "model.xml"))
     assert [model.joint(n).name for n in log["joint_names"]] == ["axis"]
@@ -80,7 +81,7 @@ def cause(effect: str, value: float, joint: str = "axis") -> dict:
 
 
 def test_score_of_hand_made_diagnoses() -> None:
-    base = {"robot": "pendulum", "strength": [0.6], "equivalents": []}
+    base = {"robot": "pendulum", "strength": [0.6], "visibility": [4.0], "equivalents": []}
     labels = {
         "a": base | {"cls": "single", "effects": [cause("coulomb_friction", 1.0)]},
         "b": base | {"cls": "single", "effects": [cause("coulomb_friction", 1.0)]},

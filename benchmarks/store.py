@@ -1,0 +1,81 @@
+"""Figures go to disk row by row, so that a run that is interrupted keeps what is finished."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+Row = dict[str, Any]
+
+
+class Store:
+    """A JSON file {"runs": {id: what it ran on}, "rows": [...]}.
+
+    A row replaces the one with the same key. Rows of earlier runs stay until they are measured again; each says by
+    `run` which run it is from, so that figures from different machines or versions cannot be mistaken for one run.
+    """
+
+    def __init__(self, path: Path, key: tuple[str, ...]) -> None:
+        """
+        Args:
+            path: the file; it is created with the first row.
+            key: names of the values that together identify a row.
+        """
+        self.path, self.key = path, key
+        self.run = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+        self.runs: dict[str, Any] = {}
+        self.rows: list[Row] = []
+        if path.is_file():
+            kept = json.loads(path.read_text())
+            self.runs, self.rows = kept["runs"], kept["rows"]
+        self.runs[self.run] = described_run()
+
+    def add(self, row: Row) -> Row:
+        """Write the row at once; it is handed back."""
+        from realsim.files import to_json, write_text
+
+        same = self._key(row)
+        self.rows = [r for r in self.rows if self._key(r) != same] + [{**row, "run": self.run}]
+        used = {r["run"] for r in self.rows}
+        runs = {name: run for name, run in self.runs.items() if name in used}
+        write_text(self.path, to_json({"runs": runs, "rows": self.rows}))
+        return row
+
+    def _key(self, row: Row) -> tuple[Any, ...]:
+        return tuple(row.get(name) for name in self.key)
+
+
+def described_run() -> dict[str, Any]:
+    """What a run is made with: machine, its load before the start, versions, commit."""
+    from realsim.report.summary import versions
+
+    return {
+        "cpu": _cpu(),
+        "cores": os.cpu_count(),
+        "load_before": round(os.getloadavg()[0], 2),
+        "system": platform.system(),
+        "commit": _commit(),
+        "versions": versions(),
+    }
+
+
+def _cpu() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def _commit() -> str | None:
+    command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "--short", "HEAD"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    except OSError:
+        return None
+    return done.stdout.strip() or None
