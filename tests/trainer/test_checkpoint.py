@@ -1,0 +1,152 @@
+"""Policies on disk: whole, readable without running code, and refused with a reason."""
+# ruff: noqa: E402 - what needs torch is imported after it is known to be there
+
+from __future__ import annotations
+
+import io
+import json
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
+
+from realsim.errors import RealsimError
+from tests.trainer.test_ppo import SMALL
+from tests.trainer.toy import LAYOUT
+from trainer.ppo import checkpoint, export
+from trainer.ppo import policy as policies
+from trainer.ppo.config import StrategyConfig
+from trainer.ppo.policy import Policy
+from trainer.tasks import Observation
+
+
+def make(*strategies: str) -> Policy:
+    policy = policies.new(LAYOUT, SMALL, "toy", 3)
+    for name in strategies:
+        policy = policies.fine_tune(policy, name, StrategyConfig())
+        for parameter in policy.actor.parameters():
+            if parameter.requires_grad:
+                parameter.data += 0.1
+    return policy
+
+
+def observation(rows: int = 5) -> Observation:
+    rng = torch.Generator().manual_seed(0)
+    return Observation(
+        torch.randn(rows, 2, generator=rng),
+        torch.randn(rows, 3, generator=rng),
+        torch.rand(rows, 3, 6, 8, generator=rng),
+    )
+
+
+@pytest.mark.parametrize("strategies", [(), ("full",), ("last_layer", "adapter"), ("adapter", "residual")])
+def test_round_trip(tmp_path: Path, strategies: tuple[str, ...]) -> None:
+    policy = make(*strategies)
+    checkpoint.save(tmp_path / "a.pt", policy)
+    back, training = checkpoint.load(tmp_path / "a.pt")
+    assert training is None
+    assert torch.equal(back.act(observation()), policy.act(observation()))
+    assert (back.layout, back.networks, back.robot, back.tuned) == (LAYOUT, SMALL, "toy", policy.tuned)
+    trained = [p.requires_grad for p in policy.actor.parameters()]
+    assert [p.requires_grad for p in back.actor.parameters()] == trained
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.02, 0.5, 0.99])
+def test_a_checkpoint_that_was_cut_off_is_named(tmp_path: Path, kept: float) -> None:
+    path = tmp_path / "cut.pt"
+    checkpoint.save(path, make())
+    data = path.read_bytes()
+    path.write_bytes(data[: int(kept * len(data))])
+    with pytest.raises(RealsimError, match=r"cut off|not a policy checkpoint") as caught:
+        checkpoint.load(path)
+    assert caught.value.file == str(path)
+
+
+def test_other_versions_other_files_and_code_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.pt"
+    checkpoint.save(path, make())
+    data = torch.load(path, weights_only=True)
+    torch.save({**data, "version": 99}, path)
+    with pytest.raises(RealsimError, match="another version") as caught:
+        checkpoint.load(path)
+    assert caught.value.found == "version 99"
+    torch.save({"weights": torch.zeros(3)}, path)
+    with pytest.raises(RealsimError, match="not a policy checkpoint of realsim"):
+        checkpoint.load(path)
+    torch.save({**data, "networks": {**data["networks"], "latent": 17}}, path)
+    with pytest.raises(RealsimError, match="do not fit together"):
+        checkpoint.load(path)
+    buffer = io.BytesIO()
+    torch.save({"format": Path("x")}, buffer, pickle_module=pickle)
+    path.write_bytes(buffer.getvalue())
+    with pytest.raises(RealsimError, match="not a policy checkpoint"):
+        checkpoint.load(path)
+    with pytest.raises(RealsimError, match="cannot be read"):
+        checkpoint.load(tmp_path / "absent.pt")
+
+
+def test_a_failed_write_leaves_the_old_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.pt"
+    checkpoint.save(path, make())
+    before = path.read_bytes()
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(RealsimError, match="cannot write"):
+        checkpoint.save(path, make("full"))
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def facts(policy: Policy) -> export.Deployment:
+    return export.Deployment(
+        policy.layout, policy.robot, 0.02, (0.0, 0.1), (0.5, 0.5), (20.0, 20.0), (1.0, 1.0), 0.2, 2.0
+    )
+
+
+@pytest.mark.parametrize("strategies", [(), ("adapter",), ("adapter", "residual")])
+def test_onnx_computes_the_same_and_carries_its_layout(tmp_path: Path, strategies: tuple[str, ...]) -> None:
+    policy = make(*strategies)
+    path = tmp_path / "a.onnx"
+    assert export.export(path, policy, facts(policy)) <= 1e-5
+    runtime, found = export.load(path)
+    assert found == facts(policy)
+    o = observation(7)  # another batch than it was exported with
+    (action,) = runtime.run(None, {"vector": o.actor.numpy(), "depth": o.depth.numpy()})
+    assert np.allclose(action, policy.act(o).numpy(), atol=1e-5)
+
+
+def test_onnx_without_metadata_or_cut_off_is_refused(tmp_path: Path) -> None:
+    import onnx
+
+    policy = make()
+    path = tmp_path / "a.onnx"
+    export.export(path, policy, facts(policy))
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    with pytest.raises(RealsimError, match="cut off"):
+        export.load(path)
+    model = onnx.load_model_from_string(data)
+    meta = json.loads(model.metadata_props[-1].value)
+    model.metadata_props[-1].value = json.dumps({**meta, "version": 9})
+    path.write_bytes(model.SerializeToString())
+    with pytest.raises(RealsimError, match="another version"):
+        export.load(path)
+    del model.metadata_props[:]
+    path.write_bytes(model.SerializeToString())
+    with pytest.raises(RealsimError, match="says nothing about its observations"):
+        export.load(path)
+
+
+def test_a_layout_that_differs_names_the_term() -> None:
+    wide = replace(LAYOUT, actor=(("position", 1), ("velocity", 2)))
+    with pytest.raises(RealsimError, match="velocity"):
+        policies.check_layout(wide, LAYOUT)
+    with pytest.raises(RealsimError, match="jump"):
+        policies.check_layout(replace(LAYOUT, actions=("push", "jump")), LAYOUT)

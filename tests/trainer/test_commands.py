@@ -1,0 +1,170 @@
+"""The commands, end to end on the quadruped: pretrain, fine-tune, evaluate, deploy."""
+# ruff: noqa: E402 - what needs torch is imported after it is known to be there
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
+
+from realsim.cli import COMMANDS, commands, main, usage
+from realsim.errors import RealsimError
+from trainer.commands import SUMMARIES
+from trainer.commands.common import find_terrain
+from trainer.commands.task_file import load_task
+
+SMALL = [
+    "--worlds", "16", "--threads", "1", "--evaluate-every", "0", "--steps", "8", "--epochs", "2",
+    "--no-tensorboard", "--device", "cpu",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A base policy of the quadruped after two iterations on flat ground, with a small camera stack."""
+    folder = tmp_path_factory.mktemp("commands")
+    task = {"depth": {"frames": 2}, "termination": {"seconds": 1.0}, "randomisation": {"terrain_variants": 1}}
+    (folder / "task.json").write_text(json.dumps(task))
+    arguments = ["pretrain", "--robot", "quadruped", "--terrain", "flat", "--iterations", "2", "--actor", "32"]
+    arguments += ["--critic", "32", "--task-file", str(folder / "task.json"), "--out", str(folder / "base"), *SMALL]
+    assert main(arguments) == 0
+    return folder
+
+
+def test_commands_of_the_trainer_are_found_without_importing_it() -> None:
+    known, summaries = commands()
+    assert set(SUMMARIES) <= set(known)
+    assert set(known) == set(summaries)
+    assert next(iter(COMMANDS)) in usage()
+    assert SUMMARIES["finetune"] in usage()
+
+
+def test_smoke_fine_tune(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two iterations of adapters on a small course: figures before and after, a checkpoint, an ONNX policy."""
+    out = folder / "tuned"
+    arguments = ["finetune", "boxes:0.2:1", "--policy", str(folder / "base" / "policy.pt"), "--strategy", "adapter"]
+    arguments += ["--iterations", "2", "--final-trials", "4", "--task-file", str(folder / "task.json")]
+    assert main([*arguments, "--out", str(out), "--json", *SMALL]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["before"]["terrains"][0]["trials"] == said["after"]["terrains"][0]["trials"] == 4
+    assert {"policy.pt", "policy.onnx", "history.jsonl", "result.json"} <= {p.name for p in out.iterdir()}
+    assert main(["deploy", str(out / "policy.onnx"), "--scene", "boxes:0.2:1", "--seconds", "0.2", "--json"]) == 0
+    deployed = json.loads(capsys.readouterr().out)
+    assert deployed["steps"] >= 1
+    assert deployed["inference_ms"]["p50"] < 20
+    evaluation = str(out / "evaluation.json")
+    arguments = ["evaluate", "boxes:0.2:1", "--policy", str(out / "policy.pt"), "--trials", "3", "--device", "cpu"]
+    assert main([*arguments, "--task-file", str(folder / "task.json"), "--out", evaluation]) == 0
+    assert "of 3" in capsys.readouterr().out
+    assert json.loads(Path(evaluation).read_text())["terrains"][0]["trials"] == 3
+
+
+def failure(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, str]:
+    assert main([*arguments, "--json"]) == 2
+    return json.loads(capsys.readouterr().out)
+
+
+def test_a_policy_of_another_layout_or_robot_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    policy = str(folder / "base" / "policy.pt")
+    said = failure(capsys, "finetune", "flat", "--policy", policy, "--final-trials", "0", *SMALL)
+    assert "depth stack" in said["message"]
+    assert said["file"] == policy
+    said = failure(capsys, "finetune", "flat", "--policy", policy, "--robot", "g1", "--final-trials", "0", *SMALL)
+    assert (said["expected"], said["found"]) == ("g1", "quadruped")
+    said = failure(capsys, "evaluate", "flat", "--policy", str(folder / "base" / "policy.onnx"))
+    assert "need the checkpoint" in said["message"]
+
+
+def test_what_cannot_be_done_is_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "--policy base.pt, or --from-scratch" in failure(capsys, "finetune", "flat")["expected"]
+    assert "unknown strategy" in failure(
+        capsys, "finetune", "flat", "--policy", str(folder / "base" / "policy.pt"), "--strategy", "lora",
+        "--task-file", str(folder / "task.json"), "--final-trials", "0", *SMALL,
+    )["message"]  # fmt: skip
+    assert "no such scene" in failure(capsys, "pretrain", "--terrain", "./nowhere")["message"]
+    assert "unknown trainer" in failure(capsys, "pretrain", "--terrain", "flat", "--trainer", "sac")["message"]
+    if not torch.cuda.is_available():
+        assert "no CUDA device" in failure(capsys, "pretrain", "--terrain", "flat", "--device", "cuda")["message"]
+
+
+def test_task_files(tmp_path: Path) -> None:
+    path = tmp_path / "task.json"
+    path.write_text('{"command": {"speed": 0.5}, "depth": {"latency": [1, 3]}, "amp": true}')
+    task = load_task(path)
+    assert (task.command.speed, task.depth.latency, task.amp) == ((0.5, 0.5), (1, 3), True)
+    for text, message in (
+        ('{"comand": {}}', "unknown task field"),
+        ('{"depth": {"use": "no"}}', "depth.use has a value of the wrong kind"),
+        ("[]", "must be an object"),
+    ):
+        path.write_text(text)
+        with pytest.raises(RealsimError, match=message):
+            load_task(path)
+
+
+def test_scenes_by_name(tmp_path: Path) -> None:
+    assert find_terrain("stake1")[0].name == "stake1"
+    assert find_terrain("beams:0.3:7")[0].family == "beams"
+    assert find_terrain("flat")[0].ground_fails is False
+    for name, message in (("stakes9", "unknown scene"), ("boxes:x", "not a terrain"), (str(tmp_path), "not a reconst")):
+        with pytest.raises(RealsimError, match=message):
+            find_terrain(name)
+
+
+def test_too_little_memory_means_fewer_worlds_and_is_said(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from trainer.trainers import ppo
+
+    start, asked = ppo.start, []
+
+    def short_of_memory(scene, file, plan, rank):
+        asked.append(plan.worlds)
+        if plan.worlds > 16:
+            raise torch.OutOfMemoryError("CUDA out of memory")
+        return start(scene, file, plan, rank)
+
+    monkeypatch.setattr(ppo, "start", short_of_memory)
+    arguments = ["pretrain", "--robot", "quadruped", "--terrain", "flat", "--iterations", "1", "--actor", "16"]
+    arguments += ["--task-file", str(folder / "task.json"), "--out", str(folder / "oom"), *SMALL[2:]]
+    assert main([*arguments, "--worlds", "64"]) == 0
+    assert asked == [64, 32, 16]
+    assert "16 worlds instead of 32" in capsys.readouterr().out
+    said = failure(capsys, *arguments, "--worlds", "31")
+    assert "memory is not enough" in said["message"]
+
+
+def test_resume_is_exact_in_the_real_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Physics, randomisation, curriculum, camera: four iterations are two, a restart, and two, bit for bit."""
+    from dataclasses import replace
+
+    from trainer.ppo import checkpoint
+    from trainer.ppo.config import NetworkConfig, PPOConfig
+    from trainer.ppo.loop import LoopConfig
+    from trainer.tasks.parkour import ParkourConfig
+    from trainer.tasks.parkour.config import DepthConfig, RandomisationConfig, TerminationConfig
+    from trainer.terrain import generate
+    from trainer.trainers import Scene, TrainConfig, ppo
+
+    monkeypatch.setattr(ppo, "write_onnx", lambda *_: None)
+    task = ParkourConfig(
+        depth=DepthConfig(frames=2),
+        termination=TerminationConfig(seconds=0.3),
+        randomisation=RandomisationConfig(terrain_variants=2),
+    )
+    networks = NetworkConfig(channels=(8,), latent=8, actor=(16,), critic=(16,))
+    config = TrainConfig(
+        robot="quadruped", worlds=6, threads=1, device="cpu", ppo=PPOConfig(steps=8, networks=networks), task=task,
+        loop=LoopConfig(iterations=4, checkpoint_every=2, evaluate_every=0, tensorboard=False),
+    )  # fmt: skip
+    scene = Scene((generate("boxes", 0.2, 1), generate("boxes", 0.4, 1)), rows=2)
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    ppo.train(scene, None, config, whole)
+    ppo.train(scene, None, replace(config, loop=replace(config.loop, iterations=2)), parts)
+    ppo.train(scene, None, replace(config, resume=parts / "policy.pt"), parts)
+    first, second = (checkpoint.load(folder / "policy.pt")[0] for folder in (whole, parts))
+    for (name, value), other in zip(first.actor.state_dict().items(), second.actor.state_dict().values(), strict=True):
+        assert torch.equal(value, other), name

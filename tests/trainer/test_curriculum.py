@@ -1,0 +1,64 @@
+"""The grid: up after success, down after little progress, and every row stays alive."""
+
+import pytest
+
+torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
+
+from trainer.errors import TrainerError  # noqa: E402
+from trainer.tasks.parkour.curriculum import Curriculum  # noqa: E402
+
+
+def grid(worlds=400, rows=10, columns=20, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    return Curriculum(rows * columns, rows, worlds, torch.device("cpu"), generator), generator
+
+
+def test_worlds_are_spread_over_columns_and_begin_in_the_easy_half():
+    c, _ = grid()
+    assert torch.equal(c.column.bincount(), torch.full((20,), 20))
+    assert c.row.max() == 4
+    ids = torch.arange(400)
+    assert torch.equal(c.terrain(ids), c.row * 20 + c.column)
+
+
+def test_promotion_and_demotion():
+    c, generator = grid(5)
+    c.row[:] = torch.tensor([3, 3, 3, 0, 9])
+    success = torch.tensor([True, False, False, False, True])
+    covered = torch.tensor([1.0, 0.7, 0.2, 0.1, 1.0])
+    c.update(torch.arange(5), success, covered, generator)
+    assert c.row[:4].tolist() == [4, 3, 2, 0]
+    assert 0 <= c.row[4] <= 9  # the last row is mastered: anywhere
+
+
+def test_only_the_worlds_that_ended_move():
+    c, generator = grid(6)
+    before = c.row.clone()
+    c.update(torch.tensor([1, 4]), torch.tensor([True, True]), torch.ones(2), generator)
+    moved = (c.row != before).nonzero().squeeze(-1).tolist()
+    assert moved == [1, 4]
+
+
+def test_masters_of_the_last_row_are_sent_everywhere():
+    c, generator = grid(1000)
+    c.row[:] = 9
+    c.update(torch.arange(1000), torch.ones(1000, dtype=torch.bool), torch.ones(1000), generator)
+    assert set(c.row.tolist()) == set(range(10))
+
+
+def test_a_saved_curriculum_fits_another_number_of_worlds():
+    c, _ = grid(8)
+    c.row[:] = torch.arange(8)
+    saved = c.state_dict()
+    fewer, more = grid(5, seed=1)[0], grid(12, seed=1)[0]
+    fewer.load_state_dict(saved)
+    more.load_state_dict(saved)
+    assert fewer.row.tolist() == [0, 1, 2, 3, 4]
+    assert more.row.tolist() == [0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3]
+    with pytest.raises(TrainerError, match="another grid"):
+        grid(8, rows=5)[0].load_state_dict(saved)
+
+
+def test_a_grid_that_is_not_full_is_refused():
+    with pytest.raises(TrainerError, match="do not fill"):
+        Curriculum(7, 2, 4, torch.device("cpu"), torch.Generator())

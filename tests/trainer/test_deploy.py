@@ -1,0 +1,166 @@
+"""The loop on the robot: the same numbers as in training, on time, and stopped when something is wrong."""
+# ruff: noqa: E402 - what needs torch is imported after it is known to be there
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
+
+from trainer.deploy.loop import DeployConfig, deploy
+from trainer.deploy.mujoco import MujocoRobot, quiet
+from trainer.deploy.observer import Observer
+from trainer.deploy.robot import Reading
+from trainer.errors import TrainerError
+from trainer.ppo.export import Deployment
+from trainer.robots import ROBOTS
+from trainer.tasks.parkour import ParkourConfig, make
+from trainer.tasks.parkour.config import DepthConfig, ObservationConfig, RandomisationConfig, ResetConfig
+from trainer.tasks.parkour.depth import crop
+from trainer.terrain import generate
+
+TASK = ParkourConfig(
+    observation=ObservationConfig(noise=False),
+    depth=quiet(DepthConfig(frames=3, stride=2)),
+    randomisation=RandomisationConfig(use=False, terrain_variants=1),
+    reset=ResetConfig(position=0.0, yaw=0.0, joints=0.0, spread_ages=False),
+)
+QUADRUPED = ROBOTS["quadruped"]()
+
+
+def facts(layout, **changes) -> Deployment:
+    q = QUADRUPED
+    numbers = [tuple(map(float, x)) for x in (q.default, q.action_scale, q.kp, q.kd)]
+    return Deployment(layout, "quadruped", 0.02, *numbers, TASK.depth.near, TASK.depth.far, **changes)
+
+
+def test_the_robot_observes_what_the_policy_was_trained_on() -> None:
+    """Twelve steps of the task, read back through the deployment's own histories and depth stack."""
+    env = make(TASK, [generate("boxes", 0.3, 1)], robot="quadruped", worlds=1)
+    observe = Observer(facts(env.layout))
+    robot = MujocoRobot(QUADRUPED, env.physics.terrains[0])
+    robot.physics, robot.eye = env.physics, env.camera.caster  # the task's own robot, read as a robot is
+    observation = env.reset()
+    rng = torch.Generator().manual_seed(0)
+    action = torch.zeros(1, 12)
+    for _ in range(12):
+        command = np.array([float(env.command(env.physics.state).speed[0]), 0.0, 0.0])
+        inputs = observe(robot.read(), command, action[0].numpy())
+        assert np.allclose(inputs["vector"], observation.actor.numpy(), atol=1e-5)
+        assert np.allclose(inputs["depth"], observation.depth.numpy(), atol=1e-5)
+        action = torch.randn(1, 12, generator=rng)
+        observation = env.step(action).observation
+
+
+def test_a_full_image_is_cropped_as_in_training() -> None:
+    full = np.arange(270 * 480, dtype=float).reshape(270, 480)
+    assert crop(full, QUADRUPED.camera).shape == (18, 32)
+
+
+class _Session:
+    """A policy that always asks for the same action."""
+
+    def __init__(self, action: np.ndarray) -> None:
+        self.action = action
+        self.seen: list[dict[str, np.ndarray]] = []
+
+    def run(self, _, inputs):
+        self.seen.append(inputs)
+        return [self.action[None].astype(np.float32)]
+
+
+class _Robot:
+    """Remembers what it was told; `gravity` is what its inertial unit says."""
+
+    def __init__(self, gravity=(0.0, 0.0, -1.0)) -> None:
+        self.gravity = np.array(gravity)
+        self.targets: list[np.ndarray] = []
+        self.stops = 0
+
+    def start(self, kp, kd) -> None:
+        assert np.allclose(kp, QUADRUPED.kp)
+
+    def read(self) -> Reading:
+        return Reading(np.zeros(3), self.gravity, QUADRUPED.default.copy(), np.zeros(12))
+
+    def write(self, targets) -> None:
+        self.targets.append(targets)
+
+    def stop(self) -> None:
+        self.stops += 1
+
+
+class _Clock:
+    """Time that passes only when slept through, or by `work` seconds whenever it is asked."""
+
+    def __init__(self, work: float = 0.0) -> None:
+        self.now, self.work = 0.0, work
+
+    def __call__(self) -> float:
+        self.now += self.work
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+
+BLIND = facts(
+    make(replace(TASK, depth=DepthConfig(use=False)), [generate("boxes", 0.3, 1)], robot="quadruped", worlds=1).layout
+)
+CONFIG = DeployConfig(seconds=0.2, ramp=0.1)
+
+
+def test_fifty_times_a_second_with_a_rising_command() -> None:
+    robot, clock, session = _Robot(), _Clock(), _Session(np.ones(12))
+    report = deploy(robot, session, BLIND, CONFIG, clock=clock, sleep=clock.sleep)
+    assert (report.reason, report.steps, report.late, robot.stops) == ("done", 10, 0, 1)
+    assert clock.now == pytest.approx(0.2)
+    assert np.allclose(robot.targets[0], QUADRUPED.default + QUADRUPED.action_scale)
+    command = [i["vector"][0, 8 * 6 + 21] for i in session.seen[1:]]  # newest command of the history
+    assert command[0] == 0.0
+    assert command[-1] == pytest.approx(CONFIG.speed)
+    assert command == sorted(command)
+
+
+def test_it_stops_rather_than_going_on() -> None:
+    clock = _Clock()
+    tilted = _Robot(gravity=(0.9, 0.0, -0.43))
+    assert deploy(tilted, _Session(np.zeros(12)), BLIND, CONFIG, clock=clock, sleep=clock.sleep).reason == "tilted"
+    assert (len(tilted.targets), tilted.stops) == (0, 1)
+    broken = _Robot()
+    report = deploy(broken, _Session(np.full(12, np.nan)), BLIND, CONFIG, clock=clock, sleep=clock.sleep)
+    assert "not a number" in report.reason
+    assert (len(broken.targets), broken.stops) == (0, 1)
+    slow = _Clock(work=0.02)
+    late = deploy(_Robot(), _Session(np.zeros(12)), BLIND, replace(CONFIG, seconds=9.0), clock=slow, sleep=slow.sleep)
+    assert (late.reason, late.steps) == ("late", CONFIG.max_late)
+
+
+def test_wild_targets_are_clipped_and_counted() -> None:
+    robot, clock = _Robot(), _Clock()
+    report = deploy(robot, _Session(np.full(12, 100.0)), BLIND, CONFIG, clock=clock, sleep=clock.sleep)
+    assert report.clipped == 12 * report.steps
+    assert np.allclose(robot.targets[0], QUADRUPED.default + CONFIG.max_step)
+
+
+def test_a_simulated_robot_stands_on_its_servos() -> None:
+    robot = MujocoRobot(QUADRUPED, generate("boxes", 0.0, 1), depth=False)
+    with pytest.raises(TrainerError, match="not been started"):
+        robot.write(QUADRUPED.default)
+    with pytest.raises(TrainerError, match="another kp"):
+        robot.start(2 * QUADRUPED.kp, QUADRUPED.kd)
+    report = deploy(robot, _Session(np.zeros(12)), BLIND, DeployConfig(seconds=1.0, realtime=False))
+    assert report.reason == "done"
+    assert robot.position[2] == pytest.approx(QUADRUPED.standing_height, abs=0.06)
+    assert set(report.figures()["inference_ms"]) == {"p50", "p99", "max"}
+
+
+def test_an_observation_that_cannot_be_given_is_named() -> None:
+    with pytest.raises(TrainerError, match="base_lin_vel"):
+        Observer(replace(BLIND, layout=replace(BLIND.layout, actor=(*BLIND.layout.actor, ("base_lin_vel", 24)))))
+    with pytest.raises(TrainerError, match="does not fit"):
+        sees = replace(BLIND, layout=replace(BLIND.layout, depth=(2, 18, 32)))
+        Observer(sees)(_Robot().read(), np.zeros(3), np.zeros(12, np.float32))

@@ -1,0 +1,168 @@
+"""Laws of the learner: hand-computed returns, exact resume, learning a small task."""
+
+# ruff: noqa: E402 - what needs torch is imported after it is known to be there
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
+
+from tests.trainer.toy import LAYOUT, PointMass
+from trainer.ppo import policy as policies
+from trainer.ppo.algorithm import PPO, bootstrap, clipped_value_loss, surrogate
+from trainer.ppo.config import NetworkConfig, PPOConfig
+from trainer.ppo.distributed import Rank
+from trainer.ppo.loop import LoopConfig, read_rows, train
+from trainer.ppo.normaliser import Normaliser
+from trainer.ppo.runner import Runner
+from trainer.ppo.storage import Rollout, advantages
+
+CPU = Rank(0, 1, torch.device("cpu"))
+SMALL = NetworkConfig(channels=(8,), latent=16, actor=(32, 32), critic=(32, 32))
+CONFIG = PPOConfig(steps=16, epochs=4, networks=SMALL)
+
+
+def runner(config: PPOConfig = CONFIG, worlds: int = 16, seed: int = 0, **kwargs) -> Runner:
+    env = PointMass(worlds, seed=seed)
+    return Runner(env, policies.new(env.layout, config.networks, "toy", seed), config, rank=CPU, seed=seed, **kwargs)
+
+
+def test_advantages_by_hand() -> None:
+    """Two worlds, three steps, gamma 0.5, lambda 0.5; the second world ends after its second step."""
+    reward = torch.tensor([[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]])
+    value = torch.tensor([[4.0, 4.0], [6.0, 6.0], [8.0, 8.0]])
+    done = torch.tensor([[False, False], [False, True], [False, False]])
+    last = torch.tensor([10.0, 10.0])
+    # deltas, first world: 1+3-4=0, 2+4-6=0, 3+5-8=0; second: 0, 2-6=-4, 0
+    expected = torch.tensor([[0.0, -1.0], [0.0, -4.0], [0.0, 0.0]])
+    assert torch.equal(advantages(reward, value, done, last, 0.5, 0.5), expected)
+
+
+def test_time_that_ran_out_is_bootstrapped_from_the_final_observation() -> None:
+    final = torch.tensor([5.0, float("nan"), 7.0])
+    got = bootstrap(torch.ones(3), final, torch.tensor([True, False, False]), 0.9)
+    assert torch.allclose(got, torch.tensor([5.5, 1.0, 1.0]))
+
+
+class _EndsAtOnce(PointMass):
+    """Every episode runs out of time after one step, at a state far from where the next one starts."""
+
+    def step(self, actions: torch.Tensor):
+        step = super().step(actions)
+        far = step.observation.map(lambda x: torch.full_like(x, 0.5))
+        return replace(
+            step, reward=torch.ones(self.num_worlds), terminated=torch.zeros(self.num_worlds, dtype=torch.bool),
+            truncated=torch.ones(self.num_worlds, dtype=torch.bool), final_observation=far,
+        )  # fmt: skip
+
+
+def test_runner_uses_the_true_last_observation() -> None:
+    env = _EndsAtOnce(4)
+    r = Runner(env, policies.new(LAYOUT, SMALL, "toy", 0), CONFIG, rank=CPU)
+    r.begin()
+    far = env.step(torch.zeros(4, 2)).final_observation
+    with torch.no_grad():
+        value = r.policy.critic.of(far)
+    r._collect()
+    assert torch.allclose(r.rollout.returns, (1 + CONFIG.gamma * value).expand(CONFIG.steps, -1), atol=1e-6)
+
+
+def test_stacks_gathered_from_single_frames_are_those_that_were_seen() -> None:
+    r = runner(worlds=5)
+    for _ in range(3):  # frames reach back into the iteration before, over resets too
+        if r.observation is None:
+            r.begin()
+        stacks = []
+        see = r.rollout.see
+
+        def record(step, observation, see=see, stacks=stacks):
+            stacks.append(observation.depth.clone())
+            return see(step, observation)
+
+        r.rollout.see = record
+        r._collect()
+        r.rollout.see = see
+        assert torch.equal(r.rollout.frames.gather(torch.arange(16 * 5)), torch.cat(stacks))
+        r.rollout.carry()
+
+
+def test_unknown_stride_keeps_whole_stacks() -> None:
+    rollout = Rollout(2, 3, replace(LAYOUT, depth_stride=0), CPU.device)
+    rollout.restart()
+    env = PointMass(3)
+    seen = [rollout.see(t, env.reset()).depth for t in range(2)]
+    assert torch.equal(rollout.frames.gather(torch.arange(6)), torch.cat(seen))
+
+
+def test_normaliser_matches_the_moments_of_all_data_and_freezes() -> None:
+    data = torch.randn(7, 50, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([1.0, 100.0, 1e-2]) + 40
+    normaliser = Normaliser(3)
+    for batch in data:
+        normaliser.update(batch)
+    flat = data.reshape(-1, 3).double()
+    assert torch.allclose(normaliser.moments[0], flat.mean(0), rtol=1e-6)
+    assert torch.allclose(normaliser.moments[1], flat.var(0, unbiased=False), rtol=1e-4)
+    normaliser.frozen = True
+    before = normaliser.mean.clone()
+    normaliser.update(data[0] + 1000)
+    assert torch.equal(normaliser.mean, before)
+
+
+def test_losses_by_hand() -> None:
+    ratio, advantage = torch.tensor([1.5, 1.5, 0.5, 0.5]), torch.tensor([1.0, -1.0, 1.0, -1.0])
+    assert surrogate(ratio, advantage, 0.2).item() == pytest.approx((-1.2 + 1.5 - 0.5 + 0.8) / 4)
+    value, old, returns = torch.tensor([2.0]), torch.tensor([0.0]), torch.tensor([3.0])
+    assert clipped_value_loss(value, old, returns, 0.2).item() == pytest.approx(2.8**2)
+
+
+@pytest.mark.parametrize(("kl", "expected"), [(0.03, 1e-3 / 1.5), (0.01, 1e-3), (0.004, 1.5e-3), (0.0, 1e-3)])
+def test_learning_rate_follows_the_divergence(kl: float, expected: float) -> None:
+    ppo = PPO(r.policy.actor, r.policy.critic, CONFIG) if (r := runner(worlds=2)) else None
+    ppo._adapt(torch.tensor(kl))
+    assert ppo.learning_rate.item() == pytest.approx(expected, rel=1e-5)
+    assert ppo.optimiser.param_groups[0]["lr"] is ppo.learning_rate
+
+
+def test_learning_rate_stays_in_its_bounds() -> None:
+    ppo = runner(worlds=2).ppo
+    for kl, bound in ((1.0, 1e-5), (1e-6, 1e-2)):
+        for _ in range(30):
+            ppo._adapt(torch.tensor(kl))
+        assert ppo.learning_rate.item() == pytest.approx(bound)
+
+
+def test_point_mass_is_learnt_from_depth() -> None:
+    """Only the image says where the goal is; 2.0 would be a whole episode on it, doing nothing earns 0.0."""
+    r = runner(worlds=64)
+    rows = [r.iterate() for _ in range(30)]
+    assert rows[0]["return"] < 0.3
+    assert rows[-1]["return"] > 1.3
+
+
+def test_resume_is_exact(tmp_path: Path) -> None:
+    config = LoopConfig(iterations=4, checkpoint_every=2, tensorboard=False)
+    whole, first, rest = runner(), runner(), runner(seed=5)
+    train(whole, config, tmp_path / "whole")
+    train(first, replace(config, iterations=2), tmp_path / "parts")
+    train(rest, config, tmp_path / "parts", resume=tmp_path / "parts" / "policy.pt")
+    rows, again = read_rows(tmp_path / "whole"), read_rows(tmp_path / "parts")
+    assert [row["iteration"] for row in again] == [0, 1, 2, 3]
+    assert [row["value_loss"] for row in again] == [row["value_loss"] for row in rows]
+    for a, b in ((whole.policy.actor, rest.policy.actor), (whole.policy.critic, rest.policy.critic)):
+        for (name, x), y in zip(a.state_dict().items(), b.state_dict().values(), strict=True):
+            assert torch.equal(x, y), name
+    assert torch.equal(whole.env.level, rest.env.level)
+    assert whole.ppo.learning_rate == rest.ppo.learning_rate
+
+
+def test_iterations_to_the_target_and_stop(tmp_path: Path) -> None:
+    rates = iter([0.1, 0.5, 0.98, 1.0])
+    config = LoopConfig(iterations=9, evaluate_every=1, stop_at_target=True)
+    history = train(runner(worlds=4), config, tmp_path, evaluate=lambda policy: next(rates))
+    assert history.evaluations == [(0, 0.1), (1, 0.5), (2, 0.98)]
+    assert history.to_target(0.97) == 2
+    assert (tmp_path / "policy.pt").is_file()
+    assert list((tmp_path / "events").iterdir())

@@ -1,0 +1,112 @@
+"""What a diagnosis knows replaces what the randomisation guesses; what it cannot say is not dropped silently."""
+
+import json
+
+import pytest
+
+torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
+
+from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped  # noqa: E402
+from trainer.errors import TrainerError  # noqa: E402
+from trainer.physics import PhysicsConfig  # noqa: E402
+from trainer.robots import ROBOTS  # noqa: E402
+from trainer.tasks.parkour import ParkourConfig, ParkourEnv  # noqa: E402
+from trainer.tasks.parkour.build import with_known  # noqa: E402
+from trainer.tasks.parkour.config import DepthConfig, RandomisationConfig  # noqa: E402
+from trainer.tasks.parkour.gap import load  # noqa: E402
+from trainer.tasks.parkour.randomise import informed  # noqa: E402
+from trainer.tasks.parkour.variants import sizes  # noqa: E402
+
+
+def cause(effect, joints=None, bodies=None, **parameters):
+    entry = {"effect": effect, "parameters": {k: {"value": sum(v) / 2, "ci90": list(v)} for k, v in parameters.items()}}
+    return entry | ({"joints": joints} if joints else {}) | ({"bodies": bodies} if bodies else {})
+
+
+@pytest.fixture
+def diagnosis(tmp_path):
+    def write(*causes, verdict="identified"):
+        path = tmp_path / "diagnosis.json"
+        path.write_text(json.dumps({"verdict": verdict, "causes": list(causes)}))
+        return path
+
+    return write
+
+
+def test_causes_become_ranges(diagnosis):
+    robot = ROBOTS["g1"]()
+    knee = robot.joints.index("left_knee_joint")
+    own = float(robot.robot.spec.joint("left_knee_joint").armature)
+    known = load(
+        diagnosis(
+            cause("motor_gain", ["left_knee_joint"], ratio=(0.8, 0.9)),
+            cause("stiffness_gain", ["left_knee_joint"], ratio=(0.5, 0.5)),
+            cause("armature", ["left_knee_joint"], armature=(own, 2 * own)),
+            cause("coulomb_friction", ["left_knee_joint"], friction=(1.0, 2.0)),
+            cause("joint_offset", ["left_knee_joint"], offset=(0.05, 0.07)),
+            cause("command_delay", delay=(0.010, 0.012)),
+            cause("payload", bodies=["torso_link"], mass=(1.5, 1.7), x=(0.0, 0.0)),
+            cause("terrain_scale", ratio=(1.02, 1.04)),
+            cause("backlash", ["left_knee_joint"], gap=(0.01, 0.02)),
+        ),
+        robot,
+    )
+    assert known.kp == {knee: pytest.approx((0.4, 0.45))}
+    assert known.kd == {knee: (0.8, 0.9)}
+    assert known.armature == {knee: pytest.approx((2.0, 3.0))}
+    assert known.joint_friction == {knee: (1.0, 2.0)}
+    assert known.encoder == {knee: (0.05, 0.07)}
+    assert known.delay == (0.010, 0.012)
+    assert known.payload == (1.5, 1.7)
+    assert known.unused == ("backlash",)
+    assert sizes([course()], informed(RandomisationConfig(), known)) == pytest.approx([1.02, 1.025, 1.03, 1.035, 1.04])
+
+
+def test_an_effect_without_joints_acts_on_all_of_them(diagnosis):
+    known = load(diagnosis(cause("damping_gain", ratio=(1.1, 1.2))), quadruped())
+    assert known.kd == dict.fromkeys(range(12), (1.1, 1.2))
+
+
+def test_an_ambiguous_diagnosis_changes_nothing_and_says_so(diagnosis):
+    known = load(diagnosis(cause("command_delay", delay=(0.01, 0.02)), verdict="ambiguous"), quadruped())
+    assert known.delay is None
+    assert known.unused == ("command_delay (ambiguous)",)
+
+
+def test_the_camera_is_as_diagnosed(diagnosis):
+    known = load(
+        diagnosis(cause("camera_delay", delay=(0.05, 0.07)), cause("depth_noise", sigma=(0.02, 0.04))), quadruped()
+    )
+    depth = with_known(ParkourConfig(), known, PhysicsConfig()).depth
+    assert depth.latency == (2, 4)
+    assert depth.noise == pytest.approx(0.03)
+
+
+def test_worlds_are_drawn_from_what_is_known(diagnosis):
+    robot = quadruped()
+    joint = robot.joints[2]
+    known = load(
+        diagnosis(cause("motor_gain", [joint], ratio=(0.70, 0.72)), cause("command_delay", delay=(0.01, 0.01))), robot
+    )
+    physics = FakePhysics(robot, [course()], 50)
+    edges = [torch.zeros(0, 2, 3).numpy()]
+    env = ParkourEnv(physics, BoxCaster([course()]), edges, ParkourConfig(depth=DepthConfig(use=False)), known=known)
+    env.reset()
+    _, params = physics.params[-1]
+    assert params.kp_scale[:, 2].min() >= 0.70
+    assert params.kp_scale[:, 2].max() <= 0.72
+    assert params.kp_scale[:, 3].max() > 1.0
+    assert set(params.delay_steps.tolist()) == {2}
+
+
+def test_another_robots_diagnosis_is_refused(diagnosis):
+    with pytest.raises(TrainerError, match="another robot"):
+        load(diagnosis(cause("motor_gain", ["left_knee_joint"], ratio=(0.8, 0.9))), quadruped())
+
+
+@pytest.mark.parametrize("text", ["[]", "{}", '{"causes": 3, "verdict": "identified"}'])
+def test_what_is_no_diagnosis_is_refused(text, tmp_path):
+    path = tmp_path / "x.json"
+    path.write_text(text)
+    with pytest.raises(TrainerError, match="not a diagnosis"):
+        load(path, quadruped())

@@ -1,0 +1,143 @@
+"""Terrains: closed, reproducible, harder when asked; edges are where a foothold ends and nowhere else."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from realsim.errors import UnknownNameError
+from trainer.errors import TrainerError
+from trainer.terrain import FAMILIES, TESTS, flat, generate, grid, named
+from trainer.terrain.base import Box, Platform, Terrain
+from trainer.terrain.edges import feature_edges
+from trainer.terrain.scene import load
+from trainer.terrain.shapes import block, mesh
+
+BOX = np.array([0.9, 0.8])
+
+
+def of_boxes(*boxes: Box) -> Terrain:
+    vertices, triangles = mesh(boxes)
+    return Terrain("made", boxes, vertices, triangles, Platform(np.zeros(3), BOX), Platform(np.ones(3), BOX), 0.0)
+
+
+def edge_length(terrain: Terrain) -> float:
+    edges = feature_edges(terrain)
+    return float(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).sum())
+
+
+@settings(max_examples=20, deadline=None)
+@given(family=st.sampled_from(list(FAMILIES)), difficulty=st.floats(0, 1), seed=st.integers(0, 10**6))
+def test_every_terrain_is_closed_and_lies_between_its_platforms(family, difficulty, seed):
+    terrain = generate(family, difficulty, seed)
+    a, b, c = (terrain.vertices[terrain.triangles[:, k]] for k in range(3))
+    # A closed mesh has no net area vector, and outward triangles enclose the boxes' volume (divergence theorem).
+    assert np.allclose(np.cross(b - a, c - a).sum(0), 0, atol=1e-9)
+    volume = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6
+    assert volume == pytest.approx(sum(np.prod(box.size) for box in terrain.boxes))
+    assert np.allclose(terrain.start.centre, 0)
+    assert terrain.goal.centre[1] == pytest.approx(0, abs=1e-12)
+    assert 2.5 < terrain.goal.centre[0] < 5.0
+    assert terrain.floor_z == pytest.approx(-0.35)
+    assert terrain.vertices[:, 2].max() < 0.35
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_the_same_seed_gives_the_same_terrain_and_another_does_not(family):
+    first, again, other = (generate(family, 0.7, seed) for seed in (5, 5, 6))
+    assert np.array_equal(first.vertices, again.vertices)
+    assert not np.array_equal(first.vertices, other.vertices)
+
+
+def test_harder_terrain_has_less_to_stand_on():
+    for family in ("stakes", "boxes", "beams"):
+        area = [sum(b.size[0] * b.size[1] for b in generate(family, d, 1).boxes[2:]) for d in (0.0, 0.5, 1.0)]
+        assert area[0] > area[1] > area[2], family
+
+
+def test_the_grid_has_ten_rows_of_five_families_in_four_columns():
+    terrains = grid(seed=2)
+    assert len(terrains) == 200
+    assert [t.family for t in terrains[:20:4]] == ["wedges", "stakes", "boxes", "trapezoids", "beams"]
+    assert [round(9 * terrains[20 * row + 7].difficulty) for row in range(10)] == list(range(10))
+    assert len({t.name for t in terrains}) == 200
+
+
+def test_there_are_thirteen_named_tests():
+    assert len(TESTS) == 13
+    assert named("boston").family == "boston"
+    with pytest.raises(UnknownNameError, match="stake1"):
+        named("stake9")
+
+
+def test_difficulty_outside_its_range_is_refused():
+    with pytest.raises(TrainerError, match="between 0 and 1"):
+        generate("boxes", 1.5, 0)
+
+
+def test_a_lone_block_ends_at_the_four_edges_of_its_top():
+    assert edge_length(of_boxes(block(0, 0, (0.6, 0.4, 0.3)))) == pytest.approx(2 * (0.6 + 0.4))
+
+
+def test_a_joint_between_level_blocks_is_no_edge_but_a_step_down_is():
+    level = of_boxes(block(-0.3, 0, (0.6, 0.4, 0.3)), block(0.3, 0, (0.6, 0.4, 0.3)))
+    assert edge_length(level) == pytest.approx(2 * (1.2 + 0.4), abs=0.1)
+    step = of_boxes(block(-0.3, 0, (0.6, 0.4, 0.3)), block(0.3, 0, (0.6, 0.4, 0.2)))
+    # The upper block keeps its four edges; the lower one loses the one under the step.
+    assert edge_length(step) == pytest.approx(2 * 1.0 + 2 * 0.6 + 0.4, abs=0.1)
+
+
+def test_flat_ground_has_no_edges_and_forgives_touching_it():
+    assert feature_edges(flat()).shape == (0, 2, 3)
+    assert not flat().ground_fails
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """A scene as `realsim reconstruct` lays it out: two platforms, a scanned scrap of ground, one drawn mesh."""
+    import mujoco
+    import trimesh
+
+    spec = mujoco.MjSpec()
+    add = spec.worldbody.add_geom
+    add(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, -0.3])
+    for i, x in enumerate((0.0, 2.0)):
+        add(name=f"part_{i}", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.4, 0.4, 0.15], pos=[x, 0, -0.15])
+    add(name="scrap", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.1, 0.01], pos=[1, 1, -0.3])
+    add(name="seen", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.1, 0, 0], contype=0, conaffinity=0)
+    spec.compile()
+    (tmp_path / "scene.xml").write_text(spec.to_xml())
+    trimesh.creation.box((0.8, 0.8, 0.3)).export(tmp_path / "mesh.ply")
+    ends = {role: {"centroid": [x, 0, 0], "size": [0.8, 0.8, 0.3]} for role, x in (("start", 0.0), ("goal", 2.0))}
+    (tmp_path / "report.json").write_text(json.dumps({"ground_z": -0.3, **ends}))
+    return tmp_path
+
+
+def test_a_scene_keeps_what_collides_above_the_ground(scene):
+    terrain = load(scene)
+    assert sorted(g.name for g in terrain.contact.geoms) == ["part_0", "part_1"]
+    assert edge_length(terrain) == pytest.approx(2 * 3.2)
+    assert terrain.goal.centre[0] == 2.0
+
+
+def test_a_scene_without_platforms_is_refused(scene):
+    (scene / "report.json").write_text(json.dumps({"ground_z": -0.3, "start": None, "goal": None}))
+    with pytest.raises(TrainerError, match="no start platform"):
+        load(scene)
+
+
+def test_a_scene_of_the_wrong_scale_is_refused(scene):
+    report = json.loads((scene / "report.json").read_text())
+    report["goal"]["size"] = [41.0, 40.0, 3.0]
+    (scene / "report.json").write_text(json.dumps(report))
+    with pytest.raises(TrainerError, match="scale may be wrong"):
+        load(scene)
+
+
+@pytest.mark.parametrize("name", ["scene.xml", "mesh.ply", "report.json"])
+def test_a_folder_that_lacks_a_file_is_named(scene, name):
+    (scene / name).unlink()
+    with pytest.raises(TrainerError, match=f"no {name}"):
+        load(scene)

@@ -1,0 +1,10 @@
+"""Commands that the trainer adds to `realsim` (entry points in the group `realsim.commands`). One file a command."""
+
+SUMMARIES = {
+    "pretrain": "a base policy on generated terrain",
+    "finetune": "a policy adapted to one scene or several; success before and after",
+    "evaluate": "success rate of a policy on a scene, why and where it fails",
+    "play": "one trial of a policy as a video",
+    "deploy": "a policy in a 50 Hz loop on a robot, MuJoCo in place of the real one",
+}
+"""Read by `realsim --help`, which imports nothing else of the trainer."""

@@ -1,0 +1,55 @@
+"""`realsim evaluate`: how often a policy gets there, and what happens when it does not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from realsim.commands import CommandResult
+from trainer.commands import common
+from trainer.commands.task_file import load_task
+from trainer.evaluate import EvaluationConfig
+from trainer.evaluate import evaluate as run_trials
+from trainer.ppo.distributed import pick_device
+from trainer.trainers import TrainConfig
+
+
+def evaluate(
+    scenes: Annotated[tuple[str, ...], tyro.conf.Positional],
+    policy: Path,
+    config: EvaluationConfig,
+    finer: tuple[str, ...] = (),
+    out: Path = Path("evaluation.json"),
+    engine: str = "",
+    device: str = "auto",
+    task_file: Path | None = None,
+    diagnosis: Path | None = None,
+) -> CommandResult:
+    """Run trials of a policy on a scene with fixed seeds: success rate with Wilson's interval, causes, places.
+
+    Args:
+        scenes: folders of `realsim reconstruct`, or names of terrains (see `realsim finetune --help`).
+        policy: policy.pt.
+        finer: the same scenes with contact geometry that was not trained on.
+        out: JSON with every figure and every failed trial.
+        engine: physics engine; by default warp on a GPU and mujoco on the CPU.
+        device: cpu, cuda, or auto.
+        task_file: JSON with what differs from the paper's task; the one of the training.
+        diagnosis: diagnosis.json of `realsim diagnose`.
+    """
+    loaded = common.load_policy(policy)
+    place = pick_device(device)
+    train = TrainConfig(engine=engine, seed=config.seed, task=load_task(task_file), diagnosis=diagnosis)
+    setting = common.setting(loaded, policy, place, train)
+    scene = common.find_scene(scenes)
+    others = common.find_scene(finer).terrains if finer else ()
+    found = run_trials(loaded.to(place).act, scene.terrains, config, setting, finer=others)
+    found.write(out)
+    lines = [*common.trial_lines("success", found)]
+    for r in found.results:
+        for place_ in r.where:
+            causes = ", ".join(f"{k} {v}" for k, v in place_.items() if k not in ("from_m", "to_m"))
+            lines.append(f"{'  failed at':<14} {r.terrain} {place_['from_m']:.2f} to {place_['to_m']:.2f} m: {causes}")
+    return CommandResult("\n".join([*lines, f"figures        {out}"]), found.as_dict())

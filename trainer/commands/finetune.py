@@ -1,0 +1,85 @@
+"""`realsim finetune`: a policy adapted to the terrain in front of the robot."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from realsim.commands import CommandResult
+from realsim.files import to_json, write_text
+from realsim.progress import note
+from trainer.commands import common
+from trainer.commands.task_file import load_task
+from trainer.evaluate import Evaluation, EvaluationConfig, evaluate
+from trainer.ppo.distributed import pick_device
+from trainer.trainers import Scene, TrainConfig, find
+
+
+def finetune(
+    scenes: Annotated[tuple[str, ...], tyro.conf.Positional],
+    config: TrainConfig,
+    policy: Path | None = None,
+    from_scratch: bool = False,
+    out: Path = Path("finetuned"),
+    trainer: str = "ppo",
+    task_file: Path | None = None,
+    final_trials: int = 1000,
+) -> CommandResult:
+    """Fine-tune a policy on one reconstructed scene or several at once, and say what it gained.
+
+    Success is measured before and after with the same trials. The folder gets policy.pt, policy.onnx, history.jsonl,
+    result.json and TensorBoard's events. Under torchrun every process calls this; see docs/training.md.
+
+    Args:
+        scenes: folders of `realsim reconstruct`; or names of terrains: a test (boxes, stake1, ...), flat, or
+            FAMILY:DIFFICULTY:SEED.
+        policy: the base policy (.pt) of `realsim pretrain` or of an earlier fine-tuning.
+        from_scratch: train without a base.
+        out: folder for the results.
+        trainer: ppo, rsl_rl, mjlab, or one that an installed package adds.
+        task_file: JSON with what differs from the paper's task.
+        final_trials: trials on each terrain before and after; 0 leaves both out.
+    """
+    if (policy is None) != from_scratch and config.resume is None:
+        raise common.TrainerError(
+            "fine-tuning starts from a policy, or from scratch",
+            expected="--policy base.pt, or --from-scratch",
+            found="both" if policy else "neither",
+        )
+    scene = common.find_scene(scenes)
+    config = replace(config, task=load_task(task_file))
+    train = find(trainer)
+    before = None
+    if policy is not None and final_trials and trainer != "mjlab" and common.first_rank():
+        note("trials of the base policy")
+        before = trials(policy, scene, config, final_trials)
+    result = train(scene, policy, config, out)
+    if not common.first_rank():
+        return CommandResult("")
+    after = None
+    if final_trials and result.ours:
+        note("trials of the fine-tuned policy")
+        after = trials(result.policy, scene, config, final_trials)
+    data = {
+        "result": asdict(result),
+        "before": None if before is None else before.as_dict(),
+        "after": None if after is None else after.as_dict(),
+        "target": config.loop.target,
+    }
+    write_text(out / "result.json", to_json(data))
+    lines = common.result_lines(result, config.loop.target)
+    for title, evaluation in (("before", before), ("after", after)):
+        lines += common.trial_lines(title, evaluation) if evaluation is not None else []
+    return CommandResult("\n".join(lines), data)
+
+
+def trials(policy: Path, scene: Scene, config: TrainConfig, count: int) -> Evaluation:
+    """Trials of a policy on the scene's terrains in the task and engine of the training."""
+    loaded = common.load_policy(policy)
+    device = pick_device(config.device)
+    setting = common.setting(loaded, policy, device, config)
+    settings = EvaluationConfig(trials=count, worlds=min(count, 250), seed=config.seed)
+    return evaluate(loaded.to(device).act, scene.terrains, settings, setting)

@@ -1,0 +1,53 @@
+"""`realsim play`: look at a trial."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from realsim.commands import CommandResult
+from trainer.commands import common
+from trainer.commands.task_file import load_task
+from trainer.evaluate import EvaluationConfig, trial_env
+from trainer.ppo.distributed import pick_device
+from trainer.ppo.policy import check_layout
+from trainer.replay import record, write
+from trainer.robots import ROBOTS
+from trainer.trainers import TrainConfig
+
+
+def play(
+    scene: Annotated[str, tyro.conf.Positional],
+    policy: Path,
+    out: Path = Path("trial.mp4"),
+    trial: int = 0,
+    seed: int = 0,
+    randomise: bool = False,
+    task_file: Path | None = None,
+) -> CommandResult:
+    """Simulate one trial of a policy and write it as a video or model; without a display set MUJOCO_GL=egl or osmesa.
+
+    Args:
+        scene: a folder of `realsim reconstruct`, or the name of a terrain (see `realsim finetune --help`).
+        policy: policy.pt.
+        out: .mp4, .gif, or .glb (an animated model for any glTF viewer).
+        trial: which of the trials of this seed.
+        seed: of the trials.
+        randomise: vary friction, masses, delays and noise as in training.
+        task_file: JSON with what differs from the paper's task; the one of the training.
+    """
+    if trial < 0:
+        raise common.TrainerError("trials are numbered from 0", found=str(trial))
+    loaded = common.load_policy(policy)
+    config = TrainConfig(seed=seed, task=load_task(task_file))
+    setting = common.setting(loaded, policy, pick_device("cpu"), config)
+    terrain, _ = common.find_terrain(scene)
+    env = trial_env(terrain, trial + 1, EvaluationConfig(seed=seed, randomise=randomise), setting)
+    check_layout(loaded.layout, env.layout, str(policy))
+    recording = record(loaded.act, env, trial)
+    write(recording, ROBOTS[loaded.robot](), terrain, out)
+    seconds = len(recording.qpos) * recording.dt
+    text = f"replay         {out}\noutcome        {recording.outcome} after {seconds:.1f} s"
+    return CommandResult(text, {"replay": str(out), "outcome": recording.outcome, "seconds": seconds, "seed": seed})

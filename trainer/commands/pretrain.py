@@ -1,0 +1,44 @@
+"""`realsim pretrain`: a base policy."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from realsim.commands import CommandResult
+from realsim.files import to_json, write_text
+from trainer.commands import common
+from trainer.commands.task_file import load_task
+from trainer.terrain import grid
+from trainer.trainers import Scene, TrainConfig, find
+
+CURRICULUM_ROWS = 10
+
+
+def pretrain(
+    config: TrainConfig,
+    out: Path = Path("pretrained"),
+    terrain: str = "grid",
+    trainer: str = "ppo",
+    task_file: Path | None = None,
+) -> CommandResult:
+    """Train a base policy on generated terrain, from scratch.
+
+    Args:
+        out: gets policy.pt, policy.onnx, history.jsonl, result.json and TensorBoard's events.
+        terrain: `grid` is the curriculum of 20 columns and 10 rows; else one terrain: flat, a test's name, or
+            FAMILY:DIFFICULTY:SEED.
+        trainer: ppo, rsl_rl, mjlab, or one that an installed package adds.
+        task_file: JSON with what differs from the paper's task.
+    """
+    config = replace(config, task=load_task(task_file))
+    if terrain == "grid":
+        scene = Scene(tuple(grid(config.seed)), rows=CURRICULUM_ROWS)
+    else:
+        scene = common.find_scene([terrain])
+    result = find(trainer)(scene, None, config, out)
+    if not common.first_rank():
+        return CommandResult("")
+    data = {"result": asdict(result), "terrain": terrain, "target": config.loop.target}
+    write_text(out / "result.json", to_json(data))
+    return CommandResult("\n".join(common.result_lines(result, config.loop.target)), data)

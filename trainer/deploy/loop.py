@@ -1,0 +1,148 @@
+"""The loop on the robot: read, think, write, every 20 ms, and stop rather than do something wild."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trainer.deploy.observer import Observer
+from trainer.deploy.robot import Robot
+from trainer.errors import TrainerError
+from trainer.ppo.export import Deployment
+
+
+@dataclass(frozen=True)
+class DeployConfig:
+    """How the loop runs."""
+
+    seconds: float = 10.0
+    """Longest run."""
+    speed: float = 0.8
+    """Forward velocity command, m/s."""
+    ramp: float = 0.0
+    """Seconds over which the command rises from zero."""
+    max_tilt: float = 1.0
+    """Radians from upright at which the loop gives up."""
+    max_step: float = 3.0
+    """Radians that a joint target may be away from the joint: beyond, it is clipped."""
+    max_late: int = 5
+    """Steps in a row that may miss their time before the loop gives up."""
+    realtime: bool = True
+    """Keep to the clock; without, a simulated robot runs as fast as it can."""
+
+    def __post_init__(self) -> None:
+        if self.seconds <= 0 or self.ramp < 0 or self.max_tilt <= 0 or self.max_step <= 0 or self.max_late < 1:
+            raise TrainerError("seconds, tilt, step and late steps must be positive", found=str(self))
+
+
+@dataclass
+class Report:
+    """What happened."""
+
+    reason: str = "done"
+    """Why it ended: done, tilted, late, or what was refused."""
+    steps: int = 0
+    late: int = 0
+    """Steps whose action came after the next was due."""
+    clipped: int = 0
+    """Joint targets that were too far away."""
+    inference_s: list[float] = field(default_factory=list)
+    """The network alone, a step."""
+    latency_s: list[float] = field(default_factory=list)
+    """From the reading to the written targets, a step."""
+
+    def figures(self) -> dict[str, Any]:
+        """Milliseconds at the median and the 99th percentile, and the longest."""
+
+        def ms(values: list[float]) -> dict[str, float]:
+            v = np.asarray(values or [math.nan]) * 1e3
+            return {"p50": float(np.median(v)), "p99": float(np.percentile(v, 99)), "max": float(v.max())}
+
+        return {
+            "reason": self.reason,
+            "steps": self.steps,
+            "late": self.late,
+            "clipped": self.clipped,
+            "inference_ms": ms(self.inference_s),
+            "latency_ms": ms(self.latency_s),
+        }
+
+
+def deploy(
+    robot: Robot,
+    session: Any,
+    facts: Deployment,
+    config: DeployConfig,
+    *,
+    until: Callable[[], bool] | None = None,
+    clock: Callable[[], float] = time.perf_counter,
+    sleep: Callable[[float], None] = time.sleep,
+) -> Report:
+    """Drive a robot by a policy until the time is over or something is wrong; the robot is stopped in any case.
+
+    Args:
+        robot: see `Robot`.
+        session: the policy, (session, facts) of `trainer.ppo.export.load`.
+        facts: its metadata.
+        config: see `DeployConfig`.
+        until: asked every step; true ends the run.
+        clock, sleep: seconds; for tests.
+    """
+    observe = Observer(facts)
+    scale, default = np.asarray(facts.action_scale), np.asarray(facts.default)
+    action = np.zeros(len(default), np.float32)
+    report = Report()
+    session.run(None, _warm_up(facts))  # the first call allocates: not while the robot waits
+    robot.start(np.asarray(facts.kp), np.asarray(facts.kd))
+    try:
+        began = due = clock()
+        late = 0
+        while report.steps * facts.policy_dt < config.seconds and not (until is not None and until()):
+            started = clock()
+            reading = robot.read()
+            if -reading.gravity[2] < math.cos(config.max_tilt):
+                report.reason = "tilted"
+                break
+            inputs = observe(reading, _command(config, report.steps * facts.policy_dt), action)
+            thought = clock()
+            action = session.run(None, inputs)[0][0]
+            report.inference_s.append(clock() - thought)
+            if not np.isfinite(action).all():
+                report.reason = "the policy's action is not a number"
+                break
+            wanted = default + scale * action
+            targets = np.clip(wanted, reading.joint_pos - config.max_step, reading.joint_pos + config.max_step)
+            report.clipped += int((targets != wanted).sum())
+            robot.write(targets)
+            report.latency_s.append(clock() - started)
+            report.steps += 1
+            due = began + report.steps * facts.policy_dt
+            missed = config.realtime and clock() > due
+            late = late + 1 if missed else 0
+            report.late += missed
+            if late >= config.max_late:
+                report.reason = "late"
+                break
+            if config.realtime:
+                sleep(max(0.0, due - clock()))
+    finally:
+        robot.stop()
+    return report
+
+
+def _command(config: DeployConfig, seconds: float) -> NDArray[np.float64]:
+    share = min(1.0, seconds / config.ramp) if config.ramp else 1.0
+    return np.array([config.speed * share, 0.0, 0.0])
+
+
+def _warm_up(facts: Deployment) -> dict[str, NDArray[np.float32]]:
+    inputs = {"vector": np.zeros((1, facts.layout.actor_width), np.float32)}
+    if facts.layout.depth is not None:
+        inputs["depth"] = np.ones((1, *facts.layout.depth), np.float32)
+    return inputs

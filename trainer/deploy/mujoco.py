@@ -1,0 +1,92 @@
+"""MuJoCo in the loop: the simulated robot behind the interface of a real one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from trainer.deploy.robot import F64, Reading
+from trainer.errors import TrainerError
+from trainer.physics import ENGINES, PhysicsConfig
+from trainer.rays import caster
+from trainer.robots import TrainedRobot
+from trainer.tasks.parkour.config import DepthConfig
+from trainer.tasks.parkour.depth import rays
+from trainer.tasks.rotations import multiply, rotate, rotate_back
+from trainer.terrain import Terrain
+
+
+class MujocoRobot:
+    """One simulated robot on a terrain. Simulated time passes with `write`: one policy step each.
+
+    Args:
+        robot: its figures.
+        terrain: where it stands, on the start platform.
+        depth: whether the camera is read.
+        far: metres beyond which the camera sees nothing.
+    """
+
+    def __init__(self, robot: TrainedRobot, terrain: Terrain, *, depth: bool = True, far: float = 5.0) -> None:
+        self.robot, self.terrain, self.far = robot, terrain, far
+        self.physics = ENGINES["mujoco"](robot, [terrain], 1, PhysicsConfig(threads=1))
+        self.policy_dt = self.physics.policy_dt
+        self.eye = caster("embree", [terrain], "cpu") if depth and robot.camera is not None else None
+        ground = terrain.start.centre
+        base = torch.tensor([[ground[0], ground[1], ground[2] + robot.standing_height]], dtype=torch.float32)
+        pose = torch.tensor(robot.default, dtype=torch.float32)[None]
+        here = torch.zeros(1, dtype=torch.long)
+        self.physics.reset(here, base, torch.tensor([[1.0, 0, 0, 0]]), pose, here)
+        self.stopped = True
+
+    def start(self, kp: F64, kd: F64) -> None:
+        """See `Robot.start`. The simulated servos have the gains of the table: others are refused."""
+        for name, given, own in (("kp", kp, self.robot.kp), ("kd", kd, self.robot.kd)):
+            if not np.allclose(given, own, rtol=1e-6):
+                raise TrainerError(
+                    f"the policy was trained with another {name}", expected=f"{own.tolist()}", found=f"{given.tolist()}"
+                )
+        self.stopped = False
+
+    def read(self) -> Reading:
+        """See `Robot.read`: the exact state, no noise."""
+        s = self.physics.state
+        down = rotate_back(s.base_quat, torch.tensor([0.0, 0.0, -1.0]))
+        first = [t[0].double().numpy() for t in (s.base_ang_vel, down, s.joint_pos, s.joint_vel)]
+        return Reading(first[0], first[1], first[2], first[3], self._depth())
+
+    def write(self, targets: F64) -> None:
+        """See `Robot.write`; advances the simulation by a policy step."""
+        if self.stopped:
+            raise TrainerError("the robot has not been started", hint="call start before write")
+        self.physics.step(torch.as_tensor(targets, dtype=torch.float32)[None])
+
+    def stop(self) -> None:
+        """See `Robot.stop`."""
+        self.stopped = True
+
+    @property
+    def position(self) -> F64:
+        """(3,) m of the base in the terrain's frame; what no sensor of a real robot tells."""
+        return self.physics.state.base_pos[0].double().numpy()
+
+    def _depth(self) -> F64 | None:
+        mount, s = self.robot.camera, self.physics.state
+        if self.eye is None or mount is None:
+            return None
+        directions = torch.as_tensor(rays(mount), dtype=torch.float32)
+        quat = multiply(s.camera_quat, torch.as_tensor(mount.quat, dtype=torch.float32)[None])
+        origin = s.camera_pos + rotate(s.camera_quat, torch.as_tensor(mount.pos, dtype=torch.float32)[None])
+        turned = rotate(quat[:, None], directions)
+        reach = self.far / float(directions[:, 0].min())
+        along = self.eye.cast(
+            origin[:, None].expand_as(turned).contiguous(), turned, torch.zeros(1, dtype=torch.long), reach
+        )
+        width, height = mount.crop
+        return (along[0] * directions[:, 0]).view(height, width).double().numpy()
+
+
+def quiet(config: DepthConfig) -> DepthConfig:
+    """The depth camera as `MujocoRobot` has it: on its mount, on time, without noise."""
+    return replace(config, noise=0.0, dropout=0.0, latency=(0, 0), mount_position=0.0, mount_rotation=0.0)

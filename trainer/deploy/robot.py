@@ -1,0 +1,44 @@
+"""What a robot must be able to do to be driven by a policy: be read, be told joint targets, be stopped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Sensors at one moment. Joints in the order of the policy's layout."""
+
+    ang_vel: F64
+    """(3,) rad/s of the base, base axes (x forward, y left, z up): the gyroscope."""
+    gravity: F64
+    """(3,) unit vector down in base axes: from the inertial unit's orientation."""
+    joint_pos: F64
+    """(J,) rad."""
+    joint_vel: F64
+    """(J,) rad/s."""
+    depth: F64 | None = None
+    """(H, W) metres along the optical axis, cropped as the policy sees it (`trainer.tasks.parkour.depth.crop`); 0 or
+    not finite where nothing was measured. None without a camera."""
+
+
+class Robot(Protocol):
+    """One robot. Its joint servos run by themselves: torque = kp (target - q) - kd dq."""
+
+    def start(self, kp: F64, kd: F64) -> None:
+        """Take over with these gains (J,) and hold the present pose."""
+
+    def read(self) -> Reading:
+        """The newest sensor values, without waiting for others."""
+
+    def write(self, targets: F64) -> None:
+        """Joint targets (J,) in rad, held until the next call."""
+
+    def stop(self) -> None:
+        """Give the robot back in a safe state (damping). Called at the end whatever happened."""

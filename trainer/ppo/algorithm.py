@@ -1,0 +1,158 @@
+"""Clipped PPO (Schulman et al. 2017) from built parts: a policy, a critic, an optimiser, a rollout."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from trainer.ppo import gaussian
+from trainer.ppo.config import PPOConfig
+from trainer.ppo.distributed import all_mean, all_sum, average_gradients
+from trainer.ppo.networks import Critic
+from trainer.ppo.storage import Batch, Rollout
+from trainer.tasks import Observation
+
+Loss = Callable[[nn.Module, Batch], Tensor]
+"""A further loss () of policy and batch, such as that of symmetry."""
+
+
+@dataclass
+class Action:
+    """What the policy does at a step."""
+
+    sample: Tensor
+    mean: Tensor
+    log_prob: Tensor
+
+
+class PPO:
+    """Acts, and improves the policy from what came of it.
+
+    Args:
+        policy: mean action of (vector, depth), with `log_std`; only parameters that require a gradient are changed.
+        critic: value of an observation.
+        config: see `PPOConfig`.
+        extra: further losses by name, each with its weight.
+
+    Nothing here waits for the GPU: the learning rate lives on the device, statistics are read once an iteration.
+    """
+
+    def __init__(
+        self,
+        policy: nn.Module,
+        critic: Critic,
+        config: PPOConfig,
+        extra: Mapping[str, tuple[float, Loss]] | None = None,
+    ) -> None:
+        self.policy, self.critic, self.config = policy, critic, config
+        self.extra = dict(extra or {})
+        self.actor_parameters = [p for p in policy.parameters() if p.requires_grad]
+        self.critic_parameters = list(critic.parameters())
+        device = self.critic_parameters[0].device
+        self.learning_rate = torch.tensor(config.learning_rate, device=device)
+        self.optimiser = torch.optim.Adam(
+            [*self.actor_parameters, *self.critic_parameters], lr=self.learning_rate, fused=True
+        )
+
+    @property
+    def log_std(self) -> Tensor:
+        return gaussian.bounded(self.policy.log_std)  # type: ignore[arg-type]
+
+    @torch.no_grad()
+    def act(self, observation: Observation, generator: torch.Generator) -> Action:
+        """Sample actions (N, J)."""
+        mean, log_std = self.policy(observation.actor, observation.depth), self.log_std
+        action = gaussian.sample(mean, log_std, generator)
+        return Action(action, mean, gaussian.log_prob(action, mean, log_std))
+
+    @torch.no_grad()
+    def finish(self, rollout: Rollout, last: Observation) -> None:
+        """Returns and advantages of a full rollout; advantages are normalised over all samples of all ranks."""
+        rollout.log_std.copy_(self.log_std)
+        rollout.finish(self.critic.of(last), self.config.gamma, self.config.lam)
+        a = rollout.advantage
+        mean = all_mean(a.mean())
+        n = all_sum(torch.tensor(float(a.numel()), device=a.device))
+        variance = all_sum((a - mean).square().sum()) / (n - 1)
+        rollout.advantage = (a - mean) / (variance.sqrt() + 1e-8)
+
+    def update(self, rollout: Rollout, generator: torch.Generator) -> dict[str, Tensor]:
+        """All epochs over a finished rollout; the mean of every loss, on the device."""
+        totals: dict[str, Tensor] = {}
+        c = self.config
+        for _ in range(c.epochs):
+            for batch in rollout.batches(c.minibatches, generator):
+                losses = self._gradients(batch)
+                average_gradients([*self.actor_parameters, *self.critic_parameters])
+                nn.utils.clip_grad_norm_(self.actor_parameters, c.max_gradient)
+                nn.utils.clip_grad_norm_(self.critic_parameters, c.max_gradient)
+                self.optimiser.step()
+                for name, value in losses.items():
+                    totals[name] = totals.get(name, 0) + value / (c.epochs * c.minibatches)
+        # After the update, not before: the policy must be measured against what it was when it acted.
+        for network, seen in ((self.policy, rollout.actor), (self.critic, rollout.critic)):
+            network.normaliser.update(seen)  # type: ignore[union-attr,operator]
+        return {**totals, "learning_rate": self.learning_rate.clone(), "std": self.log_std.detach().exp().mean()}
+
+    def _gradients(self, batch: Batch) -> dict[str, Tensor]:
+        c = self.config
+        with torch.autocast(batch.action.device.type, torch.bfloat16, enabled=c.bfloat16):
+            mean = self.policy(batch.observation.actor, batch.observation.depth)
+            value = self.critic.of(batch.observation)
+        mean, value, log_std = mean.float(), value.float(), self.log_std
+        kl = all_mean(gaussian.divergence(batch.mean, batch.log_std, mean.detach(), log_std.detach()).mean())
+        if c.schedule == "adaptive":
+            self._adapt(kl)
+        ratio = torch.exp(gaussian.log_prob(batch.action, mean, log_std) - batch.log_prob)
+        policy_loss = surrogate(ratio, batch.advantage, c.clip)
+        value_loss = clipped_value_loss(value, batch.value, batch.returns, c.clip)
+        entropy = gaussian.entropy(log_std)
+        loss = policy_loss + c.value_weight * value_loss - c.entropy_weight * entropy
+        losses = {"policy_loss": policy_loss, "value_loss": value_loss, "entropy": entropy, "kl": kl}
+        for name, (weight, extra) in self.extra.items():
+            losses[name] = extra(self.policy, batch)
+            loss = loss + weight * losses[name]
+        self.optimiser.zero_grad()
+        loss.backward()
+        return {name: value.detach() for name, value in losses.items()}
+
+    def _adapt(self, kl: Tensor) -> None:
+        """Learning rate after the KL divergence of the last gradient step, without waiting for the device."""
+        low, high = self.config.learning_rates
+        rate, desired = self.learning_rate, self.config.desired_kl
+        slower = torch.where(kl > 2 * desired, (rate / 1.5).clamp(min=low), rate)
+        faster = (kl < desired / 2) & (kl > 0)
+        rate.copy_(torch.where(faster, (rate * 1.5).clamp(max=high), slower))
+
+    def state_dict(self) -> dict[str, object]:
+        """The optimiser with its learning rate."""
+        return {"adam": self.optimiser.state_dict(), "learning_rate": float(self.learning_rate)}
+
+    def load_state_dict(self, state: Mapping[str, object]) -> None:
+        """The inverse."""
+        self.optimiser.load_state_dict(state["adam"])  # type: ignore[arg-type]
+        self.learning_rate.fill_(state["learning_rate"])  # type: ignore[call-overload]
+        for group in self.optimiser.param_groups:  # loading has put a copy there; the schedule moves ours
+            group["lr"] = self.learning_rate
+
+
+def surrogate(ratio: Tensor, advantage: Tensor, clip: float) -> Tensor:
+    """The clipped surrogate objective, to be made small."""
+    return torch.max(-advantage * ratio, -advantage * ratio.clamp(1 - clip, 1 + clip)).mean()
+
+
+def clipped_value_loss(value: Tensor, old: Tensor, returns: Tensor, clip: float) -> Tensor:
+    """Squared error of the value, whose change is clipped as the ratio's is."""
+    near = old + (value - old).clamp(-clip, clip)
+    return torch.max((value - returns).square(), (near - returns).square()).mean()
+
+
+def bootstrap(reward: Tensor, final_value: Tensor, truncated: Tensor, gamma: float) -> Tensor:
+    """Rewards (N,) where time that ran out is not taken for an end: the value of the true last observation is added.
+
+    Rows of `final_value` that were not truncated may hold anything, not-a-number included.
+    """
+    return torch.where(truncated, reward + gamma * final_value, reward)

@@ -1,0 +1,134 @@
+"""Checkpoints: written whole or not at all, read without unpickling code, refused with a reason."""
+
+from __future__ import annotations
+
+import io
+import pickle
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+import torch
+
+from realsim.files import check_size, write_bytes
+from trainer.errors import TrainerError
+from trainer.ppo import policy as policies
+from trainer.ppo.config import NetworkConfig, StrategyConfig
+from trainer.ppo.policy import Policy
+from trainer.tasks import ObservationLayout
+
+FORMAT, VERSION = "realsim-policy", 1
+MAX_BYTES = 2 * 2**30
+T = TypeVar("T")
+
+
+def save(path: Path, policy: Policy, training: Mapping[str, Any] | None = None) -> None:
+    """Write a policy, with the state of its training if it is to be resumed.
+
+    Args:
+        path: the .pt file; replaced only when the new one is complete.
+        policy: what it sees and what it has learnt.
+        training: tensors and plain values only; see `trainer.ppo.runner`.
+    """
+    data = {
+        "format": FORMAT,
+        "version": VERSION,
+        "robot": policy.robot,
+        "layout": asdict(policy.layout),
+        "networks": asdict(policy.networks),
+        "tuned": [(name, asdict(config)) for name, config in policy.tuned],
+        "actor": policy.actor.state_dict(),
+        "critic": policy.critic.state_dict(),
+        "training": None if training is None else dict(training),
+    }
+    buffer = io.BytesIO()
+    torch.save(data, buffer)
+    write_bytes(path, buffer.getvalue())
+
+
+def load(path: Path, device: str | torch.device = "cpu") -> tuple[Policy, dict[str, Any] | None]:
+    """The policy of a checkpoint and, if it has one, the state of its training.
+
+    Raises:
+        TrainerError: missing, cut off, not a checkpoint, of another version, or not what its header says.
+    """
+    data = read(path)
+    try:
+        layout = _layout(data["layout"])
+        networks = _config(NetworkConfig, data["networks"])
+        policy = policies.new(layout, networks, str(data["robot"]), 0)
+        for name, config in data["tuned"]:
+            policy = policies.fine_tune(policy, str(name), _config(StrategyConfig, config))
+        policy.actor.load_state_dict(data["actor"])
+        policy.critic.load_state_dict(data["critic"])
+    except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+        raise TrainerError(
+            "the checkpoint's contents do not fit together",
+            file=path,
+            found=f"{type(error).__name__}: {_line(error)}",
+            hint="it was edited, or written by a changed version of the networks",
+        ) from error
+    return policy.to(torch.device(device)), data["training"]
+
+
+def read(path: Path) -> dict[str, Any]:
+    """The dictionary of a checkpoint, on the CPU, after its format and version were checked."""
+    check_size(path, MAX_BYTES)
+    try:
+        data = torch.load(path, map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError as error:
+        raise TrainerError(
+            "not a policy checkpoint",
+            file=path,
+            expected="tensors and plain values (it is read without running code)",
+            found=_line(error),
+        ) from error
+    except (RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
+        raise TrainerError(
+            "the checkpoint cannot be read: it is cut off or damaged",
+            file=path,
+            expected="a complete .pt file",
+            found=f"{path.stat().st_size} bytes; {_line(error)}",
+            hint="copy it again, or use the checkpoint before it",
+        ) from error
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise TrainerError(
+            "not a policy checkpoint of realsim", file=path, expected=f"format {FORMAT}", found=_brief(data)
+        )
+    if data.get("version") != VERSION:
+        raise TrainerError(
+            "the checkpoint is of another version",
+            file=path,
+            expected=f"version {VERSION}",
+            found=f"version {data.get('version')}",
+            hint="use the release that wrote it, or train anew",
+        )
+    return data
+
+
+def _layout(data: Mapping[str, Any]) -> ObservationLayout:
+    depth = data["depth"]
+    return ObservationLayout(
+        actor=tuple((str(name), int(width)) for name, width in data["actor"]),
+        critic=tuple((str(name), int(width)) for name, width in data["critic"]),
+        depth=None if depth is None else tuple(int(n) for n in depth),  # type: ignore[arg-type]
+        actions=tuple(map(str, data["actions"])),
+        depth_stride=int(data["depth_stride"]),
+    )
+
+
+def _config(kind: type[T], data: Mapping[str, Any]) -> T:
+    known = {f.name for f in fields(kind)}  # type: ignore[arg-type]
+    if set(data) != known:
+        raise KeyError(f"{kind.__name__} has {sorted(known)}, the file {sorted(data)}")
+    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in data.items()})
+
+
+def _line(error: BaseException) -> str:
+    """The first line of what another library says."""
+    return str(error).partition("\n")[0] or type(error).__name__
+
+
+def _brief(data: Any) -> str:
+    return f"keys {', '.join(map(str, list(data)[:6]))}" if isinstance(data, dict) else type(data).__name__

@@ -1,0 +1,103 @@
+"""What a learner can be told. Every field is a command line option, its docstring the help."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from trainer.errors import TrainerError
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Sizes of the networks. Part of a checkpoint: a policy is rebuilt from it."""
+
+    channels: tuple[int, ...] = (16, 32)
+    """Output channels of the depth encoder's convolutions; each halves the image."""
+    latent: int = 64
+    """Width of the depth latent."""
+    actor: tuple[int, ...] = (512, 256, 128)
+    """Hidden layers of the actor."""
+    critic: tuple[int, ...] = (512, 256, 128)
+    """Hidden layers of the critic."""
+    critic_depth: bool = True
+    """Whether the critic sees depth through an encoder of its own, beside its privileged state."""
+    std: float = 1.0
+    """Standard deviation of the actions at the start."""
+
+    def __post_init__(self) -> None:
+        sizes = (*self.channels, self.latent, *self.actor, *self.critic)
+        if min(sizes) < 1 or not self.actor or not self.critic or self.std <= 0:
+            raise TrainerError("networks need positive layer sizes and a positive std", found=str(self))
+
+
+@dataclass(frozen=True)
+class StrategyConfig:
+    """What fine-tuning may change."""
+
+    adapter_width: int = 16
+    """Bottleneck of an adapter."""
+    residual_hidden: tuple[int, ...] = (128, 64)
+    """Hidden layers of the residual network."""
+    start_std: float | None = None
+    """Exploration noise at the start of fine-tuning; the base's own if not given."""
+
+
+@dataclass(frozen=True)
+class AmpConfig:
+    """Adversarial motion prior: a discriminator that prefers reference motion."""
+
+    amp: bool = False
+    """Add the style reward."""
+    amp_weight: float = 0.25
+    """Weight of the style reward (the paper's table), times the policy step like every term."""
+    amp_hidden: tuple[int, ...] = (256, 128)
+    """Hidden layers of the discriminator."""
+    amp_learning_rate: float = 1e-4
+    """Learning rate of the discriminator."""
+    amp_gradient_penalty: float = 10.0
+    """Weight of the squared gradient norm on reference motion."""
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """Proximal policy optimisation (Schulman et al. 2017), with the values usual for legged robots."""
+
+    steps: int = 24
+    """Policy steps of every world an iteration."""
+    epochs: int = 5
+    """Passes over the samples of an iteration."""
+    minibatches: int = 4
+    """Gradient steps a pass."""
+    clip: float = 0.2
+    """Clipping of the probability ratio, and of the value's change."""
+    gamma: float = 0.99
+    """Discount a policy step."""
+    lam: float = 0.95
+    """Lambda of the generalised advantage estimate."""
+    value_weight: float = 1.0
+    """Weight of the value loss."""
+    entropy_weight: float = 0.005
+    """Weight of the entropy bonus."""
+    learning_rate: float = 1e-3
+    """Learning rate at the start."""
+    schedule: Literal["adaptive", "fixed"] = "adaptive"
+    """Whether the learning rate follows the KL divergence between the policies before and after."""
+    desired_kl: float = 0.01
+    """Above twice this the learning rate falls by a third, below half of it it rises by a half."""
+    learning_rates: tuple[float, float] = (1e-5, 1e-2)
+    """Bounds of the adaptive learning rate."""
+    max_gradient: float = 1.0
+    """Gradient norms above this are scaled down, of policy and critic each on its own."""
+    symmetry_weight: float = 0.0
+    """Weight of the left-right symmetry loss; 0 is off."""
+    bfloat16: bool = False
+    """Run the networks of the update in bfloat16 (GPU)."""
+    networks: NetworkConfig = field(default_factory=NetworkConfig)
+    prior: AmpConfig = field(default_factory=AmpConfig)
+
+    def __post_init__(self) -> None:
+        if min(self.steps, self.epochs, self.minibatches) < 1:
+            raise TrainerError("steps, epochs and minibatches must be at least 1", found=str(self))
+        if not (0 < self.gamma <= 1 and 0 <= self.lam <= 1 and self.clip > 0 and self.learning_rate > 0):
+            raise TrainerError("gamma, lam, clip or learning rate out of range", found=str(self))

@@ -1,0 +1,199 @@
+"""A policy as ONNX: one file that a robot can run, with all that it must know about it in the metadata."""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import os
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from realsim.errors import MissingExtraError
+from realsim.files import check_size, read_bytes, write_bytes
+from trainer.errors import TrainerError
+from trainer.ppo.policy import Policy
+from trainer.robots import TrainedRobot
+from trainer.tasks import ObservationLayout
+
+KEY, VERSION = "realsim", 1
+TOLERANCE = 1e-5
+"""Largest difference between torch and the runtime that an export may have, of actions of order one."""
+
+
+@dataclass(frozen=True)
+class Deployment:
+    """What stands in the metadata: how to make the inputs, and what to do with the output."""
+
+    layout: ObservationLayout
+    robot: str
+    policy_dt: float
+    """Seconds between two actions."""
+    default: tuple[float, ...]
+    """(J,) rad: target = default + action_scale * action."""
+    action_scale: tuple[float, ...]
+    kp: tuple[float, ...]
+    """(J,) N m/rad."""
+    kd: tuple[float, ...]
+    """(J,) N m s/rad."""
+    depth_near: float = 0.0
+    """Metres along the optical axis that become 0."""
+    depth_far: float = 0.0
+    """Metres that become 1; no measurement is 1 too."""
+    tuned: tuple[str, ...] = ()
+    """Strategies by which it was fine-tuned."""
+
+
+def deployment(
+    policy: Policy, robot: TrainedRobot, policy_dt: float, depth_range: tuple[float, float] = (0.0, 0.0)
+) -> Deployment:
+    """The metadata of a policy."""
+
+    def numbers(x: np.ndarray) -> tuple[float, ...]:
+        return tuple(map(float, x))
+
+    return Deployment(
+        policy.layout,
+        policy.robot,
+        policy_dt,
+        default=numbers(robot.default),
+        action_scale=numbers(robot.action_scale),
+        kp=numbers(robot.kp),
+        kd=numbers(robot.kd),
+        depth_near=depth_range[0],
+        depth_far=depth_range[1],
+        tuned=tuple(name for name, _ in policy.tuned),
+    )
+
+
+def export(path: Path, policy: Policy, facts: Deployment, checks: int = 64) -> float:
+    """Write `path` after the runtime has given what torch gives; the largest difference seen.
+
+    Inputs are `vector` (N, A) and, with a camera, `depth` (N, M, H, W); the output is `action` (N, J), the mean.
+
+    Raises:
+        TrainerError: the exported network computes something else; nothing is written.
+        MissingExtraError: onnx or onnxscript is not installed.
+    """
+    actor = policy.actor.to("cpu").eval()
+    vector, depth = _examples(policy.layout, checks)
+    data = _annotate(_onnx(actor, vector, depth), facts)
+    with torch.no_grad():
+        expected = actor(vector, depth).numpy()
+    inputs = {name: value.numpy() for name, value in (("vector", vector), ("depth", depth)) if value is not None}
+    (found,) = session(data).run(None, inputs)
+    error = float(np.abs(found - expected).max() / max(1.0, float(np.abs(expected).max())))
+    if not error <= TOLERANCE:
+        raise TrainerError(
+            "the exported policy does not compute what the trained one does",
+            file=path,
+            expected=f"a difference of at most {TOLERANCE:g}",
+            found=f"{error:g}",
+        )
+    write_bytes(path, data)
+    return error
+
+
+def load(path: Path) -> tuple[Any, Deployment]:
+    """(onnxruntime session, metadata) of an exported policy.
+
+    Raises:
+        TrainerError: not ONNX, cut off, not exported by `export`, or of another version.
+    """
+    check_size(path)
+    try:
+        runtime = session(read_bytes(path))
+        meta = runtime.get_modelmeta().custom_metadata_map
+    except Exception as error:  # onnxruntime's own exception classes share no base but this
+        raise TrainerError(
+            "the policy cannot be read: not ONNX, or cut off", file=path, found=str(error).partition("\n")[0]
+        ) from error
+    if KEY not in meta:
+        raise TrainerError(
+            "the ONNX file says nothing about its observations",
+            file=path,
+            expected=f"metadata {KEY!r}, as `realsim finetune` writes it",
+            found=f"metadata {sorted(meta)}",
+        )
+    facts = json.loads(meta[KEY])
+    if facts.pop("version", None) != VERSION:
+        raise TrainerError("the ONNX policy is of another version", file=path, expected=f"version {VERSION}")
+    o = facts.pop("layout")
+    layout = ObservationLayout(
+        actor=tuple((name, width) for name, width in o["actor"]),
+        critic=tuple((name, width) for name, width in o["critic"]),
+        depth=None if o["depth"] is None else tuple(o["depth"]),
+        actions=tuple(o["actions"]),
+        depth_stride=o["depth_stride"],
+    )
+    rest: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in facts.items()}
+    return runtime, Deployment(layout, **rest)
+
+
+def session(data: bytes) -> Any:
+    """An onnxruntime session on the CPU, one thread: a policy is too small for more."""
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+
+
+def _examples(layout: ObservationLayout, rows: int) -> tuple[torch.Tensor, torch.Tensor | None]:
+    rng = torch.Generator().manual_seed(0)
+    vector = torch.randn(rows, layout.actor_width, generator=rng)
+    return vector, None if layout.depth is None else torch.rand(rows, *layout.depth, generator=rng)
+
+
+def _onnx(actor: torch.nn.Module, vector: torch.Tensor, depth: torch.Tensor | None) -> bytes:
+    try:
+        import onnx  # noqa: F401
+        import onnxscript  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError(str(error.name), "train", "exporting a policy to ONNX") from error
+    rows = {0: torch.export.Dim("batch")}
+    buffer = io.BytesIO()
+    with warnings.catch_warnings(), _quiet("torch.onnx"):
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            actor,
+            (vector, depth),
+            buffer,  # type: ignore[arg-type]  # it takes any file, whatever its annotation says
+            input_names=["vector"] if depth is None else ["vector", "depth"],
+            output_names=["action"],
+            dynamic_shapes={"vector": rows, "depth": None if depth is None else rows},
+            dynamo=True,
+            external_data=False,
+            verbose=False,
+        )
+    return buffer.getvalue()
+
+
+@contextmanager
+def _quiet(logger: str) -> Iterator[None]:
+    """Without the warnings of a logger (the exporter's, about packages that no policy needs)."""
+    log = logging.getLogger(logger)
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
+
+
+def _annotate(data: bytes, facts: Deployment) -> bytes:
+    import onnx
+
+    model = onnx.load_model_from_string(data)
+    entry = model.metadata_props.add()
+    entry.key, entry.value = KEY, json.dumps({"version": VERSION, **asdict(facts)})
+    return model.SerializeToString()

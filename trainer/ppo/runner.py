@@ -1,0 +1,192 @@
+"""One iteration of training: collect, improve, report. And all that it takes to go on from a checkpoint exactly."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from trainer.errors import TrainerError
+from trainer.ppo.algorithm import PPO, Loss, bootstrap
+from trainer.ppo.amp import StylePrior
+from trainer.ppo.config import PPOConfig
+from trainer.ppo.distributed import Rank, all_mean, broadcast, gather
+from trainer.ppo.policy import Policy, check_layout
+from trainer.ppo.storage import Rollout
+from trainer.tasks import Observation, VecEnv
+
+
+class Runner:
+    """Trains a policy in an environment, an iteration at a time.
+
+    Args:
+        env: this rank's worlds.
+        policy: trained in place.
+        config: see `PPOConfig`.
+        rank: which of the processes this is.
+        seed: of the action noise and the shuffling; each rank draws its own.
+        prior: the style prior, if motion is to look like a reference.
+        extra: further losses by name, each with its weight.
+    """
+
+    def __init__(
+        self,
+        env: VecEnv,
+        policy: Policy,
+        config: PPOConfig,
+        *,
+        rank: Rank,
+        seed: int = 0,
+        prior: StylePrior | None = None,
+        extra: Mapping[str, tuple[float, Loss]] | None = None,
+    ) -> None:
+        check_layout(policy.layout, env.layout)
+        self.env, self.policy, self.config, self.rank, self.prior = env, policy.to(rank.device), config, rank, prior
+        if rank.device.type == "cuda":
+            torch.set_float32_matmul_precision("high")  # TF32: the noise of PPO is far above its rounding
+            torch.backends.cudnn.benchmark = True  # the same few shapes over and over
+        broadcast(policy.actor, policy.critic, None if prior is None else prior.layers)
+        self.ppo = PPO(policy.actor, policy.critic, config, extra)
+        self.rollout = Rollout(config.steps, env.num_worlds, env.layout, rank.device)
+        self.rng = torch.Generator(rank.device).manual_seed(seed * 1009 + rank.index)
+        self.iteration = 0
+        self.samples = 0
+        self.observation: Observation | None = None
+        self.episodes = _Episodes(env.num_worlds, rank.device)
+
+    def begin(self) -> None:
+        """Start all worlds anew. At the start, and after every checkpoint, so that going on from it is exact."""
+        self.observation = self.env.reset()
+        self.rollout.restart()
+        self.episodes = _Episodes(self.env.num_worlds, self.rank.device)
+
+    def iterate(self) -> dict[str, float]:
+        """One iteration; its losses, the environment's log, mean reward, episode figures and seconds."""
+        if self.observation is None:
+            self.begin()
+        began = time.perf_counter()
+        log = self._collect()
+        self._wait()
+        collected = time.perf_counter()
+        losses = self.ppo.update(self.rollout, self.rng)
+        if self.prior is not None:
+            losses |= self.prior.update(self.rng)
+        self.rollout.carry()
+        result = _read({**losses, **log, **self.episodes.take()})
+        ended = time.perf_counter()
+        self.iteration += 1
+        self.samples += self.config.steps * self.env.num_worlds * self.rank.count
+        for name in ("policy_loss", "value_loss"):
+            if not result[name] == result[name] or abs(result[name]) == float("inf"):
+                raise TrainerError(
+                    f"training diverged in iteration {self.iteration}: {name} is {result[name]}",
+                    hint="go on from the last checkpoint with a smaller --learning-rate",
+                )
+        result["collect_s"], result["update_s"] = collected - began, ended - collected
+        return result
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything but the networks. To be taken on all ranks at once; the same on all."""
+        here = {"env": self.env.state_dict(), "rng": self.rng.get_state(), "torch": torch.get_rng_state()}
+        return {
+            "iteration": self.iteration,
+            "samples": self.samples,
+            "ppo": self.ppo.state_dict(),
+            "prior": None if self.prior is None else self.prior.state_dict(),
+            "ranks": gather(here),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> list[str]:
+        """Go on from there; what is not exact is said in the returned notes.
+
+        With another number of ranks, rank r takes the curriculum of rank r modulo the old number, and draws new noise.
+        """
+        notes: list[str] = []
+        self.iteration, self.samples = int(state["iteration"]), int(state["samples"])
+        self.ppo.load_state_dict(state["ppo"])
+        if self.prior is not None and state["prior"] is not None:
+            self.prior.load_state_dict(state["prior"])
+        ranks = state["ranks"]
+        mine = ranks[self.rank.index % len(ranks)]
+        if len(ranks) == self.rank.count:
+            self.env.load_state_dict(mine["env"])
+            self.rng.set_state(mine["rng"])
+            torch.set_rng_state(mine["torch"])
+        else:
+            try:
+                self.env.load_state_dict(mine["env"])
+            except (ValueError, RuntimeError, KeyError) as error:
+                notes.append(f"the curriculum begins anew: {error}")
+            self.rng.manual_seed((self.iteration + 1) * 100003 + self.rank.index)
+            notes.append(f"resumed on {self.rank.count} ranks instead of {len(ranks)}: not bit for bit the same run")
+        self.observation = None
+        return notes
+
+    @torch.no_grad()
+    def _collect(self) -> dict[str, Tensor]:
+        """Fill the rollout; what the environment logged, on the device."""
+        assert self.observation is not None
+        logs: dict[str, list[float | Tensor]] = {}
+        for step in range(self.config.steps):
+            seen = self.rollout.see(step, self.observation)
+            action = self.ppo.act(seen, self.rng)
+            value = self.policy.critic.of(seen)
+            result = self.env.step(action.sample)
+            reward, done = result.reward, result.terminated | result.truncated
+            self.episodes.add(reward, done)
+            if self.prior is not None and result.amp is not None:
+                reward = reward + self.prior.reward(result.amp)
+            late = result.truncated & ~result.terminated
+            if result.final_observation is not None and len(ids := late.nonzero().squeeze(-1)):
+                # The environment has waited for the device at this step already: asking which worlds costs little.
+                final = torch.zeros_like(value)
+                final[ids] = self.policy.critic.of(result.final_observation.map(lambda x, ids=ids: x[ids]))
+                reward = bootstrap(reward, final, late, self.config.gamma)
+            self.rollout.add(step, action.sample, action.mean, action.log_prob, value, reward, done)
+            self.observation = result.observation
+            for name, entry in result.log.items():
+                logs.setdefault(name, []).append(entry)
+        self.ppo.finish(self.rollout, self.observation)
+        device = self.rank.device
+        return {
+            f"env/{k}": torch.stack([torch.as_tensor(x, device=device) for x in v]).float().mean()
+            for k, v in logs.items()
+        }
+
+    def _wait(self) -> None:
+        if self.rank.device.type == "cuda":
+            torch.cuda.synchronize()
+
+
+class _Episodes:
+    """Return and length of episodes that ended, without waiting for the device."""
+
+    def __init__(self, worlds: int, device: torch.device) -> None:
+        self.running = torch.zeros(2, worlds, device=device)
+        self.sums = torch.zeros(3, device=device)
+        self.reward = torch.zeros((), device=device)
+        self.steps = 0
+
+    def add(self, reward: Tensor, done: Tensor) -> None:
+        self.running += torch.stack([reward, torch.ones_like(reward)])
+        ended = done.float()
+        self.sums += torch.cat([self.running @ ended, ended.sum()[None]])
+        self.running *= 1 - ended
+        self.reward = self.reward + reward.mean()
+        self.steps += 1
+
+    def take(self) -> dict[str, Tensor]:
+        """Means since the last call (not-a-number where no episode ended)."""
+        sums, self.sums = self.sums, torch.zeros_like(self.sums)
+        reward, self.reward = self.reward / self.steps, torch.zeros_like(self.reward)
+        self.steps = 0
+        return {"reward": reward, "return": sums[0] / sums[2], "length": sums[1] / sums[2], "episodes": sums[2]}
+
+
+def _read(values: Mapping[str, Tensor]) -> dict[str, float]:
+    """All values at once: the only wait for the device in an iteration. Ranks' means are taken."""
+    stacked = torch.stack([v.detach().float().reshape(()) for v in values.values()])
+    return dict(zip(values, all_mean(stacked).tolist(), strict=True))

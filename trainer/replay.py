@@ -1,0 +1,196 @@
+"""One trial to look at: recorded once, then drawn as a video or written as an animated model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from realsim.errors import RealsimError
+from realsim.files import check_size, explain_write_errors
+from realsim.registry import Registry
+from trainer.errors import TrainerError
+from trainer.evaluate import Policy
+from trainer.physics import PhysicsConfig
+from trainer.physics.world import slots_for, world_spec
+from trainer.robots import TrainedRobot
+from trainer.tasks.parkour import ParkourEnv
+from trainer.tasks.parkour.terminations import OUTCOMES
+from trainer.terrain import Terrain
+
+F64 = NDArray[np.float64]
+
+FORMATS = Registry(
+    "replay format",
+    {".mp4": "trainer.replay:video", ".gif": "trainer.replay:video", ".glb": "trainer.replay_glb:glb"},
+)
+"""File ending -> `(recording, robot, terrain, path) -> Path`."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A trial; T policy steps."""
+
+    qpos: F64
+    """(T, 7 + J) base position (m, terrain frame), base quaternion (w x y z), joints (rad)."""
+    dt: float
+    """Seconds between rows."""
+    outcome: str
+    """How it ended: a name of `terminations.OUTCOMES`."""
+
+    def save(self, path: str | Path) -> None:
+        """As .npz."""
+        with explain_write_errors(Path(path)):
+            np.savez_compressed(path, qpos=self.qpos, dt=self.dt, outcome=self.outcome)
+
+    @staticmethod
+    def load(path: str | Path) -> Recording:
+        """The inverse.
+
+        Raises:
+            TrainerError: not a recording.
+        """
+        check_size(Path(path), 2**28)
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                return Recording(np.asarray(data["qpos"], float), float(data["dt"]), str(data["outcome"]))
+        except (ValueError, KeyError, OSError) as error:
+            raise TrainerError("not a recording", file=path, expected="qpos, dt, outcome", found=str(error)) from error
+
+
+@torch.inference_mode()
+def record(policy: Policy, env: ParkourEnv, world: int = 0) -> Recording:
+    """The next episode of one world, from its start to its end."""
+    observation = env.reset()
+    rows = [_pose(env, world)]
+    while True:
+        observation = env.step(policy(observation)).observation
+        ended = [] if env.ends is None else env.ends.ids.tolist()
+        if world in ended:
+            assert env.ends is not None
+            outcome = OUTCOMES[int(env.ends.outcome[ended.index(world)])]
+            return Recording(np.array(rows), env.policy_dt, outcome)
+        rows.append(_pose(env, world))
+
+
+def _pose(env: ParkourEnv, world: int) -> F64:
+    s = env.physics.state
+    return torch.cat([s.base_pos[world], s.base_quat[world], s.joint_pos[world]]).double().cpu().numpy()
+
+
+def write(recording: Recording, robot: TrainedRobot, terrain: Terrain, path: str | Path) -> Path:
+    """The trial as a file of the kind that its name's ending asks for: one of `FORMATS`.
+
+    Raises:
+        UnknownNameError: another ending.
+    """
+    return FORMATS[Path(path).suffix](recording, robot, terrain, path)
+
+
+def video(
+    recording: Recording,
+    robot: TrainedRobot,
+    terrain: Terrain,
+    path: str | Path,
+    *,
+    size: tuple[int, int] = (640, 360),
+    fps: int = 25,
+    distance: float = 2.8,
+) -> Path:
+    """The trial from the side, the camera following, as .gif if the name ends so, else as .mp4.
+
+    Args:
+        size: (width, height) pixels.
+        distance: metres from the camera to the robot.
+
+    Raises:
+        TrainerError: no way to render on this machine.
+    """
+    path = Path(path)
+    frames = _frames(recording, robot, terrain, size, fps, distance)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with explain_write_errors(path):
+        (_write_gif if path.suffix == ".gif" else _write_mp4)(frames, path, fps)
+    return path
+
+
+def _frames(
+    recording: Recording, robot: TrainedRobot, terrain: Terrain, size: tuple[int, int], fps: int, distance: float
+) -> list[NDArray[np.uint8]]:
+    import mujoco
+
+    model = scene_model(robot, terrain, size)
+    data = mujoco.MjData(model)
+    camera = mujoco.MjvCamera()
+    camera.distance, camera.azimuth, camera.elevation = distance, 120.0, -18.0
+    every = max(1, round(1 / (fps * recording.dt)))
+    try:
+        renderer = mujoco.Renderer(model, height=size[1], width=size[0])
+    except Exception as error:  # whatever the OpenGL loader of this machine raises
+        raise TrainerError(
+            "this machine cannot render",
+            found=str(error),
+            hint="without a display set MUJOCO_GL=egl (GPU) or MUJOCO_GL=osmesa (CPU)",
+        ) from error
+    frames = []
+    look = recording.qpos[0, :3].copy()
+    for qpos in recording.qpos[::every]:
+        look += 0.2 * (qpos[:3] - look)  # a calm camera
+        data.qpos[:] = qpos
+        mujoco.mj_forward(model, data)
+        camera.lookat[:] = look
+        renderer.update_scene(data, camera)
+        frames.append(renderer.render().copy())
+    renderer.close()
+    return frames
+
+
+def scene_model(robot: TrainedRobot, terrain: Terrain, size: tuple[int, int]) -> Any:
+    """The simulated world as a model that can be drawn: light, sky, chequered ground, the robot's collision shapes."""
+    import mujoco
+
+    spec = world_spec(robot, terrain, slots_for([terrain]), PhysicsConfig())
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = size
+    spec.visual.map.znear = 0.01
+    spec.add_texture(
+        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.85, 0.9, 0.95], rgb2=[0.55, 0.65, 0.75], width=64, height=64,
+    )  # fmt: skip
+    spec.add_texture(
+        name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=[0.32, 0.35, 0.38], rgb2=[0.38, 0.41, 0.44], width=256, height=256,
+    )  # fmt: skip
+    tiles = spec.add_material(name="tiles", texrepeat=[2, 2], texuniform=True)
+    textures = list(tiles.textures)
+    textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
+    tiles.textures = textures
+    for geom in spec.worldbody.geoms:
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+            geom.material, geom.rgba = "tiles", [1, 1, 1, 1]
+        else:
+            geom.rgba = [0.72, 0.6, 0.45, 1]
+    spec.worldbody.add_light(pos=[0, -2, 5], dir=[0.2, 0.3, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    return spec.compile()
+
+
+def _write_mp4(frames: list[NDArray[np.uint8]], path: Path, fps: int) -> None:
+    import cv2
+
+    height, width = frames[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, (width, height))
+    if not writer.isOpened():
+        raise RealsimError("OpenCV cannot write this video", file=path, hint="write a .gif instead")
+    for frame in frames:
+        writer.write(frame[..., ::-1])
+    writer.release()
+
+
+def _write_gif(frames: list[NDArray[np.uint8]], path: Path, fps: int) -> None:
+    from PIL import Image
+
+    images = [Image.fromarray(f) for f in frames]
+    images[0].save(path, save_all=True, append_images=images[1:], duration=round(1000 / fps), loop=0)

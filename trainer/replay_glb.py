@@ -1,0 +1,196 @@
+"""A recorded trial as an animated glTF 2.0 binary: any viewer plays it, the camera is the viewer's own."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.files import write_bytes
+from trainer.physics import PhysicsConfig
+from trainer.physics.world import slots_for, world_spec
+from trainer.replay import Recording
+from trainer.robots import TrainedRobot
+from trainer.terrain import Terrain
+
+F64 = NDArray[np.float64]
+
+FLOAT, UINT32 = 5126, 5125
+# glTF's y points up, ours z: the root node turns by -90 degrees about x (x y z w), everything below stays as it is.
+Z_UP_TO_Y_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
+GROUND_MARGIN = 2.0
+"""Metres of ground around the course."""
+
+
+def glb(recording: Recording, robot: TrainedRobot, terrain: Terrain, path: str | Path) -> Path:
+    """Write the trial: terrain, ground, and a node for each body of the robot that moves as recorded."""
+    import mujoco
+
+    model = world_spec(robot, terrain, slots_for([terrain]), PhysicsConfig()).compile()
+    file = _File()
+    root = file.node("course", rotation=Z_UP_TO_Y_UP)
+    ground = _ground(terrain)
+    file.node("ground", parent=root, mesh=file.mesh("ground", *ground, colour=(0.33, 0.36, 0.39)))
+    vertices, triangles = _terrain_mesh(terrain)
+    if len(triangles):
+        file.node("terrain", parent=root, mesh=file.mesh("terrain", vertices, triangles, colour=(0.72, 0.6, 0.45)))
+    times = np.arange(len(recording.qpos)) * recording.dt
+    positions, quaternions = _body_poses(model, recording.qpos)
+    clock = file.array(times.astype("<f4"), "SCALAR", limits=True)
+    for body in range(1, model.nbody):
+        shape = _body_mesh(model, body)
+        if shape is None:
+            continue
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body)
+        node = file.node(name, parent=root, mesh=file.mesh(name, *shape, colour=(0.8, 0.82, 0.85)))
+        file.move(node, clock, positions[:, body], quaternions[:, body])
+    target = Path(path)
+    write_bytes(target, file.bytes())
+    return target
+
+
+def _body_poses(model: Any, qpos: F64) -> tuple[F64, F64]:
+    """((T, B, 3) positions, (T, B, 4) quaternions w x y z) of all bodies, without jumps of the quaternions' sign."""
+    import mujoco
+
+    data = mujoco.MjData(model)
+    positions, quaternions = np.zeros((len(qpos), model.nbody, 3)), np.zeros((len(qpos), model.nbody, 4))
+    for t, row in enumerate(qpos):
+        data.qpos[:] = row
+        mujoco.mj_kinematics(model, data)
+        positions[t], quaternions[t] = data.xpos, data.xquat
+        if t:
+            # q and -q are one rotation, but a viewer interpolates between neighbours.
+            flip = (quaternions[t] * quaternions[t - 1]).sum(-1) < 0
+            quaternions[t, flip] *= -1
+    return positions, quaternions
+
+
+def _body_mesh(model: Any, body: int) -> tuple[F64, NDArray[np.int64]] | None:
+    """The body's primitives as one mesh in its frame; None for a body without any."""
+    import trimesh
+    from mujoco import mjtGeom
+
+    parts = []
+    for geom in np.flatnonzero(model.geom_bodyid == body):
+        kind, size = model.geom_type[geom], model.geom_size[geom]
+        if kind == mjtGeom.mjGEOM_CAPSULE:
+            part = trimesh.creation.capsule(height=2 * size[1], radius=size[0], count=[12, 12])
+            part.apply_translation(-part.bounds.mean(0))  # whatever end trimesh takes for the origin
+        elif kind == mjtGeom.mjGEOM_CYLINDER:
+            part = trimesh.creation.cylinder(radius=size[0], height=2 * size[1], sections=16)
+        elif kind == mjtGeom.mjGEOM_SPHERE:
+            part = trimesh.creation.icosphere(subdivisions=2, radius=size[0])
+        elif kind == mjtGeom.mjGEOM_BOX:
+            part = trimesh.creation.box(2 * size)
+        else:
+            continue
+        part.apply_transform(trimesh.transformations.quaternion_matrix(model.geom_quat[geom]))
+        part.apply_translation(model.geom_pos[geom])
+        parts.append(part)
+    if not parts:
+        return None
+    whole: Any = trimesh.util.concatenate(parts)
+    return np.asarray(whole.vertices), np.asarray(whole.faces)
+
+
+def _terrain_mesh(terrain: Terrain) -> tuple[F64, NDArray[np.int64]]:
+    """Triangles with corners of their own, so that faces are drawn flat."""
+    corners = terrain.vertices[terrain.triangles].reshape(-1, 3)
+    return corners, np.arange(len(corners)).reshape(-1, 3)
+
+
+def _ground(terrain: Terrain) -> tuple[F64, NDArray[np.int64]]:
+    points = np.array([terrain.start.centre[:2], terrain.goal.centre[:2]])
+    (x0, y0), (x1, y1) = points.min(0) - GROUND_MARGIN, points.max(0) + GROUND_MARGIN
+    z = terrain.floor_z
+    return np.array([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]]), np.array([[0, 1, 2], [0, 2, 3]])
+
+
+class _File:
+    """A glTF document and its buffer, while they grow."""
+
+    def __init__(self) -> None:
+        self.data = b""
+        self.document: dict[str, Any] = {
+            "asset": {"version": "2.0", "generator": "realsim"},
+            "scene": 0,
+            "scenes": [{"nodes": []}],
+            "nodes": [],
+            "meshes": [],
+            "materials": [],
+            "accessors": [],
+            "bufferViews": [],
+        }
+        self.channels: list[dict[str, Any]] = []
+        self.samplers: list[dict[str, Any]] = []
+
+    def array(self, values: NDArray[Any], kind: str, limits: bool = False) -> int:
+        """Append little-endian float32 or uint32; returns the accessor's index. All parts are multiples of 4 bytes."""
+        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": values.nbytes}
+        component = UINT32 if values.dtype.kind == "u" else FLOAT
+        accessor = {
+            "bufferView": len(self.document["bufferViews"]),
+            "componentType": component,
+            "count": len(values),
+            "type": kind,
+        }
+        if limits:
+            accessor |= {"min": np.atleast_1d(values.min(0)).tolist(), "max": np.atleast_1d(values.max(0)).tolist()}
+        self.data += values.tobytes()
+        self._add("bufferViews", view)
+        return self._add("accessors", accessor)
+
+    def mesh(self, name: str, vertices: F64, triangles: NDArray[np.int64], colour: tuple[float, float, float]) -> int:
+        """A mesh in one colour (linear RGB)."""
+        import trimesh
+
+        normals = trimesh.Trimesh(vertices, triangles, process=False).vertex_normals
+        pbr = {"baseColorFactor": [*colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
+        material = self._add("materials", {"name": name, "doubleSided": True, "pbrMetallicRoughness": pbr})
+        primitive = {
+            "attributes": {
+                "POSITION": self.array(vertices.astype("<f4"), "VEC3", limits=True),
+                "NORMAL": self.array(np.asarray(normals).astype("<f4"), "VEC3"),
+            },
+            "indices": self.array(triangles.astype("<u4").reshape(-1), "SCALAR"),
+            "material": material,
+        }
+        return self._add("meshes", {"name": name, "primitives": [primitive]})
+
+    def node(self, name: str, parent: int | None = None, **fields: Any) -> int:
+        """A node below `parent`, or at the top."""
+        index = self._add("nodes", {"name": name} | fields)
+        where = self.document["scenes"][0]["nodes"] if parent is None else self._children(parent)
+        where.append(index)
+        return index
+
+    def move(self, node: int, clock: int, positions: F64, quaternions: F64) -> None:
+        """Animate a node: (T, 3) metres and (T, 4) w x y z at the times of accessor `clock`."""
+        xyzw = np.roll(quaternions, -1, axis=1)
+        for path, values, kind in (("translation", positions, "VEC3"), ("rotation", xyzw, "VEC4")):
+            output = self.array(values.astype("<f4"), kind)
+            self.channels.append({"sampler": len(self.samplers), "target": {"node": node, "path": path}})
+            self.samplers.append({"input": clock, "output": output, "interpolation": "LINEAR"})
+
+    def bytes(self) -> bytes:
+        """The whole file."""
+        document = self.document | {
+            "animations": [{"name": "trial", "channels": self.channels, "samplers": self.samplers}],
+            "buffers": [{"byteLength": len(self.data)}],
+        }
+        text = json.dumps(document, separators=(",", ":")).encode("ascii")
+        text += b" " * (-len(text) % 4)
+        chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(self.data), b"BIN\0")
+        return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks) + len(self.data)) + chunks + self.data
+
+    def _children(self, node: int) -> list[int]:
+        return self.document["nodes"][node].setdefault("children", [])
+
+    def _add(self, table: str, entry: dict[str, Any]) -> int:
+        self.document[table].append(entry)
+        return len(self.document[table]) - 1

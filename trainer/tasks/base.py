@@ -1,0 +1,97 @@
+"""What a learner sees of an environment: a batch of worlds, observations by group, rewards, ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class ObservationLayout:
+    """Names and shapes, in order: written into checkpoints and ONNX metadata, and compared when a policy is loaded."""
+
+    actor: tuple[tuple[str, int], ...]
+    """(term, width) of the flat proprioceptive vector, history included."""
+    critic: tuple[tuple[str, int], ...]
+    depth: tuple[int, int, int] | None
+    """(frames, height, width) of the actor's depth stack; None without a camera."""
+    actions: tuple[str, ...]
+    """Joint names."""
+    depth_stride: int = 0
+    """Policy steps between the frames of the stack, newest first: frame k is that of k strides ago, or the episode's
+    first where that lies before it. A learner may then keep each frame once. 0: unknown, whole stacks are kept."""
+
+    @property
+    def actor_width(self) -> int:
+        return sum(width for _, width in self.actor)
+
+    @property
+    def critic_width(self) -> int:
+        return sum(width for _, width in self.critic)
+
+
+@dataclass
+class Observation:
+    """float32 on the environment's device."""
+
+    actor: Tensor
+    """(N, A)."""
+    critic: Tensor
+    """(N, C) privileged, noise-free."""
+    depth: Tensor | None
+    """(N, M, H, W) in 0..1 (0 near, 1 at the far limit or nothing); the critic sees it too."""
+
+    def map(self, f: Any) -> Observation:
+        """The same with `f` applied to every tensor."""
+        return Observation(f(self.actor), f(self.critic), None if self.depth is None else f(self.depth))
+
+
+@dataclass
+class Step:
+    """What one policy step gives; worlds that ended are already reset and `observation` is of the new episode."""
+
+    observation: Observation
+    reward: Tensor
+    """(N,) sum of weighted terms times the policy step, AMP excluded."""
+    terminated: Tensor
+    """(N,) bool: failed or reached an absorbing end."""
+    truncated: Tensor
+    """(N,) bool: time ran out; its value is bootstrapped from `final_observation`."""
+    final_observation: Observation | None
+    """The true last observation of worlds that ended at this step (rows of other worlds are unspecified); None if none
+    did."""
+    amp: Tensor | None = None
+    """(N, S) transition features for the discriminator; None when AMP is off."""
+    log: dict[str, float] = field(default_factory=dict)
+    """Means for TensorBoard: reward terms, success rate, terrain level, failures by reason, resets after divergence."""
+
+
+class VecEnv(Protocol):
+    """A batch of worlds behind two methods."""
+
+    num_worlds: int
+    num_actions: int
+    device: torch.device
+    layout: ObservationLayout
+    policy_dt: float
+    max_steps: int
+    """Policy steps of a whole episode."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What makes the figures doubtful, so far."""
+
+    def reset(self) -> Observation:
+        """Start all worlds anew (episode ages spread at random, so that they do not end together)."""
+
+    def step(self, actions: Tensor) -> Step:
+        """One policy step with actions (N, num_actions)."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Curriculum levels and random generators: with the learner's state enough to resume exactly at a reset."""
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """The inverse."""

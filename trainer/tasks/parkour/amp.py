@@ -1,0 +1,56 @@
+"""What the motion discriminator sees: two successive poses, free of where the robot is and where it heads."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from trainer.tasks.parkour.body import Body
+from trainer.tasks.parkour.signals import Signals
+
+
+def layout(joints: int, feet: int) -> tuple[tuple[str, int], ...]:
+    """(term, width) of one pose; a transition is two of them."""
+    return (
+        ("gravity", 3),
+        ("base_lin_vel", 3),
+        ("base_ang_vel", 3),
+        ("joint_pos", joints),
+        ("joint_vel", joints),
+        ("feet", 3 * feet),
+    )
+
+
+def pose(
+    gravity: Tensor, lin_vel: Tensor, ang_vel: Tensor, joint_pos: Tensor, joint_vel: Tensor, feet: Tensor
+) -> Tensor:
+    """(N, S/2) features of one pose.
+
+    Args:
+        gravity, lin_vel, ang_vel: (N, 3) base axes. joint_pos: (N, J) minus the default pose. joint_vel: (N, J).
+        feet: (N, F, 3) from the base, in the base's heading frame.
+    """
+    return torch.cat([gravity, lin_vel, ang_vel, joint_pos, joint_vel, feet.flatten(1)], -1)
+
+
+def of_signals(s: Signals, body: Body) -> Tensor:
+    """The features of a step."""
+    q = s.state.joint_pos - body.default
+    return pose(s.gravity, s.lin_vel, s.ang_vel, q, s.state.joint_vel, s.foot_offset).nan_to_num(0.0, 0.0, 0.0)
+
+
+class Transitions:
+    """Pairs of successive poses; a reset begins anew, so no pair spans two episodes."""
+
+    def __init__(self, worlds: int, joints: int, feet: int, device: torch.device) -> None:
+        width = sum(width for _, width in layout(joints, feet))
+        self.last = torch.zeros(worlds, width, device=device)
+
+    def advance(self, s: Signals, body: Body) -> Tensor:
+        """(N, S) from the pose before to this one."""
+        before, self.last = self.last, of_signals(s, body)
+        return torch.cat([before, self.last], -1)
+
+    def restart(self, ids: Tensor, s: Signals, body: Body) -> None:
+        """Worlds `ids` are in a new pose; `s` has their rows only."""
+        self.last = self.last.index_copy(0, ids, of_signals(s, body))

@@ -1,0 +1,236 @@
+"""Everything that can be set about the parkour task. Defaults are the paper's; docs/paper.md says what is assumed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+
+from trainer.errors import TrainerError
+
+Range = tuple[float, float]
+"""(low, high) of a uniform draw."""
+
+
+def _require(config: object, *conditions: tuple[bool, str]) -> None:
+    """Refuse values that make no sense, and ranges that are upside down."""
+    where = type(config).__name__
+    for f in fields(config):  # type: ignore[arg-type]
+        value = getattr(config, f.name)
+        if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
+            raise TrainerError(f"{where}.{f.name} is upside down", expected="(low, high)", found=str(value))
+    for holds, what in conditions:
+        if not holds:
+            raise TrainerError(f"{where}: {what}", found=str(config))
+
+
+@dataclass(frozen=True)
+class CommandConfig:
+    """The goal as a velocity."""
+
+    speed: Range = (0.8, 0.8)
+    """m/s to which the velocity towards the goal is clipped, drawn for each episode."""
+    gain: float = 2.0
+    """1/s: wanted velocity = gain * (goal - position), before clipping; brakes within speed / gain metres."""
+    heading_gain: float = 1.0
+    """1/s: wanted yaw rate = gain * heading error; used by rewards, never shown to the actor."""
+    yaw_rate: float = 1.0
+    """rad/s to which the wanted yaw rate is clipped."""
+    standing: float = 0.0
+    """Share of episodes with the command to stand."""
+
+    def __post_init__(self) -> None:
+        _require(
+            self,
+            (self.speed[0] >= 0 and self.gain > 0, "speeds and gain must be positive"),
+            (0 <= self.standing <= 1, "standing is a share"),
+        )
+
+
+@dataclass(frozen=True)
+class ObservationConfig:
+    """Proprioception of the actor; noise is uniform, plus or minus the value, drawn once when measured."""
+
+    history: int = 8
+    """Policy steps in the window."""
+    noise: bool = True
+    """Whether the actor's input is noisy (the critic's never is)."""
+    angular_velocity: float = 0.2
+    """rad/s."""
+    gravity: float = 0.05
+    joint_pos: float = 0.01
+    """rad."""
+    joint_vel: float = 0.5
+    """rad/s."""
+
+    def __post_init__(self) -> None:
+        _require(self, (self.history >= 1, "history must hold at least one step"))
+
+
+@dataclass(frozen=True)
+class DepthConfig:
+    """The depth images of the actor."""
+
+    use: bool = True
+    """Whether there are depth images at all (the robot must have a camera)."""
+    frames: int = 8
+    """Images in the window (m of the paper)."""
+    stride: int = 5
+    """Policy steps between them (l of the paper)."""
+    near: float = 0.15
+    """Metres along the optical axis that map to 0."""
+    far: float = 2.5
+    """Metres that map to 1; nothing seen is 1 too."""
+    noise: float = 0.01
+    """Standard deviation at 1 m, metres; grows with the square of the distance, as a stereo camera's does."""
+    dropout: float = 0.01
+    """Share of pixels without a measurement (1, as if nothing was there)."""
+    latency: tuple[int, int] = (0, 2)
+    """Policy steps by which images are late, drawn for each episode (both ends included)."""
+    mount_position: float = 0.01
+    """Metres, plus or minus on each axis, drawn for each episode."""
+    mount_rotation: float = 0.02
+    """Radians, plus or minus about each axis, drawn for each episode."""
+
+    def __post_init__(self) -> None:
+        _require(
+            self,
+            (self.frames >= 1 and self.stride >= 1, "frames and stride must be at least 1"),
+            (0 < self.near < self.far, "near must be less than far"),
+            (0 <= self.dropout <= 1, "dropout is a share"),
+            (self.latency[0] >= 0, "latency cannot be negative"),
+        )
+
+
+@dataclass(frozen=True)
+class TerminationConfig:
+    """What ends an episode."""
+
+    stuck_seconds: float = 4.0
+    """Longest time at the start."""
+    stuck_radius: float = 0.5
+    """Metres around the starting point that count as the start."""
+    tilt: float = 1.0
+    """Radians by which torso or base may lean from upright."""
+    collapsed: float = 0.45
+    """Share of the standing height below which the base counts as fallen, where ground contact is allowed; the ground
+    itself ends the episode elsewhere."""
+    seconds: float = 20.0
+    """Longest episode; running out of time is no failure."""
+    goal_seconds: float = 1.0
+    """Time on the goal platform after which a trial has succeeded; ends the episode like a time-out."""
+
+    def __post_init__(self) -> None:
+        _require(
+            self,
+            (
+                min(self.seconds, self.stuck_seconds, self.goal_seconds, self.tilt) > 0,
+                "times and tilt must be positive",
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class RewardConfig:
+    """Constants inside the reward terms, and changes to the paper's weights."""
+
+    weights: dict[str, float] = field(default_factory=dict)
+    """Term -> weight that replaces that of the table; 0 switches a term off."""
+    velocity_sigma: float = 0.5
+    """m/s and rad/s: width of the tracking kernels."""
+    edge_radius: float = 0.05
+    """Metres around an edge within which a point of the sole counts as standing on it."""
+    edge_epsilon: float = 1e-3
+    """m/s added to a point's speed, so that resting on an edge is not free."""
+    air_time_limit: float = 0.5
+    """Seconds at which a longer phase earns no more: otherwise standing on one leg pays."""
+    foot_distance: float = 0.12
+    """Metres between left and right foot below which they are too close."""
+    contact_force: float = 1.0
+    """N from which a foot counts as in contact."""
+
+    def __post_init__(self) -> None:
+        _require(self, (self.velocity_sigma > 0 and self.edge_radius >= 0, "widths must be positive"))
+
+
+@dataclass(frozen=True)
+class ResetConfig:
+    """Where episodes begin."""
+
+    position: float = 0.1
+    """Metres along x and y around the centre of the start platform."""
+    yaw: float = 0.2
+    """Radians around the direction to the goal."""
+    joints: float = 0.1
+    """Radians around the default pose (clipped to the limits)."""
+    spread_ages: bool = True
+    """Whether the first episodes begin at random ages, so that they do not end together."""
+
+
+@dataclass(frozen=True)
+class RandomisationConfig:
+    """What differs between worlds, drawn at each reset. A gap patch replaces ranges by what was identified."""
+
+    use: bool = True
+    friction: Range = (0.5, 1.25)
+    """Sliding friction of soles on terrain."""
+    mass: Range = (0.9, 1.1)
+    """Ratio on the torso's mass and inertia."""
+    payload: Range = (-1.0, 2.0)
+    """kg on the torso; scaled with the robot's mass / 33 kg."""
+    com: Range = (-0.03, 0.03)
+    """Metres on each axis of the torso's centre of mass."""
+    kp: Range = (0.9, 1.1)
+    kd: Range = (0.9, 1.1)
+    armature: Range = (0.8, 1.2)
+    joint_friction: Range = (0.0, 0.3)
+    """N m."""
+    delay: Range = (0.0, 0.02)
+    """Seconds by which commands are late; rounded to physics steps, at most one policy step."""
+    encoder: float = 0.01
+    """rad: plus or minus, constant offset of the joint readings."""
+    gyro: float = 0.02
+    """rad/s: plus or minus, constant offset of the angular velocity."""
+    push_seconds: float = 6.0
+    """Time between two pushes of one world; 0 for none."""
+    push: float = 0.5
+    """m/s added at most to the base velocity along x and y by a push."""
+    terrain_scale: Range = (0.95, 1.05)
+    """Ratio on a terrain's size, where it comes in more than one variant."""
+    terrain_variants: int = 0
+    """Scaled copies of each terrain; 0 takes 5 for up to 13 terrains and 1 (as it is) for a generated grid."""
+
+    def __post_init__(self) -> None:
+        _require(
+            self,
+            (
+                min(self.friction[0], self.mass[0], self.kp[0], self.kd[0], self.armature[0]) > 0,
+                "ratios and friction must be positive",
+            ),
+            (self.joint_friction[0] >= 0 and self.delay[0] >= 0, "friction and delay cannot be negative"),
+            (self.terrain_scale[0] > 0 and self.terrain_variants >= 0, "the terrain must keep a size"),
+        )
+
+
+@dataclass(frozen=True)
+class ParkourConfig:
+    """The whole task."""
+
+    command: CommandConfig = field(default_factory=CommandConfig)
+    observation: ObservationConfig = field(default_factory=ObservationConfig)
+    depth: DepthConfig = field(default_factory=DepthConfig)
+    termination: TerminationConfig = field(default_factory=TerminationConfig)
+    reward: RewardConfig = field(default_factory=RewardConfig)
+    reset: ResetConfig = field(default_factory=ResetConfig)
+    randomisation: RandomisationConfig = field(default_factory=RandomisationConfig)
+    amp: bool = False
+    """Whether transition features for a motion discriminator are made."""
+    action_limit: float = 20.0
+    """Largest magnitude of an action; beyond it is clipped (a wide net: joint limits are the simulator's)."""
+    log_every: int = 24
+    """Policy steps between two logs; figures stay on the device in between."""
+    divergence_limit: float = 0.01
+    """Share of world steps in a log interval that may diverge before training stops."""
+
+    def __post_init__(self) -> None:
+        _require(
+            self, (self.action_limit > 0 and self.log_every >= 1, "the action limit and log interval must be positive")
+        )

@@ -1,0 +1,123 @@
+"""A gap diagnosis as ranges of the domain randomisation: what was identified replaces what had to be guessed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from realsim.files import read_json
+from trainer.errors import TrainerError
+from trainer.robots import TrainedRobot
+from trainer.tasks.parkour.config import Range
+from trainer.tasks.parkour.randomise import Known
+
+Interval = Callable[[str], Range | None]
+"""Name of a parameter -> its 90 percent interval, None if the cause does not have it."""
+
+
+def load(path: str | Path, robot: TrainedRobot) -> Known:
+    """What `diagnosis.json` knows about this robot.
+
+    Only the causes of an `identified` verdict are taken: an ambiguous set is one guess of several. Effects that the
+    task has no place for come back in `unused`.
+
+    Raises:
+        TrainerError: not a diagnosis, or of a robot with other joints.
+    """
+    data = read_json(Path(path))
+    if not isinstance(data, dict) or not isinstance(data.get("causes"), list) or "verdict" not in data:
+        raise TrainerError("not a diagnosis", file=path, expected="diagnosis.json of `realsim diagnose`")
+    if data["verdict"] != "identified":
+        return Known(unused=tuple(f"{c.get('effect')} ({data['verdict']})" for c in data["causes"]))
+    found: dict[str, Any] = {"unused": []}
+    for cause in data["causes"]:
+        _take(cause, robot, found, path)
+    return Known(**found | {"unused": tuple(found["unused"])})
+
+
+def _take(cause: dict[str, Any], robot: TrainedRobot, found: dict[str, Any], path: str | Path) -> None:
+    effect, joints = str(cause.get("effect")), cause.get("joints") or []
+    unknown = [j for j in joints if j not in robot.joints]
+    if unknown:
+        raise TrainerError(
+            "the diagnosis belongs to another robot",
+            file=path,
+            expected=f"joints of {robot.robot.name}",
+            found=f"no joint {unknown[0]!r}",
+        )
+    places = [robot.joints.index(j) for j in joints] or list(range(len(robot.joints)))
+
+    def interval(name: str) -> Range | None:
+        value = cause.get("parameters", {}).get(name)
+        return None if value is None else (float(value["ci90"][0]), float(value["ci90"][1]))
+
+    if effect in _JOINT:
+        for key, of in _JOINT[effect].items():
+            own = found.setdefault(key, {})
+            for j in places:
+                bounds = of(interval, robot, j)
+                if bounds is not None:
+                    own[j] = _product(own[j], bounds) if j in own and key in ("kp", "kd") else bounds
+    elif effect in _WHOLE and (effect not in ("payload", "com_offset") or _on_torso(cause, robot)):
+        found.update({k: v for k, v in _WHOLE[effect](interval).items() if v is not None})
+    else:
+        found["unused"].append(effect)
+
+
+def _on_torso(cause: dict[str, Any], robot: TrainedRobot) -> bool:
+    return all(b in (robot.torso, robot.base) for b in cause.get("bodies") or [robot.torso])
+
+
+def _product(a: Range, b: Range) -> Range:
+    return a[0] * b[0], a[1] * b[1]
+
+
+def _armature(interval: Interval, robot: TrainedRobot, j: int) -> Range | None:
+    """kg m^2 added, as a ratio on the joint's own."""
+    added = interval("armature")
+    own = float(robot.robot.spec.joint(robot.joints[j]).armature)
+    return None if added is None or own <= 0 else (1 + added[0] / own, 1 + added[1] / own)
+
+
+def _ratio(interval: Interval, robot: TrainedRobot, j: int) -> Range | None:
+    return interval("ratio")
+
+
+_JOINT: dict[str, dict[str, Callable[[Interval, TrainedRobot, int], Range | None]]] = {
+    "stiffness_gain": {"kp": _ratio},
+    "damping_gain": {"kd": _ratio},
+    # A weak motor gives a share of the whole servo torque.
+    "motor_gain": {"kp": _ratio, "kd": _ratio},
+    "armature": {"armature": _armature},
+    "coulomb_friction": {"joint_friction": lambda interval, robot, j: interval("friction")},
+    "joint_offset": {"encoder": lambda interval, robot, j: interval("offset")},
+}
+
+
+def _com(interval: Interval) -> dict[str, Any]:
+    nothing = (0.0, 0.0)
+    return {"com": tuple(interval(a) or nothing for a in "xyz")}
+
+
+def _gyro(interval: Interval) -> dict[str, Any]:
+    nothing = (0.0, 0.0)
+    return {"gyro": tuple(interval(f"gyro_{a}") or nothing for a in "xyz")}
+
+
+def _sigma(interval: Interval) -> dict[str, Any]:
+    bounds = interval("sigma")
+    return {"depth_noise": None if bounds is None else sum(bounds) / 2}
+
+
+_WHOLE: dict[str, Callable[[Interval], dict[str, Any]]] = {
+    "command_delay": lambda interval: {"delay": interval("delay")},
+    "camera_delay": lambda interval: {"depth_latency": interval("delay")},
+    # The nominal sliding friction of both robots' models is 1, so that a ratio on it is the coefficient itself.
+    "ground_friction": lambda interval: {"friction": interval("ratio")},
+    "payload": lambda interval: {"payload": interval("mass")},
+    "com_offset": _com,
+    "terrain_scale": lambda interval: {"terrain_scale": interval("ratio")},
+    "imu_bias": _gyro,
+    "depth_noise": _sigma,
+}

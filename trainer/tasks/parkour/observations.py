@@ -1,0 +1,119 @@
+"""What the actor and the critic read.
+
+The actor's vector is p_(t-7), ..., p_t of the paper, term by term: each term's history from the oldest to the newest.
+The critic's is the same step's truth without noise, and what no sensor of the robot measures.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from trainer.robots import TrainedRobot
+from trainer.tasks.base import ObservationLayout
+from trainer.tasks.parkour.body import Body
+from trainer.tasks.parkour.config import ObservationConfig
+from trainer.tasks.parkour.draw import symmetric
+from trainer.tasks.parkour.signals import Signals
+
+FAR_GOAL = 10.0
+"""Metres at which the critic's goal vector saturates."""
+
+
+def proprioception(joints: int) -> tuple[tuple[str, int], ...]:
+    """(term, width) of p_t, in order (paper, sec. III-B)."""
+    return (
+        ("base_ang_vel", 3),
+        ("gravity", 3),
+        ("command", 3),
+        ("joint_pos", joints),
+        ("joint_vel", joints),
+        ("last_action", joints),
+    )
+
+
+def privileged(feet: int) -> tuple[tuple[str, int], ...]:
+    """(term, width) of what only the critic knows."""
+    return (
+        ("base_lin_vel", 3),
+        ("target_velocity", 2),
+        ("target_yaw_rate", 1),
+        ("goal", 2),
+        ("foot_contact", feet),
+        ("foot_clearance", feet),
+        ("foot_edge", feet),
+    )
+
+
+def layout(
+    robot: TrainedRobot, config: ObservationConfig, depth: tuple[int, int, int] | None, stride: int
+) -> ObservationLayout:
+    """Names and widths of everything that is observed."""
+    terms = proprioception(len(robot.joints))
+    return ObservationLayout(
+        actor=tuple((name, width * config.history) for name, width in terms),
+        critic=terms + privileged(len(robot.feet)),
+        depth=depth,
+        actions=tuple(robot.joints),
+        depth_stride=0 if depth is None else stride,
+    )
+
+
+def measure(s: Signals, body: Body) -> list[Tensor]:
+    """The terms of p_t without noise, in the order of `proprioception`; s.action is what was just applied."""
+    q = s.state.joint_pos - body.default
+    return [s.ang_vel, s.gravity, s.command.observed, q, s.state.joint_vel, s.action]
+
+
+def critic_view(s: Signals, body: Body) -> Tensor:
+    """(N, C) the critic's vector."""
+    goal = s.command.velocity / s.command.speed.clamp_min(1e-6)[:, None]
+    terms = [
+        *measure(s, body),
+        s.lin_vel,
+        s.command.velocity,
+        s.command.yaw_rate[:, None],
+        goal * s.command.distance.clamp_max(FAR_GOAL)[:, None],
+        s.contact.float(),
+        s.footholds.clearance.mean(-1).clamp(-0.5, 0.5),
+        s.footholds.edge_depth.sum(-1),
+    ]
+    return torch.cat(terms, -1).nan_to_num(0.0, 0.0, 0.0)
+
+
+class Proprioception:
+    """The actor's noisy measurements and their history."""
+
+    def __init__(self, config: ObservationConfig, joints: int, worlds: int, device: torch.device) -> None:
+        self.config = config
+        self.widths = [width for _, width in proprioception(joints)]
+        self.window = torch.zeros(worlds, config.history, sum(self.widths), device=device)
+        self.encoder_offset = torch.zeros(worlds, joints, device=device)
+        self.gyro_offset = torch.zeros(worlds, 3, device=device)
+
+    def push(self, s: Signals, body: Body, generator: torch.Generator) -> None:
+        """Append the newest measurement of every world."""
+        newest = self._measured(s, body, generator)
+        self.window = torch.cat([self.window[:, 1:], newest[:, None]], 1)
+
+    def restart(self, ids: Tensor, s: Signals, body: Body, generator: torch.Generator) -> None:
+        """Worlds `ids` begin as if they had always been like this; `s` has their rows only."""
+        self.window[ids] = self._measured(s, body, generator, ids)[:, None]
+
+    def read(self, ids: Tensor | None = None) -> Tensor:
+        """(N, A), or (K, A) of worlds `ids`."""
+        window = self.window if ids is None else self.window[ids]
+        return torch.cat([part.flatten(1) for part in window.split(self.widths, -1)], -1)
+
+    def _measured(self, s: Signals, body: Body, generator: torch.Generator, ids: Tensor | None = None) -> Tensor:
+        gyro, gravity, command, q, dq, action = measure(s, body)
+        gyro = gyro + (self.gyro_offset if ids is None else self.gyro_offset[ids])
+        q = q + (self.encoder_offset if ids is None else self.encoder_offset[ids])
+        if self.config.noise:
+            c = self.config
+            gyro = gyro + symmetric(c.angular_velocity, tuple(gyro.shape), generator)
+            gravity = gravity + symmetric(c.gravity, tuple(gravity.shape), generator)
+            q = q + symmetric(c.joint_pos, tuple(q.shape), generator)
+            dq = dq + symmetric(c.joint_vel, tuple(dq.shape), generator)
+        # A world that has diverged is reset at this very step; until then it must not poison a normaliser.
+        return torch.cat([gyro, gravity, command, q, dq, action], -1).nan_to_num(0.0, 0.0, 0.0)

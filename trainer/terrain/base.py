@@ -1,0 +1,61 @@
+"""What a terrain is to the trainer: exact primitives for contact, one mesh for rays, two platforms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Box:
+    """An oriented box: the cheapest thing that a capsule can collide with, on the CPU and on the GPU."""
+
+    size: F64
+    """(3,) full edge lengths, metres."""
+    T: F64
+    """(4, 4) pose of its centre in the terrain's frame."""
+
+
+@dataclass(frozen=True)
+class Platform:
+    """A level place to stand: the start or the goal."""
+
+    centre: F64
+    """(3,) centroid of the top face, metres."""
+    size: F64
+    """(2,) extent along x and y, metres."""
+
+    def contains(self, xy: F64, margin: float = 0.0) -> NDArray[np.bool_]:
+        """(N,) whether (N, 2) points lie over the platform, at least `margin` metres inside its border."""
+        return np.all(np.abs(xy - self.centre[:2]) <= self.size / 2 - margin, axis=-1)
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """A course in the simulation frame: origin on the start platform's top, z up, x toward the goal; metres."""
+
+    name: str
+    boxes: tuple[Box, ...]
+    """Contact primitives, platforms included, ground excluded. Empty when `contact` carries the geometry."""
+    vertices: F64
+    """(V, 3) of the closed triangle mesh that rays hit: obstacles and platforms, ground excluded."""
+    triangles: NDArray[np.int32]
+    """(K, 3) counter-clockwise seen from outside."""
+    start: Platform
+    goal: Platform
+    floor_z: float
+    """Height of the ground plane; it collides always."""
+    ground_fails: bool = True
+    """Whether touching the ground ends an episode (false on flat practice ground)."""
+    contact: Any = None
+    """Contact geometry of a reconstructed scene: `mujoco.MjSpec`, its world geoms taken instead of `boxes`."""
+    family: str = ""
+    difficulty: float = 0.0
+    """0 easiest to 1 hardest, for generated terrain."""
+    facts: dict[str, float] = field(default_factory=dict)
+    """What was drawn (gap, width, height, ...), SI units."""

@@ -1,0 +1,138 @@
+"""A reconstructed scene as a terrain: the folder that `realsim reconstruct` writes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trainer.errors import TrainerError
+from trainer.terrain.base import Platform, Terrain
+
+_PLATFORM_M = (0.25, 4.0)
+"""Edge lengths between which a platform is believable; beyond, the scene's scale is wrong."""
+_GROUND_NOISE = 0.03
+"""Metres: parts no higher than this are the scanned ground; a foot on them stands on the ground."""
+_MAX_REPORT_BYTES = 64 << 20
+
+
+def load(folder: str | Path) -> Terrain:
+    """The scene in `folder`: contact geometry from `scene.xml`, rays from `mesh.ply`, platforms from `report.json`.
+
+    Raises:
+        TrainerError: a file is missing or cut off, the scene has no platforms, or its scale cannot be right.
+    """
+    import trimesh
+
+    folder = Path(folder)
+    report = _report(folder)
+    start, goal = (_platform(folder, report, role) for role in ("start", "goal"))
+    mesh = trimesh.load_mesh(_file(folder, "mesh.ply"), process=False)
+    floor = float(report["ground_z"])
+    if not 0.0 <= -floor <= 2.0:
+        raise TrainerError(
+            "the ground does not lie where a course needs it",
+            file=folder / "report.json",
+            expected="the ground 0 to 2 m below the start platform's top",
+            found=f"ground_z = {floor:.3f} m",
+            hint="look at the scene with `realsim view`; choose other platforms with --start and --goal",
+        )
+    return Terrain(
+        name=folder.resolve().name,
+        boxes=(),
+        vertices=np.asarray(mesh.vertices, np.float64),
+        triangles=np.asarray(mesh.faces, np.int32),
+        start=start,
+        goal=goal,
+        floor_z=floor,
+        contact=_contact(folder, floor),
+        family="scene",
+        facts={"length": float(goal.centre[0] - start.centre[0])},
+    )
+
+
+def _report(folder: Path) -> dict[str, Any]:
+    path = _file(folder, "report.json")
+    if path.stat().st_size > _MAX_REPORT_BYTES:
+        raise TrainerError("report.json is too large to be one", file=path)
+    try:
+        return json.loads(path.read_text("utf-8"))
+    except ValueError as error:
+        raise TrainerError(
+            "report.json cannot be read", file=path, found=str(error), hint="reconstruct again"
+        ) from None
+
+
+def _file(folder: Path, name: str) -> Path:
+    if not (folder / name).is_file():
+        raise TrainerError(
+            "this folder is not a reconstructed scene",
+            file=folder,
+            expected="scene.xml, mesh.ply and report.json as `realsim reconstruct` writes them",
+            found=f"no {name}",
+        )
+    return folder / name
+
+
+def _platform(folder: Path, report: dict[str, Any], role: str) -> Platform:
+    entry = report.get(role)
+    if not entry or entry.get("size") is None:
+        raise TrainerError(
+            f"the scene has no {role} platform",
+            file=folder / "report.json",
+            expected="a start and a goal platform",
+            found=f"{role}: {entry}",
+            hint="name them: realsim reconstruct --start X Y --goal X Y",
+        )
+    size = np.asarray(entry["size"], float)[:2]
+    low, high = _PLATFORM_M
+    if not np.all((low <= size) & (size <= high)):
+        raise TrainerError(
+            f"the {role} platform's size cannot be right: the scene's scale may be wrong",
+            file=folder / "report.json",
+            expected=f"edges of {low} to {high} m",
+            found=" x ".join(f"{s:.3f}" for s in size) + " m",
+            hint="check `scale` in report.json",
+        )
+    return Platform(np.asarray(entry["centroid"], float), size)
+
+
+def _contact(folder: Path, floor: float) -> Any:
+    """The scene's specification with nothing left but what collides above the ground, which is the engine's own."""
+    import mujoco
+
+    path = _file(folder, "scene.xml")
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        low = _low_geoms(spec, floor + _GROUND_NOISE)
+        for geom in list(spec.geoms):
+            drawn_only = geom.contype == 0 and geom.conaffinity == 0
+            if geom.type == mujoco.mjtGeom.mjGEOM_PLANE or drawn_only or geom.name in low:
+                spec.delete(geom)
+        for unused in [*spec.materials, *spec.textures, *spec.meshes]:
+            if not isinstance(unused, mujoco.MjsMesh) or all(g.meshname != unused.name for g in spec.geoms):
+                spec.delete(unused)
+        spec.compile()
+    except ValueError as error:
+        raise TrainerError(
+            "scene.xml does not compile", file=path, found=str(error), hint="reconstruct again"
+        ) from None
+    return spec
+
+
+def _low_geoms(spec: Any, height: float) -> set[str]:
+    """Names of the geoms that lie wholly below `height` metres."""
+    import mujoco
+
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    low = set()
+    for i in range(model.ngeom):
+        centre, half = model.geom_aabb[i, :3], model.geom_aabb[i, 3:]
+        up = data.geom_xmat[i].reshape(3, 3)[2]
+        if data.geom_xpos[i, 2] + up @ centre + np.abs(up) @ half < height:
+            low.add(model.geom(i).name)
+    return low

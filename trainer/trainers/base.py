@@ -1,0 +1,101 @@
+"""The hook behind which a learner is put: scene + policy + config -> result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Protocol
+
+import tyro
+
+from trainer.errors import TrainerError
+from trainer.ppo.config import PPOConfig, StrategyConfig
+from trainer.ppo.loop import LoopConfig
+from trainer.tasks.parkour import ParkourConfig
+from trainer.terrain import Terrain
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is trained on: one terrain (TTT-1), several (TTT-n), or a curriculum grid."""
+
+    terrains: tuple[Terrain, ...]
+    rows: int = 1
+    """Rows of a curriculum grid, row by row; 1 without a curriculum."""
+    folders: tuple[Path, ...] = ()
+    """Reconstructed scenes that the terrains come from, for engines that load `scene.xml` themselves."""
+
+    def __post_init__(self) -> None:
+        if not self.terrains:
+            raise TrainerError("there is no terrain to train on")
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """How to train; every trainer understands it, or says what it does not."""
+
+    robot: str = ""
+    """Robot of a new policy (g1, quadruped, ...); a given policy brings its own."""
+    strategy: str = "full"
+    """What fine-tuning changes: full, adapter, residual, last_layer."""
+    worlds: int = 0
+    """Simulated robots on each rank; 0 takes 4096 on a GPU and 64 on the CPU."""
+    engine: str = ""
+    """Physics engine; by default warp on a GPU and mujoco on the CPU."""
+    device: str = "auto"
+    """cpu, cuda, or auto: a GPU where there is one."""
+    threads: int = 0
+    """Threads of the physics on the CPU; 0 takes all cores."""
+    seed: int = 0
+    """Of networks, noise and worlds."""
+    trials: int = 100
+    """Trials on each terrain in an evaluation on the way."""
+    diagnosis: Path | None = None
+    """diagnosis.json of `realsim diagnose`: its figures replace guessed ranges of randomisation."""
+    resume: Path | None = None
+    """Checkpoint of the same run to go on with."""
+    loop: LoopConfig = field(default_factory=LoopConfig)
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+    tuning: StrategyConfig = field(default_factory=StrategyConfig)
+    task: Annotated[ParkourConfig, tyro.conf.Suppress] = field(default_factory=ParkourConfig)
+    """The task; from Python, or from a file (--task-file)."""
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """What came of it."""
+
+    policy: Path
+    """The .pt file."""
+    onnx: Path | None
+    """The same for a robot; None where the trainer makes none."""
+    robot: str
+    iterations: int
+    """Done in all."""
+    to_target: int | None
+    """Iterations done at the first evaluation that reached the target (97 percent); None if none did."""
+    evaluations: tuple[tuple[int, float], ...]
+    """(iterations done, success rate) on the way."""
+    worlds: int
+    """Simulated robots on each rank that were used."""
+    seconds: float
+    warnings: tuple[str, ...] = ()
+    ours: bool = True
+    """Whether `policy` is a checkpoint that `realsim evaluate` reads."""
+
+
+class Trainer(Protocol):
+    """A learner. Found by the name of its entry point in the group `realsim.trainers`."""
+
+    def __call__(self, scene: Scene, policy: Path | None, config: TrainConfig, out: Path) -> TrainResult:
+        """Train on a scene.
+
+        Args:
+            scene: where.
+            policy: a checkpoint (.pt) to fine-tune; None trains from scratch.
+            config: how.
+            out: folder for everything that is written.
+
+        Raises:
+            RealsimError: what a person can mend.
+        """

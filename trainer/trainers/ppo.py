@@ -1,0 +1,188 @@
+"""The built-in learner: `trainer.ppo` in the parkour task."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+
+from realsim.errors import MissingExtraError
+from realsim.progress import note
+from trainer.errors import TrainerError
+from trainer.evaluate import EvaluationConfig, Setting, run, trial_env
+from trainer.physics import PhysicsConfig
+from trainer.ppo import checkpoint, export, loop
+from trainer.ppo import policy as policies
+from trainer.ppo.algorithm import Loss
+from trainer.ppo.amp import StylePrior
+from trainer.ppo.distributed import Rank, ranks
+from trainer.ppo.policy import Policy
+from trainer.ppo.runner import Runner
+from trainer.ppo.symmetry import SymmetryLoss
+from trainer.robots import ROBOTS
+from trainer.tasks.parkour import ParkourConfig, ParkourEnv, make
+from trainer.tasks.parkour.terminations import SUCCESS
+from trainer.trainers.base import Scene, TrainConfig, TrainResult
+
+FEWEST_WORLDS = 16
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A config with everything that it leaves open decided."""
+
+    config: TrainConfig
+    task: ParkourConfig
+    robot: str
+    engine: str
+    physics: PhysicsConfig
+    worlds: int
+
+
+def train(scene: Scene, policy: Path | None, config: TrainConfig, out: Path) -> TrainResult:
+    """See `Trainer`. Under torchrun every rank calls this; the first writes."""
+    began = time.perf_counter()
+    with ranks(config.device) as rank:
+        plan = decide(config, policy, rank)
+        warnings: list[str] = []
+        while True:
+            try:
+                runner, history = _attempt(scene, policy, plan, rank, out)
+                break
+            except RuntimeError as error:
+                plan = _with_fewer_worlds(plan, error, rank)
+                warnings.append(f"the GPU's memory was not enough: {plan.worlds} worlds instead of {2 * plan.worlds}")
+                note(warnings[-1])
+                torch.cuda.empty_cache()
+        onnx: Path | None = None
+        if rank.first:
+            try:
+                onnx = write_onnx(out / "policy.onnx", runner.policy, plan.task, runner.env.policy_dt)
+            except MissingExtraError as error:  # a training machine need not be able to export; the checkpoint is there
+                warnings.append(f"no policy.onnx was written: {error.message}; {error.hint}")
+    return TrainResult(
+        policy=out / "policy.pt",
+        onnx=onnx,
+        robot=plan.robot,
+        iterations=runner.iteration,
+        to_target=history.to_target(config.loop.target),
+        evaluations=tuple(history.evaluations),
+        worlds=plan.worlds,
+        seconds=time.perf_counter() - began,
+        warnings=(*warnings, *runner.env.warnings, *history.notes),
+    )
+
+
+def decide(config: TrainConfig, policy: Path | None, rank: Rank) -> Plan:
+    """Robot, engine, device and number of worlds."""
+    gpu = rank.device.type == "cuda"
+    source = config.resume or policy
+    robot = config.robot
+    if source is not None:
+        trained = str(checkpoint.read(source)["robot"])
+        if robot and robot != trained:
+            raise TrainerError("the policy is of another robot", file=source, expected=robot, found=trained)
+        robot = trained
+    robot = robot or "g1"
+    engine = config.engine or ("warp" if gpu else "mujoco")
+    worlds = config.worlds or (4096 if gpu else 64)
+    seed = config.seed * 1009 + rank.index
+    physics = PhysicsConfig(device=str(rank.device), threads=config.threads, seed=seed)
+    task = replace(config.task, amp=config.ppo.prior.amp)
+    if ROBOTS[robot]().camera is None:
+        task = replace(task, depth=replace(task.depth, use=False))
+    return Plan(replace(config, seed=seed), task, robot, engine, physics, worlds)
+
+
+def start(scene: Scene, file: Path | None, plan: Plan, rank: Rank) -> Runner:
+    """Environment, policy and what is optional, ready to iterate."""
+    config = plan.config
+    env = make(
+        plan.task,
+        scene.terrains,
+        robot=plan.robot,
+        worlds=plan.worlds,
+        engine=plan.engine,
+        physics=plan.physics,
+        rows=scene.rows,
+        diagnosis=config.diagnosis,
+        seed=config.seed,
+    )
+    if config.resume is not None:
+        policy, _ = checkpoint.load(config.resume)
+    elif file is not None:
+        base, _ = checkpoint.load(file)
+        policies.check_layout(base.layout, env.layout, str(file))
+        policy = policies.fine_tune(base, config.strategy, config.tuning, config.seed)
+    else:
+        policy = policies.new(env.layout, config.ppo.networks, plan.robot, config.seed)
+    policies.check_layout(policy.layout, env.layout, str(config.resume or ""))
+    return Runner(
+        env, policy, config.ppo, rank=rank, seed=config.seed, prior=_prior(plan, env), extra=_symmetry(config, env)
+    )
+
+
+def trials(scene: Scene, plan: Plan) -> loop.Evaluate:
+    """Success rate in the same trials whenever it is asked for; worlds of its own, made when first asked."""
+    setting = Setting(plan.robot, plan.engine, None, plan.task, plan.physics, plan.config.diagnosis)
+    settings = EvaluationConfig(trials=plan.config.trials, worlds=min(plan.config.trials, 250), seed=plan.config.seed)
+    envs: list[tuple[ParkourEnv, dict[str, object]]] = []
+
+    @torch.inference_mode()
+    def evaluate(policy: Policy) -> float:
+        if not envs:
+            made = [trial_env(t, settings.worlds, settings, setting) for t in scene.terrains]
+            envs.extend((env, env.state_dict()) for env in made)
+        won, count = 0, 0
+        for env, state in envs:
+            env.load_state_dict(state)
+            outcome = run(policy.act, env, settings.trials).outcome
+            won, count = won + int((outcome == SUCCESS).sum()), count + len(outcome)
+        return won / count
+
+    return evaluate
+
+
+def write_onnx(path: Path, policy: Policy, task: ParkourConfig, policy_dt: float) -> Path:
+    """Export with everything that a robot must know; the file written."""
+    facts = export.deployment(policy, ROBOTS[policy.robot](), policy_dt, (task.depth.near, task.depth.far))
+    export.export(path, policy, facts)
+    return path
+
+
+def _attempt(scene: Scene, file: Path | None, plan: Plan, rank: Rank, out: Path) -> tuple[Runner, loop.History]:
+    runner = start(scene, file, plan, rank)
+    # A curriculum's success is in its own log; trials on each of its hundreds of terrains would take longer than it.
+    evaluate = trials(scene, plan) if scene.rows == 1 else None
+    config = plan.config
+    return runner, loop.train(runner, config.loop, out, evaluate=evaluate, resume=config.resume)
+
+
+def _with_fewer_worlds(plan: Plan, error: RuntimeError, rank: Rank) -> Plan:
+    """The plan with half the worlds if memory ran out; any other error goes on its way."""
+    if not (isinstance(error, torch.OutOfMemoryError) or "out of memory" in str(error).lower()):
+        raise error
+    if rank.count > 1 or plan.worlds // 2 < FEWEST_WORLDS or plan.config.resume is not None:
+        raise TrainerError(
+            "the GPU's memory is not enough",
+            found=f"{plan.worlds} worlds on {rank.device}",
+            hint=f"--worlds {max(FEWEST_WORLDS, plan.worlds // 2)}",
+        ) from error
+    return replace(plan, worlds=plan.worlds // 2)
+
+
+def _prior(plan: Plan, env: ParkourEnv) -> StylePrior | None:
+    settings = plan.config.ppo.prior
+    if not settings.amp:
+        return None
+    from trainer.ppo.motion import reference
+
+    features = reference(ROBOTS[plan.robot](), env.policy_dt).to(env.device)
+    return StylePrior(features, settings, env.policy_dt)
+
+
+def _symmetry(config: TrainConfig, env: ParkourEnv) -> dict[str, tuple[float, Loss]]:
+    weight = config.ppo.symmetry_weight
+    return {"symmetry": (weight, SymmetryLoss(env.mirror))} if weight > 0 else {}
