@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -10,40 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import GapError
-from realsim.files import check_size, inside, read_json, read_text
-from realsim.types import F64
-
-SIGNAL_SHAPES: dict[str, str | int] = {
-    "joint_pos": "J",
-    "joint_vel": "J",
-    "joint_torque": "J",
-    "base_pos": 3,
-    "base_quat": 4,
-    "imu_gyro": 3,
-    "imu_acc": 3,
-    "contact": "F",
-}
-MAX_SAMPLES = 5_000_000
-
-
-@dataclass(frozen=True)
-class Run:
-    """One trajectory on the robot. Arrays as in the contract; missing samples are NaN."""
-
-    name: str
-    time: F64
-    """(T,) seconds, strictly increasing, the first is 0."""
-    command: F64
-    """(T, U), held between samples."""
-    signals: dict[str, F64]
-    """joint_pos (T, J) and whatever else was logged."""
-    init_qpos: F64 | None = None
-    init_qvel: F64 | None = None
-
-    @property
-    def duration(self) -> float:
-        return float(self.time[-1] - self.time[0])
+from realsim.errors import GapError, RealsimError
+from realsim.files import inside, read_json, read_text
+from realsim.gap.runs import Layout, layout, read_run
+from realsim.gap.runs import Run as Run
 
 
 @dataclass(frozen=True)
@@ -102,17 +71,21 @@ def _actuators(case: Case) -> dict[str, str]:
 
 
 def load_case(folder: Path) -> Case:
-    """Read a case folder of the contract (log.json, model.xml, runs/*.npz).
+    """Read a case folder of the contract (log.json, model.xml, runs/*.npz or *.csv).
 
     Raises:
         GapError: with the file, what was expected and what was found; names are matched to the closest ones.
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise GapError("no such case", file=folder, expected="a folder with log.json, model.xml and runs/*.npz")
+        raise GapError(
+            "no such case", file=folder, expected="a folder with log.json, model.xml and runs/ with .npz or .csv"
+        )
     for name in ("log.json", "model.xml"):
         if not (folder / name).is_file():
-            raise GapError(f"{name} is missing", file=folder, expected="log.json, model.xml and runs/*.npz")
+            raise GapError(
+                f"{name} is missing", file=folder, expected="log.json, model.xml and runs/ with .npz or .csv"
+            )
     log = read_json(folder / "log.json")
     if not isinstance(log, dict):
         raise GapError("log.json is not an object", file=folder / "log.json")
@@ -155,26 +128,45 @@ def load_case(folder: Path) -> Case:
     unlogged = [n for n in unlogged if n not in joints]
     if unlogged:
         warnings.append(f"joints of the model that are not logged start at their default: {', '.join(unlogged[:6])}")
-    files = sorted((folder / "runs").glob("*.npz")) if (folder / "runs").is_dir() else []
+    want = layout(joints, actuators, contact, model, log | {"command_kind": kind, "columns": _columns(log, folder)})
+    runs, dropped = _read_runs(folder / "runs", want, warnings)
+    if len(runs) == 1:
+        warnings.append("only one run: nothing is left to check the diagnosis on, so it is weaker")
+    return Case(
+        folder, tuple(joints), tuple(actuators), kind, base, torque, site, tuple(contact), str(log.get("notes", "")),
+        xml, spec, model, runs, tuple(warnings), dropped,
+    )  # fmt: skip
+
+
+def _read_runs(folder: Path, want: Layout, warnings: list[str]) -> tuple[tuple[Run, ...], tuple[str, ...]]:
+    """(runs, what was left out and why). If no run can be used, the first one's error is raised."""
+    files = sorted(f for f in folder.iterdir() if f.suffix in (".npz", ".csv")) if folder.is_dir() else []
     if not files:
-        raise GapError("no runs", file=folder / "runs", expected="one .npz file a run")
-    shape = {"J": len(joints), "U": len(actuators), "F": len(contact)}
+        raise GapError("no runs", file=folder, expected="one .npz or .csv file a run")
+    twice = sorted({f.stem for f in files if sum(g.stem == f.stem for g in files) > 1})
+    if twice:
+        raise GapError("two files of one run", file=folder, found=", ".join(twice), hint="keep the .npz or the .csv")
     runs, dropped, first = [], [], None
     for file in files:
         try:
-            runs.append(read_run(file, shape, model.nq, model.nv, warnings))
-        except GapError as error:
+            runs.append(read_run(file, want, warnings))
+        except RealsimError as error:
             first = first or error
             dropped.append(f"{file.name}: {error.message}")
     if not runs:
         assert first is not None
         raise first
-    if len(runs) == 1:
-        warnings.append("only one run: nothing is left to check the diagnosis on, so it is weaker")
-    return Case(
-        folder, tuple(joints), tuple(actuators), kind, base, torque, site, tuple(contact), str(log.get("notes", "")),
-        xml, spec, model, tuple(runs), tuple(warnings), tuple(dropped),
-    )  # fmt: skip
+    return tuple(runs), tuple(dropped)
+
+
+def _columns(log: dict[str, Any], folder: Path) -> Any:
+    """The map of .csv columns: in log.json, or in columns.json beside it, or none."""
+    beside = folder / "columns.json"
+    if beside.is_file():
+        if "columns" in log:
+            raise GapError("the column map is given twice", file=folder, found="columns in log.json, and columns.json")
+        return read_json(beside)
+    return log.get("columns")
 
 
 def _load_model(path: Path) -> tuple[Any, Any, str]:
@@ -200,91 +192,6 @@ def _load_model(path: Path) -> tuple[Any, Any, str]:
     if model.nu == 0:
         raise GapError("the model has no actuators", file=path, expected="the robot's servos as actuators")
     return spec, model, text
-
-
-def read_run(path: Path, shape: dict[str, int], nq: int, nv: int, warnings: list[str]) -> Run:
-    """One npz file. Raises GapError for what cannot be used; adds to `warnings` what was mended."""
-    check_size(path)
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            data = {k: np.asarray(archive[k], dtype=np.float64) for k in archive.files}
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
-        raise GapError("not a readable .npz of plain numbers", file=path, found=str(error)) from error
-    for name in ("time", "command", "joint_pos"):
-        if name not in data:
-            raise GapError(f"array {name!r} is missing", file=path, found=", ".join(sorted(data)) or "nothing")
-    time = data["time"].reshape(-1)
-    count = len(time)
-    if count < 20:
-        raise GapError("the run is too short", file=path, expected="at least 20 samples", found=str(count))
-    if count > MAX_SAMPLES:
-        raise GapError("the run is too long", file=path, expected=f"at most {MAX_SAMPLES} samples", found=str(count))
-    _check_shape(path, "command", data["command"], (count, shape["U"]))
-    signals = {}
-    for name, columns in SIGNAL_SHAPES.items():
-        width = shape[columns] if isinstance(columns, str) else int(columns)
-        if name in data and width:
-            _check_shape(path, name, data[name], (count, width))
-            signals[name] = np.where(np.isfinite(data[name]), data[name], np.nan)
-    if not np.isfinite(signals["joint_pos"]).any(axis=0).all():
-        empty = int(np.flatnonzero(~np.isfinite(signals["joint_pos"]).any(axis=0))[0])
-        raise GapError("a joint has no finite position", file=path, found=f"column {empty} of joint_pos is all NaN")
-    keep = np.isfinite(time)
-    if not keep.all():
-        warnings.append(f"{path.name}: {int((~keep).sum())} samples without a time stamp are left out")
-    back = np.zeros(count, bool)
-    latest = -np.inf
-    for i in np.flatnonzero(keep):  # a stamp is late if any earlier one is as new: order cannot be trusted there
-        back[i] = time[i] <= latest
-        latest = max(latest, time[i])
-    if back.sum() > 0.05 * count:
-        raise GapError(
-            "the clock runs backwards",
-            file=path,
-            expected="increasing time",
-            found=f"{int(back.sum())} of {count} steps do not increase, the first at sample {int(np.argmax(back))}",
-            hint="sort the log by the robot's own clock",
-        )
-    if back.any():
-        warnings.append(f"{path.name}: the clock runs backwards at {int(back.sum())} samples, which are left out")
-    keep &= ~back
-    command = _fill_forward(data["command"], path, warnings)
-    if np.ptp(time[keep]) > 3600:
-        raise GapError(
-            "the run lasts more than an hour",
-            file=path,
-            found=f"{np.ptp(time[keep]):.3g} s",
-            hint="is time in seconds?",
-        )
-    qpos, qvel = data.get("init_qpos"), data.get("init_qvel")
-    if qpos is not None and (qpos.shape != (nq,) or not np.isfinite(qpos).all()):
-        raise GapError("init_qpos does not fit the model", file=path, expected=f"({nq},) finite", found=str(qpos.shape))
-    if qvel is not None and (qvel.shape != (nv,) or not np.isfinite(qvel).all()):
-        raise GapError("init_qvel does not fit the model", file=path, expected=f"({nv},) finite", found=str(qvel.shape))
-    return Run(
-        path.stem, time[keep] - time[keep][0], command[keep], {k: v[keep] for k, v in signals.items()}, qpos, qvel
-    )
-
-
-def _check_shape(path: Path, name: str, array: F64, want: tuple[int, int]) -> None:
-    if array.shape != want:
-        raise GapError(f"{name} has the wrong shape", file=path, expected=str(want), found=str(array.shape))
-
-
-def _fill_forward(command: F64, path: Path, warnings: list[str]) -> F64:
-    """A missing command is the one before it: that is what a held command does."""
-    bad = ~np.isfinite(command)
-    if not bad.any():
-        return command
-    if bad.all(axis=0).any() or bad.mean() > 0.5:
-        raise GapError("the command is missing", file=path, found=f"{bad.mean():.0%} of the samples are not finite")
-    warnings.append(f"{path.name}: {int(bad.any(axis=1).sum())} samples without a command hold the one before")
-    filled = command.copy()
-    for column in range(command.shape[1]):
-        good = np.flatnonzero(~bad[:, column])
-        source = good[np.clip(np.searchsorted(good, np.arange(len(command)), side="right") - 1, 0, None)]
-        filled[:, column] = command[source, column]
-    return filled
 
 
 def _names(log: dict[str, Any], key: str, folder: Path) -> list[str]:

@@ -7,15 +7,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from realsim.gap.case import Case
+from realsim.gap.case import Case, Run
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.simulate import Channel, measured
 from realsim.types import F64
 
-CORRELATION = 5.0
-"""Unmodelled detail is correlated over about a tenth of a second: that many bins count as one."""
+CORRELATION = 20.0
+"""Unmodelled detail is correlated over some tenths of a second: that many bins count as one."""
 CLOCK_SIGMA = 3e-4
 """Seconds: jitter of time stamps that nobody logs. Its error grows with the rate of a signal."""
+TOUCH_SIGMA = 3e-3
+"""Seconds by which a touchdown may come sooner or later: what an accelerometer on a walking robot makes of it."""
+
+FORM = 0.04
+"""An effect's simplified form is good to a few per cent of the correction that it makes."""
+PHASE = 0.3
+"""A torque may be sampled before or after a command that changes at that very moment: share of the step, as noise."""
+
+PART_SECONDS, PART_FACTOR = 0.5, 12.0
+"""A floating robot has parted from its simulator where the error stays this many times above the usual one."""
 
 TEMPER = 0.25
 TEMPER_SECONDS = 1.0
@@ -28,7 +38,7 @@ DETAIL = {
     "base_pos": (8e-4, 0.005),
     "base_rot": (1.2e-3, 0.005),
     "imu_gyro": (1e-2, 0.01),
-    "imu_acc": (8e-2, 0.015),
+    "imu_acc": (1e-1, 0.03),
 }
 
 
@@ -48,7 +58,7 @@ class Comparison:
     def __init__(self, case: Case, channels: Sequence[Channel], nominal: Sequence[F64], config: DiagnoseConfig) -> None:
         self.case, self.channels, self.config = case, tuple(channels), config
         self._starts, self._counts, self._values, self.times = [], [], [], []
-        self._valid = []
+        self._valid, self._phase = [], []
         for run in case.runs:
             bins = np.floor(run.time / config.bin_seconds).astype(int)
             starts = np.flatnonzero(np.diff(bins, prepend=bins[0] - 1))
@@ -56,13 +66,40 @@ class Comparison:
             good = np.isfinite(values)
             self._starts.append(starts)
             self._valid.append(good)
+            steps = np.where(good, PHASE * _torque_steps(case, run, channels), 0.0)
+            self._phase.append(np.add.reduceat(steps**2, starts, axis=0))
             self._counts.append(np.add.reduceat(good.astype(float), starts, axis=0))
             self._values.append(np.where(good, values, 0.0))
             self.times.append(np.add.reduceat(run.time, starts) / np.diff(np.append(starts, len(run.time))))
+        walks = [case.floating and c.signal == "imu_acc" for c in self.channels]
+        self._clock = np.where(walks, TOUCH_SIGMA, CLOCK_SIGMA)
         self._rates = [self._rate(i, y) for i, y in enumerate(nominal)]
         self.noise = self._floor(nominal)
+        self.parted = self._part(nominal)
+        """Run -> seconds from which robot and simulator have parted for good (a fall, a slip); left out from there."""
         self.version = 0
+        self._form: dict[int, F64] = {}
         self.set_detail([self.noise.detail for _ in case.runs])
+
+    def _part(self, nominal: Sequence[F64]) -> dict[str, float]:
+        """Where a floating robot's error has grown out of all proportion and never comes back: chaos, not evidence."""
+        if not self.case.floating:
+            return {}
+        width = max(int(PART_SECONDS / self.config.bin_seconds), 1)
+        levels = []
+        for run, y in enumerate(nominal):
+            square = np.nanmean(self.residual(run, y) ** 2 / self.floor(run), axis=1)
+            levels.append(np.convolve(np.nan_to_num(square), np.ones(width) / width, mode="same"))
+        limit = PART_FACTOR * max(float(np.median(np.concatenate(levels))), 8.0)
+        parted = {}
+        for run, level in enumerate(levels):
+            fine = np.flatnonzero(level <= limit)
+            last = int(fine[-1]) if len(fine) else 0
+            if len(level) - last > width:
+                last = max(last - width // 2, width)
+                self._counts[run][last:] = 0
+                parted[self.case.runs[run].name] = float(self.times[run][last])
+        return parted
 
     def residual(self, run: int, simulated: F64) -> F64:
         """(B, C) mean of measured - simulated in each bin; NaN where a bin has no sample or the simulator failed."""
@@ -85,29 +122,41 @@ class Comparison:
             self.weights[i][self._counts[i] == 0] = 0.0
         self.version += 1
 
-    def temper(self, runs: Sequence[int], simulated: Sequence[F64]) -> None:
+    def temper(self, runs: Sequence[int], simulated: Sequence[F64], nominal: Sequence[F64]) -> None:
         """Weigh errors against the gap that is still there: a model that explains most of it is good enough for now.
 
         Without this, a large gap would be fitted by absurd values of many small deviations, because sensors are so
-        precise that their price does not count. The tolerance is a quarter of the local error (about a second wide).
+        precise that their price does not count. The tolerance is a quarter of the local error (about a second wide),
+        and what the form of the causes leaves open: a few per cent of what they have changed.
         """
         detail: list[F64] = [self.noise.detail for _ in self.case.runs]
-        for run, y in zip(runs, simulated, strict=True):
-            r = np.nan_to_num(self.residual(run, y))
-            width = max(int(TEMPER_SECONDS / self.config.bin_seconds), 1)
-            kernel = np.ones(min(width, len(r))) / min(width, len(r))
-            local = np.stack([np.convolve(r[:, c] ** 2, kernel, mode="same") for c in range(r.shape[1])], axis=1)
-            detail[run] = np.hypot(self.noise.detail, TEMPER * np.sqrt(local))
+        self._form = {}
+        for run, y, y0 in zip(runs, simulated, nominal, strict=True):
+            self._form[run] = FORM * self._local(self.change(run, y, y0))
+            left = TEMPER * self._local(np.nan_to_num(self.residual(run, y)))
+            detail[run] = np.sqrt(self.noise.detail**2 + left**2 + self._form[run] ** 2)
         self.set_detail(detail)
+
+    def _local(self, values: F64) -> F64:
+        """(B, C) root mean square over about a second."""
+        width = min(max(int(TEMPER_SECONDS / self.config.bin_seconds), 1), len(values))
+        kernel = np.ones(width) / width
+        mean = [np.convolve(values[:, c] ** 2, kernel, mode="same") for c in range(values.shape[1])]
+        return np.asarray(np.sqrt(np.maximum(np.stack(mean, axis=1), 0.0)))
 
     def variance(self, run: int) -> F64:
         """(B, C) variance of the sensors' noise in each bin."""
-        sample = self.noise.sensor**2 + (CLOCK_SIGMA * self._rates[run]) ** 2
-        return sample / np.maximum(self._counts[run], 1)
+        sample = self.noise.sensor**2 + (self._clock * self._rates[run]) ** 2
+        count = np.maximum(self._counts[run], 1)
+        return (sample + self._phase[run] / count) / count
 
     def floor(self, run: int) -> F64:
         """(B, C) mean square that a perfect diagnosis would leave: sensors and detail."""
         return self.variance(run) + self.noise.detail**2
+
+    def tolerance(self, run: int) -> F64:
+        """(B, C) mean square that the causes named so far may leave: the floor, and what their form leaves open."""
+        return self.floor(run) + self._form.get(run, np.zeros(1)) ** 2
 
     # ------------------------------------------------------------ inside
 
@@ -136,3 +185,17 @@ class Comparison:
             values = values[np.isfinite(values)]
             detail.append(np.hypot(absolute, relative * float(np.std(values)) if len(values) else 0.0))
         return Noise(np.array(sensor), np.array(detail))
+
+
+def _torque_steps(case: Case, run: Run, channels: Sequence[Channel]) -> F64:
+    """(T, C) N m that each new command of a position servo adds to the torque at once; 0 for other signals."""
+    steps = np.zeros((len(run.time), len(channels)))
+    for c, channel in enumerate(channels):
+        name = case.actuator_of(channel.label) if channel.signal == "joint_torque" else None
+        if name is None or case.command_kind != "position":
+            continue
+        column = run.command[:, case.actuator_names.index(name)]
+        gain = abs(float(case.model.actuator(name).gainprm[0]))
+        most = float(np.nanmax(np.abs(run.signals["joint_torque"][:, channel.index]), initial=0.0))
+        steps[:, c] = np.minimum(gain * np.abs(np.diff(column, prepend=column[0])), 2 * most)
+    return steps

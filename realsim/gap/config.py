@@ -25,7 +25,7 @@ class DiagnoseConfig:
     """Runs that no fit sees, for the shrinkage (0 if the log has only one run)."""
     finalists: int = 5
     """Rivals that are refitted with the full nonlinear simulation at each stage of the selection."""
-    min_gain: float = 12.0
+    min_gain: float = 8.0
     """Least gain in log-likelihood, after the nuisances, for an effect to be accepted."""
     min_share: float = 0.08
     """Least share of the gap above the nuisances that an effect must remove on unseen runs."""
@@ -35,6 +35,8 @@ class DiagnoseConfig:
     """Rivals that lose less than this share of the removed gap on unseen runs are called equivalent."""
     unexplained_share: float = 0.20
     """From this share of the gap left over, the verdict is `unexplained`."""
+    baselines: bool = True
+    """Also say what simpler rules would have concluded (a few more simulations)."""
     bootstrap: int = 400
     """Resamples for intervals."""
     seed: int = 0

@@ -13,8 +13,8 @@ from realsim.gap.fit import Cause, Fit
 from realsim.gap.simulate import Simulator, lookup
 
 Z90 = 1.6449
-MODEL_ERROR = 0.025
-"""Relative error of a fitted value that comes from the simplified form of an effect."""
+MODEL_ERROR = 0.07
+"""Relative error of a fitted value that comes from the simplified form of an effect (measured on made cases)."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,10 @@ class Diagnosis:
     """All effects tried, with their gains."""
     health: dict[str, Any] = field(default_factory=dict)
     statistics: dict[str, Any] = field(default_factory=dict)
+    cost: dict[str, float] = field(default_factory=dict)
+    """`seconds` of wall time, `cpu_seconds`, `simulated_seconds` (of the robot's time, all replays together)."""
+    baselines: dict[str, Any] = field(default_factory=dict)
+    """Simpler rule -> the cause that it would have named first."""
     evidence: dict[str, Any] = field(default_factory=dict, repr=False)
     """Arrays for the report's plots; not part of the JSON."""
 
@@ -54,6 +58,8 @@ class Diagnosis:
             "ranking": list(self.ranking),
             "health": self.health,
             "statistics": self.statistics,
+            "baselines": self.baselines,
+            **self.cost,
         }
 
     def write(self, folder: Path) -> Path:

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from realsim.gap.effects import EFFECTS
 
+_WHERE = {"joint": "on joints", "body": "on bodies", "terrain": "on pieces of terrain", "global": "everywhere"}
+
 
 def explain(effect: str) -> str:
-    """Plain text about one effect. Raises UnknownNameError with the closest names."""
+    """Plain text about one effect, or a line about each for `all`. Raises UnknownNameError with the closest names."""
+    if effect == "all":
+        width = max(len(name) for name in EFFECTS)
+        return "\n".join(f"{name:{width}}  {EFFECTS[name].description}" for name in EFFECTS)
     e = EFFECTS[effect]
-    where = {
-        "joint": "on joints",
-        "body": "on bodies",
-        "terrain": "on pieces of terrain",
-        "global": "everywhere",
-    }[e.scope]
-    how = "expressed in MJCF" if e.patchable else "a wrapper around the simulator (see the patch)"
+    how = "in the model (model.xml, apply_patch)" if e.patchable else "a wrapper around the simulator (see the patch)"
     return "\n".join(
         [
-            f"{e.name}: {e.title}, acts {where}",
+            f"{e.name}: {e.title}, acts {_WHERE[e.scope]}",
             "",
             e.description,
             "",

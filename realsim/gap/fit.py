@@ -3,52 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from realsim.errors import GapError
 from realsim.gap.effects.base import Parameter
-from realsim.gap.screen import Candidate, Evidence, Screen, marginal, posterior
+from realsim.gap.fitted import Cause as Cause
+from realsim.gap.fitted import Fit as Fit
+from realsim.gap.fitted import causes_of, spread
+from realsim.gap.nuisances import NUISANCES
+from realsim.gap.screen import Candidate, Screen
 from realsim.gap.simulate import Setting, lookup
 from realsim.types import F64
 
-
-@dataclass(frozen=True)
-class Cause:
-    """A candidate with values (coordinates in which 0 is nominal)."""
-
-    candidate: Candidate
-    values: tuple[float, ...]
-
-    @property
-    def named(self) -> dict[str, float]:
-        return dict(zip(self.candidate.names, self.values, strict=True))
-
-    def settings(self) -> list[Setting]:
-        """What the simulator is told; places of a group share the values."""
-        return [(self.candidate.effect, place, self.named) for place in self.candidate.places]
-
-
-@dataclass(frozen=True)
-class Fit:
-    """Causes at their best values, and how well they explain the screened runs."""
-
-    causes: tuple[Cause, ...]
-    misfit: float
-    """Half the weighted squared residual after the nuisances, plus their prior: lower is better."""
-    covariance: F64
-    """(m, m) of all values, nuisances marginalised; the larger of model-based and run-to-run."""
-    predictions: tuple[F64, ...]
-    """(T, C) a screened run, before the nuisances."""
-    evidence: Evidence
-    prior: F64
-    """(p,) prior of the nuisances that stay beside these causes."""
-    at_bounds: tuple[str, ...] = ()
-
-    def settings(self) -> list[Setting]:
-        return [s for c in self.causes for s in c.settings()]
+REASONABLE = 3.0
+"""Standard deviations up to which a small deviation is an everyday one."""
 
 
 class Fitter:
@@ -57,6 +28,8 @@ class Fitter:
     def __init__(self, screen: Screen) -> None:
         self.screen = screen
         self.evaluations = 0
+        self.about = np.zeros(len(screen.atoms))
+        """(p,) nuisances that every simulation contains, so that the linear rest is small."""
         self._recent: dict[Any, list[F64] | None] = {}
 
     def nominal(self) -> Fit:
@@ -64,52 +37,117 @@ class Fitter:
         return self._measure((), None)
 
     def tighten(self, fit: Fit) -> Fit:
-        """Weigh errors against what this fit leaves, and measure it anew."""
-        self.screen.comparison.temper(self.screen.runs, fit.predictions)
+        """Weigh errors against what this fit leaves, put the nuisances where they belong, and measure it anew."""
+        for _ in range(2):
+            self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal)
+            fit, moved = self._settle(self.remeasure(fit))
+            if not moved:
+                break
+        return fit
+
+    def unbend(self, fit: Fit) -> Fit:
+        """Back to robots without deviations (the solver's and the sensors' stay): a gap is left all the same.
+
+        Small deviations that were bent to imitate a cause would hide it from its own rivals.
+        """
+        pure = np.array([a.effect in NUISANCES for a in self.screen.atoms])
+        if not self.about[~pure].any():
+            return fit
+        self.about = np.where(pure, self.about, 0.0)
+        fit = self.remeasure(fit)
+        self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal)
         return self.remeasure(fit)
 
     def remeasure(self, fit: Fit) -> Fit:
-        """The same fit under the present weights."""
-        evidence = self.screen.evidence(fit.predictions)
-        return replace(fit, evidence=evidence, misfit=marginal(evidence, fit.prior)[2])
+        """The same fit under the present weights and nuisances."""
+        new = self._measure(fit.causes, None)
+        return replace(new, covariance=fit.covariance, at_bounds=fit.at_bounds)
 
-    def fit(self, causes: Sequence[Cause], starts: Sequence[Sequence[float]] = (), iterations: int = 4) -> Fit | None:
-        """The best values near the causes' own and the further `starts` (all values in a row); None if none runs."""
+    def _settle(self, fit: Fit) -> tuple[Fit, bool]:
+        """Nuisances at their most probable values beside the causes, by simulation; whether they moved.
+
+        They only move if that explains most of what is left: beside a large gap, many small deviations would be bent
+        to imitate it.
+        """
+        x = self.screen.nuisances(fit.evidence, fit.prior)
+        x = np.clip(x, -REASONABLE * fit.prior, REASONABLE * fit.prior)
+        x = np.where(self.screen.simulable & (np.abs(x) > 0.05 * fit.prior), x, 0.0)
+        old, cost = self.about, self._cost(fit)
+        for share in (1.0, 0.5):
+            self.about = self.screen.possible(old + share * (x - old))
+            try:
+                moved = self.remeasure(fit)
+            except GapError:
+                continue
+            if self._cost(moved) < (0.98 if old.any() else 0.6) * cost:
+                return moved, True
+        self.about = old
+        return fit, False
+
+    def _cost(self, fit: Fit) -> float:
+        """Weighted squared residual of the simulation itself, and the nuisances' price."""
+        total = float(np.sum((self.about[fit.prior > 0] / fit.prior[fit.prior > 0]) ** 2))
+        for run, y in zip(self.screen.runs, fit.predictions, strict=True):
+            r = self.screen.comparison.residual(run, y)
+            total += float(np.nansum(self.screen.comparison.weights[run] * r**2))
+        return total
+
+    def _about(self, candidates: Sequence[Candidate]) -> F64:
+        """(p,) the simulated nuisances beside these causes."""
+        return np.asarray(np.where(self.prior_beside(candidates) > 0, self.about, 0.0))
+
+    def fit(
+        self,
+        causes: Sequence[Cause],
+        starts: Sequence[Sequence[float]] = (),
+        iterations: int = 4,
+        rough: bool = False,
+        target: float = np.inf,
+    ) -> Fit | None:
+        """The best values near the causes' own and the further `starts` (all values in a row); None if none runs.
+
+        A `rough` fit looks at some of the runs while it searches, and is measured on all of them; it is broken off
+        once it would not come down to the misfit `target` (of the runs it looks at) at its present pace.
+        """
+        few = self.screen.varied if rough else None
         candidates = [c.candidate for c in causes]
         parameters = self._parameters(candidates)
-        best: tuple[float, F64] | None = None
-        for start in [[v for c in causes for v in c.values], *starts]:
-            z = self._clip(np.array(start, float), parameters)
-            value = self._misfit(candidates, z)
-            if value is not None and (best is None or value < best[0]):
-                best = (value, z)
-        if best is None:
+        z = self._best_start(candidates, parameters, [[v for c in causes for v in c.values], *starts], few)
+        value = self._misfit(candidates, z, few) if z is not None else None
+        if z is None or value is None:
             return None
-        value, z = best
-        damping = 1e-3
-        for _ in range(iterations):
-            step = self._newton(candidates, z, parameters, damping)
-            if step is None:
-                break
-            improved = False
+        slopes, fresh, damping = None, False, 1e-3
+        for k in range(iterations):
+            base = self._predict(candidates, z, few)
+            assert base is not None
+            if slopes is None:
+                slopes, fresh = self._slopes(candidates, z, parameters, base, few), True
+                if slopes is None:
+                    break
+            step = self._newton(candidates, z, parameters, base, slopes, damping, few)
+            before = value
             for shrink in (1.0, 0.4, 0.1):
                 trial = self._clip(z + shrink * step, parameters)
-                new = self._misfit(candidates, trial)
+                new = self._misfit(candidates, trial, few)
                 if new is not None and new < value - 1e-3:
-                    gained = value - new
-                    z, value, improved = trial, new, True
+                    moved = self._predict(candidates, trial, few)
+                    assert moved is not None
+                    slopes, fresh = self._secant(slopes, trial - z, parameters, base, moved, few), False
+                    z, value = trial, new
                     damping = max(damping / 5, 1e-6)
                     break
-            if not improved:
+            gained = before - value
+            if gained <= 0 and not fresh:
+                slopes = None  # the secants have gone stale: look anew before giving up
+            elif gained < 0.02 + 1e-4 * abs(value) or (k and value - 3 * gained > target):
                 break
-            if gained < 0.02 + 1e-4 * abs(value):
-                break
-        split, fitted = 0, []
-        for candidate in candidates:
-            count = len(candidate.names)
-            fitted.append(Cause(candidate, tuple(float(v) for v in z[split : split + count])))
-            split += count
-        return self._measure(tuple(fitted), parameters)
+        return self._measure(causes_of(candidates, z), parameters, slopes, few)
+
+    def spread(self, fit: Fit) -> Fit:
+        """The same fit with its covariance from slopes taken at its very values."""
+        if not fit.causes:
+            return fit
+        return self._measure(fit.causes, self._parameters([c.candidate for c in fit.causes]), None)
 
     # ------------------------------------------------------------ inside
 
@@ -120,11 +158,26 @@ class Fitter:
             found += [every[n] for n in c.names]
         return found
 
+    def _best_start(
+        self,
+        candidates: Sequence[Candidate],
+        parameters: list[Parameter],
+        starts: Sequence[Sequence[float]],
+        few: tuple[int, ...] | None,
+    ) -> F64 | None:
+        best: tuple[float, F64] | None = None
+        for start in starts:
+            z = self._clip(np.array(start, float), parameters)
+            value = self._misfit(candidates, z, few)
+            if value is not None and (best is None or value < best[0]):
+                best = (value, z)
+        return None if best is None else best[1]
+
     def _clip(self, z: F64, parameters: list[Parameter]) -> F64:
         return np.clip(z, [p.bounds[0] for p in parameters], [p.bounds[1] for p in parameters])
 
     def _settings(self, candidates: Sequence[Candidate], z: F64) -> list[Setting]:
-        settings: list[Setting] = []
+        settings = self.screen.settings(self._about(candidates))
         i = 0
         for c in candidates:
             named = {n: float(v) for n, v in zip(c.names, z[i : i + len(c.names)], strict=True)}
@@ -132,18 +185,22 @@ class Fitter:
             i += len(c.names)
         return settings
 
-    def _predict(self, candidates: Sequence[Candidate], z: F64) -> list[F64] | None:
-        key = (tuple(c.key for c in candidates), z.tobytes())
+    def _runs(self, few: tuple[int, ...] | None) -> list[int]:
+        return self.screen.runs if few is None else [self.screen.runs[k] for k in few]
+
+    def _predict(self, candidates: Sequence[Candidate], z: F64, few: tuple[int, ...] | None = None) -> list[F64] | None:
+        """(T, C) a screened run (of the `few` with these positions, if given); None if the simulation fails."""
+        key = (tuple(c.key for c in candidates), z.tobytes(), few, self.about.tobytes())
         if key in self._recent:
             return self._recent[key]
         self.evaluations += 1
         try:
-            made = self.screen.simulator.simulate(self._settings(candidates, z), runs=self.screen.runs)
+            made = self.screen.simulator.simulate(self._settings(candidates, z), runs=self._runs(few))
             found = made if all(np.isfinite(y).all() for y in made) else None
         except GapError:
             found = None
         self._recent[key] = found
-        if len(self._recent) > 12:  # a line search ends where the next slopes begin: no need to simulate it again
+        if len(self._recent) > 24:  # a line search ends where the next slopes begin: no need to simulate it again
             self._recent.pop(next(iter(self._recent)))
         return found
 
@@ -158,15 +215,20 @@ class Fitter:
                         prior[i] = 0.0
         return prior
 
-    def _misfit(self, candidates: Sequence[Candidate], z: F64) -> float | None:
-        predicted = self._predict(candidates, z)
+    def _misfit(self, candidates: Sequence[Candidate], z: F64, few: tuple[int, ...] | None = None) -> float | None:
+        predicted = self._predict(candidates, z, few)
         if predicted is None:
             return None
-        evidence = self.screen.evidence(predicted)
-        return marginal(evidence, self.prior_beside(candidates))[2]
+        evidence = self.screen.evidence(predicted, few, self._about(candidates))
+        return self.screen.misfit(evidence, self.prior_beside(candidates))
 
     def _slopes(
-        self, candidates: Sequence[Candidate], z: F64, parameters: list[Parameter], base: list[F64]
+        self,
+        candidates: Sequence[Candidate],
+        z: F64,
+        parameters: list[Parameter],
+        base: list[F64],
+        few: tuple[int, ...] | None = None,
     ) -> list[F64] | None:
         """(B * C, m) a run: change of the prediction per unit, by differences a tenth of a step wide."""
         columns: list[list[F64]] = [[] for _ in base]
@@ -177,50 +239,70 @@ class Fitter:
                 if p.bounds[0] <= z[j] + sign * width <= p.bounds[1]:
                     other = z.copy()
                     other[j] += sign * width
-                    moved = self._predict(candidates, other)
+                    moved = self._predict(candidates, other, few)
                     if moved is not None:
                         width *= sign
                         break
             if moved is None:
                 return None
-            for k, (run, m, y) in enumerate(zip(self.screen.runs, moved, base, strict=True)):
+            for k, (run, m, y) in enumerate(zip(self._runs(few), moved, base, strict=True)):
                 columns[k].append(np.asarray(self.screen.comparison.change(run, m, y).reshape(-1) / width))
         return [np.stack(c, axis=1) for c in columns]
 
-    def _local(self, candidates: Sequence[Candidate], z: F64, parameters: list[Parameter]):
-        """Marginal information (m, m) and the scores (runs, m) at z; None if it cannot be simulated."""
-        base = self._predict(candidates, z)
-        if base is None:
-            return None
-        slopes = self._slopes(candidates, z, parameters, base)
-        if slopes is None:
-            return None
-        evidence = self.screen.evidence(base)
+    def _secant(
+        self,
+        slopes: list[F64],
+        step: F64,
+        parameters: list[Parameter],
+        base: list[F64],
+        moved: list[F64],
+        few: tuple[int, ...] | None = None,
+    ) -> list[F64]:
+        """Broyden's update: slopes that reproduce the last step exactly, without a further simulation."""
+        scaled = step / np.array([p.step**2 for p in parameters])
+        share = scaled / float(step @ scaled)
+        result = []
+        for D, run, m, y in zip(slopes, self._runs(few), moved, base, strict=True):
+            missing = self.screen.comparison.change(run, m, y).reshape(-1) - D @ step
+            result.append(D + np.outer(missing, share))
+        return result
+
+    def _local(
+        self,
+        candidates: Sequence[Candidate],
+        base: list[F64],
+        slopes: list[F64],
+        few: tuple[int, ...] | None = None,
+    ) -> tuple[F64, F64]:
+        """Marginal information (m, m) and the scores (runs, m) where the predictions are `base`."""
+        about = self._about(candidates)
+        evidence = self.screen.evidence(base, few, about)
         prior = self.prior_beside(candidates)
-        A, b = np.sum(evidence.A, axis=0), np.sum(evidence.b, axis=0)
-        mean, cov = posterior(A, b, prior)
-        info = np.zeros((len(z), len(z)))
-        cross = np.zeros((len(prior), len(z)))
-        crosses, direct = [], []
-        for k, run in enumerate(self.screen.runs):
+        cov, mean = self.screen.covariance(evidence, prior), self.screen.nuisances(evidence, prior)
+        m = slopes[0].shape[1]
+        info, cross = np.zeros((m, m)), np.zeros((len(prior), m))
+        scores = []
+        for k, y, D in zip(evidence.runs, base, slopes, strict=True):
+            run = self.screen.runs[k]
             w = self.screen.comparison.weights[run].reshape(-1)
-            r = np.nan_to_num(self.screen.comparison.residual(run, base[k])).reshape(-1)
-            D = slopes[k]
-            crosses.append(self.screen._weighted[k].T.astype(float) @ D)
-            direct.append(D.T @ (w * r))
+            r = np.nan_to_num(self.screen.residual(k, y, about)).reshape(-1)
+            here = self.screen.weighted(k).T @ D
+            scores.append(D.T @ (w * r) - here.T @ mean)
             info += D.T @ (w[:, None] * D)
-            cross += crosses[-1]
-        info -= cross.T @ cov @ cross
-        scores = np.array([d - c.T @ mean for d, c in zip(direct, crosses, strict=True)])
-        return info, scores, base
+            cross += here
+        return info - cross.T @ cov @ cross, np.array(scores)
 
     def _newton(
-        self, candidates: Sequence[Candidate], z: F64, parameters: list[Parameter], damping: float
-    ) -> F64 | None:
-        local = self._local(candidates, z, parameters)
-        if local is None:
-            return None
-        info, scores, _ = local
+        self,
+        candidates: Sequence[Candidate],
+        z: F64,
+        parameters: list[Parameter],
+        base: list[F64],
+        slopes: list[F64],
+        damping: float,
+        few: tuple[int, ...] | None,
+    ) -> F64:
+        info, scores = self._local(candidates, base, slopes, few)
         scale = np.array([abs(p.step) for p in parameters])
         ridge = np.diag(damping * np.diag(info) + 0.05 / scale**2)
         free = np.ones(len(z), bool)
@@ -234,38 +316,33 @@ class Fitter:
             step[free] = np.linalg.solve((info + ridge)[sub], gradient[free])
         return np.clip(step, -4 * scale, 4 * scale)
 
-    def _measure(self, causes: tuple[Cause, ...], parameters: list[Parameter] | None) -> Fit:
+    def _measure(
+        self,
+        causes: tuple[Cause, ...],
+        parameters: list[Parameter] | None,
+        slopes: list[F64] | None = None,
+        few: tuple[int, ...] | None = None,
+    ) -> Fit:
+        """The fit with its evidence; `slopes` (of the `few` runs) are taken by differences if they are not given."""
         candidates = [c.candidate for c in causes]
         z = np.array([v for c in causes for v in c.values])
         prior = self.prior_beside(candidates)
-        if parameters:
-            local = self._local(candidates, z, parameters)
-            predicted = local[2] if local is not None else self._predict(candidates, z)
-        else:
-            local, predicted = None, self._predict(candidates, z)
+        predicted = self._predict(candidates, z)
         if predicted is None:
             raise GapError("the simulator fails with the values found", hint="look at the units of the log")
-        evidence = self.screen.evidence(predicted)
+        about = self._about(candidates)
+        evidence = self.screen.evidence(predicted, None, about)
         covariance = np.zeros((len(z), len(z)))
         at_bounds = []
-        if local is not None and parameters is not None:
-            covariance = self._covariance(local[0], local[1], parameters)
+        if parameters:
+            if slopes is None:
+                slopes, few = self._slopes(candidates, z, parameters, predicted), None
+            if slopes is not None:
+                seen = predicted if few is None else [predicted[k] for k in few]
+                covariance = spread(*self._local(candidates, seen, slopes, few), parameters)
             for p, v in zip(parameters, z, strict=True):
                 span = p.bounds[1] - p.bounds[0]
                 if v >= p.bounds[1] - 1e-3 * span or (p.bounds[0] != 0 and v <= p.bounds[0] + 1e-3 * span):
                     at_bounds.append(p.name)
-        return Fit(
-            causes, marginal(evidence, prior)[2], covariance, tuple(predicted), evidence, prior, tuple(at_bounds)
-        )
-
-    def _covariance(self, info: F64, scores: F64, parameters: list[Parameter]) -> F64:
-        """The model's own, or the one that the runs' disagreement speaks of (sandwich), whichever is larger."""
-        scale = np.array([abs(p.step) for p in parameters])
-        inverse: F64 = np.asarray(np.linalg.inv(info + np.diag(1e-2 / scale**2)), dtype=np.float64)
-        runs = len(scores)
-        if runs < 3:
-            return inverse
-        centred = scores - scores.mean(axis=0)
-        sandwich = inverse @ (centred.T @ centred * runs / (runs - 1)) @ inverse
-        ratio = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(inverse), 1e-30), 1.0))
-        return np.asarray(inverse * np.outer(ratio, ratio))
+        misfit = self.screen.misfit(evidence, prior)
+        return Fit(causes, misfit, covariance, tuple(predicted), about, evidence, prior, tuple(at_bounds))

@@ -10,14 +10,12 @@ import numpy as np
 from realsim.errors import GapError
 from realsim.gap.blackbox import predict
 from realsim.gap.compare import Comparison
-from realsim.gap.fit import Fit
-from realsim.gap.screen import Screen, posterior
+from realsim.gap.fit import REASONABLE, Fit
+from realsim.gap.screen import Screen
 from realsim.gap.simulate import Setting, Simulator
 from realsim.types import F64
 
 BLOCK_SECONDS = 0.5
-REASONABLE = 3.0
-"""Standard deviations up to which a small deviation is an everyday one."""
 
 
 @dataclass(frozen=True)
@@ -49,26 +47,22 @@ class Shrinkage:
 
 def nuisance_settings(screen: Screen, fit: Fit, scale: float = 1.0) -> list[Setting]:
     """The posterior means of the small deviations as settings for the simulator."""
-    e = fit.evidence
-    x, _ = posterior(np.sum(e.A, axis=0), np.sum(e.b, axis=0), fit.prior)
-    values: dict[tuple[str, tuple[str, ...]], dict[str, float]] = {}
-    for atom, v in zip(screen.atoms, x * scale, strict=True):
-        limit = 4 * atom.parameter.nuisance  # beyond this it is no small deviation any more
-        v = float(np.clip(np.clip(v, -limit, limit), *atom.parameter.bounds))
-        if abs(v) > 0.02 * atom.parameter.nuisance:
-            values.setdefault((atom.effect, atom.place), {})[atom.parameter.name] = v
-    return [(name, place, named) for (name, place), named in values.items()]
+    x = screen.nuisances(fit.evidence, fit.prior)
+    x = scale * np.clip(x, -REASONABLE * fit.prior, REASONABLE * fit.prior)
+    return screen.settings(np.where(np.abs(x) > 0.02 * fit.prior, x, 0.0))
 
 
 def leftover(screen: Screen, fit: Fit) -> F64:
-    """(runs,) mean square in units of the floor that stays when the small deviations do what they reasonably can."""
-    e = fit.evidence
-    x, _ = posterior(np.sum(e.A, axis=0), np.sum(e.b, axis=0), fit.prior)
+    """(runs,) mean square in units of the tolerance that stays when small deviations do what they reasonably can."""
+    x = screen.nuisances(fit.evidence, fit.prior)
     x = np.clip(x, -REASONABLE * fit.prior, REASONABLE * fit.prior)
     result = []
     for k, run in enumerate(screen.runs):
-        r = screen.comparison.residual(run, fit.predictions[k]) - screen.fitted(k, x)
-        result.append(float(np.nanmean(r**2 / screen.comparison.floor(run))))
+        simulated = screen.comparison.residual(run, fit.predictions[k])
+        moved = simulated - screen.fitted(k, x - fit.about)
+        # Where the linear rest is no good, the simulation itself counts.
+        squares = [float(np.nanmean(r**2 / screen.comparison.tolerance(run))) for r in (simulated, moved)]
+        result.append(min(squares))
     return np.array(result)
 
 
@@ -131,10 +125,12 @@ def shrinkage(
     for name, settings in rivals.items():
         found = errors(simulator, comparison, settings, runs)
         baselines[name] = mean_square(comparison, found, runs) / e0 if found is not None else float("nan")
-    learned = predict(simulator, comparison, _of(comparison, screen.runs, nominal), screen.runs, runs)
+    learned = predict(simulator, comparison, _of(comparison, screen.runs, screen.nominal), screen.runs, runs)
     boxed = [a - p for a, p in zip(before, learned, strict=True)]
     baselines["black-box residual (ridge)"] = mean_square(comparison, boxed, runs) / e0
-    left = with_nuisances(screen, comparison, fit, fit.settings(), screen.runs) or _of(comparison, screen.runs, fit)
+    left = with_nuisances(screen, comparison, fit, fit.settings(), screen.runs) or _of(
+        comparison, screen.runs, fit.predictions
+    )
     further = predict(simulator, comparison, left, screen.runs, runs)
     e3 = mean_square(comparison, [a - p for a, p in zip(clean, further, strict=True)], runs)
     return Shrinkage(
@@ -154,8 +150,8 @@ def shrinkage(
     )
 
 
-def _of(comparison: Comparison, runs: Sequence[int], fit: Fit) -> list[F64]:
-    return [comparison.residual(r, y) for r, y in zip(runs, fit.predictions, strict=True)]
+def _of(comparison: Comparison, runs: Sequence[int], predictions: Sequence[F64]) -> list[F64]:
+    return [comparison.residual(r, y) for r, y in zip(runs, predictions, strict=True)]
 
 
 def _bootstrap(

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from realsim.gap.edit import Edit
 from realsim.gap.effects.base import Effect, Parameter, Place, always
 
@@ -54,6 +56,27 @@ def _phase_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     edit.signals.torque_phase = values["phase"]
 
 
+def _solver_places(context: Any) -> list[Place]:
+    return [()] if context.touches else []
+
+
+def _solver_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
+    """Soft contacts creep under a lasting side load, at a pace that is the solver's and not the ground's."""
+    creep = Parameter("creep", "ratio", (-3.0, 4.0), -1.0, nuisance=1.0)
+    return (creep, Parameter("cone", "ratio", (0.0, 1.0), 1.0, nuisance=0.5, whole=True))
+
+
+def _solver_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    """`creep`: logarithm of the ratio on impratio. `cone`: the other of MuJoCo's two friction cones."""
+    import mujoco
+
+    option = edit.spec.option
+    option.impratio = float(option.impratio * np.exp(values["creep"]))
+    if values["cone"] > 0.5:
+        elliptic = int(option.cone) == int(mujoco.mjtCone.mjCONE_ELLIPTIC)
+        option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL if elliptic else mujoco.mjtCone.mjCONE_ELLIPTIC
+
+
 def _make(name: str, places: Any, parameters: Any, apply: Any, description: str) -> Effect:
     return Effect(name, name, "sensor", description, "", "", places, parameters, always, apply, patchable=False)
 
@@ -69,5 +92,8 @@ NUISANCES = {
         _phase_parameters,
         _phase_apply,
         "When the torque is sampled, beside the command.",
+    ),
+    "contact_solver": _make(
+        "contact_solver", _solver_places, _solver_parameters, _solver_apply, "How the simulator solves contacts."
     ),
 }

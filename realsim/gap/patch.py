@@ -2,73 +2,95 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
-from realsim.errors import GapError
-from realsim.gap.context import Context
+from realsim.errors import GapError, UnknownNameError
+from realsim.gap.case import Case
+from realsim.gap.context import Context, build_context
 from realsim.gap.edit import Edit, Signals
 from realsim.gap.effects import EFFECTS
 from realsim.gap.fit import Fit
-from realsim.gap.simulate import Simulator, lookup
+from realsim.gap.simulate import Setting, Simulator
+
+FORMAT = "realsim.gap.patch/1"
+EVER = 1e5
+"""A force that ends after this many seconds never ends."""
+# What no compiled model holds, and what the loop that steps it must do about it.
+_WRAPPER = {
+    "command_delay": "hold back every command by this time before it is written to ctrl (model.xml does it itself)",
+    "observation_delay": "read joint positions, velocities and torques this much later",
+    "joint_offset": "add it to the joint's reading, and give the servo the command less it (model.xml does it itself)",
+    "reading_offset": "add it to the joint's reading; the servo is right",
+    "gyro_bias": "add it to the gyroscope's reading",
+    "acc_bias": "add it to the accelerometer's reading",
+    "load_friction": "each step, set ctrl of actuator load_friction_JOINT to -ratio * |drive torque| * sign(velocity)",
+    "external_force": "set ctrl of this actuator to 1 from start to end, and to 0 otherwise",
+}
+_IN_XML = ("command_delay", "joint_offset")
+"""Wrappers that the patched model.xml does without."""
 
 
 def make_patch(simulator: Simulator, fit: Fit) -> dict[str, Any]:
-    """A patch as plain data: absolute new values of the model's fields, added parts, and wrappers in time.
+    """A patch as plain data, to be applied with `apply_patch`.
 
-    `edits` is a list of {"op", ...}; see `apply_patch`. `wrappers` is what no model can express (delays, encoder
-    zeros, biases), for the loop that steps the simulator.
+    `settings` are the effects in their own coordinates, `scales` the figures of the nominal runs that these refer to
+    (so that the log is not needed), `wrappers` what no compiled model can hold, for the loop that steps the simulator,
+    and `how` says for each effect which of the two it is.
     """
     settings = fit.settings()
-    edit = simulator.edited(settings)
+    signals = simulator.edited(settings).signals
     return {
-        "format": "realsim.gap.patch/1",
+        "format": FORMAT,
         "settings": [
             {"effect": n, "place": list(p), "coordinates": {k: float(v) for k, v in values.items()}}
             for n, p, values in settings
         ],
         "scales": _scales(simulator.context),
-        "wrappers": wrappers(edit.signals),
+        "wrappers": wrappers(signals),
+        "how": [_how(setting) for setting in settings],
     }
 
 
+def _how(setting: Setting) -> dict[str, Any]:
+    name, place, values = setting
+    effect = EFFECTS[name]
+    passing = name == "external_force" and ("start" in values or values.get("end", 2 * EVER) < EVER)
+    means = "model" if effect.patchable and not passing else "wrapper"
+    return {"effect": name, "place": list(place), "means": means}
+
+
 def wrappers(signals: Signals) -> dict[str, Any]:
-    """Only what differs from nothing."""
+    """Only what differs from nothing: {value, unit, what to do}."""
     found: dict[str, Any] = {}
     for name in ("command_delay", "observation_delay"):
         value = getattr(signals, name)
         if value:
             found[name] = {"value": float(value), "unit": "s"}
-    offsets = {j: v for j, v in signals.joint_offset.items() if v}
-    if offsets:
-        found["joint_offset"] = {"value": offsets, "unit": "rad", "what": "reading minus truth; the servo reads it too"}
-    readings = {j: v for j, v in signals.read_offset.items() if v}
-    if readings:
-        found["reading_offset"] = {"value": readings, "unit": "rad", "what": "reading minus truth, in the log only"}
+    for name, values in (("joint_offset", signals.joint_offset), ("reading_offset", signals.read_offset)):
+        if any(values.values()):
+            found[name] = {"value": {j: float(v) for j, v in values.items() if v}, "unit": "rad"}
     if any(signals.gyro_bias):
         found["gyro_bias"] = {"value": list(signals.gyro_bias), "unit": "rad/s"}
     if any(signals.acc_bias):
         found["acc_bias"] = {"value": list(signals.acc_bias), "unit": "m/s^2"}
     if signals.load_friction:
-        found["load_friction"] = {
-            "value": dict(signals.load_friction),
-            "unit": "ratio",
-            "what": "each step, control of actuator load_friction_JOINT = -ratio * |drive torque| * sign(velocity)",
-        }
-    if signals.pulses:
-        found["external_force"] = [{"actuator": n, "start_s": s, "end_s": e} for n, s, e in signals.pulses]
-    return found
+        found["load_friction"] = {"value": dict(signals.load_friction), "unit": "ratio"}
+    passing = [p for p in signals.pulses if not _always(*p)]
+    if passing:
+        value = [{"actuator": n, "start_s": s, "end_s": e} for n, s, e in passing]
+        found["external_force"] = {"value": value, "unit": "s"}
+    return {name: {**said, "what": _WRAPPER[name]} for name, said in found.items()}
+
+
+def _always(actuator: str, start: float, end: float) -> bool:
+    return start <= 0 and end >= EVER
 
 
 def _scales(context: Context) -> dict[str, Any]:
     """The figures of the nominal runs that coordinates refer to, so that a patch can be applied without the log."""
-    return {
-        "peak_torque": context.peak_torque,
-        "speed": context.speed,
-        "mean_torque": context.mean_torque,
-        "mean_speed": context.mean_speed,
-        "torque_range": context.torque_range,
-        "inertia": context.inertia,
-    }
+    names = ("peak_torque", "speed", "mean_torque", "mean_speed", "torque_range", "inertia")
+    return {name: dict(getattr(context, name)) for name in names}
 
 
 def apply_patch(spec: Any, patch: dict[str, Any]) -> Signals:
@@ -81,64 +103,92 @@ def apply_patch(spec: Any, patch: dict[str, Any]) -> Signals:
     Raises:
         GapError: for a patch of another format, or a model without the named parts.
     """
-    from realsim.gap.case import Case
-    from realsim.gap.context import build_context
-
-    if not isinstance(patch, dict) or patch.get("format") != "realsim.gap.patch/1":
-        raise GapError("not a patch of this tool", expected='"format": "realsim.gap.patch/1"')
+    if not isinstance(patch, dict) or patch.get("format") != FORMAT:
+        raise GapError("not a patch of this tool", expected=f'"format": "{FORMAT}"', found=repr(patch)[:80])
+    if not patch.get("settings"):
+        return Signals()
     model = spec.copy().compile()
-    joints = tuple(j for j in patch["scales"]["torque_range"])
-    missing = [j for j in joints if j not in {model.joint(i).name for i in range(model.njnt)}]
-    if missing:
-        raise GapError("the patch belongs to another model", found=f"no joint {missing[0]!r}")
-    floating = bool((model.jnt_type == 0).any())
+    joints = tuple(patch["scales"]["torque_range"])
+    _belongs(model, patch, joints)
     actuators = tuple(model.actuator(i).name for i in range(model.nu))
-    from pathlib import Path
-
+    base = "floating" if bool((model.jnt_type == 0).any()) else "fixed"
     case = Case(
-        Path(), joints, actuators, "position", "floating" if floating else "fixed", "none", None, (), "", "",
-        spec, model, (),
+        Path(), joints, actuators, "position", base, "none", None, (), "", "", spec, model, (),
     )  # fmt: skip
     context = build_context(case)
     for name, values in patch["scales"].items():
         getattr(context, name).update(values)
     edit = Edit(context)
-    edit._spec = spec
+    edit._spec = spec  # in place: the caller's spec is what shall change
     for item in patch["settings"]:
         effect = EFFECTS[item["effect"]]
         place = tuple(item["place"])
         full = {p.name: p.default for p in effect.parameters(context, place)}
         effect.apply(edit, place, full | item["coordinates"])
+    _hold_forces(edit)
+    if edit.signals.rotors:
+        for key in list(spec.keys):
+            spec.delete(key)  # a keyframe has the old number of coordinates
     return edit.signals
+
+
+def _belongs(model: Any, patch: dict[str, Any], joints: tuple[str, ...]) -> None:
+    """All that a patch names must be in the model."""
+    known = {
+        "joint": {model.joint(i).name for i in range(model.njnt)},
+        "body": {model.body(i).name for i in range(model.nbody)},
+    }
+    for joint in joints:
+        if joint not in known["joint"]:
+            raise GapError("the patch belongs to another model", found=f"no joint {joint!r}")
+    for item in patch["settings"]:
+        scope = EFFECTS[item["effect"]].scope
+        kind = "joint" if scope == "joint" else "body"
+        for name in item["place"] if scope != "global" else ():
+            if name not in known[kind]:
+                raise UnknownNameError(f"{kind} of the patch", name, known[kind])
+
+
+def _hold_forces(edit: Edit) -> None:
+    """A force that acts always needs no control: its actuator has it as a constant."""
+    import mujoco
+
+    for pulse in [p for p in edit.signals.pulses if _always(*p)]:
+        actuator = edit.spec.actuator(pulse[0])
+        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        bias, gain = actuator.biasprm, actuator.gainprm
+        bias[0], gain[0] = 1.0, 0.0
+        actuator.biasprm, actuator.gainprm = bias, gain
+        edit.signals.pulses.remove(pulse)
 
 
 def patched_xml(simulator: Simulator, fit: Fit) -> str:
     """model.xml with the causes in it, as far as MJCF can express them; a comment names what it cannot."""
     spec = simulator.case.spec.copy()
+    signals = apply_patch(spec, make_patch(simulator, fit))
     context = simulator.context
-    edit = Edit(context)
-    edit._spec = spec
-    for name, place, values in fit.settings():
-        effect = lookup(name)
-        full = {p.name: p.default for p in effect.parameters(context, place)}
-        effect.apply(edit, place, full | values)
-    if len(spec.keys) and edit.signals.rotors:
-        for key in list(spec.keys):
-            spec.delete(key)  # a keyframe has the old number of coordinates
-    if edit.signals.command_delay > 0:
-        for actuator in spec.actuators:
-            steps = int(edit.signals.command_delay / context.timestep) + 2
-            actuator.delay, actuator.nsample = edit.signals.command_delay, steps
-    for joint, offset in edit.signals.joint_offset.items():
+    if signals.command_delay > 0:
+        for name in simulator.case.actuator_names:
+            actuator = spec.actuator(name)
+            steps = int(signals.command_delay / context.timestep) + 2
+            actuator.delay, actuator.nsample = signals.command_delay, steps
+    for joint, offset in signals.joint_offset.items():
         if simulator.case.command_kind == "position" and offset:
             actuator = spec.actuator(context.actuator[joint])
             bias = actuator.biasprm
             bias[0] -= actuator.gainprm[0] * offset
             actuator.biasprm = bias
     spec.compile()
-    text = str(spec.to_xml())
-    left = wrappers(edit.signals)
-    left.pop("command_delay", None)
-    left.pop("joint_offset", None)
+    left = [name for name in wrappers(signals) if name not in _IN_XML or _beyond_xml(name, simulator)]
     note = f"<!-- not in this file, see patch.wrappers in diagnosis.json: {', '.join(left)} -->\n" if left else ""
-    return note + text
+    return note + str(spec.to_xml())
+
+
+def _beyond_xml(wrapper: str, simulator: Simulator) -> bool:
+    return wrapper == "joint_offset" and simulator.case.command_kind != "position"
+
+
+def asset_files(spec: Any) -> list[str]:
+    """Paths of the files that a model reads (meshes, textures, height fields), relative to its folder."""
+    folders = ((spec.meshes, spec.meshdir), (spec.textures, spec.texturedir), (spec.hfields, spec.meshdir))
+    return sorted({str(Path(folder) / item.file) for items, folder in folders for item in items if item.file})

@@ -16,15 +16,15 @@ from realsim.gap.report_evidence import (
     assumptions_card,
     causes_card,
     equivalents_card,
-    health_card,
-    noise_card,
     patch_card,
     ranking_card,
 )
+from realsim.gap.report_health import health_card
 from realsim.gap.report_overlays import overlays_card, path_card
 from realsim.gap.report_plots import how_much_card, what_card, where_card
 from realsim.gap.report_robot import robot_card
 from realsim.gap.report_series import Replay, replay
+from realsim.gap.report_where import evidence_cards
 from realsim.gap.report_words import LEVELS, WORDS, lead, percent, times
 from realsim.report import page, viewer3d
 
@@ -53,12 +53,14 @@ def diagnosis_page(found: Diagnosis) -> str:
 
 def _evidence(found: Diagnosis, shown: Replay) -> list[str]:
     """Everything below the plots; without causes, what the data are like moves up to where they would stand."""
-    robot = [robot_card(found), *path_card(found), *noise_card(found)]
+    robot = [robot_card(found), *path_card(found)]
     answer = [*causes_card(found), *equivalents_card(found), *patch_card(found)]
     rests = assumptions_card(found, shown)
+    more = evidence_cards(found, shown)
     if not answer:
-        return [page.columns(robot, [health_card(found), rests]), page.grid(ranking_card(found))]
-    return [page.columns(answer, robot), page.grid(ranking_card(found)), page.columns([health_card(found)], [rests])]
+        return [page.columns([*robot, rests], [*more, health_card(found)]), page.grid(ranking_card(found))]
+    left, right = [*answer, health_card(found)], [*robot[:1], *more, *robot[1:], rests]
+    return [page.columns(left, right), page.grid(ranking_card(found))]
 
 
 def _title(found: Diagnosis, shown: Replay) -> tuple[str, str]:
@@ -93,8 +95,8 @@ def _facts(found: Diagnosis) -> list[tuple[str, str, str]]:
             after = max(size * shrunk["after"], 0.0) ** 0.5
             facts.append(("With the patch", times(after), "the noise floor; causes only"))
     if found.causes:
-        low, high = shrunk["ci90"]
-        note = f"{percent(low)} to {percent(high)} (90 %)"
+        low, high = (percent(v) for v in shrunk["ci90"])
+        note = f"{low} to {high} (90 %)" if low != high else "90 % interval within rounding"
         facts.append(("Squared error removed", percent(shrunk["fraction"]), note))
     if found.verdict != "no_gap":
         facts.append(("Unexplained", percent(found.unexplained_share), "of the gap, beyond everyday deviations"))

@@ -5,13 +5,11 @@ from __future__ import annotations
 from difflib import unified_diff
 from typing import Any
 
-import numpy as np
-
 from realsim.gap.diagnosis import Diagnosis
 from realsim.gap.effects import EFFECTS
 from realsim.gap.patch import patched_xml
 from realsim.gap.report_series import Replay
-from realsim.gap.report_words import after, interval, percent, place_of, places, signal_name, title_of
+from realsim.gap.report_words import after, interval, percent, place_of, places, title_of
 from realsim.report import page, svg
 
 APPLY = """\
@@ -98,12 +96,13 @@ def ranking_card(found: Diagnosis) -> str:
             fitted.append([what, where, _spread(r), _gain(r["gain"]), _gain(r["linear_gain"]), _outcome(r, here, same)])
     head = ["effect", "best place", "left-out run", "all runs", "linear", "outcome"]
     parts = ["<h4>Fitted with the full simulation</h4>", page.table(head, fitted, raw=[0])] if fitted else []
+    parts += _by_stage(found)
     if screened:
         rows = page.table(["effect", "best place", "linear", "outcome"], screened, raw=[0])
-        parts.append(page.fold(f"{len(screened)} effects that the linear screen ruled out", rows))
+        parts.append(page.fold(f"{_effects(len(screened))} that the linear screen ruled out", rows))
     if untried:
         rows = page.table(["effect", "why not"], untried, raw=[0])
-        parts.append(page.fold(f"{len(untried)} effects that this log cannot show", rows))
+        parts.append(page.fold(f"{_effects(len(untried))} that this log cannot show", rows))
     if not parts:
         parts = [page.bullets([], "No effect had to be tried.")]
     note = (
@@ -111,6 +110,21 @@ def ranking_card(found: Diagnosis) -> str:
         "turn), on all fitted runs together, and as a linear screen foretold."
     )
     return page.card("All effects", "".join(parts), note, wide=True)
+
+
+def _by_stage(found: Diagnosis) -> list[str]:
+    """Gains on left-out runs as the causes were accepted one by one: what else would have been gained at that point."""
+    stages = sorted({s["stage"] for r in found.ranking for s in r.get("stages", []) if s["gain"] is not None})
+    if len(stages) < 2:
+        return []
+    rows = []
+    for r in found.ranking:
+        at = {s["stage"]: s for s in r.get("stages", []) if s["gain"] is not None}
+        if at:
+            cells = [f"{_spread(at[s])} ({places(at[s]['place'], 2)})" if s in at else "–" for s in stages]
+            rows.append([title_of(r["effect"]), *cells])
+    head = ["effect", *("first cause" if s == 0 else after(s) for s in stages)]
+    return [page.fold("Gains on left-out runs, stage by stage", page.table(head, rows))]
 
 
 def _outcome(r: dict[str, Any], here: set[str], same: set[str]) -> str:
@@ -127,6 +141,10 @@ def _outcome(r: dict[str, Any], here: set[str], same: set[str]) -> str:
     return f"{outcome}, {after(r['stage'])}" if r.get("stage") else outcome
 
 
+def _effects(count: int) -> str:
+    return f"{count} effect{'s' * (count != 1)}"
+
+
 def _gain(value: float) -> str:
     return svg.number(round(value, 1), 4 if abs(value) < 1e4 else 5)
 
@@ -135,51 +153,6 @@ def _spread(r: dict[str, Any]) -> str:
     if r.get("heldout_gain") is None:
         return "–"
     return f"{_gain(r['heldout_gain'])}\u00a0±\u00a0{_gain(r.get('heldout_se') or 0.0)}"
-
-
-# ---------------------------------------------------------------- health
-
-
-def health_card(found: Diagnosis) -> str:
-    """Clock, gaps, quantisation and warnings."""
-    health = found.health
-    warnings = list(health.get("warnings", []))
-    badge = page.badge("look", f"{len(warnings)} to look at") if warnings else page.badge("good", "nothing wrong")
-    rows = [[name, value] for key, v in health.items() if key != "warnings" for name, value in _flat(key, v)]
-    body = f"<p>{badge}</p>{page.bullets(warnings) if warnings else ''}{page.table(['figure', 'value'], rows)}"
-    return page.card("Data health", body)
-
-
-_NAMES = {
-    "clock median_step_s": ("sampling step (median)", "s"),
-    "clock jitter_s": ("jitter of the time stamps", "s"),
-    "quantum joint_pos": ("smallest step of an encoder", "rad"),
-}
-
-
-def _flat(name: str, value: Any) -> list[tuple[str, str]]:
-    if isinstance(value, dict):
-        return [item for k, v in value.items() for item in _flat(f"{name} {k}", v)]
-    if name.startswith("missing "):
-        return [(f"missing, {signal_name(name.removeprefix('missing '))}", percent(value))]
-    said, unit = _NAMES.get(name, (name.replace("_", " "), ""))
-    return [(said, f"{_plain(value)} {unit}".strip())]
-
-
-def noise_card(found: Diagnosis) -> list[str]:
-    """The noise floor, signal by signal."""
-    comparison = found.evidence.get("comparison")
-    if comparison is None:
-        return []
-    rows = []
-    for signal in dict.fromkeys(c.signal for c in comparison.channels):
-        columns = [i for i, c in enumerate(comparison.channels) if c.signal == signal]
-        noise = comparison.noise
-        rows.append(
-            [signal_name(signal), *(svg.number(float(np.median(v[columns]))) for v in (noise.sensor, noise.detail))]
-        )
-    note = "Standard deviations, in the signal's unit: what sensors add to a sample, and slow detail that is no gap."
-    return [page.card("Noise floor", page.table(["signal", "sensor", "detail"], rows), note)]
 
 
 # ---------------------------------------------------------------- patch
@@ -195,14 +168,17 @@ def patch_card(found: Diagnosis) -> list[str]:
     wrappers = found.patch.get("wrappers", {})
     if wrappers:
         rows = [[k.replace("_", " "), _plain(v)] for k, v in wrappers.items()]
-        parts += ["<h4>For the loop that steps the simulator</h4>", page.table(["", "value"], rows)]
+        parts += [
+            "<h4>For the loop that steps the simulator</h4>",
+            page.table(["wrapper", "value, and what to do"], rows),
+        ]
     if simulator is not None and fit is not None:
         changed = model_changes(simulator, fit)
         if changed:
             parts.append(page.fold("What changes in model.xml", page.code(changed)))
     note = (
         "model.xml beside this page has what MJCF can express; the code patches your own copy of the model. "
-        f"{'`wrappers` has what a compiled model does not hold.' if wrappers else 'Nothing else is needed.'}"
+        f"{'The loop must do the rest, see below.' if wrappers else 'Nothing else is needed.'}"
     )
     return [page.card("Apply the patch", "".join(parts), note)]
 

@@ -104,7 +104,9 @@ def what_card(found: Diagnosis) -> str:
     tried = [r for r in found.ranking if r.get("heldout_gain") is not None]
     if not tried:
         empty = "No effect had to be fitted: what differs is within the noise floor and everyday deviations."
-        return page.card("What", page.bullets([], empty if found.verdict == "no_gap" else "No effect could be fitted."))
+        screened = sum("linear_gain" in r for r in found.ranking)
+        none = f"None of the {screened} effects that were screened explains enough of the error to be fitted."
+        return page.card("What", page.bullets([], empty if found.verdict == "no_gap" else none))
     here = {c["effect"] for c in found.causes}
     same = {c["effect"] for s in found.equivalent for c in s} - here
     first = [r for r in tried if r["effect"] in here | same]
@@ -176,7 +178,7 @@ def how_much_card(found: Diagnosis, shown: Replay) -> str:
     end = 1.22 * max(1.0, *(min(high, 1.4) for _, _, _, high, _, _ in rows if math.isfinite(high)))
     ticks = [(k / 4, f"{25 * k} %") for k in range(int(4 * end) + 1)]
     if shown.before:
-        note += " Below: before and after; growth is that of the joint position error over a horizon."
+        note += " Below: before and after, over whole runs, and of joint positions predicted from estimated states."
     body = _labelled_bars(rows, (-0.02, end), "", ticks) + _before_after(found, shown)
     return page.card("How much", body, note)
 
@@ -193,7 +195,7 @@ def _before_after(found: Diagnosis, shown: Replay) -> str:
     for signal, v in found.shrinkage.get("per_signal", {}).items():
         after = v["rms_after"] / v["floor"] if found.causes else None
         rows.append((signal_name(signal), v["rms_before"] / v["floor"], after))
-    rows += [(f"growth in {name}", b, a) for name, b, a in horizons(shown) if name != "whole run"]
+    rows += [(f"joints, {name} ahead", b, a) for name, b, a in horizons(shown)]
     values = [v for _, b, a in rows for v in (b, a) if v is not None and v > 0]
     if not values:
         return ""

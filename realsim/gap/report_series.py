@@ -12,7 +12,7 @@ from realsim.errors import GapError
 from realsim.gap.case import Case
 from realsim.gap.compare import Comparison
 from realsim.gap.diagnosis import Diagnosis
-from realsim.gap.where import by_horizon
+from realsim.gap.shooting import Shots, shoot
 from realsim.types import F64
 
 
@@ -27,6 +27,8 @@ class Replay:
     """(T, C) a run, nominal."""
     after: tuple[F64, ...] = ()
     """(T, C) a run, with the causes; empty where there are none."""
+    shots: tuple[Shots, ...] = ()
+    """Predictions from estimated states: nominal, and with the causes where there are any."""
     reason: str = ""
     """Why something is missing, or nothing."""
 
@@ -48,26 +50,33 @@ def replay(found: Diagnosis) -> Replay:
         return Replay(case, comparison, reason="No run was kept for the check.")
     with simulator:  # its thread pool opens at need; leaving closes it
         before = tuple(simulator.simulate(runs=runs))
+        shots: tuple[Shots, ...] = (shoot(simulator, runs=runs),)
         fit = found.evidence.get("fit")
         if not found.causes or fit is None:
-            return Replay(case, comparison, runs, before, reason="No cause was found, so there is nothing to add.")
+            reason = "No cause was found, so there is nothing to add."
+            return Replay(case, comparison, runs, before, shots=shots, reason=reason)
         try:
             after = tuple(simulator.simulate(fit.settings(), runs=runs))
+            shots = (*shots, shoot(simulator, fit.settings(), runs))
         except GapError as error:
-            return Replay(case, comparison, runs, before, reason=f"The patched simulator does not run: {error}")
-    return Replay(case, comparison, runs, before, after)
+            reason = f"The patched simulator does not run: {error.message}"
+            return Replay(case, comparison, runs, before, shots=shots, reason=reason)
+    return Replay(case, comparison, runs, before, after, shots)
 
 
-def horizons(shown: Replay) -> list[tuple[str, float, float | None]]:
-    """(horizon, before, after): growth of the joint position error over each horizon in units of its noise floor."""
-    if shown.comparison is None or not shown.before:
+def horizons(shown: Replay, signal: str = "joint_pos") -> list[tuple[str, float, float | None]]:
+    """(horizon, before, after): error of predictions over each horizon, in units of a sample's noise floor."""
+    if shown.comparison is None or not shown.shots or signal not in shown.shots[0].signals():
         return []
-    columns = [i for i, c in enumerate(shown.comparison.channels) if c.signal == "joint_pos"]
-    floors = np.concatenate([shown.comparison.floor(r)[:, columns] for r in shown.runs])
-    floor = float(np.sqrt(floors.mean()))
-    first = by_horizon(shown.comparison, shown.errors(shown.before))
-    second: dict[str, float] = by_horizon(shown.comparison, shown.errors(shown.after)) if shown.after else {}
-    return [(name, v / floor, second[name] / floor if name in second else None) for name, v in first.items()]
+    columns = [i for i, c in enumerate(shown.comparison.channels) if c.signal == signal]
+    noise = shown.comparison.noise
+    floor = float(np.sqrt(np.mean(noise.sensor[columns] ** 2 + noise.detail[columns] ** 2)))
+    rms = [s.rms(signal) / floor for s in shown.shots]
+    return [
+        (label, float(rms[0][i]), float(rms[1][i]) if len(rms) > 1 else None)
+        for i, label in enumerate(shown.shots[0].labels)
+        if np.isfinite([r[i] for r in rms]).all()
+    ]
 
 
 def worst_windows(shown: Replay, seconds: float = 1.5, count: int = 4) -> list[tuple[int, int, float, float]]:

@@ -89,7 +89,7 @@ def percent(share: float) -> str:
         return ">99.9 %"
     if 0 < share < 0.0005:
         return "<0.1 %"
-    if 0 < share < 0.0095 or 0.995 <= share < 0.9995:
+    if 0 < share < 0.0095 or 0.985 <= share < 0.9995:
         return f"{100 * share:.1f} %"
     return f"{svg.number(round(100 * share), 3) if abs(share) < 10 else svg.number(100 * share, 2)} %"
 

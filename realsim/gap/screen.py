@@ -19,7 +19,7 @@ from realsim.gap.effects import EFFECTS
 from realsim.gap.effects.base import Effect, Parameter, Place
 from realsim.gap.groups import like_joints
 from realsim.gap.nuisances import NUISANCES
-from realsim.gap.simulate import Simulator, lookup
+from realsim.gap.simulate import Setting, Simulator, lookup
 from realsim.types import F32, F64
 
 
@@ -62,6 +62,10 @@ class Evidence:
     A: list[F64]
     b: list[F64]
     c: list[float]
+    version: int = -1
+    """Of the weights; -1 if they are nobody's."""
+    runs: tuple[int, ...] = ()
+    """Positions among the screened runs."""
 
 
 class Screen:
@@ -79,7 +83,8 @@ class Screen:
         self.skipped: dict[str, str] = {}
         self._version = -1
         self._A: list[F64] = []
-        self._weighted: list[F32] = []
+        self._weighted: list[F64] = []
+        self._covariances: dict[tuple[bytes, tuple[int, ...]], F64] = {}
         context = simulator.context
         chosen = [n for n in EFFECTS if not effects or n in effects]
         self.atoms: list[Atom] = []
@@ -95,9 +100,12 @@ class Screen:
                     self.skipped.setdefault(effect.name, excitation.reason)
                     continue
                 wanted += [Atom(effect.name, place, p) for p in effect.parameters(context, place) if _has_slope(p)]
+        self.nominal = simulator.simulate(runs=self.runs)
         # Slopes of a large robot bear a coarser step: it halves the time, and both ends of the difference share it.
-        self.coarse = 2 if simulator.case.model.nv >= 12 and context.timestep <= 0.0025 else 1
+        self.coarse = 2 if simulator.case.model.nv >= 5 and context.timestep <= 0.0025 else 1
         base = simulator.simulate(runs=self.runs, coarse=self.coarse)
+        if not all(np.isfinite(y).all() for y in base):  # stiff servos may not bear it
+            self.coarse, base = 1, simulator.simulate(runs=self.runs)
         for k, atom in enumerate(wanted):
             tick("sensitivities", k / len(wanted))
             change = self._column(atom, base)
@@ -114,8 +122,19 @@ class Screen:
                 hint="are the commands in the unit that log.json says, and do they move the joints?",
             )
         self.index = {(a.effect, a.place, a.parameter.name): i for i, a in enumerate(self.atoms)}
+        self.varied = self._varied()
         self.prior = np.array([a.parameter.nuisance for a in self.atoms])
+        self.simulable = np.array([a.effect != "load_friction" for a in self.atoms])
+        """(p,) False for atoms that cost a second pass: as nuisances they stay linear."""
         self.candidates = self._candidates(chosen)
+
+    def _varied(self, count: int = 3) -> tuple[int, ...] | None:
+        """Positions of a few screened runs from calm to lively, for the searches of rivals; None where all are few."""
+        if len(self.runs) <= count:
+            return None
+        commands = [self.simulator.case.runs[r].command for r in self.runs]
+        order = np.argsort([float(np.abs(np.diff(c, axis=0)).sum() / len(c)) for c in commands])
+        return tuple(sorted(int(order[i]) for i in np.linspace(0, len(order) - 1, count).round().astype(int)))
 
     def _column(self, atom: Atom, base: list[F64]) -> list[F32] | None:
         """Change of the prediction by one unit of the parameter, a flat (B * C) array a run; None if it cannot run."""
@@ -144,28 +163,84 @@ class Screen:
             return [c.reshape(-1).astype(np.float32) for c in change]
         return None
 
-    def evidence(self, simulated: Sequence[F64]) -> Evidence:
-        """Normal equations of the residual about these predictions (one a screened run)."""
+    def evidence(
+        self, simulated: Sequence[F64], few: tuple[int, ...] | None = None, about: F64 | None = None
+    ) -> Evidence:
+        """Normal equations of the residual about these predictions: one a screened run (or one of the `few`).
+
+        `about`: (p,) the small deviations that are in the predictions already; x counts from zero all the same.
+        """
         if self._version != self.comparison.version:
-            self._A, self._version = [], self.comparison.version
-            self._weighted = []
+            self._version = self.comparison.version
+            self._covariances.clear()
+            self._A, self._weighted = [], []
             for run, G in zip(self.runs, self._columns, strict=True):
-                W = self.comparison.weights[run].reshape(-1, 1).astype(np.float32)
-                self._weighted.append(np.asarray(G * W, dtype=np.float32))
-                self._A.append((G.T @ self._weighted[-1]).astype(float))
+                W = self.comparison.weights[run].reshape(-1, 1)
+                self._weighted.append(G * W)
+                self._A.append((G.T @ self._weighted[-1].astype(np.float32)).astype(float))
         b, c = [], []
-        for run, GW, y in zip(self.runs, self._weighted, simulated, strict=True):
-            r = self.comparison.residual(run, y)
+        which = range(len(self.runs)) if few is None else few
+        for k, y in zip(which, simulated, strict=True):
+            run, GW = self.runs[k], self._weighted[k]
+            r = self.residual(k, y, about)
             W = np.where(np.isfinite(r), self.comparison.weights[run], 0.0)
             r = np.nan_to_num(r)
-            b.append(GW.T.astype(float) @ r.reshape(-1) if GW.shape[1] < 2000 else GW.T @ r.reshape(-1))
+            b.append(r.reshape(-1) @ GW)
             c.append(float((W * r * r).sum()))
-        return Evidence(self._A, b, c)
+        A = self._A if few is None else [self._A[k] for k in few]
+        return Evidence(A, b, c, self._version, tuple(which))
+
+    def residual(self, k: int, simulated: F64, about: F64 | None = None) -> F64:
+        """(B, C) residual of screened run k as it would be without the small deviations that were simulated."""
+        r = self.comparison.residual(self.runs[k], simulated)
+        return r if about is None or not about.any() else r + self.fitted(k, about)
+
+    def covariance(self, evidence: Evidence, prior: F64, runs: Sequence[int] | None = None) -> F64:
+        """(p, p) posterior covariance of the nuisances on these screened runs (all if None).
+
+        It depends on the weights and the prior, not on the residual, so that one factorisation serves many fits.
+        """
+        which = tuple(range(len(evidence.A)) if runs is None else runs)
+        key = (prior.tobytes(), tuple(evidence.runs[k] for k in which))
+        if evidence.version != self._version or key not in self._covariances:
+            A = np.sum([evidence.A[k] for k in which], axis=0)
+            cov = posterior(A, np.zeros(len(prior)), prior)[1]
+            if evidence.version != self._version:
+                return cov
+            self._covariances[key] = cov
+        return self._covariances[key]
+
+    def nuisances(self, evidence: Evidence, prior: F64, runs: Sequence[int] | None = None) -> F64:
+        """(p,) posterior mean of the nuisances on these screened runs (all if None)."""
+        which = range(len(evidence.A)) if runs is None else runs
+        return np.asarray(self.covariance(evidence, prior, runs) @ np.sum([evidence.b[k] for k in which], axis=0))
+
+    def misfit(self, evidence: Evidence, prior: F64) -> float:
+        """Half the weighted squared residual once the nuisances are marginalised."""
+        return 0.5 * float(sum(evidence.c) - np.sum(evidence.b, axis=0) @ self.nuisances(evidence, prior))
 
     def fitted(self, k: int, x: F64) -> Any:
         """(B, C) change of the prediction of screened run k by atoms x."""
         run = self.runs[k]
         return (self._columns[k] @ x.astype(np.float32)).reshape(self.comparison.weights[run].shape)
+
+    def weighted(self, k: int) -> F64:
+        """(B * C, p) of all atoms on screened run k, times the present weights."""
+        return self._weighted[k]
+
+    def possible(self, x: F64) -> F64:
+        """The nearest coordinates that can be simulated."""
+        whole = np.array([a.parameter.whole for a in self.atoms])
+        return np.asarray(np.where(whole, np.round(x), x))
+
+    def settings(self, x: F64) -> list[Setting]:
+        """Atoms with these coordinates (0: left out) as settings for the simulator."""
+        values: dict[tuple[str, Place], dict[str, float]] = {}
+        for atom, v in zip(self.atoms, x, strict=True):
+            if v:
+                value = float(np.clip(v, *atom.parameter.bounds))
+                values.setdefault((atom.effect, atom.place), {})[atom.parameter.name] = value
+        return [(name, place, named) for (name, place), named in values.items()]
 
     def columns(self, k: int, index: Sequence[int]) -> Any:
         """(B * C, m) of some atoms on screened run k."""
@@ -201,10 +276,8 @@ class Screen:
                 i = self.index.get((effect.name, place, name))
                 if i is not None:
                     column[i] = 1.0
-            if effect.name == "payload" and name in "xyz":
-                # To first order a payload off the centre of mass is its mass plus a shift of the centre.
-                i = self.index.get(("com_offset", group[0], name))
-                if i is not None:
+                like = next(p.like for p in parameters if p.name == name)
+                if like is not None and (i := self.index.get((like[0], place, like[1]))) is not None:
                     column[i] = 1.0
             if column.any():
                 directions.append(column)
@@ -216,7 +289,7 @@ class Screen:
 
 def _has_slope(p: Parameter) -> bool:
     """Shape parameters (a Stribeck velocity, where a payload sits) do nothing on their own."""
-    return p.default == 0.0 and p.unit != "" and not p.name.startswith("start")
+    return p.default == 0.0 and p.like is None and p.unit != "" and not p.name.startswith("start")
 
 
 def _placeless(effect: Effect) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +16,10 @@ from realsim.gap.edit import Edit
 from realsim.gap.effects import EFFECTS
 from realsim.gap.effects.base import Effect, Place
 from realsim.gap.nuisances import NUISANCES
+from realsim.gap.sampling import held_mean as held_mean
+from realsim.gap.sampling import quiet_mujoco as quiet_mujoco
+from realsim.gap.sampling import rotation_from as rotation_from
+from realsim.gap.sampling import sample as sample
 from realsim.types import F64
 
 Setting = tuple[str, Place, dict[str, float]]
@@ -24,6 +27,9 @@ Setting = tuple[str, Place, dict[str, float]]
 
 LIMIT = 1e4
 """A coordinate or speed beyond this (m, rad, /s) means that the simulation has exploded."""
+
+RESTING = 0.06
+"""Seconds that are enough for contacts to take up their load."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +152,12 @@ class Simulator:
         return np.asarray(sensors)
 
     def _settle_steps(self, dt: float) -> int:
-        return round(self.config.settle_seconds / dt)
+        seconds = self.config.settle_seconds
+        if self.case.floating and all(r.init_qpos is not None for r in self.case.runs):
+            seconds = min(
+                seconds, RESTING
+            )  # the logged state is the robot's own rest; contacts would creep away from it
+        return round(seconds / dt)
 
     def _initial_state(self, model: Any, run: Run, edit: Edit) -> F64:
         import mujoco
@@ -297,35 +308,6 @@ def _channels(case: Case) -> tuple[Channel, ...]:
     return tuple(found)
 
 
-def held_mean(time: F64, values: F64, grid: Any) -> F64:
-    """Mean over [grid[k], grid[k+1]] of values (T, U) that are held from each time stamp to the next; (N - 1, U)."""
-    span = np.diff(time, append=time[-1] + 1.0)[:, None]
-    integral = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values * span, axis=0)])
-    index = np.clip(np.searchsorted(time, grid, side="right") - 1, 0, len(time) - 1)
-    at = integral[index] + values[index] * (grid - time[index])[:, None]
-    return np.diff(at, axis=0) / np.diff(grid)[:, None]
-
-
-def sample(values: F64, position: F64) -> F64:
-    """Linear interpolation of rows (N, K) at fractional row numbers."""
-    position = np.clip(position, 0, len(values) - 1.000001)
-    low = position.astype(int)
-    w = (position - low)[:, None]
-    return values[low] * (1 - w) + values[low + 1] * w
-
-
-def rotation_from(quat: F64, reference: F64) -> F64:
-    """(T, 3) rotation vectors, world axes, that turn the reference orientation into each of quat (T, 4) w x y z."""
-    q = quat / np.maximum(np.linalg.norm(quat, axis=1, keepdims=True), 1e-12)
-    w0, v0 = reference[0], -np.asarray(reference[1:])
-    w = q[:, 0] * w0 - q[:, 1:] @ v0
-    v = q[:, :1] * v0 + w0 * q[:, 1:] + np.cross(q[:, 1:], v0)
-    v, w = np.where(w[:, None] < 0, -v, v), np.abs(w)
-    norm = np.linalg.norm(v, axis=1)
-    angle = 2 * np.arctan2(norm, w)
-    return v * np.where(norm > 1e-9, angle / np.maximum(norm, 1e-9), 2.0)[:, None]
-
-
 def _first(values: F64, count: int = 5) -> F64:
     """Median of the first finite rows: the pose at rest, without the encoder's noise."""
     good = values[np.isfinite(values).all(axis=1)][:count]
@@ -342,20 +324,3 @@ def _inside(raw: dict[str, F64]) -> dict[str, F64]:
 def base_name(case: Case) -> str:
     """Name of the floating base's body."""
     return str(case.model.body(base_body(case)).name)
-
-
-@contextlib.contextmanager
-def quiet_mujoco() -> Any:
-    """Failures are found by value; without this MuJoCo writes them to a log file in the working directory too."""
-    import mujoco
-
-    setter, previous = mujoco.set_mju_user_warning, mujoco.get_mju_user_warning()
-    setter(_swallow)
-    try:
-        yield
-    finally:
-        setter(previous)
-
-
-def _swallow(message: str) -> None:
-    del message

@@ -1,4 +1,4 @@
-"""Where the gap lies: shares of the squared normalised error by signal, joint, phase of motion and horizon."""
+"""Where the gap lies: shares of the squared error by signal, joint and phase of motion, and what else tells."""
 
 from __future__ import annotations
 
@@ -8,10 +8,17 @@ from typing import Any
 import numpy as np
 
 from realsim.gap.compare import Comparison
+from realsim.gap.inverse import base_wrench, torque_residual
+from realsim.gap.shooting import Shots, shoot
+from realsim.gap.simulate import Setting, Simulator
+from realsim.gap.standout import excesses, significant, standouts, tail
 from realsim.types import F64
 
 PHASES = ("at rest", "reversal", "slow", "fast forward", "fast backward")
-HORIZONS = (0.02, 0.1, 0.5)
+LEAST_SHARE = 0.005
+"""Smaller shares of the gap are not listed."""
+PLAIN_SHARE, PLAIN_EXCESS = 0.1, 3.0
+"""A single event can be most of the gap: from this share and this mean error (in floors) no scatter test is asked."""
 
 
 def phases(comparison: Comparison, run: int, track: dict[str, F64], joint: int | None) -> F64:
@@ -37,24 +44,37 @@ def phases(comparison: Comparison, run: int, track: dict[str, F64], joint: int |
 def localise(
     comparison: Comparison, residuals: Sequence[F64], runs: Sequence[int], tracks: Sequence[dict[str, F64]]
 ) -> tuple[list[dict[str, Any]], F64]:
-    """(entries of the contract's `where`, largest first; (C, phases) share of the total squared gap)."""
-    shares = np.zeros((len(comparison.channels), len(PHASES)))
+    """(entries of the contract's `where`, largest first; (C, phases) share of the total squared gap).
+
+    An entry is listed only where the error lies above the floor by more than its scatter between blocks of half a
+    second, with false names held down, or where it is most plain; the shares are of the whole gap, so what is not
+    listed is missing from the sum.
+    """
+    count = len(comparison.channels)
+    shares = np.zeros((count, len(PHASES)))
     names = comparison.case.joint_names
-    for run, r in zip(runs, residuals, strict=True):
-        excess = np.nan_to_num(np.maximum(r**2 / comparison.floor(run) - 1, 0))
-        cache: dict[int | None, F64] = {}
+    signed = excesses(comparison, residuals)
+    index = {c.label: names.index(c.label) for c in comparison.channels if c.label in names}
+    at: list[dict[int | None, F64]] = []
+    for run, excess in zip(runs, signed, strict=True):
+        joints = {index.get(c.label) for c in comparison.channels}
+        at.append({j: phases(comparison, run, tracks[run], j) for j in joints})
         for c, channel in enumerate(comparison.channels):
-            joint = names.index(channel.label) if channel.label in names else None
-            if joint not in cache:
-                cache[joint] = phases(comparison, run, tracks[run], joint)
-            shares[c] += np.bincount(cache[joint], weights=excess[:, c], minlength=len(PHASES))
+            above = np.maximum(excess[:, c], 0)
+            shares[c] += np.bincount(at[-1][index.get(channel.label)], weights=above, minlength=len(PHASES))
     shares /= max(shares.sum(), 1e-12)
+    listed = [(c, p) for c in range(count) for p in range(len(PHASES)) if shares[c, p] > LEAST_SHARE]
+    chances = []
+    for c, p in listed:
+        j = index.get(comparison.channels[c].label)
+        chances.append(tail(comparison, [e[:, c] for e in signed], [a[j] == p for a in at], 0.0))
     entries = []
-    for c, channel in enumerate(comparison.channels):
-        for p, phase in enumerate(PHASES):
-            if shares[c, p] > 0.005:
-                place = {"joint": channel.label} if channel.signal.startswith("joint") else {"body": channel.label}
-                entries.append({"signal": channel.signal, **place, "phase": phase, "share": float(shares[c, p])})
+    for (c, p), yes, (_, mean) in zip(listed, significant([p for p, _ in chances]), chances, strict=True):
+        channel = comparison.channels[c]
+        if yes or (mean > PLAIN_EXCESS and shares[c, p] > PLAIN_SHARE):
+            place = {"joint": channel.label} if channel.signal.startswith("joint") else {"body": channel.label}
+            share = float(shares[c, p])
+            entries.append({"signal": channel.signal, **place, "phase": PHASES[p], "share": share})
     entries.sort(key=lambda e: -float(str(e["share"])))
     return entries[:40], shares
 
@@ -67,17 +87,56 @@ def by_signal(comparison: Comparison, shares: F64) -> dict[str, float]:
     return result
 
 
-def by_horizon(comparison: Comparison, residuals: Sequence[F64]) -> dict[str, float]:
-    """Root mean square growth of the joint position error over each horizon, and over the whole run, rad.
+def evidence(simulator: Simulator, comparison: Comparison, residuals: Sequence[F64], seed: int = 0) -> dict[str, Any]:
+    """What else says where the gap lies, as plain data for `statistics`: horizons, bins that stand out, residuals."""
+    found: dict[str, Any] = {
+        "error_by_horizon": horizons(shoot(simulator), comparison, residuals),
+        "stands_out": standouts(comparison, residuals, simulator.nominal_tracks, seed),
+    }
+    torque = torque_residual(simulator)
+    if torque is not None:
+        found["torque_residual"] = {
+            joint: {"rms_Nm": float(torque.rms[j]), "share": float(torque.share[j]), **torque.terms[j]}
+            for j, joint in enumerate(torque.joints)
+        }
+    wrench = base_wrench(simulator, seed)
+    if wrench is not None:
+        axes = ("force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z")
+        found["base_wrench"] = {
+            a: {"value": float(m), "unit": "N" if a.startswith("force") else "N m", "ci90": c.tolist()}
+            for a, m, c in zip(axes, wrench.mean, wrench.ci90, strict=True)
+        } | {"mass_kg": wrench.mass}
+    return found
 
-    A gap that grows at once is in the sensors or the drive; one that needs long is in inertia, load or drift.
-    """
-    columns = [i for i, c in enumerate(comparison.channels) if c.signal == "joint_pos"]
-    result = {}
-    for horizon in HORIZONS:
-        lag = max(round(horizon / comparison.config.bin_seconds), 1)
-        growth = [r[lag:, columns] - r[:-lag, columns] for r in residuals if len(r) > lag]
-        if growth:
-            result[f"{horizon:g} s"] = float(np.sqrt(np.nanmean(np.concatenate(growth) ** 2)))
-    result["whole run"] = float(np.sqrt(np.nanmean(np.concatenate([r[:, columns] for r in residuals]) ** 2)))
-    return result
+
+def change_by_horizon(
+    simulator: Simulator, settings: Sequence[Setting], names: Sequence[str]
+) -> dict[str, dict[str, dict[str, float | None]]]:
+    """By signal and horizon: error of predictions from estimated states in the runs named, before and after."""
+    runs = [i for i, run in enumerate(simulator.case.runs) if run.name in names]
+    before, after = shoot(simulator, runs=runs), shoot(simulator, settings, runs)
+    return {
+        signal: {
+            label: {"before": _finite(b), "after": _finite(a)}
+            for label, b, a in zip(before.labels, before.rms(signal), after.rms(signal), strict=True)
+        }
+        for signal in before.signals()
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def horizons(shots: Shots, comparison: Comparison, residuals: Sequence[F64]) -> dict[str, dict[str, float | None]]:
+    """By signal: root mean square error at each horizon from estimated states, and over the whole run from rest."""
+    found: dict[str, dict[str, float | None]] = {}
+    for signal in shots.signals():
+        columns = [i for i, c in enumerate(comparison.channels) if c.signal == signal]
+        row: dict[str, float | None] = {
+            label: float(v) if np.isfinite(v) else None
+            for label, v in zip(shots.labels, shots.rms(signal), strict=True)
+        }
+        row["whole run"] = float(np.sqrt(np.nanmean(np.concatenate([r[:, columns] for r in residuals]) ** 2)))
+        found[signal] = row
+    return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.gap.fit import Fit
-from realsim.gap.screen import Candidate, Screen, posterior
+from realsim.gap.screen import Candidate, Screen
 from realsim.types import F64
 
 LENGTHS = (0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0)
@@ -38,14 +38,13 @@ def window_candidates(screen: Screen, fit: Fit, most: int = 2) -> list[tuple[flo
 
 
 def _left(screen: Screen, fit: Fit) -> tuple[list[F64], list[F64]]:
-    e = fit.evidence
-    x, _ = posterior(np.sum(e.A, axis=0), np.sum(e.b, axis=0), fit.prior)
+    x = screen.nuisances(fit.evidence, fit.prior)
     x = np.clip(x, -3 * fit.prior, 3 * fit.prior)
     left, weights = [], []
     for k, run in enumerate(screen.runs):
         r = screen.comparison.residual(run, fit.predictions[k])
         weights.append(np.where(np.isfinite(r), screen.comparison.weights[run], 0.0))
-        left.append(np.nan_to_num(r) - screen.fitted(k, x))
+        left.append(np.nan_to_num(r) - screen.fitted(k, x - fit.about))
     return left, weights
 
 

@@ -6,6 +6,7 @@ import json
 import shutil
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -14,6 +15,19 @@ from realsim.gap import DiagnoseConfig, diagnose, explain, load_case
 from realsim.gap.diagnose import replicates
 
 from .truth import Truth
+
+FOUR_BAR = """
+<mujoco>
+  <option timestep="0.002"/>
+  <default><geom type="capsule" size=".01" mass=".3" contype="0" conaffinity="0"/></default>
+  <worldbody>
+    <body pos="0 0 1"><joint name="crank" axis="0 1 0" damping=".1"/><geom fromto="0 0 0 0 0 .1"/>
+      <body name="bar" pos="0 0 .1"><joint name="coupler" axis="0 1 0"/><geom fromto="0 0 0 .3 0 .05"/></body></body>
+    <body name="end" pos=".3 0 1"><joint name="rocker" axis="0 1 0"/><geom fromto="0 0 0 0 0 .15"/></body>
+  </worldbody>
+  <equality><connect body1="bar" body2="end" anchor=".3 0 .05"/></equality>
+  <actuator><position name="motor" joint="crank" kp="30" kv="2" forcerange="-10 10"/></actuator>
+</mujoco>"""
 
 
 @pytest.fixture
@@ -183,6 +197,34 @@ def test_tendons_and_loops_are_borne_and_said(case: Path) -> None:
     found = load_case(case)
     assert any("tendon" in w for w in found.warnings)
     assert any("closed loops" in w for w in found.warnings)
+
+
+def test_a_closed_loop_is_diagnosed(tmp_path: Path) -> None:
+    """A four-bar linkage whose crank has friction that the model lacks."""
+    folder = tmp_path / "case"
+    (folder / "runs").mkdir(parents=True)
+    (folder / "model.xml").write_text(FOUR_BAR)
+    log = {"joint_names": ["crank", "coupler", "rocker"], "actuator_names": ["motor"], "command_kind": "position",
+           "base": "fixed", "torque_kind": "none", "imu_site": None, "contact_bodies": []}  # fmt: skip
+    (folder / "log.json").write_text(json.dumps(log))
+    model = mujoco.MjModel.from_xml_string(FOUR_BAR)
+    model.dof_frictionloss[0] = 0.3
+    for seed in range(3):
+        rng, data = np.random.default_rng(seed), mujoco.MjData(model)
+        mujoco.mj_step(model, data, 1000)
+        start, rows = data.time, []
+        for k in range(1200):
+            if k % 5 == 0:
+                t = data.time - start
+                data.ctrl[0] = 0.4 * np.sin(2 * np.pi * (0.4 + 0.3 * seed) * t) * min(t, 1)
+                rows.append([t, data.ctrl[0], *(data.qpos + rng.normal(0, 2e-4, 3))])
+            mujoco.mj_step(model, data)
+        R = np.array(rows)
+        np.savez(folder / "runs" / f"run_{seed}.npz", time=R[:, 0], command=R[:, 1:2], joint_pos=R[:, 2:])
+    found = diagnose(load_case(folder), DiagnoseConfig(effects=("coulomb_friction", "command_delay"), threads=1))
+    assert any("closed loops" in w for w in found.health["warnings"])
+    assert found.causes[0]["effect"] == "coulomb_friction"
+    assert found.causes[0]["joints"] == ["crank"]
 
 
 def test_replicates_are_found(case: Path) -> None:

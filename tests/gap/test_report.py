@@ -114,6 +114,54 @@ def test_ambiguous_names_the_other_set_and_what_would_tell(found: Diagnosis) -> 
     assert "slow ramps on the elbow" in read(diagnosis_page(planned))
 
 
+def test_evidence_of_where_is_shown(found: Diagnosis) -> None:
+    text = read(diagnosis_page(found))
+    assert "What stands out" in text
+    assert "How the error grows" in text
+    assert "Wrench that the base lacks" not in text  # a fixed base
+    axes = [f"{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz"]
+    wrench = {a: {"value": -15.0, "unit": "N", "ci90": [-17.0, -12.0]} for a in axes} | {"mass_kg": 1.53}
+    term = {"what": "against the velocity, of constant size", "value": 0.5, "unit": "N m", "explains": 0.9}
+    more = found.statistics | {
+        "base_wrench": wrench,
+        "torque_residual": {"elbow": {"rms_Nm": 0.5, "share": 0.1, **term}},
+        "stands_out": [
+            {
+                "signal": "joint_pos",
+                "joint": "elbow",
+                "by": "load",
+                "bin": "high",
+                "ratio": 3.0,
+                "share": 0.2,
+                "p": 0.001,
+            }
+        ],
+    }
+    text = read(diagnosis_page(replace(found, statistics=more)))
+    assert "weighs 1.5 kg (more than the model)" in text
+    assert "against the velocity, of constant size: 0.5 N m (90 %)" in text
+    assert "load: high" in text
+
+
+def test_patch_that_needs_a_wrapper_says_what_to_do(found: Diagnosis) -> None:
+    late = {"value": 0.012, "unit": "s", "what": "hold back every command by this time"}
+    text = read(diagnosis_page(replace(found, patch={**found.patch, "wrappers": {"command_delay": late}})))
+    assert "The loop must do the rest" in text
+    assert "hold back every command by this time" in text
+
+
+def test_gains_are_listed_stage_by_stage(found: Diagnosis) -> None:
+    (row,) = [r for r in found.ranking if r["effect"] == "coulomb_friction"]
+    first = row["stages"][0]
+    assert first["stage"] == 0
+    assert first["heldout_gain"] > 0
+    again = {**first, "stage": 1, "heldout_gain": 7.25, "heldout_se": 1.5}
+    more = replace(found, ranking=({**row, "stages": [first, again]},))
+    text = read(diagnosis_page(more))
+    assert "stage by stage" in text
+    assert "7.2\u00a0±\u00a01.5" in text
+
+
 def test_baseline_that_does_not_run_is_said(found: Diagnosis) -> None:
     shrunk = {**found.shrinkage, "baselines": {"nominal": 1.0, "all effects at once": float("nan")}}
     assert "does not run" in read(diagnosis_page(replace(found, shrinkage=shrunk)))
@@ -124,7 +172,10 @@ def test_runs_of_the_check_get_closer(found: Diagnosis) -> None:
     assert [shown.case.runs[i].name for i in shown.runs] == list(found.shrinkage["runs"])  # type: ignore[union-attr]
     before, after = (np.nanmean(shown.errors(y)[0] ** 2) for y in (shown.before, shown.after))
     assert after < 0.5 * before
-    assert all(a is not None and a < b for _, b, a in horizons(shown))
+    ahead = horizons(shown)
+    assert [label for label, _, _ in ahead] == ["one sample", "20 ms", "100 ms", "500 ms"]
+    assert all(a is not None and a < 1.05 * b for _, b, a in ahead)  # one sample ahead, noise is all there is
+    assert ahead[-1][2] < 0.5 * ahead[-1][1]  # type: ignore[operator]
 
 
 def test_worst_windows_show_different_things(found: Diagnosis) -> None:

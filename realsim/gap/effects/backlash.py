@@ -8,7 +8,7 @@ from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place,
 
 
 def _parameters(context, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("gap", "rad", (0.0, 0.3), 0.02, nuisance=0.0012),)
+    return (Parameter("gap", "rad", (0.0, 0.3), 0.02),)
 
 
 def _excited(context, place: Place) -> Excitation:

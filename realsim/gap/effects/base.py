@@ -36,6 +36,10 @@ class Parameter:
     """Coordinate -> value in `unit` as the contract wants it."""
     default: float = 0.0
     """Value of the coordinate when the parameter is not fitted."""
+    whole: bool = False
+    """Only whole values can be simulated."""
+    like: tuple[str, str] | None = None
+    """(effect, parameter) whose slope this one shares to first order, so that none is simulated for it."""
 
 
 @dataclass(frozen=True)

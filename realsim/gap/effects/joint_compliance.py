@@ -15,7 +15,7 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     least = _softest_step(context, place)
     step = max(0.02 * scale, 1.5 * least)
     report = lambda z: 1 / max(z, 1e-9)  # noqa: E731
-    return (Parameter("stiffness", "N m/rad", (0.0, max(0.6 * scale, 4 * least)), step, 0.0012 * scale, report),)
+    return (Parameter("stiffness", "N m/rad", (0.0, max(0.6 * scale, 4 * least)), step, report=report),)
 
 
 def _excited(context, place: Place) -> Excitation:

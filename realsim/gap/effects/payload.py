@@ -17,7 +17,14 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     reach = context.reach(place[0])
     step = max(0.15 * mass, 0.05 * total)
     where = [
-        Parameter(axis, "m", (float(c) - 1.3 * reach, float(c) + 1.3 * reach), 0.05, default=float(c))
+        Parameter(
+            axis,
+            "m",
+            (float(c) - 1.3 * reach, float(c) + 1.3 * reach),
+            0.05,
+            default=float(c),
+            like=("com_offset", axis),
+        )
         for axis, c in zip("xyz", body.ipos, strict=True)
     ]
     return (Parameter("mass", "kg", (-0.7 * mass, 3 * max(total, mass)), step, nuisance=0.012 * mass), *where)

@@ -15,7 +15,8 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     speed = max(context.speed[j] for j in place)
     return (
         Parameter("static_friction", "N m", (0.0, top), step),
-        Parameter("stribeck_velocity", "rad/s", (0.02 * speed, 0.6 * speed), 0.05 * speed, default=0.12 * speed),
+        Parameter("coulomb", "N m", (0.0, top), step, like=("coulomb_friction", "friction")),
+        Parameter("stribeck_velocity", "rad/s", (0.008 * speed, 0.6 * speed), 0.05 * speed, default=0.12 * speed),
     )
 
 
@@ -25,21 +26,27 @@ def _excited(context, place: Place) -> Excitation:
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
-    """Dry friction raised by F, minus clip(c v, -F, F) with c = F / v_s: the piecewise-linear Stribeck curve."""
-    extra = values["static_friction"]
-    if extra <= 0:
+    """Dry friction raised by F at rest, of which C stays in motion: the piecewise-linear Stribeck curve.
+
+    That is friction max(F, C) minus clip(c v, -(F - C), F - C) with c = (F - C) / v_s.
+    """
+    static, moving = values["static_friction"], values["coulomb"]
+    if max(static, moving) <= 0:
         return
+    falling = max(static - moving, 0.0)
     for joint in place:
         name = edit.motor_joint(joint)
         target = edit.spec.joint(name)
-        target.frictionloss = target.frictionloss + extra
+        target.frictionloss = target.frictionloss + max(static, moving)
+        if falling <= 0:
+            continue
         inertia = edit.context.inertia[joint]
-        slope = min(extra / values["stribeck_velocity"], 0.4 * inertia / edit.context.timestep)
+        slope = min(falling / values["stribeck_velocity"], 0.4 * inertia / edit.context.timestep)
         helper = edit.add_actuator(f"stribeck_{joint}", name)
         bias = np.zeros_like(helper.biasprm)
         bias[2] = slope
         helper.biasprm = bias
-        helper.forcerange, helper.forcelimited = np.array([-extra, extra]), 1
+        helper.forcerange, helper.forcelimited = np.array([-falling, falling]), 1
 
 
 EFFECT = Effect(
@@ -51,6 +58,7 @@ EFFECT = Effect(
     excitation="Very slow motion with reversals beside fast motion.",
     places=each_joint,
     parameters=_parameters,
+    variants=(("static_friction", "stribeck_velocity"), ("static_friction", "coulomb", "stribeck_velocity")),
     excited_by=_excited,
     apply=_apply,
 )

@@ -9,7 +9,7 @@ from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place,
 
 def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     speed = max(context.speed[j] for j in place)
-    return (Parameter("no_load_speed", "rad/s", (0.0, 1.6), 0.7, report=lambda z: speed / max(z, 1e-3)),)
+    return (Parameter("no_load_speed", "rad/s", (0.0, 4.0), 0.7, report=lambda z: speed / max(z, 1e-3)),)
 
 
 def _excited(context, place: Place) -> Excitation:

@@ -1,0 +1,115 @@
+"""Sets of causes that the runs cannot tell from the one that was found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from realsim.gap.config import DiagnoseConfig
+from realsim.gap.fit import Cause, Fit, Fitter
+from realsim.gap.merit import PRICE, complexity, deviation, heldout
+from realsim.gap.rivals import near
+from realsim.gap.screen import Candidate, Screen
+
+ALIKE, MOST_ALIKE = 0.95, 3
+"""Squared cosine from which on two footprints count as one, and how many such rivals are refitted."""
+
+LIMITS = {"stribeck_friction": "coulomb_friction"}
+"""An effect and the simpler one that it becomes at the end of a parameter's range: it always fits as well."""
+NO_BETTER = 12.0
+"""Log-likelihood by which the richer law, with its two further parameters, must win to be preferred."""
+
+
+def equivalents(
+    screen: Screen,
+    fitter: Fitter,
+    config: DiagnoseConfig,
+    fit: Fit,
+    nominal: Fit,
+    stages: Sequence[tuple[Fit, list[Fit]]],
+) -> list[Fit]:
+    """Sets that explain the runs as well: each cause exchanged for its rivals, everything refitted."""
+    found: dict[tuple, Fit] = {}
+    removed = nominal.misfit - fit.misfit
+    for i, cause in enumerate(fit.causes):
+        others = [c for j, c in enumerate(fit.causes) if j != i]
+        near_by = [r for r in _close_rivals(stages, fit) if deviation(screen, r) >= config.min_deviation]
+        for rival in [*_alike(screen, fit, cause), *near_by]:
+            key = (cause.candidate.key, rival.candidate.effect, rival.candidate.place)
+            if key in found or LIMITS.get(rival.candidate.effect) == cause.candidate.effect:
+                continue
+            trial = fitter.fit([*others, rival], iterations=3)
+            if trial is not None and _as_good(screen, config, fit, trial, removed):
+                found[key] = trial
+    return sorted(found.values(), key=lambda f: f.misfit)
+
+
+def simplest(fit: Fit, rivals: list[Fit]) -> tuple[Fit, list[Fit]]:
+    """(fit, rivals) with a law in place of the richer one that contains it, where the richer fits no better."""
+    for rival in rivals:
+        law = rival.causes[-1].candidate
+        richer = [
+            c for c in fit.causes if LIMITS.get(c.candidate.effect) == law.effect and c.candidate.place == law.place
+        ]
+        if richer and len(rival.causes) == len(fit.causes) and rival.misfit - fit.misfit < NO_BETTER:
+            return rival, [r for r in rivals if r is not rival]
+    return fit, rivals
+
+
+def _alike(screen: Screen, fit: Fit, cause: Cause) -> list[Cause]:
+    """Rivals whose sensitivities span what this cause does: by their angle, however usual or unusual their size is.
+
+    With v the cause's footprint, D a rival's and A the information, the share of v within D's span is
+    v'AD (D'AD)^-1 D'Av / v'Av, the squared cosine of the angle between them.
+    """
+    A = np.sum(fit.evidence.A, axis=0)
+    values = np.array([cause.named[n] for n in cause.candidate.linear])
+    v = cause.candidate.directions @ values
+    size = float(v @ A @ v)
+    found = []
+    for c in screen.candidates:
+        if size <= 0 or any(_same_thing(c, other.candidate) for other in fit.causes) or c.names != c.linear:
+            continue
+        D = c.directions
+        inside = D.T @ A @ v
+        info = D.T @ A @ D
+        coefficients = np.linalg.solve(info + 1e-9 * np.trace(info) * np.eye(len(info)), inside)
+        share = float(inside @ coefficients) / size
+        if share > ALIKE:
+            found.append((share - 0.01 * len(c.names), Cause(c, tuple(float(x) for x in coefficients))))
+    found.sort(key=lambda item: -item[0])
+    first: dict[tuple, Cause] = {}
+    for _, rival in found:  # the simplest form of each
+        first.setdefault((rival.candidate.effect, rival.candidate.place), rival)
+    return list(first.values())[:MOST_ALIKE]
+
+
+def _close_rivals(stages: Sequence[tuple[Fit, list[Fit]]], fit: Fit) -> list[Cause]:
+    """Rivals that came near the winner of their stage; the others cannot catch up by a joint refit."""
+    rivals: dict[tuple, Cause] = {}
+    for before, fits in stages:
+        best = min(f.misfit for f in fits)
+        for f in fits:
+            cause = f.causes[-1]
+            if f.misfit - best > near(before.misfit - best):
+                continue
+            if any(_same_thing(cause.candidate, c.candidate) for c in fit.causes):
+                continue
+            rivals.setdefault(cause.candidate.key, cause)
+    return list(rivals.values())[:5]
+
+
+def _same_thing(a: Candidate, b: Candidate) -> bool:
+    return (a.effect == b.effect and bool(set(a.place) & set(b.place))) or (a.effect == b.effect and not a.place)
+
+
+def _as_good(screen: Screen, config: DiagnoseConfig, best: Fit, rival: Fit, removed: float) -> bool:
+    """Within a small share of what the best removes, and no run by run preference beyond its scatter."""
+    loss = rival.misfit - best.misfit + complexity(screen, rival) - complexity(screen, best)
+    if loss < 4.0:
+        return True
+    if complexity(screen, rival) > complexity(screen, best) + PRICE / 2:
+        return False  # a richer effect that is no better only mimics the simpler one
+    mean, error, _ = heldout(screen, rival, best)
+    return loss < max(config.equivalent_loss * removed, 8.0) and mean < 2 * error

@@ -1,0 +1,204 @@
+"""Health of the arrays themselves: clock, drops, resolution, saturation, noise, and how the runs begin."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from realsim.errors import GapError
+from realsim.gap.case import Case
+from realsim.gap.repeats import spread
+from realsim.gap.simulate import Simulator
+from realsim.types import F64
+
+Said = list[str]
+SLOWEST = 0.2
+"""s between samples beyond which nothing of a servo's motion is left in a log."""
+SHORTEST = 0.4
+"""s that all runs together must last."""
+REST_OFF, REST_SPEED = 0.1, 0.1
+"""Share of a joint's range of motion (or rad), and of its peak speed: what a start at rest may differ by."""
+MOSTLY = 0.1
+"""Share of samples at a limit from which it is said."""
+
+
+def clocks(case: Case) -> tuple[dict[str, Any], Said]:
+    """Sampling step and jitter, medians over runs. Refuses a log that is too coarse or too short."""
+    said, steps, jitters = [], [], []
+    for run in case.runs:
+        step = np.diff(run.time)
+        median = float(np.median(step))
+        gaps = step > 3 * median
+        jitter = float(np.std(step[~gaps]))
+        steps.append(median)
+        jitters.append(jitter)
+        if jitter < 1e-6 * median + 1e-7 * run.duration:  # the latter is what single precision rounds
+            said.append(f"{run.name}: perfectly even time stamps: they were made up, not measured")
+        elif jitter > 0.3 * median:
+            said.append(f"{run.name}: the sampling step varies by {jitter / median:.0%}: check what stamps the samples")
+        if gaps.any():
+            said.append(f"{run.name}: {int(gaps.sum())} gaps in time, the longest {step.max():.3g} s")
+        said += _stale(run.name, run.signals["joint_pos"], run.command, case.joint_names)
+    usual, length = float(np.median(steps)), float(sum(r.duration for r in case.runs))
+    if usual > SLOWEST or length < SHORTEST:
+        raise GapError(
+            "samples are too far apart to see a servo move" if usual > SLOWEST else "the log is too short",
+            file=case.folder,
+            expected=f"a sample every {SLOWEST:g} s or more often, and {SHORTEST:g} s in all",
+            found=f"a sample every {usual:.3g} s, {length:.3g} s in all",
+            hint='is time in seconds? If not: "units": {"time": "ms"} in log.json',
+        )
+    return {"median_step_s": usual, "jitter_s": float(np.median(jitters))}, said
+
+
+def _stale(name: str, values: F64, command: F64, joints: tuple[str, ...]) -> Said:
+    """Readings that repeat exactly while the command moves: the sensor is slower than the log."""
+    moving = (np.abs(np.diff(command, axis=0)) > 1e-9).any(axis=1)
+    same = (np.diff(values, axis=0) == 0)[moving]
+    if len(same) < 50:
+        return []
+    share = same.mean(axis=0)
+    # A coarse encoder repeats at slow motion, joint by joint; a slow bus repeats all joints in the same samples.
+    together = float(same.all(axis=1).mean())
+    if together > 0.3 and len(np.unique(values[:, 0])) > 100:
+        return [f"{name}: {together:.0%} of the readings repeat the one before: the bus is slower than the log"]
+    stuck = [joint for joint, s in zip(joints, share, strict=True) if s > 0.98]
+    return [f"{name}: the reading of {', '.join(stuck)} stands still while the command moves"] if stuck else []
+
+
+def missing(case: Case) -> tuple[dict[str, float], Said]:
+    """Share of each signal that is not there. Refuses a log without most of its joint positions."""
+    found = {k: float(np.mean([1 - np.isfinite(r.signals[k]).mean() for r in case.runs if k in r.signals]))
+             for k in case.runs[0].signals}  # fmt: skip
+    found = {k: v for k, v in found.items() if v > 0}
+    if found.get("joint_pos", 0) > 0.7:
+        raise GapError("most joint positions are missing", file=case.folder, found=f"{found['joint_pos']:.0%} are NaN")
+    said = [f"{share:.0%} of {name} is missing" for name, share in found.items() if share > 0.2]
+    partly = sorted({k for r in case.runs for k in r.signals if not all(k in s.signals for s in case.runs)})
+    return found, said + [f"{name} is not in every run, so it is not compared" for name in partly]
+
+
+def quanta(case: Case) -> dict[str, float]:
+    """Smallest step between readings by signal, the median over its columns; 0 where none can be told."""
+    names = [k for k in case.runs[0].signals if k.startswith("joint") and case.has(k)]
+    return {k: _quantum(np.concatenate([r.signals[k] for r in case.runs])) for k in names}
+
+
+def _quantum(values: F64) -> float:
+    steps = []
+    for column in values.T:
+        levels = np.unique(column[np.isfinite(column)])
+        if len(levels) > 2:
+            steps.append(float(np.quantile(np.diff(levels), 0.1)))
+    return float(np.median(steps)) if steps else 0.0
+
+
+def saturation(simulator: Simulator) -> tuple[dict[str, Any], Said]:
+    """Share of samples at a limit by joint: the nominal drive's force range, and a flat top of the logged torque."""
+    case, context = simulator.case, simulator.context
+    drive: dict[str, float] = {}
+    logged: dict[str, float] = {}
+    said = []
+    for j, joint in enumerate(case.joint_names):
+        if joint in context.actuator and case.model.actuator(context.actuator[joint]).forcelimited[0]:
+            torque = np.concatenate([np.abs(t["torque"][:, j]) for t in simulator.nominal_tracks])
+            drive[joint] = float((torque > 0.995 * context.torque_range[joint]).mean())
+        if case.has("joint_torque"):
+            torque = np.concatenate([np.abs(r.signals["joint_torque"][:, j]) for r in case.runs])
+            torque = torque[np.isfinite(torque)]
+            logged[joint] = float((torque > 0.995 * torque.max()).mean()) if torque.max(initial=0) > 0 else 0.0
+            if logged[joint] > MOSTLY:
+                said.append(
+                    f"{joint}: the logged torque stays at {torque.max():.3g} in {logged[joint]:.0%} of the samples"
+                )
+        said += _end_stops(case, joint, j)
+    full = [f"{joint} ({share:.0%})" for joint, share in drive.items() if share > MOSTLY]
+    if full:
+        said.append(f"the nominal drive is at its force range for much of the time: {', '.join(full)}")
+    keep = {"nominal_drive": drive, "logged_torque": logged}
+    return {k: {n: v for n, v in d.items() if v > 0.001} for k, d in keep.items()}, said
+
+
+def _end_stops(case: Case, joint: str, column: int) -> Said:
+    part = case.model.joint(joint)
+    if not part.limited[0]:
+        return []
+    low, high = part.range
+    values = np.concatenate([r.signals["joint_pos"][:, column] for r in case.runs])
+    beyond = float(np.nanmean((values < low - 0.02) | (values > high + 0.02)))
+    return [f"{joint}: {beyond:.0%} of the positions lie beyond the range in model.xml"] if beyond > 0.01 else []
+
+
+def noise(simulator: Simulator, nominal: list[F64]) -> tuple[dict[str, Any], Said]:
+    """By signal: noise of a sample from the log's high frequencies, and what runs that repeat a command differ by."""
+    case, found = simulator.case, {}
+    said = []
+    for signal in dict.fromkeys(c.signal for c in simulator.channels):
+        if signal not in case.runs[0].signals:
+            continue  # the base's orientation is compared as a rotation vector
+        columns = [i for i, c in enumerate(simulator.channels) if c.signal == signal]
+        kinks, errors = [], []
+        for run, y in zip(case.runs, nominal, strict=True):
+            r = run.signals[signal][:, [simulator.channels[i].index for i in columns]] - y[:, columns]
+            kinks.append((r[3:] - 3 * r[2:-1] + 3 * r[1:-2] - r[:-3]) / np.sqrt(20))
+            errors.append(r)
+        sample = float(1.4826 * np.nanmedian(np.abs(np.concatenate(kinks))))
+        found[signal] = {"sample": sample, "replicates": spread(case, signal)}
+        size = float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2)))
+        apart = found[signal]["replicates"] or 0.0
+        if apart > max(0.5 * size, 4 * sample):
+            said.append(
+                f"{signal}: runs that repeat a command differ by {apart:.3g}, as much as from the "
+                "simulator: something changes from run to run"
+            )
+    return found, said
+
+
+def initial_states(simulator: Simulator) -> tuple[dict[str, float], Said]:
+    """How the runs begin: largest distance from the nominal simulator's rest, rad, and largest speed, rad/s."""
+    case = simulator.case
+    said, off, fast = [], [0.0], [0.0]
+    for run, track in zip(case.runs, simulator.nominal_tracks, strict=True):
+        settle, dt = track["settle"]
+        rest = track["pos"][round(float(settle / dt))]
+        position = run.signals["joint_pos"]
+        first = np.nanmedian(position[:5], axis=0)
+        travel = np.nanmax(position, axis=0) - np.nanmin(position, axis=0)
+        distance, speed = np.abs(first - rest), _first_speed(run.time, position)
+        peak = np.nanmax(np.abs(np.gradient(track["pos"], dt, axis=0)), axis=0)
+        off.append(float(np.nanmax(distance)))
+        fast.append(float(np.nanmax(speed)))
+        j = int(np.nanargmax(distance / (travel + REST_OFF)))
+        if distance[j] > max(REST_OFF, 0.2 * travel[j]):
+            said.append(
+                f"{run.name}: the initial state does not match: {case.joint_names[j]} begins at {first[j]:.3g}, the "
+                f"nominal simulator rests at {rest[j]:.3g} under the first command"
+            )
+        j = int(np.nanargmax(speed / (peak + 1e-6)))
+        if speed[j] > max(REST_SPEED * peak[j], 0.15):
+            said.append(
+                f"{run.name}: the run does not begin at rest: {case.joint_names[j]} moves at {speed[j]:.2g} rad/s"
+            )
+        said += _given_state(case, run.name, run.init_qpos, run.init_qvel, first)
+    return {"farthest_from_rest": max(off), "fastest_at_start": max(fast)}, said
+
+
+def _first_speed(time: F64, position: F64) -> F64:
+    """(J,) slope of the first tenth of a second, by least squares."""
+    inside = time <= max(0.1, time[4])
+    t = time[inside] - time[inside].mean()
+    values = np.nan_to_num(position[inside] - np.nanmean(position[inside], axis=0))
+    return np.asarray(np.abs(t @ values) / max(float(t @ t), 1e-12))
+
+
+def _given_state(case: Case, name: str, qpos: F64 | None, qvel: F64 | None, first: F64) -> Said:
+    said = []
+    if qpos is not None:
+        given = np.array([qpos[case.model.joint(n).qposadr[0]] for n in case.joint_names])
+        j = int(np.argmax(np.abs(given - first)))
+        if abs(given[j] - first[j]) > REST_OFF:
+            said.append(f"{name}: init_qpos has {case.joint_names[j]} at {given[j]:.3g}, the log at {first[j]:.3g}")
+    if qvel is not None and np.abs(qvel).max(initial=0) > 0.05:
+        said.append(f"{name}: init_qvel is not zero; runs are simulated from rest")
+    return said

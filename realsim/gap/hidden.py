@@ -1,0 +1,54 @@
+"""A gap that everyday deviations could hide: many small ones fit the runs, but one cause is far likelier.
+
+The gate asks what stays beside the small deviations. With dozens of them free, each within its usual size, a modest
+cause can be shared out among them until nothing stays. What it costs them to be all off at once is in the misfit, so
+the evidence still tells: here a cause must bring much more than elsewhere, and hold on nearly every run.
+"""
+
+from __future__ import annotations
+
+from realsim.gap.fit import Fit, Fitter
+from realsim.gap.merit import complexity, deviation, heldout, holds, significance
+from realsim.gap.rivals import Trial, ranked, refit
+from realsim.gap.screen import Screen
+
+WORTH_TRYING = 10.0
+"""Gain in log-evidence by the linear screen from which on a candidate is simulated."""
+TRIED = 3
+"""At most so many effects are simulated, the best place of each."""
+SURE = 40.0
+"""Gain in log-likelihood that it must then bring, beside its price: a servo's unmodelled form is worth tens."""
+FAR = 4.0
+"""Everyday deviations of its own kind that it must exceed."""
+NEARLY_ALL = 0.75
+"""Share of the unseen runs that must gain."""
+
+
+def hidden(screen: Screen, fitter: Fitter, current: Fit, stage: int, trials: list[Trial]) -> list[Fit]:
+    """Fits with one further cause that is far likelier than the small deviations alone, best first."""
+    found, seen = [], set[str]()
+    for gain, candidate, estimate in ranked(screen, current):
+        if gain < WORTH_TRYING or len(seen) == TRIED:
+            break
+        if candidate.effect in seen:
+            continue
+        seen.add(candidate.effect)
+        fit = refit(screen, fitter, current, candidate, estimate)
+        if fit is None:
+            continue
+        mean, error, positive = heldout(screen, current, fit)
+        cause = fit.causes[-1]
+        brings = current.misfit - fit.misfit
+        sure = (
+            brings > SURE + 2.0 * len(cause.values)
+            and deviation(screen, cause) >= FAR
+            and (len(screen.runs) < 4 or significance(fit) >= 2.0)
+            and holds(mean, error, positive)
+            and positive >= NEARLY_ALL
+        )
+        outcome = "accepted" if sure else "small deviations explain it as well"
+        where = (candidate.effect, candidate.place, candidate.names)
+        trials.append(Trial(*where, stage, gain, brings, mean, error, cause.named, outcome))
+        if sure:
+            found.append(fit)
+    return sorted(found, key=lambda f: f.misfit + complexity(screen, f))

@@ -1,0 +1,78 @@
+"""The part of the report about the data: clock, gaps, resolution, noise, starts, saturation, and what was odd."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from realsim.gap.diagnosis import Diagnosis
+from realsim.gap.report_words import UNITS, percent, short, signal_name
+from realsim.report import page, svg
+
+_SATURATED = {"nominal_drive": "at its force range in the simulator", "logged_torque": "logged torque at its top"}
+
+
+def health_card(found: Diagnosis) -> str:
+    """Warnings first, then figures."""
+    health = found.health
+    warnings = list(health.get("warnings", []))
+    badge = page.badge("look", f"{len(warnings)} to look at") if warnings else page.badge("good", "nothing wrong")
+    parts = [f"<p>{badge}</p>", page.bullets(warnings) if warnings else ""]
+    parts.append(page.table(["figure", "value"], [*_clock(health), *_start(health), *_saturation(health)]))
+    signals = _signals(found)
+    if signals:
+        parts.append(page.table(["signal", "missing", "step", "noise", "repeats", "no gap below"], signals))
+        parts.append(
+            '<p class="note">Step: the smallest between readings. Noise: of a sample. Repeats: what runs with the same '
+            "command differ by. No gap below: slow errors of this size are everyday. In the signal's unit.</p>"
+        )
+    return page.card("Data health", "".join(parts))
+
+
+def _clock(health: dict[str, Any]) -> list[list[str]]:
+    clock = health.get("clock", {})
+    names = {"median_step_s": "sampling step (median)", "jitter_s": "jitter of the time stamps"}
+    return [[said, f"{svg.number(1000 * clock[key])} ms"] for key, said in names.items() if key in clock]
+
+
+def _start(health: dict[str, Any]) -> list[list[str]]:
+    start = health.get("start", {})
+    if not start:
+        return []
+    return [
+        ["start, farthest from the simulator's rest", f"{svg.number(start['farthest_from_rest'], 2)} rad"],
+        ["start, fastest joint", f"{svg.number(start['fastest_at_start'], 2)} rad/s"],
+    ]
+
+
+def _saturation(health: dict[str, Any]) -> list[list[str]]:
+    rows = []
+    for key, joints in health.get("saturation", {}).items():
+        worst = sorted(joints, key=lambda j: -joints[j])[:4]
+        if worst:
+            rows.append([_SATURATED[key], ", ".join(f"{short(j)} {percent(joints[j])}" for j in worst)])
+    return rows
+
+
+def _signals(found: Diagnosis) -> list[list[str]]:
+    """One row a signal."""
+    health, comparison = found.health, found.evidence.get("comparison")
+    detail: dict[str, float] = {}
+    if comparison is not None:
+        for signal in dict.fromkeys(c.signal for c in comparison.channels):
+            columns = [i for i, c in enumerate(comparison.channels) if c.signal == signal]
+            detail[signal] = float(np.median(comparison.noise.detail[columns]))
+    rows = []
+    for signal in dict.fromkeys([*health.get("noise", {}), *detail]):
+        noise = health.get("noise", {}).get(signal, {})
+        name = f"{signal_name(signal)}, {UNITS.get(signal, '')}"
+        figures = [
+            health.get("quantum", {}).get(signal),
+            noise.get("sample"),
+            noise.get("replicates"),
+            detail.get(signal),
+        ]
+        gone = percent(health.get("missing", {}).get(signal, 0.0))
+        rows.append([name, gone, *("–" if v is None else svg.number(v, 2) for v in figures)])
+    return rows

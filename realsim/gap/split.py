@@ -1,0 +1,58 @@
+"""Which runs are fitted, and which no fit sees."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from realsim.gap.case import Case, Run
+from realsim.gap.config import DiagnoseConfig
+from realsim.gap.repeats import replicates
+from realsim.types import F64
+
+MOST_FITTED = (6, 3)
+"""Runs that carry the sensitivities, on robots of up to 8 driven joints and on larger ones."""
+ENOUGH = 7
+"""Different runs from which on a whole regime is held out beside the last runs."""
+APART = 1.5
+"""A run is of another regime if its speed differs from the usual by this many spreads over runs."""
+
+
+def split_runs(case: Case, config: DiagnoseConfig) -> tuple[list[int], list[int]]:
+    """(runs for fitting, runs that no fit sees). A replicate of a fitted run is no test, so it is not held out.
+
+    Where there are enough runs, the one whose regime (speed, posture) is farthest from the others' is held out too:
+    a cause must hold beyond the motions that it was found in. On robots with many joints only some runs carry the
+    sensitivities: the most different ones first.
+    """
+    count = len(case.runs)
+    twins = replicates(case)
+    single = [i for i in range(count) if not any(i in g for g in twins)] or list(range(count))
+    held = single[-config.holdout :] if config.holdout and count > config.holdout + 1 else []
+    if held and len(single) >= ENOUGH:
+        held = sorted([*held, *_regime_apart(case, [i for i in single if i not in held])])
+    fitted = [i for i in range(count) if i not in held]
+    most = MOST_FITTED[0] if len(case.joint_names) <= 8 else MOST_FITTED[1]
+    if len(fitted) > most:
+        repeated = {i for g in twins for i in g[1:]}
+        order = sorted(fitted, key=lambda i: (i in repeated, -_liveliness(case.runs[i])))
+        fitted = sorted(order[:most])
+    return fitted, held
+
+
+def _regime_apart(case: Case, runs: list[int]) -> list[int]:
+    """The run farthest from the others in speed and posture; none if none stands apart."""
+    features = np.array([_regime(case.runs[i]) for i in runs])
+    spread = features.std(axis=0) + 1e-9
+    distance = np.abs((features - np.median(features, axis=0)) / spread).max(axis=1)
+    best = int(np.argmax(distance))
+    return [runs[best]] if distance[best] > APART else []
+
+
+def _regime(run: Run) -> F64:
+    """Log of the command's mean speed, and the mean posture."""
+    speed = np.abs(np.diff(run.command, axis=0)).sum() / max(run.duration, 1e-9)
+    return np.concatenate([[np.log(speed + 1e-6)], run.command.mean(axis=0)])
+
+
+def _liveliness(run: Run) -> float:
+    return float(np.abs(np.diff(run.command, axis=0)).sum())

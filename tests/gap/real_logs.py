@@ -1,0 +1,87 @@
+"""Cases made of logs of real robots: a torque-driven pendulum, a quadruped's legs in the air, a hobby servo as CSV."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+# T-Motor AK80-6 with a half-metre rod and a bob; figures of the test bench's own description.
+PENDULUM = """
+<mujoco>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody><body name="rod" pos="0 0 1"><joint name="swing" axis="0 1 0" armature="0.0022"/>
+    <inertial pos="0 0 -0.45" mass="0.676" diaginertia="0.006 0.006 0.0005"/></body></worldbody>
+  <actuator><motor name="swing_motor" joint="swing"/></actuator>
+</mujoco>"""
+# Feetech STS3250 with a weight on an arm; the stiffness of its loop in N m/rad is a guess.
+SERVO = """
+<mujoco>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody><body name="arm" pos="0 0 1"><joint name="servo" axis="0 1 0" armature="0.03" damping="0.8"/>
+    <inertial pos="0 0 -0.12" mass="1.13" diaginertia="0.001 0.001 0.001"/></body></worldbody>
+  <actuator><position name="servo_loop" joint="servo" kp="25" kv="1" forcerange="-5 5"/></actuator>
+</mujoco>"""
+
+
+def pendulum(logs: Path, folder: Path, names: list[str]) -> Path:
+    """Runs driven by the measured torque."""
+    case = _folder(folder, PENDULUM, ["swing"], ["swing_motor"], command_kind="torque", torque_kind="measured")
+    for name in names:
+        with np.load(logs / "dfki_simple_pendulum" / f"{name}.npz") as file:
+            data = file["data"][:2400]
+        time, position, velocity, torque = data.T
+        new = np.concatenate([[True], np.diff(time) > 0])
+        np.savez(
+            case / "runs" / f"{name}.npz", time=time[new], command=torque[new, None], joint_pos=position[new, None],
+            joint_vel=velocity[new, None], joint_torque=torque[new, None],
+        )  # fmt: skip
+    return case
+
+
+def servo(logs: Path, folder: Path) -> Path:
+    """CSV with the servo's own column names, and a map."""
+    case = _folder(folder, SERVO, ["servo"], ["servo_loop"])
+    for path in sorted((logs / "bam_sts3250").glob("*.npz")):
+        with np.load(path) as file:
+            rows = [",".join(file["cols"]), *(",".join(repr(float(v)) for v in row) for row in file["data"])]
+        (case / "runs" / f"{path.stem}.csv").write_text("\n".join(rows))
+    columns: dict[str, Any] = {"time": "timestamp", "command": ["goal_position"], "joint_pos": ["position"]}
+    (case / "columns.json").write_text(json.dumps(columns | {"joint_vel": ["speed"]}))
+    return case
+
+
+def legs(logs: Path, folder: Path) -> Path:
+    """The quadruped without its pictures, its trunk held, its gains as position servos."""
+    text = (logs / "iit_go2" / "go2.xml").read_text()
+    text = re.sub(
+        r"<mesh [^>]*/>|<geom [^>]*mesh=[^>]*/>|<freejoint[^>]*/>|<(motor|key|light|camera)\b[^>]*/>", "", text
+    )
+    with np.load(logs / "iit_go2" / "traj_0.npz") as file:
+        data = {k: file[k] for k in file.files}
+    spec = mujoco.MjSpec.from_string(text)
+    spec.option.timestep = 0.002
+    names = [str(j) for j in data["joints"]]
+    for name in names:
+        servo = spec.add_actuator(name=f"{name}_servo", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.set_to_position(kp=float(data["kp"]), kv=float(data["kd"]))
+    spec.compile()
+    case = _folder(folder, spec.to_xml(), names, [f"{n}_servo" for n in names])
+    half = slice(0, 1200)
+    np.savez(
+        case / "runs" / "sweep.npz", time=data["time"][half].astype(float), command=data["des_dof_pos"][half],
+        joint_pos=data["dof_pos"][half],
+    )  # fmt: skip
+    return case
+
+
+def _folder(folder: Path, xml: str, joints: list[str], actuators: list[str], **said: str) -> Path:
+    (folder / "runs").mkdir(parents=True)
+    (folder / "model.xml").write_text(xml)
+    log = {"command_kind": "position", "base": "fixed", "torque_kind": "none", "imu_site": None, "contact_bodies": []}
+    (folder / "log.json").write_text(json.dumps(log | {"joint_names": joints, "actuator_names": actuators} | said))
+    return folder

@@ -1,0 +1,241 @@
+"""Health: mistakes in units, order and sign are refused with what to write; the rest is measured and said."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from realsim.errors import GapError
+from realsim.gap import Case, DiagnoseConfig, Run, load_case
+from realsim.gap.health import examine, gathered
+from realsim.gap.simulate import Simulator
+
+from .truth import Truth
+
+QUADRUPED = """
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 .1"/>
+    <body name="trunk" pos="0 0 .3"><freejoint/><geom type="box" size=".2 .1 .05" mass="5"/><site name="imu"/>
+      <body name="leg" pos="0 0 -.05"><joint name="leg" axis="0 1 0"/>
+        <geom type="box" size=".1 .08 .03" pos="0 0 -.1" mass="1"/></body>
+    </body>
+  </worldbody>
+  <actuator><position name="leg_servo" joint="leg" kp="40" kv="2"/></actuator>
+</mujoco>"""
+
+
+@pytest.fixture(scope="module")
+def good(made: Callable[..., Path]) -> Case:
+    return load_case(made("torque", Truth(), torque="measured"))
+
+
+def health(case: Case) -> dict[str, Any]:
+    with Simulator(case, DiagnoseConfig(threads=1)) as simulator:
+        return examine(simulator)
+
+
+def spoiled(case: Case, change: Callable[[Run], Run]) -> Case:
+    return case.with_runs(tuple(change(r) for r in case.runs))
+
+
+def with_signal(name: str, change: Callable[[Any], Any]) -> Callable[[Run], Run]:
+    return lambda run: replace(run, signals={**run.signals, name: change(run.signals[name].copy())})
+
+
+def column(j: int, change: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    def apply(values: Any) -> Any:
+        values[:, j] = change(values[:, j])
+        return values
+
+    return apply
+
+
+def test_a_good_log_raises_no_alarm(good: Case) -> None:
+    found = health(good)
+    assert found["warnings"] == []
+    # What the truth adds: 0.3 mrad of noise and a 0.4 mrad encoder step.
+    assert 2e-4 < found["noise"]["joint_pos"]["sample"] < 6e-4
+    assert found["quantum"]["joint_pos"] == pytest.approx(2 * np.pi / 16384, rel=0.05)
+    assert found["clock"]["median_step_s"] == pytest.approx(1 / 125, rel=0.02)
+    assert found["clock"]["jitter_s"] == pytest.approx(2.8e-4, rel=0.3)
+    assert found["noise"]["joint_pos"]["replicates"] is None
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (with_signal("joint_pos", np.degrees), r"joint_pos of (shoulder|elbow) looks like deg[\s\S]*\"units\""),
+        (lambda r: replace(r, command=np.degrees(r.command)), "command of (shoulder|elbow)_servo looks like deg"),
+        (with_signal("joint_vel", column(1, np.degrees)), "joint_vel of elbow looks like deg/s"),
+        (with_signal("joint_vel", lambda v: v * 30 / np.pi), "looks like rpm"),
+        (with_signal("joint_vel", column(0, np.negative)), "joint_vel of shoulder looks negated"),
+        (with_signal("joint_pos", column(1, np.negative)), r"joint_(pos|vel) of elbow looks negated"),
+        (lambda r: replace(r, signals={k: v[:, ::-1] for k, v in r.signals.items()}), "shoulder moves like elbow"),
+        (lambda r: replace(r, time=100 * r.time), "too far apart"),
+        (lambda r: replace(r, time=1e-3 * r.time), "too short"),
+        (
+            with_signal("joint_pos", lambda v: np.where(np.arange(len(v))[:, None] % 5, np.nan, v)),
+            "most joint positions",
+        ),
+    ],
+)
+def test_plain_mistakes_are_refused(good: Case, change: Callable[[Run], Run], said: str) -> None:
+    with pytest.raises(GapError, match=said):
+        health(spoiled(good, change))
+
+
+def even(run: Run) -> Run:
+    return replace(run, time=np.arange(len(run.time)) * 0.008)
+
+
+def jittery(run: Run) -> Run:
+    step = np.random.default_rng(0).exponential(0.008, len(run.time))
+    return replace(run, time=np.cumsum(step) - step[0])
+
+
+def gap_in_time(run: Run) -> Run:
+    return replace(run, time=run.time + 0.3 * (np.arange(len(run.time)) > 100))
+
+
+def held(values: Any) -> Any:
+    return values[np.arange(len(values)) // 2 * 2]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (even, "perfectly even time stamps"),
+        (jittery, "sampling step varies"),
+        (gap_in_time, "1 gaps in time"),
+        (with_signal("joint_pos", held), "the bus is slower than the log"),
+        (with_signal("joint_torque", lambda t: np.clip(t, -3, 3)), "logged torque stays at 3"),
+        (with_signal("joint_torque", np.negative), "torque (looks negated|is -1)"),
+        (with_signal("joint_torque", lambda t: 1000 * t), "is it in N m"),
+        (lambda r: replace(r, init_qvel=np.ones(2)), "init_qvel is not zero"),
+        (lambda r: replace(r, init_qpos=np.full(2, 2.0)), "init_qpos has"),
+    ],
+)
+def test_what_is_odd_is_said(good: Case, change: Callable[[Run], Run], said: str) -> None:
+    import re
+
+    assert any(re.search(said, w) for w in health(spoiled(good, change))["warnings"])
+
+
+def test_a_run_cut_out_of_motion_does_not_begin_at_rest(good: Case) -> None:
+    def cut(run: Run) -> Run:
+        keep = run.time > 1.1
+        return replace(
+            run,
+            time=run.time[keep] - run.time[keep][0],
+            command=run.command[keep],
+            signals={k: v[keep] for k, v in run.signals.items()},
+        )
+
+    assert any("does not begin at rest" in w for w in health(spoiled(good, cut))["warnings"])
+
+
+def test_a_start_elsewhere_is_said(good: Case) -> None:
+    def jump(run: Run) -> Run:
+        command = run.command.copy()
+        command[:10, 0] += 0.5
+        return replace(run, command=command)
+
+    found = health(spoiled(good, jump))
+    assert any("initial state does not match: shoulder" in w for w in found["warnings"])
+    assert found["start"]["farthest_from_rest"] == pytest.approx(0.5, abs=0.1)
+
+
+def test_the_same_warning_of_many_runs_is_one() -> None:
+    runs = [f"run_{i}" for i in range(9)]
+    said = gathered(["one thing", "run_0: late", *(f"run_{i}.csv: even" for i in range(1, 8)), "left out: run_9"], runs)
+    assert said == ["one thing", "run_0: late", "run_1, run_2, run_3 and 4 more: even", "left out: run_9"]
+
+
+def test_replicates_give_the_repeatability(good: Case) -> None:
+    rng = np.random.default_rng(0)
+
+    def noisy(values: Any) -> Any:
+        return values + rng.normal(0, 0.002, values.shape)
+
+    first = good.runs[0]
+    twins = [replace(with_signal("joint_pos", noisy)(first), name=f"again_{i}") for i in range(3)]
+    found = health(good.with_runs((first, *twins)))
+    assert found["noise"]["joint_pos"]["replicates"] == pytest.approx(0.002, rel=0.35)
+
+
+def floating_case(folder: Path, quat: list[float], height: float = 0.3, acc: float = 9.81) -> Case:
+    (folder / "runs").mkdir(parents=True)
+    (folder / "model.xml").write_text(QUADRUPED)
+    log = {
+        "joint_names": ["leg"], "actuator_names": ["leg_servo"], "command_kind": "position", "base": "floating",
+        "torque_kind": "none", "imu_site": "imu", "contact_bodies": [],
+    }  # fmt: skip
+    (folder / "log.json").write_text(json.dumps(log))
+    t = np.arange(200) * 0.01 + 1e-4 * np.random.default_rng(0).random(200)
+    q = 0.1 * np.sin(3 * t)[:, None]
+    one = np.ones((200, 1))
+    np.savez(
+        folder / "runs" / "a.npz", time=t, command=q, joint_pos=q, base_pos=one * [0, 0, height],
+        base_quat=one * np.array(quat), imu_gyro=0 * one * [1, 1, 1], imu_acc=one * [0, 0, acc],
+    )  # fmt: skip
+    return load_case(folder)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"quat": [0, 0, 0, 1], "height": 300.0}, "millimetres"),
+        ({"quat": [0.707, 0.0, 0, 0.707], "acc": 1.0}, "looks like g"),
+        ({"quat": [1.0, 0, 0, 0], "acc": -9.81}, "looks negated"),
+        ({"quat": [0.1, 0.0, 0.0, 0.995]}, None),
+        ({"quat": [0.0, 0.1, 0.1, 0.99]}, None),
+    ],
+)
+def test_base_and_imu_conventions(tmp_path: Path, options: dict[str, Any], said: str | None) -> None:
+    case = floating_case(tmp_path / "case", **options)
+    if said:
+        with pytest.raises(GapError, match=said):
+            health(case)
+    else:
+        health(case)
+
+
+def test_gravity_taken_out_is_said(tmp_path: Path) -> None:
+    found = health(floating_case(tmp_path / "case", [1.0, 0, 0, 0], acc=0.05))
+    assert any("gravity seems to be taken out" in w for w in found["warnings"])
+
+
+def test_quaternion_in_another_order_is_refused(tmp_path: Path) -> None:
+    tilted = floating_case(tmp_path / "case", [0.0, 0.0, 0.8, 0.6])
+    with pytest.raises(GapError, match="x y z w"):
+        health(tilted)
+
+
+def test_nominal_that_falls_over_is_named(tmp_path: Path) -> None:
+    case = floating_case(tmp_path / "case", [1.0, 0, 0, 0], height=1.0)
+    with pytest.raises(GapError, match=r"falls over[\s\S]*in a at"):
+        health(case)
+
+
+def test_a_broken_case_stops_no_other(made: Callable[..., Path], tmp_path: Path, capsys: Any) -> None:
+    from realsim.cli import main
+
+    broken = tmp_path / "broken"
+    shutil.copytree(made("plain", Truth()), broken)
+    (broken / "model.xml").write_text("<mujoco>")
+    still = made("still", Truth(), runs=2, span=(1.0, 1.2))
+    code = main(["diagnose", str(broken), str(still), "--out", str(tmp_path / "out"), "--jobs", "2", "--json",
+                 "--effects", "command_delay", "--threads", "1", "--no-report"])  # fmt: skip
+    said = json.loads(capsys.readouterr().out)
+    assert code == 1
+    assert [item["exit_code"] for item in said["items"]] == [2, 0]
+    assert (tmp_path / "out" / "still" / "diagnosis.json").is_file()
+    assert not (tmp_path / "out" / "broken").exists()

@@ -1,0 +1,94 @@
+"""Logs of real robots are read, examined and localised without a false refusal; spoiled, they are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from realsim.errors import GapError
+from realsim.gap import Case, DiagnoseConfig, load_case
+from realsim.gap.compare import Comparison
+from realsim.gap.health import examine
+from realsim.gap.simulate import Simulator
+from realsim.gap.where import evidence, localise
+
+from .real_logs import legs, pendulum, servo
+
+CONFIG = DiagnoseConfig(threads=1)
+
+
+def looked_at(case: Case) -> tuple[dict[str, Any], list[Any], dict[str, Any]]:
+    """(health, where, evidence) as the diagnosis begins with them."""
+    with Simulator(case, CONFIG) as simulator:
+        health = examine(simulator)
+        nominal = simulator.simulate()
+        comparison = Comparison(case, simulator.channels, nominal, CONFIG)
+        residuals = [comparison.residual(i, y) for i, y in enumerate(nominal)]
+        entries, _ = localise(comparison, residuals, range(len(nominal)), simulator.nominal_tracks)
+        return health, entries, evidence(simulator, comparison, residuals)
+
+
+def rows(found: dict[str, Any], signal: str = "joint_pos") -> list[float]:
+    return [v for k, v in found["error_by_horizon"][signal].items() if k != "whole run"]
+
+
+def test_pendulum_driven_by_its_torque(shared: Callable[[str], Path], tmp_path: Path) -> None:
+    case = load_case(pendulum(shared("real_logs"), tmp_path / "case", ["ddp", "dircol"]))
+    health, where, more = looked_at(case)
+    assert health["quantum"]["joint_pos"] == pytest.approx(2.9e-3, rel=0.02)  # the encoder's step, behind the gear
+    assert health["noise"]["joint_pos"]["sample"] < 2e-3
+    assert where[0]["joint"] == "swing"
+    errors = rows(more)
+    assert errors == sorted(errors)
+    assert errors[0] < 5e-3 < errors[-1]
+    # The documented friction of the gear is some tenths of a newton metre, and the model has none.
+    assert 0.2 < more["torque_residual"]["swing"]["rms_Nm"] < 1.0
+
+
+def test_pendulum_whose_bus_is_slower_than_its_log(shared: Callable[[str], Path], tmp_path: Path) -> None:
+    health, _, _ = looked_at(load_case(pendulum(shared("real_logs"), tmp_path / "case", ["pd_1nm_limit"])))
+    assert any("the bus is slower than the log" in w for w in health["warnings"])
+    assert any("gaps in time" in w for w in health["warnings"])
+    assert any("only one run" in w for w in health["warnings"])
+
+
+@pytest.mark.parametrize(("scale", "said"), [(180 / np.pi, "deg/s"), (-1.0, "negated"), (30 / np.pi, "rpm")])
+def test_velocities_in_other_units_are_told_on_real_data(
+    shared: Callable[[str], Path], tmp_path: Path, scale: float, said: str
+) -> None:
+    case = load_case(pendulum(shared("real_logs"), tmp_path / "case", ["ddp", "dircol"]))
+    runs = [replace(r, signals=r.signals | {"joint_vel": scale * r.signals["joint_vel"]}) for r in case.runs]
+    with pytest.raises(GapError, match=said):
+        looked_at(case.with_runs(tuple(runs)))
+
+
+def test_servo_as_csv(shared: Callable[[str], Path], tmp_path: Path) -> None:
+    case = load_case(servo(shared("real_logs"), tmp_path / "case"))
+    assert [r.name for r in case.runs] == [
+        "kp32_lift_and_drop", "kp32_sin_sin", "kp32_sin_time_square", "kp32_up_and_down",
+    ]  # fmt: skip
+    health, _, more = looked_at(case)
+    assert health["quantum"]["joint_pos"] == pytest.approx(2 * np.pi / 4096, rel=1e-3)
+    assert health["clock"]["median_step_s"] == pytest.approx(1 / 47, rel=0.1)
+    assert any("kp32_sin_sin: the run does not begin at rest" in w for w in health["warnings"])
+    assert list(more["error_by_horizon"]["joint_pos"]) == ["one sample", "100 ms", "500 ms", "whole run"]
+
+
+def test_legs_of_a_quadruped(shared: Callable[[str], Path], tmp_path: Path) -> None:
+    case = load_case(legs(shared("real_logs"), tmp_path / "case"))
+    health, where, more = looked_at(case)
+    assert any("made up, not measured" in w for w in health["warnings"])  # its source says so: a linspace
+    assert {e["joint"] for e in where} <= set(case.joint_names)
+    assert np.isfinite(rows(more)).all()
+
+
+def test_legs_in_degrees_are_refused(shared: Callable[[str], Path], tmp_path: Path) -> None:
+    case = load_case(legs(shared("real_logs"), tmp_path / "case"))
+    runs = [replace(r, signals={"joint_pos": np.degrees(r.signals["joint_pos"])}) for r in case.runs]
+    with pytest.raises(GapError, match="looks like deg"):
+        looked_at(case.with_runs(tuple(runs)))

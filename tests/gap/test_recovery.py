@@ -1,0 +1,133 @@
+"""Every effect that a log can show is found again where the library's own simulator put it, and absent where not."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.gap_truth.plant import Plant
+from benchmarks.gap_truth.robots import ROBOTS
+from benchmarks.gap_truth.truth import Truth as TrueRobot
+from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
+from realsim.gap.compare import Comparison
+from realsim.gap.fit import Cause, Fitter
+from realsim.gap.heldout import leftover
+from realsim.gap.merit import is_gap
+from realsim.gap.rivals import refit
+from realsim.gap.screen import Screen, marginal, score, slab
+from realsim.gap.simulate import Simulator
+
+from .truth import Truth
+
+CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
+GROUND = ("ground_friction", "contact_compliance", "terrain_height", "terrain_tilt", "terrain_scale", "terrain_wobble")
+SIZE = {"ground_friction": 1.0, "imu_bias": 8.0, "load_friction": 2.0, "stribeck_friction": 2.0, "terrain_scale": 2.0}
+"""In steps of the parameter; 1.5 where nothing stands."""
+UNSEEN = ("camera_delay", "camera_mount", "depth_noise")
+
+
+@pytest.fixture(scope="module")
+def arm(made) -> Case:
+    case = load_case(made("recovery", Truth(), runs=2))
+    return case
+
+
+@pytest.fixture(scope="module")
+def quadruped(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    """A floating base on four blocks: the log is made by its own simulator."""
+    folder = tmp_path_factory.mktemp("quadruped")
+    robot = ROBOTS["quadruped"](np.random.default_rng(2))
+    (folder / "runs").mkdir()
+    (folder / "model.xml").write_text(robot.xml)
+    log = {
+        "joint_names": robot.joints,
+        "actuator_names": robot.actuators,
+        "command_kind": "position",
+        "command_hold": "zoh",
+        "base": "floating",
+        "torque_kind": "none",
+        "imu_site": robot.imu_site,
+        "contact_bodies": [],
+        "notes": "",
+    }
+    (folder / "log.json").write_text(json.dumps(log))
+    time = np.arange(0, 2.0, 0.01)
+    sway = 0.15 * np.sin(2 * np.pi * np.outer(time, [0.9])) * np.tile([1.0, 0.8, 0.3], 4)
+    command = robot.home + np.clip(time / 0.3, 0, 1)[:, None] * sway
+    trace = Plant(robot, TrueRobot(len(robot.joints))).drive(time, command)  # it knows how the robot comes to rest
+    rest = {"init_qpos": trace.qpos0, "init_qvel": np.zeros(len(trace.qpos0) - 1)}
+    rest |= {"base_pos": np.tile(trace.qpos0[:3], (len(time), 1))}
+    imu = {"imu_gyro": np.zeros((len(time), 3)), "imu_acc": np.zeros((len(time), 3))}
+    np.savez(folder / "runs" / "one.npz", time=time, command=command, joint_pos=command, **rest, **imu)
+    return load_case(folder)
+
+
+def logged(case: Case, settings: list, seed: int = 0) -> Case:
+    """The case with the log that its simulator writes under these settings, with a little noise."""
+    rng = np.random.default_rng(seed)
+    with Simulator(case, CONFIG) as simulator:
+        made = simulator.simulate(settings)
+        channels = simulator.channels
+    runs = []
+    for run, y in zip(case.runs, made, strict=True):
+        signals = {}
+        for name in dict.fromkeys(c.signal for c in channels):
+            values = y[:, [i for i, c in enumerate(channels) if c.signal == name]]
+            if name != "base_rot":
+                signals[name] = values + rng.normal(0, 1e-4, values.shape)
+        runs.append(replace(run, signals=run.signals | signals))
+    return case.with_runs(tuple(runs))
+
+
+@pytest.mark.parametrize("name", [n for n in EFFECTS if n not in (*UNSEEN, *GROUND, "imu_bias")])
+def test_recovered_on_an_arm(name: str, arm: Case) -> None:
+    recover(name, arm)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*GROUND, "imu_bias"])
+def test_recovered_on_a_floating_base(name: str, quadruped: Case) -> None:
+    recover(name, logged(quadruped, []))
+
+
+def recover(name: str, case: Case) -> None:
+    effect = EFFECTS[name]
+    with Simulator(case, CONFIG) as simulator:
+        place = effect.places(simulator.context)[0]
+        names = effect.variants[0] or tuple(p.name for p in effect.parameters(simulator.context, place))
+        first = next(p for p in effect.parameters(simulator.context, place) if p.name == names[0])
+    value = SIZE.get(name, 1.5) * first.step
+    case = logged(case, [(name, place, {first.name: value})])
+    with Simulator(case, CONFIG) as simulator:
+        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
+        screen = Screen(simulator, comparison, range(len(case.runs)), (name,))
+        fitter = Fitter(screen)
+        nominal = fitter.nominal()
+        candidate = next(c for c in screen.candidates if c.place == place and c.names[0] == first.name)
+        A, b, _ = marginal(nominal.evidence, nominal.prior)
+        estimate = score(A, b, candidate.directions, slab(candidate, screen))[1]
+        fit = refit(screen, fitter, nominal, candidate, estimate)
+        assert fit is not None
+        fit = fitter.fit(fit.causes, iterations=6) or fit
+        defaults = {p.name: p.default for p in effect.parameters(simulator.context, place)} | {first.name: value}
+        true = fitter.fit([Cause(candidate, tuple(defaults[n] for n in candidate.names))], iterations=1)
+        assert true is not None
+        assert fit.misfit < true.misfit + 0.1 * (nominal.misfit - true.misfit)
+        assert fit.causes[0].named[first.name] == pytest.approx(value, rel=0.2)
+
+
+def test_nothing_is_found_where_nothing_is(arm: Case) -> None:
+    case = logged(arm, [])
+    with Simulator(case, CONFIG) as simulator:
+        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
+        screen = Screen(simulator, comparison, range(len(case.runs)), ("payload", "coulomb_friction", "command_delay"))
+        assert not is_gap(leftover(screen, Fitter(screen).nominal()))
+
+
+def test_the_folder_of_the_library_holds_every_effect() -> None:
+    files = {p.stem for p in (Path(__file__).parents[2] / "realsim" / "gap" / "effects").glob("*.py")}
+    assert set(EFFECTS) <= files

@@ -1,0 +1,135 @@
+"""The sentence says what is missing, how sure that is, and what to do."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from realsim.gap.effects import EFFECTS
+from realsim.gap.sentence import phrase, removed, sentence
+
+
+def cause(
+    effect: str, value: float, unit: str, low: float, high: float, name: str = "x", **place: Any
+) -> dict[str, Any]:
+    return {"effect": effect, "parameters": {name: {"value": value, "unit": unit, "ci90": [low, high]}}, **place}
+
+
+def shrunk(fraction: float = 0.83, low: float = 0.74, high: float = 0.88, unseen: bool = True) -> Any:
+    return SimpleNamespace(fraction=fraction, ci90=(low, high), unseen=unseen)
+
+
+KNEE = cause("coulomb_friction", 1.9, "N m", 1.6, 2.2, joints=["left_knee_joint"])
+LATE = cause("command_delay", 0.012, "s", 0.011, 0.0133)
+SEEN_LATE = cause("observation_delay", 0.012, "s", 0.01, 0.014)
+WHERE = [{"signal": "joint_pos", "joint": "left_knee_joint", "phase": "reversal", "share": 0.6}]
+
+
+def say(
+    verdict: str, causes: Any, equivalent: Any = (), of: Any = None, has: tuple[str, ...] = ("joint_torque",)
+) -> str:
+    case: Any = SimpleNamespace(has=lambda s: s in has, floating=False, has_imu=False)
+    return sentence(verdict, causes, equivalent, of or shrunk(), 0.4, WHERE, case)
+
+
+def test_identified_is_the_sentence_of_the_promise() -> None:
+    assert say("identified", [KNEE]) == (
+        "left knee: Coulomb friction 1.9 N m [1.6, 2.2] is missing; adding it removes 83 % [74, 88] of the squared "
+        "error on runs it has not seen."
+    )
+
+
+@pytest.mark.parametrize(
+    ("effect", "value", "unit", "ends", "said"),
+    [
+        ("stiffness_gain", 0.75, "ratio", (0.7, 0.8), "stiffness gain (kp) is 0.75 times [0.7, 0.8] the model's"),
+        (
+            "coulomb_friction",
+            -0.2,
+            "N m",
+            (-0.3, -0.1),
+            "Coulomb friction is 0.2 N m [0.1, 0.3] too large in the model",
+        ),
+        ("joint_offset", -0.04, "rad", (-0.05, -0.03), "encoder zero offset −0.04 rad [−0.05, −0.03] is missing"),
+        ("torque_limit", 13.0, "N m", (12, 14), "a torque limit of 13 N m [12, 14] is missing"),
+        ("load_friction", 0.15, "ratio", (0.1, 0.2), "load-dependent friction 0.15 times [0.1, 0.2] is missing"),
+    ],
+)
+def test_phrases(effect: str, value: float, unit: str, ends: tuple[float, float], said: str) -> None:
+    assert phrase(cause(effect, value, unit, *ends, joints=["hip"])) == f"hip: {said}"
+
+
+def test_payloads_are_added_or_taken_off() -> None:
+    more = cause("payload", 1.2, "kg", 1.0, 1.4, name="mass", bodies=["torso_link"])
+    more["parameters"] |= {
+        axis: {"value": v, "unit": "m", "ci90": [v, v]} for axis, v in zip("xyz", (0, 0.1, -0.2), strict=True)
+    }
+    assert phrase(more) == "torso: a payload of 1.2 kg [1, 1.4] at (0, 0.1, −0.2) m is missing"
+    less = cause("payload", -0.3, "kg", -0.4, -0.2, name="mass", bodies=["torso_link"])
+    assert phrase(less) == "torso is 0.3 kg [0.2, 0.4] lighter than in the model"
+
+
+def test_effects_that_act_everywhere_have_no_place() -> None:
+    assert phrase(LATE) == "command delay 12 ms [11, 13.3] is missing"
+
+
+@pytest.mark.parametrize("effect", sorted(EFFECTS))
+def test_every_effect_can_be_said(effect: str) -> None:
+    text = phrase(cause(effect, 0.5, "m", 0.4, 0.6, name="mass", bodies=["torso_link"]))
+    assert EFFECTS[effect].title in text
+    assert text.startswith("torso: ")
+
+
+@pytest.mark.parametrize(
+    ("fraction", "low", "high", "said"),
+    [
+        (0.83, 0.74, 0.88, "83 % [74, 88]"),
+        (0.996, 0.992, 0.998, "99.6 % [99.2, 99.8]"),
+        (0.99999, 0.9998, 1.0, ">99.9 % [>99.9, 100.0]"),
+        (0.1, -0.05, 0.2, "10 % [−5, 20]"),
+    ],
+)
+def test_shares_never_round_to_everything(fraction: float, low: float, high: float, said: str) -> None:
+    assert removed(shrunk(fraction, low, high)) == said
+
+
+def test_cannot_tell_says_what_to_record() -> None:
+    said = say("ambiguous", [LATE], [[SEEN_LATE]])
+    assert said.startswith("Cannot tell: command delay 12 ms [11, 13.3] is missing, or observation delay")
+    assert said.endswith("to tell them apart, record an IMU or base pose.")
+
+
+def test_rivals_without_a_signal_that_tells_are_told_by_motion() -> None:
+    viscous = cause("viscous_friction", 0.4, "N m s/rad", 0.3, 0.5, joints=["left_knee_joint"])
+    said = say("ambiguous", [KNEE], [[viscous]])
+    assert EFFECTS["coulomb_friction"].excitation.rstrip(".").lower() in said.lower()
+
+
+def test_unknown_causes_ask_for_the_signal_that_is_not_there() -> None:
+    said = say("unexplained", [], has=())
+    assert said.startswith("No cause that this library knows: 40 % of the gap")
+    assert "most of it in left knee (reversal)" in said
+    assert "record the joint torques too" in said
+    assert "left knee alone, slowly and fast" in say("unexplained", [])
+
+
+def test_partial_answers_are_called_so() -> None:
+    said = say("unexplained", [KNEE])
+    assert "removes 83 % [74, 88]" in said
+    assert "40 % of the gap stays unexplained" in said
+    assert "a partial answer" in said
+
+
+def test_no_unseen_run_and_no_gap_are_said() -> None:
+    assert "the runs it was fitted on" in say("identified", [KNEE], of=shrunk(unseen=False))
+    assert say("no_gap", []).startswith("No gap that these runs can show")
+
+
+def test_two_causes_are_added_together() -> None:
+    assert "is missing; command delay 12 ms [11, 13.3] is missing; adding them removes" in say(
+        "identified", [KNEE, LATE]
+    )
+    gain = cause("motor_gain", 0.8, "ratio", 0.7, 0.9, joints=["hip"])
+    assert "correcting them removes" in say("identified", [KNEE, gain])

@@ -1,0 +1,38 @@
+"""Which runs are fitted and which are kept unseen."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from realsim.gap.config import DiagnoseConfig
+from realsim.gap.runs import Run
+from realsim.gap.split import split_runs
+
+
+def case_of(speeds: list[float]) -> SimpleNamespace:
+    time = np.linspace(0, 2, 101)
+    runs = [
+        Run(f"run_{i}", time, (0.3 + 0.01 * i) * np.sin(speed * time)[:, None], {"joint_pos": np.zeros((101, 1))})
+        for i, speed in enumerate(speeds)
+    ]
+    return SimpleNamespace(runs=runs, joint_names=["axis"])
+
+
+def test_few_runs_keep_the_last_one_unseen():
+    assert split_runs(case_of([2.0, 3.0, 2.5, 2.2, 2.8]), DiagnoseConfig()) == ([0, 1, 2, 3], [4])
+
+
+def test_a_single_run_is_fitted_and_none_is_unseen():
+    assert split_runs(case_of([2.0]), DiagnoseConfig()) == ([0], [])
+
+
+def test_of_many_runs_the_one_of_another_regime_is_unseen_too():
+    fitted, held = split_runs(case_of([2.0, 2.1, 2.2, 30.0, 2.3, 2.1, 2.2, 2.0]), DiagnoseConfig())
+    assert held == [3, 7]
+    assert set(fitted) <= {0, 1, 2, 4, 5, 6}
+
+
+def test_many_alike_runs_need_no_regime_held_out():
+    fitted, held = split_runs(case_of([2.0] * 8), DiagnoseConfig())
+    assert held[-1] == 7
+    assert not set(fitted) & set(held)
