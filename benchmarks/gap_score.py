@@ -50,12 +50,18 @@ def score(labels: dict[str, Label], found: dict[str, Diagnosis]) -> dict[str, An
     out["single_by_effect"] = _by(
         single, lambda n: labels[n]["effects"][0]["effect"], lambda n: _top1(labels[n], found[n]) == 2
     )
-    out["power_by_strength"] = _by(
-        single, lambda n: _third(labels[n]["strength"][0]), lambda n: _top1(labels[n], found[n]) == 2
+    out["power_by_visibility"] = _by(
+        single, lambda n: _visible(labels[n]["visibility"][0]), lambda n: _top1(labels[n], found[n]) == 2
+    )
+    out["named_by_visibility"] = _by(
+        single, lambda n: _visible(labels[n]["visibility"][0]), lambda n: _top1(labels[n], found[n]) >= 1
     )
     both = of("double")
     out["double_both_found"] = _share(
         all(any(hit(c, t) for c in found[n]["causes"]) for t in labels[n]["effects"]) for n in both
+    )
+    out["double_both_found_with_equivalents"] = _share(
+        any(all(any(hit(c, t) for c in s) for t in labels[n]["effects"]) for s in _sets(found[n])) for n in both
     )
     out["double_one_found"] = _share(
         any(any(hit(c, t) for c in found[n]["causes"]) for t in labels[n]["effects"]) for n in both
@@ -81,6 +87,10 @@ def score(labels: dict[str, Label], found: dict[str, Diagnosis]) -> dict[str, An
     out["seconds_by_robot"] = _seconds(labels, found)
     out["cases_detail"] = {n: _detail(labels[n], found[n]) for n in sorted(found)}
     return out
+
+
+def _sets(d: Diagnosis) -> list[list[dict[str, Any]]]:
+    return [d["causes"], *d["equivalent"]]
 
 
 def _top1(label: Label, d: Diagnosis) -> int:
@@ -168,22 +178,25 @@ def _detail(label: Label, d: Diagnosis) -> dict[str, Any]:
         "causes": short(d["causes"]),
         "equivalent": [short(s) for s in d["equivalent"]][:4],
         "unexplained_share": d.get("unexplained_share"),
-        "seconds": d.get("seconds"),
+        "visibility": [round(v, 1) for v in label.get("visibility", [])],
+        "cpu_seconds": d.get("cpu_seconds"),
     }
 
 
 def _seconds(labels: dict[str, Label], found: dict[str, Diagnosis]) -> dict[str, list[float]]:
-    """Robot -> [median, largest] seconds a case."""
+    """Robot -> [median, largest] CPU seconds a case, and [.., ..] seconds of the robot's time that were simulated."""
     out: dict[str, list[float]] = {}
     for robot in sorted({v["robot"] for v in labels.values()}):
-        s = [found[n]["seconds"] for n in found if labels[n]["robot"] == robot and found[n].get("seconds") is not None]
-        if s:
-            out[robot] = [round(float(np.median(s)), 1), round(float(np.max(s)), 1)]
+        for key, name in (("cpu_seconds", robot), ("simulated_seconds", f"{robot} simulated")):
+            s = [found[n][key] for n in found if labels[n]["robot"] == robot and found[n].get(key) is not None]
+            if s:
+                out[name] = [round(float(np.median(s)), 1), round(float(np.max(s)), 1)]
     return out
 
 
-def _third(strength: float) -> str:
-    return "weak" if strength < 0.5 else "middle" if strength < 0.75 else "strong"
+def _visible(ratio: float) -> str:
+    """Change of the signals in units of sensors and everyday deviations."""
+    return "1: below 3" if ratio < 3 else "2: 3 to 10" if ratio < 10 else "3: above 10"
 
 
 def _share(flags: Iterable[bool]) -> list[int]:

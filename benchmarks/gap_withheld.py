@@ -23,7 +23,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.gap_score import score, table
-from benchmarks.gap_truth.cases import make_case, plan
+from benchmarks.gap_truth.cases import Draw, make_case, plan
 
 RESULTS = Path(__file__).parent / "results" / "gap_withheld.json"
 
@@ -53,12 +53,12 @@ def main() -> int:
 
 def make_all(args: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Write the cases below work/cases and the labels to work/labels, a folder that the diagnosis is never told of."""
-    todo = [(i, *row) for i, row in enumerate(plan(args.cases, args.seed)) if not args.robots or row[1] in args.robots]
+    todo = [(i, d) for i, d in enumerate(plan(args.cases, args.seed)) if not args.robots or d.robot in args.robots]
     labels_folder = args.work / "labels"
     labels_folder.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(args.jobs) as pool:
-        list(pool.map(_make, [(i, s, r, seed, str(args.work)) for i, s, r, seed in todo]))
-    names = {f"case_{i:03d}" for i, *_ in todo}
+        list(pool.map(_make, [(i, draw, str(args.work)) for i, draw in todo]))
+    names = {f"case_{i:03d}" for i, _ in todo}
     return {
         n: json.loads((labels_folder / f"{n}.json").read_text())
         for n in sorted(names)
@@ -66,14 +66,14 @@ def make_all(args: argparse.Namespace) -> dict[str, dict[str, Any]]:
     }
 
 
-def _make(job: tuple[int, str, str, int, str]) -> None:
-    index, stratum, robot, seed, work = job
+def _make(job: tuple[int, Draw, str]) -> None:
+    index, draw, work = job
     name = f"case_{index:03d}"
     label_file = Path(work) / "labels" / f"{name}.json"
     if label_file.is_file():
         return
     try:
-        label = make_case(stratum, robot, seed, Path(work) / "cases" / name)
+        label = make_case(draw, Path(work) / "cases" / name)
     except RuntimeError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import itertools
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +21,11 @@ from benchmarks.gap_truth.truth import Truth
 STRATA = {"none": 0.2, "single": 0.4, "double": 0.15, "outside": 0.125, "confounded": 0.125}
 """Stratum -> share of the cases."""
 ROBOT_SHARE = {"pendulum": 0.25, "arm2": 0.27, "arm6": 0.25, "quadruped": 0.15, "g1": 0.08}
+VISIBLE = 2.0
+"""A cause must change some signal by this many times what sensors and the everyday deviations do (root mean square)."""
+
+SAME = 0.5
+"""Two causes leave the same log if they differ by less than this, in the same unit."""
 
 
 @dataclass(frozen=True)
@@ -36,14 +43,26 @@ class Sensors:
     """Encoder resolution, bits a turn."""
 
 
-def plan(count: int, seed: int) -> list[tuple[str, str, int]]:
-    """(stratum, robot, seed) of every case, interleaved so that any prefix is a fair sample."""
+@dataclass(frozen=True)
+class Draw:
+    """What a case is to be."""
+
+    stratum: str
+    robot: str
+    seed: int
+    turn: int
+    """How many cases of this stratum and robot stand before it: the causes take turns, so that all of them come up."""
+
+
+def plan(count: int, seed: int) -> list[Draw]:
+    """Every case, interleaved so that any prefix is a fair sample."""
     rng = np.random.default_rng(seed)
     strata = _shares(STRATA, count)
     robots = _shares(ROBOT_SHARE, count)
     rng.shuffle(strata)
     rng.shuffle(robots)
-    return [(s, r, seed * 100_003 + i) for i, (s, r) in enumerate(zip(strata, robots, strict=True))]
+    pairs = list(zip(strata, robots, strict=True))
+    return [Draw(s, r, seed * 100_003 + i, pairs[:i].count((s, r))) for i, (s, r) in enumerate(pairs)]
 
 
 def _shares(shares: dict[str, float], count: int) -> list[str]:
@@ -52,42 +71,117 @@ def _shares(shares: dict[str, float], count: int) -> list[str]:
     return [names[int(np.searchsorted(edges, i, side="right"))] for i in range(count)]
 
 
-def make_case(stratum: str, robot_name: str, seed: int, folder: Path, runs: int = 6) -> dict[str, Any]:
+def make_case(draw: Draw, folder: Path, runs: int = 6) -> dict[str, Any]:
     """Write one case below `folder`; its label is returned, not written there.
 
-    A draw whose robot falls over or whose cause leaves no trace beyond the nuisances' is drawn again.
+    A draw whose robot falls over or whose cause leaves no trace beyond the nuisances' is drawn again: three times with
+    the same causes, then with the next ones.
     """
-    for attempt in range(8):
-        rng = np.random.default_rng([seed, attempt])
-        robot = ROBOTS[robot_name](rng)
+    for attempt in range(15):
+        rng = np.random.default_rng([draw.seed, attempt])
+        robot = ROBOTS[draw.robot](rng)
         model = mujoco.MjModel.from_xml_string(robot.xml)
-        sensors = _sensors(robot, stratum, rng)
-        site = _site(robot, model, seed + attempt)
-        truth, labels, strength = _truth(stratum, site, sensors, rng)
+        sensors = _sensors(robot, draw.stratum, rng)
+        site = _site(robot, model, draw.seed + attempt)
+        truths, labels, strength = _truth(draw, site, sensors, rng, attempt // 3)
         commands = _commands(robot, sensors, runs, rng)
-        traces = _drive(robot, truth, commands)
+        traces = _drive(robot, truths[-1], commands)
         if traces is None:
             continue
         alike = (
             []
-            if stratum in ("none", "outside")
+            if draw.stratum in ("none", "outside")
             else causes.equivalents(labels, site, torque_logged=sensors.torque_kind != "none")
         )
-        if stratum == "confounded" and not alike:
+        alike = [a for a in alike if _same_log(a, robot, sensors, site, truths, commands[:2])]
+        if draw.stratum == "confounded" and not alike:
             continue
-        _write(folder, robot, sensors, truth, commands, traces, rng)
+        seen = visibility(robot, sensors, truths, commands[:2])
+        if not all(v >= VISIBLE for v in seen):
+            continue
+        _write(folder, robot, sensors, truths[-1], commands, traces, rng)
         return {
-            "cls": stratum,
-            "robot": robot_name,
+            "cls": draw.stratum,
+            "robot": draw.robot,
             "verdict": {"none": "no_gap", "outside": "unexplained", "confounded": "ambiguous"}.get(
-                stratum, "identified"
+                draw.stratum, "identified"
             ),
             "effects": labels,
             "equivalents": alike,
             "strength": strength,
-            "seed": seed,
+            "visibility": seen,
+            "seed": draw.seed,
+            "attempt": attempt,
         }
-    raise RuntimeError(f"no usable draw for {stratum} {robot_name} {seed}")
+    raise RuntimeError(f"no usable draw for {draw}")
+
+
+def visibility(
+    robot: Robot, sensors: Sensors, truths: list[Truth], commands: list[tuple[np.ndarray, np.ndarray]]
+) -> list[float]:
+    """How much each further truth changes the signals that are logged, in units of sensors and everyday deviations.
+
+    `truths[0]` has the everyday deviations only, each next one a cause more. The largest ratio over the signals counts;
+    0 where a robot falls.
+    """
+    if len(truths) == 1:
+        return []
+    nominal = _signals(robot, sensors, Truth(len(robot.joints)), commands)
+    seen = [_signals(robot, sensors, t, commands) for t in truths]
+    if nominal is None or any(s is None for s in seen):
+        return [0.0] * (len(truths) - 1)
+    floor = {k: np.hypot(_rms(seen[0][k][0] - v), noise) for k, (v, noise) in nominal.items()}  # type: ignore[index]
+    return [
+        max(float(np.max(_rms(after[k][0] - before[k][0]) / floor[k])) for k in floor)  # type: ignore[index]
+        for before, after in itertools.pairwise(seen)
+    ]
+
+
+def _same_log(
+    label: list[dict[str, Any]],
+    robot: Robot,
+    sensors: Sensors,
+    site: causes.Site,
+    truths: list[Truth],
+    commands: list[tuple[np.ndarray, np.ndarray]],
+) -> bool:
+    """Whether the other causes, simulated, would have left the same log: a drive in saturation may tell them apart."""
+    other = copy.deepcopy(truths[0])
+    for one in label:
+        causes.enact(one, other, site)
+    return visibility(robot, sensors, [truths[0], truths[-1], other], commands)[1] < SAME
+
+
+def _rms(values: np.ndarray) -> np.ndarray:
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+
+
+def _signals(
+    robot: Robot, sensors: Sensors, truth: Truth, commands: list[tuple[np.ndarray, np.ndarray]]
+) -> dict[str, tuple[np.ndarray, float]] | None:
+    """Signal -> ((K, n) true values, one sensor's standard deviation)."""
+    traces = _drive(robot, truth, commands)
+    if traces is None:
+        return None
+    late = round(truth.observation_delay * 1000)
+    parts: dict[str, tuple[list[np.ndarray], float]] = {
+        "joint_pos": ([_held(t.q, late) + truth.encoder_zero for t in traces], sensors.noise)
+    }
+    if sensors.velocity:
+        parts["joint_vel"] = ([_held(t.v, late) for t in traces], 25 * sensors.noise)
+    if sensors.torque_kind != "none":
+        peak = float(np.abs(np.concatenate([t.torque for t in traces])).max())
+        parts["joint_torque"] = ([_held(t.torque, late) for t in traces], 0.01 * peak)
+    if sensors.mocap and traces[0].base is not None:
+        parts["base"] = ([t.base for t in traces if t.base is not None], 4e-4)
+    if traces[0].gyro is not None:
+        parts["gyro"] = ([t.gyro + truth.gyro_bias for t in traces if t.gyro is not None], 0.004)
+        parts["acc"] = ([t.acc + truth.acc_bias for t in traces if t.acc is not None], 0.05)
+    return {k: (np.concatenate(v), noise) for k, (v, noise) in parts.items()}
+
+
+def _held(values: np.ndarray, late: int) -> np.ndarray:
+    return values[np.maximum(np.arange(len(values)) - late, 0)]
 
 
 # ---------------------------------------------------------------- draws
@@ -117,22 +211,31 @@ def _site(robot: Robot, model: mujoco.MjModel, seed: int) -> causes.Site:
 
 
 def _truth(
-    stratum: str, site: causes.Site, sensors: Sensors, rng: np.random.Generator
-) -> tuple[Truth, list[dict[str, Any]], list[float]]:
+    draw: Draw, site: causes.Site, sensors: Sensors, rng: np.random.Generator, further: int
+) -> tuple[list[Truth], list[dict[str, Any]], list[float]]:
+    """Truths with 0, 1, ... causes, the labels of the causes and their strengths."""
     truth = Truth(len(site.robot.joints))
     _nuisances(truth, site, rng)
-    known = causes.available(site.robot)
-    number = {"none": 0, "double": 2}.get(stratum, 1)
-    if stratum == "outside":
-        names = [str(rng.choice(list(causes.OUTSIDE)))]
-        known = causes.OUTSIDE
-    elif stratum == "confounded":
-        names = [str(rng.choice(causes.CONFOUNDED[site.robot.name]))]
-        known = known | causes.JOINT_CAUSES
-    else:
-        names = [str(n) for n in rng.choice(list(known), number, replace=False)]
-    strengths = [float(rng.uniform(0.25, 1.0)) for _ in names]
-    return truth, [known[n](truth, site, rng, k) for n, k in zip(names, strengths, strict=True)], strengths
+    known, number = causes.available(site.robot), 1
+    if draw.stratum == "none":
+        return [truth], [], []
+    names = list(known)
+    if draw.stratum == "outside":
+        names, known = list(causes.OUTSIDE), causes.OUTSIDE
+    elif draw.stratum == "confounded":
+        names, known = list(causes.CONFOUNDED[site.robot.name]), known | causes.JOINT_CAUSES
+    elif draw.stratum == "double":
+        number = 2
+    # The turns start elsewhere for every robot and stratum; a draw that came to nothing moves on from where it is.
+    np.random.default_rng([len(names), len(site.robot.joints), number]).shuffle(names)
+    chosen = [names[(draw.turn * number + i + further * 7) % len(names)] for i in range(number)]
+    truths, labels, strengths = [truth], [], []
+    for name in chosen:
+        truth = copy.deepcopy(truth)
+        strengths.append(float(rng.uniform(0.25, 1.0)))
+        labels.append(known[name](truth, site, rng, strengths[-1]))
+        truths.append(truth)
+    return truths, labels, strengths
 
 
 def _nuisances(truth: Truth, site: causes.Site, rng: np.random.Generator) -> None:

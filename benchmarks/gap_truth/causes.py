@@ -116,7 +116,8 @@ def stribeck_friction(t: Truth, s: Site, rng: np.random.Generator, k: float) -> 
     j = _joint(s, rng)
     t.coulomb[j] = s.effort[j] * _log(k, 0.06, 0.15)
     t.stribeck[j] = s.effort[j] * _log(k, 0.1, 0.4)
-    values = [_value("static", t.coulomb[j] + t.stribeck[j], "N m"), _value("coulomb", t.coulomb[j], "N m")]
+    t.stribeck_speed = float(rng.uniform(0.05, 0.15))
+    values = [_value("static_friction", t.coulomb[j] + t.stribeck[j], "N m"), _value("coulomb", t.coulomb[j], "N m")]
     return _label("stribeck_friction", values, joints=[s.robot.joints[j]])
 
 
@@ -226,7 +227,13 @@ def terrain_height(t: Truth, s: Site, rng: np.random.Generator, k: float) -> Lab
 def terrain_tilt(t: Truth, s: Site, rng: np.random.Generator, k: float) -> Label:
     angle = rng.uniform(0, 2 * np.pi)
     t.tilt = _log(k, 0.02, 0.08) * np.array([np.cos(angle), np.sin(angle)])
-    return _label("terrain_tilt", _vector("tilt_", t.tilt, "rad"))
+    values = [_value(n, v, "rad") for n, v in zip(("roll", "pitch"), t.tilt, strict=True)]
+    return _label("terrain_tilt", sorted(values, key=lambda p: -abs(p["value"])))
+
+
+def terrain_scale(t: Truth, s: Site, rng: np.random.Generator, k: float) -> Label:
+    t.scale = (1 + _log(k, 0.15, 0.5)) ** _sign(rng)
+    return _label("terrain_scale", [_value("ratio", t.scale, "1")])
 
 
 def terrain_wobble(t: Truth, s: Site, rng: np.random.Generator, k: float) -> Label:
@@ -272,6 +279,7 @@ GROUND_CAUSES: dict[str, Apply] = {
     "contact_compliance": contact_compliance,
     "terrain_height": terrain_height,
     "terrain_tilt": terrain_tilt,
+    "terrain_scale": terrain_scale,
     "terrain_wobble": terrain_wobble,
 }
 
@@ -388,6 +396,22 @@ def equivalents(labels: list[Label], site: Site, *, torque_logged: bool) -> list
         ratio = 1 + first / float(max(body.inertia))
         out.append([_label("link_inertia", [_value("ratio", ratio, "1")], bodies=[body.name])])
     return out
+
+
+def enact(label: Label, truth: Truth, site: Site) -> None:
+    """Give a truth one of the causes that `equivalents` names."""
+    value = label["parameters"][0]["value"]
+    if label["effect"] in ("command_delay", "observation_delay"):
+        setattr(truth, label["effect"], value)
+    elif label["effect"] == "link_inertia":
+        body = label["bodies"][0]
+        truth.inertia_ratio[body] = truth.inertia_ratio.get(body, 1.0) * value
+    else:
+        j = site.robot.joints.index(label["joints"][0])
+        if label["effect"] == "damping_gain":
+            truth.kd[j] *= value
+        else:
+            truth.viscous[j] += value
 
 
 CONFOUNDED = {

@@ -19,8 +19,6 @@ from benchmarks.gap_truth.truth import Truth
 STEP = 0.0005
 CONTROL = 2
 """Physics steps a control step (1 kHz)."""
-SLIP = 0.03
-"""rad/s, width of the Stribeck dip."""
 PRESLIDING = 0.0015
 """rad that a bristle bends before it slips."""
 
@@ -94,6 +92,7 @@ class Plant:
         for name, (mass, at) in t.payload.items():
             load = spec.body(name).add_body(name=f"{name}__load", pos=at)
             load.mass, load.inertia, load.explicitinertial = mass, np.full(3, 1e-5 + 2e-4 * mass), True
+            load.ipos = np.zeros(3)  # left out, MuJoCo would take the body's own offset once more
         self._ground(spec)
         if self.robot.imu_site:
             for kind, label in ((mujoco.mjtSensor.mjSENS_GYRO, "gyro"), (mujoco.mjtSensor.mjSENS_ACCELEROMETER, "acc")):
@@ -140,7 +139,7 @@ class Plant:
         mujoco.mju_quat2Mat(R, quat)
         for body in [spec.worldbody, *(spec.body(s) for s in self.robot.supports)]:
             if body.name in self.robot.supports:
-                body.pos = R.reshape(3, 3) @ (body.pos + np.array([0, 0, t.raised.get(body.name, 0.0)]))
+                body.pos = R.reshape(3, 3) @ (t.scale * body.pos + np.array([0, 0, t.raised.get(body.name, 0.0)]))
                 body.quat = quat
                 if body.name in t.wobble:
                     stiffness, damping = t.wobble[body.name]
@@ -153,6 +152,8 @@ class Plant:
             for geom in body.geoms:
                 if body.name not in self.robot.supports:
                     geom.quat = quat
+                else:
+                    geom.size = t.scale * geom.size
                 geom.friction = geom.friction * np.array([t.friction_ratio, 1.0, 1.0])
                 geom.solref = geom.solref + np.array([t.contact_time, 0.0])
 
@@ -222,7 +223,7 @@ class Plant:
         if not (slide.any() or t.stribeck.any()):
             return np.zeros_like(delivered)
         v = self.data.qvel[self.dadr]
-        level = slide + t.stribeck * np.exp(-((v / SLIP) ** 2)) + 1e-9
+        level = slide + t.stribeck * np.exp(-((v / t.stribeck_speed) ** 2)) + 1e-9
         stiffness = (slide + t.stribeck) / PRESLIDING + 1e-9
         self._bristle = (self._bristle + v * STEP) / (1 + stiffness * np.abs(v) * STEP / level)
         return -np.clip(stiffness * self._bristle, -level, level) * (level > 1e-8)

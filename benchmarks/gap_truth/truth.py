@@ -42,6 +42,8 @@ class Truth:
     """N m/rad between motor and link; infinite: rigid."""
     encoder_zero: np.ndarray = field(init=False)
     """rad that the encoder reads too much; the drive believes it."""
+    stribeck_speed: float = 0.1
+    """rad/s, width of the dip in friction."""
     command_delay: float = 0.0
     observation_delay: float = 0.0
     gyro_bias: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -60,6 +62,8 @@ class Truth:
     contact_time: float = 0.0
     """s added to the contact's time constant."""
     raised: dict[str, float] = field(default_factory=dict)
+    scale: float = 1.0
+    """Ratio on all sizes and places of the supports."""
     tilt: np.ndarray = field(default_factory=lambda: np.zeros(2))
     wobble: dict[str, tuple[float, float]] = field(default_factory=dict)
     """support -> (N/m, N s/m) of a vertical spring under it."""
