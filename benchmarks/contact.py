@@ -1,26 +1,33 @@
 """Every collision representation against the exact mesh: error, cost and build time.
 
-    python -m benchmarks.contact [--names stakes beams] [--representations boxes hull] [--shared ../shared]
+    python -m benchmarks.contact [--names stakes beams] [--representations boxes hull] [--seconds 170] [--again]
 
-Terrains: the ten of `benchmarks/solids.py`, and the true meshes of the captures where they are found. Baselines: the
-naive mesh (`hull`), plain height fields of 2 and 5 cm, CoACD as obj2mjcf calls it. Errors are measured through contacts
-with balls of 1 cm (`realsim/export/contact/fidelity.py`); cost is the time of a step with G1 standing, against a plane.
-Writes benchmarks/results/contact.json.
+Terrains: the ten of `benchmarks/solids.py`; the true meshes of the captures where they are found; and what `realsim
+reconstruct` makes of those captures, against the truth. Baselines: the naive mesh (`hull`), plain height fields of 2
+and 5 cm, CoACD with its own defaults as obj2mjcf calls it. Errors are measured through contacts with balls of 1 cm
+(`realsim/export/contact/fidelity.py`); cost is the time of a step with G1 standing, against a plane.
+
+Rows are written to benchmarks/results/contact.json as they are done, and those that are there are not done again: a run
+may be cut off, or stopped by --seconds, and goes on where it was. Representations that take minutes are tried on the
+terrains of EXPENSIVE only.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import sys
+import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.solids import TERRAINS, terrain
+from benchmarks.solids import PLATFORM, TERRAINS, terrain
 from realsim.export import CONTACT
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import Asset, ContactModel, Geom, floor_plane
@@ -28,16 +35,18 @@ from realsim.export.contact.choose import count_types, fit_contact
 from realsim.export.contact.cost import step_cost
 from realsim.export.contact.fidelity import measure
 from realsim.export.contact.probe import Reference, spec_of
+from realsim.export.contact.shape import Shape
 from realsim.files import read_json, to_json, write_text
 from realsim.types import MeshQuality, TerrainMesh
 
 CONFIG = SceneConfig()
 RESULTS = Path(__file__).parent / "results" / "contact.json"
 
+RECONSTRUCTED = " reconstructed"
 HEADER = (
-    "terrain           representation  median     p95     max  phantom  missing drop95  phan%  miss% leaks   cost   "
-    "build\n                                      mm      mm      mm      cm2      cm2     mm                    "
-    "/plane   cpu s"
+    "terrain                 representation  median     p95     max  phantom overgaps  missing drop95  phan%  miss% "
+    "leaks   cost   build\n                                            mm      mm      mm      cm2      cm2      cm2   "
+    "  mm                    /plane   cpu s"
 )
 
 
@@ -56,8 +65,16 @@ def coacd_default(mesh: TerrainMesh, ground_z: float) -> ContactModel:
     return ContactModel("coacd_default", (floor_plane(ground_z), *geoms), assets)
 
 
+EXPENSIVE = {
+    "convex": ("stakes", "beams", "overhang", "arch"),
+    "sdf": ("stakes", "arch"),
+    "coacd_default": ("stakes", "beams", "overhang", "arch"),
+}
+"""Terrains that a representation is tried on where it takes minutes."""
+
+
 def named(name: str, **changes: Any) -> Callable[[TerrainMesh, float], ContactModel]:
-    return lambda mesh, ground_z: CONTACT[name](mesh, ground_z, replace(CONFIG, **changes))
+    return lambda mesh, ground_z: CONTACT[name](Shape(mesh, ground_z), replace(CONFIG, **changes))
 
 
 REPRESENTATIONS: dict[str, Callable[[TerrainMesh, float], ContactModel]] = {
@@ -73,6 +90,25 @@ REPRESENTATIONS: dict[str, Callable[[TerrainMesh, float], ContactModel]] = {
 }
 
 
+@dataclass(frozen=True)
+class Case:
+    """A terrain to represent, and the truth to measure against."""
+
+    name: str
+    mesh: TerrainMesh
+    ground_z: float
+    truth: Reference
+    truth_z: float
+    """Height of the true ground."""
+    stand: np.ndarray
+    """(3,) where G1 stands."""
+
+
+def generated(name: str) -> Case:
+    mesh = terrain(name)
+    return Case(name, mesh, 0.0, Reference(mesh.vertices, mesh.triangles), 0.0, np.array([0, 0, PLATFORM]))
+
+
 def capture_truth(folder: Path) -> tuple[TerrainMesh, float]:
     """(true mesh of a rendered capture, z of its floor)."""
     import trimesh
@@ -84,24 +120,96 @@ def capture_truth(folder: Path) -> tuple[TerrainMesh, float]:
     return truth, float(read_json(folder / "gt" / "gt.json")["floor_z_sim"])
 
 
-def row(name: str, representation: str, mesh: TerrainMesh, ground_z: float, stand: np.ndarray) -> dict[str, Any]:
+def true_capture(folder: Path) -> Case:
+    mesh, ground_z = capture_truth(folder)
+    return Case(
+        folder.name, mesh, ground_z, Reference(mesh.vertices, mesh.triangles), ground_z, np.array([0.0, 0.0, 0.0])
+    )
+
+
+def reconstructed(folder: Path) -> Case:
+    """A capture reconstructed with its given poses, as the command line does it."""
+    from realsim.pipeline import reconstruct
+
+    truth, truth_z = capture_truth(folder)
+    with tempfile.TemporaryDirectory() as out:
+        found = reconstruct(folder / "capture", Path(out) / "scene")
+    reference = Reference(truth.vertices, truth.triangles)
+    name = f"{folder.name}{RECONSTRUCTED}"
+    return Case(name, found.mesh, found.aligned.ground_z, reference, truth_z, np.array([0.0, 0.0, 0.0]))
+
+
+def row(case: Case, representation: str) -> dict[str, Any]:
     began = time.process_time()
-    contact = REPRESENTATIONS[representation](mesh, ground_z)
+    contact = REPRESENTATIONS[representation](case.mesh, case.ground_z)
     seconds = time.process_time() - began
-    figures = measure(spec_of(contact), Reference(mesh.vertices, mesh.triangles), ground_z).figures
-    out = {"terrain": name, "representation": representation, "triangles": len(mesh.triangles)}
-    out |= dict(figures) | step_cost(spec_of(contact), stand)
-    return out | {"geoms": count_types(contact), "build_cpu_seconds": round(seconds, 2)}
+    figures = measure(spec_of(contact), case.truth, case.truth_z).figures
+    out = {"terrain": case.name, "representation": representation, "triangles": len(case.mesh.triangles)}
+    out |= dict(figures) | step_cost(spec_of(contact), case.stand)
+    chosen = {"chosen": contact.representation} if representation == "auto" else {}
+    return out | chosen | {"geoms": count_types(contact), "build_cpu_seconds": round(seconds, 2)}
+
+
+def as_chosen(case: Case, representation: str, auto_row: dict[str, Any]) -> dict[str, Any]:
+    """The row of what `auto` chose: its figures, and its own time to build."""
+    began = time.process_time()
+    REPRESENTATIONS[representation](case.mesh, case.ground_z)
+    kept = {k: v for k, v in auto_row.items() if k != "chosen"}
+    seconds = round(time.process_time() - began, 2)
+    return kept | {"representation": representation, "build_cpu_seconds": seconds}
 
 
 def line(r: dict[str, Any]) -> str:
     d, geoms = r["drop"], " ".join(f"{n} {k}" for k, n in r["geoms"].items())
     return (
-        f"{r['terrain']:17s} {r['representation']:13s} {r['median_mm']:7.2f} {r['p95_mm']:7.2f} {r['max_mm']:7.1f} "
-        f"{r['phantom_area_cm2']:8.0f} {r['missing_area_cm2']:8.0f} {d['p95_mm']:7.1f} {100 * d['phantom_share']:6.2f} "
-        f"{100 * d['missing_share']:6.2f} {r['leaks']:5d} {r['step_cost_vs_plane']:6.2f} {r['build_cpu_seconds']:7.1f} "
-        f"{geoms}"
+        f"{r['terrain']:23s} {r['representation']:13s} {r['median_mm']:7.2f} {r['p95_mm']:7.2f} {r['max_mm']:7.1f} "
+        f"{r['phantom_area_cm2']:8.0f} {r['phantom_over_gaps_cm2']:8.0f} {r['missing_area_cm2']:8.0f} "
+        f"{d['p95_mm']:7.1f} {100 * d['phantom_share']:6.2f} {100 * d['missing_share']:6.2f} {r['leaks']:5d} "
+        f"{r['step_cost_vs_plane']:6.2f} {r['build_cpu_seconds']:7.1f} {geoms}"
     )
+
+
+def summary(rows: list[dict[str, Any]]) -> list[str]:
+    """A Markdown table: one line a representation and kind of mesh, over the terrains that it was tried on."""
+    head = (
+        "| representation | meshes | median mm | p95 mm | farthest mm | phantom % | missing % | over gaps cm2 | leaks "
+        "| cost | build s |"
+    )
+    out = [head, "|---|" + "---:|" * 10]
+    for kind in ("exact", "reconstructed"):
+        for name in REPRESENTATIONS:
+            some = [
+                r
+                for r in rows
+                if r["representation"] == name and r["terrain"].endswith(RECONSTRUCTED) == (kind == "reconstructed")
+            ]
+            if not some:
+                continue
+            worst = {k: max(r[k] for r in some) for k in ("median_mm", "p95_mm", "max_mm", "phantom_over_gaps_cm2")}
+            share = {k: 100 * max(r["drop"][k] for r in some) for k in ("phantom_share", "missing_share")}
+            cost = max(r["step_cost_vs_plane"] for r in some)
+            build = max(r["build_cpu_seconds"] for r in some)
+            out.append(
+                f"| `{name}` | {len(some)} {kind} | {worst['median_mm']:.2f} | {worst['p95_mm']:.1f} "
+                f"| {worst['max_mm']:.0f} | {share['phantom_share']:.1f} | {share['missing_share']:.1f} "
+                f"| {worst['phantom_over_gaps_cm2']:.0f} | {sum(r['leaks'] for r in some)} | {cost:.1f} | {build:.0f} |"
+            )
+    return out
+
+
+def wanted(terrain_name: str, representations: Iterable[str]) -> list[str]:
+    """Those representations that are tried on a terrain at all."""
+    return [r for r in representations if terrain_name in EXPENSIVE.get(r, (terrain_name,))]
+
+
+def store(path: Path, rows: Mapping[tuple[str, str], dict[str, Any]], names: Iterable[str]) -> dict[str, list[str]]:
+    """Write the rows with their table and what is still to be measured; returns that, {terrain: representations}."""
+    missing = {n: [r for r in wanted(n, REPRESENTATIONS) if (n, r) not in rows] for n in names}
+    missing = {n: some for n, some in missing.items() if some}
+    done = list(rows.values())
+    what = "ball of 1 cm, 2000 lowered"
+    write_text(path, to_json({"probe": what, "missing": missing, "summary": summary(done), "rows": done}))
+    return missing
 
 
 def main() -> None:
@@ -111,20 +219,35 @@ def main() -> None:
     shared = os.environ.get("REALSIM_SHARED", Path(__file__).resolve().parents[2] / "shared")
     parser.add_argument("--shared", type=Path, default=Path(shared))
     parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="begin no row after this time")
+    parser.add_argument("--again", action="store_true", help="do the rows anew that are there already")
     args = parser.parse_args()
-    cases: dict[str, Callable[[], tuple[TerrainMesh, float, np.ndarray]]] = {
-        name: (lambda name=name: (terrain(name), 0.0, np.array([0, 0, 0.35]))) for name in TERRAINS
-    }
-    for folder in sorted((args.shared / "captures").glob("*/gt")):
-        cases[folder.parent.name] = lambda folder=folder: (*capture_truth(folder.parent), np.zeros(3))
-    rows = []
-    print(HEADER)
+    cases: dict[str, Callable[[], Case]] = {name: partial(generated, name) for name in TERRAINS}
+    for gt in sorted((args.shared / "captures").glob("*/gt")):
+        cases[gt.parent.name] = partial(true_capture, gt.parent)
+        cases[gt.parent.name + RECONSTRUCTED] = partial(reconstructed, gt.parent)
+    began = time.monotonic()
+    rows = {(r["terrain"], r["representation"]): r for r in (read_json(args.out)["rows"] if args.out.exists() else [])}
     for name in args.names or cases:
-        mesh, ground_z, stand = cases[name]()
-        for representation in args.representations:
-            rows.append(row(name, representation, mesh, ground_z, stand))
-            print(line(rows[-1]), flush=True)
-            write_text(args.out, to_json({"probe": "ball of 1 cm, 2000 lowered", "rows": rows}))
+        todo = [r for r in wanted(name, args.representations) if args.again or (name, r) not in rows]
+        case = None
+        for representation in todo:
+            if time.monotonic() - began > args.seconds:
+                break
+            case = case or cases[name]()
+            chosen = rows.get((name, "auto"), {})
+            if chosen.get("chosen") == representation:  # measured already: the same input gives the same geoms
+                rows[name, representation] = as_chosen(case, representation, chosen)
+            else:
+                rows[name, representation] = row(case, representation)
+            print(line(rows[name, representation]), file=sys.stderr, flush=True)
+            store(args.out, rows, cases)
+    missing = store(args.out, rows, cases)
+    print(HEADER)
+    print("\n".join(line(r) for r in rows.values()))
+    print("\nThe worst of the meshes that each was tried on:\n")
+    print("\n".join(summary(list(rows.values()))))
+    print("\nNot measured: " + ("; ".join(f"{k}: {', '.join(v)}" for k, v in missing.items()) or "nothing"))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """The scene on disk: MJCF with visual mesh and collision geometry, compiled, stepped and checked.
 
-A collision representation is a function `(TerrainMesh, ground_z, SceneConfig) -> ContactModel`: one small file in
-`contact/`, one line here.
+A collision representation is a function `(Shape, SceneConfig) -> ContactModel`, of a mesh with its ground: one small
+file in `contact/`, one line here.
 """
 
 from __future__ import annotations

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.errors import ExportError
-from realsim.export.contact.columns import check_extent
-from realsim.export.heights import Surface
+from realsim.export.contact.columns import check_extent, crossings
 from realsim.files import check_size
 from realsim.meshes import compact
 from realsim.types import MeshQuality, TerrainMesh
@@ -18,6 +17,8 @@ from realsim.types import MeshQuality, TerrainMesh
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 FORMATS = (".ply", ".obj", ".stl", ".glb", ".off")
 MAX_TRIANGLES = 5_000_000
+RAYS = 96  # a side of the grid of rays that look at a mesh from above
+VAST = 50.0  # metres: larger than what a robot is taken across
 F64 = NDArray[np.float64]
 
 
@@ -88,10 +89,16 @@ def mend(vertices: F64, triangles: NDArray[Any]) -> tuple[TerrainMesh, list[str]
     quality = _quality(vertices, faces, int(flat.sum()))
     terrain = TerrainMesh(vertices, faces, None, np.zeros(len(faces), bool), quality, "file", 0.0)
     check_extent(terrain)
-    if _inside_out(terrain):
+    inside_out, overlap = _from_above(terrain)
+    if inside_out:
         faces = np.ascontiguousarray(faces[:, ::-1])
         terrain = TerrainMesh(vertices, faces, None, terrain.invented, quality, "file", 0.0)
         notes.append("the mesh was inside out and has been turned round")
+    if overlap:
+        notes.append("solids of the mesh overlap or its surface crosses itself: what lies in any of them is solid")
+    size = float(np.ptp(terrain.vertices, 0).max())
+    if size > VAST:
+        notes.append(f"the mesh is {size:.0f} metres across: if that is not so, give its unit with --unit")
     if not quality.manifold:
         notes.append("the mesh is not manifold: solids are taken from columns of rays, which need no manifold")
     if not quality.watertight:
@@ -117,16 +124,25 @@ def ground_height(mesh: TerrainMesh) -> float:
     return float(np.average(z[near], weights=area[level][near]))
 
 
-def _inside_out(mesh: TerrainMesh) -> bool:
-    """Whether most of what is seen from above faces down."""
-    surface = Surface(mesh.vertices, mesh.triangles)
-    steps = (np.arange(64) + 0.5) / 64
-    x, y = np.meshgrid(*(surface.lower[k] + steps * (surface.upper[k] - surface.lower[k]) for k in (0, 1)))
-    start = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, surface.upper[2] + 1)])
-    _, hit = surface.cast(start, np.broadcast_to([0.0, 0.0, -1.0], start.shape))
-    corners = mesh.vertices[mesh.triangles[hit[hit >= 0]]]
-    up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0
-    return bool(len(up) and up.mean() < 0.5)
+def _from_above(mesh: TerrainMesh) -> tuple[bool, bool]:
+    """(whether most of what is seen from above faces down, whether solids overlap), by a grid of rays.
+
+    Raises:
+        ExportError: nothing is seen from above.
+    """
+    lower, upper = mesh.vertices.min(0), mesh.vertices.max(0)
+    steps = (np.arange(RAYS) + 0.5) / RAYS
+    x, y = np.meshgrid(*(lower[k] + steps * (upper[k] - lower[k]) for k in (0, 1)))
+    ray, z, up, _ = crossings(mesh, x.ravel(), y.ravel(), (lower + upper) / 2, float(upper[2]) + 1)
+    if not len(ray):
+        raise ExportError("nothing of the mesh can be stood on", found="no surface that is seen from above")
+    first = np.r_[True, np.diff(ray) != 0]
+    inside_out = bool(up[first].mean() < 0.5)
+    # Two ways in, one after the other, and a while until the next crossing: the ray is in two solids at once. (Where a
+    # box stands on a floor, one ends where the other begins.)
+    into = up != inside_out
+    twice = into[:-2] & into[1:-1] & (ray[:-2] == ray[1:-1]) & (ray[1:-1] == ray[2:]) & (z[1:-1] - z[2:] > 1e-3)
+    return inside_out, bool(twice.sum() > 0.002 * first.sum())
 
 
 def _quality(vertices: F64, triangles: NDArray[np.int32], degenerate: int) -> MeshQuality:

@@ -23,6 +23,7 @@ from realsim.export.contact.heatmap import heatmap_png
 from realsim.export.contact.outline import area, convex_parts, hull, outlines
 from realsim.export.contact.planes import heights, segment, spread
 from realsim.export.contact.probe import BALL, Reference, SimTouch, first_touch, spec_of
+from realsim.export.contact.shape import Shape
 from realsim.export.contact.solids import island_solid
 from realsim.types import TerrainMesh
 
@@ -42,7 +43,7 @@ def fidelity(contact: ContactModel, mesh: TerrainMesh, **kwargs) -> dict:
 def test_boxes_match_exact_terrains(name: str) -> None:
     """The project's bars, on solids whose surface is known."""
     mesh = terrain(name)
-    f = fidelity(boxes(mesh, 0.0, CONFIG), mesh, probes=900, feet=40)
+    f = fidelity(boxes(Shape(mesh, 0.0), CONFIG), mesh, probes=900, feet=40)
     assert f["median_mm"] <= 3
     assert f["p95_mm"] <= 10
     assert f["max_mm"] <= 15
@@ -57,20 +58,20 @@ def test_boxes_match_exact_terrains(name: str) -> None:
 
 
 def test_standing_on_boxes_costs_little() -> None:
-    contact = boxes(terrain("stakes"), 0.0, CONFIG)
+    contact = boxes(Shape(terrain("stakes"), 0.0), CONFIG)
     assert step_cost(spec_of(contact), np.array([0, 0, 0.35]))["step_cost_vs_plane"] <= 2.5
 
 
 def test_stakes_are_boxes_and_wedges_are_prisms() -> None:
-    kinds = {g.type for g in boxes(terrain("stakes"), 0.0, CONFIG).geoms}
+    kinds = {g.type for g in boxes(Shape(terrain("stakes"), 0.0), CONFIG).geoms}
     assert kinds == {"plane", "box"}
-    wedges = boxes(terrain("wedges"), 0.0, CONFIG)
+    wedges = boxes(Shape(terrain("wedges"), 0.0), CONFIG)
     assert sum(g.type == "mesh" for g in wedges.geoms) == 3
 
 
 def test_the_same_mesh_gives_the_same_geoms() -> None:
     mesh = terrain("trapezoids")
-    one, two = boxes(mesh, 0.0, CONFIG), boxes(mesh, 0.0, CONFIG)
+    one, two = boxes(Shape(mesh, 0.0), CONFIG), boxes(Shape(mesh, 0.0), CONFIG)
     assert one.geoms == two.geoms
     assert [a.attributes for a in one.assets] == [a.attributes for a in two.assets]
 
@@ -88,7 +89,7 @@ def test_a_noisy_one_sided_scan() -> None:
     noisy = clean + np.column_stack([np.zeros((len(clean), 2)), rng.normal(0, 0.001, len(clean))])
     quality = terrain("stairs").quality
     mesh = TerrainMesh(noisy, faces.astype(np.int32), None, np.zeros(len(faces), bool), quality, "", 0.01, 0.002)
-    f = fidelity(boxes(mesh, 0.0, CONFIG), mesh, probes=900, feet=0)
+    f = fidelity(boxes(Shape(mesh, 0.0), CONFIG), mesh, probes=900, feet=0)
     assert f["median_mm"] < 3
     assert f["p95_mm"] < 10
     assert f["leaks"] == 0
@@ -100,10 +101,62 @@ def test_a_pit_stays_a_pit() -> None:
     mesh = with_floor(slab, margin=-0.5)
     # The slab alone, without the sheet of floor that was added.
     mesh = TerrainMesh(mesh.vertices, mesh.triangles[:-2], None, mesh.invented[:-2], mesh.quality, "", 0.0)
-    touch = SimTouch(spec_of(boxes(mesh, 0.0, CONFIG)), BALL)
+    touch = SimTouch(spec_of(boxes(Shape(mesh, 0.0), CONFIG)), BALL)
     start = np.array([[0.3, 0.0, 0.3], [-0.4, 0.0, 0.3]])
     t = first_touch(touch.clearance, start, np.tile(FACING_UP, (2, 1)), np.tile([0, 0, -1.0], (2, 1)), 1.0)
     np.testing.assert_allclose(0.3 - t - 0.01, [-0.2, 0.0], atol=0.002)
+
+
+def raised_board(invented_to: float, seen_walls: bool = True) -> TerrainMesh:
+    """A board from 0.22 to 0.3 m; below it what a mesh fills in where no camera looked, down to `invented_to`."""
+    board = trimesh.creation.box([0.5, 0.16, 0.08])
+    board.apply_translation([0, 0, 0.26])
+    keep = board.face_normals[:, 2] > -0.5
+    fill = trimesh.creation.box([0.498, 0.158, 0.22 - invented_to])
+    fill.apply_translation([0, 0, (0.22 + invented_to) / 2])
+    fill.update_faces(fill.face_normals[:, 2] < 0.5)
+    floor = trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+    board.update_faces(keep)
+    parts = [board.subdivide().subdivide().subdivide(), fill, floor]
+    whole = trimesh.util.concatenate(parts)
+    invented = np.zeros(len(whole.faces), bool)
+    first = len(parts[0].faces)
+    invented[first : first + len(fill.faces)] = True
+    if not seen_walls:
+        invented[:first] = np.abs(parts[0].face_normals[:, 2]) < 0.5
+    quality = terrain("stairs").quality
+    return TerrainMesh(np.asarray(whole.vertices), np.asarray(whole.faces, np.int32), None, invented, quality, "", 0.01)
+
+
+def underside(contact: ContactModel, x: float = 0.0) -> float:
+    """z at which a ball pushed up below (x, 0) is stopped."""
+    touch = SimTouch(spec_of(contact), BALL)
+    start = np.array([[x, 0.0, 0.03]])
+    return float(0.04 + first_touch(touch.clearance, start, FACING_UP[None], np.array([[0, 0, 1.0]]), 0.5)[0])
+
+
+def test_an_underside_that_no_camera_saw_is_where_the_side_faces_end() -> None:
+    contact = boxes(Shape(raised_board(0.12), 0.0), CONFIG)
+    assert underside(contact) == pytest.approx(0.22, abs=0.003)
+    assert contact.statistics["unseen_undersides_at_side_faces_cm2"] == pytest.approx(800, rel=0.1)
+    assert contact.statistics["unseen_undersides_as_filled_cm2"] == 0
+
+
+def test_without_side_faces_an_unseen_underside_stays_as_filled() -> None:
+    contact = boxes(Shape(raised_board(0.12, seen_walls=False), 0.0), CONFIG)
+    assert underside(contact) == pytest.approx(0.12, abs=0.003)
+    assert contact.statistics["unseen_undersides_as_filled_cm2"] > 700
+
+
+def test_phantom_over_a_gap_is_found_only_where_a_foot_fits() -> None:
+    """A lid over a gap of 15 cm counts; one over a slit of 5 cm does not."""
+    for gap, counts in ((0.15, True), (0.05, False)):
+        y = (gap + 0.3) / 2
+        mesh = with_floor(block(0, y, 0.6, 0.3, 0.2) + block(0, -y, 0.6, 0.3, 0.2))
+        lid = Geom("lid", "box", (0, 0, 0.1), size=(0.3, y + 0.15, 0.1))
+        f = fidelity(ContactModel("x", (floor_plane(0.0), lid)), mesh, probes=900, feet=0)
+        assert (f["phantom_over_gaps_cm2"] > 0) == counts
+        assert f["phantom_area_cm2"] > 0
 
 
 # ---------------------------------------------------------------- the other representations
@@ -112,21 +165,21 @@ def test_a_pit_stays_a_pit() -> None:
 def test_hull_fills_the_gaps_and_the_measure_says_so() -> None:
     """The naive mesh, which rays call perfect."""
     mesh = terrain("stakes")
-    f = fidelity(CONTACT["hull"](mesh, 0.0, CONFIG), mesh, probes=500, feet=0)
+    f = fidelity(CONTACT["hull"](Shape(mesh, 0.0), CONFIG), mesh, probes=500, feet=0)
     assert f["median_mm"] > 20
     assert f["phantom_area_cm2"] > 5000
 
 
 def test_a_height_field_turns_edges_into_ramps() -> None:
     mesh = terrain("stakes")
-    f = fidelity(CONTACT["hfield"](mesh, 0.0, CONFIG), mesh, probes=900, feet=0)
+    f = fidelity(CONTACT["hfield"](Shape(mesh, 0.0), CONFIG), mesh, probes=900, feet=0)
     assert f["median_mm"] < 1
     assert f["drop"]["p95_mm"] > 10
 
 
 def test_convex_parts_of_an_overhang() -> None:
     mesh = with_floor(block(0, 0, 0.06, 0.1, 0.2) + block(0.05, 0, 0.16, 0.1, 0.2, 0.16))
-    contact = CONTACT["convex"](mesh, 0.0, CONFIG)
+    contact = CONTACT["convex"](Shape(mesh, 0.0), CONFIG)
     f = fidelity(contact, mesh, probes=400, feet=0)
     assert f["p95_mm"] < 10
     assert f["phantom_area_cm2"] == 0
@@ -137,7 +190,7 @@ def test_hybrid_uses_convex_parts_for_what_is_not_planar() -> None:
     from manifold3d import Manifold, Mesh
 
     dome = Manifold(Mesh(np.asarray(ball.vertices, np.float32), np.asarray(ball.faces, np.uint32)))
-    contact = CONTACT["hybrid"](with_floor(dome + block(0.5, 0, 0.2, 0.2, 0.2)), 0.0, CONFIG)
+    contact = CONTACT["hybrid"](Shape(with_floor(dome + block(0.5, 0, 0.2, 0.2, 0.2)), 0.0), CONFIG)
     assert contact.statistics["convex_islands"] in (0, 1)
     f = fidelity(contact, with_floor(dome + block(0.5, 0, 0.2, 0.2, 0.2)), probes=500, feet=0)
     assert f["p95_mm"] < 10
@@ -145,7 +198,7 @@ def test_hybrid_uses_convex_parts_for_what_is_not_planar() -> None:
 
 def test_a_distance_field_compiles_and_holds_a_ball() -> None:
     mesh = with_floor(block(0, 0, 0.2, 0.2, 0.1))
-    spec = spec_of(CONTACT["sdf"](mesh, 0.0, CONFIG))
+    spec = spec_of(CONTACT["sdf"](Shape(mesh, 0.0), CONFIG))
     body = spec.worldbody.add_body(pos=[0, 0, 0.15])
     body.add_freejoint()
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.03, 0, 0], mass=0.1)
@@ -191,6 +244,16 @@ def test_a_shift_is_measured_as_it_is(dz: float, sign: int) -> None:
     start = result.touches.start
     on_top = (np.abs(start[:, :2]) < 0.08).all(1)
     np.testing.assert_allclose(result.touches.error[on_top], sign * 0.006, atol=2e-4)
+
+
+def test_floor_beyond_the_mesh_is_no_phantom_but_a_lid_is() -> None:
+    """A block without any floor around it: nothing is known of what lies beside it."""
+    two = block(-0.3, 0, 0.2, 0.6, 0.2) + block(0.3, 0, 0.2, 0.6, 0.2)
+    mesh = with_floor(two)
+    mesh = TerrainMesh(mesh.vertices, mesh.triangles[:-2], None, mesh.invented[:-2], mesh.quality, "", 0.0)
+    good = fidelity(boxes(Shape(mesh, 0.0), CONFIG), mesh, probes=400, feet=0)
+    assert good["phantom_area_cm2"] == 0
+    assert fidelity(CONTACT["hull"](Shape(mesh, 0.0), CONFIG), mesh, probes=400, feet=0)["phantom_area_cm2"] > 1000
 
 
 def test_touch_distances_and_normals_are_exact_on_a_box() -> None:
@@ -289,7 +352,7 @@ def test_segment_finds_the_planes_of_a_roof() -> None:
 def test_spread_cuts_a_blurred_edge_half_way() -> None:
     z = np.array([[0.2, 0.2, 0.18, 0.12, 0.06, 0.01]])
     labels = np.array([[0, 0, -1, -1, -1, -1]])
-    out = spread(labels, np.ones_like(z, bool), np.abs(z - 0.2)[None], np.abs(z))
+    out = spread(labels, np.ones_like(z, bool), lambda _: np.abs(z - 0.2), np.abs(z))
     assert (out[0, :4] == 0).all()
     assert out[0, 5] == -1
 
@@ -315,6 +378,15 @@ def test_outline_of_a_turned_square_is_a_square() -> None:
     assert len(ring) == 4
     assert abs(area(ring)) == pytest.approx(3600, rel=0.01)
     np.testing.assert_allclose(np.hypot(*(ring - 60).T), 30 * 2**0.5, atol=0.6)
+
+
+def test_corners_that_a_mesh_rounded_are_sharp_again() -> None:
+    rows, cols = np.indices((120, 140))
+    u, v = np.abs(rows - 60) - 37, np.abs(cols - 70) - 47
+    rounded = np.hypot(np.maximum(u, 0), np.maximum(v, 0)) < 3
+    (ring,) = outlines(rounded, 1.0)
+    assert len(ring) == 4
+    np.testing.assert_allclose(np.abs(ring - [60, 70]), np.tile([39.5, 49.5], (4, 1)), atol=0.6)
 
 
 def test_a_ring_keeps_its_hole() -> None:

@@ -86,6 +86,15 @@ def test_warp_profile_is_primitives_with_bits_and_advice(exported: dict[str, lis
     assert advice["nconmax_per_world"] >= advice["measured"]["contacts"] > 0
 
 
+def test_the_warp_profile_of_mjcf_is_the_warp_format(folder: Path, tmp_path: Path) -> None:
+    from realsim.commands.export import export
+
+    result = export(folder, to="mjcf,ply", profile="warp", out=tmp_path)
+    assert {p.name for p in tmp_path.iterdir()} == {"warp", "ply"}
+    assert (tmp_path / "warp" / "terrain.xml").is_file()
+    assert "and 1 more file" in result.text
+
+
 def test_usd_is_metric_upright_and_collides(folder: Path, exported: dict[str, list[Path]]) -> None:
     pytest.importorskip("pxr")
     from pxr import Usd, UsdGeom, UsdPhysics
@@ -133,6 +142,20 @@ def test_terrain_mesh_is_closed_centred_and_flat_at_the_border(exported: dict[st
     assert surface.height(start[None, :2])[0] == pytest.approx(start[2], abs=0.002)
 
 
+def test_terrain_stage_holds_the_same_mesh(exported: dict[str, list[Path]]) -> None:
+    pytest.importorskip("pxr")
+    from pxr import Usd, UsdGeom, UsdPhysics
+
+    mesh = trimesh.load(exported["terrain"][0], force="mesh", process=False)
+    stage = Usd.Stage.Open(str(exported["terrain"][2]))
+    assert (UsdGeom.GetStageUpAxis(stage), UsdGeom.GetStageMetersPerUnit(stage)) == ("Z", 1.0)
+    prim = stage.GetPrimAtPath("/terrain/mesh")
+    assert UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr().Get() == UsdPhysics.Tokens.none
+    points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get())
+    faces = np.array(UsdGeom.Mesh(prim).GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+    np.testing.assert_allclose(points[faces], np.asarray(mesh.triangles), atol=2e-5)
+
+
 def test_height_map_in_both_files(exported: dict[str, list[Path]]) -> None:
     import cv2
 
@@ -160,8 +183,14 @@ def test_a_height_field_is_exported_too(tmp_path: Path) -> None:
     for x, y, z in [(0.1, 0.3, 0.0), (2.1, -0.2, 0.05), (1.05, 0.15, -0.2)]:
         distance = mujoco.mj_ray(model, data, np.array([x, y, 1.0]), np.array([0, 0, -1.0]), None, 1, -1, hit)
         assert 1 - distance == pytest.approx(z, abs=1e-3)
-    with pytest.raises(ExportError, match="boxes"):
-        export_scene(tmp_path / "scene", ["terrain"], tmp_path / "out")
+    solid = trimesh.load(export_scene(tmp_path / "scene", ["terrain"], tmp_path / "out")["terrain"][0], force="mesh")
+    _, uses = np.unique(np.sort(solid.edges, axis=1), axis=0, return_counts=True)
+    assert (uses % 2 == 0).all()  # closed; floor and field touch along some edges
+    assert solid.is_winding_consistent
+    surface = Surface(np.asarray(solid.vertices), np.asarray(solid.faces, np.int32))
+    middle = (mesh.vertices.min(0) + mesh.vertices.max(0))[:2] / 2
+    heights = surface.height(np.array([[0.1, 0.3], [2.1, -0.2], [10.0, 0.0]]) - middle)
+    np.testing.assert_allclose(heights[:2] - heights[0], [0.0, 0.05], atol=1e-3)
 
 
 def test_unknown_formats_and_folders_without_a_scene(folder: Path, tmp_path: Path) -> None:

@@ -84,6 +84,21 @@ def test_other_suffixes_and_units_are_refused(tmp_path: Path) -> None:
         read_mesh(path, "furlong")
 
 
+def test_solids_on_a_floor_do_not_overlap() -> None:
+    box = block(0, 0, 0.4, 0.4, 0.2, 0.0).to_mesh64()
+    slab = block(0, 0, 2, 2, 0.0, -0.1).to_mesh64()
+    vertices = np.concatenate([np.asarray(m.vert_properties)[:, :3] for m in (box, slab)])
+    faces = np.concatenate([np.asarray(box.tri_verts), np.asarray(slab.tri_verts) + len(box.vert_properties)])
+    _, notes = mend(vertices, faces.astype(np.int32))
+    assert not any("overlap" in note for note in notes)
+
+
+def test_a_wall_alone_is_refused() -> None:
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1], [1, 0, 1.0]])
+    with pytest.raises(ExportError, match="stood on"):
+        mend(vertices, np.array([[0, 1, 2], [1, 3, 2]]))
+
+
 def test_glb_stands_up_again(tmp_path: Path) -> None:
     mesh = terrain("stairs")
     upright = np.column_stack([mesh.vertices[:, 0], mesh.vertices[:, 2], -mesh.vertices[:, 1]])
@@ -103,6 +118,7 @@ def test_a_self_intersecting_mesh_is_one_solid(tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
     files = contact_mesh(tmp_path / "a.ply", out, CONFIG)
+    assert any("overlap" in note for note in files.contact["mended"])
     assert files.contact["p95_mm"] < 10
     assert files.contact["leaks"] == 0
     assert {"scene.xml", "contact.json", "contact.png", "mesh.ply"} <= {p.name for p in out.iterdir()}

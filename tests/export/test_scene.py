@@ -21,6 +21,7 @@ from realsim.errors import ExportError, RealsimError, UnknownNameError
 from realsim.export import CONTACT, write_scene
 from realsim.export.config import SceneConfig
 from realsim.export.contact.hfield import hfield
+from realsim.export.contact.shape import Shape
 from realsim.export.heights import HeightGrid
 from realsim.export.visual import bake, vertex_normals
 from realsim.files import output_folder
@@ -208,7 +209,7 @@ def compiled_nodes(heights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
     patch.setattr(module, "height_grid", lambda vertices, triangles, resolution: grid)
     try:
         mesh = TerrainMesh(vertices, np.array([[0, 1, columns]], np.int32), None, np.zeros(1, bool), None, "", 0.1)  # type: ignore[arg-type]
-        contact = hfield(mesh, -1.0, SceneConfig())
+        contact = hfield(Shape(mesh, -1.0), SceneConfig())
     finally:
         patch.undo()
     geom, asset = contact.geoms[0], contact.assets[0]
@@ -246,7 +247,7 @@ def test_holes_become_ground_and_are_said() -> None:
         "",
         0,
     )
-    contact = hfield(mesh, GROUND, SceneConfig())
+    contact = hfield(Shape(mesh, GROUND), SceneConfig())
     assert contact.statistics["nodes_without_surface"] > 0
     assert "taken to be ground" in contact.warnings[0]
 
@@ -254,7 +255,7 @@ def test_holes_become_ground_and_are_said() -> None:
 def test_an_enormous_mesh_is_refused() -> None:
     mesh = terrain_mesh([box(0, 0, 400, 400, 0)])
     with pytest.raises(ExportError, match="mesh's unit"):
-        hfield(mesh, GROUND, SceneConfig())
+        hfield(Shape(mesh, GROUND), SceneConfig())
 
 
 def test_baked_colours_are_those_of_the_vertices() -> None:

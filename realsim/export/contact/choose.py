@@ -16,6 +16,7 @@ from realsim.export.contact.convex import TooManyColumnsError
 from realsim.export.contact.cost import standing_place, step_cost
 from realsim.export.contact.fidelity import Fidelity, measure
 from realsim.export.contact.probe import Reference, spec_of
+from realsim.export.contact.shape import Shape
 from realsim.types import TerrainMesh
 
 # Cheapest first. `convex` takes a minute to build and is better than none of these, `sdf` costs a hundred planes.
@@ -49,12 +50,13 @@ def fit_contact(
     if config.contact != "auto" and config.contact not in CONTACT:
         raise UnknownNameError("collision representation", config.contact, ["auto", *CONTACT])
     reference = Reference(mesh.vertices, mesh.triangles)
+    shape = Shape(mesh, ground_z)
     names = CANDIDATES if config.contact == "auto" else (config.contact,)
     tried: list[tuple[ContactModel, Fidelity]] = []
     refused: list[dict[str, Any]] = []
     for name in names:
         try:
-            contact = CONTACT[name](mesh, ground_z, config)
+            contact = CONTACT[name](shape, config)
         except TooManyColumnsError as error:
             if config.contact != "auto":
                 raise
@@ -67,7 +69,7 @@ def fit_contact(
     contact, fidelity = tried[-1]
     warnings = contact.warnings
     if not fidelity.meets(*config.contact_tolerance):
-        contact, fidelity = min(tried, key=lambda t: t[1].figures["p95_mm"] + t[1].figures["leaks"])
+        contact, fidelity = min(tried, key=lambda t: t[1].shortfall(*config.contact_tolerance))
         warnings = (*contact.warnings, _unmet(contact, fidelity, config.contact_tolerance))
     if place is None:
         start, off = fidelity.touches.start, np.nan_to_num(fidelity.touches.error)

@@ -28,6 +28,8 @@ class Columns:
     """(L, rows, columns) z where interval l ends above; NaN where the column has fewer intervals."""
     bottom: F64
     """(L, rows, columns) z where it ends below; -inf where it reaches the ground."""
+    bottom_seen: NDArray[np.bool_]
+    """(L, rows, columns) whether that end below is a surface that was measured, not one that was filled in."""
 
     def xy(self, row: NDArray, column: NDArray) -> F64:
         """(..., 2) metres of (fractional) cell indices."""
@@ -49,17 +51,23 @@ def columns(mesh: TerrainMesh, ground_z: float, cell: float) -> Columns:
     counts = np.maximum(np.ceil((upper - lower)[:2] / cell).astype(int), 1)
     origin = lower[:2] + ((upper - lower)[:2] - (counts - 1) * cell) / 2
     x, y = np.meshgrid(origin[0] + cell * np.arange(counts[0]), origin[1] + cell * np.arange(counts[1]))
-    ray, z, up = _crossings(mesh, x.ravel(), y.ravel(), (lower + upper) / 2, float(upper[2]) + 1)
-    top, bottom = _intervals(ray, z, up, x.size)
-    top, bottom = _tidy(top, bottom, ground_z)
+    ray, z, up, seen = crossings(mesh, x.ravel(), y.ravel(), (lower + upper) / 2, float(upper[2]) + 1)
+    top, bottom, below = _tidy(*_intervals(ray, z, up, x.size), ground_z)
     shape = (len(top), counts[1], counts[0])
-    return Columns(origin, cell, top.reshape(shape), bottom.reshape(shape))
+    bottom_seen = (below >= 0) & np.append(seen, False)[below]
+    return Columns(origin, cell, top.reshape(shape), bottom.reshape(shape), bottom_seen.reshape(shape))
 
 
-def _crossings(
+def crossings(
     mesh: TerrainMesh, x: F64, y: F64, centre: F64, above: float
-) -> tuple[NDArray[np.int64], F64, NDArray[np.bool_]]:
-    """All crossings of downward rays, by ray and then from above: (ray, z, faces up)."""
+) -> tuple[NDArray[np.int64], F64, NDArray[np.bool_], NDArray[np.bool_]]:
+    """All crossings of downward rays, by ray and then from above: (ray, z, faces up, was measured).
+
+    Args:
+        x, y: (M,) metres, one ray each.
+        centre: (3,) near the mesh, as Open3D computes in float32.
+        above: z to start at, metres.
+    """
     from typing import Any
 
     import open3d
@@ -76,18 +84,22 @@ def _crossings(
     rays[:, 0], rays[:, 1], rays[:, 2], rays[:, 5] = x - centre[0], y - centre[1], above - centre[2], -1
     hits = scene.list_intersections(o3d.core.Tensor(rays))
     ray, t = hits["ray_ids"].numpy().astype(np.int64), hits["t_hit"].numpy().astype(np.float64)
-    up = faces_up[hits["primitive_ids"].numpy()]
+    triangle = hits["primitive_ids"].numpy()
     order = np.lexsort((t, ray))
-    ray, z, up = ray[order], above - t[order], up[order]
+    ray, z, triangle = ray[order], above - t[order], triangle[order]
+    up, seen = faces_up[triangle], ~mesh.invented[triangle]
     # A ray through an edge that two triangles share is reported twice.
-    again = np.r_[False, (np.diff(ray) == 0) & (np.abs(np.diff(z)) < 1e-5) & (up[1:] == up[:-1])]
-    return ray[~again], z[~again], up[~again]
+    again = np.zeros(len(ray), bool)
+    again[1:] = (np.diff(ray) == 0) & (np.abs(np.diff(z)) < 1e-5) & (up[1:] == up[:-1])
+    return ray[~again], z[~again], up[~again], seen[~again]
 
 
-def _intervals(ray: NDArray[np.int64], z: F64, up: NDArray[np.bool_], count: int) -> tuple[F64, F64]:
-    """(tops, bottoms), each (L, count): walk down all columns at once, crossing by crossing."""
+def _intervals(ray: NDArray[np.int64], z: F64, up: NDArray[np.bool_], count: int) -> tuple[F64, F64, NDArray[np.int64]]:
+    """(tops, bottoms, crossing that is the bottom or -1), each (L, count): walk down all columns at once, crossing by
+    crossing."""
     top = np.full((MAX_LAYERS, count), np.nan)
     bottom = np.full((MAX_LAYERS, count), -np.inf)
+    below = np.full((MAX_LAYERS, count), -1)
     depth, layer = np.zeros(count, np.int64), np.full(count, -1)
     first = np.r_[True, np.diff(ray) != 0]
     start = np.flatnonzero(first)
@@ -100,24 +112,30 @@ def _intervals(ray: NDArray[np.int64], z: F64, up: NDArray[np.bool_], count: int
         top[layer[r[opens]], r[opens]] = height[opens]
         closes = ~enters & (depth[r] == 1)
         bottom[layer[r[closes]], r[closes]] = height[closes]
+        below[layer[r[closes]], r[closes]] = np.flatnonzero(now)[closes]
         depth[r] = np.maximum(depth[r] + np.where(enters, 1, -1), 0)
     used = max(int(layer.max(initial=-1)) + 1, 1)
-    return top[:used], bottom[:used]
+    return top[:used], bottom[:used], below[:used]
 
 
-def _tidy(top: F64, bottom: F64, ground_z: float) -> tuple[F64, F64]:
+def _tidy(top: F64, bottom: F64, below: NDArray[np.int64], ground_z: float) -> tuple[F64, F64, NDArray[np.int64]]:
     """Close gaps that are too narrow for anything, downwards from the topmost interval."""
-    top, bottom = top.copy(), bottom.copy()
+    top, bottom, below = top.copy(), bottom.copy(), below.copy()
     for k in range(len(top) - 1, 0, -1):
         narrow = np.isfinite(top[k]) & (bottom[k - 1] - top[k] < NARROW)
         bottom[k - 1][narrow] = bottom[k][narrow]
+        below[k - 1][narrow] = below[k][narrow]
         # What lay below moves up by one.
         for j in range(k, len(top)):
-            after = (top[j + 1], bottom[j + 1]) if j + 1 < len(top) else (np.nan, -np.inf)
+            last = j + 1 == len(top)
+            after = (np.nan, -np.inf, -1) if last else (top[j + 1], bottom[j + 1], below[j + 1])
             top[j] = np.where(narrow, after[0], top[j])
             bottom[j] = np.where(narrow, after[1], bottom[j])
-    bottom[np.isfinite(top) & (bottom < ground_z + NARROW)] = -np.inf
-    return top, bottom
+            below[j] = np.where(narrow, after[2], below[j])
+    grounded = np.isfinite(top) & (bottom < ground_z + NARROW)
+    bottom[grounded] = -np.inf
+    below[grounded] = -1
+    return top, bottom, below
 
 
 def check_extent(mesh: TerrainMesh) -> None:

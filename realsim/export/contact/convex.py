@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from realsim.errors import ExportError
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import Asset, ContactModel, Geom
-from realsim.export.contact.islands import Island, Terrain, terrain
+from realsim.export.contact.islands import Island, Terrain
+from realsim.export.contact.shape import COARSE, Shape
 from realsim.export.contact.solids import island_solid
-from realsim.types import TerrainMesh
 
 F64 = NDArray[np.float64]
-CELL = 0.01  # metres: finer solids take CoACD minutes
 OVERLAP = 0.0005  # metres by which parts are grown, so that nothing slips between them
 
 
@@ -29,17 +28,18 @@ def check_columns(whole: Terrain, islands: Iterable[Island], config: SceneConfig
     Raises:
         TooManyColumnsError: the islands have more than `config.convex_columns` columns.
     """
-    count = sum(int(np.isfinite(island.top).sum()) for island in islands)
+    area = sum(int(np.isfinite(island.top).sum()) for island in islands) * whole.grid.cell**2
+    count = round(area / COARSE**2)
     if count > config.convex_columns:
         raise TooManyColumnsError(
             "the terrain is too large for a convex decomposition",
-            expected=f"at most {config.convex_columns} columns of {100 * whole.grid.cell:g} cm",
-            found=f"{count}, {count * whole.grid.cell**2:.2f} m^2 of curved surface",
+            expected=f"at most {config.convex_columns} columns of {100 * COARSE:g} cm",
+            found=f"{count}, {area:.2f} m^2 of curved surface",
             hint="choose --contact hfield or boxes, or raise --convex-columns",
         )
 
 
-def convex(mesh: TerrainMesh, ground_z: float, config: SceneConfig) -> ContactModel:
+def convex(shape: Shape, config: SceneConfig) -> ContactModel:
     """Convex parts whose concavity is at most `config.convex_threshold` metres, on an infinite floor.
 
     CoACD: Wei, Liu, Ling, Su, SIGGRAPH 2022. Solids are closed beforehand from columns of 1 cm.
@@ -47,12 +47,12 @@ def convex(mesh: TerrainMesh, ground_z: float, config: SceneConfig) -> ContactMo
     Raises:
         TooManyColumnsError: see `check_columns`.
     """
-    whole = terrain(mesh, ground_z, CELL)
+    whole = shape.coarse
     check_columns(whole, whole.islands, config)
     parts = [part for island in whole.islands for part in convex_parts(whole, island, config.convex_threshold)]
     assets = tuple(Asset.of_points(f"part_{k}", part) for k, part in enumerate(parts))
     geoms = tuple(Geom(a.name, "mesh", asset=a.name) for a in assets)
-    statistics = {"threshold_m": config.convex_threshold, "parts": len(parts)}
+    statistics = whole.statistics | {"threshold_m": config.convex_threshold, "parts": len(parts)}
     return ContactModel("convex", (*whole.floor, *geoms), assets, statistics)
 
 

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import Asset, ContactModel, Geom, floor_around
+from realsim.export.contact.shape import Shape
 from realsim.export.heights import HeightGrid, height_grid
-from realsim.types import TerrainMesh
 
 BASE = 0.1  # metres of solid below the lowest node
 
 
-def hfield(mesh: TerrainMesh, ground_z: float, config: SceneConfig) -> ContactModel:
+def hfield(shape: Shape, config: SceneConfig) -> ContactModel:
     """The mesh from above, on nodes `config.hfield_resolution` apart; where it has holes, the ground.
 
     MuJoCo shifts and scales the numbers of a height field to 0..1 when it compiles, and stretches them by the
@@ -22,6 +22,7 @@ def hfield(mesh: TerrainMesh, ground_z: float, config: SceneConfig) -> ContactMo
     stands at the lowest of them. The file is MuJoCo's own binary format, whose first row lies at the lowest y; an
     8-bit image would round a 1 m terrain to 4 mm steps and turn the rows round.
     """
+    mesh, ground_z = shape.mesh, shape.ground_z
     grid = height_grid(mesh.vertices, mesh.triangles, config.hfield_resolution)
     holes = np.isnan(grid.z)
     z = np.where(holes, ground_z, grid.z).astype(np.float32)

@@ -7,13 +7,14 @@ import numpy as np
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import Asset, ContactModel, Geom, floor_plane
 from realsim.export.contact.columns import check_extent
-from realsim.types import TerrainMesh
+from realsim.export.contact.shape import Shape
 
 
-def hull(mesh: TerrainMesh, ground_z: float, config: SceneConfig) -> ContactModel:
+def hull(shape: Shape, config: SceneConfig) -> ContactModel:
     """One convex mesh of all vertices, and a floor."""
     from scipy.spatial import ConvexHull
 
+    mesh, ground_z = shape.mesh, shape.ground_z
     check_extent(mesh)
     used = mesh.vertices[np.unique(mesh.triangles)]
     corners = used[ConvexHull(used, qhull_options="QJ").vertices]

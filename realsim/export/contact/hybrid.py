@@ -6,34 +6,31 @@ import numpy as np
 
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import Asset, ContactModel, Geom
-from realsim.export.contact.boxes import island_prisms
-from realsim.export.contact.convex import CELL, check_columns, convex_parts
-from realsim.export.contact.islands import Island, Terrain, terrain
-from realsim.export.contact.prisms import Prism, as_contact
-from realsim.types import TerrainMesh
+from realsim.export.contact.convex import check_columns, convex_parts
+from realsim.export.contact.islands import Island, Terrain
+from realsim.export.contact.prisms import as_contact
+from realsim.export.contact.shape import Shape
 
 MANY = 40  # prisms: a surface that takes more is not made of planes
 
 
-def hybrid(mesh: TerrainMesh, ground_z: float, config: SceneConfig) -> ContactModel:
+def hybrid(shape: Shape, config: SceneConfig) -> ContactModel:
     """Island by island whichever describes it: planes, or convex parts of its solid.
 
     Raises:
         TooManyColumnsError: too much of the terrain is curved.
     """
-    fine, coarse = terrain(mesh, ground_z), terrain(mesh, ground_z, CELL)
-    prisms: list[Prism] = []
-    curved: set[int] = set()
-    for island in fine.islands:
-        found, misfit = island_prisms(fine, island)
-        if misfit <= fine.tolerance and len(found) <= MANY:
-            prisms += found
-        else:
-            curved |= _same_place(fine, island, coarse)
-    check_columns(coarse, (coarse.islands[n] for n in curved), config)
-    contact = as_contact("hybrid", prisms, fine.floor, {"cell_m": fine.grid.cell, "convex_islands": len(curved)})
+    fine = shape.fine
+    flat = [p.misfit <= fine.tolerance and len(p.prisms) <= MANY for p in shape.planar]
+    prisms = [prism for p, good in zip(shape.planar, flat, strict=True) if good for prism in p.prisms]
+    curved = [island for island, good in zip(fine.islands, flat, strict=True) if not good]
+    # Counted before the coarse solids are made, which takes its time too.
+    check_columns(fine, curved, config)
+    coarse = shape.coarse
+    chosen = sorted({n for island in curved for n in _same_place(fine, island, coarse)})
+    contact = as_contact("hybrid", prisms, fine.floor, fine.statistics | {"convex_islands": len(chosen)})
     geoms, assets = list(contact.geoms), list(contact.assets)
-    for n in sorted(curved):
+    for n in chosen:
         for k, part in enumerate(convex_parts(coarse, coarse.islands[n], config.convex_threshold)):
             assets.append(Asset.of_points(f"convex_{n}_{k}", part))
             geoms.append(Geom(assets[-1].name, "mesh", asset=assets[-1].name))

@@ -7,6 +7,12 @@ from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 Edge = tuple[int, int]
+FARTHEST = 3.0  # tolerances
+SHORT = 7.0  # cells: shorter sides may be what is left of a corner
+ROUND = 2.5  # tolerances by which a corner may stand out from a trace that rounds it
+
+
+COARSER = (1.0, 1.75, 2.5, 4.0)  # times the tolerance: simplifications that are tried
 
 
 def outlines(mask: NDArray[np.bool_], tolerance: float) -> list[F64]:
@@ -14,7 +20,8 @@ def outlines(mask: NDArray[np.bool_], tolerance: float) -> list[F64]:
 
     Args:
         mask: (rows, columns).
-        tolerance: cells by which the simplified outline may leave the traced one.
+        tolerance: cells by which a tenth of the traced outline may lie farther off the simplified one; nothing lies
+            farther off than FARTHEST times that.
     """
     from scipy import ndimage
     from skimage.measure import find_contours
@@ -23,14 +30,30 @@ def outlines(mask: NDArray[np.bool_], tolerance: float) -> list[F64]:
     soft = ndimage.gaussian_filter(np.pad(mask, 3).astype(float), 0.7)
     rings = []
     for contour in find_contours(soft, 0.5):
-        ring = _simplify(contour[:-1] - 3, tolerance)
+        ring = _fewest_corners(contour[:-1] - 3, tolerance)
         if len(ring) >= 3 and abs(area(ring)) > 1.0:
             rings.append(ring)
     return rings
 
 
+def _fewest_corners(trace: F64, tolerance: float) -> F64:
+    """The polygon with the fewest corners that stays near a traced ring; of several, the nearest."""
+    finest = _simplify(trace, tolerance)
+    best, score = finest, (len(finest), np.inf)
+    for factor in COARSER:
+        ring = _simplify(trace, factor * tolerance)
+        if len(ring) < 3:
+            continue
+        off = _distance(trace, ring)
+        near = np.percentile(off, 90) < tolerance and off.max() < FARTHEST * tolerance
+        if near and (len(ring), off.mean()) < score:
+            best, score = ring, (len(ring), off.mean())
+    return best
+
+
 def _simplify(ring: F64, tolerance: float) -> F64:
-    """Douglas-Peucker from the two farthest points, then every side fitted to the points that it stands for."""
+    """Douglas-Peucker from the two farthest points, then every side fitted to the points that it stands for, and
+    corners that were cut or rounded made sharp."""
     start = int(np.argmax(((ring - ring.mean(0)) ** 2).sum(1)))
     ring = np.roll(ring, -start, axis=0)
     closed = np.concatenate([ring, ring[:1]])
@@ -38,18 +61,52 @@ def _simplify(ring: F64, tolerance: float) -> F64:
     corners = closed[place]
     if len(corners) < 3:
         return corners
-    lines = []
-    for a, b in zip(place, [*place[1:], len(ring)], strict=True):
-        points = closed[a : b + 1]
-        inner = points[1:-1] if len(points) > 8 else points  # the trace cuts corners short
-        middle = inner.mean(0)
-        direction = np.linalg.svd(inner - middle)[2][0] if len(inner) > 1 else closed[b] - closed[a]
-        lines.append((middle, direction))
+    lines = [_line(closed[a : b + 1]) for a, b in zip(place, [*place[1:], len(ring)], strict=True)]
+    corners, lines = _sharpen(ring, corners, lines, tolerance)
     out = []
     for k, corner in enumerate(corners):
         met = _meet(lines[k - 1], lines[k])
         out.append(met if met is not None and np.linalg.norm(met - corner) < 2 * tolerance else corner)
     return np.array(out)
+
+
+def _line(points: F64) -> tuple[F64, F64]:
+    """(point, direction) of the line that fits a piece of a trace best; its ends, where the trace cuts corners short,
+    do not count."""
+    inner = points[2:-2] if len(points) > 8 else points
+    middle = inner.mean(0)
+    direction = np.linalg.svd(inner - middle)[2][0] if len(inner) > 1 else points[-1] - points[0]
+    return middle, direction
+
+
+def _sharpen(
+    ring: F64, corners: F64, lines: list[tuple[F64, F64]], tolerance: float
+) -> tuple[F64, list[tuple[F64, F64]]]:
+    """Leave out short sides whose neighbours, drawn on, meet near the traced ring: side k runs from corner k to
+    k + 1. A mesh rounds its corners; the thing itself rarely does."""
+    k = 0
+    while k < len(corners) and len(corners) > 3:
+        n = len(corners)
+        after = (k + 1) % n
+        met = _meet(lines[k - 1], lines[after])
+        short = np.linalg.norm(corners[after] - corners[k]) < SHORT
+        if short and met is not None and np.linalg.norm(ring - met, axis=1).min() < ROUND * tolerance:
+            corners = corners.copy()
+            corners[after] = met
+            corners = np.delete(corners, k, 0)
+            lines = lines[:k] + lines[k + 1 :]
+            k = max(k - 1, 0)
+        else:
+            k += 1
+    return corners, lines
+
+
+def _distance(points: F64, ring: F64) -> F64:
+    """(N,) distance of points (N, 2) from the sides of a ring (M, 2)."""
+    a, side = ring, np.roll(ring, -1, axis=0) - ring
+    off = points[:, None] - a
+    t = np.clip((off * side).sum(2) / np.maximum((side**2).sum(1), 1e-18), 0, 1)
+    return np.linalg.norm(off - t[..., None] * side, axis=2).min(1)
 
 
 def _douglas_peucker(points: F64, tolerance: float) -> list[int]:

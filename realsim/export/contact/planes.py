@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
+Window = tuple[slice, slice]
 WINDOWS = (5, 3)  # cells a side over which a cell's own plane is fitted; the small one for narrow faces
 MOST_SEEDS = 250  # places tried for a plane: a surface that needs more is not made of planes, and each costs a pass
 SMALLEST = 12  # cells: what is smaller is not worth a plane
 
 
-def segment(z: F64, cell: float, tolerance: float) -> tuple[I64, F64]:
+def segment(z: F64, cell: float, tolerance: float, narrowest: int = 1) -> tuple[I64, F64]:
     """Grow planes over a height image until none fits what is left, or `MOST_SEEDS` places were tried.
 
     The widest smooth place not yet taken is the next seed; its plane takes what is connected to it and lies within
@@ -22,6 +25,7 @@ def segment(z: F64, cell: float, tolerance: float) -> tuple[I64, F64]:
         z: (rows, columns) metres, NaN where there is nothing.
         cell: metres between cells.
         tolerance: metres perpendicular to the plane.
+        narrowest: cells; what is narrower is an edge rounded by the mesh, and no face of its own.
 
     Returns:
         (rows, columns) index of the plane or -1, and (P, 3) planes a b c with z = a column + b row + c (in cells).
@@ -35,21 +39,25 @@ def segment(z: F64, cell: float, tolerance: float) -> tuple[I64, F64]:
         smooth = free & (_roughness(np.where(free, z, np.nan), cell, window) < tolerance / 2)
         while tried < MOST_SEEDS and (seed := _widest(smooth)) is not None:
             tried += 1
-            place, reach = seed
-            taken = _grow(z, free, _patch(z, free, place, reach, cell, tolerance), place, cell, tolerance)
-            if taken.sum() >= SMALLEST and not _is_wall(taken, _fit(z, taken), cell):
-                labels[taken] = len(planes)
-                planes.append(_fit(z, taken))
-                free &= ~taken
-            smooth &= ~taken  # whether it became a plane or not, it is no seed any more
-            smooth[place] = False
+            part, taken = _grown(z, free, *seed, cell, tolerance)
+            plane = _fit(z[part], taken)
+            if taken.sum() >= SMALLEST and not _is_edge(taken, plane, cell, narrowest):
+                labels[part][taken] = len(planes)
+                a, b, c = plane
+                planes.append(np.array([a, b, c - a * part[1].start - b * part[0].start]))
+                free[part] &= ~taken
+            smooth[part] &= ~taken  # whether it became a plane or not, it is no seed any more
+            smooth[seed[0]] = False
     return labels, np.array(planes).reshape(-1, 3)
 
 
-def _is_wall(taken: NDArray[np.bool_], plane: F64, cell: float) -> bool:
-    """Steeper than 75 degrees and at most three cells wide: a scanned wall, better cut upright than as a plane."""
+def _is_edge(taken: NDArray[np.bool_], plane: F64, cell: float, narrowest: int) -> bool:
+    """A tilted strip narrower than `narrowest` cells is a rounded edge; one steeper than 75 degrees and at most three
+    cells wide is a scanned wall. Both are better cut upright than kept as planes."""
     seed = _widest(taken)
-    return _steepness(plane, cell) < np.cos(np.radians(75)) and seed is not None and seed[1] <= 2
+    assert seed is not None
+    width, steep = 2 * seed[1] - 1, _steepness(plane, cell)
+    return (width < narrowest and steep < np.cos(np.radians(10))) or (width <= 3 and steep < np.cos(np.radians(75)))
 
 
 def _widest(mask: NDArray[np.bool_]) -> tuple[tuple[int, int], int] | None:
@@ -61,6 +69,35 @@ def _widest(mask: NDArray[np.bool_]) -> tuple[tuple[int, int], int] | None:
     depth = ndimage.distance_transform_cdt(np.pad(mask, 1), "chessboard")[1:-1, 1:-1]
     row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
     return (int(row), int(column)), int(depth[row, column])
+
+
+def _grown(
+    z: F64, free: NDArray[np.bool_], seed: tuple[int, int], reach: int, cell: float, tolerance: float
+) -> tuple[Window, NDArray[np.bool_]]:
+    """(window of the image, mask in it) of what a plane takes about a seed.
+
+    The window is widened until nothing reaches its rim, so that the result is that of the whole image. Most planes of
+    clutter are small, and looking at all of the image for each of them takes far longer.
+    """
+    wide = 2 * reach + 8
+    while True:
+        low = np.maximum(np.subtract(seed, wide), 0)
+        high = np.minimum(np.add(seed, wide + 1), z.shape)
+        window = slice(low[0], high[0]), slice(low[1], high[1])
+        place = (int(seed[0] - low[0]), int(seed[1] - low[1]))
+        start = _patch(z[window], free[window], place, reach, cell, tolerance)
+        rim = np.ones(high - low, bool)  # where the image goes on beyond the window
+        rim[tuple(slice(int(a > 0), b - a - int(b < n)) for a, b, n in zip(low, high, z.shape, strict=True))] = False
+        taken = _grow(z[window], free[window], start, place, cell, tolerance, rim)
+        if taken is not None:
+            return window, taken
+        wide *= 2
+
+
+def from_corner(plane: F64, window: Window) -> F64:
+    """A plane of the image, in cells counted from the corner of a window."""
+    a, b, c = plane
+    return np.array([a, b, c + a * window[1].start + b * window[0].start])
 
 
 def _patch(
@@ -76,9 +113,16 @@ def _patch(
 
 
 def _grow(
-    z: F64, free: NDArray[np.bool_], taken: NDArray[np.bool_], seed: tuple[int, int], cell: float, tolerance: float
-) -> NDArray[np.bool_]:
-    """The connected cells about the seed that lie on one plane, starting from the plane of those in `taken`."""
+    z: F64,
+    free: NDArray[np.bool_],
+    taken: NDArray[np.bool_],
+    seed: tuple[int, int],
+    cell: float,
+    tolerance: float,
+    rim: NDArray[np.bool_],
+) -> NDArray[np.bool_] | None:
+    """The connected cells about the seed that lie on one plane, starting from the plane of those in `taken`; None where
+    they get to the `rim`."""
     from scipy import ndimage
 
     for _ in range(6):
@@ -86,6 +130,8 @@ def _grow(
         grown = pieces == pieces[seed]
         if not pieces[seed] or (grown == taken).all():
             break
+        if (grown & rim).any():
+            return None
         taken = grown
     return taken
 
@@ -96,7 +142,18 @@ def heights(plane: F64, shape: tuple[int, int]) -> F64:
     return plane[0] * columns + plane[1] * rows + plane[2]
 
 
-def spread(labels: I64, inside: NDArray[np.bool_], cost: F64, outside: F64 | None = None) -> I64:
+def misfit(z: F64, planes: F64) -> Callable[[I64], F64]:
+    """A function that turns an image of plane indices (negative: any) into (rows, columns) metres that z is off."""
+    rows, columns = np.indices(z.shape)
+
+    def off(labels: I64) -> F64:
+        a, b, c = planes[np.maximum(labels, 0)].transpose(2, 0, 1)
+        return np.abs(z - a * columns - b * rows - c)
+
+    return off
+
+
+def spread(labels: I64, inside: NDArray[np.bool_], cost: Callable[[I64], F64], outside: F64 | None = None) -> I64:
     """Give every cell inside that has no label that of the neighbour which suits it best.
 
     A blurred edge between two faces is thereby cut half way up, where the true edge is.
@@ -104,7 +161,7 @@ def spread(labels: I64, inside: NDArray[np.bool_], cost: F64, outside: F64 | Non
     Args:
         labels: (rows, columns), -1 where unlabelled.
         inside: (rows, columns) cells that want a label.
-        cost: (P, rows, columns) misfit of each label at each cell.
+        cost: image of labels -> (rows, columns) how ill each suits its cell.
         outside: (rows, columns) misfit of being no part of this at all, or None where that is no choice. Cells at the
             rim may choose it, and are -1 in the result.
     """
@@ -112,11 +169,10 @@ def spread(labels: I64, inside: NDArray[np.bool_], cost: F64, outside: F64 | Non
 
     if not (labels >= 0).any():
         return labels
-    index = np.indices(inside.shape)
     if outside is not None:
         # Leaving is a choice only for what suits it better than the nearest label, which may still have to get there.
         near = ndimage.distance_transform_cdt(labels < 0, "taxicab", return_distances=False, return_indices=True)
-        outside = np.where(outside < cost[labels[near[0], near[1]], index[0], index[1]], outside, np.inf)
+        outside = np.where(outside < cost(labels[near[0], near[1]]), outside, np.inf)
     labels = np.pad(labels, 1, constant_values=-1)
     gone = np.pad(~inside, 1, constant_values=True)
     shifts = ((-1, 0), (1, 0), (0, -1), (0, 1))
@@ -129,7 +185,7 @@ def spread(labels: I64, inside: NDArray[np.bool_], cost: F64, outside: F64 | Non
             part = (slice(1 + dr, 1 + dr + rows), slice(1 + dc, 1 + dc + columns))
             neighbour = labels[part]
             known = neighbour >= 0
-            value = np.where(known, cost[np.maximum(neighbour, 0), index[0], index[1]], np.inf)
+            value = np.where(known & open_[1:-1, 1:-1], cost(neighbour), np.inf)
             better = value < best
             best, choice = np.where(better, value, best), np.where(better, neighbour, choice)
             if outside is not None:

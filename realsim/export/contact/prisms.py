@@ -46,9 +46,13 @@ def as_contact(name: str, prisms: list[Prism], floor: tuple[Geom, ...], statisti
 
 def _as_box(name: str, prism: Prism, tolerance: float = 0.005) -> Geom | None:
     """The box of a prism whose outline is a rectangle and whose top is level, both within `tolerance` metres."""
-    centre, axes, half = _rectangle(prism.outline)
-    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    if not all(_distance(prism.outline, centre + s * half @ axes) < tolerance for s in signs):
+    centre, axes, half = _mean_rectangle(prism.outline, tolerance)
+    if half.min() <= 0:
+        return None
+    rectangle = centre + np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half @ axes
+    if max(_distance(prism.outline, p) for p in rectangle) > tolerance:
+        return None
+    if max(_distance(rectangle, p) for p in prism.outline) > tolerance:
         return None
     A = np.column_stack([prism.outline - centre, np.ones(len(prism.outline))])
     a, b, top = np.linalg.lstsq(A, prism.top, rcond=None)[0]
@@ -89,6 +93,16 @@ def _rectangle(outline: F64) -> tuple[F64, F64, F64]:
             best = size, (low + high) / 2 @ axes, axes, (high - low) / 2
     assert best is not None
     return best[1], best[2], best[3]
+
+
+def _mean_rectangle(outline: F64, tolerance: float) -> tuple[F64, F64, F64]:
+    """The same with every side moved in to the mean of the corners that are near it: half way between the corners of
+    a quadrilateral that is no rectangle."""
+    centre, axes, half = _rectangle(outline)
+    along = (outline - centre) @ axes.T
+    high = np.array([along[along[:, k] > half[k] - 2 * tolerance, k].mean() for k in (0, 1)])
+    low = np.array([along[along[:, k] < 2 * tolerance - half[k], k].mean() for k in (0, 1)])
+    return centre + (low + high) / 2 @ axes, axes, (high - low) / 2
 
 
 def _distance(outline: F64, point: F64) -> float:

@@ -126,12 +126,16 @@ def _collision(model: Any, data: Any) -> tuple[tuple[Box, ...], tuple[Convex, ..
             boxes.append(Box(name, position, rotation, model.geom_size[g].copy()))
         elif kind == mjtGeom.mjGEOM_HFIELD:
             surfaces.append(_height_field(model, model.geom_dataid[g], name, position))
-        elif kind in (mjtGeom.mjGEOM_MESH, mjtGeom.mjGEOM_SDF):
+        elif kind == mjtGeom.mjGEOM_MESH:
             start, count = model.mesh_vertadr[model.geom_dataid[g]], model.mesh_vertnum[model.geom_dataid[g]]
             points = model.mesh_vert[start : start + count].astype(float) @ rotation.T + position
             convex.append(_hull(name, points))
         else:
-            raise ExportError("a geom of a kind that cannot be exported", found=f"{name or g}: {kind.name}")
+            raise ExportError(
+                "a geom of a kind that other formats do not have",
+                found=f"{name or g}: {kind.name}",
+                hint="reconstruct with another --scene.contact",
+            )
     return tuple(boxes), tuple(convex), tuple(surfaces), floor
 
 

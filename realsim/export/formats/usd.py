@@ -20,17 +20,9 @@ def usd(scene: SceneOnDisk, folder: Path) -> list[Path]:
     Raises:
         MissingExtraError: usd-core is not installed.
     """
-    try:
-        from pxr import Usd, UsdGeom, UsdPhysics
-    except ImportError as error:
-        raise MissingExtraError("usd-core", "usd", "the USD export") from error
+    stage = new_stage()
+    from pxr import UsdGeom, UsdPhysics
 
-    stage = Usd.Stage.CreateInMemory("terrain.usda")
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
-    root = UsdGeom.Xform.Define(stage, "/terrain")
-    stage.SetDefaultPrim(root.GetPrim())
     scan = _mesh(stage, "/terrain/scan", scene.vertices, scene.triangles)
     if scene.colors is not None:
         # Display colours are linear in USD; those of a camera are sRGB (IEC 61966-2-1).
@@ -47,6 +39,36 @@ def usd(scene: SceneOnDisk, folder: Path) -> list[Path]:
     path = folder / "terrain.usda"
     write_text(path, stage.GetRootLayer().ExportToString())
     return [path]
+
+
+def terrain_usda(vertices: np.ndarray, triangles: np.ndarray) -> str:
+    """A stage with one mesh, /terrain/mesh, that is looked at and touched as it is: (V, 3) metres, (K, 3).
+
+    Raises:
+        MissingExtraError: usd-core is not installed.
+    """
+    stage = new_stage()
+    from pxr import UsdPhysics
+
+    mesh = _mesh(stage, "/terrain/mesh", vertices, triangles)
+    UsdPhysics.CollisionAPI.Apply(mesh.GetPrim())
+    UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(UsdPhysics.Tokens.none)
+    return str(stage.GetRootLayer().ExportToString())
+
+
+def new_stage() -> Any:
+    """An empty stage in memory: metres, kilograms, z up, default prim /terrain."""
+    try:
+        from pxr import Usd, UsdGeom, UsdPhysics
+    except ImportError as error:
+        raise MissingExtraError("usd-core", "usd", "the USD export") from error
+
+    stage = Usd.Stage.CreateInMemory("terrain.usda")
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/terrain").GetPrim())
+    return stage
 
 
 def _vec3(rows: np.ndarray) -> Any:

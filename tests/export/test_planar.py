@@ -1,0 +1,30 @@
+"""Clutter: surfaces of very many planes must not cost memory by the plane."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+
+from realsim.export.contact.columns import Columns
+from realsim.export.contact.islands import Island, Terrain
+from realsim.export.contact.planar import planar
+
+CELL = 0.005
+
+
+def test_many_planes_need_no_image_each() -> None:
+    """A scanned room made 1600 planes; one image of misfits for each of them took 4 GB."""
+    tiles, side = 12, 10
+    heights = np.random.default_rng(0).uniform(0.1, 1.5, (tiles, tiles))
+    top = heights.repeat(side, 0).repeat(side, 1)
+    grid = Columns(np.zeros(2), CELL, top[None], np.full((1, *top.shape), -np.inf), np.zeros((1, *top.shape), bool))
+    island = Island((0, 0), top, np.zeros_like(top))
+    whole = Terrain(grid, (island,), 0.0, (), 0.003, 3, (0.0, 0.0))
+    planar(whole, Island((0, 0), top[:side, :side], np.zeros((side, side))))  # imports are no part of what is measured
+    tracemalloc.start()
+    found = planar(whole, island)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(found.prisms) == tiles**2
+    assert peak < 0.4 * tiles**2 * top.nbytes
