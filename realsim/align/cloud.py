@@ -18,6 +18,10 @@ VOXEL = 0.02
 """Metres. Means inside a voxel keep positions far more exact than this."""
 MERGE_EVERY = 8
 """Frames between two reductions of what has been gathered."""
+OCCUPANCY = 3.0
+"""Points a voxel that a scan must have on its surfaces; of a sparser one voxels are larger..."""
+COARSEST = 0.08
+"""...up to so many metres."""
 CHUNK = 2_000_000
 """Points of a scan that are reduced at once."""
 SCAN_DENSITY = 2e4
@@ -105,8 +109,10 @@ def from_views(scene: MetricScene, voxel: float = VOXEL) -> Cloud:
     return Cloud(points, normals, rows[:, 0], rows[:, 7].astype(np.int32), True, scene.T_world_camera, True, voxel)
 
 
-def from_scan(scan: Scan, seed: int, voxel: float = VOXEL) -> Cloud:
+def from_scan(scan: Scan, seed: int, voxel: float | None = None) -> Cloud:
     """The same of a scan: a mesh is sampled evenly over its area, a cloud is thinned to a mean a voxel.
+
+    The voxel follows the scan's density if it is not given: surfaces must not fall apart into single points.
 
     Raises:
         AlignError: fewer than 100 occupied voxels.
@@ -120,6 +126,7 @@ def from_scan(scan: Scan, seed: int, voxel: float = VOXEL) -> Cloud:
             points, normals = points[upper], normals[upper]
     finite = np.isfinite(points).all(1)
     points, normals = points[finite], None if normals is None else normals[finite]
+    voxel = voxel or _voxel_for(points)
     anchor = points.mean(0) if len(points) else np.zeros(3)
     gathered: list[tuple[NDArray[np.int64], F64]] = [(np.zeros(0, np.int64), np.zeros((0, 7)))]
     for start in range(0, len(points), CHUNK):
@@ -186,6 +193,19 @@ def _reduced(keys: NDArray[np.int64], rows: F64) -> tuple[NDArray[np.int64], F64
 
 def _merged(parts: list[tuple[NDArray[np.int64], F64]]) -> tuple[NDArray[np.int64], F64]:
     return _reduced(np.concatenate([k for k, _ in parts]), np.concatenate([r for _, r in parts]))
+
+
+def _voxel_for(points: F64) -> float:
+    """Metres: `VOXEL`, or what holds `OCCUPANCY` points of a surface as dense as this cloud's median."""
+    from scipy.spatial import cKDTree
+
+    if len(points) < 100:
+        return VOXEL
+    some = points[np.linspace(0, len(points) - 1, min(len(points), 2000)).astype(int)]
+    sixth = cKDTree(points).query(some, k=7)[0][:, 6]
+    # Six neighbours on the disc that reaches to the sixth.
+    each = float(np.median(np.pi * sixth**2 / 6))
+    return float(np.clip(np.sqrt(OCCUPANCY * each), VOXEL, COARSEST))
 
 
 def _normals(points: F64, voxel: float) -> F64:

@@ -11,8 +11,10 @@ from realsim.types import F64, Platform
 REACH = 0.35
 """Metres: an obstacle this close to the terrain is part of it (a robot's stride)."""
 CELL = 0.06
-SOLID = 5
-"""Voxels in a cell of something solid; flying pixels behind an edge are fewer."""
+SOLID = 0.55
+"""Share of a cell's voxels (seen from above) that something solid fills; flying pixels behind an edge are fewer."""
+LEAST = 0.008
+"""Square metres of voxels that make an object."""
 HEADROOM, DEPTH = 0.15, 0.10
 """Metres kept above the highest part of the terrain and below the ground."""
 
@@ -33,13 +35,14 @@ def crop(
     clusters: list[F64] = []
     if standing.any():
         origin = xy[standing].min(0)
-        cells = np.floor((xy[standing] - origin) / CELL).astype(int)
+        cell = max(CELL, 2 * cloud.voxel)
+        cells = np.floor((xy[standing] - origin) / cell).astype(int)
         count = np.zeros(cells.max(0) + 1, int)
         np.add.at(count, tuple(cells.T), 1)
-        ids = label(count >= SOLID, np.ones((3, 3)))[0][tuple(cells.T)]
+        ids = label(count >= round(SOLID * (cell / cloud.voxel) ** 2), np.ones((3, 3)))[0][tuple(cells.T)]
         order = np.argsort(ids, kind="stable")
         parts = np.split(order, np.flatnonzero(np.diff(ids[order])) + 1)
-        clusters = [xy[standing][part] for part in parts if ids[part[0]] > 0 and len(part) >= 20]
+        clusters = [xy[standing][part] for part in parts if ids[part[0]] > 0 and len(part) * cloud.voxel**2 >= LEAST]
     chosen = [p for p in platforms if p.role in ("start", "goal")]
     if chosen:
         outline = np.concatenate([p.outline for p in chosen])

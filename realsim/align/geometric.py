@@ -22,8 +22,9 @@ LEVEL_DEG = 5.0
 """A platform's top is level to within this."""
 STEP = 0.012
 """Metres: neighbouring cells of one face differ by less in height; two boxes that touch mostly differ by more."""
-CELL = 0.02
 CLUSTER_CELL = 0.06
+LEAST_OBSTACLE = 0.008
+"""Square metres of voxels; less is noise."""
 
 
 def segment(cloud: Cloud) -> Labels:
@@ -35,7 +36,7 @@ def segment(cloud: Cloud) -> Labels:
     z, band = cloud.points[:, 2], ground_band(cloud)
     labels = np.full(len(cloud), Label.OTHER, np.uint8)
     labels[(np.abs(z) < band) & (np.abs(cloud.normals[:, 2]) > 0.7)] = Label.GROUND
-    labels[_obstacles(cloud.points, band)] = Label.OBSTACLE
+    labels[_obstacles(cloud.points, band, cloud.voxel)] = Label.OBSTACLE
     for face in level_faces(cloud):
         labels[face] = Label.PLATFORM
     return labels
@@ -47,7 +48,7 @@ def level_faces(cloud: Cloud) -> list[NDArray[np.intp]]:
     up = cloud.normals[:, 2] if cloud.oriented else np.abs(cloud.normals[:, 2])
     candidates = np.flatnonzero((up > 0.9) & (z > LOWEST) & (z < HIGHEST))
     faces = []
-    for region in _smooth_regions(cloud.points[candidates]):
+    for region in _smooth_regions(cloud.points[candidates], cloud.voxel):
         points = cloud.points[candidates[region]]
         slope, height = _plane(points)
         if np.degrees(np.arctan(np.hypot(*slope))) > LEVEL_DEG:
@@ -56,8 +57,8 @@ def level_faces(cloud: Cloud) -> list[NDArray[np.intp]]:
         band = float(np.clip(4 * 1.4826 * np.median(np.abs(residual)), 0.008, 0.02))
         # Normals bend at the rim, so the face is completed by height: all points of its plane near its region.
         on_plane = np.abs(z - (cloud.points[:, :2] @ slope + height)) < band
-        face = np.flatnonzero(on_plane & _near(cloud.points[:, :2], points[:, :2]))
-        if large(cloud.points[face, :2]):
+        face = np.flatnonzero(on_plane & _near(cloud.points[:, :2], points[:, :2], cloud.voxel))
+        if large(cloud.points[face, :2], cloud.voxel):
             faces.append(face)
     return sorted(faces, key=lambda f: -len(f))
 
@@ -75,7 +76,7 @@ def ground_band(cloud: Cloud) -> F64:
     return np.maximum(GROUND_BAND, 4 * unit / np.sqrt(cloud.weights))
 
 
-def _obstacles(points: F64, band: F64) -> Bool:
+def _obstacles(points: F64, band: F64, voxel: float) -> Bool:
     """Points of clusters that stand on the ground and are low; tall columns are taken out before clustering."""
     from scipy.ndimage import label
 
@@ -83,7 +84,7 @@ def _obstacles(points: F64, band: F64) -> Bool:
     standing = np.flatnonzero((points[:, 2] > band) & (points[:, 2] < 4.0))
     if not len(standing):
         return out
-    cells, shape = _cells(points[standing, :2], CLUSTER_CELL)
+    cells, shape = _cells(points[standing, :2], max(CLUSTER_CELL, 2 * voxel))
     lowest, highest = np.full(shape, np.inf), np.full(shape, -np.inf)
     np.minimum.at(lowest, tuple(cells.T), points[standing, 2])
     np.maximum.at(highest, tuple(cells.T), points[standing, 2])
@@ -94,18 +95,19 @@ def _obstacles(points: F64, band: F64) -> Bool:
     rise = np.zeros(clusters.max() + 1)
     np.maximum.at(rise, clusters.ravel(), highest.ravel())
     size = np.bincount(member, minlength=len(rise))
-    out[standing] = (member > 0) & (floor_gap[member] < 0.3) & (rise[member] > LEAST_RISE) & (size[member] >= 20)
+    solid = size * voxel**2 >= LEAST_OBSTACLE
+    out[standing] = (member > 0) & ((floor_gap < 0.3) & (rise > LEAST_RISE) & solid)[member]
     return out
 
 
-def _smooth_regions(points: F64) -> list[NDArray[np.intp]]:
-    """Groups of points whose 2 cm cells are neighbours and differ by less than `STEP` in height."""
+def _smooth_regions(points: F64, cell: float) -> list[NDArray[np.intp]]:
+    """Groups of points whose cells are neighbours and differ by less than `STEP` in height."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
     if not len(points):
         return []
-    cells, shape = _cells(points[:, :2], CELL)
+    cells, shape = _cells(points[:, :2], cell)
     flat = cells[:, 0] * shape[1] + cells[:, 1]
     used, index = np.unique(flat, return_inverse=True)
     height = np.bincount(index, points[:, 2]) / np.bincount(index)
@@ -124,7 +126,7 @@ def _smooth_regions(points: F64) -> list[NDArray[np.intp]]:
     count, component = connected_components(graph, directed=False)
     sizes = np.bincount(component, minlength=count)
     member = component[index]
-    return [np.flatnonzero(member == k) for k in np.flatnonzero(sizes * CELL**2 > 0.5 * LEAST_AREA)]
+    return [np.flatnonzero(member == k) for k in np.flatnonzero(sizes * cell**2 > 0.5 * LEAST_AREA)]
 
 
 def _plane(points: F64) -> tuple[F64, float]:
@@ -138,16 +140,16 @@ def _plane(points: F64) -> tuple[F64, float]:
     return solution[:2], float(solution[2])
 
 
-def _near(xy: F64, region: F64, distance: float = 0.05) -> Bool:
-    """Which points lie within `distance` of a region of points (on a grid)."""
+def _near(xy: F64, region: F64, size: float, distance: float = 0.05) -> Bool:
+    """Which points lie within `distance` of a region of points (on a grid of cells of `size`)."""
     from scipy.ndimage import binary_dilation
 
     low = region.min(0) - 2 * distance
-    shape = np.ceil((region.max(0) + 2 * distance - low) / CELL).astype(int) + 1
+    shape = np.ceil((region.max(0) + 2 * distance - low) / size).astype(int) + 1
     grid = np.zeros(shape, bool)
-    grid[tuple(((region - low) / CELL).astype(int).T)] = True
-    grid = binary_dilation(grid, np.ones((3, 3)), iterations=round(distance / CELL))
-    cell = np.floor((xy - low) / CELL).astype(int)
+    grid[tuple(((region - low) / size).astype(int).T)] = True
+    grid = binary_dilation(grid, np.ones((3, 3)), iterations=max(1, round(distance / size)))
+    cell = np.floor((xy - low) / size).astype(int)
     inside = ((cell >= 0) & (cell < shape)).all(1)
     out = np.zeros(len(xy), bool)
     out[inside] = grid[tuple(cell[inside].T)]

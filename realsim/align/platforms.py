@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from realsim.align.cloud import Cloud
 from realsim.align.segment import Label, Labels
+from realsim.align.split import split
 from realsim.geometry import transform
 from realsim.types import F64, Platform
 
-CELL = 0.02
 LEAST_SIDE, LEAST_AREA = 0.30, 0.15
 """Metres and m²: two feet and some room. What is smaller is an obstacle, however level."""
 JOIN = 0.05
@@ -44,23 +44,26 @@ class Face:
 def find_faces(cloud: Cloud, labels: Labels) -> list[Face]:
     """The connected faces among the points labelled PLATFORM that are large enough, the largest first. Levelled."""
     index = np.flatnonzero(labels == Label.PLATFORM)
-    parts = [index[part] for part in _connected(cloud.points[index])]
-    return sorted((_face(cloud.take(p)) for p in parts if large(cloud.points[p, :2])), key=lambda f: -f.area)
+    regions = [index[part] for part in _connected(cloud.points[index], max(JOIN, 2 * cloud.voxel))]
+    parts = [region[part] for region in regions for part in split(cloud.points[region], cloud.voxel)]
+    return sorted(
+        (_face(cloud.take(p)) for p in parts if large(cloud.points[p, :2], cloud.voxel)), key=lambda f: -f.area
+    )
 
 
-def large(xy: F64) -> bool:
-    """Whether points (M, 2) of a level face leave room to stand: a least side and a least area."""
+def large(xy: F64, cell: float) -> bool:
+    """Whether points (M, 2), `cell` metres apart, of a level face leave room to stand: a least side and area."""
     import cv2
 
     if len(xy) < 20:
         return False
     _, sides, _ = cv2.minAreaRect(xy.astype(np.float32))
-    return min(sides) > LEAST_SIDE and _seen_area(xy) > LEAST_AREA
+    return min(sides) > LEAST_SIDE and _seen_area(xy, cell) > LEAST_AREA
 
 
-def _seen_area(xy: F64) -> float:
-    """m^2 of the 2 cm cells with points in them."""
-    return len(np.unique(np.floor(xy / CELL).astype(np.int64) @ [1_000_003, 1])) * CELL**2
+def _seen_area(xy: F64, cell: float) -> float:
+    """m^2 of the cells with points in them."""
+    return len(np.unique(np.floor(xy / cell).astype(np.int64) @ [1_000_003, 1])) * cell**2
 
 
 def to_platform(face: Face, T_sim_level: F64, role: str = "platform") -> Platform:
@@ -97,7 +100,7 @@ def polygon_area_centroid(outline: F64) -> tuple[float, F64]:
     return abs(area), outline[0] + ((p + q) * cross[:, None]).sum(0) / (6 * area)
 
 
-def _connected(points: F64) -> list[NDArray[np.intp]]:
+def _connected(points: F64, join: float) -> list[NDArray[np.intp]]:
     """Groups of points that are neighbours in the plan and in height."""
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -105,7 +108,7 @@ def _connected(points: F64) -> list[NDArray[np.intp]]:
     if not len(points):
         return []
     scaled = points * [1.0, 1.0, 4.0]  # a step of 1.2 cm separates two faces that touch
-    graph = cKDTree(scaled).sparse_distance_matrix(cKDTree(scaled), JOIN, output_type="coo_matrix")
+    graph = cKDTree(scaled).sparse_distance_matrix(cKDTree(scaled), join, output_type="coo_matrix")
     count, component = connected_components(graph, directed=False)
     return [np.flatnonzero(component == k) for k in range(count) if np.count_nonzero(component == k) > 50]
 
@@ -118,7 +121,7 @@ def _face(points: Cloud) -> Face:
     slope_x, slope_y, height = np.linalg.lstsq(A, xyz[:, 2], rcond=None)[0]
     hull = cv2.convexHull(xyz[:, :2].astype(np.float32))[:, 0].astype(np.float64)
     box = cv2.boxPoints(cv2.minAreaRect(xyz[:, :2].astype(np.float32))).astype(np.float64)
-    seen = _seen_area(xyz[:, :2])
+    seen = _seen_area(xyz[:, :2], points.voxel)
     rectangle = polygon_area_centroid(hull)[0] > 0.9 * polygon_area_centroid(box)[0]
     outline = _counter_clockwise(box if rectangle else hull)
     area, centroid = polygon_area_centroid(outline)

@@ -200,6 +200,8 @@ def _line(rows: F64) -> tuple[float, float]:
     if len(rows) < 3:
         return (0.0, 0.0) if not len(rows) else (float(np.median(rows[:, 1])),) * 2
     keep = np.abs(rows[:, 1] - np.median(rows[:, 1])) < 0.03
+    if keep.sum() < 3:
+        return 0.0, 0.0  # the sections contradict each other
     for _ in range(2):
         slope, base = np.polyfit(rows[keep, 0], rows[keep, 1], 1)
         residual = np.abs(rows[:, 1] - base - slope * rows[:, 0])

@@ -31,8 +31,11 @@ def by_rule(faces: list[Face], near: F64) -> Roles:
 
 
 def pair_score(a: Face, b: Face) -> float:
-    """sqrt(area_a * area_b), as seen, times the distance of the centroids, m^3: large and far apart."""
-    return float(np.sqrt(min(a.seen, a.area) * min(b.seen, b.area)) * np.linalg.norm(a.centroid - b.centroid))
+    """The product of both areas, as seen, times the distance of the centroids: large and far apart.
+
+    Not its root: then two chairs at both ends of a room would beat the platforms between them.
+    """
+    return float(min(a.seen, a.area) * min(b.seen, b.area) * np.linalg.norm(a.centroid - b.centroid))
 
 
 def as_asked(

@@ -37,6 +37,14 @@ def depth_unit(default: float, why: str, config: CaptureConfig, camera: Camera |
     return DepthUnit(default, 1.0, f"integer depth is in steps of {default:g} m ({why})")
 
 
+def _why_unreadable(path: Path) -> str:
+    try:
+        DepthImage(path, 1.0)()
+    except RealsimError as error:
+        return f"{path.name}: {error.message}" + (f" ({error.found})" if error.found else "")
+    return path.name
+
+
 def cameras(
     camera: Camera, color: Sequence[Path], depth: Sequence[Path]
 ) -> tuple[Intrinsics, Intrinsics | None, tuple[str, ...]]:
@@ -52,7 +60,10 @@ def cameras(
     color_size = common_size(ColorImage(p) for p in color)
     if depth_size is None:
         raise CaptureError(
-            "no depth image can be read", file=depth[0].parent if depth else None, expected="16-bit or float images"
+            "no depth image can be read",
+            file=depth[0].parent if depth else None,
+            expected="16-bit or float images",
+            found=_why_unreadable(depth[0]) if depth else "none",
         )
     if color_size in (None, depth_size):
         return camera.sized(depth_size), None, ()

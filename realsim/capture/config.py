@@ -26,6 +26,8 @@ class CaptureConfig:
     """Unit of scans without one: m, cm, mm or inch."""
     ignore_poses: bool = False
     """Do not read the capture's poses (for captures whose poses are known to be wrong)."""
+    metric_poses: bool = True
+    """The capture's poses are in metres. If not (structure from motion, COLMAP), the depth gives their scale."""
     max_time_difference: float = 0.02
     """Seconds between a colour and a depth image that still count as one frame (layouts with timestamps)."""
     max_pose_gap: float = 0.1

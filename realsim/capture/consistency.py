@@ -60,13 +60,15 @@ class Agreement:
 def check_agreement(capture: FrameSet) -> tuple[Agreement | None, str | None]:
     """The agreement of a capture's poses and depth (None without poses, or too little to compare), and a warning.
 
+    Poses that are right up to scale only cannot be compared before their scale is known.
+
     Raises:
         CaptureError: the depth fits the poses in another unit.
         PoseError: the depth fits the poses in another convention.
     """
-    if not capture.has_poses or len(capture) < 2:
+    if not capture.has_poses or not capture.poses_metric or len(capture) < 2:
         return None, None
-    found = agreement(capture.frames, capture.poses_metric)
+    found = agreement(capture.frames)
     if found is None:
         return None, "poses and depth could not be compared: the frames hardly overlap"
     facts = f"depth agrees with the poses at {found.as_read:.0%} of the compared pixels"
@@ -76,7 +78,8 @@ def check_agreement(capture: FrameSet) -> tuple[Agreement | None, str | None]:
     facts += f", but at {found.others[found.better]:.0%} with {found.better}"
     if found.better in DEPTH_FACTORS:
         unit = step_of(capture.frames[0])
-        right = f"pass --depth-unit {unit * DEPTH_FACTORS[found.better]:g}" if unit else None
+        right = f"pass --depth-unit {unit * DEPTH_FACTORS[found.better]:g}, " if unit else ""
+        right += "or --no-metric-poses if it is the poses that are not in metres"
         raise CaptureError("depth in an implausible unit", file=capture.source, found=facts, hint=right)
     raise PoseError(
         "the poses are of another convention than this layout's",
@@ -87,12 +90,11 @@ def check_agreement(capture: FrameSet) -> tuple[Agreement | None, str | None]:
     )
 
 
-def agreement(frames: Sequence[Frame], metric: bool) -> Agreement | None:
+def agreement(frames: Sequence[Frame]) -> Agreement | None:
     """How well poses and depth agree over a dozen pairs of frames; None where too little overlaps to tell.
 
     Args:
-        frames: with poses, in order, `read_depth` in metres.
-        metric: whether the poses claim metres, so that the unit of depth can be checked against them.
+        frames: with poses in metres, in order, `read_depth` in metres.
     """
     pairs = _pairs(len(frames))
     depths = {k: frames[k].depth() for k in sorted({k for pair in pairs for k in pair})}
@@ -113,8 +115,7 @@ def agreement(frames: Sequence[Frame], metric: bool) -> Agreement | None:
         "poses that are world to camera": share({k: invert_T(T) for k, T in poses.items()})[0],
         "poses with OpenGL camera axes": share({k: T @ OPENGL for k, T in poses.items()})[0],
     }
-    if metric:
-        others |= {name: share(poses, factor)[0] for name, factor in DEPTH_FACTORS.items()}
+    others |= {name: share(poses, factor)[0] for name, factor in DEPTH_FACTORS.items()}
     return Agreement(as_read, others, compared)
 
 

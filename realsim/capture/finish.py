@@ -58,7 +58,8 @@ def finish(raw: FrameSet, config: CaptureConfig) -> Finished:
         PoseError: none of the given poses can be used, or they are of another convention.
     """
     seen = len(raw.frames) + len(raw.dropped)
-    capture = replace(raw, frames=raw.frames[:: config.every])
+    metric = raw.poses_metric and config.metric_poses
+    capture = replace(raw, frames=raw.frames[:: config.every], poses_metric=metric)
     if config.every > 1:
         capture = replace(capture, assumptions=(*capture.assumptions, f"only every {config.every}. frame is used"))
     capture, poses = settle_poses(capture)

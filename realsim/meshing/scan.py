@@ -10,6 +10,7 @@ from realsim.meshing.clean import weld
 from realsim.meshing.config import MeshConfig
 from realsim.meshing.fuse import Points, thin
 from realsim.meshing.poisson import reconstruct
+from realsim.meshing.quality import degenerate
 from realsim.meshing.surface import Surface, colored_from, edges_of
 from realsim.meshing.trim import supported
 from realsim.types import F64, AlignedScene, Scan
@@ -22,7 +23,8 @@ def surface_of_scan(aligned: AlignedScene, config: MeshConfig) -> tuple[Surface,
     points = transform(aligned.T_sim_world, scan.points)
     if scan.triangles is not None:
         surface = weld(Surface(points, scan.triangles, scan.colors), 1e-5)
-        surface = oriented(crop(surface, aligned.bounds))
+        surface = weld(crop(surface, aligned.bounds), 1e-5)  # a cut through a vertex leaves it twice
+        surface = oriented(surface.where(~degenerate(surface)))
         return surface, _edge_length(surface), None, "scan mesh"
     inside = ((points > aligned.bounds[0]) & (points < aligned.bounds[1])).all(1)
     if inside.sum() < 100:
@@ -33,11 +35,47 @@ def surface_of_scan(aligned: AlignedScene, config: MeshConfig) -> tuple[Surface,
 
 
 def crop(surface: Surface, bounds: F64) -> Surface:
-    """Only triangles with their centre inside the bounds (2, 3)."""
-    if len(surface.triangles) == 0:
-        return surface
-    centre = surface.centres()
-    return surface.where(((centre > bounds[0]) & (centre < bounds[1])).all(1))
+    """What lies inside the bounds (2, 3), cut exactly: the floor of a mesh made by hand may be two triangles."""
+    for axis in range(3):
+        surface = _cut(surface, surface.vertices[:, axis] - bounds[0, axis])
+        surface = _cut(surface, bounds[1, axis] - surface.vertices[:, axis])
+    return surface
+
+
+def _cut(surface: Surface, depth: F64) -> Surface:
+    """The part with positive `depth` (V,), a linear function of the place. Cut edges stay shared."""
+    depth = np.where(np.abs(depth) < 1e-6, 0.0, depth)
+    inside = depth[surface.triangles] >= 0
+    count = np.where((depth[surface.triangles] > 0).any(1), inside.sum(1), 0)
+    whole = surface.where(count == 3)
+    crossed = np.flatnonzero((count == 1) | (count == 2))
+    if not len(crossed):
+        return whole
+    # Turned so that the first corner is the one that is alone on its side.
+    alone = np.argmax(inside[crossed] == (count[crossed] == 1)[:, None], axis=1)
+    corners = surface.triangles[crossed[:, None], (alone[:, None] + np.arange(3)) % 3]
+    edges = np.sort(np.stack([corners[:, [0, 1]], corners[:, [0, 2]]], 1).reshape(-1, 2), axis=1)
+    unique, new = np.unique(edges, axis=0, return_inverse=True)
+    part = (depth[unique[:, 0]] / (depth[unique[:, 0]] - depth[unique[:, 1]]))[:, None]
+
+    def between(values: F64) -> F64:
+        return (1 - part) * values[unique[:, 0]] + part * values[unique[:, 1]]
+
+    vertices = np.concatenate([surface.vertices, between(surface.vertices)])
+    colors = None
+    if surface.colors is not None:
+        extra = np.rint(between(surface.colors.astype(np.float64))).astype(np.uint8)
+        colors = np.concatenate([surface.colors, extra])
+    (first, second), (a, b, c) = (new.reshape(-1, 2) + len(surface.vertices)).T, corners.T
+    tip = count[crossed] == 1
+    parts = [
+        surface.triangles[count == 3],
+        np.column_stack([a, first, second])[tip],
+        np.column_stack([first, b, c])[~tip],
+        np.column_stack([first, c, second])[~tip],
+    ]
+    triangles = np.concatenate(parts).astype(np.int32)
+    return Surface(vertices, triangles, colors).where(np.ones(len(triangles), bool))
 
 
 def oriented(surface: Surface) -> Surface:

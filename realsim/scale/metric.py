@@ -13,6 +13,8 @@ from realsim.types import F32, F64, Bool, MetricScene, Pointmaps, PointView, Sca
 
 FEW_PIXELS = 200
 """A frame with fewer pixels valid in both sensor and prediction says nothing about scale."""
+CLAIM_LIMIT = 0.1
+"""Relative difference between a model's own claim of scale and the sensor's from which the report says so."""
 NAMED = 5
 """At most so many frames are named in a message."""
 
@@ -41,6 +43,7 @@ def to_metric(points: Pointmaps, config: ScaleConfig, up_world: F64 | None = Non
         ratios.append(float("nan") if pixels is None else ratio(*pixels, rng))
     scale = estimate(np.array(ratios), [f.name for f in points.frames], config)
     scale = with_sensor(scale, _sensor_sigma(points, config))
+    scale = with_claim(scale, points.metric_claim)
 
     poses = points.T_world_camera.copy()
     poses[:, :3, 3] *= scale.value
@@ -125,6 +128,15 @@ def with_sensor(scale: ScaleEstimate, sigma: float) -> ScaleEstimate:
     own = 1.645 * sigma * scale.value
     down, up = np.hypot(scale.value - low, own), np.hypot(high - scale.value, own)
     return replace(scale, ci90=(float(scale.value - down), float(scale.value + up)), sensor_sigma=sigma)
+
+
+def with_claim(scale: ScaleEstimate, claim: float | None) -> ScaleEstimate:
+    """Say so where a model's own claim of metres a unit is off; the claim is never used."""
+    if claim is None or abs(claim / scale.value - 1) <= CLAIM_LIMIT:
+        return scale
+    off = 100 * (claim / scale.value - 1)
+    text = f"the model claims {claim:.4g} metres a unit, the depth sensor says {scale.value:.4g} ({off:+.0f} percent)"
+    return replace(scale, warnings=(*scale.warnings, f"{text}: the sensor is believed"))
 
 
 def _sensor_sigma(points: Pointmaps, config: ScaleConfig) -> float:

@@ -255,6 +255,21 @@ def test_a_cloud_with_y_up_and_no_normals(course, source):
     assert any("+y" in a for a in aligned.assumptions)
 
 
+def test_a_sparse_cloud_is_looked_at_more_coarsely(course, source):
+    V, F = mesh_of(course[:4], 3.0)
+    from realsim.align.cloud import _sampled
+
+    points, _ = _sampled(V, F, 0)
+    rng = np.random.default_rng(0)
+    sparse = points[rng.choice(len(points), int(0.06 * len(points)), replace=False)]  # 1200 a square metre
+    sparse = sparse + 0.003 * rng.standard_normal(sparse.shape)
+    aligned = align(Scan(source, "cloud", sparse, up_world=np.array([0.0, 0, 1])), CONFIG)
+    tilt, yaw, origin = errors(aligned, np.eye(4), truth())
+    assert tilt < 0.1
+    assert yaw < 1
+    assert origin < 15
+
+
 def test_a_scan_that_knows_up_is_believed(course, source):
     V, F = mesh_of(course[:4], 3.0)
     T = make_T(exp_so3([2.0, 0.5, -1.0]))
