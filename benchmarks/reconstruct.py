@@ -2,10 +2,11 @@
 
     python benchmarks/reconstruct.py                         the three rendered captures, two real ones, two peers
     python benchmarks/reconstruct.py --captures stake_a --no-real
-    python benchmarks/reconstruct.py --frames 60 240 960     cost against the number of frames
+    python benchmarks/reconstruct.py --frames 60 240 960     cost against the number of frames (half an hour)
 
 Captures come from REALSIM_SHARED (default ../shared); `score.py` there measures every mesh. Each run has a process of
-its own, one after the other, so that times and peak memory are its own. Figures go to benchmarks/results/.
+its own, one after the other, so that times and peak memory are its own. Every figure goes to benchmarks/results/ as
+soon as it is there.
 """
 
 from __future__ import annotations
@@ -13,12 +14,11 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
-import platform
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,8 +31,10 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 SHARED = Path(os.environ.get("REALSIM_SHARED", ROOT.parent / "shared"))
 RESULTS = ROOT / "benchmarks" / "results"
+MODES = {"given": "given", "hidden": "estimate"}
+"""What is done to a capture's poses -> how realsim is told."""
 
-Row = dict[str, Any]
+from benchmarks.store import Row, Store  # noqa: E402  (the path above)
 
 
 @dataclass(frozen=True)
@@ -52,24 +54,23 @@ class Options:
 
 
 def main(options: Options) -> None:
-    """Run what was asked for, print the tables, write the JSON."""
+    """Run what was asked for; every row is stored as soon as it is measured, the tables are printed at the end."""
     with tempfile.TemporaryDirectory() as temporary:
         work = options.keep or Path(temporary)
         if options.frames:
-            rows = [scaling(n, work) for n in options.frames]
-            show(rows, ("frames", "seconds", "peak_mb", "seconds_a_frame", "points", "mesh"))
-            write("reconstruct_scaling", rows)
+            store = Store(RESULTS / "reconstruct_scaling.json", ("frames", "poses"))
+            rows = [store.add(row) for row in scaling(options, work)]
+            show(rows, ("frames", "poses", "seconds", "peak_mb", "seconds_a_frame", "points", "scale", "align", "mesh"))
             return
-        rows = []
-        for name in options.captures:
-            rows += rendered(name, options, work)
+        store = Store(RESULTS / "reconstruct.json", ("capture", "method"))
+        rows = [store.add(row) for name in options.captures for row in rendered(name, options, work)]
         if rows:
             show(rows, _COLUMNS)
             _show_ratios(rows)
-        real = [boxes(work), stairs(work)] if options.real else []
-        for row in real:
+        for run in (boxes, stairs) if options.real else ():
+            row = store.add(run(work))
             print("\n".join(f"  {k:<28} {_text(v)}" for k, v in row.items() if k != "stages"), end="\n\n")
-        write("reconstruct", rows + real)
+        print(f"written: {store.path}")
 
 
 _COLUMNS = (
@@ -78,23 +79,21 @@ _COLUMNS = (
 )  # fmt: skip
 
 
-def rendered(name: str, options: Options, work: Path) -> list[Row]:
+def rendered(name: str, options: Options, work: Path) -> Iterator[Row]:
     """One capture with exact truth: realsim with and without poses, and the peers."""
     from benchmarks import reconstruct_peers as peers
 
     source, gt = SHARED / "captures" / name / "capture", SHARED / "captures" / name / "gt"
-    rows = []
     for mode in options.poses:
         out = work / f"{name}-{mode}"
-        cost = measured(_reconstruct, source, out, "estimate" if mode == "hidden" else "given")
-        rows.append({"capture": name, "method": f"realsim, poses {mode}", **cost, **score(out, gt)})
+        cost = measured(_reconstruct, source, out, MODES[mode])
+        yield {"capture": name, "method": f"realsim, poses {mode}", **cost, **score(out, gt)}
     if options.peers:
         truth = read_truth(gt)
         for method, run in (("open3d steps", peers.open3d_steps), ("tsdf, true poses", peers.tsdf_with_true_poses)):
             out = work / f"{name}-{method.split(',')[0].replace(' ', '-')}"
             cost = measured(run, source, out, truth)
-            rows.append({"capture": name, "method": method, **cost, **score(out, gt)})
-    return rows
+            yield {"capture": name, "method": method, **cost, **score(out, gt)}
 
 
 def read_truth(gt: Path) -> dict[str, Any]:
@@ -127,14 +126,24 @@ def score(out: Path, gt: Path) -> Row:
     }
 
 
-def scaling(frames: int, work: Path) -> Row:
-    """Cost of a synthetic capture of so many frames, poses given, every frame used."""
+def scaling(options: Options, work: Path) -> Iterator[Row]:
+    """Cost of synthetic captures of so many frames, every frame used.
+
+    One walk is rendered with the largest number; where another divides it, that many of its frames are taken.
+    """
     from realsim.synth import SynthConfig, write_capture
 
-    made = write_capture(work / f"synth-{frames}", SynthConfig(frames=frames, poses=True), overwrite=True)
-    cost = measured(_reconstruct, made.capture, work / f"scene-{frames}", "given", 0)
-    stages = {s["name"]: s["seconds"] for s in cost.get("stages", [])}
-    return {"frames": frames, **cost, "seconds_a_frame": cost["seconds"] / frames, **stages}
+    most, made = max(options.frames), {}
+    for frames in sorted(options.frames):
+        rendered = most if most % frames == 0 else frames
+        if rendered not in made:
+            config = SynthConfig(frames=rendered, poses=True)
+            made[rendered] = write_capture(work / f"synth-{rendered}", config, overwrite=True).capture
+        for mode in options.poses:
+            out = work / f"scene-{frames}-{mode}"
+            cost = measured(_reconstruct, made[rendered], out, MODES[mode], 0, rendered // frames)
+            stages = {s["name"]: s["seconds"] for s in cost.get("stages", [])}
+            yield {"frames": frames, "poses": mode, **cost, "seconds_a_frame": cost["seconds"] / frames, **stages}
 
 
 def boxes(work: Path) -> Row:
@@ -148,10 +157,11 @@ def boxes(work: Path) -> Row:
     (source / "camera_intrinsic.json").write_bytes((data / "cam_params_realsense.json").read_bytes())
     cost = measured(_reconstruct, source, work / "boxes", "estimate")
     if "error" in cost:
-        return {"capture": "realsense_boxes_floor", **cost}
+        return {"capture": "realsense_boxes_floor", "method": "realsim", **cost}
     report = json.loads((work / "boxes" / "report.json").read_text())
     return {
         "capture": "realsense_boxes_floor",
+        "method": "realsim",
         **cost,
         "frames_used": len(report["frames"]["used"]),
         **measured_sheet(source, work / "boxes", report),
@@ -199,42 +209,56 @@ def upright_error(mesh_ply: Path) -> float:
     return float(lean[order][np.searchsorted(weight, weight[-1] / 2)]) if steep.any() else float("nan")
 
 
-RISER = 0.19
+TREADS = np.array([0.17, 0.36, 0.55, 0.74, 0.92, 1.11, 1.31, 1.51])
+"""Metres above the floor, as the description of the data counts them in its five clouds."""
+STAIRS = np.array([[-1.15, -2.0, 1.7], [-0.3, 2.0, 2.75]])
+"""Where the stairs are in the first camera's frame (x right, z ahead); beside them stand a plant, desk and chairs."""
 
 
 def stairs(work: Path) -> Row:
-    """Five real views of a staircase: heights of the treads above the floor, and how regular the risers are."""
+    """Five real views of an open staircase: which treads the mesh has, and how regular they are."""
     source = SHARED / "real_captures" / "pcl_kinect_stairs" / "tutorials" / "pairwise"
     cost = measured(_reconstruct, source, work / "stairs", "estimate")
     if "error" in cost:
-        return {"capture": "pcl_kinect_stairs", **cost}
+        return {"capture": "pcl_kinect_stairs", "method": "realsim", **cost}
     report = json.loads((work / "stairs" / "report.json").read_text())
-    heights = tread_heights(work / "stairs" / "mesh.ply", report["ground_z"])
-    steps = np.round(heights / RISER)
-    slope = float(steps @ heights / max(steps @ steps, 1e-9)) if len(heights) else float("nan")
-    residual = float(np.sqrt(np.mean((heights - slope * steps) ** 2))) if len(heights) else float("nan")
+    found = tread_heights(work / "stairs" / "mesh.ply", np.array(report["T_sim_world"]), report["ground_z"])
+    off = found - TREADS[np.abs(found[:, None] - TREADS).argmin(1)] if len(found) else found
+    near = np.abs(off) < 0.03
+    step, floor = np.polyfit(np.round(found[near] / 0.19), found[near], 1) if near.sum() > 2 else (np.nan, np.nan)
+    residual = found[near] - floor - step * np.round(found[near] / 0.19)
     return {
         "capture": "pcl_kinect_stairs",
+        "method": "realsim",
         **cost,
         "frames_used": len(report["frames"]["used"]),
-        "tread_heights_m": heights.round(3).tolist(),
-        "riser_m": slope,
-        "riser_error": abs(slope / RISER - 1),
-        "regularity_rms_mm": 1e3 * residual,
+        "level_heights_m": found.round(3).tolist(),
+        "treads_found": len({int(np.abs(TREADS - z).argmin()) for z in found[near]}),
+        "treads_in_the_clouds": len(TREADS),
+        "heights_that_are_no_tread": int((~near).sum()),
+        "tread_rms_mm": 1e3 * float(np.sqrt(np.mean(off[near] ** 2))) if near.any() else None,
+        "riser_m": float(step),
+        "regularity_rms_mm": 1e3 * float(np.sqrt(np.mean(residual**2))) if len(residual) else None,
     }
 
 
-def tread_heights(mesh_ply: Path, ground_z: float) -> np.ndarray:
-    """Heights above the ground at which level surface gathers: peaks of its area over height."""
+def tread_heights(mesh_ply: Path, T_sim_world: np.ndarray, ground_z: float) -> np.ndarray:
+    """Heights above the ground at which level surface of the stairs gathers: peaks of its area over height.
+
+    The camera stood 0.83 m high: of the lower treads it saw the tops, of the upper ones the undersides. Both count.
+    The world is the first camera's, because the capture gives no poses.
+    """
     from scipy.ndimage import gaussian_filter1d
     from scipy.signal import find_peaks
 
+    from realsim.geometry import invert_T, transform
+
     normals, area, centres = _faces(mesh_ply)
-    level = normals[:, 2] > 0.95
-    z = centres[level, 2] - ground_z
+    seen = transform(invert_T(T_sim_world), centres)
+    level = (np.abs(normals[:, 2]) > 0.8) & ((seen > STAIRS[0]) & (seen < STAIRS[1])).all(1)
     edges = np.arange(0.08, 1.8, 0.005)
-    profile = gaussian_filter1d(np.histogram(z, edges, weights=area[level])[0], 3)
-    peaks, _ = find_peaks(profile, height=0.01, distance=18, prominence=0.005)
+    profile = gaussian_filter1d(np.histogram(centres[level, 2] - ground_z, edges, weights=area[level])[0], 3)
+    peaks, _ = find_peaks(profile, prominence=0.001, distance=18)
     return (edges[peaks] + edges[peaks + 1]) / 2
 
 
@@ -267,16 +291,17 @@ def _timed(function: Callable[..., Row], args: tuple[Any, ...]) -> Row:
     return {"seconds": seconds, "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3, **row}
 
 
-def _reconstruct(source: Path, out: Path, poses: str, max_frames: int | None = None) -> Row:
+def _reconstruct(source: Path, out: Path, poses: str, max_frames: int | None = None, every: int = 1) -> Row:
     from dataclasses import replace
 
     from realsim.pipeline import ReconstructConfig, reconstruct
 
     config = ReconstructConfig(overwrite=True, no_cache=True)
     config = replace(config, points=replace(config.points, poses=poses))
+    reading = replace(config.capture, every=every)
     if max_frames is not None:
-        config = replace(config, capture=replace(config.capture, max_frames=max_frames))
-    result = reconstruct(source, out, config)
+        reading = replace(reading, max_frames=max_frames)
+    result = reconstruct(source, out, replace(config, capture=reading))
     return {"stages": [{"name": s.name, "seconds": s.seconds, "peak_mb": s.peak_mb} for s in result.stages]}
 
 
@@ -310,24 +335,6 @@ def _text(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return " ".join(_text(v) for v in value)
     return "-" if value is None else str(value)
-
-
-def write(name: str, rows: list[Row]) -> None:
-    """The figures and what they were measured on."""
-    from realsim.files import to_json, write_text
-    from realsim.report.summary import versions
-
-    machine = {"cpu": _cpu(), "cores": os.cpu_count(), "system": platform.system()}
-    write_text(RESULTS / f"{name}.json", to_json({"machine": machine, "versions": versions(), "rows": rows}))
-    print(f"written: {RESULTS / f'{name}.json'}")
-
-
-def _cpu() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
 
 
 if __name__ == "__main__":

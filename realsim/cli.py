@@ -11,6 +11,8 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from importlib import import_module
+from importlib.metadata import entry_points
 from typing import Any
 
 from realsim import __version__
@@ -29,6 +31,7 @@ COMMANDS = Registry(
         "view": "realsim.commands.view:view",
         "contact": "realsim.commands.contact:contact",
         "export": "realsim.commands.export:export",
+        "model": "realsim.commands.model:model",
         "diagnose": "realsim.commands.diagnose:diagnose",
         "synth": "realsim.commands.synth:synth",
         "demo": "realsim.commands.demo:demo",
@@ -41,10 +44,24 @@ SUMMARIES = {
     "view": "look at a scene in the browser, live",
     "contact": "collision geometry for any mesh, chosen by measured error and cost",
     "export": "a scene in other formats: USD, URDF, SDF, GLB, height map, ...",
+    "model": "how a feed-forward model in an ONNX file fits the contract",
     "diagnose": "a robot's logs and its model -> where the sim-to-real gap lies, what causes it, how much",
     "synth": "render a synthetic capture with its truth",
     "demo": "render, reconstruct and measure, end to end",
 }
+
+
+def commands() -> tuple[Registry, dict[str, str]]:
+    """All commands and their summaries: those above, and those that packages add (entry points `realsim.commands`).
+
+    A package that adds commands says what they do in `SUMMARIES` of the package that their modules stand in, or of a
+    module that stands alone.
+    """
+    added = {point.name: point.value for point in entry_points(group="realsim.commands")}
+    modules = {name: value.partition(":")[0] for name, value in added.items()}
+    places = {name: import_module(module.rpartition(".")[0] or module) for name, module in modules.items()}
+    more = {name: getattr(place, "SUMMARIES", {}).get(name, "") for name, place in places.items()}
+    return COMMANDS.joined(added), SUMMARIES | {name: text for name, text in more.items() if name not in SUMMARIES}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -89,8 +106,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def usage() -> str:
     """The list of commands."""
-    width = max(map(len, SUMMARIES))
-    lines = [f"  {name:<{width}}  {text}" for name, text in SUMMARIES.items()]
+    summaries = commands()[1]
+    width = max(map(len, summaries))
+    lines = [f"  {name:<{width}}  {text}" for name, text in summaries.items()]
     head = "usage: realsim COMMAND [options]   (realsim COMMAND --help for its options)"
     foot = "everywhere: --json for machines, --quiet without progress, --version"
     return "\n".join([head, "", *lines, "", foot])
@@ -99,7 +117,7 @@ def usage() -> str:
 def _run(name: str, arguments: list[str]) -> Any:
     import tyro
 
-    command = COMMANDS[name]
+    command = commands()[0][name]
     set_arguments(arguments)
     return tyro.cli(
         command,

@@ -61,6 +61,10 @@ class PoseError(RealsimError):
     """Camera poses are unusable, or could not be estimated."""
 
 
+class ModelError(RealsimError):
+    """A model file does not fit the contract, cannot be run, or gives nothing that can be used."""
+
+
 class ScaleError(RealsimError):
     """The metric scale cannot be told, or frames disagree beyond the limit."""
 

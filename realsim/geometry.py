@@ -86,12 +86,17 @@ def quat_to_R(q: ArrayLike) -> Array:
 
 
 def R_to_quat(R: ArrayLike) -> Array:
-    """Unit quaternion w x y z with w >= 0 of a rotation matrix."""
-    from scipy.spatial.transform import Rotation
-
-    x, y, z, w = Rotation.from_matrix(np.asarray(R, float)).as_quat()
-    q = np.array([w, x, y, z])
-    return -q if w < 0 else q
+    """Unit quaternion w x y z with w >= 0 of a rotation matrix (Shepperd 1978: divide by the largest component)."""
+    M = np.asarray(R, float)
+    trace = float(np.trace(M))
+    # 4 q q^T: its diagonal is 4 w^2, 4 x^2, 4 y^2, 4 z^2, and every row is q times its own component.
+    outer = np.zeros((4, 4))
+    outer[0, 1:] = outer[1:, 0] = M[2, 1] - M[1, 2], M[0, 2] - M[2, 0], M[1, 0] - M[0, 1]
+    outer[1:, 1:] = M + M.T + (1 - trace) * np.eye(3)
+    outer[0, 0] = 1 + trace
+    q = outer[np.argmax(np.diag(outer))]
+    q /= np.linalg.norm(q)
+    return -q if q[0] < 0 else q
 
 
 def rotation_between(a: ArrayLike, b: ArrayLike) -> Array:

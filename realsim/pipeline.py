@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar
 
 import tyro
 
-from realsim import align, capture, export, feedforward, meshing, report, scale
+from realsim import align, capture, export, feedforward, meshing, modes, report, scale
 from realsim.align.config import AlignConfig
 from realsim.cache import StageCache, code_digest, default_folder, source_digest
 from realsim.capture.config import CaptureConfig
@@ -29,6 +29,7 @@ from realsim.types import (
     AlignedScene,
     FrameSet,
     MetricScene,
+    Mode,
     Pointmaps,
     Reconstruction,
     Scan,
@@ -52,6 +53,8 @@ class ReconstructConfig:
     scene: SceneConfig = field(default_factory=SceneConfig)
     seed: int = 0
     """Seed of everything random in every stage."""
+    compare: bool = False
+    """Also build the mesh from the other sources of points (onnx, onnx+depth, rgbd) and report how they differ."""
     overwrite: bool = False
     """Replace an output folder that exists (only once the new scene is complete)."""
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
@@ -86,14 +89,17 @@ def reconstruct(source: Path, out: Path, config: ReconstructConfig | None = None
             behind at `out`.
     """
     config = (config or ReconstructConfig()).seeded()
+    if config.compare:
+        modes.others(config.points.backend, config.points.onnx.model is not None)  # refused now, not after the work
     run = _Run(config)
     with output_folder(out, overwrite=config.overwrite) as folder:
         data = run.stage("capture", lambda: capture.read(source, config.capture))
         points, aligned = run.scan(data) if isinstance(data, Scan) else run.frames(data)
         mesh = run.mesh(aligned)
+        rivals = run.stage("compare", lambda: run.modes(data, points, aligned, mesh)) if config.compare else ()
         scene = run.stage("export", lambda: export.write_scene(folder, aligned, mesh, config.scene))
         result = Reconstruction(
-            data, points, aligned, mesh, scene, tuple(run.stages), config.seed, config_as_dict(config)
+            data, points, aligned, mesh, scene, tuple(run.stages), config.seed, config_as_dict(config), rivals
         )
         run.stage("report", lambda: report.write_report(folder, result))
     return replace(result, scene=_moved(scene, out.absolute()), stages=tuple(run.stages))
@@ -106,6 +112,8 @@ class _Run:
         self.config = config
         self.stages: list[StageTime] = []
         self.store = StageCache(None if config.no_cache else config.cache or default_folder())
+        onnx = replace(config.points.onnx, kept_in=self.store.folder)
+        self.config = replace(config, points=replace(config.points, onnx=onnx))
         self.key = ""
 
     def stage(self, name: str, work: Callable[[], T]) -> T:
@@ -122,7 +130,8 @@ class _Run:
 
     def points(self, frames: FrameSet) -> Pointmaps:
         config = self.config.points
-        self.key = digest(code_digest("capture", "feedforward"), source_digest(frames), self.config.capture, config)
+        code, model = code_digest("capture", "feedforward"), feedforward.inputs(config)
+        self.key = digest(code, source_digest(frames), self.config.capture, config, *model)
         solution = self._kept("points", lambda: feedforward.solve(frames, config))
         return feedforward.pointmaps(frames, solution, config)
 
@@ -141,6 +150,25 @@ class _Run:
     def mesh(self, aligned: AlignedScene) -> TerrainMesh:
         self.key = digest(self.key, code_digest("meshing"), self.config.mesh)
         return self._kept("mesh", lambda: meshing.build(aligned, self.config.mesh))
+
+    def modes(
+        self, data: FrameSet | Scan, points: Pointmaps | None, aligned: AlignedScene, mesh: TerrainMesh
+    ) -> tuple[Mode, ...]:
+        """What was found, and the same from the other sources of points; one that cannot is a row with its reason."""
+        if isinstance(data, Scan) or points is None:
+            raise RealsimError("a scan has one source of points only", file=data.source, hint="leave out --compare")
+        rows = [modes.figures(points, aligned, mesh, sum(s.seconds for s in self.stages))]
+        for backend in modes.others(points.backend, self.config.points.onnx.model is not None):
+            rival = _Run(replace(self.config, points=replace(self.config.points, backend=backend)))
+            try:
+                found, scene = rival.frames(data)
+                surface = rival.mesh(scene)
+            except RealsimError as error:
+                rows.append(Mode(backend, error.render()))
+                continue
+            seconds = sum(s.seconds for s in rival.stages)
+            rows.append(modes.figures(found, scene, surface, seconds, delivered=mesh))
+        return tuple(rows)
 
     def _kept(self, name: str, work: Callable[[], T]) -> T:
         return self._timed(name, lambda: self.store.get_or_make(f"{name}-{self.key}", work))

@@ -31,6 +31,10 @@ class Registry(Mapping[str, Any]):
         module, _, attribute = self._entries[name].partition(":")
         return getattr(import_module(module), attribute)
 
+    def joined(self, more: Mapping[str, str]) -> Registry:
+        """This registry with further entries; its own win."""
+        return Registry(self.kind, {**more, **self._entries})
+
     def __contains__(self, name: object) -> bool:
         return name in self._entries
 

@@ -430,6 +430,30 @@ class StageTime:
 
 
 @dataclass(frozen=True)
+class Mode:
+    """The same capture up to the mesh by one source of points, for comparison. Lengths in metres."""
+
+    backend: str
+    error: str | None = None
+    """Why it cannot, or None; then the figures below are there."""
+    scale: float = float("nan")
+    """Metres a unit of its points (each source has units of its own)."""
+    scale_ci90: tuple[float, float] = (float("nan"), float("nan"))
+    """Relative to `scale`."""
+    used: int = 0
+    dropped: int = 0
+    pose_sigma_m: float | None = None
+    depth_to_mesh_m: float | None = None
+    """Median over views of the median distance of the measured depth from the mesh."""
+    seen_m2: float = float("nan")
+    """Area of the surface that was measured or completed, without what closes it."""
+    start_to_goal_m: float | None = None
+    apart_m: float | None = None
+    """Median distance of its surface from the delivered one, both in their simulation frames; None for that one."""
+    seconds: float = float("nan")
+
+
+@dataclass(frozen=True)
 class Reconstruction:
     """Everything one run found; what the report is made from."""
 
@@ -443,6 +467,8 @@ class Reconstruction:
     seed: int
     config: Mapping[str, Any] = field(default_factory=dict)
     """The configuration that was used, JSON-able."""
+    modes: tuple[Mode, ...] = ()
+    """The delivered source of points and the others, where a comparison was asked for; the delivered one first."""
 
     @property
     def warnings(self) -> tuple[str, ...]:

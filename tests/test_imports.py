@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -40,7 +41,18 @@ def test_realsim_never_imports_trainer() -> None:
         assert not any(n.split(".")[0] == "trainer" for n in imported(path)), path
 
 
-@pytest.mark.parametrize("package", ["torch", "pycolmap", "viser", "ray", "pyrealsense2"])
+@pytest.mark.parametrize("package", ["realsim", "trainer"])
+def test_no_function_of_a_package_has_the_name_of_a_module_in_it(package: str) -> None:
+    """Importing the module would put it in the function's place. (A name imported from that very module is safe.)"""
+    for init in sorted((ROOT / package).rglob("__init__.py")):
+        defined = {n.name for n in ast.parse(init.read_text()).body if isinstance(n, ast.FunctionDef | ast.ClassDef)}
+        inside = {p.stem for p in init.parent.glob("*.py")} | {p.parent.name for p in init.parent.glob("*/__init__.py")}
+        assert not defined & inside, init
+
+
+@pytest.mark.parametrize(
+    "package", ["torch", "onnx", "onnxruntime", "pycolmap", "viser", "ray", "pyrealsense2", "warp", "mujoco_warp"]
+)
 def test_core_works_without_heavy_packages(package: str) -> None:
     """Nothing imports an optional package at module level."""
     for path in sorted((ROOT / "realsim").rglob("*.py")):
@@ -48,3 +60,16 @@ def test_core_works_without_heavy_packages(package: str) -> None:
             if isinstance(node, ast.Import | ast.ImportFrom):
                 names = [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
                 assert not any(n.split(".")[0] == package for n in names), f"{path} imports {package} at once"
+
+
+def test_every_extra_that_a_message_names_exists() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    named = [
+        node.args[1]
+        for package in ("realsim", "trainer")
+        for path in (ROOT / package).rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "MissingExtraError"
+    ]
+    assert {arg.value for arg in named if isinstance(arg, ast.Constant)} <= set(extras)
+    assert len(named) > 5

@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
-# Shared libraries that the Python wheels load but do not carry (OpenGL, USB) and a software renderer for MuJoCo.
+# Shared libraries that the Python wheels load but do not carry (OpenGL, USB) and a software renderer for MuJoCo; git is asked by rsl_rl.
 # Installs what is missing where it may (Debian or Ubuntu, as root); elsewhere it says what to install.
 set -euo pipefail
 
-packages=(libgl1 libegl1 libopengl0 libusb-1.0-0 libosmesa6 libgomp1)
+packages=(libgl1 libegl1 libopengl0 libusb-1.0-0 libosmesa6 libgomp1 git)
 
 command -v dpkg-query >/dev/null || {
   echo "not a Debian system: the equivalents of ${packages[*]} must be there" >&2

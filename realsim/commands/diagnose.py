@@ -21,15 +21,17 @@ def diagnose(
     explain: str | None = None,
     jobs: int = 1,
     ray: str | None = None,
+    overwrite: bool = False,
 ) -> CommandResult:
     """Say where a robot's logs differ from its simulator, which unmodelled effect causes it, and how much it matters.
 
     Args:
-        cases: a folder with log.json, model.xml and runs/*.npz; or several, each with a folder of its name below --out.
+        cases: a folder with log.json, model.xml and runs/ (.npz or .csv); or several, each gets a folder below --out.
         out: where diagnosis.json, report.html and the patched model go.
         explain: instead of a case: say what an effect looks like and what excites it (`all` lists them).
         jobs: with several cases: how many at a time on this machine.
         ray: with several cases: the address of a Ray cluster that shares this file system.
+        overwrite: replace an output folder that is there already.
     """
     if explain is not None:
         text = gap.explain(explain)
@@ -37,6 +39,6 @@ def diagnose(
     if not cases:
         raise RealsimError("no case given", expected="realsim diagnose CASE --out DIR, or --explain EFFECT")
     if len(cases) == 1 and ray is None:
-        result = gap.run_case(cases[0], out, config)
+        result = gap.run_case(cases[0], out, config, overwrite=overwrite)
         return CommandResult(f"{result['sentence']}\nreport  {out / 'report.html'}", result)
     return run_each("diagnose", cases, out, shows="sentence", jobs=jobs, ray=ray)

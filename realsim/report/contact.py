@@ -39,6 +39,12 @@ def _rows(result: Reconstruction) -> list[tuple[str, str]]:
         ("missing surface", f"{c['missing_area_cm2']:.0f} cm²"),
         ("leaks", f"{c['leaks']}"),
     ]
+    if "phantom_over_gaps_cm2" in c:
+        rows.insert(5, ("phantom surface over gaps wider than a foot", f"{c['phantom_over_gaps_cm2']:.0f} cm²"))
+    follow, kept = (c.get(f"unseen_undersides_{k}_cm2", 0.0) for k in ("at_side_faces", "as_filled"))
+    if follow or kept:
+        rows.append(("undersides that no camera saw", f"{follow + kept:.0f} cm²"))
+        rows.append(("of these, placed where the side faces end", f"{follow:.0f} cm²"))
     if "step_cost_vs_plane" in c:
         rows.append(("a step costs", f"{c['step_cost_vs_plane']:.2f} times a plane's, G1 standing"))
     return rows
@@ -49,13 +55,20 @@ def error_grid(contact_map: F64) -> F64:
 
     The first row is the largest y, so that the picture is seen from above with x to the right.
     """
+    from scipy import ndimage
+
     xy, error = contact_map[:, :2], contact_map[:, 2]
     low, size = xy.min(0), np.maximum(np.ptp(xy, axis=0), 1e-6)
-    # A little wider than the probes are apart: no empty rows.
+    # A little wider than the probes are apart: few cells without one.
     cell = 1.15 * float(np.sqrt(size.prod() / len(xy)))
-    column, row = ((xy - low) / cell).astype(int).T
-    grid = np.full((row.max() + 1, column.max() + 1), np.nan)
+    shape = np.maximum((size / cell).astype(int), 1)
+    column, row = np.minimum((xy - low) / size * shape, shape - 1).astype(int).T
+    grid = np.full((shape[1], shape[0]), np.nan)
     order = np.argsort(np.abs(np.nan_to_num(error)), kind="stable")
     order = order[np.isfinite(error[order])]
     grid[row[order], column[order]] = error[order]
-    return grid[::-1]
+    empty = np.ones(grid.shape, bool)
+    empty[row, column] = False
+    # Probes stand at random, so that some cells have none: they show what their neighbour has.
+    near = ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True)
+    return grid[near[0], near[1]][::-1]

@@ -9,6 +9,7 @@ import numpy as np
 from realsim.report import page, raster, svg, viewer3d
 from realsim.report.contact import contact_card
 from realsim.report.layers import scene_layers
+from realsim.report.modes import modes_card
 from realsim.report.summary import quality_dict, versions
 from realsim.report.topdown import map_from_above
 from realsim.report.verdict import Judgement, dropped_frames, millimetres, percent, scale_of
@@ -37,7 +38,7 @@ def reconstruction_page(folder: Path, result: Reconstruction, judgement: Judgeme
             [_checks_card(judgement), *contact_card(result)],
             [_notes_card(result), *_scale_card(result), _platform_card(result)],
         ),
-        page.grid(*_residual_card(result), *_thumbnail_card(result)),
+        page.grid(*modes_card(result), *_residual_card(result), *_thumbnail_card(result)),
         page.columns(
             [_dropped_card(result), _time_card(result), _use_card()],
             [_mesh_card(result), _versions_card(result)],

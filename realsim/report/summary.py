@@ -53,6 +53,7 @@ def summary(result: Reconstruction, judgement: Judgement) -> dict[str, Any]:
         ],
         "assumptions": [*result.source.assumptions, *aligned.assumptions],
         "warnings": list(result.warnings),
+        "modes": [vars(m) for m in result.modes],
         "statistics": {"align": dict(aligned.statistics), "mesh": dict(mesh.statistics)},
         "config": dict(result.config),
         "seed": result.seed,

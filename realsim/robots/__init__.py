@@ -10,7 +10,7 @@ from realsim.robots.base import Robot
 
 __all__ = ["ROBOTS", "Robot", "load"]
 
-ROBOTS = Registry("robot", {"g1": "realsim.robots.g1:g1"})
+ROBOTS = Registry("robot", {"g1": "realsim.robots.g1:g1", "quadruped": "realsim.robots.quadruped:quadruped"})
 
 
 def load(name: str) -> Robot:

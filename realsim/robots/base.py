@@ -34,16 +34,19 @@ class Robot:
         return replace(self, spec=spec)
 
 
-def holding_ctrl(model: Any, qpos: NDArray[np.float64], feet: tuple[str, ...]) -> NDArray[np.float64]:
+def holding_ctrl(
+    model: Any, qpos: NDArray[np.float64], feet: tuple[str, ...], below_com: bool = True
+) -> NDArray[np.float64]:
     """(nu,) target angles at which position servos hold `qpos` (nq,) against gravity, the feet sharing the weight.
 
     The servos are soft: without this the legs sag, the centre of mass moves ahead of the feet and the robot falls
-    within a second. Static balance of a floating base: joint torque = gravity torque - sum of J_foot^T f_foot, with
-    the weight acting on the soles below the centre of mass.
+    within a second. Static balance of a floating base: joint torque = gravity torque - sum of J_foot^T f_foot.
 
     Args:
         model: a compiled model whose first joint is free and whose actuators are one servo a joint, in joint order.
         feet: names of sites on the soles.
+        below_com: the weight acts on the soles below the centre of mass (a biped's flat feet); otherwise at the sites
+            themselves (point feet placed evenly around the centre of mass).
     """
     import mujoco
 
@@ -54,7 +57,7 @@ def holding_ctrl(model: Any, qpos: NDArray[np.float64], feet: tuple[str, ...]) -
     weight = -model.opt.gravity * model.body_mass.sum()
     for foot in feet:
         site = data.site(foot)
-        point = np.array([data.subtree_com[0, 0], site.xpos[1], site.xpos[2]])
+        point = np.array([data.subtree_com[0, 0] if below_com else site.xpos[0], site.xpos[1], site.xpos[2]])
         jacobian = np.zeros((3, model.nv))
         mujoco.mj_jac(model, data, jacobian, None, point, model.site(foot).bodyid[0])
         torque -= jacobian.T @ (weight / len(feet))

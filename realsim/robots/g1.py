@@ -72,7 +72,7 @@ def g1(keyframe: str = "HOME_KEYFRAME") -> Robot:
     pelvis = bodies["pelvis"]
     pelvis.pos = pose["base_pos"]
     pelvis.add_freejoint(name="floating_base")
-    motors = _motors(figures)
+    motors = motors_by_joint(figures)
     for row in figures["joints"]:
         bodies[row["body"]].add_joint(
             name=row["name"],
@@ -109,7 +109,7 @@ def _add_body(parent: Any, row: dict[str, Any]) -> Any:
     )
 
 
-def _motors(figures: dict[str, Any]) -> dict[str, dict[str, Any]]:
+def motors_by_joint(figures: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """{joint: its actuator group}; every joint is in exactly one."""
     found = {}
     for joint in (j["name"] for j in figures["joints"]):

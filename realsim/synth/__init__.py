@@ -12,6 +12,8 @@ TERRAINS = Registry(
         "beams": "realsim.synth.courses:beams",
         "wedges": "realsim.synth.courses:wedges",
         "boxes": "realsim.synth.courses:boxes",
+        "trapezoids": "realsim.synth.courses:trapezoids",
+        "boston": "realsim.synth.courses:boston",
         "mixed": "realsim.synth.courses:mixed",
     },
 )

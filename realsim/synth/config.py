@@ -8,7 +8,7 @@ from dataclasses import dataclass
 @dataclass(frozen=True)
 class SynthConfig:
     terrain: str = "stakes"
-    """Terrain between the platforms: stakes, beams, wedges, boxes or mixed."""
+    """Terrain between the platforms: stakes, beams, wedges, boxes, trapezoids, boston or mixed."""
     frames: int = 60
     """Number of views along the walk."""
     poses: bool = False

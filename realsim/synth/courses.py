@@ -81,6 +81,31 @@ def boxes(rng: np.random.Generator) -> Course:
     return solids, x
 
 
+def trapezoids(rng: np.random.Generator) -> Course:
+    """Frusta whose tops are half as long as their feet, so that fore and aft sides are slopes of 55 to 70 degrees."""
+    solids, x = [], 0.10
+    for i in range(4):
+        depth, height = rng.uniform(0.45, 0.60), rng.uniform(0.22, 0.33)
+        top = (rng.uniform(0.45, 0.60), rng.uniform(0.85, 1.0))
+        solid = prism(f"trapezoid_{i}", (depth, rng.uniform(0.6, 0.75), height), _material(rng), top=top)
+        solids.append(solid.moved(rz(rng.uniform(-0.08, 0.08)), (x + depth / 2, rng.uniform(-0.05, 0.05), 0)))
+        x += depth + rng.uniform(0.05, 0.14)
+    return solids, x
+
+
+def boston(rng: np.random.Generator) -> Course:
+    """Wedges in an arc to one side of the straight line, each turned along the arc and sloping to its outside."""
+    solids, radius, side = [], 0.85, rng.choice([-1.0, 1.0])
+    angles = np.linspace(0.12 * np.pi, 0.88 * np.pi, 5)
+    for i, angle in enumerate(angles):
+        at = (0.12 + radius * (1 - np.cos(angle)), side * radius * np.sin(angle) * 0.6, 0)
+        slope = -side * 0.45 * np.tan(np.radians(rng.uniform(10, 18)))
+        solid = prism(f"wedge_{i}", (0.36, 0.45, rng.uniform(0.20, 0.28)), _material(rng), slope=slope)
+        heading = side * np.arctan2(0.6 * np.cos(angle), np.sin(angle)) + rng.uniform(-0.06, 0.06)
+        solids.append(solid.moved(rz(heading), at))
+    return solids, 0.24 + 2 * radius
+
+
 def mixed(rng: np.random.Generator) -> Course:
     """Two stakes, a raised beam, a wedge, a trapezoid and a box."""
     at = [0.26, 0.97, 1.78, 2.40, 3.00]
