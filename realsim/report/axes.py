@@ -65,6 +65,7 @@ class Axes:
         width, height: size of the picture in SVG units; it is scaled to the width of its card.
         equal: same scale on both axes; `height` then follows from `width`.
         x_ticks, y_ticks: [(value, text)] to write instead of round numbers.
+        left: room for the numbers and the label of y; by default as much as they take.
     """
 
     def __init__(
@@ -79,20 +80,22 @@ class Axes:
         y_label: str = "",
         x_ticks: Sequence[tuple[float, str]] | None = None,
         y_ticks: Sequence[tuple[float, str]] | None = None,
-        left: float = 46,
+        left: float | None = None,
         right: float = 10,
         top: float = 10,
         bottom: float = 36,
         grid: bool = True,
     ) -> None:
         self.x, self.y = x, y
+        self._x_ticks = x_ticks if x_ticks is not None else labelled(ticks(*x))
+        self._y_ticks = y_ticks if y_ticks is not None else labelled(ticks(*y, count=4))
+        if left is None:
+            left = max(46, 26 + 6.4 * max((len(text) for _, text in self._y_ticks), default=0))
         if equal:
             height = (width - left - right) * (y[1] - y[0]) / (x[1] - x[0]) + top + bottom
         self.width, self.height = width, height
         self.box = (left, top, width - right, height - bottom)
         self.labels = (x_label, y_label)
-        self._x_ticks = x_ticks if x_ticks is not None else labelled(ticks(*x))
-        self._y_ticks = y_ticks if y_ticks is not None else labelled(ticks(*y, count=4))
         self._grid = grid
         self._marks: list[str] = []
         self._outside: list[str] = []
@@ -197,9 +200,10 @@ class Axes:
         dx: float = 0, dy: float = 0, halo: bool = False, outside: bool = False,
     ) -> Axes:  # fmt: skip
         """Text at a data point, shifted by (dx, dy) picture units; `halo` keeps it readable over a picture."""
+        css = ' class="halo"' if halo else ""
         (self._outside if outside else self._marks).append(
             f'<text x="{self.px(x) + dx:.1f}" y="{self.py(y) + dy:.1f}" text-anchor="{anchor}"'
-            f' style="fill:{fill}"{" class=halo" if halo else ""}>{escape(text)}</text>'
+            f' style="fill:{fill}"{css}>{escape(text)}</text>'
         )
         return self
 

@@ -29,7 +29,7 @@ def contact_card(result: Reconstruction) -> list[str]:
 
 def _rows(result: Reconstruction) -> list[tuple[str, str]]:
     c = result.scene.contact
-    geoms = ", ".join(f"{n} {kind}" for kind, n in dict(c.get("geoms", {})).items())
+    geoms = ", ".join(_counted(n, kind) for kind, n in dict(c.get("geoms", {})).items())
     rows = [
         ("representation", f"{c['representation']} ({geoms})"),
         ("error, median", f"{c['median_mm']:.2f} mm"),
@@ -48,6 +48,10 @@ def _rows(result: Reconstruction) -> list[tuple[str, str]]:
     if "step_cost_vs_plane" in c:
         rows.append(("a step costs", f"{c['step_cost_vs_plane']:.2f} times a plane's, G1 standing"))
     return rows
+
+
+def _counted(n: int, kind: str) -> str:
+    return f"{n} {kind}" + ("" if n == 1 else "es" if kind.endswith(("x", "sh")) else "s")
 
 
 def error_grid(contact_map: F64) -> F64:

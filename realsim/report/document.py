@@ -173,7 +173,8 @@ def _mesh_card(result: Reconstruction) -> str:
     contact = [
         [k.replace("_", " "), _plain(v)] for k, v in result.scene.contact.items() if not isinstance(v, (dict, list))
     ]
-    return page.card("Mesh and contact", page.table(["mesh", ""], rows) + page.table(["contact", ""], contact))
+    every = page.fold("All figures of the contact", page.table(["contact", ""], contact))
+    return page.card("Mesh and contact", page.table(["mesh", ""], rows) + every)
 
 
 def _plain(value: object) -> str:
@@ -183,7 +184,7 @@ def _plain(value: object) -> str:
 
 
 def _time_card(result: Reconstruction) -> str:
-    parts = [(s.name + (" (kept)" if s.reused else ""), s.seconds) for s in result.stages]
+    parts = [(s.name + (" (kept)" if s.reused else ""), round(s.seconds, 2)) for s in result.stages]
     total, peak = sum(s.seconds for s in result.stages), max((s.peak_mb for s in result.stages), default=0.0)
     return page.card("Time and memory", svg.stacked(parts, unit="s"), f"{total:.1f} s, at most {peak:.0f} MB.")
 

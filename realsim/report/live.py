@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from realsim.errors import MissingExtraError, RealsimError
-from realsim.files import read_json
+from realsim.files import check_size, read_json
 from realsim.geometry import R_to_quat
 from realsim.report.collision import collision_triangles
 
@@ -32,6 +32,7 @@ def view(folder: Path, port: int = 8080, *, wait: bool = True) -> Any:
     for name in ("scene.xml", "mesh.ply", "report.json"):
         if not (folder / name).is_file():
             raise RealsimError("no scene here", file=folder / name, hint="give a folder made by `realsim reconstruct`")
+        check_size(folder / name)
     try:
         import viser
     except ImportError as error:

@@ -94,7 +94,7 @@ def code(text: str) -> str:
 def thumbnails(items: Sequence[tuple[str, str, str]]) -> str:
     """Small pictures: (data URI, caption, more on hover)."""
     cells = "".join(
-        f'<figure title="{esc(more)}"><img loading="lazy" src="{uri}" alt="{esc(caption)}">'
+        f'<figure title="{esc(more)}"><img src="{uri}" alt="{esc(caption)}">'
         f"<figcaption>{esc(caption)}</figcaption></figure>"
         for uri, caption, more in items
     )

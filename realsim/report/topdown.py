@@ -10,11 +10,13 @@ from realsim.report import raster, svg
 from realsim.report.page import esc
 from realsim.types import F64, U8, AlignedScene, TerrainMesh
 
+Extent = tuple[float, float, float, float]
+"""x low, x high, y low, y high in metres."""
 _CELLS = 900
 """Cells along the longer side of the height map at most."""
 
 
-def height_map(mesh: TerrainMesh, extent: tuple[float, float, float, float]) -> F64:
+def height_map(mesh: TerrainMesh, extent: Extent) -> F64:
     """(H, W) height of the highest seen surface on a grid over the extent, NaN where there is none; row 0 at y high."""
     import open3d
 
@@ -34,7 +36,7 @@ def height_map(mesh: TerrainMesh, extent: tuple[float, float, float, float]) -> 
 
 
 def map_from_above(aligned: AlignedScene, mesh: TerrainMesh) -> str:
-    """The map as SVG with its legend."""
+    """The map as SVG, once for a wide page and once for a phone (style.css shows one), with its legend."""
     seen = mesh.vertices[np.unique(mesh.seen)]
     eyes = camera_positions(aligned)
     inside = np.vstack([seen[:, :2], eyes[:, :2]]) if len(eyes) else seen[:, :2]
@@ -42,21 +44,46 @@ def map_from_above(aligned: AlignedScene, mesh: TerrainMesh) -> str:
     extent = (float(x0), float(x1), float(y0), float(y1))
     heights = height_map(mesh, extent)
     low, high = (float(v) for v in np.nanpercentile(heights, [0.5, 99.8]))
-    axes = svg.Axes(extent[:2], extent[2:], width=980, equal=True, x_label="x (m)", y_label="y (m)", grid=False)
     picture = shaded(raster.colorize(heights, low, high), heights, (extent[1] - extent[0]) / heights.shape[1])
-    axes.image(raster.png_uri(picture), extent)
+    wide = _map(aligned, eyes, extent, picture, width=980)
+    long = extent[1] - extent[0] > 1.3 * (extent[3] - extent[2])
+    narrow = _map(aligned, eyes, extent, picture[::2, ::2], width=360, x_up=long)
+    return f'<div class="broad">{wide}</div><div class="narrow">{narrow}</div>' + svg.color_bar(low, high, "m")
+
+
+def _map(aligned: AlignedScene, eyes: F64, extent: Extent, picture: U8, *, width: float, x_up: bool = False) -> str:
+    """The map `width` units wide; texts keep their size, so that a small one is readable too. x points right, or up."""
+    # What is drawn at (x, y) is data @ turn.
+    turn = np.array([[0.0, 1.0], [-1.0, 0.0]]) if x_up else np.eye(2)
+    low, high = np.sort(np.array([[extent[0], extent[2]], [extent[1], extent[3]]]) @ turn, axis=0)
+    across, up = (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
+    numbers = svg.labelled(svg.ticks(extent[2], extent[3], 4))
+    axes = svg.Axes(
+        across,
+        up,
+        width=width,
+        equal=True,
+        x_label="y (m)" if x_up else "x (m)",
+        y_label="x (m)" if x_up else "y (m)",
+        x_ticks=[(-v, text) for v, text in numbers] if x_up else None,
+        grid=False,
+    )
+    axes.image(raster.png_uri(np.rot90(picture) if x_up else picture), (*across, *up))
+    thin = max(0.7, width / 980)
     for p in aligned.platforms:
         ink = {"start": "var(--c1)", "goal": "var(--c5)"}.get(p.role, "#ffffff")
-        axes.polyline(p.outline, ink, width=2.4, closed=True, title=_about(p))
-    _camera_path(axes, aligned, eyes)
-    axes.arrow((0, 0), (0.35, 0), "#ff5d5d", 3).arrow((0, 0), (0, 0.35), "#4fd36b", 3)
-    axes.text(0.35, 0, "x", dx=9, dy=5, fill="#ff5d5d", halo=True).text(0, 0.35, "y", dy=-5, fill="#2fb14d", halo=True)
+        axes.polyline(p.outline @ turn, ink, width=2.4 * thin, closed=True, title=_about(p))
+    _camera_path(axes, aligned, eyes, turn, thin)
+    for name, ink, text_ink in (("x", "#ff5d5d", "#ff5d5d"), ("y", "#4fd36b", "#2fb14d")):
+        tip = 0.35 * turn[0 if name == "x" else 1]
+        axes.arrow((0, 0), tip, ink, 3)
+        axes.text(*(tip * 1.16), name, dy=5, fill=text_ink, halo=True)
     for p in aligned.platforms:
         if p.role in ("start", "goal"):
-            axes.text(
-                p.centroid[0], p.centroid[1], p.role, dy=30 if p.role == "start" else 5, fill="var(--ink)", halo=True
-            )
-    return f'<div class="scroll">{axes.svg("height map from above", "broad")}</div>' + svg.color_bar(low, high, "m")
+            x, y = p.centroid[:2] @ turn
+            below = 0.16 if p.role == "start" else 0.0  # the axes stand on the start platform
+            axes.text(x, y - below, p.role, dy=5, fill="var(--ink)", halo=True)
+    return axes.svg("height map from above")
 
 
 def shaded(picture: U8, heights: F64, cell: float) -> U8:
@@ -76,19 +103,20 @@ def camera_positions(aligned: AlignedScene) -> F64:
     return np.stack([aligned.T_sim_camera(i)[:3, 3] for i in range(len(aligned.metric))])
 
 
-def _camera_path(axes: svg.Axes, aligned: AlignedScene, eyes: F64) -> None:
+def _camera_path(axes: svg.Axes, aligned: AlignedScene, eyes: F64, turn: F64, thin: float) -> None:
     if not len(eyes):
         return
     assert aligned.metric is not None
     names = [f.name for f in aligned.metric.frames]
-    ahead = np.stack([aligned.T_sim_camera(i)[:2, 2] for i in range(len(eyes))])
+    at = eyes[:, :2] @ turn
+    ahead = np.stack([aligned.T_sim_camera(i)[:2, 2] for i in range(len(eyes))]) @ turn
     looks = np.full((3 * len(eyes), 2), np.nan)
-    looks[0::3], looks[1::3] = eyes[:, :2], eyes[:, :2] + 0.1 * ahead
+    looks[0::3], looks[1::3] = at, at + 0.1 * ahead
     # Light on dark, so that the way is readable over the map and beside it, in both themes.
     for ink, extra in (("#1b2030", 1.8), ("#ffffff", 0.0)):
-        axes.polyline(eyes[:, :2], ink, width=1.2 + extra).polyline(looks, ink, width=0.9 + extra)
-        axes.dots(eyes[:, :2], ink, radius=2.0 + extra / 2, titles=names)
-    axes.text(eyes[0, 0], eyes[0, 1], "first view", anchor="start", dy=-10, fill="var(--ink)", halo=True)
+        axes.polyline(at, ink, width=thin * (1.2 + extra)).polyline(looks, ink, width=thin * (0.9 + extra))
+        axes.dots(at, ink, radius=thin * (2.0 + extra / 2), titles=names)
+    axes.text(*at[0], "first view", anchor="start", dy=-10, fill="var(--ink)", halo=True)
 
 
 def _about(p: Any) -> str:

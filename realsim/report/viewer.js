@@ -75,7 +75,8 @@
     for (const l of layers) for (let k = 0; k < 3; k++) {
       low[k] = Math.min(low[k], l.low[k]); high[k] = Math.max(high[k], l.low[k] + l.size[k]);
     }
-    return { centre: low.map((v, k) => (v + high[k]) / 2), radius: Math.max(0.05, Math.hypot(...low.map((v, k) => high[k] - v)) / 2) };
+    const corners = [0, 1, 2, 3, 4, 5, 6, 7].map(i => low.map((v, k) => i >> k & 1 ? high[k] : v));
+    return { corners, centre: low.map((v, k) => (v + high[k]) / 2), radius: Math.max(0.05, Math.hypot(...low.map((v, k) => high[k] - v)) / 2) };
   }
 
   function start(host) {
@@ -91,17 +92,30 @@
     const place = Object.fromEntries(["view", "projection", "low", "size", "point", "opacity", "lit"].map(n => [n, at(n)]));
     const layers = data.map(l => upload(gl, l));
     const solid = layers.filter(l => l.kind === "triangles" && l.visible);
-    const { centre, radius } = bounds(solid.length ? solid : layers);
-    // A landscape window shows a long scene from nearer by.
-    const home = () => ({ turn: -1.95, rise: 0.62, target: centre.slice(),
-      distance: radius * (host.clientWidth > 1.6 * host.clientHeight ? 1.55 : 2.1) });
-    let camera = home(), waiting = false;
+    const { centre, radius, corners } = bounds(solid.length ? solid : layers);
+    const home = (rise = 0.62, turn = -1.95) => ({ turn, rise, target: centre.slice(), distance: fitting(rise, turn) });
 
-    function axes() {
-      const back = [Math.cos(camera.rise) * Math.cos(camera.turn), Math.cos(camera.rise) * Math.sin(camera.turn), Math.sin(camera.rise)];
-      const right = unit([-Math.sin(camera.turn), Math.cos(camera.turn), 0]);
+    function axes({ rise, turn }) {
+      const back = [Math.cos(rise) * Math.cos(turn), Math.cos(rise) * Math.sin(turn), Math.sin(rise)];
+      const right = unit([-Math.sin(turn), Math.cos(turn), 0]);
       return { back, right, up: cross(back, right) };
     }
+
+    // The shorter side of the window sees 45 degrees, so that a phone held upright shows as much as a desktop.
+    function focal() {
+      const w = host.clientWidth || 1, h = host.clientHeight || 1, half = Math.tan(Math.PI / 8);
+      return [Math.min(1, h / w) / half, Math.min(1, w / h) / half];
+    }
+
+    // As near as a window of this shape shows every corner, with a little air.
+    function fitting(rise, turn) {
+      const { back, right, up } = axes({ rise, turn }), [fx, fy] = focal();
+      return 1.04 * Math.max(...corners.map(c => {
+        const p = c.map((v, k) => v - centre[k]);
+        return dot(p, back) + Math.max(Math.abs(dot(p, right)) * fx, Math.abs(dot(p, up)) * fy);
+      }));
+    }
+    let camera = home(), waiting = false;
 
     function draw() {
       waiting = false;
@@ -113,12 +127,11 @@
       gl.viewport(0, 0, canvas.width, canvas.height);
       gl.clearColor(0, 0, 0, 0); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
       gl.enable(gl.DEPTH_TEST); gl.enable(gl.BLEND); gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-      const { back, right, up } = axes();
+      const { back, right, up } = axes(camera);
       const eye = camera.target.map((v, k) => v + camera.distance * back[k]);
       const view = [right[0], up[0], back[0], 0, right[1], up[1], back[1], 0, right[2], up[2], back[2], 0,
         -dot(right, eye), -dot(up, eye), -dot(back, eye), 1];
-      // The shorter side of the window sees 45 degrees, so that a phone held upright shows as much as a desktop.
-      const half = Math.tan(Math.PI / 8), fx = h > w ? 1 / half : h / w / half, fy = h > w ? w / h / half : 1 / half;
+      const [fx, fy] = focal();
       const near = Math.max(camera.distance * 0.02, 0.005), far = camera.distance + radius * 20;
       const projection = [fx, 0, 0, 0, 0, fy, 0, 0, 0, 0, (far + near) / (near - far), -1, 0, 0, 2 * far * near / (near - far), 0];
       gl.useProgram(shader);
@@ -142,7 +155,7 @@
       camera.rise = Math.min(1.5, Math.max(-1.5, camera.rise + dy * 0.008));
     }
     function move(dx, dy) {
-      const { right, up } = axes(), step = camera.distance * 0.83 / Math.min(host.clientHeight, host.clientWidth);
+      const { right, up } = axes(camera), step = camera.distance * 0.83 / Math.min(host.clientHeight, host.clientWidth);
       camera.target = camera.target.map((v, k) => v + step * (dy * up[k] - dx * right[k]));
     }
     function zoom(factor) { camera.distance = Math.min(radius * 12, Math.max(radius * 0.03, camera.distance * factor)); }
@@ -172,7 +185,7 @@
     }));
     const views = host.appendChild(document.createElement("div"));
     views.className = "views";
-    const look = (rise, angle) => () => { camera = { ...home(), rise, turn: angle }; redraw(); };
+    const look = (rise, angle) => () => { camera = home(rise, angle); redraw(); };
     views.append(button("top", null, look(1.5, -Math.PI / 2)), button("side", null, look(0.05, -Math.PI / 2)), button("reset", null, look(0.62, -1.95)));
     new ResizeObserver(redraw).observe(host);
     redraw();

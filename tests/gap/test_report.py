@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import mujoco
@@ -18,6 +17,7 @@ from realsim.gap.report_robot import body_shares
 from realsim.gap.report_series import horizons, replay, worst_windows
 from realsim.gap.report_shapes import solids
 from realsim.gap.report_words import WORDS, percent, short
+from tests.pages import read
 
 from .truth import Truth
 
@@ -28,37 +28,6 @@ EFFECTS = ("coulomb_friction", "ground_friction")
 def found(made: Callable[..., Path]) -> Diagnosis:
     folder = made("report", Truth(coulomb={"shoulder": 4.0}), runs=3, span=(2.2, 2.6))
     return diagnose(load_case(folder), DiagnoseConfig(effects=EFFECTS, threads=1, bootstrap=50))
-
-
-class _Page(HTMLParser):
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.links: list[str] = []
-        self.text: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.links += [v or "" for k, v in attrs if k in ("src", "href", "srcset", "data")]
-        if tag not in ("meta", "link", "img", "br"):
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if self.open and self.open[-1] not in ("script", "style"):
-            self.text.append(data)
-
-
-def read(html: str) -> str:
-    """What a person reads; fails where the page is malformed or asks for anything outside itself."""
-    parser = _Page()
-    parser.feed(html)
-    assert parser.open == []
-    assert all(link.startswith("data:") for link in parser.links)
-    assert "https://" not in html
-    assert "http://" not in html.replace("http://www.w3.org", "")
-    return " ".join(parser.text)
 
 
 def test_page_says_what_was_found(found: Diagnosis, tmp_path: Path) -> None:

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shutil
 import subprocess
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
+from xml.etree import ElementTree
 
+import cv2
 import numpy as np
 import pytest
 
 from realsim.report import write_report
+from realsim.report.topdown import map_from_above
 from realsim.report.verdict import judge
 from realsim.types import AlignedScene, Reconstruction
+from tests.pages import read
 
 from .scene import reconstruction
 
@@ -53,33 +57,39 @@ def test_same_result_same_bytes_whatever_it_cost(tmp_path: Path) -> None:
     assert reports[0] == reports[1]
 
 
-class _Links(HTMLParser):
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.links: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.links += [v or "" for k, v in attrs if k in ("src", "href", "srcset", "data")]
-        if tag not in ("meta", "link", "img", "br"):
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-
 def test_page_stands_alone_and_is_well_formed(tmp_path: Path) -> None:
     write_report(tmp_path, reconstruction(tmp_path))
     text = (tmp_path / "report.html").read_text()
-    parser = _Links()
-    parser.feed(text)
-    assert parser.open == []
-    assert parser.links
-    assert all(link.startswith("data:") for link in parser.links)
-    assert "http://" not in text.replace("http://www.w3.org", "")
-    assert "https://" not in text
+    assert "blurred <b>" in read(text)
     assert "blurred &lt;b&gt;" in text  # what comes from data is escaped
     assert len(text) < 6e6
+
+
+@pytest.mark.parametrize("x_up", [False, True])
+def test_the_map_shows_all_of_the_scene(tmp_path: Path, x_up: bool) -> None:
+    """On a wide page the way goes from left to right, on a phone upwards; nothing lies outside of the picture."""
+    result = reconstruction(tmp_path)
+    drawings = re.findall(r'<svg class="plot.*?</svg>.*?</svg>', map_from_above(result.aligned, result.mesh), re.S)
+    assert len(drawings) == 2
+    drawing = ElementTree.fromstring(drawings[x_up])
+    box = next(e for e in drawing if e.tag == "svg")
+    x0, y0, width, height = (float(box.get(k, "nan")) for k in ("x", "y", "width", "height"))
+    names = {e.text: (float(e.get("x", "nan")), float(e.get("y", "nan"))) for e in box.iter("text")}
+    eyes = [(float(e.get("cx", "nan")), float(e.get("cy", "nan"))) for e in box.iter("circle")]
+    assert len(eyes) == 2 * 5
+    for x, y in [*names.values(), *eyes]:
+        assert x0 <= x <= x0 + width
+        assert y0 <= y <= y0 + height
+    (sx, sy), (gx, gy) = names["start"], names["goal"]
+    assert (gy < sy - 100) if x_up else (gx > sx + 100)
+    assert (height > width) == x_up
+    # The picture is turned with what is drawn over it: the start platform is where its name is.
+    image = next(box.iter("image"))
+    data = cv2.imdecode(np.frombuffer(base64.b64decode(image.get("href", "").split(",")[1]), np.uint8), -1)
+    at = [
+        int((v - lo) / size * n) for v, lo, size, n in ((sy, y0, height, data.shape[0]), (sx, x0, width, data.shape[1]))
+    ]
+    assert data[at[0], at[1], 3] == 255
 
 
 def test_scan_without_cameras_has_a_report(tmp_path: Path) -> None:
