@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 
 class RealsimError(Exception):
@@ -53,6 +55,12 @@ class RealsimError(Exception):
         }
 
 
+def did_you_mean(name: str, known: Iterable[str], cutoff: float = 0.3) -> str | None:
+    """A hint with the names most like `name`; None where nothing is (`cutoff` of difflib.get_close_matches)."""
+    close = get_close_matches(name, list(known), n=3, cutoff=cutoff)
+    return f"did you mean {' or '.join(close)}?" if close else None
+
+
 class CaptureError(RealsimError):
     """The capture cannot be read, or holds nothing that can be used."""
 
@@ -92,15 +100,22 @@ class MissingExtraError(RealsimError):
         super().__init__(f"{what} needs the package {package}", hint=f'pip install "realsim[{extra}]"')
 
 
+def extra(module: str, package_extra: str, what: str) -> Any:
+    """The module of an optional extra, imported now. Raises MissingExtraError where it is not installed."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise MissingExtraError(module, package_extra, what) from error
+
+
 class UnknownNameError(RealsimError):
     """A name is not in a registry or a list; the message gives those that are, the closest first."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str], *, file: str | Path | None = None) -> None:
         names = sorted(known)
-        close = get_close_matches(name, names, n=3, cutoff=0.4)
         super().__init__(
             f"unknown {kind} {name!r}",
             file=file,
             expected=f"one of {', '.join(names)}",
-            hint=f"did you mean {' or '.join(close)}?" if close else None,
+            hint=did_you_mean(name, names, cutoff=0.4),
         )

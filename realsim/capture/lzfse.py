@@ -8,17 +8,14 @@ from __future__ import annotations
 
 import struct
 
-from realsim.errors import MissingExtraError
+from realsim.errors import extra
 
 END = b"bvx$"
 
 
 def require() -> None:
     """Raise MissingExtraError if the package is not installed."""
-    try:
-        import lzfse  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("lzfse", "phone", "reading the depth of Record3D's .r3d files") from error
+    extra("lzfse", "phone", "reading the depth of Record3D's .r3d files")
 
 
 def decompress(data: bytes, size: int) -> bytes:

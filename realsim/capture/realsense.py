@@ -8,14 +8,13 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.errors import CaptureError, MissingExtraError
+from realsim.errors import CaptureError, extra
 from realsim.types import U8
 
 TIMEOUT_MS = 5000
@@ -58,10 +57,7 @@ def library() -> Any:
     Raises:
         MissingExtraError: it is not installed.
     """
-    try:
-        return import_module("pyrealsense2")
-    except ImportError as error:
-        raise MissingExtraError("pyrealsense2", "realsense", "reading RealSense cameras and recordings") from error
+    return extra("pyrealsense2", "realsense", "reading RealSense cameras and recordings")
 
 
 @contextlib.contextmanager

@@ -78,7 +78,7 @@ def height_grid(vertices: NDArray[np.float64], triangles: NDArray[np.int32], res
             "the height field would be too large",
             expected=f"at most {MAX_NODES} nodes",
             found=f"{cells[0] + 1} x {cells[1] + 1} for {extent[0]:.1f} x {extent[1]:.1f} m",
-            hint="choose a larger --scene.hfield-resolution, or check the mesh's unit",
+            hint="choose a larger --hfield-resolution, or check the mesh's unit",
         )
     columns, rows = cells + 1
     x = np.linspace(surface.lower[0], surface.upper[0], columns)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import CaptureError, MissingExtraError, PoseError
+from realsim.errors import CaptureError, PoseError, extra
 from realsim.feedforward.backend import Backend
 from realsim.feedforward.config import PointsConfig
 from realsim.geometry import invert_T
@@ -34,12 +34,9 @@ def solve(frames: FrameSet, config: PointsConfig) -> Solution:
         CaptureError: frames without colour.
         PoseError: COLMAP finds no model of two frames or more.
     """
-    try:
-        import pycolmap  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("pycolmap", "colmap", "the backend colmap") from error
+    extra("pycolmap", "colmap", "the backend colmap")
     if not frames.has_color:
-        raise CaptureError("the backend colmap needs colour", file=frames.source, hint="use --points.backend rgbd")
+        raise CaptureError("the backend colmap needs colour", file=frames.source, hint="use --backend rgbd")
     with TemporaryDirectory(prefix="realsim-colmap-") as folder:
         models = _reconstruct(frames, Path(folder), config.seed)
     if not models:
@@ -48,7 +45,7 @@ def solve(frames: FrameSet, config: PointsConfig) -> Solution:
             file=frames.source,
             expected="textured pictures with parallax between them",
             found=f"{len(frames)} frames that it cannot connect",
-            hint="use --points.backend rgbd, which needs less texture",
+            hint="use --backend rgbd, which needs less texture",
         )
     return _solution(frames, max(models, key=lambda m: (m.num_reg_images(), m.num_points3D())))
 

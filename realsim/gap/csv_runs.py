@@ -13,13 +13,12 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from realsim.errors import GapError
+from realsim.errors import GapError, did_you_mean
 from realsim.files import read_text
 from realsim.gap.units import factor
 from realsim.types import F64
@@ -73,12 +72,11 @@ def _from_map(
     result = {}
     for array, said in columns.items():
         if array not in names:
-            close = get_close_matches(array, names, n=2, cutoff=0.4)
             raise GapError(
                 f"the column map names {array!r}, which is no array of a log",
                 file=path,
                 expected=f"one of {', '.join(names)}",
-                hint=f"did you mean {' or '.join(close)}?" if close else None,
+                hint=did_you_mean(array, names),
             )
         entries = _entries(path, array, said)
         if len(entries) != len(names[array]):
@@ -119,12 +117,11 @@ def _entries(path: Path, array: str, said: Any) -> list[dict[str, Any]]:
 
 def _position(path: Path, array: str, column: str, header: Sequence[str]) -> int:
     if column not in header:
-        close = get_close_matches(column, header, n=3, cutoff=0.3)
         raise GapError(
             f"column {column!r} of {array} is not in the file",
             file=path,
             expected=f"one of {', '.join(header[:40])}",
-            hint=(f"did you mean {' or '.join(close)}? " if close else "") + "columns.json beside log.json maps names",
+            hint=" ".join(filter(None, [did_you_mean(column, header), "columns.json beside log.json maps names"])),
         )
     return list(header).index(column)
 

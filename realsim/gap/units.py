@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from math import pi
 from pathlib import Path
 
-from realsim.errors import GapError
+from realsim.errors import GapError, did_you_mean
 from realsim.types import F64
 
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -41,12 +40,11 @@ def factor(array: str, unit: str, command_kind: str, file: Path) -> float:
             f"a unit is given for {array!r}, which is no array of a log", file=file, expected=", ".join(UNITS)
         )
     if unit not in known:
-        close = get_close_matches(unit, known, n=2, cutoff=0.3)
         raise GapError(
             f"unknown unit {unit!r} of {array}",
             file=file,
             expected=f"one of {', '.join(known)}",
-            hint=f"did you mean {' or '.join(close)}?" if close else None,
+            hint=did_you_mean(unit, known),
         )
     return known[unit]
 

@@ -33,7 +33,7 @@ def reconstruct(points: Points, resolution: float) -> Surface:
             "the resolution does not suit the size of the scene",
             expected=f"{1.05 * extent / 2**MAX_DEPTH:.4f} to {extent / 8:.3f} m for a scene of {extent:.2f} m",
             found=f"{resolution} m",
-            hint="set --mesh.resolution",
+            hint="set --resolution",
         )
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(

@@ -180,6 +180,7 @@ class WarpPhysics:
     def _policy_step(self) -> None:
         """All physics steps of a policy step, contacts watched in each; what the CUDA graph holds."""
         data, contact, own, worlds = self._data, self._data.contact, self._inputs, self.num_worlds
+        pairs = [data.nacon, contact.geom, contact.worldid]
         wp.launch(kernels.clear_contacts, dim=worlds, outputs=[self._ground, self._other, self._foot_forces])
         for step in range(self.config.decimation):
             wp.launch(
@@ -192,23 +193,14 @@ class WarpPhysics:
             wp.launch(
                 kernels.watch_contacts,
                 dim=data.naconmax,
-                inputs=[
-                    data.nacon,
-                    contact.geom,
-                    contact.worldid,
-                    contact.dist,
-                    contact.includemargin,
-                    self._kind,
-                ],
+                inputs=[*pairs, contact.dist, contact.includemargin, self._kind],
                 outputs=[self._ground, self._other],
             )
         wp.launch(
             kernels.sum_foot_forces,
             dim=data.naconmax,
             inputs=[
-                data.nacon,
-                contact.geom,
-                contact.worldid,
+                *pairs,
                 contact.frame,
                 contact.friction,
                 contact.dim,

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from realsim.errors import MissingExtraError
+from realsim.errors import extra
 from realsim.files import check_size, read_bytes, write_bytes
 from trainer.errors import TrainerError
 from trainer.ppo.policy import Policy
@@ -155,11 +155,8 @@ def _examples(layout: ObservationLayout, rows: int) -> tuple[torch.Tensor, torch
 
 
 def _onnx(actor: torch.nn.Module, vector: torch.Tensor, depth: torch.Tensor | None) -> bytes:
-    try:
-        import onnx  # noqa: F401
-        import onnxscript  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError(str(error.name), "train", "exporting a policy to ONNX") from error
+    for module in ("onnx", "onnxscript"):
+        extra(module, "train", "exporting a policy to ONNX")
     rows = {0: torch.export.Dim("batch")}
     buffer = io.BytesIO()
     with warnings.catch_warnings(), _quiet("torch.onnx"):

@@ -18,7 +18,7 @@ from realsim.capture.intrinsics import no_intrinsics
 from realsim.capture.layout import Layout, Recognition
 from realsim.capture.layouts.record3d import pose_notes, read_metadata, rows
 from realsim.capture.listing import list_files
-from realsim.errors import CaptureError, MissingExtraError, RealsimError
+from realsim.errors import CaptureError, RealsimError, extra
 from realsim.files import check_size, read_json
 from realsim.types import F32, Dropped, Frame, FrameSet
 
@@ -85,10 +85,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         )
     if source is None:
         raise no_intrinsics(root, ("metadata.json",), "export the recording again, with its metadata.json")
-    try:
-        import OpenEXR  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("OpenEXR", "phone", "reading Record3D's EXR depth") from error
+    extra("OpenEXR", "phone", "reading Record3D's EXR depth")
     meta = read_metadata(read_json(source), source, config)
     depth_size = common_size(ExrDepth(p) for p in depth.values())
     if depth_size is None:

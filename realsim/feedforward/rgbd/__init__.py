@@ -55,7 +55,7 @@ def _posed(frames: FrameSet, config: PointsConfig) -> list[int] | None:
     posed = [i for i, f in enumerate(frames.frames) if f.T_world_camera is not None]
     if config.poses == "given" and not posed:
         raise PoseError(
-            "no poses in the capture", file=frames.source, hint="use --points.poses estimate to have them estimated"
+            "no poses in the capture", file=frames.source, hint="use --poses estimate to have them estimated"
         )
     return posed if config.poses == "given" or 2 * len(posed) > len(frames) else None
 

@@ -14,8 +14,12 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     scale = 1 / min(max(context.peak_torque[j], 1e-6) for j in place)
     least = _softest_step(context, place)
     step = max(0.02 * scale, 1.5 * least)
-    report = lambda z: 1 / max(z, 1e-9)  # noqa: E731
-    return (Parameter("stiffness", "N m/rad", (0.0, max(0.6 * scale, 4 * least)), step, report=report),)
+    return (Parameter("stiffness", "N m/rad", (0.0, max(0.6 * scale, 4 * least)), step, report=_stiffness),)
+
+
+def _stiffness(compliance: float) -> float:
+    """What is fitted is the compliance, which is zero for a rigid joint."""
+    return 1 / max(compliance, 1e-9)
 
 
 def _excited(context, place: Place) -> Excitation:

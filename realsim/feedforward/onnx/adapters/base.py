@@ -208,6 +208,13 @@ def read_claim(found: Mapping[str, NDArray]) -> float | None:
     return value if np.isfinite(value) and value > 0 else None
 
 
+def posed(points: F32, T: F64, found: Mapping[str, NDArray], call: Call) -> Prediction:
+    """The prediction of a model of many views: points (n, H, W, 3) in their cameras, poses (n, 4, 4), and the rest."""
+    mask = read_mask(found, call, points)
+    figures = {"focal_ratio": focal_ratio(points, mask, call.intrinsics)}
+    return Prediction(points, T, read_conf(found, call), mask, read_claim(found), figures)
+
+
 def unproject(depth: F32, K: F64) -> F32:
     """(n, H, W, 3) points of depth along z (n, H, W) by cameras (n, 3, 3)."""
     h, w = depth.shape[1:]

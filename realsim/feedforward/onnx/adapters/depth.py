@@ -16,10 +16,7 @@ from realsim.feedforward.onnx.adapters.base import (
     as_maps,
     as_rows,
     encoded_intrinsics,
-    focal_ratio,
-    read_claim,
-    read_conf,
-    read_mask,
+    posed,
     read_poses,
     unproject,
 )
@@ -34,10 +31,7 @@ def unpack(found: Mapping[str, NDArray], call: Call) -> Prediction:
         K = encoded_intrinsics(as_rows("pose", found["pose"], call, (9,)), call)
     else:
         K = call.intrinsics
-    points = unproject(depth, K)
-    mask = read_mask(found, call, points)
-    figures = {"focal_ratio": focal_ratio(points, mask, call.intrinsics)}
-    return Prediction(points, read_poses(found["pose"], call), read_conf(found, call), mask, read_claim(found), figures)
+    return posed(unproject(depth, K), read_poses(found["pose"], call), found, call)
 
 
 ADAPTER = Adapter(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +16,7 @@ from realsim.feedforward.onnx.adapters.base import (
     Call,
     Prediction,
     as_maps,
-    focal_ratio,
-    read_claim,
-    read_conf,
-    read_mask,
+    posed,
     read_poses,
 )
 
@@ -27,16 +25,15 @@ def unpack(found: Mapping[str, NDArray], call: Call) -> Prediction:
     """Where the model has a second head for world points, how far the two disagree is told, and nothing else."""
     points = as_maps("local_points", found["local_points"], call, 3)
     T = read_poses(found["pose"], call)
-    mask = read_mask(found, call, points)
-    figures = {"focal_ratio": focal_ratio(points, mask, call.intrinsics)}
-    if "world_points" in found:
-        world = as_maps("world_points", found["world_points"], call, 3)
-        own = np.einsum("nab,nhwb->nhwa", T[:, :3, :3], points) + T[:, None, None, :3, 3]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            off = np.linalg.norm(world - own, axis=-1) / points[..., 2]
-        if mask.any():
-            figures["heads_disagree"] = float(np.nanmedian(off[mask]))
-    return Prediction(points, T, read_conf(found, call), mask, read_claim(found), figures)
+    prediction = posed(points, T, found, call)
+    if "world_points" not in found or not prediction.mask.any():
+        return prediction
+    world = as_maps("world_points", found["world_points"], call, 3)
+    own = np.einsum("nab,nhwb->nhwa", T[:, :3, :3], points) + T[:, None, None, :3, 3]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        off = np.linalg.norm(world - own, axis=-1) / points[..., 2]
+    figures = {**prediction.figures, "heads_disagree": float(np.nanmedian(off[prediction.mask]))}
+    return replace(prediction, figures=figures)
 
 
 ADAPTER = Adapter(

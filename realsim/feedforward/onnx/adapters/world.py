@@ -15,11 +15,8 @@ from realsim.feedforward.onnx.adapters.base import (
     Call,
     Prediction,
     as_maps,
-    focal_ratio,
     invert,
-    read_claim,
-    read_conf,
-    read_mask,
+    posed,
     read_poses,
 )
 
@@ -30,9 +27,7 @@ def unpack(found: Mapping[str, NDArray], call: Call) -> Prediction:
     T = read_poses(found["pose"], call)
     back = invert(T)
     points = (np.einsum("nab,nhwb->nhwa", back[:, :3, :3], world) + back[:, None, None, :3, 3]).astype(np.float32)
-    mask = read_mask(found, call, points)
-    figures = {"focal_ratio": focal_ratio(points, mask, call.intrinsics)}
-    return Prediction(points, T, read_conf(found, call), mask, read_claim(found), figures)
+    return posed(points, T, found, call)
 
 
 ADAPTER = Adapter(
