@@ -9,6 +9,8 @@ import json
 import os
 import shutil
 import tempfile
+import zipfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,8 @@ from realsim.errors import RealsimError
 
 MAX_TEXT_BYTES = 64 * 2**20
 MAX_BINARY_BYTES = 2 * 2**30
+_DAMAGED = (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
+"""What reading a damaged, encrypted or exotic archive of arrays raises."""
 
 
 def check_size(path: Path, limit: int = MAX_BINARY_BYTES) -> None:
@@ -57,6 +61,25 @@ def read_json(path: Path) -> Any:
             file=path,
             expected="valid JSON",
             found=f"{error.msg} at line {error.lineno} column {error.colno}",
+        ) from error
+
+
+def read_npz(path: Path, limit: int = MAX_BINARY_BYTES) -> dict[str, np.ndarray]:
+    """The arrays of an .npz file, none of them pickled; at most `limit` bytes, packed and unpacked."""
+    check_size(path, limit)
+    try:
+        # A few kilobytes can unpack to any size: what they say of it is asked first, and nothing beyond is read.
+        with zipfile.ZipFile(path) as archive:
+            size = sum(item.file_size for item in archive.infolist())
+        if size > limit:
+            raise RealsimError(
+                "the file is too large", file=path, expected=f"at most {limit} bytes unpacked", found=f"{size} bytes"
+            )
+        with np.load(path, allow_pickle=False) as store:
+            return {name: store[name] for name in store.files}
+    except (*_DAMAGED, MemoryError) as error:
+        raise RealsimError(
+            "not a readable .npz of plain numbers", file=path, found=str(error) or type(error).__name__
         ) from error
 
 

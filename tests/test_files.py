@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import io
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -88,3 +90,28 @@ def test_digest_depends_on_content_and_boundaries(tmp_path: Path) -> None:
     before = files.digest(tmp_path / "a")
     (tmp_path / "a").write_bytes(b"y")
     assert files.digest(tmp_path / "a") != before
+
+
+def test_arrays_are_read_without_pickles_and_within_limits(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    np.savez_compressed(path, a=np.arange(3), b=np.zeros(1_000_000))
+    found = files.read_npz(path)
+    assert list(found["a"]) == [0, 1, 2]
+    assert path.stat().st_size < 100_000  # packed well below the limit, unpacked above
+    with pytest.raises(RealsimError, match="bytes unpacked"):
+        files.read_npz(path, 100_000)
+    np.savez(path, a=np.array([{"code": 1}], object))
+    with pytest.raises(RealsimError, match="plain numbers"):
+        files.read_npz(path)
+    path.write_bytes(b"no archive")
+    with pytest.raises(RealsimError, match="plain numbers"):
+        files.read_npz(path)
+
+
+def test_an_array_that_claims_more_than_it_holds_is_refused(tmp_path: Path) -> None:
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**15,)})
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("a.npy", header.getvalue())
+    with pytest.raises(RealsimError, match="plain numbers"):
+        files.read_npz(tmp_path / "a.npz")

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from realsim.errors import RealsimError
-from realsim.files import check_size, explain_write_errors
+from realsim.files import explain_write_errors, read_npz
 from realsim.registry import Registry
 from trainer.errors import TrainerError
 from trainer.evaluate import Policy
@@ -23,6 +23,13 @@ from trainer.tasks.parkour.terminations import OUTCOMES
 from trainer.terrain import Terrain
 
 F64 = NDArray[np.float64]
+
+SUN = np.array([-0.8, -1.2, 4.0])
+"""Metres from what is looked at to the light."""
+START, GOAL = (0.75, 0.35, 0.3, 1.0), (0.3, 0.5, 0.75, 1.0)
+"""Colours of the marks on the platforms, red and blue as in the paper."""
+MARK_THICKNESS = 0.002
+"""Metres."""
 
 FORMATS = Registry(
     "replay format",
@@ -52,13 +59,13 @@ class Recording:
         """The inverse.
 
         Raises:
+            RealsimError: not an .npz of plain arrays.
             TrainerError: not a recording.
         """
-        check_size(Path(path), 2**28)
+        data = read_npz(Path(path), 2**28)
         try:
-            with np.load(path, allow_pickle=False) as data:
-                return Recording(np.asarray(data["qpos"], float), float(data["dt"]), str(data["outcome"]))
-        except (ValueError, KeyError, OSError) as error:
+            return Recording(np.asarray(data["qpos"], float), float(data["dt"]), str(data["outcome"]))
+        except (ValueError, KeyError, TypeError) as error:
             raise TrainerError("not a recording", file=path, expected="qpos, dt, outcome", found=str(error)) from error
 
 
@@ -97,29 +104,33 @@ def video(
     terrain: Terrain,
     path: str | Path,
     *,
-    size: tuple[int, int] = (640, 360),
-    fps: int = 25,
+    size: tuple[int, int] | None = None,
+    fps: float | None = None,
     distance: float = 2.8,
 ) -> Path:
     """The trial from the side, the camera following, as .gif if the name ends so, else as .mp4.
 
     Args:
-        size: (width, height) pixels.
+        size: (width, height) pixels; 640 x 360, or 400 x 225 of a .gif, which compresses badly.
+        fps: frames a second of the trial; 25, or 12.5 of a .gif.
         distance: metres from the camera to the robot.
 
     Raises:
         TrainerError: no way to render on this machine.
     """
     path = Path(path)
+    gif = path.suffix == ".gif"
+    size = size or ((400, 225) if gif else (640, 360))
+    fps = fps or (12.5 if gif else 25.0)
     frames = _frames(recording, robot, terrain, size, fps, distance)
-    path.parent.mkdir(parents=True, exist_ok=True)
     with explain_write_errors(path):
-        (_write_gif if path.suffix == ".gif" else _write_mp4)(frames, path, fps)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        (_write_gif if gif else _write_mp4)(frames, path, fps)
     return path
 
 
 def _frames(
-    recording: Recording, robot: TrainedRobot, terrain: Terrain, size: tuple[int, int], fps: int, distance: float
+    recording: Recording, robot: TrainedRobot, terrain: Terrain, size: tuple[int, int], fps: float, distance: float
 ) -> list[NDArray[np.uint8]]:
     import mujoco
 
@@ -143,6 +154,7 @@ def _frames(
         data.qpos[:] = qpos
         mujoco.mj_forward(model, data)
         camera.lookat[:] = look
+        data.light_xpos[0] = look + SUN  # the light goes along: a shadow is only as sharp as its map is small
         renderer.update_scene(data, camera)
         frames.append(renderer.render().copy())
     renderer.close()
@@ -173,11 +185,16 @@ def scene_model(robot: TrainedRobot, terrain: Terrain, size: tuple[int, int]) ->
             geom.material, geom.rgba = "tiles", [1, 1, 1, 1]
         else:
             geom.rgba = [0.72, 0.6, 0.45, 1]
-    spec.worldbody.add_light(pos=[0, -2, 5], dir=[0.2, 0.3, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    for platform, colour in ((terrain.start, START), (terrain.goal, GOAL)):
+        half = [*(platform.size / 2), MARK_THICKNESS]
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=platform.centre, rgba=colour, contype=0, conaffinity=0
+        )
+    spec.worldbody.add_light(pos=SUN, dir=-SUN, type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     return spec.compile()
 
 
-def _write_mp4(frames: list[NDArray[np.uint8]], path: Path, fps: int) -> None:
+def _write_mp4(frames: list[NDArray[np.uint8]], path: Path, fps: float) -> None:
     import cv2
 
     height, width = frames[0].shape[:2]
@@ -189,8 +206,10 @@ def _write_mp4(frames: list[NDArray[np.uint8]], path: Path, fps: int) -> None:
     writer.release()
 
 
-def _write_gif(frames: list[NDArray[np.uint8]], path: Path, fps: int) -> None:
+def _write_gif(frames: list[NDArray[np.uint8]], path: Path, fps: float) -> None:
     from PIL import Image
 
-    images = [Image.fromarray(f) for f in frames]
+    # One palette for all and no dithering: what does not move is then the same in every frame, and costs nothing.
+    palette = Image.fromarray(np.vstack([frames[0], frames[-1]])).quantize(64)
+    images = [Image.fromarray(f).quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
     images[0].save(path, save_all=True, append_images=images[1:], duration=round(1000 / fps), loop=0)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from realsim.errors import GapError, RealsimError
+from realsim.errors import GapError, RealsimError, did_you_mean
 from realsim.files import inside, read_json, read_text
 from realsim.gap.runs import Layout, layout, read_run
 from realsim.gap.runs import Run as Run
+
+MAX_INCLUDES = 8
+"""Files of a model that include each other in a row."""
 
 
 @dataclass(frozen=True)
@@ -171,19 +173,8 @@ def _columns(log: dict[str, Any], folder: Path) -> Any:
 
 def _load_model(path: Path) -> tuple[Any, Any, str]:
     import mujoco
-    from defusedxml import ElementTree
-    from defusedxml.common import DefusedXmlException
 
-    text = read_text(path)
-    try:
-        root = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, DefusedXmlException) as error:
-        raise GapError("model.xml is not plain XML", file=path, found=str(error)) from error
-    for node in root.iter():
-        if node.get("file"):
-            inside(path.parent, node.get("file", ""))
-        if node.tag == "plugin" or node.tag == "extension":
-            raise GapError("models with plugins are not loaded", file=path, found=f"<{node.tag}>")
+    text = _harmless(path, path.parent)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         model = spec.copy().compile()
@@ -192,6 +183,32 @@ def _load_model(path: Path) -> tuple[Any, Any, str]:
     if model.nu == 0:
         raise GapError("the model has no actuators", file=path, expected="the robot's servos as actuators")
     return spec, model, text
+
+
+def _harmless(path: Path, folder: Path, depth: int = 0) -> str:
+    """The text of an MJCF file that neither runs code nor names a file outside `folder`; nor do those it includes.
+
+    All names are relative to `folder`, that of the first file, as MuJoCo takes them.
+    """
+    from defusedxml import ElementTree
+    from defusedxml.common import DefusedXmlException
+
+    text = read_text(path)
+    try:
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, DefusedXmlException) as error:
+        raise GapError(f"{path.name} is not plain XML", file=path, found=str(error)) from error
+    for node in root.iter():
+        for name in ("file", "meshdir", "texturedir", "assetdir"):
+            if node.get(name):
+                inside(folder, node.get(name, ""))
+        if node.tag in ("plugin", "extension"):
+            raise GapError("models with plugins are not loaded", file=path, found=f"<{node.tag}>")
+        if node.tag == "include" and node.get("file"):
+            if depth == MAX_INCLUDES:
+                raise GapError("the model's files include each other", file=path, found=node.get("file"))
+            _harmless(folder / node.get("file", ""), folder, depth + 1)
+    return text
 
 
 def _names(log: dict[str, Any], key: str, folder: Path) -> list[str]:
@@ -208,12 +225,11 @@ def _names(log: dict[str, Any], key: str, folder: Path) -> list[str]:
 def _match(names: list[str], known: list[str], kind: str, folder: Path) -> None:
     for name in names:
         if name not in known:
-            close = get_close_matches(name, known, n=3, cutoff=0.3)
             raise GapError(
                 f"{kind} {name!r} is not in model.xml",
                 file=folder / "log.json",
                 expected=f"one of {', '.join(known[:40])}",
-                hint=f"did you mean {' or '.join(close)}?" if close else None,
+                hint=did_you_mean(name, known),
             )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from realsim.errors import GapError
-from realsim.files import check_size
+from realsim.files import check_size, read_npz
 from realsim.gap.csv_runs import read_csv
 from realsim.gap.units import in_si
 from realsim.types import F64
@@ -97,9 +96,8 @@ def read_run(path: Path, want: Layout, warnings: list[str]) -> Run:
 
 def _read_npz(path: Path) -> dict[str, F64]:
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {k: np.asarray(archive[k], dtype=np.float64) for k in archive.files}
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
+        return {k: np.asarray(v, dtype=np.float64) for k, v in read_npz(path).items()}
+    except ValueError as error:
         raise GapError("not a readable .npz of plain numbers", file=path, found=str(error)) from error
 
 

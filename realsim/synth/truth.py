@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.errors import RealsimError
-from realsim.files import read_json, to_json, write_bytes, write_text
+from realsim.files import read_json, read_npz, to_json, write_bytes, write_text
 from realsim.geometry import invert_T
 from realsim.synth.render import Renderer
 from realsim.synth.solids import Solid
@@ -111,10 +111,8 @@ def read_truth(folder: Path) -> tuple[dict[str, Any], Samples]:
     path = folder / "samples.npz"
     if not path.is_file():
         raise RealsimError("no truth of a synthetic capture here", file=folder, expected="truth.json and samples.npz")
-    with np.load(path, allow_pickle=False) as data:
-        samples = Samples(
-            data["points"].astype(float), data["normals"].astype(float), data["solid"], data["seen"]
-        )  # fmt: skip
+    data = read_npz(path)
+    samples = Samples(data["points"].astype(float), data["normals"].astype(float), data["solid"], data["seen"])
     return read_json(folder / "truth.json"), samples
 
 

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from realsim.errors import GapError, UnknownNameError
+from realsim.errors import GapError, RealsimError, UnknownNameError
 from realsim.gap import DiagnoseConfig, diagnose, explain, load_case
 from realsim.gap.diagnose import replicates
 
@@ -178,6 +178,26 @@ def test_many_runs_are_subsampled_and_said(case: Path) -> None:
         shutil.copy(case / "runs" / "run_01.npz", case / "runs" / f"more_{i:02d}.npz")
     found = diagnose(load_case(case), DiagnoseConfig(effects=("command_delay",), max_runs=4))
     assert any("24 runs" in w for w in found.health["warnings"])
+
+
+@pytest.mark.parametrize(
+    ("line", "error"),
+    [
+        ('<compiler meshdir="/usr/share"/>', "leads out"),
+        ('<asset><mesh name="m" file="../secret.stl"/></asset>', "leads out"),
+        ('<include file="more.xml"/>', "leads out"),
+        ('<include file="model.xml"/>', "include each other"),
+        ('<extension><plugin plugin="mujoco.pid"/></extension>', "plugins"),
+    ],
+)
+def test_model_that_reaches_out_of_its_folder_is_refused(case: Path, line: str, error: str) -> None:
+    (case / "more.xml").write_text('<mujoco><asset><texture name="t" type="2d" file="/etc/passwd"/></asset></mujoco>')
+    path = case / "model.xml"
+    text = path.read_text()
+    at = text.index(">", text.index("<mujoco")) + 1
+    path.write_text(text[:at] + line + text[at:])
+    with pytest.raises(RealsimError, match=error):
+        load_case(case)
 
 
 def test_model_with_an_entity_bomb_is_refused(case: Path) -> None:

@@ -95,7 +95,10 @@ def load_scene(folder: Path) -> SceneOnDisk:
         model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
     except ValueError as error:
         raise ExportError("the scene does not compile", file=folder / "scene.xml", found=str(error)) from error
-    mesh: Any = trimesh.load(folder / "mesh.ply", process=False)
+    try:
+        mesh: Any = trimesh.load(folder / "mesh.ply", process=False, force="mesh")
+    except Exception as error:  # readers of broken files raise whatever comes up
+        raise ExportError("the mesh cannot be read", file=folder / "mesh.ply", found=str(error)) from error
     colors = mesh.visual.vertex_colors[:, :3] if mesh.visual.kind == "vertex" else None
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -134,7 +137,7 @@ def _collision(model: Any, data: Any) -> tuple[tuple[Box, ...], tuple[Convex, ..
             raise ExportError(
                 "a geom of a kind that other formats do not have",
                 found=f"{name or g}: {kind.name}",
-                hint="reconstruct with another --scene.contact",
+                hint="reconstruct with another --contact",
             )
     return tuple(boxes), tuple(convex), tuple(surfaces), floor
 

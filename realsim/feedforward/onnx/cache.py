@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.errors import RealsimError
-from realsim.files import digest, write_bytes
+from realsim.files import digest, read_npz, write_bytes
 
 MAX_ENTRY_BYTES = 512 * 2**20
 """Larger outputs are not kept: reading them takes as long as running the model."""
@@ -32,15 +31,13 @@ class OutputCache:
             return run()
         key = digest(self.model, *(part for item in sorted(feeds.items()) for part in item), sorted(roles))
         path = self.folder / f"model-{key}.npz"
-        with (
-            contextlib.suppress(OSError, ValueError, KeyError, zipfile.BadZipFile),
-            np.load(path, allow_pickle=False) as store,
-        ):
+        with contextlib.suppress(RealsimError, KeyError):
+            store = read_npz(path)
             return {role: store[role] for role in roles}
         found = run()
         if sum(v.nbytes for v in found.values()) <= MAX_ENTRY_BYTES:
             data = io.BytesIO()
-            np.savez(data, **found)  # type: ignore[arg-type]
+            np.savez(data, allow_pickle=False, **found)
             # A full or read-only disk must not spoil a result that is already there.
             with contextlib.suppress(RealsimError, OSError):
                 write_bytes(path, data.getvalue())
