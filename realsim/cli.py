@@ -60,7 +60,9 @@ def commands() -> tuple[Registry, dict[str, str]]:
     added = {point.name: point.value for point in entry_points(group="realsim.commands")}
     modules = {name: value.partition(":")[0] for name, value in added.items()}
     places = {name: import_module(module.rpartition(".")[0] or module) for name, module in modules.items()}
-    more = {name: getattr(place, "SUMMARIES", {}).get(name, "") for name, place in places.items()}
+    said = {name: text for place in places.values() for name, text in getattr(place, "SUMMARIES", {}).items()}
+    # In the order in which a package says them; what it says nothing about comes last.
+    more = {name: text for name, text in said.items() if name in added} | {n: "" for n in added if n not in said}
     return COMMANDS.joined(added), SUMMARIES | {name: text for name, text in more.items() if name not in SUMMARIES}
 
 
@@ -96,11 +98,12 @@ def main(argv: Sequence[str] | None = None) -> int:
                 "interrupted: nothing half-written is left; finished stages are kept and reused", style="yellow"
             )
         return 130
+    except BrokenPipeError:
+        return _unread()
     try:
         print(to_json(result.data) if as_json else result.text, end="" if as_json else "\n", flush=True)
     except BrokenPipeError:
-        # Whoever read this (head, a pager) has seen enough; the interpreter must not try to flush again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _unread()
     return result.exit_code
 
 
@@ -123,7 +126,7 @@ def _run(name: str, arguments: list[str]) -> Any:
         command,
         prog=f"realsim {name}",
         args=arguments,
-        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+        config=(tyro.conf.OmitArgPrefixes,),
     )
 
 
@@ -133,6 +136,12 @@ def _fail(error: RealsimError, as_json: bool) -> int:
     else:
         console.print(f"error: {error.render()}", style="red", highlight=False, markup=False, soft_wrap=True)
     return 2
+
+
+def _unread() -> int:
+    """Whoever read the output (head, a pager) has seen enough; the interpreter must not try to flush it again."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
 
 
 def _take(arguments: list[str], flag: str) -> bool:

@@ -59,7 +59,7 @@ class ReconstructConfig:
     """Replace an output folder that exists (only once the new scene is complete)."""
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Where finished stages are kept (default: REALSIM_CACHE or the user's cache folder)."""
-    no_cache: bool = False
+    no_cache: tyro.conf.FlagCreatePairsOff[bool] = False
     """Neither reuse nor keep finished stages."""
 
     def seeded(self) -> ReconstructConfig:

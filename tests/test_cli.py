@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import subprocess
+import sys
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
 
-from realsim.cli import COMMANDS, SUMMARIES, main
+from realsim.cli import COMMANDS, SUMMARIES, commands, main
 from realsim.commands import other_arguments, set_arguments
 
 
@@ -20,6 +24,43 @@ def test_every_command_has_a_summary_and_help(capsys: pytest.CaptureFixture[str]
         assert name in text
         assert main([name, "--help"]) == 0
         assert f"realsim {name}" in capsys.readouterr().out
+
+
+def test_help_that_nobody_reads_to_its_end_is_no_error() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [sys.executable, "-c", "from realsim.cli import main; main(['inspect', '--help'])"],
+        stdout=writer, stderr=subprocess.PIPE, text=True, check=False,
+    )  # fmt: skip
+    os.close(writer)
+    assert done.returncode == 0
+    assert done.stderr == ""
+
+
+def test_switches_that_are_on_are_named_as_what_they_do(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["diagnose", "--help"]) == 0
+    assert "--report, --no-report" in capsys.readouterr().out
+
+
+def test_every_option_that_is_spoken_of_exists(capsys: pytest.CaptureFixture[str]) -> None:
+    """In messages, docstrings and docs: what they tell people to type must be taken."""
+    pytest.importorskip("torch")
+    others = {"--head", "--mjcf", "--opset", "--tolerance"}  # of ray, MuJoCo's viewer, tools/export_onnx
+    others |= {"--logdir", "--nproc-per-node", "--nnodes", "--rdzv-endpoint"}  # of tensorboard and torchrun
+    for name in commands()[0]:
+        assert main([name, "--help"]) == 0
+    known = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out)) | {"--help", "--json", "--quiet", "--version"}
+    root = Path(__file__).resolve().parents[1]
+    texts = [*root.glob("realsim/**/*.py"), *root.glob("trainer/**/*.py"), *root.glob("docs/*.md"), root / "README.md"]
+    wrong = [
+        f"{path.relative_to(root)}: {option}"
+        for path in texts
+        # "(" comes before CSS variables.
+        for option in re.findall(r"(?<![\w(-])--[a-z][a-z.-]+[a-z]", path.read_text(encoding="utf-8"))
+        if option not in known | others
+    ]
+    assert wrong == []
 
 
 def test_unknown_command_names_the_closest(capsys: pytest.CaptureFixture[str]) -> None:

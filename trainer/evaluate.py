@@ -40,6 +40,7 @@ class EvaluationConfig:
     worlds: int = 250
     """Trials that run at once; part of what a seed means."""
     seed: int = 0
+    """Of everything random in the trials."""
     randomise: bool = True
     """Whether friction, masses, gains, delays and sensor noise vary as in training; the starting pose always does."""
     pushes: bool = False
