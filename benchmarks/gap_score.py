@@ -40,7 +40,10 @@ def same(found: list[dict[str, Any]], truth: list[Label]) -> bool:
 
 def score(labels: dict[str, Label], found: dict[str, Diagnosis]) -> dict[str, Any]:
     """All figures; shares as [hits, of]."""
-    of: Callable[[str], list[str]] = lambda c: [n for n in sorted(labels) if labels[n]["cls"] == c and n in found]  # noqa: E731
+
+    def of(cls: str) -> list[str]:
+        return [n for n in sorted(labels) if labels[n]["cls"] == cls and n in found]
+
     out: dict[str, Any] = {"diagnosed": [len(found), len(labels)]}
     single = of("single")
     top = [_top1(labels[n], found[n]) for n in single]

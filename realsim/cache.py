@@ -94,7 +94,8 @@ def pack(value: Any) -> bytes:
     tree = _encode(value, arrays)
     out = io.BytesIO()
     named = {f"a{i}": a for i, a in enumerate(arrays)}
-    np.savez_compressed(out, tree=np.frombuffer(json.dumps(tree).encode(), np.uint8), **named)  # type: ignore[arg-type]
+    text = np.frombuffer(json.dumps(tree).encode(), np.uint8)
+    np.savez_compressed(out, allow_pickle=False, tree=text, **named)
     return out.getvalue()
 
 
@@ -143,6 +144,6 @@ def _decode(tree: Any, store: Mapping[str, np.ndarray]) -> Any:
     if "path" in tree:
         return Path(tree["path"])
     kind = getattr(types, tree["type"], None)
-    if not dataclasses.is_dataclass(kind):
+    if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
         raise ValueError(f"unknown type {tree['type']!r}")
-    return kind(**{k: _decode(v, store) for k, v in tree["fields"].items()})  # type: ignore[operator]
+    return kind(**{k: _decode(v, store) for k, v in tree["fields"].items()})

@@ -127,12 +127,13 @@ def visibility(
     if len(truths) == 1:
         return []
     nominal = _signals(robot, sensors, Truth(len(robot.joints)), commands)
-    seen = [_signals(robot, sensors, t, commands) for t in truths]
-    if nominal is None or any(s is None for s in seen):
+    drawn = [_signals(robot, sensors, t, commands) for t in truths]
+    seen = [s for s in drawn if s is not None]
+    if nominal is None or len(seen) < len(drawn):
         return [0.0] * (len(truths) - 1)
-    floor = {k: np.hypot(_rms(seen[0][k][0] - v), noise) for k, (v, noise) in nominal.items()}  # type: ignore[index]
+    floor = {k: np.hypot(_rms(seen[0][k][0] - v), noise) for k, (v, noise) in nominal.items()}
     return [
-        max(float(np.max(_rms(after[k][0] - before[k][0]) / floor[k])) for k in floor)  # type: ignore[index]
+        max(float(np.max(_rms(after[k][0] - before[k][0]) / floor[k])) for k in floor)
         for before, after in itertools.pairwise(seen)
     ]
 

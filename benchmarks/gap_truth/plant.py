@@ -8,6 +8,7 @@ gear by a second mass behind the motor, delays in continuous time.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -193,9 +194,9 @@ class Plant:
             up = np.array([np.zeros(9)])
             mujoco.mju_quat2Mat(up[0], d.qpos[3:7])
             upright = bool(up[0, 8] > 0.8 and d.qpos[2] > 0.5 * qpos0[2])
-        arrays = {k: np.array(v) if v else None for k, v in rows.items()}
-        finite = bool(np.isfinite(arrays["q"]).all())  # type: ignore[arg-type]
-        return Trace(**arrays, qpos0=qpos0, upright=upright and finite)  # type: ignore[arg-type]
+        arrays: dict[str, Any] = {k: np.array(v) if v else None for k, v in rows.items()}
+        finite = bool(np.isfinite(arrays["q"]).all())
+        return Trace(**arrays, qpos0=qpos0, upright=upright and finite)
 
     def _servo(self, now: float, command: np.ndarray) -> np.ndarray:
         t = self.truth

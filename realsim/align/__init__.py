@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+from realsim.align.scene import align
 from realsim.registry import Registry
 
 SEGMENTERS = Registry("segmenter", {"geometric": "realsim.align.geometric:segment"})
 """name -> `realsim.align.segment.Segmenter`. Installed packages add theirs as entry points `realsim.segmenters`."""
-
-from realsim.align.scene import align  # noqa: E402  (it reads the registry above)
 
 __all__ = ["SEGMENTERS", "align"]

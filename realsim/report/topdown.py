@@ -77,7 +77,7 @@ def _map(aligned: AlignedScene, eyes: F64, extent: Extent, picture: U8, *, width
     for name, ink, text_ink in (("x", "#ff5d5d", "#ff5d5d"), ("y", "#4fd36b", "#2fb14d")):
         tip = 0.35 * turn[0 if name == "x" else 1]
         axes.arrow((0, 0), tip, ink, 3)
-        axes.text(*(tip * 1.16), name, dy=5, fill=text_ink, halo=True)
+        axes.text(1.16 * tip[0], 1.16 * tip[1], name, dy=5, fill=text_ink, halo=True)
     for p in aligned.platforms:
         if p.role in ("start", "goal"):
             x, y = p.centroid[:2] @ turn
@@ -116,7 +116,7 @@ def _camera_path(axes: svg.Axes, aligned: AlignedScene, eyes: F64, turn: F64, th
     for ink, extra in (("#1b2030", 1.8), ("#ffffff", 0.0)):
         axes.polyline(at, ink, width=thin * (1.2 + extra)).polyline(looks, ink, width=thin * (0.9 + extra))
         axes.dots(at, ink, radius=thin * (2.0 + extra / 2), titles=names)
-    axes.text(*at[0], "first view", anchor="start", dy=-10, fill="var(--ink)", halo=True)
+    axes.text(at[0, 0], at[0, 1], "first view", anchor="start", dy=-10, fill="var(--ink)", halo=True)
 
 
 def _about(p: Any) -> str:

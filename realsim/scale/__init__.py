@@ -7,6 +7,7 @@ What the frames together say (median, interval, disagreement) is the same for al
 from __future__ import annotations
 
 from realsim.registry import Registry
+from realsim.scale.metric import estimate, to_metric
 
 ESTIMATORS = Registry(
     "scale estimator",
@@ -17,7 +18,5 @@ ESTIMATORS = Registry(
     },
 )
 """name -> f(sensor (M,), predicted (M,), confidence (M,), lower (M,) bool, rng) -> metres a unit, NaN if unknown."""
-
-from realsim.scale.metric import estimate, to_metric  # noqa: E402  (it reads the registry above)
 
 __all__ = ["ESTIMATORS", "estimate", "to_metric"]

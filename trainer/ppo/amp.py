@@ -6,6 +6,8 @@ reward of the paper's table, weight * max[0, 1 - 0.25 (D - 1)^2], times the poli
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
@@ -25,6 +27,8 @@ class StylePrior(nn.Module):
         policy_dt: seconds a policy step.
         minibatches: gradient steps an iteration.
     """
+
+    reference: Tensor
 
     def __init__(self, reference: Tensor, config: AmpConfig, policy_dt: float, minibatches: int = 4) -> None:
         super().__init__()
@@ -58,8 +62,8 @@ class StylePrior(nn.Module):
         order = torch.randperm(len(motion), generator=rng, device=motion.device)
         totals: dict[str, Tensor] = {}
         for rows in order.chunk(self.minibatches):
-            picks = torch.randint(len(self.reference), (len(rows),), generator=rng, device=motion.device)  # type: ignore[arg-type]
-            losses = self._losses(self.reference[picks], motion[rows])  # type: ignore[index]
+            picks = torch.randint(len(self.reference), (len(rows),), generator=rng, device=motion.device)
+            losses = self._losses(self.reference[picks], motion[rows])
             self.optimiser.zero_grad()
             losses["amp_loss"].backward()
             average_gradients(self.layers.parameters())
@@ -72,10 +76,10 @@ class StylePrior(nn.Module):
         """Networks and optimiser."""
         return {"layers": self.layers.state_dict(), "adam": self.optimiser.state_dict()}
 
-    def load_state_dict(self, state: dict[str, object], *args: object, **kwargs: object) -> None:  # type: ignore[override]
+    def load_state_dict(self, state: dict[str, Any], *args: object, **kwargs: object) -> None:  # type: ignore[override]
         """The inverse."""
-        self.layers.load_state_dict(state["layers"])  # type: ignore[arg-type]
-        self.optimiser.load_state_dict(state["adam"])  # type: ignore[arg-type]
+        self.layers.load_state_dict(state["layers"])
+        self.optimiser.load_state_dict(state["adam"])
 
     def _judge(self, normalised: Tensor) -> Tensor:
         return through(self.layers, normalised).squeeze(-1)

@@ -69,6 +69,7 @@ def load(path: Path, device: str | torch.device = "cpu") -> tuple[Policy, dict[s
             found=f"{type(error).__name__}: {_line(error)}",
             hint="it was edited, or written by a changed version of the networks",
         ) from error
+    _refuse_what_is_not_a_number(path, policy)
     return policy.to(torch.device(device)), data["training"]
 
 
@@ -107,12 +108,26 @@ def read(path: Path) -> dict[str, Any]:
     return data
 
 
+def _refuse_what_is_not_a_number(path: Path, policy: Policy) -> None:
+    """Such a policy acts, and is trained on, without a word: the physics only sees joints that are told nothing."""
+    for part, network in (("actor", policy.actor), ("critic", policy.critic)):
+        for name, value in network.state_dict().items():
+            if value.is_floating_point() and not bool(value.isfinite().all()):
+                raise TrainerError(
+                    "the policy's weights are not all numbers",
+                    file=path,
+                    expected="finite weights",
+                    found=f"{part}.{name}: {int((~value.isfinite()).sum())} of {value.numel()} are not",
+                    hint="its training diverged; use a checkpoint before it",
+                )
+
+
 def _layout(data: Mapping[str, Any]) -> ObservationLayout:
     depth = data["depth"]
     return ObservationLayout(
         actor=tuple((str(name), int(width)) for name, width in data["actor"]),
         critic=tuple((str(name), int(width)) for name, width in data["critic"]),
-        depth=None if depth is None else tuple(int(n) for n in depth),  # type: ignore[arg-type]
+        depth=None if depth is None else (int(depth[0]), int(depth[1]), int(depth[2])),
         actions=tuple(map(str, data["actions"])),
         depth_stride=int(data["depth_stride"]),
     )
@@ -126,8 +141,9 @@ def _config(kind: type[T], data: Mapping[str, Any]) -> T:
 
 
 def _line(error: BaseException) -> str:
-    """The first line of what another library says."""
-    return str(error).partition("\n")[0] or type(error).__name__
+    """The first line of what another library says, and the second where the first only announces it."""
+    lines = [line.strip() for line in str(error).splitlines()] or [type(error).__name__]
+    return " ".join(lines[:2] if lines[0].endswith(":") else lines[:1])
 
 
 def _brief(data: Any) -> str:

@@ -231,8 +231,9 @@ def _table(data: Mapping[str, Any], key: str, columns: int, source: Path) -> F64
 
 def _depth_size(data: Mapping[str, Any]) -> tuple[int, int] | None:
     width, height = data.get("dw"), data.get("dh")
-    good = isinstance(width, int) and isinstance(height, int) and width > 0 and height > 0
-    return (width, height) if good else None  # type: ignore[return-value]
+    if isinstance(width, int) and isinstance(height, int) and width > 0 and height > 0:
+        return width, height
+    return None
 
 
 def _known_size(source: Path, numbers: Sequence[int], color_size: tuple[int, int]) -> tuple[int, int]:

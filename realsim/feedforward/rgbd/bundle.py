@@ -59,7 +59,8 @@ def adjust(
     damping, done = 1e-4, 0
     r, J_camera, J_point = linearise(T, X, seen)
     cost = _cost(r, cauchy)
-    for done in range(1, iterations + 1):  # noqa: B007 (reported)
+    while done < iterations:
+        done += 1
         w = weights(r, cauchy)
         accepted = False
         for _ in range(6):

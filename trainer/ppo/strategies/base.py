@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from trainer.errors import TrainerError
 from trainer.ppo.config import StrategyConfig
@@ -25,7 +25,7 @@ def freeze(policy: nn.Module) -> nn.Module:
 
 def own_noise(policy: nn.Module, config: StrategyConfig) -> nn.Parameter:
     """A new exploration noise that starts at the base's, or where the configuration says."""
-    old: Tensor = policy.log_std  # type: ignore[assignment]
+    old = policy.get_parameter("log_std")
     start = old.detach().clone() if config.start_std is None else torch.full_like(old, math.log(config.start_std))
     return nn.Parameter(start)
 

@@ -32,4 +32,4 @@ class Residual(nn.Module):
 
 def residual(policy: nn.Module, config: StrategyConfig) -> nn.Module:
     """The policy frozen, with a correction added to its actions."""
-    return Residual(policy, config).to(policy.log_std.device)  # type: ignore[arg-type]
+    return Residual(policy, config).to(policy.get_parameter("log_std").device)
