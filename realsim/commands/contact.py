@@ -13,7 +13,7 @@ from realsim.files import output_folder
 
 
 def contact(
-    mesh: Annotated[Path, tyro.conf.Positional],
+    mesh: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MESH")],
     config: SceneConfig,
     out: Path = Path("contact"),
     unit: Literal["m", "cm", "mm", "inch"] = "m",

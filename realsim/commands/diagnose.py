@@ -15,7 +15,7 @@ from realsim.gap.config import DiagnoseConfig
 
 
 def diagnose(
-    cases: Annotated[tuple[Path, ...], tyro.conf.Positional],
+    cases: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="CASE ...", help_behavior_hint="")],
     config: DiagnoseConfig,
     out: Path = Path("diagnosis"),
     explain: str | None = None,

@@ -13,7 +13,7 @@ from realsim.export import EXPORTERS, export_scene
 
 
 def export(
-    scene: Annotated[Path, tyro.conf.Positional],
+    scene: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")],
     to: str = "",
     profile: Literal["cpu", "warp"] = "cpu",
     out: Path | None = None,

@@ -15,7 +15,9 @@ from realsim.types import Reconstruction
 
 
 def reconstruct(
-    frames: Annotated[tuple[Path, ...], tyro.conf.Positional],
+    frames: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FRAMES ...", help_behavior_hint="")
+    ],
     config: pipeline.ReconstructConfig,
     out: Path = Path("scene"),
     jobs: int = 1,

@@ -10,7 +10,9 @@ import tyro
 from realsim.commands import CommandResult
 
 
-def view(scene: Annotated[Path, tyro.conf.Positional], port: int = 8080) -> CommandResult:
+def view(
+    scene: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")], port: int = 8080
+) -> CommandResult:
     """Open a live viewer with toggles for frames, cloud, mesh, collision geometry and platforms; ends with Ctrl-C.
 
     Args:

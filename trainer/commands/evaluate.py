@@ -17,7 +17,7 @@ from trainer.trainers import TrainConfig
 
 
 def evaluate(
-    scenes: Annotated[tuple[str, ...], tyro.conf.Positional],
+    scenes: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENE ...", help_behavior_hint="")],
     policy: Path,
     config: EvaluationConfig,
     finer: tuple[str, ...] = (),

@@ -19,7 +19,7 @@ from trainer.trainers import Scene, TrainConfig, find
 
 
 def finetune(
-    scenes: Annotated[tuple[str, ...], tyro.conf.Positional],
+    scenes: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENE ...", help_behavior_hint="")],
     config: TrainConfig,
     policy: Path | None = None,
     from_scratch: bool = False,

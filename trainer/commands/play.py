@@ -19,7 +19,7 @@ from trainer.trainers import TrainConfig
 
 
 def play(
-    scene: Annotated[str, tyro.conf.Positional],
+    scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")],
     policy: Path,
     out: Path = Path("trial.mp4"),
     trial: int = 0,
