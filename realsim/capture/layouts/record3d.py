@@ -8,7 +8,7 @@ each frame, and `poses` are qx qy qz qw tx ty tz with ARKit's camera axes.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -129,12 +129,46 @@ def read(path: Path, config: CaptureConfig) -> FrameSet:
     if depth_size[0] * depth_size[1] > MAX_PIXELS:
         raise CaptureError("an impossible depth size", file=source, found=f"{depth_size[0]}x{depth_size[1]}")
 
+    def pictures(number: int) -> Pictures | str:
+        sure = Member(source, f"rgbd/{number}.conf", MAX_IMAGE_BYTES)
+        if f"rgbd/{number}.jpg" not in members:
+            return "depth without colour"
+        return Pictures(
+            ZippedDepth(Member(source, f"rgbd/{number}.depth", MAX_IMAGE_BYTES), depth_size),
+            ZippedColor(Member(source, f"rgbd/{number}.jpg", MAX_IMAGE_BYTES)),
+            ZippedConfidence(sure, depth_size) if sure.name in members else None,
+            (source,),
+        )
+
+    return frame_set(path, LAYOUT.name, numbers, meta, depth_size, pictures)
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """What is read of a frame when it is asked for, and the files that it comes from."""
+
+    depth: Callable[[], F32]
+    color: Callable[[], U8]
+    confidence: Callable[[], F32] | None
+    files: tuple[Path, ...]
+
+
+def frame_set(
+    path: Path,
+    layout: str,
+    numbers: Sequence[int],
+    meta: Metadata,
+    depth_size: tuple[int, int],
+    pictures: Callable[[int], Pictures | str],
+) -> FrameSet:
+    """The recording's frames; `pictures` of a number may also be the reason why there are none."""
     frames: list[Frame] = []
     dropped: list[Dropped] = []
     for number, at in zip(numbers, rows(numbers, meta), strict=True):
         name = f"{number:06d}"
-        if f"rgbd/{number}.jpg" not in members:
-            dropped.append(Dropped(name, "depth without colour"))
+        found = pictures(number)
+        if isinstance(found, str):
+            dropped.append(Dropped(name, found))
             continue
         try:
             of_depth, of_color = on_two_grids(meta.camera(at), depth_size)
@@ -142,23 +176,22 @@ def read(path: Path, config: CaptureConfig) -> FrameSet:
         except RealsimError as error:
             dropped.append(Dropped(name, one_line(error)))
             continue
-        sure = Member(source, f"rgbd/{number}.conf", MAX_IMAGE_BYTES)
         frames.append(
             Frame(
                 name,
                 of_depth,
-                ZippedDepth(Member(source, f"rgbd/{number}.depth", MAX_IMAGE_BYTES), depth_size),
-                ZippedColor(Member(source, f"rgbd/{number}.jpg", MAX_IMAGE_BYTES)),
+                found.depth,
+                found.color,
                 of_color,
-                ZippedConfidence(sure, depth_size) if sure.name in members else None,
+                found.confidence,
                 pose,
                 meta.time(at),
-                (source,),
+                found.files,
             )
         )
     assumptions = ["depth is in metres (Record3D's convention)", GRIDS_NOTE, *pose_notes(meta)]
     up = UP if meta.poses is not None and not meta.relative else None
-    return capture(path, LAYOUT.name, tuple(frames), tuple(dropped), assumptions, up_world=up)
+    return capture(path, layout, tuple(frames), tuple(dropped), assumptions, up_world=up)
 
 
 def read_metadata(data: Any, source: Path, config: CaptureConfig) -> Metadata:

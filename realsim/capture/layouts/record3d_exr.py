@@ -10,17 +10,15 @@ from pathlib import Path
 
 import numpy as np
 
-from realsim.capture.arkit import GRIDS_NOTE, UP
-from realsim.capture.assemble import capture, on_two_grids, one_line
 from realsim.capture.config import CaptureConfig
 from realsim.capture.images import COLOR_SUFFIXES, MAX_IMAGE_BYTES, MAX_PIXELS, ColorImage, common_size, metres
 from realsim.capture.intrinsics import no_intrinsics
 from realsim.capture.layout import Layout, Recognition
-from realsim.capture.layouts.record3d import pose_notes, read_metadata, rows
+from realsim.capture.layouts.record3d import Pictures, frame_set, read_metadata
 from realsim.capture.listing import list_files
 from realsim.errors import CaptureError, RealsimError, extra
 from realsim.files import check_size, read_json
-from realsim.types import F32, Dropped, Frame, FrameSet
+from realsim.types import F32, FrameSet
 
 
 @dataclass(frozen=True)
@@ -91,36 +89,13 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     if depth_size is None:
         raise CaptureError("no depth image can be read", file=root / "depth", expected="float EXR images")
 
-    numbers = sorted(depth.keys() | color.keys())
-    frames: list[Frame] = []
-    dropped: list[Dropped] = []
-    for number, at in zip(numbers, rows(numbers, meta), strict=True):
-        name = f"{number:06d}"
+    def pictures(number: int) -> Pictures | str:
         if number not in depth or number not in color:
-            dropped.append(Dropped(name, "depth without colour" if number in depth else "colour without depth"))
-            continue
-        try:
-            of_depth, of_color = on_two_grids(meta.camera(at), depth_size)
-            pose = meta.pose(at)
-        except RealsimError as error:
-            dropped.append(Dropped(name, one_line(error)))
-            continue
+            return "depth without colour" if number in depth else "colour without depth"
         files = (color[number], depth[number])
-        frames.append(
-            Frame(
-                name,
-                of_depth,
-                ExrDepth(depth[number]),
-                ColorImage(color[number]),
-                of_color,
-                T_world_camera=pose,
-                timestamp=meta.time(at),
-                files=files,
-            )
-        )
-    assumptions = ["depth is in metres (Record3D's convention)", GRIDS_NOTE, *pose_notes(meta)]
-    up = UP if meta.poses is not None and not meta.relative else None
-    return capture(folder, LAYOUT.name, tuple(frames), tuple(dropped), assumptions, up_world=up)
+        return Pictures(ExrDepth(depth[number]), ColorImage(color[number]), None, files)
+
+    return frame_set(folder, LAYOUT.name, sorted(depth.keys() | color.keys()), meta, depth_size, pictures)
 
 
 LAYOUT = Layout("record3d_exr", "depth/*.exr, rgb/ and metadata.json: Record3D's EXR export", recognise, read)
