@@ -20,7 +20,7 @@ class DiagnoseConfig:
     bin_seconds: float = 0.02
     """Samples are averaged over bins of this width before comparison, seconds."""
     settle_seconds: float = 0.6
-    """The simulator holds the first command for this long before a run begins."""
+    """The simulator holds the first command for this long before a run that begins at rest."""
     holdout: int = 1
     """Runs that no fit sees, for the shrinkage (0 if the log has only one run)."""
     finalists: int = 5

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from realsim.errors import GapError
-from realsim.gap.case import Case
+from realsim.gap.case import Case, Run
 from realsim.gap.repeats import spread
 from realsim.gap.simulate import Simulator
+from realsim.gap.start import STILL, Start
 from realsim.types import F64
 
 Said = list[str]
@@ -19,6 +20,11 @@ SHORTEST = 0.4
 """s that all runs together must last."""
 REST_OFF, REST_SPEED = 0.1, 0.1
 """Share of a joint's range of motion (or rad), and of its peak speed: what a start at rest may differ by."""
+STARTED = {
+    "rest": "from rest under its first command",
+    "given": "from init_qpos and init_qvel",
+    "log": "from the state of its first samples",
+}
 MOSTLY = 0.1
 """Share of samples at a limit from which it is said."""
 
@@ -155,33 +161,41 @@ def noise(simulator: Simulator, nominal: list[F64]) -> tuple[dict[str, Any], Sai
     return found, said
 
 
-def initial_states(simulator: Simulator) -> tuple[dict[str, float], Said]:
-    """How the runs begin: largest distance from the nominal simulator's rest, rad, and largest speed, rad/s."""
+def initial_states(simulator: Simulator) -> tuple[dict[str, Any], Said]:
+    """How the runs begin: largest distance from the nominal simulator's rest, rad, and largest speed, rad/s.
+
+    `runs` says of every run how it was started in the simulator.
+    """
     case = simulator.case
     said, off, fast = [], [0.0], [0.0]
-    for run, track in zip(case.runs, simulator.nominal_tracks, strict=True):
-        settle, dt = track["settle"]
-        rest = track["pos"][round(float(settle / dt))]
+    how = {}
+    for run, track, start, rest in zip(
+        case.runs, simulator.nominal_tracks, simulator.starts, simulator.rests, strict=True
+    ):
         position = run.signals["joint_pos"]
         first = np.nanmedian(position[:5], axis=0)
         travel = np.nanmax(position, axis=0) - np.nanmin(position, axis=0)
         distance, speed = np.abs(first - rest), _first_speed(run.time, position)
-        peak = np.nanmax(np.abs(np.gradient(track["pos"], dt, axis=0)), axis=0)
+        peak = np.nanmax(np.abs(np.gradient(track["pos"], track["settle"][1], axis=0)), axis=0)
         off.append(float(np.nanmax(distance)))
         fast.append(float(np.nanmax(speed)))
+        how[run.name] = f"{STARTED[start.kind]}: {start.reason}"
+        done = f"; it is simulated {STARTED[start.kind]}"
         j = int(np.nanargmax(distance / (travel + REST_OFF)))
         if distance[j] > max(REST_OFF, 0.2 * travel[j]):
             said.append(
                 f"{run.name}: the initial state does not match: {case.joint_names[j]} begins at {first[j]:.3g}, the "
-                f"nominal simulator rests at {rest[j]:.3g} under the first command"
+                f"nominal simulator rests at {rest[j]:.3g} under the first command{done}"
             )
         j = int(np.nanargmax(speed / (peak + 1e-6)))
         if speed[j] > max(REST_SPEED * peak[j], 0.15):
             said.append(
-                f"{run.name}: the run does not begin at rest: {case.joint_names[j]} moves at {speed[j]:.2g} rad/s"
+                f"{run.name}: the run does not begin at rest: {case.joint_names[j]} moves at {speed[j]:.2g} rad/s{done}"
             )
-        said += _given_state(case, run.name, run.init_qpos, run.init_qvel, first)
-    return {"farthest_from_rest": max(off), "fastest_at_start": max(fast)}, said
+        elif start.moving:
+            said.append(f"{run.name}: the run does not begin at rest{done}")
+        said += _given_state(case, run, start, first)
+    return {"farthest_from_rest": max(off), "fastest_at_start": max(fast), "runs": how}, said
 
 
 def _first_speed(time: F64, position: F64) -> F64:
@@ -192,13 +206,13 @@ def _first_speed(time: F64, position: F64) -> F64:
     return np.asarray(np.abs(t @ values) / max(float(t @ t), 1e-12))
 
 
-def _given_state(case: Case, name: str, qpos: F64 | None, qvel: F64 | None, first: F64) -> Said:
+def _given_state(case: Case, run: Run, start: Start, first: F64) -> Said:
     said = []
-    if qpos is not None:
-        given = np.array([qpos[case.model.joint(n).qposadr[0]] for n in case.joint_names])
+    if run.init_qpos is not None:
+        given = np.array([run.init_qpos[case.model.joint(n).qposadr[0]] for n in case.joint_names])
         j = int(np.argmax(np.abs(given - first)))
         if abs(given[j] - first[j]) > REST_OFF:
-            said.append(f"{name}: init_qpos has {case.joint_names[j]} at {given[j]:.3g}, the log at {first[j]:.3g}")
-    if qvel is not None and np.abs(qvel).max(initial=0) > 0.05:
-        said.append(f"{name}: init_qvel is not zero; runs are simulated from rest")
+            said.append(f"{run.name}: init_qpos has {case.joint_names[j]} at {given[j]:.3g}, the log at {first[j]:.3g}")
+    if run.init_qvel is not None and np.abs(run.init_qvel).max(initial=0) > STILL and not start.moving:
+        said.append(f"{run.name}: init_qvel is not zero, but the log stands still: the run is simulated from rest")
     return said

@@ -207,7 +207,8 @@ def assumptions_card(found: Diagnosis, shown: Replay) -> str:
         config = shown.comparison.config
         assumed += [
             f"Samples are averaged over bins of {1e3 * config.bin_seconds:g} ms before they are compared.",
-            f"The simulator holds the first command for {config.settle_seconds:g} s before a run begins.",
+            f"A run at rest begins after the first command was held for {config.settle_seconds:g} s; one recorded in "
+            "motion begins in the state of the log.",
         ]
     parts += ["<h4>Assumed</h4>", page.bullets(assumed)]
     rows = [

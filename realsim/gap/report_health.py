@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -40,7 +41,9 @@ def _start(health: dict[str, Any]) -> list[list[str]]:
     start = health.get("start", {})
     if not start:
         return []
+    how = Counter(said.partition(":")[0] for said in start.get("runs", {}).values())
     return [
+        *([f"runs started {words}", str(count)] for words, count in how.items()),
         ["start, farthest from the simulator's rest", f"{svg.number(start['farthest_from_rest'], 2)} rad"],
         ["start, fastest joint", f"{svg.number(start['fastest_at_start'], 2)} rad/s"],
     ]

@@ -7,7 +7,7 @@ in proportion to time is a delay or a wrong velocity; one that grows with its sq
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from realsim.gap.case import Run
 from realsim.gap.motion import Motion, estimate
 from realsim.gap.simulate import Setting, Simulator, rotation_from, sample
+from realsim.gap.start import Start, initial_state
 from realsim.types import F64
 
 HORIZONS = (0.02, 0.1, 0.5)
@@ -73,7 +74,8 @@ def shoot(simulator: Simulator, settings: Sequence[Setting] = (), runs: Sequence
         control = simulator._control(model, run, edit, reach, 0, dt)
         for n in starts:
             first = max(round((float(motion.time[n]) - late) / dt), 0)
-            states.append(_state(simulator, model, edit, run, motion, n))
+            here = Start("log", motion.qpos[n], motion.qvel[n])
+            states.append(initial_state(case, model, run, edit, here))
             controls.append(control[first : first + count])
             seen.append((run, motion, n))
     if not states:
@@ -105,22 +107,6 @@ def _windows(simulator: Simulator, chosen: list[int], longest: float) -> list[tu
         starts = np.searchsorted(motion.time, times)
         found.append((i, motion, [int(n) for n in starts if n < len(motion.time) and motion.good[n]]))
     return found
-
-
-def _state(simulator: Simulator, model: Any, edit: Any, run: Run, motion: Motion, n: int) -> F64:
-    """Full state of the changed model at step n; a rotor behind play or a spring moves with its joint."""
-    case = simulator.case
-    here = {"joint_pos": np.array([[motion.qpos[n, case.model.joint(j).qposadr[0]] for j in case.joint_names]])}
-    state = simulator._initial_state(model, replace(run, init_qpos=motion.qpos[n], signals=here), edit)
-    first = 1 + model.nq  # time, positions, then velocities
-    for j in range(case.model.njnt):
-        name = case.model.joint(j).name
-        width = {0: 6, 1: 3}.get(int(case.model.jnt_type[j]), 1)
-        a, b = case.model.jnt_dofadr[j], model.joint(name).dofadr[0]
-        state[first + b : first + b + width] = motion.qvel[n, a : a + width]
-        if name in edit.signals.rotors:
-            state[first + model.joint(edit.signals.rotors[name]).dofadr[0]] = motion.qvel[n, a]
-    return np.asarray(state)
 
 
 def _names(simulator: Simulator) -> list[tuple[str, str]]:

@@ -20,6 +20,7 @@ from realsim.gap.sampling import held_mean as held_mean
 from realsim.gap.sampling import quiet_mujoco as quiet_mujoco
 from realsim.gap.sampling import rotation_from as rotation_from
 from realsim.gap.sampling import sample as sample
+from realsim.gap.start import Start, find_starts, first_rows, initial_state
 from realsim.types import F64
 
 Setting = tuple[str, Place, dict[str, float]]
@@ -47,8 +48,9 @@ class Simulator:
     """Replays runs. `simulate` returns, for each run, (T, C) at the logged time stamps; NaN from where it failed.
 
     A run begins after the first command was held for `settle_seconds` from the logged initial pose, so that a changed
-    model starts from its own rest. Held commands are averaged over simulation steps, which makes delays of a fraction
-    of a step exact in the mean.
+    model starts from its own rest; one that was recorded out of rest begins in the state of the log (`starts`, see
+    realsim.gap.start). Held commands are averaged over simulation steps, which makes delays of a fraction of a step
+    exact in the mean.
     """
 
     def __init__(self, case: Case, config: DiagnoseConfig) -> None:
@@ -59,7 +61,12 @@ class Simulator:
         self._pool: Any = None
         self._raw: list[dict[str, F64]] | None = None
         self._coarse: dict[tuple[int, tuple[int, ...]], list[dict[str, F64]]] = {}
-        self._raw = self._rollout(Edit(self.context), None)
+        self.starts: tuple[Start, ...] = tuple(Start() for _ in case.runs)
+        """How each run begins."""
+        self._raw = self.roll_out(Edit(self.context), None)
+        self.rests = [r["pos"][round(float(r["settle"][0] / r["settle"][1]))] for r in self._raw]
+        """(J,) a run: where the nominal simulator rests under the first command."""
+        self._start_in_motion()
         measure(self.context, [_inside(raw) for raw in self._raw])
 
     def close(self) -> None:
@@ -97,21 +104,42 @@ class Simulator:
         """(T, C) a run, of the runs with these indices (all if None); `coarse` multiplies the time step."""
         chosen = list(range(len(self.case.runs))) if runs is None else list(runs)
         edit = self.edited(settings)
-        if edit.touched or edit.signals.moves_the_robot():
-            raw = self._rollout(edit, chosen, coarse)
+        earlier = edit.signals.observation_delay and any(self.starts[i].moving for i in chosen)
+        if edit.touched or edit.signals.moves_the_robot() or earlier:
+            raw = self.roll_out(edit, chosen, coarse)
         elif coarse == 1:
             assert self._raw is not None
             raw = [self._raw[i] for i in chosen]
         else:
             key = (coarse, tuple(chosen))
             if key not in self._coarse:
-                self._coarse[key] = self._rollout(edit, chosen, coarse)
+                self._coarse[key] = self.roll_out(edit, chosen, coarse)
             raw = self._coarse[key]
-        return [self._read(self.case.runs[i], r, edit) for i, r in zip(chosen, raw, strict=True)]
+        return [self.read(self.case.runs[i], r, edit) for i, r in zip(chosen, raw, strict=True)]
 
     # ------------------------------------------------------------ inside
 
-    def _rollout(self, edit: Edit, chosen: list[int] | None, coarse: int = 1) -> list[dict[str, F64]]:
+    def _start_in_motion(self) -> None:
+        """Simulate again the runs that do not begin at rest."""
+        assert self._raw is not None
+        edit = Edit(self.context)
+        self.starts = find_starts(
+            self, [self.read(run, raw, edit) for run, raw in zip(self.case.runs, self._raw, strict=True)]
+        )
+        moving = [i for i, start in enumerate(self.starts) if start.moving]
+        for i, raw in zip(moving, self.roll_out(edit, moving) if moving else [], strict=True):
+            self._raw[i] = raw
+
+    def roll_out(
+        self,
+        edit: Edit,
+        chosen: list[int] | None,
+        coarse: int = 1,
+        starts: Sequence[Start] | None = None,
+        seconds: float = np.inf,
+    ) -> list[dict[str, F64]]:
+        """Signals on the simulator's own grid, a dict a run; begun as in `starts` (the runs' own if None)."""
+        begun = starts or [self.starts[i] for i in (chosen if chosen is not None else range(len(self.starts)))]
         runs = [self.case.runs[i] for i in chosen] if chosen is not None else list(self.case.runs)
         spec = edit.spec
         try:
@@ -120,22 +148,25 @@ class Simulator:
             raise GapError("the changed model does not compile", found=str(error).splitlines()[0]) from error
         model.opt.timestep *= coarse
         dt = model.opt.timestep
-        settle = self._settle_steps(dt)
-        steps = [settle + int(np.ceil((run.duration + 0.05) / dt)) + 2 for run in runs]
-        state = np.stack([self._initial_state(model, run, edit) for run in runs])
+        settle = [self._settle_steps(start, edit, dt) for start in begun]
+        lengths = [int(np.ceil((min(run.duration, seconds) + 0.05) / dt)) + 2 for run in runs]
+        steps = [lead + length for lead, length in zip(settle, lengths, strict=True)]
+        state = np.stack([initial_state(self.case, model, r, edit, s) for r, s in zip(runs, begun, strict=True)])
         control = np.zeros((len(runs), max(steps), model.nu))
         for i, run in enumerate(runs):
-            control[i] = self._control(model, run, edit, max(steps), settle, dt)
+            control[i] = self._control(model, run, edit, max(steps), settle[i], dt)
         passes = 2 if edit.signals.load_friction else 1
-        previous = (
-            [self._raw[i] for i in (chosen or range(len(runs)))] if self._raw and passes == 2 and coarse == 1 else None
-        )
+        previous = None
+        if self._raw and passes == 2 and coarse == 1:
+            previous = [self._raw[i] for i in (chosen or range(len(runs)))]
+            if any(round(float(p["settle"][0]) / dt) != k for p, k in zip(previous, settle, strict=True)):
+                previous = None  # its rows stand for other times
         result: list[dict[str, F64]] = []
         for _ in range(passes):
             if previous is not None:
                 self._feed_friction(model, control, previous, edit)
             sensors = self._roll(model, state, control)
-            result = [self._tracks(model, s[:n], settle, edit) for s, n in zip(sensors, steps, strict=True)]
+            result = [self._tracks(model, s[:n], k, edit) for s, n, k in zip(sensors, steps, settle, strict=True)]
             previous = result
         self.simulated_seconds += passes * float(sum(steps)) * dt
         return result
@@ -151,41 +182,16 @@ class Simulator:
             _, sensors = self._pool.rollout(model, datas, state, control, chunk_size=1)
         return np.asarray(sensors)
 
-    def _settle_steps(self, dt: float) -> int:
+    def _settle_steps(self, start: Start, edit: Edit, dt: float) -> int:
+        """Steps before the first sample."""
+        if start.moving:  # late encoders read at time 0 the state that was there earlier
+            return round(edit.signals.observation_delay / dt) if start.encoders else 0
         seconds = self.config.settle_seconds
         if self.case.floating and all(r.init_qpos is not None for r in self.case.runs):
             seconds = min(
                 seconds, RESTING
             )  # the logged state is the robot's own rest; contacts would creep away from it
         return round(seconds / dt)
-
-    def _initial_state(self, model: Any, run: Run, edit: Edit) -> F64:
-        import mujoco
-
-        data = mujoco.MjData(model)
-        nominal = self.case.model
-        if run.init_qpos is not None:
-            for j in range(nominal.njnt):
-                width = 7 if nominal.jnt_type[j] == 0 else 4 if nominal.jnt_type[j] == 1 else 1
-                a, b = nominal.jnt_qposadr[j], model.joint(nominal.joint(j).name).qposadr[0]
-                data.qpos[b : b + width] = run.init_qpos[a : a + width]
-        elif self.case.floating and "base_pos" in run.signals:
-            adr = int(model.joint(int(np.flatnonzero(model.jnt_type == 0)[0])).qposadr[0])
-            data.qpos[adr : adr + 3] = _first(run.signals["base_pos"])
-            if "base_quat" in run.signals:
-                quat = _first(run.signals["base_quat"])
-                data.qpos[adr + 3 : adr + 7] = quat / max(float(np.linalg.norm(quat)), 1e-9)
-        first = _first(run.signals["joint_pos"])
-        for j, name in enumerate(self.case.joint_names):
-            true = first[j] - edit.signals.joint_offset.get(name, 0.0) - edit.signals.read_offset.get(name, 0.0)
-            data.qpos[model.joint(name).qposadr[0]] = true
-            if name in edit.signals.rotors:
-                data.qpos[model.joint(edit.signals.rotors[name]).qposadr[0]] = true
-        mujoco.mj_forward(model, data)
-        kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
-        state = np.zeros(mujoco.mj_stateSize(model, kind))
-        mujoco.mj_getState(model, data, state, kind)
-        return state
 
     def _control(self, model: Any, run: Run, edit: Edit, steps: int, settle: int, dt: float) -> F64:
         command = run.command.copy()
@@ -253,7 +259,7 @@ class Simulator:
             steps[:, self.case.joint_names.index(joint)] = gain * np.diff(run.command[:, u], prepend=run.command[0, u])
         return steps
 
-    def _read(self, run: Run, raw: dict[str, F64], edit: Edit) -> F64:
+    def read(self, run: Run, raw: dict[str, F64], edit: Edit) -> F64:
         """(T, C) at the time stamps of the run, through the wrappers."""
         s = edit.signals
         settle, dt = raw["settle"]
@@ -271,7 +277,7 @@ class Simulator:
         if "base_pos" in raw:
             columns["base_pos"] = sample(raw["base_pos"], now) + np.array(s.base_bias)
             if "base_quat" in run.signals:
-                reference = _first(run.signals["base_quat"])
+                reference = first_rows(run.signals["base_quat"])
                 columns["base_rot"] = rotation_from(sample(raw["base_quat"], now), reference) + np.array(s.base_turn)
         if "gyro" in raw:
             columns["imu_gyro"] = sample(raw["gyro"], now) + np.array(s.gyro_bias)
@@ -288,7 +294,7 @@ def measured(run: Run, channels: Sequence[Channel]) -> F64:
     """(T, C) of the log, orientation as a rotation vector from the first sample."""
     columns = dict(run.signals)
     if "base_quat" in columns:
-        columns["base_rot"] = rotation_from(columns["base_quat"], _first(columns["base_quat"]))
+        columns["base_rot"] = rotation_from(columns["base_quat"], first_rows(columns["base_quat"]))
     return np.stack([columns[c.signal][:, c.index] for c in channels], axis=1)
 
 
@@ -306,14 +312,6 @@ def _channels(case: Case) -> tuple[Channel, ...]:
             if case.has(signal):
                 found += [Channel(signal, a, i) for i, a in enumerate("xyz")]
     return tuple(found)
-
-
-def _first(values: F64, count: int = 5) -> F64:
-    """Median of the first finite rows: the pose at rest, without the encoder's noise."""
-    good = values[np.isfinite(values).all(axis=1)][:count]
-    if not len(good):
-        raise GapError("a signal has no complete sample")
-    return np.median(good, axis=0)
 
 
 def _inside(raw: dict[str, F64]) -> dict[str, F64]:
