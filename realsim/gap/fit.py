@@ -12,7 +12,7 @@ from realsim.errors import GapError
 from realsim.gap.effects.base import Parameter
 from realsim.gap.fitted import Cause as Cause
 from realsim.gap.fitted import Fit as Fit
-from realsim.gap.fitted import causes_of, spread
+from realsim.gap.fitted import causes_of, form, spread
 from realsim.gap.nuisances import NUISANCES
 from realsim.gap.screen import Candidate, Screen
 from realsim.gap.simulate import Setting, lookup
@@ -39,7 +39,7 @@ class Fitter:
     def tighten(self, fit: Fit) -> Fit:
         """Weigh errors against what this fit leaves, put the nuisances where they belong, and measure it anew."""
         for _ in range(2):
-            self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal)
+            self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal, form(fit))
             fit, moved = self._settle(self.remeasure(fit))
             if not moved:
                 break
@@ -55,7 +55,7 @@ class Fitter:
             return fit
         self.about = np.where(pure, self.about, 0.0)
         fit = self.remeasure(fit)
-        self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal)
+        self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal, form(fit))
         return self.remeasure(fit)
 
     def remeasure(self, fit: Fit) -> Fit:

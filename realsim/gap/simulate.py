@@ -128,7 +128,9 @@ class Simulator:
             control[i] = self._control(model, run, edit, max(steps), settle, dt)
         passes = 2 if edit.signals.load_friction else 1
         previous = (
-            [self._raw[i] for i in (chosen or range(len(runs)))] if self._raw and passes == 2 and coarse == 1 else None
+            [self._raw[i] for i in (chosen or range(len(runs)))]
+            if self._raw and passes == 2 and dt == self.context.timestep
+            else None
         )
         result: list[dict[str, F64]] = []
         for _ in range(passes):
