@@ -100,7 +100,7 @@ class Fitter:
         self,
         causes: Sequence[Cause],
         starts: Sequence[Sequence[float]] = (),
-        iterations: int = 4,
+        iterations: int = 6,
         rough: bool = False,
         target: float = np.inf,
     ) -> Fit | None:
@@ -314,7 +314,8 @@ class Fitter:
         if free.any():
             sub = np.ix_(free, free)
             step[free] = np.linalg.solve((info + ridge)[sub], gradient[free])
-        return np.clip(step, -4 * scale, 4 * scale)
+        widest = np.maximum(4 * scale, np.abs(z))  # a gross cause lies many steps off
+        return np.clip(step, -widest, widest)
 
     def _measure(
         self,
