@@ -125,6 +125,7 @@ class Fitter:
                 if slopes is None:
                     break
             step = self._newton(candidates, z, parameters, base, slopes, damping, few)
+            on_the_way = bool((np.abs(step) >= _widest(z, parameters)).any())
             before = value
             for shrink in (1.0, 0.4, 0.1):
                 trial = self._clip(z + shrink * step, parameters)
@@ -139,7 +140,7 @@ class Fitter:
             gained = before - value
             if gained <= 0 and not fresh:
                 slopes = None  # the secants have gone stale: look anew before giving up
-            elif gained < 0.02 + 1e-4 * abs(value) or (k and value - 3 * gained > target):
+            elif gained < 0.02 + 1e-4 * abs(value) or (k and not on_the_way and value - 3 * gained > target):
                 break
         return self._measure(causes_of(candidates, z), parameters, slopes, few)
 
@@ -314,7 +315,7 @@ class Fitter:
         if free.any():
             sub = np.ix_(free, free)
             step[free] = np.linalg.solve((info + ridge)[sub], gradient[free])
-        widest = np.maximum(4 * scale, np.abs(z))  # a gross cause lies many steps off
+        widest = _widest(z, parameters)
         return np.clip(step, -widest, widest)
 
     def _measure(
@@ -347,3 +348,8 @@ class Fitter:
                     at_bounds.append(p.name)
         misfit = self.screen.misfit(evidence, prior)
         return Fit(causes, misfit, covariance, tuple(predicted), about, evidence, prior, tuple(at_bounds))
+
+
+def _widest(z: F64, parameters: Sequence[Parameter]) -> F64:
+    """(m,) longest step: a gross cause lies many of its own steps off."""
+    return np.maximum(4 * np.array([abs(p.step) for p in parameters]), np.abs(z))
