@@ -47,7 +47,8 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         target.frictionloss = target.frictionloss + max(static, moving)
         if falling <= 0:
             continue
-        wanted, stable = falling / values["stribeck_velocity"], 0.4 * edit.context.inertia[joint] / edit.context.timestep
+        wanted = falling / values["stribeck_velocity"]
+        stable = 0.4 * edit.context.inertia[joint] / edit.context.timestep
         finer = int(np.clip(np.ceil(wanted / stable), 1, FINEST))
         edit.spec.option.timestep = min(edit.spec.option.timestep, edit.context.timestep / finer)
         slope = min(wanted, finer * stable)
