@@ -21,6 +21,9 @@ from realsim.types import F64
 REASONABLE = 3.0
 """Standard deviations up to which a small deviation is an everyday one."""
 
+PACES = 6.0
+"""A fit is broken off where so many more steps as good as the last would not reach its target."""
+
 
 class Fitter:
     """Gauss-Newton over rollouts, on the runs of a screen."""
@@ -140,7 +143,7 @@ class Fitter:
             gained = before - value
             if gained <= 0 and not fresh:
                 slopes = None  # the secants have gone stale: look anew before giving up
-            elif gained < 0.02 + 1e-4 * abs(value) or (k and not on_the_way and value - 3 * gained > target):
+            elif gained < 0.02 + 1e-4 * abs(value) or (k and not on_the_way and value - PACES * gained > target):
                 break
         return self._measure(causes_of(candidates, z), parameters, slopes, few)
 
