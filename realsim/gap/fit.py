@@ -209,14 +209,16 @@ class Fitter:
         return found
 
     def prior_beside(self, candidates: Sequence[Candidate]) -> F64:
-        """A parameter that is a cause is not a nuisance at the same time."""
+        """A parameter that is a cause is not a nuisance at the same time, nor is one that does the same."""
         prior = self.screen.prior.copy()
         for c in candidates:
+            like = {p.name: p.like for p in lookup(c.effect).parameters(self.screen.simulator.context, c.place)}
             for place in c.places:
                 for name in c.names:
-                    i = self.screen.index.get((c.effect, place, name))
-                    if i is not None:
-                        prior[i] = 0.0
+                    for effect, parameter in [(c.effect, name), like[name] or (c.effect, name)]:
+                        i = self.screen.index.get((effect, place, parameter))
+                        if i is not None:
+                            prior[i] = 0.0
         return prior
 
     def _misfit(self, candidates: Sequence[Candidate], z: F64, few: tuple[int, ...] | None = None) -> float | None:
