@@ -19,8 +19,6 @@ CLOCK_SIGMA = 3e-4
 TOUCH_SIGMA = 3e-3
 """Seconds by which a touchdown may come sooner or later: what an accelerometer on a walking robot makes of it."""
 
-FORM = 0.04
-"""An effect's simplified form is good to a few per cent of the correction that it makes."""
 PHASE = 0.3
 """A torque may be sampled before or after a command that changes at that very moment: share of the step, as noise."""
 
@@ -122,20 +120,25 @@ class Comparison:
             self.weights[i][self._counts[i] == 0] = 0.0
         self.version += 1
 
-    def temper(self, runs: Sequence[int], simulated: Sequence[F64], nominal: Sequence[F64]) -> None:
+    def temper(self, runs: Sequence[int], simulated: Sequence[F64], nominal: Sequence[F64], form: float) -> None:
         """Weigh errors against the gap that is still there: a model that explains most of it is good enough for now.
 
         Without this, a large gap would be fitted by absurd values of many small deviations, because sensors are so
         precise that their price does not count. The tolerance is a quarter of the local error (about a second wide),
-        and what the form of the causes leaves open: a few per cent of what they have changed.
+        and what the `form` of the causes leaves open: a few per cent of what they have changed.
         """
         detail: list[F64] = [self.noise.detail for _ in self.case.runs]
         self._form = {}
         for run, y, y0 in zip(runs, simulated, nominal, strict=True):
-            self._form[run] = FORM * self._local(self.change(run, y, y0))
+            self._form[run] = form * self._local(self.change(run, y, y0))
             left = TEMPER * self._local(np.nan_to_num(self.residual(run, y)))
             detail[run] = np.sqrt(self.noise.detail**2 + left**2 + self._form[run] ** 2)
         self.set_detail(detail)
+
+    def sharpen(self, share: float) -> None:
+        """Weigh errors against what the causes and small deviations leave, where that is less than was allowed for."""
+        self.weights = [w / share for w in self.weights]
+        self.version += 1
 
     def _local(self, values: F64) -> F64:
         """(B, C) root mean square over about a second."""

@@ -12,7 +12,7 @@ from realsim.errors import GapError
 from realsim.gap.effects.base import Parameter
 from realsim.gap.fitted import Cause as Cause
 from realsim.gap.fitted import Fit as Fit
-from realsim.gap.fitted import causes_of, spread
+from realsim.gap.fitted import causes_of, form, spread
 from realsim.gap.nuisances import NUISANCES
 from realsim.gap.screen import Candidate, Screen
 from realsim.gap.simulate import Setting, lookup
@@ -20,6 +20,9 @@ from realsim.types import F64
 
 REASONABLE = 3.0
 """Standard deviations up to which a small deviation is an everyday one."""
+
+PACES = 6.0
+"""A fit is broken off where so many more steps as good as the last would not reach its target."""
 
 
 class Fitter:
@@ -39,7 +42,7 @@ class Fitter:
     def tighten(self, fit: Fit) -> Fit:
         """Weigh errors against what this fit leaves, put the nuisances where they belong, and measure it anew."""
         for _ in range(2):
-            self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal)
+            self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal, form(fit))
             fit, moved = self._settle(self.remeasure(fit))
             if not moved:
                 break
@@ -55,7 +58,7 @@ class Fitter:
             return fit
         self.about = np.where(pure, self.about, 0.0)
         fit = self.remeasure(fit)
-        self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal)
+        self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal, form(fit))
         return self.remeasure(fit)
 
     def remeasure(self, fit: Fit) -> Fit:
@@ -100,7 +103,7 @@ class Fitter:
         self,
         causes: Sequence[Cause],
         starts: Sequence[Sequence[float]] = (),
-        iterations: int = 4,
+        iterations: int = 6,
         rough: bool = False,
         target: float = np.inf,
     ) -> Fit | None:
@@ -125,6 +128,7 @@ class Fitter:
                 if slopes is None:
                     break
             step = self._newton(candidates, z, parameters, base, slopes, damping, few)
+            on_the_way = bool((np.abs(step) >= _widest(z, parameters)).any())
             before = value
             for shrink in (1.0, 0.4, 0.1):
                 trial = self._clip(z + shrink * step, parameters)
@@ -139,7 +143,7 @@ class Fitter:
             gained = before - value
             if gained <= 0 and not fresh:
                 slopes = None  # the secants have gone stale: look anew before giving up
-            elif gained < 0.02 + 1e-4 * abs(value) or (k and value - 3 * gained > target):
+            elif gained < 0.02 + 1e-4 * abs(value) or (k and not on_the_way and value - PACES * gained > target):
                 break
         return self._measure(causes_of(candidates, z), parameters, slopes, few)
 
@@ -205,14 +209,16 @@ class Fitter:
         return found
 
     def prior_beside(self, candidates: Sequence[Candidate]) -> F64:
-        """A parameter that is a cause is not a nuisance at the same time."""
+        """A parameter that is a cause is not a nuisance at the same time, nor is one that does the same."""
         prior = self.screen.prior.copy()
         for c in candidates:
+            like = {p.name: p.like for p in lookup(c.effect).parameters(self.screen.simulator.context, c.place)}
             for place in c.places:
                 for name in c.names:
-                    i = self.screen.index.get((c.effect, place, name))
-                    if i is not None:
-                        prior[i] = 0.0
+                    for effect, parameter in [(c.effect, name), like[name] or (c.effect, name)]:
+                        i = self.screen.index.get((effect, place, parameter))
+                        if i is not None:
+                            prior[i] = 0.0
         return prior
 
     def _misfit(self, candidates: Sequence[Candidate], z: F64, few: tuple[int, ...] | None = None) -> float | None:
@@ -314,7 +320,8 @@ class Fitter:
         if free.any():
             sub = np.ix_(free, free)
             step[free] = np.linalg.solve((info + ridge)[sub], gradient[free])
-        return np.clip(step, -4 * scale, 4 * scale)
+        widest = _widest(z, parameters)
+        return np.clip(step, -widest, widest)
 
     def _measure(
         self,
@@ -346,3 +353,8 @@ class Fitter:
                     at_bounds.append(p.name)
         misfit = self.screen.misfit(evidence, prior)
         return Fit(causes, misfit, covariance, tuple(predicted), about, evidence, prior, tuple(at_bounds))
+
+
+def _widest(z: F64, parameters: Sequence[Parameter]) -> F64:
+    """(m,) longest step: a gross cause lies many of its own steps off."""
+    return np.maximum(4 * np.array([abs(p.step) for p in parameters]), np.abs(z))

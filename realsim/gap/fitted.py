@@ -9,7 +9,7 @@ import numpy as np
 
 from realsim.gap.effects.base import Parameter
 from realsim.gap.screen import Candidate, Evidence
-from realsim.gap.simulate import Setting
+from realsim.gap.simulate import Setting, lookup
 from realsim.types import F64
 
 
@@ -71,3 +71,8 @@ def spread(info: F64, scores: F64, parameters: list[Parameter]) -> F64:
     sandwich = inverse @ (centred.T @ centred * runs / (runs - 1)) @ inverse
     ratio = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(inverse), 1e-30), 1.0))
     return np.asarray(inverse * np.outer(ratio, ratio))
+
+
+def form(fit: Fit) -> float:
+    """Share of the correction that the laws of these causes may miss: that of the roughest one."""
+    return max((lookup(c.candidate.effect).form for c in fit.causes), default=0.0)

@@ -91,7 +91,7 @@ def refitted(
                 Trial(candidate.effect, candidate.place, candidate.names, stage, gain, outcome="fails to run")
             )
             continue
-        trials.append(_tried(screen, current, fit, stage, gain))
+        trials.append(tried(screen, current, fit, stage, gain))
         fits.append(fit)
     fits.sort(key=lambda f: f.misfit + complexity(screen, f))
     for fit in list(fits[:GROWN]):  # with all its parameters an effect may do what the simple form cannot
@@ -99,7 +99,7 @@ def refitted(
         if full is not None:
             grown = fitter.fit([*current.causes, _extended(screen, fit.causes[-1], full)], iterations=6, rough=True)
             if grown is not None:
-                trials.append(_tried(screen, current, grown, stage, 0.0))
+                trials.append(tried(screen, current, grown, stage, 0.0))
                 fits.append(grown)
     return sorted(fits, key=lambda f: f.misfit + complexity(screen, f))
 
@@ -118,7 +118,8 @@ def duel(screen: Screen, fitter: Fitter, current: Fit, fits: list[Fit]) -> tuple
     return fitter.remeasure(current), sorted(again, key=lambda f: f.misfit + complexity(screen, f))
 
 
-def _tried(screen: Screen, current: Fit, fit: Fit, stage: int, gain: float) -> Trial:
+def tried(screen: Screen, current: Fit, fit: Fit, stage: int, gain: float) -> Trial:
+    """What is kept of a refitted rival."""
     mean, error, _ = heldout(screen, current, fit)
     cause = fit.causes[-1]
     return Trial(

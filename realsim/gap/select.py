@@ -13,11 +13,14 @@ from realsim.gap.fit import Fit, Fitter
 from realsim.gap.heldout import leftover
 from realsim.gap.hidden import hidden
 from realsim.gap.merit import complexity, deviation, heldout, holds, is_gap, significance, total_gap
+from realsim.gap.pairs import better_pair
 from realsim.gap.rivals import Trial, duel, ranked, refit, refitted
 from realsim.gap.screen import Screen
 
 STEADY = 4.0
 """A gain this many times its standard error, on runs left out in turn, counts however small its share."""
+SHARPEST = 0.1
+"""Least share of the allowance that is left after a cause."""
 LEAST_IMPROVEMENT = 0.08
 """Share of what is left that a further cause must remove."""
 
@@ -48,6 +51,7 @@ def select(
         tick(f"selection, cause {stage + 1}", stage / config.max_causes)
         current = fitter.tighten(current)
         if not is_gap(leftover(screen, current)):
+            current = sharpened(screen, fitter, current)
             fits = hidden(screen, fitter, current, stage, trials)
             if not fits:
                 notes.append("what is left is within the floor and the small deviations")
@@ -60,12 +64,17 @@ def select(
         if not fits:
             break
         current, fits = duel(screen, fitter, current, fits)
+        if stage == 1 and (pair := better_pair(screen, fitter, nominal, current, stages[0][1], fits, trials)):
+            notes.append(
+                f"{', '.join(c.candidate.effect for c in pair[1][0].causes)} together beat what was best alone"
+            )
+            current, fits = pair
         best = next((f for f in fits if _acceptable(screen, config, current, f, trials)), None)
         if best is None:
             break
         stages.append((current, fits))
         current = best
-    current = fitter.tighten(current)
+    current = sharpened(screen, fitter, fitter.tighten(current))
     nominal = fitter.remeasure(nominal)
     if current.causes:
         current = fitter.fit(current.causes) or current
@@ -78,7 +87,22 @@ def select(
     for i in range(len(current.causes)):
         less = _without(fitter, current, i, nominal)
         gains[i] = less.misfit - current.misfit if less is not None else 0.0
+    if current.causes:
+        current, nominal = fitter.spread(fitter.tighten(current)), fitter.remeasure(nominal)
     return Selection(current, nominal, trials, equivalent, gains, notes)
+
+
+def sharpened(screen: Screen, fitter: Fitter, fit: Fit) -> Fit:
+    """The fit under weights that its own leftover justifies; without a cause the allowance stays as it is.
+
+    What is allowed for in any good simulator is too much for most. Beside one cause that explains a large gap, a
+    smaller one would go under in it.
+    """
+    if fit.causes:
+        left = float(leftover(screen, fit).mean())
+        screen.comparison.sharpen(float(np.clip(left, SHARPEST, 1.0)))
+        fit = fitter.remeasure(fit)
+    return fit
 
 
 def _acceptable(screen: Screen, config: DiagnoseConfig, current: Fit, fit: Fit, trials: list[Trial]) -> bool:

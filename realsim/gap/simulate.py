@@ -157,7 +157,7 @@ class Simulator:
             control[i] = self._control(model, run, edit, max(steps), settle[i], dt)
         passes = 2 if edit.signals.load_friction else 1
         previous = None
-        if self._raw and passes == 2 and coarse == 1:
+        if self._raw and passes == 2 and dt == self.context.timestep:
             previous = [self._raw[i] for i in (chosen or range(len(runs)))]
             if any(round(float(p["settle"][0]) / dt) != k for p, k in zip(previous, settle, strict=True)):
                 previous = None  # its rows stand for other times

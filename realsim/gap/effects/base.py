@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 Place = tuple[str, ...]
 """Names of joints or bodies; () for effects that act everywhere."""
 
+EXACT = 0.015
+"""`Effect.form` of a law that holds to the last digit, but for how simulator and robot sample it."""
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -72,6 +75,8 @@ class Effect:
     """Whether MJCF alone can express it (else the patch carries a wrapper)."""
     variants: tuple[tuple[str, ...], ...] = ((),)
     """Sets of parameters that are fitted together; the rest keep their defaults. () means all of them."""
+    form: float = 0.04
+    """Share of its own correction that the effect's simplified law may miss: less where the law is exact."""
 
 
 def each_joint(context: Context) -> list[Place]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from realsim.gap.effects.base import Edit, Effect, Parameter, Place, always, everywhere
+from realsim.gap.effects.base import EXACT, Edit, Effect, Parameter, Place, always, everywhere
 
 
 def _parameters(context, place: Place) -> tuple[Parameter, ...]:
@@ -25,5 +25,6 @@ EFFECT = Effect(
     parameters=_parameters,
     excited_by=always,
     apply=_apply,
+    form=EXACT,
     patchable=False,
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
+from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place
 
 
 def _places(context) -> list[Place]:
@@ -38,6 +38,7 @@ EFFECT = Effect(
     parameters=_parameters,
     excited_by=_excited,
     apply=_apply,
+    form=EXACT,
     patchable=False,
     variants=(("gyro_x", "gyro_y", "gyro_z"), ("acc_x", "acc_y", "acc_z")),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint
 
 
 def _parameters(context, place: Place) -> tuple[Parameter, ...]:
@@ -35,4 +35,5 @@ EFFECT = Effect(
     parameters=_parameters,
     excited_by=_excited,
     apply=_apply,
+    form=EXACT,
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from realsim.gap.effects.base import Edit, Effect, Parameter, Place, always, everywhere
+from realsim.gap.effects.base import EXACT, Edit, Effect, Parameter, Place, always, everywhere
 
 
 def _parameters(context, place: Place) -> tuple[Parameter, ...]:
@@ -24,5 +24,6 @@ EFFECT = Effect(
     parameters=_parameters,
     excited_by=always,
     apply=_apply,
+    form=EXACT,
     patchable=False,
 )

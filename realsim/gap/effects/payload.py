@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
+from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place
 
 
 def _places(context) -> list[Place]:
@@ -67,5 +67,6 @@ EFFECT = Effect(
     parameters=_parameters,
     excited_by=_excited,
     apply=_apply,
+    form=EXACT,
     variants=(("mass",), ("mass", "x", "y", "z")),
 )

@@ -6,6 +6,12 @@ import numpy as np
 
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
 
+WIDEST = 0.4
+"""rad/s, well above what gears show: a friction that falls over a wider range of speeds imitates other things."""
+
+FINEST = 4
+"""A falling friction drives a light joint unstable at a coarse time step, which is divided by up to this."""
+
 
 def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     nominal = min(context.friction(j) for j in place)
@@ -13,10 +19,11 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     top = max(context.torque_range[j] for j in place)
     step = max(0.6 * nominal, 0.05 * scale, 1e-4)
     speed = max(context.speed[j] for j in place)
+    widest = min(0.4 * speed, WIDEST)
     return (
         Parameter("static_friction", "N m", (0.0, top), step),
         Parameter("coulomb", "N m", (0.0, top), step, like=("coulomb_friction", "friction")),
-        Parameter("stribeck_velocity", "rad/s", (0.008 * speed, 0.6 * speed), 0.05 * speed, default=0.12 * speed),
+        Parameter("stribeck_velocity", "rad/s", (0.02 * widest, widest), 0.12 * widest, default=0.3 * widest),
     )
 
 
@@ -40,9 +47,13 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         target.frictionloss = target.frictionloss + max(static, moving)
         if falling <= 0:
             continue
-        inertia = edit.context.inertia[joint]
-        slope = min(falling / values["stribeck_velocity"], 0.4 * inertia / edit.context.timestep)
-        helper = edit.add_actuator(f"stribeck_{joint}", name)
+        wanted = falling / values["stribeck_velocity"]
+        stable = 0.4 * edit.context.inertia[joint] / edit.context.timestep
+        finer = int(np.clip(np.ceil(wanted / stable), 1, FINEST))
+        edit.spec.option.timestep = min(edit.spec.option.timestep, edit.context.timestep / finer)
+        slope = min(wanted, finer * stable)
+        # With no gain, MuJoCo's compiler would take a positive velocity term for a damping ratio and turn it into none.
+        helper = edit.add_actuator(f"stribeck_{joint}", name, gain=1.0)
         bias = np.zeros_like(helper.biasprm)
         bias[2] = slope
         helper.biasprm = bias

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, everywhere
+from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, everywhere
 
 
 def _parameters(context, place: Place) -> tuple[Parameter, ...]:
@@ -55,5 +55,6 @@ EFFECT = Effect(
     parameters=_parameters,
     excited_by=_excited,
     apply=_apply,
+    form=EXACT,
     variants=(("roll",), ("pitch",), ("roll", "pitch")),
 )
