@@ -1,0 +1,115 @@
+"""Rejected when absent: no effect of the library is taken for a cause where there is none, or beside the true one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+
+from realsim.gap import EFFECTS, Case, load_case
+from realsim.gap.compare import Comparison
+from realsim.gap.fit import Cause, Fit, Fitter
+from realsim.gap.heldout import leftover
+from realsim.gap.hidden import WORTH_TRYING
+from realsim.gap.merit import is_gap
+from realsim.gap.rivals import ranked
+from realsim.gap.screen import Screen
+from realsim.gap.select import select
+from realsim.gap.simulate import Setting, Simulator
+
+from .test_recovery import CONFIG, GROUND, SIZE, UNSEEN, logged, quadruped
+from .truth import PENDULUM, Truth
+
+__all__ = ["quadruped"]  # a fixture
+
+FLOATING = (*(n for n in GROUND if n != "terrain_tilt"), "imu_bias")
+"""Effects that need a ground or an IMU."""
+FIXED = tuple(n for n in EFFECTS if n not in (*FLOATING, *UNSEEN))
+
+
+def screened(case: Case, effects: Sequence[str] = ()) -> tuple[Screen, Fitter]:
+    simulator = Simulator(case, CONFIG)
+    comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
+    screen = Screen(simulator, comparison, range(len(case.runs)), effects)
+    return screen, Fitter(screen)
+
+
+def gains(screen: Screen, fit: Fit) -> dict[str, float]:
+    """Effect -> the most log-evidence that it would add to a fit, at its best place."""
+    found: dict[str, float] = {}
+    for gain, candidate, _ in ranked(screen, fit):
+        found.setdefault(candidate.effect, gain)
+    return found
+
+
+def perfect(case: Case, effects: Sequence[str] = ()) -> dict[str, float]:
+    """Gains on the log that the nominal simulator itself writes, with a little noise; nothing must be selected."""
+    screen, fitter = screened(logged(case, []), effects)
+    with screen.simulator:
+        nominal = fitter.nominal()
+        assert not is_gap(leftover(screen, nominal))
+        assert not select(screen, fitter, CONFIG).fit.causes
+        return gains(screen, nominal)
+
+
+@pytest.fixture(scope="module")
+def pendulum(made: Callable[..., Path]) -> Case:
+    return load_case(made("rejection_pendulum", Truth(), xml=PENDULUM, runs=2, span=(2.6, 3.0)))
+
+
+@pytest.fixture(scope="module")
+def arm(made: Callable[..., Path]) -> Case:
+    return load_case(made("rejection_arm", Truth(), runs=2))
+
+
+@pytest.fixture(scope="module")
+def without(pendulum: Case, arm: Case) -> dict[str, dict[str, float]]:
+    return {"pendulum": perfect(pendulum), "arm": perfect(arm)}
+
+
+@pytest.mark.parametrize("robot", ["pendulum", "arm"])
+@pytest.mark.parametrize("name", FIXED)
+def test_absent_on_a_perfect_log(name: str, robot: str, without: dict[str, dict[str, float]]) -> None:
+    if name not in without[robot]:
+        pytest.skip("no place on this robot, or not excited")
+    assert without[robot][name] < WORTH_TRYING
+
+
+def test_every_fixed_effect_was_looked_for_somewhere(without: dict[str, dict[str, float]]) -> None:
+    assert {n for found in without.values() for n in found} == set(FIXED)
+
+
+@pytest.mark.parametrize("name", FIXED)
+def test_nothing_gets_in_beside_the_true_cause(name: str, pendulum: Case, arm: Case) -> None:
+    effect = EFFECTS[name]
+    case = arm if name == "link_geometry" else pendulum  # a length shows where something hangs at its end
+    with Simulator(case, CONFIG) as simulator:
+        place = effect.places(simulator.context)[0]
+        parameters = effect.parameters(simulator.context, place)
+    names = effect.variants[0] or tuple(p.name for p in parameters)
+    values = {p.name: p.default for p in parameters}
+    first = next(p for p in parameters if p.name == names[0])
+    values[first.name] = SIZE.get(name, 1.5) * first.step
+    setting: Setting = (name, place, {first.name: values[first.name]})
+    screen, fitter = screened(logged(case, [setting]))
+    with screen.simulator:
+        here = [c for c in screen.candidates if (c.effect, c.place, c.names[0]) == (name, place, first.name)]
+        if not here:
+            pytest.skip("not excited by a pendulum")
+        true = fitter.fit([Cause(here[0], tuple(values[n] for n in here[0].names))], iterations=3)
+        assert true is not None
+        assert not is_gap(leftover(screen, true))
+        rivals = {e: g for e, g in gains(screen, true).items() if e != name}
+        assert len(rivals) > 5
+        assert max(rivals.values()) < WORTH_TRYING
+
+
+@pytest.mark.slow
+def test_absent_on_a_perfect_log_of_a_floating_base(quadruped: Case) -> None:
+    case = quadruped
+    for seed in range(2):  # each log begins nearer to the pose that the simulator itself comes to rest in
+        case = logged(case, [], seed)
+    found = perfect(case, (*FLOATING, "terrain_tilt", "external_force"))
+    assert set(found) >= {"ground_friction", "terrain_height", "terrain_tilt", "imu_bias"}
+    assert max(found.values()) < WORTH_TRYING
