@@ -15,7 +15,7 @@ from realsim.gap.effects.payload import add_point_mass
 from realsim.gap.effects.terrain_tilt import quaternion, rotation
 from realsim.gap.groups import kind_of, like_joints
 from realsim.gap.screen import posterior, score
-from realsim.gap.simulate import held_mean, rotation_from
+from realsim.gap.simulate import Simulator, held_mean, rotation_from
 
 from .truth import Truth
 
@@ -110,3 +110,22 @@ def test_the_same_log_gives_the_same_diagnosis(made) -> None:
             found.pop(cost)
             found["statistics"].pop(cost)
     assert first == second
+
+
+def test_stribeck_friction_falls_from_rest_to_motion(made) -> None:
+    """Friction that holds at rest is S, and what brakes well above the Stribeck velocity is C."""
+    case = load_case(made("stribeck_law", Truth(), runs=1))
+    static, moving, fades = 0.9, 0.4, 0.1
+    with Simulator(case, DiagnoseConfig(threads=1)) as simulator:
+        joint = simulator.context.driven[0]
+        values = {"static_friction": static, "coulomb": moving, "stribeck_velocity": fades}
+        nominal = simulator.context.friction(joint)
+        model = simulator.edited([("stribeck_friction", (joint,), values)]).spec.compile()
+    data = mujoco.MjData(model)
+    dof, helper = int(model.joint(joint).dofadr[0]), model.actuator(f"stribeck_{joint}").id
+    for speed, expected in ((0.0, static), (fades / 2, (static + moving) / 2), (10 * fades, moving), (-3.0, moving)):
+        data.qvel[:] = 0
+        data.qvel[dof] = speed
+        mujoco.mj_forward(model, data)
+        brakes = model.dof_frictionloss[dof] - nominal - np.sign(speed) * data.actuator_force[helper]
+        assert brakes == pytest.approx(expected, rel=0.05)
