@@ -311,9 +311,8 @@ def _write(
     }
     (folder / "log.json").write_text(json.dumps(log, indent=1) + "\n")
     for i, ((times, command), trace) in enumerate(zip(commands, traces, strict=True)):
-        np.savez_compressed(
-            folder / "runs" / f"run_{i + 1:02d}.npz", **_record(robot, sensors, truth, times, command, trace, rng)
-        )
+        arrays = _record(robot, sensors, truth, times, command, trace, rng)
+        np.savez_compressed(folder / "runs" / f"run_{i + 1:02d}.npz", allow_pickle=False, **arrays)
 
 
 def _record(
