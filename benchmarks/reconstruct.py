@@ -60,7 +60,10 @@ def main(options: Options) -> None:
         if options.frames:
             store = Store(RESULTS / "reconstruct_scaling.json", ("frames", "poses"))
             rows = [store.add(row) for row in scaling(options, work)]
-            show(rows, ("frames", "poses", "seconds", "peak_mb", "seconds_a_frame", "points", "scale", "align", "mesh"))
+            show(
+                rows,
+                ("frames", "poses", "seconds", "cpu_seconds", "peak_mb", "cpu_s_a_frame", "points", "align", "mesh"),
+            )
             return
         store = Store(RESULTS / "reconstruct.json", ("capture", "method"))
         rows = [store.add(row) for name in options.captures for row in rendered(name, options, work)]
@@ -143,7 +146,7 @@ def scaling(options: Options, work: Path) -> Iterator[Row]:
             out = work / f"scene-{frames}-{mode}"
             cost = measured(_reconstruct, made[rendered], out, MODES[mode], 0, rendered // frames)
             stages = {s["name"]: s["seconds"] for s in cost.get("stages", [])}
-            yield {"frames": frames, "poses": mode, **cost, "seconds_a_frame": cost["seconds"] / frames, **stages}
+            yield {"frames": frames, "poses": mode, **cost, "cpu_s_a_frame": cost["cpu_seconds"] / frames, **stages}
 
 
 def boxes(work: Path) -> Row:
@@ -279,16 +282,17 @@ def measured(function: Callable[..., Row], *args: Any) -> Row:
         try:
             return pool.submit(_timed, function, args).result()
         except Exception as error:  # one failure must not lose the figures of the others
-            return {"seconds": float("nan"), "peak_mb": float("nan"), "error": f"{type(error).__name__}: {error}"}
+            nothing = dict.fromkeys(("seconds", "cpu_seconds", "peak_mb"), float("nan"))
+            return nothing | {"error": f"{type(error).__name__}: {error}"}
 
 
 def _timed(function: Callable[..., Row], args: tuple[Any, ...]) -> Row:
     import resource
 
-    began = time.perf_counter()
+    began, cpu = time.perf_counter(), time.process_time()
     row = function(*args)
-    seconds = time.perf_counter() - began
-    return {"seconds": seconds, "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3, **row}
+    spent = {"seconds": time.perf_counter() - began, "cpu_seconds": time.process_time() - cpu}
+    return {**spent, "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3, **row}
 
 
 def _reconstruct(source: Path, out: Path, poses: str, max_frames: int | None = None, every: int = 1) -> Row:
