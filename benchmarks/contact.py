@@ -1,6 +1,7 @@
 """Every collision representation against the exact mesh: error, cost and build time.
 
     python -m benchmarks.contact [--names stakes beams] [--representations boxes hull] [--seconds 170] [--again]
+                                 [--row-seconds 600] [--build]
 
 Terrains: the ten of `benchmarks/solids.py`; the true meshes of the captures where they are found; and what `realsim
 reconstruct` makes of those captures, against the truth. Baselines: the naive mesh (`hull`), plain height fields of 2
@@ -8,25 +9,31 @@ and 5 cm, CoACD with its own defaults as obj2mjcf calls it. Errors are measured 
 (`realsim/export/contact/fidelity.py`); cost is the time of a step with G1 standing, against a plane.
 
 Rows are written to benchmarks/results/contact.json as they are done, and those that are there are not done again: a run
-may be cut off, or stopped by --seconds, and goes on where it was. Representations that take minutes are tried on the
-terrains of EXPENSIVE only.
+may be cut off, or stopped by --seconds, and goes on where it was. Every row has a process of its own, which is stopped
+after --row-seconds of processor time; that it was is then its row. Representations that take minutes are tried on the
+terrains of EXPENSIVE only. --build adds how long the whole of `auto` takes on meshes of 100k triangles
+(`benchmarks/contact_build.py`).
 """
 
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import os
+import resource
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.contact_build import build_table, build_times
 from benchmarks.solids import PLATFORM, TERRAINS, terrain
 from realsim.export import CONTACT
 from realsim.export.config import SceneConfig
@@ -43,6 +50,7 @@ CONFIG = SceneConfig()
 RESULTS = Path(__file__).parent / "results" / "contact.json"
 
 RECONSTRUCTED = " reconstructed"
+Row = dict[str, Any]
 HEADER = (
     "terrain                 representation  median     p95     max  phantom overgaps  missing drop95  phan%  miss% "
     "leaks   cost   build\n                                            mm      mm      mm      cm2      cm2      cm2   "
@@ -65,10 +73,11 @@ def coacd_default(mesh: TerrainMesh, ground_z: float) -> ContactModel:
     return ContactModel("coacd_default", (floor_plane(ground_z), *geoms), assets)
 
 
+SCANS = ("mixed_a reconstructed", "stake_a reconstructed")
 EXPENSIVE = {
-    "convex": ("stakes", "beams", "overhang", "arch"),
-    "sdf": ("stakes", "arch"),
-    "coacd_default": ("stakes", "beams", "overhang", "arch"),
+    "convex": ("stakes", "beams", "overhang", "arch", *SCANS),
+    "sdf": ("stakes", "arch", *SCANS),
+    "coacd_default": ("stakes", "beams", "overhang", "arch", *SCANS),
 }
 """Terrains that a representation is tried on where it takes minutes."""
 
@@ -97,7 +106,8 @@ class Case:
     name: str
     mesh: TerrainMesh
     ground_z: float
-    truth: Reference
+    truth: tuple[np.ndarray, np.ndarray]
+    """(V, 3) vertices and (K, 3) triangles of the exact surface, metres."""
     truth_z: float
     """Height of the true ground."""
     stand: np.ndarray
@@ -106,7 +116,7 @@ class Case:
 
 def generated(name: str) -> Case:
     mesh = terrain(name)
-    return Case(name, mesh, 0.0, Reference(mesh.vertices, mesh.triangles), 0.0, np.array([0, 0, PLATFORM]))
+    return Case(name, mesh, 0.0, (mesh.vertices, mesh.triangles), 0.0, np.array([0, 0, PLATFORM]))
 
 
 def capture_truth(folder: Path) -> tuple[TerrainMesh, float]:
@@ -122,9 +132,7 @@ def capture_truth(folder: Path) -> tuple[TerrainMesh, float]:
 
 def true_capture(folder: Path) -> Case:
     mesh, ground_z = capture_truth(folder)
-    return Case(
-        folder.name, mesh, ground_z, Reference(mesh.vertices, mesh.triangles), ground_z, np.array([0.0, 0.0, 0.0])
-    )
+    return Case(folder.name, mesh, ground_z, (mesh.vertices, mesh.triangles), ground_z, np.zeros(3))
 
 
 def reconstructed(folder: Path) -> Case:
@@ -134,32 +142,68 @@ def reconstructed(folder: Path) -> Case:
     truth, truth_z = capture_truth(folder)
     with tempfile.TemporaryDirectory() as out:
         found = reconstruct(folder / "capture", Path(out) / "scene")
-    reference = Reference(truth.vertices, truth.triangles)
     name = f"{folder.name}{RECONSTRUCTED}"
-    return Case(name, found.mesh, found.aligned.ground_z, reference, truth_z, np.array([0.0, 0.0, 0.0]))
+    return Case(name, found.mesh, found.aligned.ground_z, (truth.vertices, truth.triangles), truth_z, np.zeros(3))
 
 
-def row(case: Case, representation: str) -> dict[str, Any]:
+Say = Callable[[Row], None]
+
+
+def row(case: Case, representation: str, say: Say) -> None:
+    """Say the figures of a row piece by piece: what was said before a process is stopped is not lost."""
     began = time.process_time()
     contact = REPRESENTATIONS[representation](case.mesh, case.ground_z)
     seconds = time.process_time() - began
-    figures = measure(spec_of(contact), case.truth, case.truth_z).figures
-    out = {"terrain": case.name, "representation": representation, "triangles": len(case.mesh.triangles)}
-    out |= dict(figures) | step_cost(spec_of(contact), case.stand)
     chosen = {"chosen": contact.representation} if representation == "auto" else {}
-    return out | chosen | {"geoms": count_types(contact), "build_cpu_seconds": round(seconds, 2)}
+    say(chosen | {"geoms": count_types(contact), "build_cpu_seconds": round(seconds, 2)})
+    say(step_cost(spec_of(contact), case.stand))
+    say(dict(measure(spec_of(contact), Reference(*case.truth), case.truth_z).figures))
 
 
-def as_chosen(case: Case, representation: str, auto_row: dict[str, Any]) -> dict[str, Any]:
+def as_chosen(case: Case, representation: str, auto_row: Row, say: Say) -> None:
     """The row of what `auto` chose: its figures, and its own time to build."""
     began = time.process_time()
     REPRESENTATIONS[representation](case.mesh, case.ground_z)
-    kept = {k: v for k, v in auto_row.items() if k != "chosen"}
-    seconds = round(time.process_time() - began, 2)
-    return kept | {"representation": representation, "build_cpu_seconds": seconds}
+    kept = {k: v for k, v in auto_row.items() if k not in ("chosen", "representation")}
+    say(kept | {"build_cpu_seconds": round(time.process_time() - began, 2)})
 
 
-def line(r: dict[str, Any]) -> str:
+def limited(seconds: int, case: Case, representation: str, chosen: Row | None) -> Row:
+    """A row, made in a process of its own that may take `seconds` of processor time.
+
+    Neither CoACD nor MuJoCo's distance fields can be interrupted from Python. A row that was not finished says so
+    under `unfinished`, and holds what was known by then.
+    """
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe(duplex=False)
+    child = context.Process(target=_in_child, args=(theirs, seconds, case, representation, chosen))
+    child.start()
+    theirs.close()
+    out: Row = {"terrain": case.name, "representation": representation, "triangles": len(case.mesh.triangles)}
+    try:
+        while True:
+            out |= ours.recv()
+    except EOFError:
+        child.join()
+    if child.exitcode:
+        doing = "measured" if "build_cpu_seconds" in out else "built"
+        why = f"stopped after {seconds} s of processor time" if child.exitcode == -24 else f"exit {child.exitcode}"
+        out["unfinished"] = f"{why} while being {doing}"
+    return out
+
+
+def _in_child(pipe: Connection, seconds: int, case: Case, representation: str, chosen: Row | None) -> None:
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
+    if chosen is None:
+        row(case, representation, pipe.send)
+    else:
+        as_chosen(case, representation, chosen, pipe.send)
+
+
+def line(r: Row) -> str:
+    if "unfinished" in r:
+        return f"{r['terrain']:23s} {r['representation']:13s} {r['unfinished']}"
     d, geoms = r["drop"], " ".join(f"{n} {k}" for k, n in r["geoms"].items())
     return (
         f"{r['terrain']:23s} {r['representation']:13s} {r['median_mm']:7.2f} {r['p95_mm']:7.2f} {r['max_mm']:7.1f} "
@@ -169,7 +213,7 @@ def line(r: dict[str, Any]) -> str:
     )
 
 
-def summary(rows: list[dict[str, Any]]) -> list[str]:
+def summary(rows: list[Row]) -> list[str]:
     """A Markdown table: one line a representation and kind of mesh, over the terrains that it was tried on."""
     head = (
         "| representation | meshes | median mm | p95 mm | farthest mm | phantom % | missing % | over gaps cm2 | leaks "
@@ -183,6 +227,9 @@ def summary(rows: list[dict[str, Any]]) -> list[str]:
                 for r in rows
                 if r["representation"] == name and r["terrain"].endswith(RECONSTRUCTED) == (kind == "reconstructed")
             ]
+            stopped = [r for r in some if "unfinished" in r]
+            out += [f"| `{name}` | {r['terrain']}: {r['unfinished']} |" + " |" * 9 for r in stopped]
+            some = [r for r in some if r not in stopped]
             if not some:
                 continue
             worst = {k: max(r[k] for r in some) for k in ("median_mm", "p95_mm", "max_mm", "phantom_over_gaps_cm2")}
@@ -202,13 +249,16 @@ def wanted(terrain_name: str, representations: Iterable[str]) -> list[str]:
     return [r for r in representations if terrain_name in EXPENSIVE.get(r, (terrain_name,))]
 
 
-def store(path: Path, rows: Mapping[tuple[str, str], dict[str, Any]], names: Iterable[str]) -> dict[str, list[str]]:
+def store(
+    path: Path, rows: Mapping[tuple[str, str], Row], names: Iterable[str], build: list[Row]
+) -> dict[str, list[str]]:
     """Write the rows with their table and what is still to be measured; returns that, {terrain: representations}."""
     missing = {n: [r for r in wanted(n, REPRESENTATIONS) if (n, r) not in rows] for n in names}
     missing = {n: some for n, some in missing.items() if some}
     done = list(rows.values())
     what = "ball of 1 cm, 2000 lowered"
-    write_text(path, to_json({"probe": what, "missing": missing, "summary": summary(done), "rows": done}))
+    table = {"probe": what, "missing": missing, "summary": summary(done), "build_s_100k": build, "rows": done}
+    write_text(path, to_json(table))
     return missing
 
 
@@ -220,14 +270,18 @@ def main() -> None:
     parser.add_argument("--shared", type=Path, default=Path(shared))
     parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="begin no row after this time")
+    parser.add_argument("--row-seconds", type=int, default=600, help="processor time that a row may take")
     parser.add_argument("--again", action="store_true", help="do the rows anew that are there already")
+    parser.add_argument("--build", action="store_true", help="time the whole of `auto` on meshes of 100k triangles")
     args = parser.parse_args()
     cases: dict[str, Callable[[], Case]] = {name: partial(generated, name) for name in TERRAINS}
     for gt in sorted((args.shared / "captures").glob("*/gt")):
         cases[gt.parent.name] = partial(true_capture, gt.parent)
         cases[gt.parent.name + RECONSTRUCTED] = partial(reconstructed, gt.parent)
     began = time.monotonic()
-    rows = {(r["terrain"], r["representation"]): r for r in (read_json(args.out)["rows"] if args.out.exists() else [])}
+    kept = read_json(args.out) if args.out.exists() else {}
+    rows = {(r["terrain"], r["representation"]): r for r in kept.get("rows", [])}
+    build = build_times(args.shared) if args.build else kept.get("build_s_100k", [])
     for name in args.names or cases:
         todo = [r for r in wanted(name, args.representations) if args.again or (name, r) not in rows]
         case = None
@@ -236,17 +290,18 @@ def main() -> None:
                 break
             case = case or cases[name]()
             chosen = rows.get((name, "auto"), {})
-            if chosen.get("chosen") == representation:  # measured already: the same input gives the same geoms
-                rows[name, representation] = as_chosen(case, representation, chosen)
-            else:
-                rows[name, representation] = row(case, representation)
+            # What `auto` chose is measured already: the same input gives the same geoms.
+            known = chosen if chosen.get("chosen") == representation else None
+            rows[name, representation] = limited(args.row_seconds, case, representation, known)
             print(line(rows[name, representation]), file=sys.stderr, flush=True)
-            store(args.out, rows, cases)
-    missing = store(args.out, rows, cases)
+            store(args.out, rows, cases, build)
+    missing = store(args.out, rows, cases, build)
     print(HEADER)
     print("\n".join(line(r) for r in rows.values()))
     print("\nThe worst of the meshes that each was tried on:\n")
     print("\n".join(summary(list(rows.values()))))
+    print("\nThe whole of `auto` on meshes of about 100k triangles:\n")
+    print("\n".join(build_table(build)))
     print("\nNot measured: " + ("; ".join(f"{k}: {', '.join(v)}" for k, v in missing.items()) or "nothing"))
 
 

@@ -16,7 +16,7 @@ def contact(
     mesh: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MESH")],
     config: SceneConfig,
     out: Path = Path("contact"),
-    unit: Literal["m", "cm", "mm", "inch"] = "m",
+    unit: Literal["m", "cm", "mm", "inch"] | None = None,
     up: Literal["auto", "z", "y"] = "auto",
     ground_z: float | None = None,
     overwrite: bool = False,
@@ -26,7 +26,7 @@ def contact(
     Args:
         mesh: .ply, .obj, .stl, .glb or .off.
         out: gets scene.xml, the mesh, contact.json and contact.png.
-        unit: unit of the file.
+        unit: unit of the file; metres if not given, but what is more than 50 m across then is refused.
         up: axis of the file that points up.
         ground_z: height of the ground in metres; found from the mesh if not given.
         overwrite: replace an existing folder.

@@ -18,7 +18,7 @@ def contact_mesh(
     folder: Path,
     config: SceneConfig,
     *,
-    unit: str = "m",
+    unit: str | None = None,
     up: str = "auto",
     ground_z: float | None = None,
 ) -> SceneFiles:
@@ -29,7 +29,7 @@ def contact_mesh(
     Args:
         mesh: .ply, .obj, .stl, .glb or .off.
         folder: exists, empty.
-        unit: of the file: m, cm, mm or inch.
+        unit: of the file: m, cm, mm or inch; None for metres, up to 50 of them.
         up: axis that points up: z, y or auto.
         ground_z: metres; found from the mesh if None.
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from realsim.errors import ExportError
 from realsim.export.contact.columns import check_extent, crossings
+from realsim.export.winding import turn_closed, turn_stray
 from realsim.files import check_size
 from realsim.meshes import compact
 from realsim.types import MeshQuality, TerrainMesh
@@ -18,16 +19,17 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 FORMATS = (".ply", ".obj", ".stl", ".glb", ".off")
 MAX_TRIANGLES = 5_000_000
 RAYS = 96  # a side of the grid of rays that look at a mesh from above
-VAST = 50.0  # metres: larger than what a robot is taken across
+VAST = 50.0  # metres: larger than what a robot is taken across, so that the unit has to be said
 F64 = NDArray[np.float64]
 
 
-def read_mesh(path: Path, unit: str = "m", up: str = "auto") -> tuple[TerrainMesh, list[str]]:
+def read_mesh(path: Path, unit: str | None = None, up: str = "auto") -> tuple[TerrainMesh, list[str]]:
     """A mesh file as a terrain, z up, metres, with notes on what was assumed and mended.
 
     Args:
         path: one of FORMATS.
-        unit: of the file's numbers, one of UNITS.
+        unit: of the file's numbers, one of UNITS; None for metres that nobody has vouched for: a mesh that is VAST in
+            them is refused, because it will be in millimetres.
         up: axis that points up, `z`, `y`, or `auto` (y for GLB, as glTF has it, else z).
 
     Raises:
@@ -35,7 +37,7 @@ def read_mesh(path: Path, unit: str = "m", up: str = "auto") -> tuple[TerrainMes
     """
     import trimesh
 
-    if unit not in UNITS:
+    if unit is not None and unit not in UNITS:
         raise ExportError(f"unknown unit {unit!r}", expected=f"one of {', '.join(UNITS)}")
     if path.suffix.lower() not in FORMATS:
         raise ExportError("not a mesh file", file=path, expected=f"one of {' '.join(FORMATS)}", found=path.suffix)
@@ -45,17 +47,40 @@ def read_mesh(path: Path, unit: str = "m", up: str = "auto") -> tuple[TerrainMes
         vertices, triangles = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
     except Exception as error:  # readers of broken files raise whatever comes up
         raise ExportError("the mesh cannot be read", file=path, found=f"{type(error).__name__}: {error}") from error
+    if path.suffix.lower() == ".stl" and not len(triangles):
+        raise ExportError("the mesh cannot be read", file=path, found="no triangle: cut off, or no STL")
     notes = []
     if up == "y" or (up == "auto" and path.suffix.lower() == ".glb"):
         vertices = np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
         notes.append("y of the file points up")
+    _check_unit(path, vertices, unit)
     try:
-        terrain, mended = mend(vertices * UNITS[unit], triangles)
+        terrain, mended = mend(vertices * UNITS[unit or "m"], triangles)
     except ExportError as error:
         raise ExportError(
             error.message, file=path, expected=error.expected, found=error.found, hint=error.hint
         ) from error
     return terrain, notes + mended
+
+
+def _check_unit(path: Path, vertices: F64, unit: str | None) -> None:
+    """Refuse what is of no terrain's size in its unit, and say in which it would be."""
+    finite = vertices[np.isfinite(vertices).all(1)]
+    numbers = float(np.ptp(finite, 0).max()) if len(finite) else 0.0
+    size, most = numbers * UNITS[unit or "m"], 200.0 if unit else VAST
+    if numbers == 0 or 0.02 <= size <= most:
+        return
+    others = {name: numbers * scale for name, scale in UNITS.items() if name != (unit or "m")}
+    fits = [f"--unit {name} makes it {across:.3g} m" for name, across in others.items() if 0.02 <= across <= VAST]
+    if unit is None and VAST < size <= 200:
+        fits.append("--unit m if it is that large")
+    raise ExportError(
+        "the mesh is not of a terrain's size",
+        file=path,
+        expected=f"0.02 to {most:g} metres across",
+        found=f"{size:.4g} metres, its numbers taken as {unit or 'm'}",
+        hint="; ".join(fits) or "scale the mesh, or take out triangles that lie far from the rest",
+    )
 
 
 def mend(vertices: F64, triangles: NDArray[Any]) -> tuple[TerrainMesh, list[str]]:
@@ -85,7 +110,12 @@ def mend(vertices: F64, triangles: NDArray[Any]) -> tuple[TerrainMesh, list[str]
     flat = area < 1e-12 * max(size, 1e-12) ** 2
     if flat.any():
         notes.append(f"{flat.sum()} triangles without area were taken out")
+    if flat.all():
+        raise ExportError("the mesh has no usable triangles", found=f"{len(flat)} triangles, all without area")
     vertices, faces = compact(vertices, triangles[~flat].astype(np.int32))
+    faces, turned = turn_stray(vertices, faces)
+    if turned:
+        notes.append(f"{turned} triangles that faced the other way than their neighbours were turned round")
     quality = _quality(vertices, faces, int(flat.sum()))
     terrain = TerrainMesh(vertices, faces, None, np.zeros(len(faces), bool), quality, "file", 0.0)
     check_extent(terrain)
@@ -94,11 +124,12 @@ def mend(vertices: F64, triangles: NDArray[Any]) -> tuple[TerrainMesh, list[str]
         faces = np.ascontiguousarray(faces[:, ::-1])
         terrain = TerrainMesh(vertices, faces, None, terrain.invented, quality, "file", 0.0)
         notes.append("the mesh was inside out and has been turned round")
+    faces, turned = turn_closed(vertices, faces)
+    if turned:
+        terrain = TerrainMesh(vertices, faces, None, terrain.invented, quality, "file", 0.0)
+        notes.append(f"{turned} closed pieces were inside out and have been turned round")
     if overlap:
         notes.append("solids of the mesh overlap or its surface crosses itself: what lies in any of them is solid")
-    size = float(np.ptp(terrain.vertices, 0).max())
-    if size > VAST:
-        notes.append(f"the mesh is {size:.0f} metres across: if that is not so, give its unit with --unit")
     if not quality.manifold:
         notes.append("the mesh is not manifold: solids are taken from columns of rays, which need no manifold")
     if not quality.watertight:

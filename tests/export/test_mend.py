@@ -13,6 +13,7 @@ from realsim.errors import ExportError
 from realsim.export import contact_mesh
 from realsim.export.config import SceneConfig
 from realsim.export.mend import ground_height, mend, read_mesh
+from realsim.export.winding import turn_stray
 
 CONFIG = SceneConfig(contact_probes=200)
 
@@ -35,6 +36,65 @@ def test_millimetres_are_refused_unless_said(tmp_path: Path) -> None:
 def test_a_micrometre_mesh_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ExportError, match="terrain's size"):
         read_mesh(stl(tmp_path / "a.stl", 1e-6))
+
+
+def test_a_vast_mesh_is_refused_unless_its_unit_is_said(tmp_path: Path) -> None:
+    """67 mm in millimetres are 67 m in metres: larger than what a robot is taken across, and nobody said so."""
+    path = stl(tmp_path / "a.stl", 20)
+    with pytest.raises(ExportError, match=r"--unit mm makes it 0\.0672 m.*--unit m if it is that large"):
+        read_mesh(path)
+    assert np.ptp(read_mesh(path, "m")[0].vertices, 0).max() > 50
+
+
+def test_no_unit_makes_an_enormous_mesh_fit(tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match="scale the mesh"):
+        read_mesh(stl(tmp_path / "a.stl", 1e6))
+
+
+def test_an_stl_that_was_cut_off_is_no_point_cloud(tmp_path: Path) -> None:
+    path = stl(tmp_path / "a.stl")
+    path.write_bytes(path.read_bytes()[:900])
+    with pytest.raises(ExportError, match="cut off"):
+        read_mesh(path)
+
+
+def test_triangles_on_one_line_are_no_mesh() -> None:
+    with pytest.raises(ExportError, match="1 triangles, all without area"):
+        mend(np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0.0]]), np.array([[0, 1, 2]]))
+
+
+def test_triangles_that_face_the_wrong_way_are_turned() -> None:
+    """Some of a block, and all of another: the solids are those of the mesh as it was."""
+    mesh = with_floor(block(0, 0, 0.4, 0.2, 0.2) + block(1, 0, 0.2, 0.2, 0.3))
+    wrong = mesh.triangles.copy()
+    first = mesh.vertices[wrong][:, :, 0].max(1) < 0.3
+    second = (mesh.vertices[wrong][:, :, 0].min(1) > 0.8) & (np.abs(mesh.vertices[wrong][:, :, 1]).max(1) < 0.2)
+    assert first.sum() == second.sum() == 12
+    for turned in (np.flatnonzero(first)[:3], second):
+        wrong[turned] = wrong[turned, ::-1]
+    mended, notes = mend(mesh.vertices, wrong)
+    assert any("3 triangles that faced the other way" in n for n in notes)
+    assert any("1 closed pieces were inside out" in n for n in notes)
+    corners, right = mended.vertices[mended.triangles], mesh.vertices[mesh.triangles]
+    np.testing.assert_allclose(normals(corners), normals(right), atol=1e-12)
+
+
+def normals(corners: np.ndarray) -> np.ndarray:
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def test_a_strip_with_one_side_is_left_alone() -> None:
+    """A Moebius strip cannot face one way."""
+    turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    along = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(24)])
+    across = 0.2 * np.column_stack([np.cos(turn / 2) * along[:, 0], np.cos(turn / 2) * along[:, 1], np.sin(turn / 2)])
+    vertices = np.concatenate([along + across, along - across])
+    k, n = np.arange(24), np.arange(1, 25)
+    a, b, c, d = k, k + 24, np.r_[n[:-1], 24], np.r_[n[:-1] + 24, 0]  # the last pair is joined crosswise
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([b, d, c], 1)]).astype(np.int32)
+    out, turned = turn_stray(vertices, faces)
+    assert turned == 0
+    np.testing.assert_array_equal(out, faces)
 
 
 def test_inside_out_is_turned_round(tmp_path: Path) -> None:
