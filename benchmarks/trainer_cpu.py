@@ -36,10 +36,10 @@ TASK: dict[str, Any] = {
     "command": {"speed": 0.6},
     "termination": {"seconds": 10.0},
     "randomisation": {"use": False},
-    "reset": {"yaw": 0.03, "position": 0.05},
+    "observation": {"steered": True},
 }
-"""Flat ground needs no camera; no randomisation, so that minutes are enough. The robot starts facing the goal: the
-actor is not told where it is (the paper gives no angular command), and blind it can but walk straight on."""
+"""Flat ground needs no camera; no randomisation, so that minutes are enough. The paper's robot is told to go straight
+on and finds the goal with its camera; one without has to be steered, or it walks past (0 of 50 trials arrived)."""
 WORLDS = 128
 PIECE = 25
 """Iterations between checkpoints."""

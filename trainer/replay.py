@@ -111,7 +111,7 @@ def video(
     """The trial from the side, the camera following, as .gif if the name ends so, else as .mp4.
 
     Args:
-        size: (width, height) pixels; 640 x 360, or 400 x 225 of a .gif, which compresses badly.
+        size: (width, height) pixels; 640 x 360, or 360 x 202 of a .gif, which compresses badly.
         fps: frames a second of the trial; 25, or 12.5 of a .gif.
         distance: metres from the camera to the robot.
 
@@ -120,7 +120,7 @@ def video(
     """
     path = Path(path)
     gif = path.suffix == ".gif"
-    size = size or ((400, 225) if gif else (640, 360))
+    size = size or ((360, 202) if gif else (640, 360))
     fps = fps or (12.5 if gif else 25.0)
     frames = _frames(recording, robot, terrain, size, fps, distance)
     with explain_write_errors(path):

@@ -89,6 +89,16 @@ def test_other_versions_other_files_and_code_are_refused(tmp_path: Path) -> None
         checkpoint.load(tmp_path / "absent.pt")
 
 
+def test_weights_that_are_not_numbers_are_refused(tmp_path: Path) -> None:
+    policy = make()
+    path = tmp_path / "a.pt"
+    policy.critic.trunk[0].layer.weight.data[1, 0] = float("nan")
+    checkpoint.save(path, policy)
+    with pytest.raises(RealsimError, match="not all numbers") as caught:
+        checkpoint.load(path)
+    assert caught.value.found == "critic.trunk.0.layer.weight: 1 of 608 are not"
+
+
 def test_a_failed_write_leaves_the_old_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.pt"
     checkpoint.save(path, make())

@@ -90,6 +90,35 @@ def test_what_cannot_be_done_is_said(folder: Path, capsys: pytest.CaptureFixture
         assert "no CUDA device" in failure(capsys, "pretrain", "--terrain", "flat", "--device", "cuda")["message"]
 
 
+def test_a_checkpoint_that_was_edited_is_refused_before_anything_is_written(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = torch.load(folder / "base" / "policy.pt", weights_only=True)
+    common = ["--task-file", str(folder / "task.json"), "--out", str(tmp_path / "out"), "--final-trials", "0", *SMALL]
+    file = str(tmp_path / "edited.pt")
+    less = {name: value for name, value in whole["training"].items() if name != "ppo"}
+    for changed, option, message in (
+        ({"robot": "spot"}, "--policy", "unknown robot 'spot'"),
+        ({"training": less}, "--resume", "cannot be gone on with"),
+        ({"training": None}, "--resume", "no training to go on with"),
+    ):
+        torch.save({**whole, **changed}, file)
+        said = failure(capsys, "finetune", "flat", option, file, *common)
+        assert message in said["message"]
+        assert said["file"] == file
+        assert not (tmp_path / "out").exists()
+
+
+def test_a_run_of_the_critic_alone_is_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    base, out = folder / "base" / "policy.pt", folder / "critic"
+    arguments = ["finetune", "flat", "--policy", str(base), "--iterations", "1", "--final-trials", "0", *SMALL]
+    assert main([*arguments, "--task-file", str(folder / "task.json"), "--out", str(out)]) == 0
+    assert "the policy is its base's" in capsys.readouterr().out
+    before, after = (torch.load(p, weights_only=True) for p in (base, out / "policy.pt"))
+    assert all(torch.equal(value, before["actor"][name]) for name, value in after["actor"].items())
+    assert not all(torch.equal(value, before["critic"][name]) for name, value in after["critic"].items())
+
+
 def test_task_files(tmp_path: Path) -> None:
     path = tmp_path / "task.json"
     path.write_text('{"command": {"speed": 0.5}, "depth": {"latency": [1, 3]}, "amp": true}')
@@ -99,6 +128,7 @@ def test_task_files(tmp_path: Path) -> None:
         ('{"comand": {}}', "unknown task field"),
         ('{"depth": {"use": "no"}}', "depth.use has a value of the wrong kind"),
         ("[]", "must be an object"),
+        ('{"reward": {"weights": {"alive": "much"}}}', "weights must be finite numbers"),
     ):
         path.write_text(text)
         with pytest.raises(RealsimError, match=message):

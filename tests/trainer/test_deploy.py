@@ -55,6 +55,37 @@ def test_the_robot_observes_what_the_policy_was_trained_on() -> None:
         observation = env.step(action).observation
 
 
+def test_a_steered_policy_is_told_the_way_and_only_such_a_one() -> None:
+    """The command of the simulated robot's goal is the task's; nobody who steers is an error, not straight ahead."""
+    task = replace(TASK, depth=DepthConfig(use=False), observation=ObservationConfig(noise=False, steered=True))
+    env = make(task, [generate("boxes", 0.3, 1)], robot="quadruped", worlds=1)
+    robot = MujocoRobot(QUADRUPED, env.physics.terrains[0], depth=False)
+    robot.physics = env.physics
+    env.reset()
+    turned = torch.tensor([[np.cos(0.2), 0.0, 0.0, np.sin(0.2)]], dtype=torch.float32)  # 0.4 rad to the left
+    here = torch.zeros(1, dtype=torch.long)
+    start = torch.tensor([[0.0, 0.0, QUADRUPED.standing_height]])
+    env.physics.reset(here, start, turned, torch.tensor(QUADRUPED.default, dtype=torch.float32)[None], here)
+    said = robot.steer(0.8)
+    assert said == pytest.approx([0.8 * np.cos(0.4), -0.8 * np.sin(0.4), -0.4], abs=1e-3)
+    assert np.allclose(said, env.command(env.physics.state).observed(steered=True)[0], atol=1e-6)
+
+    clock, session, steered = _Clock(), _Session(np.zeros(12)), facts(env.layout)
+    with pytest.raises(TrainerError, match="trained to be steered"):
+        deploy(_Robot(), session, steered, CONFIG, clock=clock, sleep=clock.sleep)
+    asked: list[float] = []
+
+    def steer(speed: float) -> np.ndarray:
+        asked.append(speed)
+        return np.array([0.1, 0.2, 0.3])
+
+    deploy(_Robot(), session, steered, CONFIG, steer=steer, clock=clock, sleep=clock.sleep)
+    assert np.allclose(session.seen[-1]["vector"][0, 8 * 6 + 21 : 8 * 6 + 24], [0.1, 0.2, 0.3])
+    assert (asked[0], asked[-1]) == (0.0, pytest.approx(CONFIG.speed))
+    deploy(_Robot(), session, BLIND, CONFIG, steer=steer, clock=clock, sleep=clock.sleep)
+    assert np.allclose(session.seen[-1]["vector"][0, 8 * 6 + 21 : 8 * 6 + 24], [CONFIG.speed, 0.0, 0.0])
+
+
 def test_a_full_image_is_cropped_as_in_training() -> None:
     full = np.arange(270 * 480, dtype=float).reshape(270, 480)
     assert crop(full, QUADRUPED.camera).shape == (18, 32)

@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `tra
 from hypothesis import given  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
-from realsim.errors import UnknownNameError  # noqa: E402
+from realsim.errors import RealsimError, UnknownNameError  # noqa: E402
 from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped, walk  # noqa: E402
 from tests.trainer.test_task import QUIET, outcome  # noqa: E402
 from trainer.errors import TrainerError  # noqa: E402
@@ -164,8 +164,11 @@ def test_a_recording_survives_saving(recording, tmp_path):
     assert np.array_equal(again.qpos, recording.qpos)
     assert (again.dt, again.outcome) == (recording.dt, recording.outcome)
     (tmp_path / "broken.npz").write_bytes(b"PK nothing")
-    with pytest.raises(TrainerError, match="not a recording"):
+    with pytest.raises(RealsimError, match="not a readable"):
         Recording.load(tmp_path / "broken.npz")
+    np.savez(tmp_path / "other.npz", qpos=recording.qpos)
+    with pytest.raises(TrainerError, match="not a recording"):
+        Recording.load(tmp_path / "other.npz")
 
 
 def test_an_unknown_format_is_refused(recording, tmp_path):

@@ -122,6 +122,18 @@ def test_the_actor_is_told_a_speed_and_the_critic_the_direction():
     assert critic["goal"].norm(dim=-1).tolist() == pytest.approx([3.0] * 4, abs=1e-4)
 
 
+def test_a_steered_actor_is_told_the_direction_too():
+    env = env_of(replace(QUIET, observation=ObservationConfig(noise=False, steered=True)))
+    env.reset()
+    env.physics.state.base_quat[:] = about_z(torch.tensor([0.0, 0.5, -0.5, 0.0]))
+    o = env.step(still(env)).observation
+    assert [n for n, _ in env.layout.actor][2] == "steering_command"
+    told = o.actor.split([w for _, w in env.layout.actor], -1)[2].view(4, 8, 3)[:, -1]
+    ahead, left = 0.8 * np.cos(0.5), -0.8 * np.sin(0.5)
+    wanted = torch.tensor([[0.8, 0, 0], [ahead, left, -0.5], [ahead, -left, 0.5], [0.8, 0, 0]]).float()
+    assert torch.allclose(told, wanted, atol=1e-5)
+
+
 def test_noise_spoils_the_actor_only_and_stays_in_its_history():
     env = env_of(replace(QUIET, observation=ObservationConfig()))
     env.reset()

@@ -109,7 +109,8 @@ def scene(tmp_path):
     add(name="seen", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.1, 0, 0], contype=0, conaffinity=0)
     spec.compile()
     (tmp_path / "scene.xml").write_text(spec.to_xml())
-    trimesh.creation.box((0.8, 0.8, 0.3)).export(tmp_path / "mesh.ply")
+    parts = [trimesh.creation.box((0.8, 0.8, 0.3)).apply_translation((x, 0, -0.15)) for x in (0.0, 2.0)]
+    trimesh.util.concatenate(parts).export(tmp_path / "mesh.ply")
     ends = {role: {"centroid": [x, 0, 0], "size": [0.8, 0.8, 0.3]} for role, x in (("start", 0.0), ("goal", 2.0))}
     (tmp_path / "report.json").write_text(json.dumps({"ground_z": -0.3, **ends}))
     return tmp_path
@@ -133,6 +134,47 @@ def test_a_scene_of_the_wrong_scale_is_refused(scene):
     report["goal"]["size"] = [41.0, 40.0, 3.0]
     (scene / "report.json").write_text(json.dumps(report))
     with pytest.raises(TrainerError, match="scale may be wrong"):
+        load(scene)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"ground_z": None}, "ground_z is not given"),
+        ({"ground_z": "low"}, "ground_z is not given"),
+        ({"ground_z": 5.0}, "ground does not lie"),
+        ({"start": "there"}, "no start platform"),
+        ({"start": {"size": [0.8, 0.8]}}, "centre of the start platform is not given"),
+        ({"start": {"size": "big", "centroid": [0, 0, 0]}}, "size of the start platform is not given"),
+        ({"goal": {"size": [0.8, 0.8], "centroid": [float("nan"), 0, 0]}}, "centre of the goal platform is not given"),
+        ({"goal": {"size": [0.8, 0.8], "centroid": [0, 0, 0]}}, "the same place"),
+        ({"goal": {"size": [0.8, 0.8], "centroid": [20, 0, 0]}}, "does not lie on the mesh"),
+    ],
+)
+def test_a_report_that_cannot_be_right_is_refused(scene, change, message):
+    report = json.loads((scene / "report.json").read_text()) | change
+    (scene / "report.json").write_text(json.dumps(report))
+    with pytest.raises(TrainerError, match=message):
+        load(scene)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("mesh.ply", "cut off"), ("scene.xml", "does not compile"), ("report.json", "cannot be read")],
+)
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_a_file_that_was_cut_off_is_named(scene, name, message, share):
+    path = scene / name
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(len(whole) * share)])
+    with pytest.raises(TrainerError, match=message) as raised:
+        load(scene)
+    assert raised.value.file == str(path)
+
+
+def test_a_report_of_another_kind_is_refused(scene):
+    (scene / "report.json").write_text("[]")
+    with pytest.raises(TrainerError, match="no report"):
         load(scene)
 
 

@@ -21,7 +21,7 @@ from trainer.evaluate import Evaluation, Setting
 from trainer.physics import PhysicsConfig
 from trainer.ppo import checkpoint, export
 from trainer.ppo.policy import Policy, check_layout
-from trainer.robots import ROBOTS
+from trainer.robots import named
 from trainer.tasks.parkour.observations import layout
 from trainer.terrain import Terrain
 from trainer.terrain.scene import load as load_scene
@@ -46,7 +46,7 @@ def find_terrain(name: str) -> tuple[Terrain, Path | None]:
     if os.sep in name or name.startswith("."):
         raise TrainerError("there is no such scene", file=name, expected="a folder written by `realsim reconstruct`")
     raise UnknownNameError(
-        "scene (neither a folder nor a terrain)", name, ["flat", *terrains.TESTS, *terrains.FAMILIES]
+        "scene (neither a folder nor a terrain)", name, {"flat", *terrains.TESTS, *terrains.FAMILIES}
     )
 
 
@@ -83,11 +83,11 @@ def setting(policy: Policy, file: Path, device: torch.device, config: TrainConfi
     """
     if config.robot and config.robot != policy.robot:
         raise TrainerError("the policy is of another robot", file=file, expected=config.robot, found=policy.robot)
-    robot = ROBOTS[policy.robot]()
+    robot = named(policy.robot, file)
     task = config.task
     if policy.layout.depth is None or robot.camera is None:
         task = replace(task, depth=replace(task.depth, use=False))
-    depth = None if not task.depth.use else (task.depth.frames, *robot.camera.crop[::-1])
+    depth = None if not task.depth.use or robot.camera is None else (task.depth.frames, *robot.camera.crop[::-1])
     check_layout(policy.layout, layout(robot, task.observation, depth, task.depth.stride), str(file))
     engine = config.engine or ("warp" if device.type == "cuda" else "mujoco")
     physics = PhysicsConfig(device=str(device), seed=config.seed)

@@ -13,7 +13,7 @@ from trainer.deploy.loop import DeployConfig
 from trainer.deploy.loop import deploy as run_loop
 from trainer.deploy.mujoco import MujocoRobot
 from trainer.ppo import export
-from trainer.robots import ROBOTS
+from trainer.robots import named
 
 
 def deploy(
@@ -31,7 +31,7 @@ def deploy(
     """
     session, facts = export.load(policy)
     terrain, _ = common.find_terrain(scene)
-    body = ROBOTS[facts.robot]()
+    body = named(facts.robot, policy)
     if tuple(body.joints) != facts.layout.actions:
         raise common.TrainerError("the policy moves other joints than the robot has", file=policy, found=facts.robot)
     robot = MujocoRobot(body, terrain, depth=facts.layout.depth is not None)
@@ -39,7 +39,7 @@ def deploy(
     def arrived() -> bool:
         return bool(terrain.goal.contains(robot.position[None, :2])[0])
 
-    report = run_loop(robot, session, facts, config, until=arrived)
+    report = run_loop(robot, session, facts, config, until=arrived, steer=robot.steer)
     figures = report.figures()
     if report.reason == "done" and arrived():
         figures["reason"] = "goal"

@@ -81,6 +81,7 @@ def deploy(
     config: DeployConfig,
     *,
     until: Callable[[], bool] | None = None,
+    steer: Callable[[float], NDArray[np.float64]] | None = None,
     clock: Callable[[], float] = time.perf_counter,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Report:
@@ -92,9 +93,20 @@ def deploy(
         facts: its metadata.
         config: see `DeployConfig`.
         until: asked every step; true ends the run.
+        steer: for a policy that is steered (`ObservationConfig.steered`): speed in m/s -> (3,) velocity ahead and to
+            the left in m/s, yaw rate in rad/s. Others are told to go straight ahead.
         clock, sleep: seconds; for tests.
+
+    Raises:
+        TrainerError: a policy that is to be steered, and nobody who steers.
     """
     observe = Observer(facts)
+    if observe.steered and steer is None:
+        raise TrainerError(
+            "the policy was trained to be steered",
+            expected="steer=, a function that says which way to go",
+            hint="a joystick, or a localiser that knows where the goal is",
+        )
     scale, default = np.asarray(facts.action_scale), np.asarray(facts.default)
     action = np.zeros(len(default), np.float32)
     report = Report()
@@ -109,7 +121,9 @@ def deploy(
             if -reading.gravity[2] < math.cos(config.max_tilt):
                 report.reason = "tilted"
                 break
-            inputs = observe(reading, _command(config, report.steps * facts.policy_dt), action)
+            speed = _speed(config, report.steps * facts.policy_dt)
+            ahead = np.array([speed, 0.0, 0.0])
+            inputs = observe(reading, steer(speed) if observe.steered and steer is not None else ahead, action)
             thought = clock()
             action = session.run(None, inputs)[0][0]
             report.inference_s.append(clock() - thought)
@@ -136,9 +150,8 @@ def deploy(
     return report
 
 
-def _command(config: DeployConfig, seconds: float) -> NDArray[np.float64]:
-    share = min(1.0, seconds / config.ramp) if config.ramp else 1.0
-    return np.array([config.speed * share, 0.0, 0.0])
+def _speed(config: DeployConfig, seconds: float) -> float:
+    return config.speed * (min(1.0, seconds / config.ramp) if config.ramp else 1.0)
 
 
 def _warm_up(facts: Deployment) -> dict[str, NDArray[np.float32]]:

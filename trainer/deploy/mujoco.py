@@ -12,7 +12,8 @@ from trainer.errors import TrainerError
 from trainer.physics import ENGINES, PhysicsConfig
 from trainer.rays import caster
 from trainer.robots import TrainedRobot
-from trainer.tasks.parkour.config import DepthConfig
+from trainer.tasks.parkour.commands import GoalCommand
+from trainer.tasks.parkour.config import CommandConfig, DepthConfig
 from trainer.tasks.parkour.depth import rays
 from trainer.tasks.rotations import multiply, rotate, rotate_back
 from trainer.terrain import Terrain
@@ -70,6 +71,14 @@ class MujocoRobot:
     def position(self) -> F64:
         """(3,) m of the base in the terrain's frame; what no sensor of a real robot tells."""
         return self.physics.state.base_pos[0].double().numpy()
+
+    def steer(self, speed: float) -> F64:
+        """(3,) velocity ahead and to the left in m/s and yaw rate in rad/s towards the goal, as in training: what
+        somebody who sees the robot would tell a policy that is steered."""
+        command = GoalCommand(CommandConfig(), 1, torch.device("cpu"))
+        command.goal[:] = torch.as_tensor(self.terrain.goal.centre[:2], dtype=torch.float32)
+        command.limit[:] = speed
+        return command(self.physics.state).observed(steered=True)[0].double().numpy()
 
     def _depth(self) -> F64 | None:
         mount, s = self.robot.camera, self.physics.state

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from trainer.deploy.robot import Reading
 from trainer.errors import TrainerError
 from trainer.ppo.export import Deployment
+from trainer.tasks.parkour.observations import STEERED
 
 F32 = NDArray[np.float32]
 
@@ -23,6 +24,7 @@ class Observer:
             "base_ang_vel": 3,
             "gravity": 3,
             "command": 3,
+            STEERED: 3,
             "joint_pos": joints,
             "joint_vel": joints,
             "last_action": joints,
@@ -35,6 +37,8 @@ class Observer:
                 expected=f"multiples of {widths}",
                 found=str(facts.layout.actor),
             )
+        self.steered = any(name == STEERED for name, _ in facts.layout.actor)
+        """Whether the policy is told which way to go, and not only how fast."""
         self.history = {name: width // widths[name] for name, width in facts.layout.actor}
         self.terms: dict[str, list[F32]] = {name: [] for name in self.history}
         self.images: list[F32] = []
@@ -44,13 +48,15 @@ class Observer:
 
         Args:
             reading: the newest one.
-            command: (3,) velocity ahead and to the left in m/s, yaw rate in rad/s.
+            command: (3,) velocity ahead and to the left in m/s, yaw rate in rad/s; of a policy that is not steered the
+                last two are 0.
             last_action: (J,) what the policy gave a step ago; zeros at first.
         """
         now = {
             "base_ang_vel": reading.ang_vel,
             "gravity": reading.gravity,
             "command": command,
+            STEERED: command,
             "joint_pos": reading.joint_pos - self.default,
             "joint_vel": reading.joint_vel,
             "last_action": last_action,

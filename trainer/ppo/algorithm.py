@@ -36,6 +36,7 @@ class PPO:
         critic: value of an observation.
         config: see `PPOConfig`.
         extra: further losses by name, each with its weight.
+        tuned: the policy is a base to be fine-tuned, which begins with more care (`PPOConfig.start`).
 
     Nothing here waits for the GPU: the learning rate lives on the device, statistics are read once an iteration.
     """
@@ -46,13 +47,16 @@ class PPO:
         critic: Critic,
         config: PPOConfig,
         extra: Mapping[str, tuple[float, Loss]] | None = None,
+        *,
+        tuned: bool = False,
     ) -> None:
         self.policy, self.critic, self.config = policy, critic, config
         self.extra = dict(extra or {})
         self.actor_parameters = [p for p in policy.parameters() if p.requires_grad]
         self.critic_parameters = list(critic.parameters())
         device = self.critic_parameters[0].device
-        self.learning_rate = torch.tensor(config.learning_rate, device=device)
+        rate, self.critic_first = config.start(tuned)
+        self.learning_rate = torch.tensor(rate, device=device)
         self.optimiser = torch.optim.Adam(
             [*self.actor_parameters, *self.critic_parameters], lr=self.learning_rate, fused=True
         )
@@ -79,13 +83,16 @@ class PPO:
         variance = all_sum((a - mean).square().sum()) / (n - 1)
         rollout.advantage = (a - mean) / (variance.sqrt() + 1e-8)
 
-    def update(self, rollout: Rollout, generator: torch.Generator) -> dict[str, Tensor]:
-        """All epochs over a finished rollout; the mean of every loss, on the device."""
+    def update(self, rollout: Rollout, generator: torch.Generator, critic_only: bool = False) -> dict[str, Tensor]:
+        """All epochs over a finished rollout; the mean of every loss, on the device.
+
+        With `critic_only` the policy stays as it is, its exploration noise included.
+        """
         totals: dict[str, Tensor] = {}
         c = self.config
         for _ in range(c.epochs):
             for batch in rollout.batches(c.minibatches, generator):
-                losses = self._gradients(batch)
+                losses = self._critic_gradients(batch) if critic_only else self._gradients(batch)
                 average_gradients([*self.actor_parameters, *self.critic_parameters])
                 nn.utils.clip_grad_norm_(self.actor_parameters, c.max_gradient)
                 nn.utils.clip_grad_norm_(self.critic_parameters, c.max_gradient)
@@ -118,6 +125,21 @@ class PPO:
         self.optimiser.zero_grad()
         loss.backward()
         return {name: value.detach() for name, value in losses.items()}
+
+    def _critic_gradients(self, batch: Batch) -> dict[str, Tensor]:
+        """Of the squared error of the value: parameters of the policy get none, and the optimiser passes them over.
+
+        The value is not clipped: it may be far off, and nobody acts on it yet.
+        """
+        c = self.config
+        with torch.autocast(batch.action.device.type, torch.bfloat16, enabled=c.bfloat16):
+            value = self.critic.of(batch.observation)
+        value_loss = (value.float() - batch.returns).square().mean()
+        self.optimiser.zero_grad()
+        (c.value_weight * value_loss).backward()
+        nothing = torch.zeros_like(value_loss.detach())
+        names = ("policy_loss", "entropy", "kl", *self.extra)
+        return {"value_loss": value_loss.detach(), **dict.fromkeys(names, nothing)}
 
     def _adapt(self, kl: Tensor) -> None:
         """Learning rate after the KL divergence of the last gradient step, without waiting for the device."""

@@ -79,8 +79,11 @@ class PPOConfig:
     """Weight of the value loss."""
     entropy_weight: float = 0.005
     """Weight of the entropy bonus."""
-    learning_rate: float = 1e-3
-    """Learning rate at the start."""
+    learning_rate: float | None = None
+    """Learning rate at the start; if not given, 1e-3 for a new policy and 1e-4 for fine-tuning."""
+    critic_first: int | None = None
+    """Iterations at the start in which only the critic learns; if not given, none for a new policy and 5 for
+    fine-tuning: the base's critic knows other terrain, and the policy must not follow its errors."""
     schedule: Literal["adaptive", "fixed"] = "adaptive"
     """Whether the learning rate follows the KL divergence between the policies before and after."""
     desired_kl: float = 0.01
@@ -99,5 +102,14 @@ class PPOConfig:
     def __post_init__(self) -> None:
         if min(self.steps, self.epochs, self.minibatches) < 1:
             raise TrainerError("steps, epochs and minibatches must be at least 1", found=str(self))
-        if not (0 < self.gamma <= 1 and 0 <= self.lam <= 1 and self.clip > 0 and self.learning_rate > 0):
-            raise TrainerError("gamma, lam, clip or learning rate out of range", found=str(self))
+        if not (0 < self.gamma <= 1 and 0 <= self.lam <= 1 and self.clip > 0):
+            raise TrainerError("gamma, lam or clip out of range", found=str(self))
+        if self.learning_rate is not None and self.learning_rate <= 0:
+            raise TrainerError("the learning rate must be positive", found=f"{self.learning_rate}")
+        if self.critic_first is not None and self.critic_first < 0:
+            raise TrainerError("iterations of the critic alone cannot be negative", found=f"{self.critic_first}")
+
+    def start(self, tuned: bool) -> tuple[float, int]:
+        """(learning rate, iterations of the critic alone) with which a new policy begins, or one to be fine-tuned."""
+        rate, critic_first = (1e-4, 5) if tuned else (1e-3, 0)
+        return self.learning_rate or rate, critic_first if self.critic_first is None else self.critic_first

@@ -126,8 +126,16 @@ def _resume(runner: Runner, path: Path) -> History:
         )
     runner.policy.actor.load_state_dict(policy.actor.state_dict())
     runner.policy.critic.load_state_dict(policy.critic.state_dict())
-    notes = runner.load_state_dict(training)
-    evaluations = [(int(i), float(rate)) for i, rate in training["evaluations"]]
+    try:
+        notes = runner.load_state_dict(training)
+        evaluations = [(int(i), float(rate)) for i, rate in training["evaluations"]]
+    except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+        raise TrainerError(
+            "the checkpoint's training cannot be gone on with",
+            file=path,
+            found=f"{type(error).__name__}: {error}",
+            hint="it was edited, or written by a changed version; its policy may do for --policy",
+        ) from error
     return History(evaluations, notes)
 
 

@@ -80,7 +80,7 @@ def check_layout(found: ObservationLayout, expected: ObservationLayout, file: st
             file=file,
             expected=_entry(new_, index),
             found=_entry(old, index),
-            hint="use a policy trained with this robot and observation layout, or pretrain one (realsim pretrain)",
+            hint="give the --task-file of its training, or pretrain a policy for this task (realsim pretrain)",
         )
 
 

@@ -49,7 +49,7 @@ class Runner:
             torch.set_float32_matmul_precision("high")  # TF32: the noise of PPO is far above its rounding
             torch.backends.cudnn.benchmark = True  # the same few shapes over and over
         broadcast(policy.actor, policy.critic, None if prior is None else prior.layers)
-        self.ppo = PPO(policy.actor, policy.critic, config, extra)
+        self.ppo = PPO(policy.actor, policy.critic, config, extra, tuned=bool(policy.tuned))
         self.rollout = Rollout(config.steps, env.num_worlds, env.layout, rank.device)
         self.rng = torch.Generator(rank.device).manual_seed(seed * 1009 + rank.index)
         self.iteration = 0
@@ -71,7 +71,7 @@ class Runner:
         log = self._collect()
         self._wait()
         collected = time.perf_counter()
-        losses = self.ppo.update(self.rollout, self.rng)
+        losses = self.ppo.update(self.rollout, self.rng, critic_only=self.iteration < self.ppo.critic_first)
         if self.prior is not None:
             losses |= self.prior.update(self.rng)
         self.rollout.carry()

@@ -7,12 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trainer.errors import TrainerError
 from trainer.terrain.base import Platform, Terrain
 
 _PLATFORM_M = (0.25, 4.0)
 """Edge lengths between which a platform is believable; beyond, the scene's scale is wrong."""
+_SHORTEST_M = 0.1
+"""From start to goal."""
+_MARGIN_M = 0.1
+"""How far a platform's centre may lie outside the mesh's box: the one is fitted, the other as scanned."""
 _GROUND_NOISE = 0.03
 """Metres: parts no higher than this are the scanned ground; a foot on them stands on the ground."""
 _MAX_REPORT_BYTES = 64 << 20
@@ -24,13 +29,20 @@ def load(folder: str | Path) -> Terrain:
     Raises:
         TrainerError: a file is missing or cut off, the scene has no platforms, or its scale cannot be right.
     """
-    import trimesh
-
     folder = Path(folder)
     report = _report(folder)
     start, goal = (_platform(folder, report, role) for role in ("start", "goal"))
-    mesh = trimesh.load_mesh(_file(folder, "mesh.ply"), process=False)
-    floor = float(report["ground_z"])
+    length = float(np.linalg.norm(goal.centre[:2] - start.centre[:2]))
+    if length < _SHORTEST_M:
+        raise TrainerError(
+            "start and goal are the same place",
+            file=folder / "report.json",
+            expected=f"at least {_SHORTEST_M} m from centre to centre",
+            found=f"{length:.3f} m",
+            hint="name them: realsim reconstruct --start X Y --goal X Y",
+        )
+    vertices, triangles = _mesh(folder, start, goal)
+    floor = float(_numbers(folder, report.get("ground_z"), "ground_z", 1)[0])
     if not 0.0 <= -floor <= 2.0:
         raise TrainerError(
             "the ground does not lie where a course needs it",
@@ -42,14 +54,14 @@ def load(folder: str | Path) -> Terrain:
     return Terrain(
         name=folder.resolve().name,
         boxes=(),
-        vertices=np.asarray(mesh.vertices, np.float64),
-        triangles=np.asarray(mesh.faces, np.int32),
+        vertices=vertices,
+        triangles=triangles,
         start=start,
         goal=goal,
         floor_z=floor,
         contact=_contact(folder, floor),
         family="scene",
-        facts={"length": float(goal.centre[0] - start.centre[0])},
+        facts={"length": length},
     )
 
 
@@ -58,11 +70,58 @@ def _report(folder: Path) -> dict[str, Any]:
     if path.stat().st_size > _MAX_REPORT_BYTES:
         raise TrainerError("report.json is too large to be one", file=path)
     try:
-        return json.loads(path.read_text("utf-8"))
+        report = json.loads(path.read_text("utf-8"))
     except ValueError as error:
         raise TrainerError(
             "report.json cannot be read", file=path, found=str(error), hint="reconstruct again"
         ) from None
+    if not isinstance(report, dict):
+        raise TrainerError("report.json is no report", file=path, expected="an object", found=type(report).__name__)
+    return report
+
+
+def _numbers(folder: Path, value: Any, what: str, count: int) -> NDArray[np.float64]:
+    """The first `count` of the numbers that an entry of the report must hold."""
+    try:
+        numbers = np.atleast_1d(np.asarray(value, float))
+    except (TypeError, ValueError):
+        numbers = np.zeros(0)
+    if numbers.ndim != 1 or len(numbers) < count or not np.isfinite(numbers).all():
+        raise TrainerError(
+            f"{what} is not given",
+            file=folder / "report.json",
+            expected=f"{count} finite numbers, metres",
+            found=repr(value),
+            hint="reconstruct again",
+        )
+    return numbers[:count]
+
+
+def _mesh(folder: Path, start: Platform, goal: Platform) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """((V, 3), (F, 3)) of mesh.ply, in which both platforms must lie: a mesh of another scale is another scene's."""
+    import trimesh
+
+    path = _file(folder, "mesh.ply")
+    try:
+        mesh = trimesh.load_mesh(path, process=False)
+        vertices, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int32)
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError, OSError) as error:
+        raise TrainerError(
+            "mesh.ply cannot be read: it is cut off or no mesh", file=path, found=str(error), hint="reconstruct again"
+        ) from None
+    if not len(triangles) or not np.isfinite(vertices).all():
+        raise TrainerError("mesh.ply holds no surface", file=path, found=f"{len(triangles)} triangles")
+    low, high = vertices.min(0) - _MARGIN_M, vertices.max(0) + _MARGIN_M
+    for role, platform in (("start", start), ("goal", goal)):
+        if not np.all((low <= platform.centre) & (platform.centre <= high)):
+            raise TrainerError(
+                f"the {role} platform does not lie on the mesh: they are of different scale, frame or scene",
+                file=path,
+                expected=f"a mesh around {np.round(platform.centre, 2).tolist()} m (report.json)",
+                found=f"x, y, z from {np.round(low, 2).tolist()} to {np.round(high, 2).tolist()} m",
+                hint="reconstruct again",
+            )
+    return vertices, triangles
 
 
 def _file(folder: Path, name: str) -> Path:
@@ -78,7 +137,7 @@ def _file(folder: Path, name: str) -> Path:
 
 def _platform(folder: Path, report: dict[str, Any], role: str) -> Platform:
     entry = report.get(role)
-    if not entry or entry.get("size") is None:
+    if not isinstance(entry, dict) or entry.get("size") is None:
         raise TrainerError(
             f"the scene has no {role} platform",
             file=folder / "report.json",
@@ -86,7 +145,7 @@ def _platform(folder: Path, report: dict[str, Any], role: str) -> Platform:
             found=f"{role}: {entry}",
             hint="name them: realsim reconstruct --start X Y --goal X Y",
         )
-    size = np.asarray(entry["size"], float)[:2]
+    size = _numbers(folder, entry["size"], f"the size of the {role} platform", 2)
     low, high = _PLATFORM_M
     if not np.all((low <= size) & (size <= high)):
         raise TrainerError(
@@ -96,7 +155,7 @@ def _platform(folder: Path, report: dict[str, Any], role: str) -> Platform:
             found=" x ".join(f"{s:.3f}" for s in size) + " m",
             hint="check `scale` in report.json",
         )
-    return Platform(np.asarray(entry["centroid"], float), size)
+    return Platform(_numbers(folder, entry.get("centroid"), f"the centre of the {role} platform", 3), size)
 
 
 def _contact(folder: Path, floor: float) -> Any:

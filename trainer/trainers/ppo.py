@@ -21,7 +21,7 @@ from trainer.ppo.distributed import Rank, ranks
 from trainer.ppo.policy import Policy
 from trainer.ppo.runner import Runner
 from trainer.ppo.symmetry import SymmetryLoss
-from trainer.robots import ROBOTS
+from trainer.robots import ROBOTS, named
 from trainer.tasks.parkour import ParkourConfig, ParkourEnv, make
 from trainer.tasks.parkour.terminations import SUCCESS
 from trainer.trainers.base import Scene, TrainConfig, TrainResult
@@ -71,7 +71,7 @@ def train(scene: Scene, policy: Path | None, config: TrainConfig, out: Path) -> 
         evaluations=tuple(history.evaluations),
         worlds=plan.worlds,
         seconds=time.perf_counter() - began,
-        warnings=(*warnings, *runner.env.warnings, *history.notes),
+        warnings=(*warnings, *runner.env.warnings, *history.notes, *_untouched(runner)),
     )
 
 
@@ -91,7 +91,7 @@ def decide(config: TrainConfig, policy: Path | None, rank: Rank) -> Plan:
     seed = config.seed * 1009 + rank.index
     physics = PhysicsConfig(device=str(rank.device), threads=config.threads, seed=seed)
     task = replace(config.task, amp=config.ppo.prior.amp)
-    if ROBOTS[robot]().camera is None:
+    if named(robot, source).camera is None:
         task = replace(task, depth=replace(task.depth, use=False))
     return Plan(replace(config, seed=seed), task, robot, engine, physics, worlds)
 
@@ -158,6 +158,16 @@ def _attempt(scene: Scene, file: Path | None, plan: Plan, rank: Rank, out: Path)
     evaluate = trials(scene, plan) if scene.rows == 1 else None
     config = plan.config
     return runner, loop.train(runner, config.loop, out, evaluate=evaluate, resume=config.resume)
+
+
+def _untouched(runner: Runner) -> tuple[str, ...]:
+    """That the policy is still its base's, if so."""
+    if runner.iteration > runner.ppo.critic_first:
+        return ()
+    return (
+        f"the policy is its base's: in the first {runner.ppo.critic_first} iterations only the critic learns "
+        "(--critic-first), and there were no more",
+    )
 
 
 def _with_fewer_worlds(plan: Plan, error: RuntimeError, rank: Rank) -> Plan:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+from math import isfinite
 
 from trainer.errors import TrainerError
 
@@ -60,6 +61,9 @@ class ObservationConfig:
     """rad."""
     joint_vel: float = 0.5
     """rad/s."""
+    steered: bool = False
+    """Whether the actor is told which way the goal lies (velocity ahead and to the left, yaw rate), as by somebody who
+    steers. The paper's is not: straight ahead at a speed, it finds its way with its camera."""
 
     def __post_init__(self) -> None:
         _require(self, (self.history >= 1, "history must hold at least one step"))
@@ -148,7 +152,12 @@ class RewardConfig:
     """N from which a foot counts as in contact."""
 
     def __post_init__(self) -> None:
-        _require(self, (self.velocity_sigma > 0 and self.edge_radius >= 0, "widths must be positive"))
+        numbers = all(isinstance(w, int | float) and isfinite(w) for w in self.weights.values())
+        _require(
+            self,
+            (numbers, "weights must be finite numbers"),
+            (self.velocity_sigma > 0 and self.edge_radius >= 0, "widths must be positive"),
+        )
 
 
 @dataclass(frozen=True)

@@ -120,7 +120,7 @@ class ParkourEnv:
             self.age = torch.randint(
                 0, self.max_steps, (self.num_worlds,), generator=self.generator, device=self.device
             )
-        return Observation(self.proprioception.read(), critic_view(signals, self.body), self._window())
+        return Observation(self.proprioception.read(), self._critic_view(signals), self._window())
 
     def step(self, actions: Tensor) -> Step:
         """One policy step with actions (N, J): joint targets are default + scale * action."""
@@ -198,7 +198,7 @@ class ParkourEnv:
         self.proprioception.push(s, self.body, self.generator)
         if self.camera is not None and self.images is not None:
             self.images.push(self.camera.render(s.state, self.terrain_ids, None, self.generator))
-        return Observation(self.proprioception.read(), critic_view(s, self.body), self._window())
+        return Observation(self.proprioception.read(), self._critic_view(s), self._window())
 
     def _restart(self, ids: Tensor) -> Signals:
         """New episodes in worlds `ids` (K,); the signals of their first moment (K rows)."""
@@ -237,9 +237,12 @@ class ParkourEnv:
     def _replaced(self, o: Observation, ids: Tensor, signals: Signals) -> Observation:
         """`o` with the rows of worlds `ids` of their new episodes; `o` itself stays what it was."""
         actor = o.actor.index_copy(0, ids, self.proprioception.read(ids))
-        critic = o.critic.index_copy(0, ids, critic_view(signals, self.body))
+        critic = o.critic.index_copy(0, ids, self._critic_view(signals))
         depth = None if o.depth is None else o.depth.index_copy(0, ids, self._window(ids))  # type: ignore[arg-type]
         return Observation(actor, critic, depth)
+
+    def _critic_view(self, s: Signals) -> Tensor:
+        return critic_view(s, self.body, self.config.observation.steered)
 
     def _window(self, ids: Tensor | None = None) -> Tensor | None:
         return None if self.images is None else self.images.window(ids)

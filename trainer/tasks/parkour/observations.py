@@ -16,16 +16,18 @@ from trainer.tasks.parkour.config import ObservationConfig
 from trainer.tasks.parkour.draw import symmetric
 from trainer.tasks.parkour.signals import Signals
 
+STEERED = "steering_command"
+"""Name of the command of `ObservationConfig.steered` in layouts: no other is taken for it."""
 FAR_GOAL = 10.0
 """Metres at which the critic's goal vector saturates."""
 
 
-def proprioception(joints: int) -> tuple[tuple[str, int], ...]:
-    """(term, width) of p_t, in order (paper, sec. III-B)."""
+def proprioception(joints: int, steered: bool = False) -> tuple[tuple[str, int], ...]:
+    """(term, width) of p_t, in order (paper, sec. III-B). A command that means something else has another name."""
     return (
         ("base_ang_vel", 3),
         ("gravity", 3),
-        ("command", 3),
+        (STEERED if steered else "command", 3),
         ("joint_pos", joints),
         ("joint_vel", joints),
         ("last_action", joints),
@@ -49,7 +51,7 @@ def layout(
     robot: TrainedRobot, config: ObservationConfig, depth: tuple[int, int, int] | None, stride: int
 ) -> ObservationLayout:
     """Names and widths of everything that is observed."""
-    terms = proprioception(len(robot.joints))
+    terms = proprioception(len(robot.joints), config.steered)
     return ObservationLayout(
         actor=tuple((name, width * config.history) for name, width in terms),
         critic=terms + privileged(len(robot.feet)),
@@ -59,17 +61,17 @@ def layout(
     )
 
 
-def measure(s: Signals, body: Body) -> list[Tensor]:
+def measure(s: Signals, body: Body, steered: bool) -> list[Tensor]:
     """The terms of p_t without noise, in the order of `proprioception`; s.action is what was just applied."""
     q = s.state.joint_pos - body.default
-    return [s.ang_vel, s.gravity, s.command.observed, q, s.state.joint_vel, s.action]
+    return [s.ang_vel, s.gravity, s.command.observed(steered), q, s.state.joint_vel, s.action]
 
 
-def critic_view(s: Signals, body: Body) -> Tensor:
+def critic_view(s: Signals, body: Body, steered: bool = False) -> Tensor:
     """(N, C) the critic's vector."""
     goal = s.command.velocity / s.command.speed.clamp_min(1e-6)[:, None]
     terms = [
-        *measure(s, body),
+        *measure(s, body, steered),
         s.lin_vel,
         s.command.velocity,
         s.command.yaw_rate[:, None],
@@ -106,7 +108,7 @@ class Proprioception:
         return torch.cat([part.flatten(1) for part in window.split(self.widths, -1)], -1)
 
     def _measured(self, s: Signals, body: Body, generator: torch.Generator, ids: Tensor | None = None) -> Tensor:
-        gyro, gravity, command, q, dq, action = measure(s, body)
+        gyro, gravity, command, q, dq, action = measure(s, body, self.config.steered)
         gyro = gyro + (self.gyro_offset if ids is None else self.gyro_offset[ids])
         q = q + (self.encoder_offset if ids is None else self.encoder_offset[ids])
         if self.config.noise:

@@ -32,12 +32,14 @@ class Command:
         """Of worlds `ids` only."""
         return Command(self.velocity[ids], self.yaw_rate[ids], self.distance[ids])
 
-    @property
-    def observed(self) -> Tensor:
+    def observed(self, steered: bool = False) -> Tensor:
         """(N, 3) what the actor is told: straight ahead at this speed, no sideways and no turning command.
 
-        On a real robot an operator gives it; nobody there knows where the goal is.
+        On a real robot an operator gives it; nobody there knows where the goal is. Where somebody does, it is
+        `steered`: velocity ahead and to the left, yaw rate.
         """
+        if steered:
+            return torch.cat([self.velocity, self.yaw_rate[:, None]], -1)
         zero = torch.zeros_like(self.yaw_rate)
         return torch.stack([self.speed, zero, zero], -1)
 
