@@ -76,7 +76,9 @@ def main() -> None:
             for seed in a.seeds:
                 run = tune(a.base, a.out, start, speed, seed, a.iterations, a.every)
                 success = " ".join(f"{rate:.2f}" for _, rate in run["evaluations"])
-                print(f"{speed} m/s, {start}, seed {seed}: first kl {run['kl'][0]:.3f}, success {success}", flush=True)
+                print(
+                    f"{speed} m/s, {start}, seed {seed}: largest kl {max(run['kl']):.3f}, success {success}", flush=True
+                )
                 runs.append(run)
     data = {
         "what": "the quadruped of trainer_cpu.py, fine-tuned on flat ground with randomisation, the full strategy",

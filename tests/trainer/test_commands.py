@@ -112,7 +112,8 @@ def test_a_checkpoint_that_was_edited_is_refused_before_anything_is_written(
 def test_a_run_of_the_critic_alone_is_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     base, out = folder / "base" / "policy.pt", folder / "critic"
     arguments = ["finetune", "flat", "--policy", str(base), "--iterations", "1", "--final-trials", "0", *SMALL]
-    assert main([*arguments, "--task-file", str(folder / "task.json"), "--out", str(out)]) == 0
+    arguments += ["--critic-first", "5", "--task-file", str(folder / "task.json"), "--out", str(out)]
+    assert main(arguments) == 0
     assert "the policy is its base's" in capsys.readouterr().out
     before, after = (torch.load(p, weights_only=True) for p in (base, out / "policy.pt"))
     assert all(torch.equal(value, before["actor"][name]) for name, value in after["actor"].items())

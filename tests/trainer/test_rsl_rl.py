@@ -58,7 +58,7 @@ def theirs(runner: Runner) -> RslPPO:
     storage = RolloutStorage("rl", env.num_worlds, ONE.steps, obs, [2])
     ppo = RslPPO(
         actor, critic, storage, ONE.epochs, ONE.minibatches, ONE.clip, ONE.gamma, ONE.lam, ONE.value_weight,
-        ONE.entropy_weight, ONE.start(tuned=False)[0], ONE.max_gradient, desired_kl=ONE.desired_kl,
+        ONE.entropy_weight, ONE.first_rate(tuned=False), ONE.max_gradient, desired_kl=ONE.desired_kl,
     )  # fmt: skip
     return ppo
 
@@ -88,7 +88,7 @@ def test_one_update_is_the_same() -> None:
     other.update()
     runner.ppo.update(ours, runner.rng)
     assert other.learning_rate == pytest.approx(runner.ppo.learning_rate.item(), rel=1e-5)
-    assert other.learning_rate != ONE.start(tuned=False)[0]
+    assert other.learning_rate != ONE.first_rate(tuned=False)
     for model, net in ((other.actor, runner.policy.actor), (other.critic, runner.policy.critic)):
         linears = [m for m in model.mlp if isinstance(m, torch.nn.Linear)]
         for linear, block in zip(linears, net.trunk, strict=True):

@@ -51,7 +51,7 @@ def test_the_same_function_at_the_start(base: Policy, name: str) -> None:
 def test_only_its_own_parameters_change(base: Policy, name: str) -> None:
     tuned = policies.fine_tune(copy.deepcopy(base), name, StrategyConfig())
     before = copy.deepcopy(tuned.actor.state_dict())
-    runner = Runner(PointMass(16, goal=1.0), tuned, replace(CONFIG, critic_first=0), rank=CPU)
+    runner = Runner(PointMass(16, goal=1.0), tuned, CONFIG, rank=CPU)
     for _ in range(2):
         runner.iterate()
     changed = {key for key, value in tuned.actor.state_dict().items() if not torch.equal(value, before[key])}
@@ -64,7 +64,7 @@ def test_the_critic_learns_first_and_the_policy_waits_for_it(base: Policy) -> No
     """Where the goal has moved: the base's values come nearer to the returns, and for five iterations nothing else."""
     tuned = policies.fine_tune(copy.deepcopy(base), "full", StrategyConfig())
     before = copy.deepcopy(tuned.actor.state_dict())
-    runner = Runner(PointMass(64, goal=1.0), tuned, CONFIG, rank=CPU)
+    runner = Runner(PointMass(64, goal=1.0), tuned, replace(CONFIG, critic_first=5), rank=CPU)
     assert runner.ppo.learning_rate.item() == pytest.approx(1e-4)
     runner.begin()
     runner._collect()
@@ -84,7 +84,7 @@ def test_the_critic_learns_first_and_the_policy_waits_for_it(base: Policy) -> No
 def test_every_strategy_improves_on_one_terrain(base: Policy, name: str) -> None:
     """The goal is always on the right: each way of fine-tuning must earn more than its base did."""
     tuned = policies.fine_tune(copy.deepcopy(base), name, StrategyConfig())
-    runner = Runner(PointMass(32, goal=1.0), tuned, replace(CONFIG, learning_rate=1e-3, critic_first=0), rank=CPU)
+    runner = Runner(PointMass(32, goal=1.0), tuned, replace(CONFIG, learning_rate=1e-3), rank=CPU)
     rewards = [runner.iterate()["reward"] for _ in range(12)]
     assert sum(rewards[-3:]) > 1.2 * sum(rewards[:3])
 

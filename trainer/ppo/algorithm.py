@@ -36,7 +36,7 @@ class PPO:
         critic: value of an observation.
         config: see `PPOConfig`.
         extra: further losses by name, each with its weight.
-        tuned: the policy is a base to be fine-tuned, which begins with more care (`PPOConfig.start`).
+        tuned: the policy is a base to be fine-tuned: it begins with a smaller learning rate (`PPOConfig.first_rate`).
 
     Nothing here waits for the GPU: the learning rate lives on the device, statistics are read once an iteration.
     """
@@ -55,8 +55,7 @@ class PPO:
         self.actor_parameters = [p for p in policy.parameters() if p.requires_grad]
         self.critic_parameters = list(critic.parameters())
         device = self.critic_parameters[0].device
-        rate, self.critic_first = config.start(tuned)
-        self.learning_rate = torch.tensor(rate, device=device)
+        self.learning_rate = torch.tensor(config.first_rate(tuned), device=device)
         self.optimiser = torch.optim.Adam(
             [*self.actor_parameters, *self.critic_parameters], lr=self.learning_rate, fused=True
         )

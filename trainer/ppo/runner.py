@@ -71,7 +71,7 @@ class Runner:
         log = self._collect()
         self._wait()
         collected = time.perf_counter()
-        losses = self.ppo.update(self.rollout, self.rng, critic_only=self.iteration < self.ppo.critic_first)
+        losses = self.ppo.update(self.rollout, self.rng, critic_only=self.iteration < self.config.critic_first)
         if self.prior is not None:
             losses |= self.prior.update(self.rng)
         self.rollout.carry()

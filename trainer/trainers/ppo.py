@@ -162,10 +162,10 @@ def _attempt(scene: Scene, file: Path | None, plan: Plan, rank: Rank, out: Path)
 
 def _untouched(runner: Runner) -> tuple[str, ...]:
     """That the policy is still its base's, if so."""
-    if runner.iteration > runner.ppo.critic_first:
+    if runner.iteration > runner.config.critic_first:
         return ()
     return (
-        f"the policy is its base's: in the first {runner.ppo.critic_first} iterations only the critic learns "
+        f"the policy is its base's: in the first {runner.config.critic_first} iterations only the critic learns "
         "(--critic-first), and there were no more",
     )
 

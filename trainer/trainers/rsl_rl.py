@@ -117,7 +117,7 @@ def algorithm(obs: TensorDict, worlds: int, policy: Policy, config: PPOConfig, d
         lam=config.lam,
         value_loss_coef=config.value_weight,
         entropy_coef=config.entropy_weight,
-        learning_rate=config.start(bool(policy.tuned))[0],
+        learning_rate=config.first_rate(bool(policy.tuned)),
         max_grad_norm=config.max_gradient,
         schedule=config.schedule,
         desired_kl=config.desired_kl,
@@ -221,7 +221,7 @@ def _refuse_what_it_cannot(config: TrainConfig) -> None:
         "--resume": config.resume is not None,
         "--amp": config.ppo.prior.amp,
         "--symmetry-weight": config.ppo.symmetry_weight > 0,
-        "--critic-first": bool(config.ppo.critic_first),
+        "--critic-first": config.ppo.critic_first > 0,
     }
     asked = [name for name, wanted in cannot.items() if wanted]
     if asked:
