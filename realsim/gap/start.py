@@ -204,17 +204,16 @@ def _suspicious(simulator: Simulator, run: Run, resting: F64) -> bool:
     for columns, signal in _moving_parts(simulator):
         values = run.signals[signal]
         error = values - resting[:, columns]
-        if not np.isfinite(error[run.time <= BEGINNING]).all(axis=1).any():
-            return False  # a simulator that fails at once is said elsewhere
+        inside = run.time <= BEGINNING
+        if not np.isfinite(resting[inside][:, columns]).all() or not np.isfinite(values[inside]).any(axis=0).all():
+            continue
         noise = _noise(values)
         speed, spread = first_fit(run.time, values, 2)[1], _speed_spread(run.time) * noise
-        excess = first_fit(run.time, error, 2)[1]
+        place, excess = first_fit(run.time, error, 2)
         fast = np.abs(speed) > np.maximum(STILL, NOISES * spread)
         if (fast & (np.abs(excess) > 0.5 * np.abs(speed))).any():
             return True
-        inside = run.time <= BEGINNING
-        away = np.abs(first_rows(error))
-        moved = np.nanstd(error[inside], axis=0)
+        away, moved = np.abs(place), np.nanstd(error[inside], axis=0)
         if ((away > FAR) & (moved > np.maximum(0.2 * away, NOISES * noise))).any():
             return True
     return False
@@ -238,7 +237,8 @@ def _motion_missed(simulator: Simulator, run: Run, predicted: F64) -> float:
         error = run.signals[signal][inside] - predicted[inside][:, columns]
         if not np.isfinite(predicted[inside][:, columns]).all():
             return float("inf")
-        total += float(np.nansum(np.nanvar(error, axis=0)))
+        error = error[:, np.isfinite(error).any(axis=0)]
+        total += float(np.nanvar(error, axis=0).sum())
     return total
 
 
