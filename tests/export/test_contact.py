@@ -18,7 +18,7 @@ from realsim.export.contact.boxes import boxes
 from realsim.export.contact.choose import fit_contact
 from realsim.export.contact.columns import columns
 from realsim.export.contact.cost import standing_place, step_cost
-from realsim.export.contact.fidelity import Region, g1_foot, measure
+from realsim.export.contact.fidelity import Fidelity, Region, g1_foot, measure
 from realsim.export.contact.heatmap import heatmap_png
 from realsim.export.contact.outline import area, convex_parts, hull, outlines
 from realsim.export.contact.planes import heights, segment, spread
@@ -221,6 +221,21 @@ def test_auto_takes_the_cheapest_that_is_good_enough_and_says_what_it_measured()
 def test_what_is_not_met_is_said() -> None:
     fitted = fit_contact(terrain("stakes"), 0.0, SceneConfig(contact="hull", contact_probes=300))
     assert "phantom" in fitted.warnings[0]
+
+
+def test_the_least_bad_is_the_one_that_leaks_least() -> None:
+    """Leaks go before errors, and one ball more or less does not decide."""
+
+    def shortfall(leaks: int, p95: float) -> tuple[int, float]:
+        figures = {"leaks": leaks, "leak_objects": 150, "median_mm": 1.0, "p95_mm": p95, "phantom_over_gaps_cm2": 0.0}
+        return Fidelity(figures, touches=None).shortfall(0.005, 0.015)  # type: ignore[arg-type]
+
+    assert shortfall(0, 40) < shortfall(1, 16) < shortfall(120, 1)
+    assert shortfall(40, 16) < shortfall(38, 30)
+    fitted = fit_contact(terrain("stakes"), 0.0, SceneConfig(contact_tolerance=(1e-9, 1e-9), contact_probes=300))
+    assert "least bad of 3, leaks first" in fitted.warnings[-1]
+    assert fitted.summary["leaks"] == 0
+    assert len(fitted.summary["considered"]) == 3
 
 
 def test_unknown_representation() -> None:

@@ -18,7 +18,8 @@ def test_many_planes_need_no_image_each() -> None:
     tiles, side = 12, 10
     heights = np.random.default_rng(0).uniform(0.1, 1.5, (tiles, tiles))
     top = heights.repeat(side, 0).repeat(side, 1)
-    grid = Columns(np.zeros(2), CELL, top[None], np.full((1, *top.shape), -np.inf), np.zeros((1, *top.shape), bool))
+    seen = np.ones((1, *top.shape), bool)
+    grid = Columns(np.zeros(2), CELL, top[None], seen, np.full(seen.shape, -np.inf), ~seen)
     island = Island((0, 0), top, np.zeros_like(top))
     whole = Terrain(grid, (island,), 0.0, (), 0.003, 3, (0.0, 0.0))
     planar(whole, Island((0, 0), top[:side, :side], np.zeros((side, side))))  # imports are no part of what is measured

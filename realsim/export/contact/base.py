@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -9,6 +10,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+SEAM = 0.05
+"""Metres by which boxes of a floor reach into each other: what falls fast sinks centimetres into a soft contact, and
+where two boxes only met, each would push it into the other."""
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -68,24 +72,41 @@ def floor_plane(z: float) -> Geom:
     return Geom("floor", "plane", pos=(0.0, 0.0, z), size=(0.0, 0.0, 0.5), visible=True)
 
 
-def floor_around(bounds: NDArray[np.float64], z: float, reach: float = 20.0, depth: float = 0.5) -> tuple[Geom, ...]:
-    """Four boxes with their tops at height z around a rectangle, `reach` metres wide.
+def floor_around(holes: NDArray[np.float64], z: float, reach: float = 20.0, depth: float = 0.5) -> tuple[Geom, ...]:
+    """Boxes with their tops at height z around rectangular holes, `reach` metres beyond them; four for one hole.
 
-    For representations that hold the floor themselves: a plane would be infinite, so that feet on the scanned floor
-    would touch the floor twice and a floor scanned a millimetre too low would be hidden.
+    For representations that hold the floor themselves there: a plane would be infinite, so that feet on the scanned
+    floor would touch the floor twice and a floor scanned a millimetre too low would be hidden.
 
     Args:
-        bounds: (2, 2) lower and upper x y of the rectangle that is left free.
+        holes: (H, 2, 2) lower and upper x y of the rectangles that are left free.
     """
-    (x0, y0), (x1, y1) = bounds
-    cx, cy, hx, hy = (x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) / 2, (y1 - y0) / 2
-    half, h, pz = reach / 2, depth / 2, z - depth / 2
-    return tuple(
-        Geom(f"floor_{name}", "box", (float(x), float(y), pz), size=(float(sx), float(sy), h), visible=True)
-        for name, x, y, sx, sy in (
-            ("west", x0 - half, cy, half, hy + reach),
-            ("east", x1 + half, cy, half, hy + reach),
-            ("south", cx, y0 - half, hx, half),
-            ("north", cx, y1 + half, hx, half),
-        )
-    )
+    (x0, y0), (x1, y1) = holes[:, 0].min(0) - reach, holes[:, 1].max(0) + reach
+    boxes: list[list[float]] = []
+    levels = np.unique([y0, *holes[:, :, 1].ravel(), y1])
+    for low, high in itertools.pairwise(levels):
+        beside = sorted(h[:, 0].tolist() for h in holes if h[0, 1] < high and h[1, 1] > low)
+        left = x0
+        for begin, end in [*beside, [x1, x1]]:
+            same = [b for b in boxes if b[0] == left and b[2] == begin and b[3] == low]
+            if same:
+                same[0][3] = high
+            elif begin > left:
+                boxes.append([left, low, begin, high])
+            left = max(left, end)
+    half, pz = depth / 2, z - depth / 2
+    out = []
+    for k, box in enumerate(boxes):
+        a, b, c, d = _grown(box, holes)
+        centre, size = ((a + c) / 2, (b + d) / 2, pz), ((c - a) / 2, (d - b) / 2, half)
+        out.append(Geom(f"floor_{k}", "box", centre, size=size, visible=True))
+    return tuple(out)
+
+
+def _grown(box: list[float], holes: NDArray[np.float64]) -> list[float]:
+    """A rectangle (x y x y) with every side moved out by SEAM where that leaves the holes free."""
+    for side, step in enumerate((-SEAM, -SEAM, SEAM, SEAM)):
+        wider = [v + step * (k == side) for k, v in enumerate(box)]
+        apart = (holes[:, 0] >= wider[2:]).any(1) | (holes[:, 1] <= wider[:2]).any(1)
+        box = wider if apart.all() else box
+    return [float(v) for v in box]

@@ -70,16 +70,14 @@ def fit_contact(
     warnings = contact.warnings
     if not fidelity.meets(*config.contact_tolerance):
         contact, fidelity = min(tried, key=lambda t: t[1].shortfall(*config.contact_tolerance))
-        warnings = (*contact.warnings, _unmet(contact, fidelity, config.contact_tolerance))
+        warnings = (*contact.warnings, _unmet(contact, fidelity, config.contact_tolerance, len(names)))
     if place is None:
         start, off = fidelity.touches.start, np.nan_to_num(fidelity.touches.error)
         heights = reference.top(start[:, :2])
         place = standing_place(np.column_stack([start[:, :2], heights])[np.isfinite(heights) & (np.abs(off) < 0.01)])
     cost = step_cost(spec_of(contact), place)
-    considered = refused + [
-        {"representation": c.representation} | {k: f.figures[k] for k in ("median_mm", "p95_mm", "leaks")}
-        for c, f in tried
-    ]
+    weighed = ("median_mm", "p95_mm", "phantom_over_gaps_cm2", "leaks")
+    considered = refused + [{"representation": c.representation} | {k: f.figures[k] for k in weighed} for c, f in tried]
     summary = {"representation": contact.representation} | dict(fidelity.figures) | cost
     summary |= {"geoms": count_types(contact), "considered": considered} | dict(contact.statistics)
     return Fitted(contact, fidelity, summary, warnings)
@@ -93,10 +91,11 @@ def count_types(contact: ContactModel) -> dict[str, int]:
     return counts
 
 
-def _unmet(contact: ContactModel, fidelity: Fidelity, tolerance: tuple[float, float]) -> str:
+def _unmet(contact: ContactModel, fidelity: Fidelity, tolerance: tuple[float, float], among: int) -> str:
     f = fidelity.figures
+    least = f", the least bad of {among}, leaks first" if among > 1 else ""
     return (
-        f"collision geometry ({contact.representation}) is off by {f['median_mm']:.1f} mm (median), "
+        f"collision geometry ({contact.representation}{least}) is off by {f['median_mm']:.1f} mm (median), "
         f"{f['p95_mm']:.1f} mm (p95), {f['phantom_over_gaps_cm2']:.0f} cm2 phantom over gaps, {f['leaks']} leaks; "
         f"asked for {tolerance[0] * 1000:g} and {tolerance[1] * 1000:g} mm, none and none"
     )

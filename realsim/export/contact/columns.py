@@ -14,6 +14,7 @@ F64 = NDArray[np.float64]
 MAX_CELLS = 4_000_000
 MAX_LAYERS = 8
 NARROW = 0.02  # metres: a gap lower than this is closed, nothing that matters fits in
+SHEET = 0.01  # metres: the least that holds up what falls on it
 
 
 @dataclass(frozen=True)
@@ -26,10 +27,26 @@ class Columns:
     """Metres between cell centres."""
     top: F64
     """(L, rows, columns) z where interval l ends above; NaN where the column has fewer intervals."""
+    top_seen: NDArray[np.bool_]
+    """(L, rows, columns) whether that end above is a surface that was measured."""
     bottom: F64
     """(L, rows, columns) z where it ends below; -inf where it reaches the ground."""
     bottom_seen: NDArray[np.bool_]
     """(L, rows, columns) whether that end below is a surface that was measured, not one that was filled in."""
+
+    @property
+    def lowest(self) -> F64:
+        """(rows, columns) z where the lowest interval ends above: the ground, where it was seen."""
+        return np.take_along_axis(self.top, self._last, 0)[0]
+
+    @property
+    def lowest_seen(self) -> NDArray[np.bool_]:
+        """(rows, columns) whether that is a surface that was measured."""
+        return np.take_along_axis(self.top_seen, self._last, 0)[0]
+
+    @property
+    def _last(self) -> NDArray[np.int64]:
+        return np.maximum(np.isfinite(self.top).sum(0, keepdims=True) - 1, 0)
 
     def xy(self, row: NDArray, column: NDArray) -> F64:
         """(..., 2) metres of (fractional) cell indices."""
@@ -40,7 +57,8 @@ def columns(mesh: TerrainMesh, ground_z: float, cell: float) -> Columns:
     """Cast a ray down through every cell and count how deep it is inside the mesh.
 
     An upward facing triangle is a way in, a downward facing one a way out, so solids may overlap. A surface that is
-    never left (a scan without an underside) is solid down to the ground.
+    never left (a scan without an underside) is solid down to the ground; one that is left and was never entered (a
+    ceiling, the underside of a tread whose top no camera saw) is a sheet SHEET thick.
 
     Args:
         ground_z: z of the ground; what lies at most 2 cm above it stands on it.
@@ -52,10 +70,12 @@ def columns(mesh: TerrainMesh, ground_z: float, cell: float) -> Columns:
     origin = lower[:2] + ((upper - lower)[:2] - (counts - 1) * cell) / 2
     x, y = np.meshgrid(origin[0] + cell * np.arange(counts[0]), origin[1] + cell * np.arange(counts[1]))
     ray, z, up, seen = crossings(mesh, x.ravel(), y.ravel(), (lower + upper) / 2, float(upper[2]) + 1)
-    top, bottom, below = _tidy(*_intervals(ray, z, up, x.size), ground_z)
+    top, bottom, above, below = _tidy(*_intervals(ray, z, up, x.size), ground_z)
     shape = (len(top), counts[1], counts[0])
-    bottom_seen = (below >= 0) & np.append(seen, False)[below]
-    return Columns(origin, cell, top.reshape(shape), bottom.reshape(shape), bottom_seen.reshape(shape))
+    top_seen, bottom_seen = np.append(seen, False)[above], np.append(seen, False)[below]  # of -1: not seen
+    return Columns(
+        origin, cell, top.reshape(shape), top_seen.reshape(shape), bottom.reshape(shape), bottom_seen.reshape(shape)
+    )
 
 
 def crossings(
@@ -94,12 +114,15 @@ def crossings(
     return ray[~again], z[~again], up[~again], seen[~again]
 
 
-def _intervals(ray: NDArray[np.int64], z: F64, up: NDArray[np.bool_], count: int) -> tuple[F64, F64, NDArray[np.int64]]:
-    """(tops, bottoms, crossing that is the bottom or -1), each (L, count): walk down all columns at once, crossing by
-    crossing."""
+Intervals = tuple[F64, F64, NDArray[np.int64], NDArray[np.int64]]
+"""Tops, bottoms, crossing that is the top, crossing that is the bottom (-1: none), each (L, count)."""
+
+
+def _intervals(ray: NDArray[np.int64], z: F64, up: NDArray[np.bool_], count: int) -> Intervals:
+    """Walk down all columns at once, crossing by crossing."""
     top = np.full((MAX_LAYERS, count), np.nan)
     bottom = np.full((MAX_LAYERS, count), -np.inf)
-    below = np.full((MAX_LAYERS, count), -1)
+    above, below = np.full((2, MAX_LAYERS, count), -1)
     depth, layer = np.zeros(count, np.int64), np.full(count, -1)
     first = np.r_[True, np.diff(ray) != 0]
     start = np.flatnonzero(first)
@@ -110,17 +133,22 @@ def _intervals(ray: NDArray[np.int64], z: F64, up: NDArray[np.bool_], count: int
         opens = enters & (depth[r] == 0) & (layer[r] < MAX_LAYERS - 1)
         layer[r[opens]] += 1
         top[layer[r[opens]], r[opens]] = height[opens]
-        closes = ~enters & (depth[r] == 1)
+        above[layer[r[opens]], r[opens]] = np.flatnonzero(now)[opens]
+        sheet = ~enters & (depth[r] == 0) & (layer[r] < MAX_LAYERS - 1)
+        layer[r[sheet]] += 1
+        top[layer[r[sheet]], r[sheet]] = height[sheet] + SHEET
+        above[layer[r[sheet]], r[sheet]] = np.flatnonzero(now)[sheet]
+        closes = sheet | (~enters & (depth[r] == 1))
         bottom[layer[r[closes]], r[closes]] = height[closes]
         below[layer[r[closes]], r[closes]] = np.flatnonzero(now)[closes]
         depth[r] = np.maximum(depth[r] + np.where(enters, 1, -1), 0)
     used = max(int(layer.max(initial=-1)) + 1, 1)
-    return top[:used], bottom[:used], below[:used]
+    return top[:used], bottom[:used], above[:used], below[:used]
 
 
-def _tidy(top: F64, bottom: F64, below: NDArray[np.int64], ground_z: float) -> tuple[F64, F64, NDArray[np.int64]]:
+def _tidy(top: F64, bottom: F64, above: NDArray[np.int64], below: NDArray[np.int64], ground_z: float) -> Intervals:
     """Close gaps that are too narrow for anything, downwards from the topmost interval."""
-    top, bottom, below = top.copy(), bottom.copy(), below.copy()
+    top, bottom, above, below = top.copy(), bottom.copy(), above.copy(), below.copy()
     for k in range(len(top) - 1, 0, -1):
         narrow = np.isfinite(top[k]) & (bottom[k - 1] - top[k] < NARROW)
         bottom[k - 1][narrow] = bottom[k][narrow]
@@ -128,14 +156,12 @@ def _tidy(top: F64, bottom: F64, below: NDArray[np.int64], ground_z: float) -> t
         # What lay below moves up by one.
         for j in range(k, len(top)):
             last = j + 1 == len(top)
-            after = (np.nan, -np.inf, -1) if last else (top[j + 1], bottom[j + 1], below[j + 1])
-            top[j] = np.where(narrow, after[0], top[j])
-            bottom[j] = np.where(narrow, after[1], bottom[j])
-            below[j] = np.where(narrow, after[2], below[j])
+            for values, nothing in ((top, np.nan), (bottom, -np.inf), (above, -1), (below, -1)):
+                values[j] = np.where(narrow, nothing if last else values[j + 1], values[j])
     grounded = np.isfinite(top) & (bottom < ground_z + NARROW)
     bottom[grounded] = -np.inf
     below[grounded] = -1
-    return top, bottom, below
+    return top, bottom, above, below
 
 
 def check_extent(mesh: TerrainMesh) -> None:

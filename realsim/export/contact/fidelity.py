@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -85,13 +86,14 @@ class Fidelity:
         ok = f["median_mm"] <= median * 1000 and f["p95_mm"] <= p95 * 1000
         return bool(ok and f["leaks"] == 0 and f["phantom_over_gaps_cm2"] == 0)
 
-    def shortfall(self, median: float, p95: float) -> float:
-        """How far from the tolerance, to find the least bad: errors in tolerances, leaks in tenths of the balls thrown,
-        phantom over gaps in square decimetres."""
+    def shortfall(self, median: float, p95: float) -> tuple[int, float]:
+        """How far from the tolerance, to find the least bad: leaks first, in twentieths of the balls thrown (a ball
+        more or less is chance, but none is none); then errors in tolerances and phantom over gaps in square
+        decimetres."""
         f = self.figures
+        leaks = math.ceil(20 * f["leaks"] / max(f["leak_objects"], 1))
         errors = f["median_mm"] / (1000 * median) + f["p95_mm"] / (1000 * p95)
-        leaks = 10 * f["leaks"] / max(f["leak_objects"], 1)
-        return float(errors + leaks + f["phantom_over_gaps_cm2"] / 100)
+        return leaks, float(errors + f["phantom_over_gaps_cm2"] / 100)
 
 
 def measure(

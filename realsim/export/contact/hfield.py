@@ -43,7 +43,7 @@ def hfield(shape: Shape, config: SceneConfig) -> ContactModel:
         if share > 0.15
         else ()
     )
-    return ContactModel("hfield", (field, *floor_around(bounds, ground_z)), (asset,), statistics, warnings)
+    return ContactModel("hfield", (field, *floor_around(bounds[None], ground_z)), (asset,), statistics, warnings)
 
 
 def hfield_bytes(z: NDArray[np.float32]) -> bytes:

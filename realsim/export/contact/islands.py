@@ -15,6 +15,8 @@ from realsim.types import TerrainMesh
 F64 = NDArray[np.float64]
 CELL = 0.005  # metres
 PIT = 0.015  # metres below the ground from which a plane will not do as floor
+RIM = 0.03  # metres beside a pit in which its walls come up to the ground
+Window = tuple[slice, slice]
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class Terrain:
     grid: Columns
     islands: tuple[Island, ...]
     base: float
-    """z on which the islands stand: the ground, or the bottom of the deepest pit."""
+    """z down to which islands reach: the ground, or the bottom of the deepest pit."""
     floor: tuple[Geom, ...]
     tolerance: float
     """Metres by which the surface is uncertain, 3 to 7 mm."""
@@ -58,22 +60,27 @@ class Terrain:
 
 
 def terrain(mesh: TerrainMesh, ground_z: float, cell: float = CELL) -> Terrain:
-    """Everything that rises from the ground; where the ground has pits, the ground itself is an island too."""
+    """Everything that rises from the ground; about pits in the ground, the ground itself is an island too."""
     check_extent(mesh)
     grid = columns(mesh, ground_z, cell)
     tolerance = float(np.clip(2 * (mesh.noise_m or 0.0), 0.003, 0.007))
     floor: tuple[Geom, ...] = (floor_plane(ground_z),)
     base = ground_z
     pits = _pits(grid, ground_z)
+    dug = np.zeros(pits.shape, bool)
     if pits.any():
-        base = float(grid.top[0][pits].min()) - PIT
-        floor = floor_around(_extent(grid), ground_z)
+        base = float(grid.lowest[pits].min()) - PIT
+        holes = _holes(pits, round(RIM / cell))
+        for hole in holes:
+            dug[hole] = True
+        floor = floor_around(np.array([_bounds(grid, hole) for hole in holes]), ground_z)
+    level = np.where(dug, base, ground_z)
     narrowest = max(3, 2 * int(np.ceil(mesh.resolution / cell)) - 1)
     walls = Walls(mesh)
     found: list[Island] = []
     areas = np.zeros(2)
     for layer in range(len(grid.top)):
-        for island, unseen in _layer(grid, layer, base, tolerance):
+        for island, unseen in _layer(grid, layer, base, level, tolerance):
             under, inferred = settle(grid, island.corner, island.top, island.under, unseen, base, narrowest, walls)
             found.append(Island(island.corner, island.top, under))
             areas += inferred
@@ -82,29 +89,55 @@ def terrain(mesh: TerrainMesh, ground_z: float, cell: float = CELL) -> Terrain:
 
 
 def _pits(grid: Columns, ground_z: float) -> NDArray[np.bool_]:
-    """(rows, columns) what lies clearly below the ground over at least 100 cm^2 in one piece, and not in threads: a
-    few stray cells at the rim of a scan are no pit."""
+    """(rows, columns) what lies clearly below the ground, in pieces of which at least 100 cm^2 were measured, and not
+    in threads: a few stray cells at the rim of a scan are no pit, nor is the bottom that a mesh was closed with."""
     from scipy import ndimage
 
-    low = np.isfinite(grid.top[0]) & (grid.top[0] < ground_z - PIT)
+    low = np.isfinite(grid.lowest) & (grid.lowest < ground_z - PIT)
     pieces, count = ndimage.label(ndimage.binary_opening(low, np.ones((5, 5))))
-    sizes = np.bincount(pieces.ravel(), minlength=count + 1) * grid.cell**2
+    sizes = np.bincount(pieces.ravel(), grid.lowest_seen.ravel(), minlength=count + 1) * grid.cell**2
     sizes[0] = 0
     return (sizes > 0.01)[pieces]
 
 
-def _extent(grid: Columns) -> F64:
-    rows, cols = grid.top.shape[1:]
-    half = grid.cell / 2
-    return np.stack([grid.lower - half, grid.lower + grid.cell * np.array([cols - 1, rows - 1]) + half])
+def _holes(pits: NDArray[np.bool_], rim: int) -> list[Window]:
+    """Windows of the grid that hold all pits, `rim` cells wider than they, and apart from each other."""
+    from scipy import ndimage
+
+    rows, columns = pits.shape
+    pieces, _ = ndimage.label(pits)
+    found: list[Window] = [
+        (
+            slice(max(r.start - rim, 0), min(r.stop + rim, rows)),
+            slice(max(c.start - rim, 0), min(c.stop + rim, columns)),
+        )
+        for r, c in ndimage.find_objects(pieces)
+    ]
+    while True:
+        covered = np.zeros(pits.shape, bool)
+        for window in found:
+            covered[window] = True
+        merged: list[Window] = ndimage.find_objects(ndimage.label(covered, np.ones((3, 3)))[0])
+        if len(merged) == len(found):
+            return found
+        found = merged
 
 
-def _layer(grid: Columns, layer: int, base: float, tolerance: float) -> list[tuple[Island, NDArray[np.bool_]]]:
-    """[(island, cells whose underside no camera saw)] of one layer."""
+def _bounds(grid: Columns, window: Window) -> F64:
+    """(2, 2) lower and upper x y of a window of the grid, metres."""
+    rows, cols = window
+    return grid.lower + grid.cell * (np.array([[cols.start, rows.start], [cols.stop, rows.stop]]) - 0.5)
+
+
+def _layer(
+    grid: Columns, layer: int, base: float, level: F64, tolerance: float
+) -> list[tuple[Island, NDArray[np.bool_]]]:
+    """[(island, cells whose underside no camera saw)] of one layer; `level` (rows, columns) is the z of the floor below
+    each cell, `base` in holes for pits and the ground elsewhere."""
     from scipy import ndimage
 
     top, bottom, seen = grid.top[layer], grid.bottom[layer], grid.bottom_seen[layer]
-    solid = np.isfinite(top) & (top > base + 1.5 * tolerance)
+    solid = np.isfinite(top) & (top > level + 1.5 * tolerance)
     islands, _ = ndimage.label(solid, np.ones((3, 3)))
     rim = _rim(grid)
     out = []
@@ -112,9 +145,9 @@ def _layer(grid: Columns, layer: int, base: float, tolerance: float) -> list[tup
         inside = islands[place] == k
         z = np.where(inside, top[place], np.nan)
         size = float(inside.sum()) * grid.cell**2
-        if is_speck(float(np.nanmax(z)) - base, size, bool((inside & rim[place]).any())):
+        if is_speck(float(np.nanmax(z - level[place])), size, bool((inside & rim[place]).any())):
             continue
-        under = np.where(inside, np.maximum(bottom[place], base), np.nan)
+        under = np.where(inside, np.where(bottom[place] > level[place], bottom[place], base), np.nan)
         out.append((Island((place[0].start, place[1].start), z, under), inside & ~seen[place]))
     return out
 
