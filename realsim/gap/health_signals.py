@@ -21,9 +21,9 @@ SHORTEST = 0.4
 REST_OFF, REST_SPEED = 0.1, 0.1
 """Share of a joint's range of motion (or rad), and of its peak speed: what a start at rest may differ by."""
 STARTED = {
-    "rest": "from rest under its first command",
+    "rest": "from rest under the first command",
     "given": "from init_qpos and init_qvel",
-    "log": "from the state of its first samples",
+    "log": "from the state of the first samples",
 }
 MOSTLY = 0.1
 """Share of samples at a limit from which it is said."""

@@ -59,7 +59,8 @@ def _evidence(found: Diagnosis, shown: Replay) -> list[str]:
     more = evidence_cards(found, shown)
     if not answer:
         return [page.columns([*robot, rests], [*more, health_card(found)]), page.grid(ranking_card(found))]
-    left, right = [*answer, health_card(found)], [*robot[:1], *more, *robot[1:], rests]
+    left, right = [*answer, health_card(found)], [*robot[:1], *more, *robot[1:]]
+    (right if equivalents_card(found) else left).append(rests)  # the shorter column
     return [page.columns(left, right), page.grid(ranking_card(found))]
 
 

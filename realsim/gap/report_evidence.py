@@ -230,8 +230,9 @@ def _plain(value: Any) -> str:
         return svg.number(value)
     if isinstance(value, dict):
         if set(value) >= {"value", "unit"}:
-            return " ".join(filter(None, [_plain(value["value"]), str(value["unit"]), str(value.get("what", ""))]))
+            figure = " ".join(filter(None, [_plain(value["value"]), str(value["unit"])]))
+            return ": ".join(filter(None, [figure, str(value.get("what", ""))]))
         return ", ".join(f"{k}: {_plain(v)}" for k, v in value.items())
     if isinstance(value, (list, tuple)):
-        return ", ".join(_plain(v) for v in value)
+        return ("; " if any(isinstance(v, dict) for v in value) else ", ").join(_plain(v) for v in value)
     return "–" if value is None else str(value)

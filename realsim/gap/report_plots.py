@@ -17,6 +17,8 @@ from realsim.report import page, svg
 WIDTH = 340
 """SVG units; about the width of a third of the page, and of a phone."""
 _CHANNELS, _ROWS, _RIVALS = 9, 13, 7
+_LINE = 58
+"""Characters that fit above a bar."""
 _PHASE_LABELS = {"at rest": "rest", "reversal": "turns", "fast forward": "fast\u00a0+", "fast backward": "fast\u00a0−"}
 FOUND, RIVAL, OTHER = "var(--good)", "var(--look)", "var(--faint)"
 
@@ -117,8 +119,7 @@ def what_card(found: Diagnosis) -> str:
     for r in rows:
         kind = FOUND if r["effect"] in here else RIVAL if r["effect"] in same else OTHER
         mark = {FOUND: "✓ ", RIVAL: "≈ "}.get(kind, "")
-        stage = f", {after(r['stage'])}" if r.get("stage") else ""
-        label = f"{mark}{title_of(r['effect'])} · {places(map(short, r.get('place', [])), 2)}{stage}"
+        label = rival_label(mark, r)
         spread = Z90 * (r.get("heldout_se") or 0.0)
         value = r["heldout_gain"]
         bars.append((label, value, value - spread, value + spread, kind, svg.number(value, 3)))
@@ -132,6 +133,17 @@ def what_card(found: Diagnosis) -> str:
     )
     note = "Each effect fitted at its best place, judged on runs its fit left out; whiskers are 90 %."
     return page.card("What", f'{picture}<div class="legend">{keys}</div>', note)
+
+
+def rival_label(mark: str, r: dict[str, Any]) -> str:
+    """Effect, places and stage on one line: fewer places are named where the line would not hold them."""
+    stage = f", {after(r['stage'])}" if r.get("stage") else ""
+    names = [short(n, 14) for n in r.get("place", [])]
+    for most in (2, 1):
+        text = f"{mark}{title_of(r['effect'])} · {places(names, most)}{stage}"
+        if len(text) <= _LINE:
+            return text
+    return text if len(text) <= _LINE else text[: _LINE - 1] + "…"
 
 
 def _labelled_bars(

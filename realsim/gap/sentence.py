@@ -95,13 +95,27 @@ def _percent(value: float) -> str:
 
 
 def _size(parameters: dict[str, dict[str, Any]], sign: int = 1) -> str:
-    """1.9 N m [1.6, 2.2]; several parameters by name; vectors as one."""
-    shown = {n: p for n, p in parameters.items() if not _idle(n, p)}
+    """1.9 N m [1.6, 2.2]; several parameters by name, of a vector those that matter; when, if not always."""
+    active = {n: p for n, p in parameters.items() if not _idle(n, p)}
+    when = "".join(
+        f" {word} {_number(active[n]['value'])} {active[n]['unit']}"
+        for n, word in (("start", "from"), ("end", "to"))
+        if n in active
+    )
+    sizes = {n: p for n, p in active.items() if n not in ("start", "end")}
     listed = []
-    for name, p in list(shown.items())[:5]:
-        label = f"{name.replace('_', ' ')} " if len(shown) > 1 else ""
+    for name, p in [item for item in sizes.items() if not _minor(*item, sizes)][:5]:
+        label = f"{name.replace('_', ' ')} " if len(sizes) > 1 else ""
         listed.append(label + _interval(p, sign))
-    return ", ".join(listed)
+    return ", ".join(listed) + when
+
+
+def _minor(name: str, parameter: dict[str, Any], among: dict[str, dict[str, Any]]) -> bool:
+    """A component of a vector that is under a tenth of the largest one."""
+    if name[-1] not in "xyz":
+        return False
+    vector = [abs(p["value"]) for n, p in among.items() if n[-1] in "xyz" and n[:-1] == name[:-1]]
+    return bool(abs(parameter["value"]) < 0.1 * max(vector))
 
 
 def _at(parameters: dict[str, dict[str, Any]]) -> str:

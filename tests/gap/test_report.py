@@ -13,6 +13,7 @@ import pytest
 from realsim.gap import DiagnoseConfig, Diagnosis, diagnose, load_case
 from realsim.gap.report import diagnosis_page, write_report
 from realsim.gap.report_evidence import model_changes
+from realsim.gap.report_plots import rival_label
 from realsim.gap.report_robot import body_shares
 from realsim.gap.report_series import horizons, replay, worst_windows
 from realsim.gap.report_shapes import solids
@@ -220,3 +221,10 @@ def test_percent_never_rounds_to_all_or_nothing(share: float, text: str) -> None
 def test_long_names_are_cut() -> None:
     assert short("left_hip_pitch_joint") == "left hip pitch"
     assert len(short("a" * 40)) == 20
+
+
+def test_a_rival_fits_above_its_bar() -> None:
+    wide = {"effect": "terrain_wobble", "place": [f"block_{i}" for i in range(4)], "stage": 2}
+    assert rival_label("✓ ", wide) == "✓ wobbling support · block 0 and 3 more, after 2 causes"
+    endless = {"effect": "terrain_wobble", "place": ["a_name_without_end_" * 5] * 3, "stage": 1}
+    assert len(rival_label("", endless)) <= 58

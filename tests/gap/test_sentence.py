@@ -71,6 +71,16 @@ def test_payloads_are_added_or_taken_off() -> None:
     assert phrase(less) == "torso is 0.3 kg [0.2, 0.4] lighter than in the model"
 
 
+def test_a_force_is_said_by_what_matters_of_it_and_by_when() -> None:
+    push = cause("external_force", 0.2, "N", 0.1, 0.3, name="fx", bodies=["trunk"])
+    push["parameters"] |= {"fz": {"value": 32.7, "unit": "N", "ci90": [28.9, 36.5]}}
+    always = {"start": {"value": -10.0, "unit": "s"}, "end": {"value": 1e4, "unit": "s"}}
+    passing = {"start": {"value": 1.1, "unit": "s"}, "end": {"value": 3.03, "unit": "s"}}
+    for window, when in (({}, ""), (always, ""), (passing, " from 1.1 s to 3.03 s")):
+        said = phrase(push | {"parameters": push["parameters"] | window})
+        assert said == f"trunk: external force fz 32.7 N [28.9, 36.5]{when} is missing"
+
+
 def test_effects_that_act_everywhere_have_no_place() -> None:
     assert phrase(LATE) == "command delay 12 ms [11, 13.3] is missing"
 

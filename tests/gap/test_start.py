@@ -140,8 +140,8 @@ def test_health_says_how_each_run_was_started(tmp_path: Path, made: Callable[...
     with Simulator(load_case(swinging(tmp_path / "case", ARM)), CONFIG) as simulator:
         found = examine(simulator)
     assert set(found["start"]["runs"]) == {"run_0", "run_1", "run_2"}
-    assert all("from the state of its first samples" in how for how in found["start"]["runs"].values())
-    assert any("simulated from the state of its first samples" in w for w in found["warnings"])
+    assert all("from the state of the first samples" in how for how in found["start"]["runs"].values())
+    assert any("simulated from the state of the first samples" in w for w in found["warnings"])
     with Simulator(load_case(made("start_nothing", Truth(), runs=2)), CONFIG) as simulator:
         found = examine(simulator)
     assert all("from rest" in how for how in found["start"]["runs"].values())
