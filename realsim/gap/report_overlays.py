@@ -19,6 +19,8 @@ _POINTS = 220
 """At most this many points a curve: more cannot be seen."""
 _NEAR = 1.5
 """Lengths of the way from its middle: solids farther off do not widen the map."""
+_BESIDE = 0.6
+"""m around the middle that count as near however short the way: what a robot stands on while it sways."""
 
 
 def overlays_card(found: Diagnosis, shown: Replay) -> str:
@@ -53,8 +55,8 @@ def _overlay(shown: Replay, k: int, channel: int, start: float, end: float) -> s
     if shown.after:
         curves.append((shown.after[k][inside, channel], _PATCHED))
     span, unit = (float(start), float(end)), unit_of(c.signal, c.label, shown.case.model)
-    # A simulator that flies away must not flatten the rest: the range is the robot's, and as much again.
-    spread = svg.padded(real, 0.5)
+    # A simulator that flies away must not flatten the rest: the range is the robot's, and thrice as much again.
+    spread = svg.padded(real, 1.5)
     every = np.concatenate([real, *(np.clip(y, *spread) for y, _ in curves)])
     title = f"{short(c.label, 30)}, {signal_name(c.signal)}, {run.name}"
     axes = svg.Axes(span, svg.padded(every, 0.08), y_label=unit, height=170, left=52, bottom=8, x_ticks=[])
@@ -93,7 +95,7 @@ def path_card(found: Diagnosis) -> list[str]:
     step = max(1, len(P) // 700)
     P, e = P[::step], e[::step]
     ground = _footprints(comparison.case)
-    near = _NEAR * float(np.ptp(P, axis=0).max())
+    near = max(_NEAR * float(np.ptp(P, axis=0).max()), _BESIDE)
     every = np.vstack([P, *(ring for ring in ground if np.abs(ring - P.mean(axis=0)).max() < near)])
     middle = (every.min(axis=0) + every.max(axis=0)) / 2
     half = max(float(np.ptp(every, axis=0).max()) / 2, 0.02) * 1.08

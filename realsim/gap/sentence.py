@@ -72,6 +72,9 @@ def phrase(cause: Cause) -> str:
         if first["value"] < 0:
             return f"{names} is {_size(mass, -1)} lighter than in the model{where}"
         return f"{place}a payload of {_size(mass)}{where} is missing"
+    if effect == "terrain_height":
+        way, sign = ("lower", -1) if first["value"] < 0 else ("higher", 1)
+        return f"{place}{title} is {_size(parameters, sign)} {way} than in the model"
     if first["value"] < 0 and len(parameters) == 1 and effect not in _SIGNED:
         return f"{place}{title} is {_size(parameters, -1)} too large in the model"
     note = f" ({first['note']})" if first.get("note") else ""

@@ -81,6 +81,13 @@ def test_a_force_is_said_by_what_matters_of_it_and_by_when() -> None:
         assert said == f"trunk: external force fz 32.7 N [28.9, 36.5]{when} is missing"
 
 
+def test_ground_is_lower_or_higher() -> None:
+    low = cause("terrain_height", -0.016, "m", -0.019, -0.013, bodies=["block_2"])
+    assert phrase(low) == "block 2: terrain height is 0.016 m [0.013, 0.019] lower than in the model"
+    high = cause("terrain_height", 0.016, "m", 0.013, 0.019, bodies=["block_2"])
+    assert phrase(high) == "block 2: terrain height is 0.016 m [0.013, 0.019] higher than in the model"
+
+
 def test_effects_that_act_everywhere_have_no_place() -> None:
     assert phrase(LATE) == "command delay 12 ms [11, 13.3] is missing"
 
