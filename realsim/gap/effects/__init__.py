@@ -1,13 +1,11 @@
-"""The library of effects: one file an effect, one line here; those of the camera, which no log shows, share one."""
+"""The library of effects: one file an effect, one line here."""
 
 from realsim.registry import Registry
-
-_CAMERA = {"camera_delay": "DELAY", "camera_mount": "MOUNT", "depth_noise": "NOISE"}
 
 EFFECTS = Registry(
     "effect",
     {
-        name: f"realsim.gap.effects.{f'camera:{_CAMERA[name]}' if name in _CAMERA else f'{name}:EFFECT'}"
+        name: f"realsim.gap.effects.{name}:EFFECT"
         for name in (
             "command_delay",
             "motor_gain",

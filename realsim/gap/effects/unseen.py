@@ -6,7 +6,7 @@ from realsim.errors import GapError
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, nowhere
 
 
-def _unseen(name: str, description: str, signature: str, parameter: Parameter) -> Effect:
+def unseen(name: str, title: str, description: str, signature: str, parameter: Parameter) -> Effect:
     """An effect of the contract that is never tried, and says why."""
 
     def apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
@@ -16,10 +16,10 @@ def _unseen(name: str, description: str, signature: str, parameter: Parameter) -
 
     return Effect(
         name=name,
-        title=name.replace("_", " "),
+        title=title,
         scope="global",
         description=description,
-        signature=f"{signature} Joints, base and IMU are right.",
+        signature=signature,
         excitation="Camera images, which the log format does not carry yet: never excited.",
         places=nowhere,
         parameters=lambda context, place: (parameter,),
@@ -27,23 +27,3 @@ def _unseen(name: str, description: str, signature: str, parameter: Parameter) -
         apply=apply,
         patchable=False,
     )
-
-
-DELAY = _unseen(
-    "camera_delay",
-    "Images are older than the log says.",
-    "The depth image belongs to an earlier moment.",
-    Parameter("delay", "s", (0.0, 0.3), 0.02),
-)
-MOUNT = _unseen(
-    "camera_mount",
-    "The camera is mounted elsewhere than in the model.",
-    "Depth is seen from another pose: all distances shift with the view direction.",
-    Parameter("rotation", "rad", (0.0, 0.3), 0.02),
-)
-NOISE = _unseen(
-    "depth_noise",
-    "Depth is noisier than the model says.",
-    "Depth scatters, with holes and edges, more than the model's.",
-    Parameter("sigma", "m", (0.0, 0.3), 0.02),
-)
