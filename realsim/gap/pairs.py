@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from realsim.gap.fit import Fit, Fitter
 from realsim.gap.merit import complexity
-from realsim.gap.rivals import Trial, ranked, refit, tried
+from realsim.gap.rivals import Trial, near, ranked, refit, searched, tried
 from realsim.gap.screen import Screen
 
 RUNNERS_UP, PARTNERS = 3, 3
@@ -27,7 +27,7 @@ def better_pair(
     `first`: the fits of the first stage, best first. `second`: those of two causes, the winner among them.
     """
     nominal = fitter.remeasure(nominal)
-    best = min((f.misfit + complexity(screen, f) for f in [winner, *second]), default=float("inf"))
+    best = min([winner, *second], key=lambda f: _price(screen, f))
     found: tuple[Fit, list[Fit]] | None = None
     for alone in _runners_up(fitter, nominal, fitter.remeasure(winner), first):
         partners: set[str] = set()
@@ -38,14 +38,14 @@ def better_pair(
             if candidate.effect in partners or _holds(winner, candidate.effect, candidate.place):
                 continue
             partners.add(candidate.effect)
-            fit = refit(screen, fitter, alone, candidate, estimate)
+            aim = searched(screen, best)
+            fit = refit(screen, fitter, alone, candidate, estimate, aim + near(searched(screen, alone) - aim))
             if fit is not None:
                 trials.append(tried(screen, alone, fit, 1, gain))
                 fits.append(fit)
-        fits.sort(key=lambda f: f.misfit + complexity(screen, f))
-        if fits and fits[0].misfit + complexity(screen, fits[0]) < best - CLEARLY:
-            best = fits[0].misfit + complexity(screen, fits[0])
-            found = alone, fits
+        fits.sort(key=lambda f: _price(screen, f))
+        if fits and _price(screen, fits[0]) < _price(screen, best) - CLEARLY:
+            best, found = fits[0], (alone, fits)
     return found
 
 
@@ -64,6 +64,10 @@ def _runners_up(fitter: Fitter, nominal: Fit, winner: Fit, first: list[Fit]) -> 
         if len(found) == RUNNERS_UP:
             break
     return found
+
+
+def _price(screen: Screen, fit: Fit) -> float:
+    return fit.misfit + complexity(screen, fit)
 
 
 def _holds(fit: Fit, effect: str, place: tuple[str, ...]) -> bool:

@@ -79,8 +79,8 @@ def refitted(
     forces = [(g, c, v) for g, c, v in window_candidates(screen, current) if not _has(current, c)]
     chosen: list[tuple[float, Candidate, Any]] = [*finalists, *forces]
     for gain, candidate, estimate in chosen:
-        best = min((_searched(screen, f) for f in fits), default=np.inf)
-        target = best + near(_searched(screen, current) - best)
+        best = min((searched(screen, f) for f in fits), default=np.inf)
+        target = best + near(searched(screen, current) - best)
         if isinstance(estimate, dict):
             values = tuple(float(estimate[n]) for n in candidate.names)
             fit = fitter.fit([*current.causes, Cause(candidate, values)], iterations=8, rough=True, target=target)
@@ -151,7 +151,7 @@ def _has(fit: Fit, candidate: Candidate) -> bool:
     return any(c.candidate.effect == candidate.effect and c.candidate.place == candidate.place for c in fit.causes)
 
 
-def _searched(screen: Screen, fit: Fit) -> float:
+def searched(screen: Screen, fit: Fit) -> float:
     """Misfit on the runs that a rough fit looks at."""
     few = screen.varied
     seen = fit.predictions if few is None else [fit.predictions[k] for k in few]
