@@ -1,8 +1,9 @@
 """How long the whole of `auto` takes on meshes of about 100k triangles: building, measuring, and choosing.
 
-Terrains of `benchmarks/solids.py`, their triangles divided until there are as many, and a reconstruction that was
-decimated to as many. The same surface in more triangles needs the same geoms, so that only what grows with triangles
-is timed; what grows with noise shows on the reconstruction.
+Terrains of `benchmarks/solids.py`, their triangles divided until there are as many, and a reconstruction decimated
+towards as many, as far as its bound on the error allows (rows say how many there were). The same surface in more
+triangles needs the same geoms, so that only what grows with triangles is timed; what grows with noise shows on the
+reconstruction.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def subdivided(name: str) -> TerrainMesh:
 
 
 def reconstructed(folder: Path) -> tuple[TerrainMesh, float]:
-    """(mesh of about TRIANGLES triangles, z of the ground) of a capture, as `--max-triangles` makes it."""
+    """(mesh, z of the ground) of a capture with `--max-triangles TRIANGLES`, which counts measured triangles only."""
     from realsim.meshing.config import MeshConfig
     from realsim.pipeline import ReconstructConfig, reconstruct
 
