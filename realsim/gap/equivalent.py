@@ -17,6 +17,8 @@ ALIKE, MOST_ALIKE = 0.95, 3
 
 LIMITS = {"stribeck_friction": "coulomb_friction"}
 """An effect and the simpler one that it becomes at the end of a parameter's range: it always fits as well."""
+NOT_HELD = 4.0
+"""A preference that unseen runs do not share may be so many times larger: one lively run is no witness."""
 NO_BETTER = 12.0
 """Log-likelihood by which the richer law, with its two further parameters, must win to be preferred."""
 
@@ -112,4 +114,5 @@ def _as_good(screen: Screen, config: DiagnoseConfig, best: Fit, rival: Fit, remo
     if complexity(screen, rival) > complexity(screen, best) + PRICE / 2:
         return False  # a richer effect that is no better only mimics the simpler one
     mean, error, _ = heldout(screen, rival, best)
-    return loss < max(config.equivalent_loss * removed, 8.0) and mean < 2 * error
+    allowed = config.equivalent_loss * (NOT_HELD if mean <= 0 else 1.0) * removed
+    return loss < max(allowed, 8.0) and mean < 2 * error

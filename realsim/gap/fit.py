@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from realsim.errors import GapError
 from realsim.gap.effects.base import Parameter
 from realsim.gap.fitted import Cause as Cause
 from realsim.gap.fitted import Fit as Fit
-from realsim.gap.fitted import causes_of, form, spread
+from realsim.gap.fitted import causes_of, form, significance, spread
 from realsim.gap.nuisances import NUISANCES
 from realsim.gap.screen import Candidate, Screen
 from realsim.gap.simulate import Setting, lookup
@@ -24,6 +24,27 @@ REASONABLE = 3.0
 PACES = 6.0
 """A fit is broken off where so many more steps as good as the last would not reach its target."""
 
+SURE_ERRORS = 2.0
+"""Standard errors beyond which a value is something."""
+
+POLISH = 2
+"""Steps at the fine time step after a search at the coarse one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What a fit simulates while it searches."""
+
+    few: tuple[int, ...] | None = None
+    """Positions of the screened runs that are looked at; None: all."""
+    coarse: int = 1
+    """Multiplies the time step."""
+    offset: tuple[F64, ...] = ()
+    """(T, C) a run: what the fine step adds where the search begins."""
+
+
+WHOLE = Look()
+
 
 class Fitter:
     """Gauss-Newton over rollouts, on the runs of a screen."""
@@ -34,6 +55,7 @@ class Fitter:
         self.about = np.zeros(len(screen.atoms))
         """(p,) nuisances that every simulation contains, so that the linear rest is small."""
         self._recent: dict[Any, list[F64] | None] = {}
+        self._looks: dict[Any, Look] = {}
 
     def nominal(self) -> Fit:
         """No cause at all."""
@@ -105,47 +127,72 @@ class Fitter:
         starts: Sequence[Sequence[float]] = (),
         iterations: int = 6,
         rough: bool = False,
+        coarse: bool = False,
         target: float = np.inf,
     ) -> Fit | None:
         """The best values near the causes' own and the further `starts` (all values in a row); None if none runs.
 
         A `rough` fit looks at some of the runs while it searches, and is measured on all of them; it is broken off
-        once it would not come down to the misfit `target` (of the runs it looks at) at its present pace.
+        once it would not come down to the misfit `target` (of the runs it looks at) at its present pace. A `coarse`
+        one takes the screen's coarser time step while it searches.
         """
-        few = self.screen.varied if rough else None
         candidates = [c.candidate for c in causes]
         parameters = self._parameters(candidates)
-        z = self._best_start(candidates, parameters, [[v for c in causes for v in c.values], *starts], few)
-        value = self._misfit(candidates, z, few) if z is not None else None
-        if z is None or value is None:
+        look = self._look(causes, rough, coarse)
+        first = [[v for c in causes for v in c.values], *starts]
+        z = self._best_start(candidates, parameters, first, look)
+        if z is None and look.coarse > 1:
+            look = Look(look.few)
+            z = self._best_start(candidates, parameters, first, look)
+        if z is None:
             return None
-        slopes, fresh, damping = None, False, 1e-3
+        z, value, slopes = self._descend(candidates, z, None, parameters, look, iterations, target)
+        if look.coarse > 1:
+            look = Look(look.few)
+            if value <= target and self._predict(candidates, z, look) is not None:
+                z, value, slopes = self._descend(candidates, z, slopes, parameters, look, POLISH)
+        return self._measure(causes_of(candidates, z), parameters, slopes, look)
+
+    def _descend(
+        self,
+        candidates: Sequence[Candidate],
+        z: F64,
+        slopes: list[F64] | None,
+        parameters: list[Parameter],
+        look: Look,
+        iterations: int,
+        target: float = np.inf,
+    ) -> tuple[F64, float, list[F64] | None]:
+        """(values, misfit, slopes) after some damped steps; slopes that are given are taken as good enough."""
+        value = self._misfit(candidates, z, look)
+        assert value is not None
+        given, fresh, damping = slopes is not None, False, 1e-3
         for k in range(iterations):
-            base = self._predict(candidates, z, few)
+            base = self._predict(candidates, z, look)
             assert base is not None
             if slopes is None:
-                slopes, fresh = self._slopes(candidates, z, parameters, base, few), True
+                slopes, fresh = self._slopes(candidates, z, parameters, base, look), True
                 if slopes is None:
                     break
-            step = self._newton(candidates, z, parameters, base, slopes, damping, few)
+            step = self._newton(candidates, z, parameters, base, slopes, damping, look)
             on_the_way = bool((np.abs(step) >= _widest(z, parameters)).any())
             before = value
             for shrink in (1.0, 0.4, 0.1):
                 trial = self._clip(z + shrink * step, parameters)
-                new = self._misfit(candidates, trial, few)
+                new = self._misfit(candidates, trial, look)
                 if new is not None and new < value - 1e-3:
-                    moved = self._predict(candidates, trial, few)
+                    moved = self._predict(candidates, trial, look)
                     assert moved is not None
-                    slopes, fresh = self._secant(slopes, trial - z, parameters, base, moved, few), False
+                    slopes, fresh = self._secant(slopes, trial - z, parameters, base, moved, look), False
                     z, value = trial, new
                     damping = max(damping / 5, 1e-6)
                     break
             gained = before - value
-            if gained <= 0 and not fresh:
+            if gained <= 0 and not fresh and not given:
                 slopes = None  # the secants have gone stale: look anew before giving up
             elif gained < 0.02 + 1e-4 * abs(value) or (k and not on_the_way and value - PACES * gained > target):
                 break
-        return self._measure(causes_of(candidates, z), parameters, slopes, few)
+        return z, value, slopes
 
     def spread(self, fit: Fit) -> Fit:
         """The same fit with its covariance from slopes taken at its very values."""
@@ -153,7 +200,30 @@ class Fitter:
             return fit
         return self._measure(fit.causes, self._parameters([c.candidate for c in fit.causes]), None)
 
+    def clear(self, fit: Fit) -> bool:
+        """Whether the last cause lies two standard errors off nothing; a search's own slopes may understate it."""
+        return significance(fit) >= SURE_ERRORS or significance(self.spread(fit)) >= SURE_ERRORS
+
     # ------------------------------------------------------------ inside
+
+    def _look(self, causes: Sequence[Cause], rough: bool, coarse: bool) -> Look:
+        """What a search for these causes simulates; it begins beside all but the last of them."""
+        few = self.screen.varied if rough else None
+        stiff = any(lookup(c.candidate.effect).stiff for c in causes)
+        if not coarse or stiff or self.screen.coarse == 1:
+            return Look(few)
+        before = causes[:-1]
+        candidates, z = [c.candidate for c in before], np.array([v for c in before for v in c.values])
+        key = (tuple(c.key for c in candidates), z.tobytes(), few, self.about.tobytes())
+        if key not in self._looks:
+            fine = self._predict(candidates, z, Look(few))
+            rude = self._predict(candidates, z, Look(few, self.screen.coarse))
+            made = fine is not None and rude is not None  # a stiff servo may not bear it
+            offset = tuple(f - r for f, r in zip(fine or (), rude or (), strict=True)) if made else ()
+            self._looks[key] = Look(few, self.screen.coarse, offset) if made else Look(few)
+            if len(self._looks) > 4:
+                self._looks.pop(next(iter(self._looks)))
+        return self._looks[key]
 
     def _parameters(self, candidates: Sequence[Candidate]) -> list[Parameter]:
         found = []
@@ -167,12 +237,12 @@ class Fitter:
         candidates: Sequence[Candidate],
         parameters: list[Parameter],
         starts: Sequence[Sequence[float]],
-        few: tuple[int, ...] | None,
+        look: Look,
     ) -> F64 | None:
         best: tuple[float, F64] | None = None
         for start in starts:
             z = self._clip(np.array(start, float), parameters)
-            value = self._misfit(candidates, z, few)
+            value = self._misfit(candidates, z, look)
             if value is not None and (best is None or value < best[0]):
                 best = (value, z)
         return None if best is None else best[1]
@@ -189,17 +259,20 @@ class Fitter:
             i += len(c.names)
         return settings
 
-    def _runs(self, few: tuple[int, ...] | None) -> list[int]:
-        return self.screen.runs if few is None else [self.screen.runs[k] for k in few]
+    def _runs(self, look: Look) -> list[int]:
+        return self.screen.runs if look.few is None else [self.screen.runs[k] for k in look.few]
 
-    def _predict(self, candidates: Sequence[Candidate], z: F64, few: tuple[int, ...] | None = None) -> list[F64] | None:
-        """(T, C) a screened run (of the `few` with these positions, if given); None if the simulation fails."""
-        key = (tuple(c.key for c in candidates), z.tobytes(), few, self.about.tobytes())
+    def _predict(self, candidates: Sequence[Candidate], z: F64, look: Look = WHOLE) -> list[F64] | None:
+        """(T, C) a screened run (of those that are looked at); None if the simulation fails."""
+        step = (look.few, look.coarse, look.offset[0].tobytes() if look.offset else b"")
+        key = (tuple(c.key for c in candidates), z.tobytes(), step, self.about.tobytes())
         if key in self._recent:
             return self._recent[key]
         self.evaluations += 1
         try:
-            made = self.screen.simulator.simulate(self._settings(candidates, z), runs=self._runs(few))
+            made = self.screen.simulator.simulate(self._settings(candidates, z), self._runs(look), look.coarse)
+            if look.offset:
+                made = [y + more for y, more in zip(made, look.offset, strict=True)]
             found = made if all(np.isfinite(y).all() for y in made) else None
         except GapError:
             found = None
@@ -221,11 +294,11 @@ class Fitter:
                             prior[i] = 0.0
         return prior
 
-    def _misfit(self, candidates: Sequence[Candidate], z: F64, few: tuple[int, ...] | None = None) -> float | None:
-        predicted = self._predict(candidates, z, few)
+    def _misfit(self, candidates: Sequence[Candidate], z: F64, look: Look = WHOLE) -> float | None:
+        predicted = self._predict(candidates, z, look)
         if predicted is None:
             return None
-        evidence = self.screen.evidence(predicted, few, self._about(candidates))
+        evidence = self.screen.evidence(predicted, look.few, self._about(candidates))
         return self.screen.misfit(evidence, self.prior_beside(candidates))
 
     def _slopes(
@@ -234,7 +307,7 @@ class Fitter:
         z: F64,
         parameters: list[Parameter],
         base: list[F64],
-        few: tuple[int, ...] | None = None,
+        look: Look = WHOLE,
     ) -> list[F64] | None:
         """(B * C, m) a run: change of the prediction per unit, by differences a tenth of a step wide."""
         columns: list[list[F64]] = [[] for _ in base]
@@ -245,13 +318,13 @@ class Fitter:
                 if p.bounds[0] <= z[j] + sign * width <= p.bounds[1]:
                     other = z.copy()
                     other[j] += sign * width
-                    moved = self._predict(candidates, other, few)
+                    moved = self._predict(candidates, other, look)
                     if moved is not None:
                         width *= sign
                         break
             if moved is None:
                 return None
-            for k, (run, m, y) in enumerate(zip(self._runs(few), moved, base, strict=True)):
+            for k, (run, m, y) in enumerate(zip(self._runs(look), moved, base, strict=True)):
                 columns[k].append(np.asarray(self.screen.comparison.change(run, m, y).reshape(-1) / width))
         return [np.stack(c, axis=1) for c in columns]
 
@@ -262,13 +335,13 @@ class Fitter:
         parameters: list[Parameter],
         base: list[F64],
         moved: list[F64],
-        few: tuple[int, ...] | None = None,
+        look: Look = WHOLE,
     ) -> list[F64]:
         """Broyden's update: slopes that reproduce the last step exactly, without a further simulation."""
         scaled = step / np.array([p.step**2 for p in parameters])
         share = scaled / float(step @ scaled)
         result = []
-        for D, run, m, y in zip(slopes, self._runs(few), moved, base, strict=True):
+        for D, run, m, y in zip(slopes, self._runs(look), moved, base, strict=True):
             missing = self.screen.comparison.change(run, m, y).reshape(-1) - D @ step
             result.append(D + np.outer(missing, share))
         return result
@@ -278,11 +351,11 @@ class Fitter:
         candidates: Sequence[Candidate],
         base: list[F64],
         slopes: list[F64],
-        few: tuple[int, ...] | None = None,
+        look: Look = WHOLE,
     ) -> tuple[F64, F64]:
         """Marginal information (m, m) and the scores (runs, m) where the predictions are `base`."""
         about = self._about(candidates)
-        evidence = self.screen.evidence(base, few, about)
+        evidence = self.screen.evidence(base, look.few, about)
         prior = self.prior_beside(candidates)
         cov, mean = self.screen.covariance(evidence, prior), self.screen.nuisances(evidence, prior)
         m = slopes[0].shape[1]
@@ -306,9 +379,9 @@ class Fitter:
         base: list[F64],
         slopes: list[F64],
         damping: float,
-        few: tuple[int, ...] | None,
+        look: Look,
     ) -> F64:
-        info, scores = self._local(candidates, base, slopes, few)
+        info, scores = self._local(candidates, base, slopes, look)
         scale = np.array([abs(p.step) for p in parameters])
         ridge = np.diag(damping * np.diag(info) + 0.05 / scale**2)
         free = np.ones(len(z), bool)
@@ -328,9 +401,9 @@ class Fitter:
         causes: tuple[Cause, ...],
         parameters: list[Parameter] | None,
         slopes: list[F64] | None = None,
-        few: tuple[int, ...] | None = None,
+        look: Look = WHOLE,
     ) -> Fit:
-        """The fit with its evidence; `slopes` (of the `few` runs) are taken by differences if they are not given."""
+        """The fit with its evidence; `slopes` (of the runs looked at) are taken by differences if there are none."""
         candidates = [c.candidate for c in causes]
         z = np.array([v for c in causes for v in c.values])
         prior = self.prior_beside(candidates)
@@ -343,10 +416,10 @@ class Fitter:
         at_bounds = []
         if parameters:
             if slopes is None:
-                slopes, few = self._slopes(candidates, z, parameters, predicted), None
+                slopes, look = self._slopes(candidates, z, parameters, predicted), WHOLE
             if slopes is not None:
-                seen = predicted if few is None else [predicted[k] for k in few]
-                covariance = spread(*self._local(candidates, seen, slopes, few), parameters)
+                seen = predicted if look.few is None else [predicted[k] for k in look.few]
+                covariance = spread(*self._local(candidates, seen, slopes, look), parameters)
             for p, v in zip(parameters, z, strict=True):
                 span = p.bounds[1] - p.bounds[0]
                 if v >= p.bounds[1] - 1e-3 * span or (p.bounds[0] != 0 and v <= p.bounds[0] + 1e-3 * span):

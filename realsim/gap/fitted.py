@@ -73,6 +73,15 @@ def spread(info: F64, scores: F64, parameters: list[Parameter]) -> F64:
     return np.asarray(inverse * np.outer(ratio, ratio))
 
 
+def significance(fit: Fit) -> float:
+    """Size of the last cause's best-determined value in its own standard errors."""
+    cause = fit.causes[-1]
+    count = len(cause.values)
+    errors = np.sqrt(np.maximum(np.diag(fit.covariance)[-count:], 1e-30))
+    defaults = np.array([0.0 if v else v for v in cause.values])
+    return float(np.max(np.abs(np.array(cause.values) - defaults) / errors))
+
+
 def form(fit: Fit) -> float:
     """Share of the correction that the laws of these causes may miss: that of the roughest one."""
     return max((lookup(c.candidate.effect).form for c in fit.causes), default=0.0)

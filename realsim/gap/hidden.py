@@ -8,7 +8,7 @@ the evidence still tells: here a cause must bring much more than elsewhere, and 
 from __future__ import annotations
 
 from realsim.gap.fit import Fit, Fitter
-from realsim.gap.merit import complexity, deviation, heldout, holds, significance
+from realsim.gap.merit import complexity, deviation, heldout, holds
 from realsim.gap.rivals import Trial, ranked, refit
 from realsim.gap.screen import Screen
 
@@ -16,8 +16,11 @@ WORTH_TRYING = 10.0
 """Gain in log-evidence by the linear screen from which on a candidate is simulated."""
 TRIED = 3
 """At most so many effects are simulated, the best place of each."""
-SURE = 40.0
-"""Gain in log-likelihood that it must then bring, beside its price: a servo's unmodelled form is worth tens."""
+SURE, SURE_A_JOINT, SUREST = 12.0, 8.0, 40.0
+"""Gain in log-likelihood that it must then bring, beside its price, grows with the number of joints up to a limit:
+
+a servo's unmodelled form is worth some on every joint, and more small deviations can be bent to it.
+"""
 FAR = 4.0
 """Everyday deviations of its own kind that it must exceed."""
 NEARLY_ALL = 0.75
@@ -27,6 +30,7 @@ NEARLY_ALL = 0.75
 def hidden(screen: Screen, fitter: Fitter, current: Fit, stage: int, trials: list[Trial]) -> list[Fit]:
     """Fits with one further cause that is far likelier than the small deviations alone, best first."""
     found, seen = [], set[str]()
+    least = min(SURE + SURE_A_JOINT * len(screen.simulator.case.joint_names), SUREST)
     for gain, candidate, estimate in ranked(screen, current):
         if gain < WORTH_TRYING or len(seen) == TRIED:
             break
@@ -40,9 +44,9 @@ def hidden(screen: Screen, fitter: Fitter, current: Fit, stage: int, trials: lis
         cause = fit.causes[-1]
         brings = current.misfit - fit.misfit
         sure = (
-            brings > SURE + 2.0 * len(cause.values)
+            brings > least + 2.0 * len(cause.values)
             and deviation(screen, cause) >= FAR
-            and (len(screen.runs) < 4 or significance(fit) >= 2.0)
+            and (len(screen.runs) < 4 or fitter.clear(fit))
             and holds(mean, error, positive)
             and positive >= NEARLY_ALL
         )

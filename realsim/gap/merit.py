@@ -32,15 +32,6 @@ def holds(mean: float, error: float, positive: float) -> bool:
     return mean > 0.5 * error and positive >= 0.6
 
 
-def significance(fit: Fit) -> float:
-    """Size of the last cause's best-determined value in its own standard errors."""
-    cause = fit.causes[-1]
-    count = len(cause.values)
-    errors = np.sqrt(np.maximum(np.diag(fit.covariance)[-count:], 1e-30))
-    defaults = np.array([0.0 if v else v for v in cause.values])
-    return float(np.max(np.abs(np.array(cause.values) - defaults) / errors))
-
-
 def is_gap(left: F64) -> bool:
     """Whether what stays beside everyday deviations is more than a floor's worth, in most runs or on the whole.
 

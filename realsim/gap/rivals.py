@@ -83,7 +83,9 @@ def refitted(
         target = best + near(searched(screen, current) - best)
         if isinstance(estimate, dict):
             values = tuple(float(estimate[n]) for n in candidate.names)
-            fit = fitter.fit([*current.causes, Cause(candidate, values)], iterations=8, rough=True, target=target)
+            fit = fitter.fit(
+                [*current.causes, Cause(candidate, values)], iterations=8, rough=True, coarse=True, target=target
+            )
         else:
             fit = refit(screen, fitter, current, candidate, estimate, target)
         if fit is None:
@@ -190,4 +192,4 @@ def refit(
         starts += [[factor * first.step] for factor in (0.5, 1.0, 1.5)]
     done = [v for c in current.causes for v in c.values]
     causes = [*current.causes, Cause(candidate, tuple(starts[0]))]
-    return fitter.fit(causes, [[*done, *s] for s in starts[1:]], rough=True, target=target)
+    return fitter.fit(causes, [[*done, *s] for s in starts[1:]], rough=True, coarse=True, target=target)

@@ -12,7 +12,7 @@ from realsim.gap.equivalent import equivalents, simplest
 from realsim.gap.fit import Fit, Fitter
 from realsim.gap.heldout import leftover
 from realsim.gap.hidden import hidden
-from realsim.gap.merit import complexity, deviation, heldout, holds, is_gap, significance, total_gap
+from realsim.gap.merit import complexity, deviation, heldout, holds, is_gap, total_gap
 from realsim.gap.pairs import better_pair
 from realsim.gap.rivals import Trial, duel, ranked, refit, refitted
 from realsim.gap.screen import Screen
@@ -69,7 +69,7 @@ def select(
                 f"{', '.join(c.candidate.effect for c in pair[1][0].causes)} together beat what was best alone"
             )
             current, fits = pair
-        best = next((f for f in fits if _acceptable(screen, config, current, f, trials)), None)
+        best = next((f for f in fits if _acceptable(screen, fitter, config, current, f, trials)), None)
         if best is None:
             break
         stages.append((current, fits))
@@ -105,7 +105,9 @@ def sharpened(screen: Screen, fitter: Fitter, fit: Fit) -> Fit:
     return fit
 
 
-def _acceptable(screen: Screen, config: DiagnoseConfig, current: Fit, fit: Fit, trials: list[Trial]) -> bool:
+def _acceptable(
+    screen: Screen, fitter: Fitter, config: DiagnoseConfig, current: Fit, fit: Fit, trials: list[Trial]
+) -> bool:
     """Whether the last cause of `fit` is more than noise, more than a small deviation, and holds on unseen runs."""
     gain = current.misfit - fit.misfit
     cause = fit.causes[-1]
@@ -115,7 +117,7 @@ def _acceptable(screen: Screen, config: DiagnoseConfig, current: Fit, fit: Fit, 
         reasons.append(f"gain {gain:.1f} is within noise")
     if deviation(screen, cause) < config.min_deviation:
         reasons.append("no larger than everyday deviations")
-    if len(screen.runs) >= 4 and significance(fit) < 2.0:  # three runs say too little about their own scatter
+    if len(screen.runs) >= 4 and not fitter.clear(fit):  # three runs say too little about their own scatter
         reasons.append("within two standard errors of nothing")
     if not holds(mean, error, positive):
         reasons.append("does not hold on unseen runs")

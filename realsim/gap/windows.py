@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from realsim.gap.fit import Fit
 from realsim.gap.screen import Candidate, Screen
 from realsim.types import F64
 
-LENGTHS = (0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0)
 GRID = 0.1
+"""Windows begin and end on a grid of so many seconds at first, then on single bins near the best."""
+SHORTEST = 0.2
 MARGIN = 20.0
 
 
@@ -27,7 +30,7 @@ def window_candidates(screen: Screen, fit: Fit, most: int = 2) -> list[tuple[flo
         axes, index = tuple(at), list(at.values())  # a planar arm cannot feel a force across its plane
         info, score = _by_time(screen, index, left, weights)
         scale = np.array([abs(screen.atoms[i].parameter.step) for i in index])
-        whole = _gain(info.sum(axis=0), score.sum(axis=0), scale)[0]
+        whole = float(_gain(info.sum(axis=0), score.sum(axis=0), scale)[0])
         best = _best_window(info, score, scale, screen.comparison.config.bin_seconds)
         if best[0] > 1.5 * whole + MARGIN:
             gain, start, end, force = best
@@ -63,20 +66,28 @@ def _by_time(screen: Screen, index: list[int], left: list[F64], weights: list[F6
     return info, score
 
 
-def _gain(info: F64, score: F64, scale: F64) -> tuple[float, F64]:
-    force: F64 = np.asarray(np.linalg.solve(info + np.diag(0.02 / scale**2), score), dtype=np.float64)
-    return 0.5 * float(score @ force), force
+def _gain(info: F64, score: F64, scale: F64) -> tuple[F64, F64]:
+    """(...) gains and (..., m) forces of many windows at once, from (..., m, m) information and (..., m) scores."""
+    force = np.linalg.solve(info + np.diag(0.02 / scale**2), score[..., None])[..., 0]
+    return 0.5 * np.sum(score * force, axis=-1), np.asarray(force, np.float64)
 
 
 def _best_window(info: F64, score: F64, scale: F64, width: float) -> tuple[float, float, float, F64]:
-    total, tally = np.cumsum(info, axis=0), np.cumsum(score, axis=0)
-    best: tuple[float, float, float, F64] = (-np.inf, 0.0, 0.0, np.zeros(len(scale)))
-    step = max(int(GRID / width), 1)
-    for first in range(0, len(info) - 1, step):
-        for length in (*LENGTHS, len(info) * width):
-            end = min(first + int(length / width), len(info) - 1)
-            before = (total[first - 1], tally[first - 1]) if first else (0.0, 0.0)
-            gain, force = _gain(total[end] - before[0], tally[end] - before[1], scale)
-            if gain > best[0]:
-                best = (gain, first * width, end * width, force)
-    return best
+    """(gain, start, end, force) of the window in which a constant force says most."""
+    zero = np.zeros((1, *info.shape[1:]))
+    total, tally = np.cumsum(np.concatenate([zero, info]), axis=0), np.cumsum(np.vstack([zero[:, 0], score]), axis=0)
+    shortest, step = int(SHORTEST / width), max(int(GRID / width), 1)
+
+    def best(starts: Any, ends: Any) -> tuple[float, int, int, F64]:
+        first, last = (a.ravel() for a in np.meshgrid(starts, ends, indexing="ij"))
+        long = last - first >= min(shortest, len(info))
+        first, last = first[long], last[long]
+        gain, force = _gain(total[last] - total[first], tally[last] - tally[first], scale)
+        k = int(np.argmax(gain))
+        return float(gain[k]), int(first[k]), int(last[k]), force[k]
+
+    edges = np.unique(np.append(np.arange(0, len(info), step), len(info)))
+    _, start, end, _ = best(edges, edges)
+    near = np.arange(-step, step + 1)
+    gain, start, end, force = best(*(np.unique(np.clip(near + at, 0, len(info))) for at in (start, end)))
+    return gain, start * width, end * width, force

@@ -77,6 +77,8 @@ class Effect:
     """Sets of parameters that are fitted together; the rest keep their defaults. () means all of them."""
     form: float = 0.04
     """Share of its own correction that the effect's simplified law may miss: less where the law is exact."""
+    stiff: bool = False
+    """Whether its law needs the model's own time step."""
 
 
 def each_joint(context: Context) -> list[Place]:

@@ -72,4 +72,5 @@ EFFECT = Effect(
     variants=(("static_friction", "stribeck_velocity"), ("static_friction", "coulomb", "stribeck_velocity")),
     excited_by=_excited,
     apply=_apply,
+    stiff=True,
 )
