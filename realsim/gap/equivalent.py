@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import t as student
 
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.fit import Cause, Fit, Fitter
@@ -19,6 +20,8 @@ LIMITS = {"stribeck_friction": "coulomb_friction"}
 """An effect and the simpler one that it becomes at the end of a parameter's range: it always fits as well."""
 NOT_HELD = 4.0
 """A preference that unseen runs do not share may be so many times larger: one lively run is no witness."""
+CLEARLY_BETTER = 0.975
+"""Quantile of Student's t, over the runs, that the mean gain on unseen runs must exceed in its standard errors."""
 NO_BETTER = 12.0
 """Log-likelihood by which the richer law, with its two further parameters, must win to be preferred."""
 
@@ -115,4 +118,4 @@ def _as_good(screen: Screen, config: DiagnoseConfig, best: Fit, rival: Fit, remo
         return False  # a richer effect that is no better only mimics the simpler one
     mean, error, _ = heldout(screen, rival, best)
     allowed = config.equivalent_loss * (NOT_HELD if mean <= 0 else 1.0) * removed
-    return loss < max(allowed, 8.0) and mean < 2 * error
+    return loss < max(allowed, 8.0) and mean < float(student.ppf(CLEARLY_BETTER, len(screen.runs) - 1 or 1)) * error

@@ -24,8 +24,8 @@ REASONABLE = 3.0
 PACES = 6.0
 """A fit is broken off where so many more steps as good as the last would not reach its target."""
 
-SURE_ERRORS = 2.0
-"""Standard errors beyond which a value is something."""
+SURE_ERRORS = (2.0, 2.0, 3.0)
+"""Standard errors beyond which a first, second, third cause is something: many at once are rare."""
 
 POLISH = 2
 """Steps at the fine time step after a search at the coarse one."""
@@ -201,8 +201,9 @@ class Fitter:
         return self._measure(fit.causes, self._parameters([c.candidate for c in fit.causes]), None)
 
     def clear(self, fit: Fit) -> bool:
-        """Whether the last cause lies two standard errors off nothing; a search's own slopes may understate it."""
-        return significance(fit) >= SURE_ERRORS or significance(self.spread(fit)) >= SURE_ERRORS
+        """Whether the last cause lies well off nothing, by slopes at its very values: a search's own may be stale."""
+        least = SURE_ERRORS[min(len(fit.causes), len(SURE_ERRORS)) - 1]
+        return significance(self.spread(fit)) >= least
 
     # ------------------------------------------------------------ inside
 
