@@ -48,15 +48,21 @@ def judge(case: Case, config: DiagnoseConfig, screen: Screen, selection: Selecti
     if gap and unexplained > limit:
         reasons.append(f"{unexplained:.0%} of the gap stays")
         return Judgement("unexplained", unexplained, probabilities, tuple(reasons))
-    failed = shrunk.after_over_floor / max(shrunk.before_over_floor, 1e-9)
-    if shrunk.unseen and shrunk.after_over_floor > FAR_ABOVE and failed > NOT_HELD:
-        reasons.append(f"{min(failed, 1.0):.0%} of the gap stays on unseen runs")
-        return Judgement("unexplained", max(unexplained, min(failed, 1.0)), probabilities, tuple(reasons))
+    if failed := not_held(shrunk):
+        reasons.append(f"{failed:.0%} of the gap stays on unseen runs")
+        return Judgement("unexplained", max(unexplained, failed), probabilities, tuple(reasons))
     if selection.equivalent:
         count = 1 + len(selection.equivalent)
         probabilities = [p / count if p / count > 0.5 else max(p / count, 0.5) for p in probabilities]
         return Judgement("ambiguous", unexplained, probabilities, tuple(reasons))
     return Judgement("identified", unexplained, probabilities, tuple(reasons))
+
+
+def not_held(shrunk: Shrinkage) -> float:
+    """Share of the gap that stays on unseen runs, at most 1; 0 where that is little, or no more than tolerances."""
+    share = shrunk.after_over_floor / max(shrunk.before_over_floor, 1e-9)
+    failed = shrunk.unseen and shrunk.after_over_floor > FAR_ABOVE and share > NOT_HELD
+    return min(share, 1.0) if failed else 0.0
 
 
 def remains(screen: Screen, selection: Selection) -> tuple[float, F64, float]:

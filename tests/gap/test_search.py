@@ -1,0 +1,93 @@
+"""The searches of the diagnosis: windows of time, coarse time steps, and what unseen runs say of the outcome."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from realsim.gap import DiagnoseConfig, load_case
+from realsim.gap.compare import Comparison
+from realsim.gap.fit import Cause, Fitter
+from realsim.gap.screen import Screen
+from realsim.gap.simulate import Simulator
+from realsim.gap.verdict import FAR_ABOVE, NOT_HELD, not_held
+from realsim.gap.windows import SHORTEST, _best_window
+
+from .test_recovery import logged
+from .truth import Truth
+
+CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
+WIDTH = 0.02
+
+
+@given(st.integers(0, 200), st.integers(int(SHORTEST / WIDTH), 180), st.floats(0.5, 5.0))
+@settings(max_examples=30, deadline=None)
+def test_a_window_of_force_is_found_to_the_bin(start: int, length: int, force: float) -> None:
+    end = min(start + length, 300)
+    if end - start < int(SHORTEST / WIDTH):
+        return
+    push = np.array([force, -0.5 * force])
+    inside = np.zeros(300)
+    inside[start:end] = 1.0
+    info = np.tile(50.0 * np.eye(2), (300, 1, 1))
+    score = inside[:, None] * (50.0 * push)
+    _, found_start, found_end, found = _best_window(info, score, np.ones(2), WIDTH)
+    assert found_start == pytest.approx(start * WIDTH, abs=1e-9)
+    assert found_end == pytest.approx(end * WIDTH, abs=1e-9)
+    assert found == pytest.approx(push, rel=0.02)
+
+
+@pytest.fixture(scope="module")
+def fitter(made):
+    """A log with a weaker motor at one joint, on a simulator whose searches may take a step twice as long."""
+    nominal = load_case(made("search", Truth(), runs=3))
+    with Simulator(nominal, CONFIG) as simulator:
+        joint = simulator.context.driven[0]
+    case = logged(nominal, [("motor_gain", (joint,), {"ratio": -0.2})])
+    with Simulator(case, CONFIG) as simulator:
+        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
+        screen = Screen(simulator, comparison, range(len(case.runs)), ("motor_gain", "backlash"))
+        screen.coarse = 2
+        yield Fitter(screen)
+
+
+def _cause(fitter: Fitter, effect: str, value: float) -> Cause:
+    return Cause(next(c for c in fitter.screen.candidates if c.effect == effect and len(c.places) == 1), (value,))
+
+
+def test_a_coarse_search_ends_where_the_fine_one_does(fitter: Fitter) -> None:
+    start = _cause(fitter, "motor_gain", -0.05)
+    fine, coarse = fitter.fit([start]), fitter.fit([start], coarse=True)
+    assert fine is not None
+    assert coarse is not None
+    assert coarse.causes[0].values[0] == pytest.approx(fine.causes[0].values[0], abs=2e-3)
+    assert coarse.misfit == pytest.approx(fine.misfit, abs=1.0)
+
+
+def test_laws_that_need_the_fine_step_keep_it(fitter: Fitter) -> None:
+    assert fitter._look([_cause(fitter, "motor_gain", 0.1)], rough=False, coarse=True).coarse == 2
+    assert fitter._look([_cause(fitter, "backlash", 0.01)], rough=False, coarse=True).coarse == 1
+
+
+def test_a_cause_is_clear_of_nothing_only_where_it_acts(fitter: Fitter) -> None:
+    fit = fitter.fit([_cause(fitter, "motor_gain", -0.05)])
+    assert fit is not None
+    assert fitter.clear(fit)
+    tiny = fitter.remeasure(replace(fit, causes=(_cause(fitter, "motor_gain", 1e-6),)))
+    assert not fitter.clear(tiny)
+
+
+def test_causes_that_fail_on_unseen_runs_are_no_answer() -> None:
+    def share(before: float, after: float, unseen: bool = True) -> float:
+        return not_held(SimpleNamespace(unseen=unseen, before_over_floor=before, after_over_floor=after))  # type: ignore[arg-type]
+
+    assert share(100.0, 2 * NOT_HELD * 100.0) == pytest.approx(2 * NOT_HELD)
+    assert share(100.0, 400.0) == 1.0
+    assert share(100.0, 60.0, unseen=False) == 0.0  # then there was nothing to check on
+    assert share(100.0, NOT_HELD * 50.0) == 0.0
+    assert share(10.0, 0.9 * FAR_ABOVE) == 0.0
