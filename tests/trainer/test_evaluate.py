@@ -13,7 +13,7 @@ from hypothesis import strategies as st  # noqa: E402
 
 from realsim.errors import RealsimError, UnknownNameError  # noqa: E402
 from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped, walk  # noqa: E402
-from tests.trainer.test_task import QUIET, outcome  # noqa: E402
+from tests.trainer.task_env import QUIET, outcome  # noqa: E402
 from trainer.errors import TrainerError  # noqa: E402
 from trainer.evaluate import EvaluationConfig, Setting, evaluate, run, summarise, trial_config, wilson  # noqa: E402
 from trainer.replay import Recording, record, write  # noqa: E402

@@ -1,0 +1,84 @@
+"""Scaled variants of a course, and settings that are refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
+
+from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped  # noqa: E402
+from trainer.errors import TrainerError  # noqa: E402
+from trainer.tasks.parkour import ParkourConfig, ParkourEnv, check  # noqa: E402
+from trainer.tasks.parkour.config import (  # noqa: E402
+    CommandConfig,
+    DepthConfig,
+    ObservationConfig,
+    RandomisationConfig,
+    TerminationConfig,
+)
+from trainer.tasks.parkour.variants import scaled, scaled_spec, sizes  # noqa: E402
+
+# ---------------------------------------------------------------- terrains
+
+
+def test_variants_are_scaled_courses():
+    terrain = course()
+    big = scaled(terrain, 1.1)
+    assert np.allclose(big.goal.centre, [3.3, 0, 0])
+    assert np.allclose(big.boxes[1].T[:3, 3], 1.1 * terrain.boxes[1].T[:3, 3])
+    assert np.allclose(big.boxes[1].T[:3, :3], np.eye(3))
+    assert big.floor_z == pytest.approx(-0.385)
+    assert scaled(terrain, 1.0) is terrain
+    assert sizes([terrain], RandomisationConfig()) == pytest.approx([0.95, 0.975, 1.0, 1.025, 1.05])
+    assert sizes([terrain] * 200, RandomisationConfig()) == [1.0]
+    assert sizes([terrain], RandomisationConfig(use=False)) == [1.0]
+
+
+def test_a_scaled_scene_collides_where_its_mesh_is():
+    import mujoco
+
+    spec = mujoco.MjSpec()
+    corners = np.array([[x, y, z] for x in (0, 0.4) for y in (0, 0.3) for z in (0, 0.2)])
+    spec.add_mesh(name="part", uservert=corners.ravel())
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="part", pos=[1.0, 0, 0])
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.2, 0.3], pos=[0, 2.0, 0])
+    reach = []
+    for contact in (spec, scaled_spec(spec, 1.5)):
+        model = contact.compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        at = [np.array([3.0, 0.15, 0.1]) * (1 if contact is spec else 1.5), np.array([0, 9.0, 0])]
+        to = [np.array([-1.0, 0, 0]), np.array([0, -1.0, 0])]
+        geom = np.zeros(1, np.int32)
+        hit = [p + d * mujoco.mj_ray(model, data, p, d, None, 1, -1, geom) for p, d in zip(at, to, strict=True)]
+        reach.append((hit[0][0], hit[1][1]))
+    assert reach[0] == pytest.approx((1.4, 2.2))
+    assert reach[1] == pytest.approx((2.1, 3.3))
+
+
+@pytest.mark.parametrize("ratio", [0.1, 100.0, float("nan")])
+def test_a_wrong_scale_is_refused(ratio):
+    with pytest.raises(TrainerError):
+        check(scaled(course(), ratio))
+
+
+@pytest.mark.parametrize(
+    ("kind", "values"),
+    [
+        (CommandConfig, {"speed": (0.9, 0.5)}),
+        (ObservationConfig, {"history": 0}),
+        (DepthConfig, {"near": 3.0}),
+        (TerminationConfig, {"seconds": 0.0}),
+        (RandomisationConfig, {"kp": (0.0, 1.0)}),
+    ],
+)
+def test_senseless_settings_are_refused(kind, values):
+    with pytest.raises(TrainerError, match=kind.__name__):
+        kind(**values)
+
+
+def test_a_camera_is_needed_for_depth():
+    physics = FakePhysics(replace(quadruped(), camera=None), [course()], 2)
+    with pytest.raises(TrainerError, match="no depth camera"):
+        ParkourEnv(physics, BoxCaster([course()]), [np.zeros((0, 2, 3))], ParkourConfig())
