@@ -6,37 +6,21 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from benchmarks.solids import TERRAINS, block, terrain, with_floor
 from realsim.errors import UnknownNameError
 from realsim.export import CONTACT
 from realsim.export.config import SceneConfig
-from realsim.export.contact.base import Asset, ContactModel, Geom, floor_plane
+from realsim.export.contact.base import ContactModel, Geom, floor_plane
 from realsim.export.contact.boxes import boxes
 from realsim.export.contact.choose import fit_contact
-from realsim.export.contact.columns import columns
-from realsim.export.contact.cost import standing_place, step_cost
-from realsim.export.contact.fidelity import Fidelity, Region, g1_foot, measure
+from realsim.export.contact.cost import step_cost
+from realsim.export.contact.fidelity import Fidelity
 from realsim.export.contact.heatmap import heatmap_png
-from realsim.export.contact.outline import area, convex_parts, hull, outlines
-from realsim.export.contact.planes import heights, segment, spread
-from realsim.export.contact.probe import BALL, Reference, SimTouch, first_touch, spec_of
+from realsim.export.contact.probe import BALL, SimTouch, first_touch, spec_of
 from realsim.export.contact.shape import Shape
-from realsim.export.contact.solids import island_solid
 from realsim.types import TerrainMesh
-
-CONFIG = SceneConfig()
-FACING_UP = np.array([1.0, 0, 0, 0])
-
-
-def reference(mesh: TerrainMesh) -> Reference:
-    return Reference(mesh.vertices, mesh.triangles)
-
-
-def fidelity(contact: ContactModel, mesh: TerrainMesh, **kwargs) -> dict:
-    return dict(measure(spec_of(contact), reference(mesh), 0.0, **kwargs).figures)
+from tests.export.measured import CONFIG, FACING_UP, fidelity
 
 
 @pytest.mark.parametrize("name", list(TERRAINS))
@@ -241,187 +225,3 @@ def test_the_least_bad_is_the_one_that_leaks_least() -> None:
 def test_unknown_representation() -> None:
     with pytest.raises(UnknownNameError, match="auto"):
         fit_contact(terrain("stakes"), 0.0, SceneConfig(contact="boxen"))
-
-
-# ---------------------------------------------------------------- the measure
-
-
-def shifted(mesh: TerrainMesh, dz: float) -> ContactModel:
-    corners = np.array([[x, y, z + dz] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.05, 0.2)])
-    return ContactModel("x", (floor_plane(0.0), Geom("b", "mesh", asset="b")), (Asset.of_points("b", corners),))
-
-
-@pytest.mark.parametrize(("dz", "sign"), [(0.006, 1), (-0.006, -1)])
-def test_a_shift_is_measured_as_it_is(dz: float, sign: int) -> None:
-    """A top 6 mm too high is 6 mm of phantom; 6 mm too low, of missing surface."""
-    mesh = with_floor(block(0, 0, 0.2, 0.2, 0.2))
-    result = measure(spec_of(shifted(mesh, dz)), reference(mesh), 0.0, probes=400, feet=0)
-    start = result.touches.start
-    on_top = (np.abs(start[:, :2]) < 0.08).all(1)
-    np.testing.assert_allclose(result.touches.error[on_top], sign * 0.006, atol=2e-4)
-
-
-def test_floor_beyond_the_mesh_is_no_phantom_but_a_lid_is() -> None:
-    """A block without any floor around it: nothing is known of what lies beside it."""
-    two = block(-0.3, 0, 0.2, 0.6, 0.2) + block(0.3, 0, 0.2, 0.6, 0.2)
-    mesh = with_floor(two)
-    mesh = TerrainMesh(mesh.vertices, mesh.triangles[:-2], None, mesh.invented[:-2], mesh.quality, "", 0.0)
-    good = fidelity(boxes(Shape(mesh, 0.0), CONFIG), mesh, probes=400, feet=0)
-    assert good["phantom_area_cm2"] == 0
-    assert fidelity(CONTACT["hull"](Shape(mesh, 0.0), CONFIG), mesh, probes=400, feet=0)["phantom_area_cm2"] > 1000
-
-
-def test_touch_distances_and_normals_are_exact_on_a_box() -> None:
-    spec = spec_of(ContactModel("x", (Geom("b", "box", (0, 0, 0.1), size=(0.1, 0.1, 0.1)),)))
-    touch = SimTouch(spec, BALL, batch=4)
-    start = np.array([[0, 0, 0.5], [0.5, 0, 0.1], [0.5, 0.5, 0.5], [0, 0, 0.1], [0.05, 0.05, 0.4]])
-    direction = np.array([[0, 0, -1], [-1, 0, 0], [0, 0, -1], [0, 0, -1], [0, 0, -1.0]])
-    quats = np.tile(FACING_UP, (5, 1))
-    t = first_touch(touch.clearance, start, quats, direction, 0.6)
-    np.testing.assert_allclose(t[[0, 1, 4]], [0.29, 0.39, 0.19], atol=5e-5)
-    assert t[2] == np.inf
-    assert np.isnan(t[3])
-    at = start[:2] + t[:2, None] * direction[:2]
-    np.testing.assert_allclose(touch.normals(at, quats[:2]), [[0, 0, 1], [1, 0, 0]], atol=1e-6)
-
-
-def test_reference_knows_inside_from_outside() -> None:
-    mesh = with_floor(block(0, 0, 0.2, 0.2, 0.2))
-    ref = reference(mesh)
-    points = np.array([[0, 0, 0.1], [0, 0, 0.3], [0.3, 0, 0.1], [0.3, 0, -0.1]])
-    np.testing.assert_array_equal(ref.buried(points), [True, False, False, True])
-    np.testing.assert_allclose(ref.top(points[:, :2]), [0.2, 0.2, 0, 0], atol=1e-5)
-
-
-def test_a_foot_is_where_the_robot_has_it() -> None:
-    foot = g1_foot()
-    assert len(foot.ends) == 7
-    assert foot.radius == 0.01
-    np.testing.assert_allclose(foot.ends[:, :, 2], -0.025, atol=1e-3)
-    np.testing.assert_allclose(np.ptp(foot.ends[:, :, 0]), 0.186, atol=1e-3)
-
-
-def test_a_hole_in_the_collision_geometry_leaks() -> None:
-    mesh = with_floor(block(0, 0, 0.5, 0.5, 0.2))
-    hollow = ContactModel("x", (floor_plane(0.0),))
-    assert measure(spec_of(hollow), reference(mesh), 0.0, probes=200, feet=0).figures["leaks"] > 10
-
-
-def test_standing_place_is_high_level_and_not_at_the_rim() -> None:
-    x, y = np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41))
-    z = np.where((np.abs(x) < 0.4) & (np.abs(y) < 0.4), 0.3, 0.0)
-    place = standing_place(np.column_stack([x.ravel(), y.ravel(), z.ravel()]))
-    assert place[2] == 0.3
-    assert np.abs(place[:2]).max() < 0.25
-
-
-def test_region_holds_what_rises() -> None:
-    region = Region.around(reference(terrain("stairs")), 0.0)
-    assert region.lower[0] == pytest.approx(-0.5)
-    assert region.top == pytest.approx(0.35, abs=1e-4)
-
-
-# ---------------------------------------------------------------- geometry below
-
-
-def test_columns_of_a_bridge_have_a_gap() -> None:
-    mesh = with_floor(block(0, 0, 0.4, 0.1, 0.3, 0.2))
-    grid = columns(mesh, 0.0, 0.01)
-    row, column = (np.rint((0 - grid.lower[k]) / grid.cell).astype(int) for k in (1, 0))
-    assert grid.top[0, row, column] == pytest.approx(0.3, abs=1e-5)
-    assert grid.bottom[0, row, column] == pytest.approx(0.2, abs=1e-5)
-    assert grid.top[1, row, column] == pytest.approx(0.0, abs=1e-5)
-    assert grid.bottom[1, row, column] == -np.inf
-
-
-def test_overlapping_solids_are_one_interval() -> None:
-    parts = [trimesh.creation.box([0.2, 0.2, 0.2]), trimesh.creation.box([0.2, 0.2, 0.2])]
-    parts[1].apply_translation([0, 0, 0.15])
-    both = trimesh.util.concatenate(parts)
-    quality = terrain("stairs").quality
-    mesh = TerrainMesh(
-        np.asarray(both.vertices),
-        np.asarray(both.faces, np.int32),
-        None,
-        np.zeros(len(both.faces), bool),
-        quality,
-        "",
-        0,
-    )
-    grid = columns(mesh, -1.0, 0.01)
-    assert len(grid.top) == 1
-    assert np.nanmin(grid.top) == pytest.approx(0.25, abs=1e-5)
-    assert np.nanmax(grid.bottom[np.isfinite(grid.top)]) == pytest.approx(-0.1, abs=1e-5)
-
-
-def test_segment_finds_the_planes_of_a_roof() -> None:
-    rows, cols = np.indices((40, 60))
-    z = 0.005 * np.minimum(cols, 59 - cols) * 0.5 + 0.001 * rows
-    labels, planes = segment(z, 0.005, 0.003)
-    assert len(planes) == 2
-    assert (labels >= 0).all()
-    fitted = np.where(labels == 0, heights(planes[0], z.shape), heights(planes[1], z.shape))
-    np.testing.assert_allclose(fitted, z, atol=0.003)
-
-
-def test_spread_cuts_a_blurred_edge_half_way() -> None:
-    z = np.array([[0.2, 0.2, 0.18, 0.12, 0.06, 0.01]])
-    labels = np.array([[0, 0, -1, -1, -1, -1]])
-    out = spread(labels, np.ones_like(z, bool), lambda _: np.abs(z - 0.2), np.abs(z))
-    assert (out[0, :4] == 0).all()
-    assert out[0, 5] == -1
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.integers(3, 9), st.floats(0, 6.28), st.randoms(use_true_random=False))
-def test_convex_parts_cover_a_polygon_once(n: int, turn: float, random) -> None:
-    """Star-shaped polygons: parts are convex, and their areas add up."""
-    angle = turn + np.linspace(0, 2 * np.pi, n, endpoint=False)
-    radius = np.array([random.uniform(1, 5) for _ in range(n)])
-    ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], 1)
-    parts = convex_parts([ring], 0.0)
-    assert sum(area(p) for p in parts) == pytest.approx(abs(area(ring)), rel=1e-4)
-    for part in parts:
-        assert area(hull(part)) == pytest.approx(area(part), rel=1e-9)
-
-
-def test_outline_of_a_turned_square_is_a_square() -> None:
-    rows, cols = np.indices((120, 120))
-    c, s = np.cos(0.4), np.sin(0.4)
-    u, v = c * (rows - 60) + s * (cols - 60), -s * (rows - 60) + c * (cols - 60)
-    (ring,) = outlines((np.abs(u) < 30) & (np.abs(v) < 30), 0.8)
-    assert len(ring) == 4
-    assert abs(area(ring)) == pytest.approx(3600, rel=0.01)
-    np.testing.assert_allclose(np.hypot(*(ring - 60).T), 30 * 2**0.5, atol=0.6)
-
-
-def test_corners_that_a_mesh_rounded_are_sharp_again() -> None:
-    rows, cols = np.indices((120, 140))
-    u, v = np.abs(rows - 60) - 37, np.abs(cols - 70) - 47
-    rounded = np.hypot(np.maximum(u, 0), np.maximum(v, 0)) < 3
-    (ring,) = outlines(rounded, 1.0)
-    assert len(ring) == 4
-    np.testing.assert_allclose(np.abs(ring - [60, 70]), np.tile([39.5, 49.5], (4, 1)), atol=0.6)
-
-
-def test_a_ring_keeps_its_hole() -> None:
-    rows, cols = np.indices((80, 80))
-    r = np.hypot(rows - 40, cols - 40)
-    parts = convex_parts(outlines((r < 30) & (r > 15), 0.8), 0.8)
-    assert not any(_contains(p, [40, 40]) for p in parts)
-    assert sum(area(p) for p in parts) == pytest.approx(np.pi * (900 - 225), rel=0.05)
-
-
-def _contains(ring: np.ndarray, point: list[float]) -> bool:
-    a, b = ring, np.roll(ring, -1, axis=0)
-    return bool((((b - a)[:, 0] * (point[1] - a[:, 1]) - (b - a)[:, 1] * (point[0] - a[:, 0])) > 0).all())
-
-
-def test_solids_are_closed_and_of_the_right_size() -> None:
-    from realsim.export.contact.islands import terrain as islands
-
-    whole = islands(with_floor(block(0, 0, 0.2, 0.3, 0.15)), 0.0, 0.01)
-    vertices, faces = island_solid(whole, whole.islands[0])
-    solid = trimesh.Trimesh(vertices, faces)
-    assert solid.is_watertight
-    assert solid.volume == pytest.approx(0.2 * 0.3 * 0.17, rel=0.05)

@@ -11,7 +11,8 @@ from realsim.export.contact.boxes import boxes
 from realsim.export.contact.probe import BALL, SimTouch, first_touch, spec_of
 from realsim.export.contact.shape import Shape
 from realsim.types import TerrainMesh
-from tests.export.test_contact import CONFIG, FACING_UP, fidelity, underside
+from tests.export.measured import CONFIG, FACING_UP, fidelity
+from tests.export.test_contact import underside
 
 
 def test_a_pit_leaves_the_floor_beside_it_whole() -> None:

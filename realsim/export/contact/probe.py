@@ -164,12 +164,24 @@ class Reference:
         return np.where(np.isfinite(t), above - t, np.nan)
 
     def buried(self, points: F64) -> NDArray[np.bool_]:
-        """(M,) whether the first surface straight above faces up, so that the point is inside or below a solid."""
+        """(M,) whether a point is inside or below a solid.
+
+        So it is if the first surface straight above faces up, or if more of those above face up than down: where solids
+        overlap, the underside of one lies inside the other.
+        """
         rays = np.concatenate([points - self.centre, np.broadcast_to([0, 0, 1.0], points.shape)], 1)
-        hit = self._scene.cast_rays(self._o3d.core.Tensor(rays.astype(np.float32)))
-        triangle = hit["primitive_ids"].numpy().astype(np.int64)
+        tensor = self._o3d.core.Tensor(rays.astype(np.float32))
+        triangle = self._scene.cast_rays(tensor)["primitive_ids"].numpy().astype(np.int64)
         found = triangle < len(self.triangles)
-        return found & self.up[np.where(found, triangle, 0)]
+        inside = found & self.up[np.where(found, triangle, 0)]
+        below = np.flatnonzero(found & ~inside)
+        if not len(below):  # Open3D crashes on no rays at all
+            return inside
+        hits = self._scene.list_intersections(self._o3d.core.Tensor(rays[below].astype(np.float32)))
+        facing = np.where(self.up[hits["primitive_ids"].numpy().astype(np.int64)], 1, -1)
+        ways_out = np.bincount(hits["ray_ids"].numpy().astype(np.int64), weights=facing, minlength=len(below))
+        inside[below] = ways_out[: len(below)] > 0
+        return inside
 
     def depth(self, points: F64) -> F64:
         """(M,) metres to the surface upwards and to the sides, whichever is nearest; of a point in a solid, how far

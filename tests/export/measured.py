@@ -1,0 +1,22 @@
+"""Figures of collision geometry against exact meshes, for the tests of contact."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from realsim.export.config import SceneConfig
+from realsim.export.contact.base import ContactModel
+from realsim.export.contact.fidelity import measure
+from realsim.export.contact.probe import Reference, spec_of
+from realsim.types import TerrainMesh
+
+CONFIG = SceneConfig()
+FACING_UP = np.array([1.0, 0, 0, 0])
+
+
+def reference(mesh: TerrainMesh) -> Reference:
+    return Reference(mesh.vertices, mesh.triangles)
+
+
+def fidelity(contact: ContactModel, mesh: TerrainMesh, **kwargs) -> dict:
+    return dict(measure(spec_of(contact), reference(mesh), 0.0, **kwargs).figures)

@@ -1,0 +1,102 @@
+"""The measure of collision geometry: exact touches, signs, holes, and what is inside."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.solids import block, terrain, with_floor
+from realsim.export import CONTACT
+from realsim.export.contact.base import Asset, ContactModel, Geom, floor_plane
+from realsim.export.contact.boxes import boxes
+from realsim.export.contact.cost import standing_place
+from realsim.export.contact.fidelity import Region, g1_foot, measure
+from realsim.export.contact.probe import BALL, Reference, SimTouch, first_touch, spec_of
+from realsim.export.contact.shape import Shape
+from realsim.types import TerrainMesh
+from tests.export.measured import CONFIG, FACING_UP, fidelity, reference
+
+
+def shifted(mesh: TerrainMesh, dz: float) -> ContactModel:
+    corners = np.array([[x, y, z + dz] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.05, 0.2)])
+    return ContactModel("x", (floor_plane(0.0), Geom("b", "mesh", asset="b")), (Asset.of_points("b", corners),))
+
+
+@pytest.mark.parametrize(("dz", "sign"), [(0.006, 1), (-0.006, -1)])
+def test_a_shift_is_measured_as_it_is(dz: float, sign: int) -> None:
+    """A top 6 mm too high is 6 mm of phantom; 6 mm too low, of missing surface."""
+    mesh = with_floor(block(0, 0, 0.2, 0.2, 0.2))
+    result = measure(spec_of(shifted(mesh, dz)), reference(mesh), 0.0, probes=400, feet=0)
+    start = result.touches.start
+    on_top = (np.abs(start[:, :2]) < 0.08).all(1)
+    np.testing.assert_allclose(result.touches.error[on_top], sign * 0.006, atol=2e-4)
+
+
+def test_floor_beyond_the_mesh_is_no_phantom_but_a_lid_is() -> None:
+    """A block without any floor around it: nothing is known of what lies beside it."""
+    two = block(-0.3, 0, 0.2, 0.6, 0.2) + block(0.3, 0, 0.2, 0.6, 0.2)
+    mesh = with_floor(two)
+    mesh = TerrainMesh(mesh.vertices, mesh.triangles[:-2], None, mesh.invented[:-2], mesh.quality, "", 0.0)
+    good = fidelity(boxes(Shape(mesh, 0.0), CONFIG), mesh, probes=400, feet=0)
+    assert good["phantom_area_cm2"] == 0
+    assert fidelity(CONTACT["hull"](Shape(mesh, 0.0), CONFIG), mesh, probes=400, feet=0)["phantom_area_cm2"] > 1000
+
+
+def test_touch_distances_and_normals_are_exact_on_a_box() -> None:
+    spec = spec_of(ContactModel("x", (Geom("b", "box", (0, 0, 0.1), size=(0.1, 0.1, 0.1)),)))
+    touch = SimTouch(spec, BALL, batch=4)
+    start = np.array([[0, 0, 0.5], [0.5, 0, 0.1], [0.5, 0.5, 0.5], [0, 0, 0.1], [0.05, 0.05, 0.4]])
+    direction = np.array([[0, 0, -1], [-1, 0, 0], [0, 0, -1], [0, 0, -1], [0, 0, -1.0]])
+    quats = np.tile(FACING_UP, (5, 1))
+    t = first_touch(touch.clearance, start, quats, direction, 0.6)
+    np.testing.assert_allclose(t[[0, 1, 4]], [0.29, 0.39, 0.19], atol=5e-5)
+    assert t[2] == np.inf
+    assert np.isnan(t[3])
+    at = start[:2] + t[:2, None] * direction[:2]
+    np.testing.assert_allclose(touch.normals(at, quats[:2]), [[0, 0, 1], [1, 0, 0]], atol=1e-6)
+
+
+def test_reference_knows_inside_from_outside() -> None:
+    mesh = with_floor(block(0, 0, 0.2, 0.2, 0.2))
+    ref = reference(mesh)
+    points = np.array([[0, 0, 0.1], [0, 0, 0.3], [0.3, 0, 0.1], [0.3, 0, -0.1]])
+    np.testing.assert_array_equal(ref.buried(points), [True, False, False, True])
+    np.testing.assert_allclose(ref.top(points[:, :2]), [0.2, 0.2, 0, 0], atol=1e-5)
+
+
+def test_inside_of_overlapping_solids_is_inside() -> None:
+    """A beam sunk into the post that carries it: its underside lies within the post."""
+    post, beam = block(0, 0, 0.2, 0.2, 0.2), block(0, 0, 0.8, 0.2, 0.3, bottom=0.196)
+    parts = [with_floor(part) for part in (post, beam)]
+    apart = [parts[0].triangles, parts[1].triangles + len(parts[0].vertices)]
+    both = Reference(np.vstack([part.vertices for part in parts]), np.vstack(apart))
+    points = np.array([[0, 0, 0.1], [0.3, 0, 0.1], [0.3, 0, 0.25]])
+    np.testing.assert_array_equal(both.buried(points), [True, False, True])
+
+
+def test_a_foot_is_where_the_robot_has_it() -> None:
+    foot = g1_foot()
+    assert len(foot.ends) == 7
+    assert foot.radius == 0.01
+    np.testing.assert_allclose(foot.ends[:, :, 2], -0.025, atol=1e-3)
+    np.testing.assert_allclose(np.ptp(foot.ends[:, :, 0]), 0.186, atol=1e-3)
+
+
+def test_a_hole_in_the_collision_geometry_leaks() -> None:
+    mesh = with_floor(block(0, 0, 0.5, 0.5, 0.2))
+    hollow = ContactModel("x", (floor_plane(0.0),))
+    assert measure(spec_of(hollow), reference(mesh), 0.0, probes=200, feet=0).figures["leaks"] > 10
+
+
+def test_standing_place_is_high_level_and_not_at_the_rim() -> None:
+    x, y = np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41))
+    z = np.where((np.abs(x) < 0.4) & (np.abs(y) < 0.4), 0.3, 0.0)
+    place = standing_place(np.column_stack([x.ravel(), y.ravel(), z.ravel()]))
+    assert place[2] == 0.3
+    assert np.abs(place[:2]).max() < 0.25
+
+
+def test_region_holds_what_rises() -> None:
+    region = Region.around(reference(terrain("stairs")), 0.0)
+    assert region.lower[0] == pytest.approx(-0.5)
+    assert region.top == pytest.approx(0.35, abs=1e-4)
