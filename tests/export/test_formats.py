@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import ctypes.util
 import json
 from pathlib import Path
 
@@ -129,6 +131,18 @@ def test_sdf_has_every_collision_and_its_files(folder: Path, exported: dict[str,
         np.testing.assert_allclose(np.array(sizes[box.name].split(), float), 2 * box.half, rtol=1e-6)
     for uri in root.iter("uri"):
         assert (path.parent / uri.text).is_file()
+
+
+def test_gazebos_own_parser_takes_the_sdf(exported: dict[str, list[Path]], tmp_path: Path) -> None:
+    """What `gz sdf --check` calls; the library comes with Debian's libsdformat (tools/system_packages.sh)."""
+    found = ctypes.util.find_library("sdformat12") or ctypes.util.find_library("sdformat14")
+    if found is None:
+        pytest.skip("Gazebo's libsdformat is not installed")
+    check = ctypes.CDLL(found).cmdCheck
+    assert check(str(exported["sdf"][0]).encode()) == 0
+    spoilt = tmp_path / "model.sdf"
+    spoilt.write_text(exported["sdf"][0].read_text().replace("<size>", "<size>x", 1))
+    assert check(str(spoilt).encode()) != 0
 
 
 def test_terrain_mesh_is_closed_centred_and_flat_at_the_border(exported: dict[str, list[Path]]) -> None:
