@@ -153,11 +153,11 @@ def _parameter(parameters: dict[str, Any], truth: dict[str, Any]) -> dict[str, A
 
 def _gone(d: Diagnosis) -> float:
     """Share of the gap above the noise floor that is gone on unseen runs."""
-    share = d.get("unexplained_share")
-    if share is not None:
-        return 1 - share
-    fraction = (d.get("shrinkage") or {}).get("fraction")
-    return float("nan") if fraction is None else float(fraction)
+    s = d.get("statistics") or {}
+    before, after = s.get("gap_over_floor"), s.get("left_over_floor")  # mean squares there, in units of the floor
+    if before is None or after is None or before <= 1:
+        return float("nan")
+    return 1 - max(after - 1, 0.0) / (before - 1)
 
 
 def _baselines(labels: dict[str, Label], found: dict[str, Diagnosis], single: list[str]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.gap_score import score, table
+from benchmarks.gap_score import BARS, score, table
 from benchmarks.gap_truth.cases import Draw, make_case, plan
 
 RESULTS = Path(__file__).parent / "results" / "gap_withheld.json"
@@ -36,16 +36,27 @@ def main() -> int:
     parser.add_argument("--robots", nargs="*", help="only these robots")
     parser.add_argument("--work", type=Path, default=Path("out/gap_withheld"))
     parser.add_argument("--store", type=Path, default=RESULTS)
+    parser.add_argument("--score", action="store_true", help="only score what --work holds already")
+    parser.add_argument(
+        "--developed-on", nargs="*", default=[], help="cases whose failures were looked at: also without"
+    )
     args = parser.parse_args()
-    labels = make_all(args)
-    seconds = diagnose_all(args, sorted(labels))
+    labels = read_labels(args.work) if args.score else make_all(args)
+    seconds = 0.0 if args.score else diagnose_all(args, sorted(labels))
     found = {
         n: json.loads(f.read_text())
         for n in sorted(labels)
         if (f := args.work / "out" / n / "diagnosis.json").is_file()
     }
+    if args.score:
+        labels = {n: labels[n] for n in found}
     figures = score(labels, found) | {"machine": machine(), "seconds": seconds, "cases": len(labels), "seed": args.seed}
     print(table(figures))
+    if args.developed_on:
+        fresh = [n for n in found if n not in args.developed_on]
+        other = score({n: labels[n] for n in fresh}, {n: found[n] for n in fresh})
+        print(f"\nThe {len(fresh)} cases that development did not look at:\n{table(other)}")
+        figures |= {"developed_on": args.developed_on, "not_developed_on": {k: other[k] for k in other if k in BARS}}
     args.store.parent.mkdir(parents=True, exist_ok=True)
     args.store.write_text(json.dumps(figures, indent=1) + "\n")
     return 0
@@ -59,11 +70,12 @@ def make_all(args: argparse.Namespace) -> dict[str, dict[str, Any]]:
     with ProcessPoolExecutor(args.jobs) as pool:
         list(pool.map(_make, [(i, draw, str(args.work)) for i, draw in todo]))
     names = {f"case_{i:03d}" for i, _ in todo}
-    return {
-        n: json.loads((labels_folder / f"{n}.json").read_text())
-        for n in sorted(names)
-        if (labels_folder / f"{n}.json").is_file()
-    }
+    return {n: label for n, label in read_labels(args.work).items() if n in names}
+
+
+def read_labels(work: Path) -> dict[str, dict[str, Any]]:
+    """Case -> its label."""
+    return {f.stem: json.loads(f.read_text()) for f in sorted((work / "labels").glob("*.json"))}
 
 
 def _make(job: tuple[int, Draw, str]) -> None:
@@ -81,34 +93,19 @@ def _make(job: tuple[int, Draw, str]) -> None:
 
 
 def diagnose_all(args: argparse.Namespace, names: list[str]) -> float:
-    """Run `realsim diagnose` over all cases that have no diagnosis yet; wall seconds."""
+    """Run `realsim diagnose`, in processes of its own, over all cases that have no diagnosis yet; wall seconds."""
     out = (args.work / "out").absolute()
-    todo = [str(args.work / "cases" / n) for n in names if not (out / n / "diagnosis.json").is_file()]
+    todo = [n for n in names if not (out / n / "diagnosis.json").is_file()]
     began = time.perf_counter()
-    # In portions, so that what is finished stays finished if this is stopped.
-    for k in range(0, len(todo), 4 * args.jobs):
-        part = todo[k : k + 4 * args.jobs]
-        command = [
-            sys.executable,
-            "-m",
-            "realsim",
-            "diagnose",
-            *part,
-            "--out",
-            str(out),
-            "--jobs",
-            str(args.jobs),
-            "--json",
-        ]
-        if len(part) == 1:
-            command[command.index("--out") + 1] = str(out / Path(part[0]).name)
-        done = subprocess.run(command, capture_output=True, text=True)
-        print(
-            f"{min(k + len(part), len(todo))}/{len(todo)} diagnosed, {time.perf_counter() - began:.0f} s",
-            file=sys.stderr,
-        )
+    if todo:
+        folders = [str(args.work / "cases" / n) for n in todo]
+        # Of a single case the diagnosis lies in --out itself, of several in a folder each.
+        target = out / todo[0] if len(todo) == 1 else out
+        options = ["--out", str(target), "--jobs", str(args.jobs), "--threads", "1", "--no-report", "--json"]
+        command = [sys.executable, "-m", "realsim", "diagnose", *folders, *options]
+        done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         if done.returncode not in (0, 1):
-            print(done.stdout[-500:], done.stderr[-2000:], file=sys.stderr)
+            print(done.stderr[-2000:], file=sys.stderr)
     return time.perf_counter() - began
 
 

@@ -18,6 +18,10 @@ ALIKE, MOST_ALIKE = 0.95, 3
 
 LIMITS = {"stribeck_friction": "coulomb_friction"}
 """An effect and the simpler one that it becomes at the end of a parameter's range: it always fits as well."""
+USUAL = {"link_inertia": "armature"}
+"""An effect and a more usual one that may do the same: a drawing tells a link's inertia, but not a rotor's."""
+NO_PREFERENCE = 4.0
+"""Log-likelihood below which the runs prefer neither."""
 NOT_HELD = 4.0
 """A preference that unseen runs do not share may be so many times larger: one lively run is no witness."""
 CLEARLY_BETTER = 0.975
@@ -59,6 +63,17 @@ def simplest(fit: Fit, rivals: list[Fit]) -> tuple[Fit, list[Fit]]:
         ]
         if richer and len(rival.causes) == len(fit.causes) and rival.misfit - fit.misfit < NO_BETTER:
             return rival, [r for r in rivals if r is not rival]
+    return fit, rivals
+
+
+def likelier(fit: Fit, rivals: list[Fit]) -> tuple[Fit, list[Fit]]:
+    """(fit, rivals) with the more usual cause first, where the runs do not prefer either."""
+    for rival in rivals:
+        theirs = {c.candidate.effect for c in rival.causes}
+        ours = {c.candidate.effect for c in fit.causes}
+        usual = any(USUAL.get(e) in theirs - ours for e in ours - theirs)
+        if usual and len(rival.causes) == len(fit.causes) and rival.misfit - fit.misfit < NO_PREFERENCE:
+            return rival, [fit, *(r for r in rivals if r is not rival)]
     return fit, rivals
 
 
@@ -112,7 +127,7 @@ def _same_thing(a: Candidate, b: Candidate) -> bool:
 def _as_good(screen: Screen, config: DiagnoseConfig, best: Fit, rival: Fit, removed: float) -> bool:
     """Within a small share of what the best removes, and no run by run preference beyond its scatter."""
     loss = rival.misfit - best.misfit + complexity(screen, rival) - complexity(screen, best)
-    if loss < 4.0:
+    if loss < NO_PREFERENCE:
         return True
     if complexity(screen, rival) > complexity(screen, best) + PRICE / 2:
         return False  # a richer effect that is no better only mimics the simpler one

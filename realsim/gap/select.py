@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from realsim.gap.config import DiagnoseConfig
-from realsim.gap.equivalent import equivalents, simplest
+from realsim.gap.equivalent import equivalents, likelier, simplest
 from realsim.gap.fit import Fit, Fitter
 from realsim.gap.heldout import leftover
 from realsim.gap.hidden import hidden
@@ -82,7 +82,7 @@ def select(
     current = _prune(screen, fitter, config, current, notes)
     current = fitter.spread(current)
     equivalent = equivalents(screen, fitter, config, current, nominal, stages) if current.causes else []
-    current, equivalent = simplest(current, equivalent)
+    current, equivalent = likelier(*simplest(current, equivalent))
     gains = {}
     for i in range(len(current.causes)):
         less = _without(fitter, current, i, nominal)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from realsim.gap import DiagnoseConfig, load_case
 from realsim.gap.compare import Comparison
+from realsim.gap.equivalent import likelier
 from realsim.gap.fit import Cause, Fitter
 from realsim.gap.screen import Screen
 from realsim.gap.simulate import Simulator
@@ -91,3 +93,13 @@ def test_causes_that_fail_on_unseen_runs_are_no_answer() -> None:
     assert share(100.0, 60.0, unseen=False) == 0.0  # then there was nothing to check on
     assert share(100.0, NOT_HELD * 50.0) == 0.0
     assert share(10.0, 0.9 * FAR_ABOVE) == 0.0
+
+
+def test_the_more_usual_of_two_that_fit_alike_stands_first() -> None:
+    def fit(effect: str, misfit: float) -> Any:
+        return SimpleNamespace(misfit=misfit, causes=(SimpleNamespace(candidate=SimpleNamespace(effect=effect)),))
+
+    inertia, rotor, far = fit("link_inertia", 10.0), fit("armature", 11.0), fit("armature", 30.0)
+    assert likelier(inertia, [rotor]) == (rotor, [inertia])
+    assert likelier(inertia, [far]) == (inertia, [far])  # the runs prefer the first
+    assert likelier(rotor, [inertia]) == (rotor, [inertia])
