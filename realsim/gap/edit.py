@@ -12,6 +12,9 @@ from realsim.types import F64
 if TYPE_CHECKING:
     from realsim.gap.context import Context
 
+STIFFEST = 2.2
+"""Time steps in which a constraint gives way at the fastest; below 2, MuJoCo takes 2."""
+
 
 @dataclass
 class Signals:
@@ -90,6 +93,7 @@ class Edit:
             new.limited = 0
             new.armature = max(link.armature, 0.2 * self.context.inertia[joint] if link.armature < 1e-6 else 0.0)
             new.frictionloss, new.damping = link.frictionloss, link.damping
+            new.solref_friction, new.solimp_friction = link.solref_friction, link.solimp_friction
             link.armature, link.frictionloss, link.damping = 0.02 * new.armature, 0.0, 0.0 * np.asarray(link.damping)
             for actuator in self.spec.actuators:
                 if actuator.target == joint and actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT:
@@ -110,6 +114,21 @@ class Edit:
         values[0] = gain
         actuator.gainprm = values
         return actuator
+
+    def add_friction(self, joint: str, amount: float) -> None:
+        """Dry friction (N m, or N on a slide) of a joint's motor side; negative takes away, down to none.
+
+        MuJoCo's default friction constraint gives way with a time constant of 20 ms, so that a joint under load creeps
+        where a real one sticks. Friction that is added is as stiff as the time step bears, in proportion to its share.
+        """
+        target = self.spec.joint(self.motor_joint(joint))
+        before = float(target.frictionloss)
+        target.frictionloss = max(before + amount, 0.0)
+        if amount > 0 and target.solref_friction[0] > 0:
+            share = amount / (before + amount)
+            constant, stiff = float(target.solref_friction[0]), STIFFEST * float(self.context.timestep)
+            if stiff < constant:
+                target.solref_friction = np.array([constant ** (1 - share) * stiff**share, target.solref_friction[1]])
 
     def add_force(self, body: str, force: list[float]) -> str:
         """A force in world axes at a body's centre of mass, on while the returned actuator's control is 1."""

@@ -93,8 +93,10 @@ def refitted(
                 Trial(candidate.effect, candidate.place, candidate.names, stage, gain, outcome="fails to run")
             )
             continue
-        trials.append(tried(screen, current, fit, stage, gain))
-        fits.append(fit)
+        for found in (fit, _once_more(fitter, fit, target)):
+            if found is not None:
+                trials.append(tried(screen, current, found, stage, gain))
+                fits.append(found)
     fits.sort(key=lambda f: f.misfit + complexity(screen, f))
     for fit in list(fits[:GROWN]):  # with all its parameters an effect may do what the simple form cannot
         full = _fullest(screen, fit.causes[-1].candidate)
@@ -140,6 +142,16 @@ def _fullest(screen: Screen, candidate: Candidate) -> Candidate | None:
     """The same effect at the same place with the most parameters, if that is more than it has."""
     more = [c for c in screen.candidates if _nested(c, candidate) and len(c.names) > len(candidate.names)]
     return max(more, key=lambda c: len(c.names)) if more else None
+
+
+def _once_more(fitter: Fitter, fit: Fit, target: float) -> Fit | None:
+    """A second search from another valley, where the last cause's effect knows of one."""
+    cause = fit.causes[-1]
+    further = lookup(cause.candidate.effect).further_start
+    if further is None or set(values := further(cause.named)) != set(cause.candidate.names):
+        return None
+    start = Cause(cause.candidate, tuple(values[n] for n in cause.candidate.names))
+    return fitter.fit([*fit.causes[:-1], start], iterations=8, rough=True, target=target)
 
 
 def _extended(screen: Screen, cause: Cause, full: Candidate) -> Cause:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.gap.edit import STIFFEST
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
 
 
@@ -24,7 +25,7 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         tendon = edit.split_rotor(joint)
         half = 0.5 * values["gap"]
         tendon.limited, tendon.range = 1, np.array([-half, half])
-        tendon.solref_limit = np.array([2.2 * edit.context.timestep, 1.0])
+        tendon.solref_limit = np.array([STIFFEST * edit.context.timestep, 1.0])
 
 
 EFFECT = Effect(

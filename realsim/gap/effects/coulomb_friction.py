@@ -20,8 +20,7 @@ def _excited(context, place: Place) -> Excitation:
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     for joint in place:
-        target = edit.spec.joint(edit.motor_joint(joint))
-        target.frictionloss = max(target.frictionloss + values["friction"], 0.0)
+        edit.add_friction(joint, values["friction"])
 
 
 EFFECT = Effect(

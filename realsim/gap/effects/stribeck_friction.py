@@ -43,8 +43,7 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     falling = max(static - moving, 0.0)
     for joint in place:
         name = edit.motor_joint(joint)
-        target = edit.spec.joint(name)
-        target.frictionloss = target.frictionloss + max(static, moving)
+        edit.add_friction(joint, max(static, moving))
         if falling <= 0:
             continue
         wanted = falling / values["stribeck_velocity"]
@@ -60,6 +59,13 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         helper.forcerange, helper.forcelimited = np.array([-falling, falling]), 1
 
 
+def _further_start(values: dict[str, float]) -> dict[str, float]:
+    """Well above the friction in motion: below it, friction at rest does nothing, and no slope leads out of there."""
+    moving = values.get("coulomb", 0.0) or values["static_friction"]
+    static = max(values["static_friction"], 2.5 * moving)
+    return {"static_friction": static, "coulomb": moving, "stribeck_velocity": 1.7 * values["stribeck_velocity"]}
+
+
 EFFECT = Effect(
     name="stribeck_friction",
     title="Stribeck friction",
@@ -73,4 +79,5 @@ EFFECT = Effect(
     excited_by=_excited,
     apply=_apply,
     stiff=True,
+    further_start=_further_start,
 )
