@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -152,10 +153,10 @@ class PPO:
         """The optimiser with its learning rate."""
         return {"adam": self.optimiser.state_dict(), "learning_rate": float(self.learning_rate)}
 
-    def load_state_dict(self, state: Mapping[str, object]) -> None:
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """The inverse."""
-        self.optimiser.load_state_dict(state["adam"])  # type: ignore[arg-type]
-        self.learning_rate.fill_(state["learning_rate"])  # type: ignore[call-overload]
+        self.optimiser.load_state_dict(state["adam"])
+        self.learning_rate.fill_(state["learning_rate"])
         for group in self.optimiser.param_groups:  # loading has put a copy there; the schedule moves ours
             group["lr"] = self.learning_rate
 
