@@ -124,11 +124,15 @@ class Edit:
         target = self.spec.joint(self.motor_joint(joint))
         before = float(target.frictionloss)
         target.frictionloss = max(before + amount, 0.0)
-        if amount > 0 and target.solref_friction[0] > 0:
-            share = amount / (before + amount)
-            constant, stiff = float(target.solref_friction[0]), STIFFEST * float(self.context.timestep)
-            if stiff < constant:
-                target.solref_friction = np.array([constant ** (1 - share) * stiff**share, target.solref_friction[1]])
+        if amount > 0:
+            self.stiffen_friction(joint, amount / (before + amount))
+
+    def stiffen_friction(self, joint: str, share: float) -> None:
+        """Take the time constant of a joint's friction this share of the way (of its logarithm) to the stiffest."""
+        target = self.spec.joint(self.motor_joint(joint))
+        constant, stiff = float(target.solref_friction[0]), STIFFEST * float(self.context.timestep)
+        if stiff < constant:
+            target.solref_friction = np.array([constant ** (1 - share) * stiff**share, target.solref_friction[1]])
 
     def add_force(self, body: str, force: list[float]) -> str:
         """A force in world axes at a body's centre of mass, on while the returned actuator's control is 1."""

@@ -55,13 +55,18 @@ def equivalents(
 
 
 def simplest(fit: Fit, rivals: list[Fit]) -> tuple[Fit, list[Fit]]:
-    """(fit, rivals) with a law in place of the richer one that contains it, where the richer fits no better."""
+    """(fit, rivals) with a law in place of the richer one that contains it, where the richer fits no better.
+
+    Nor is the richer one believed where it fits as well only at an end of its range.
+    """
     for rival in rivals:
         law = rival.causes[-1].candidate
         richer = [
             c for c in fit.causes if LIMITS.get(c.candidate.effect) == law.effect and c.candidate.place == law.place
         ]
-        if richer and len(rival.causes) == len(fit.causes) and rival.misfit - fit.misfit < NO_BETTER:
+        undetermined = any(p in fit.at_bounds for c in richer for p in c.candidate.names)
+        worse = rival.misfit - fit.misfit
+        if richer and len(rival.causes) == len(fit.causes) and (worse < NO_BETTER or undetermined):
             return rival, [r for r in rivals if r is not rival]
     return fit, rivals
 

@@ -77,6 +77,21 @@ def _solver_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL if elliptic else mujoco.mjtCone.mjCONE_ELLIPTIC
 
 
+def _sticking_places(context: Any) -> list[Place]:
+    return [()] if any(context.friction(j) > 0 for j in context.driven) else []
+
+
+def _sticking_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
+    """MuJoCo's dry friction creeps at rest, by default with a time constant of 20 ms; a gear's does not."""
+    return (Parameter("stick", "ratio", (0.0, 1.0), 1.0, nuisance=0.5),)
+
+
+def _sticking_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    """0: as in the model. 1: as stiff as the time step bears."""
+    for joint in edit.context.driven:
+        edit.stiffen_friction(joint, values["stick"])
+
+
 def _make(name: str, places: Any, parameters: Any, apply: Any, description: str) -> Effect:
     return Effect(name, name, "sensor", description, "", "", places, parameters, always, apply, patchable=False)
 
@@ -92,6 +107,13 @@ NUISANCES = {
         _phase_parameters,
         _phase_apply,
         "When the torque is sampled, beside the command.",
+    ),
+    "friction_solver": _make(
+        "friction_solver",
+        _sticking_places,
+        _sticking_parameters,
+        _sticking_apply,
+        "How the simulator solves dry friction in joints.",
     ),
     "contact_solver": _make(
         "contact_solver", _solver_places, _solver_parameters, _solver_apply, "How the simulator solves contacts."

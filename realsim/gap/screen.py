@@ -231,7 +231,8 @@ class Screen:
     def possible(self, x: F64) -> F64:
         """The nearest coordinates that can be simulated."""
         whole = np.array([a.parameter.whole for a in self.atoms])
-        return np.asarray(np.where(whole, np.round(x), x))
+        low, high = np.array([a.parameter.bounds for a in self.atoms]).T
+        return np.asarray(np.clip(np.where(whole, np.round(x), x), low, high))
 
     def settings(self, x: F64) -> list[Setting]:
         """Atoms with these coordinates (0: left out) as settings for the simulator."""
