@@ -113,3 +113,15 @@ def test_absent_on_a_perfect_log_of_a_floating_base(quadruped: Case) -> None:
     found = perfect(case, (*FLOATING, "terrain_tilt", "external_force"))
     assert set(found) >= {"ground_friction", "terrain_height", "terrain_tilt", "imu_bias"}
     assert max(found.values()) < WORTH_TRYING
+
+
+def test_how_the_solver_treats_friction_is_a_nuisance(made: Callable[..., Path]) -> None:
+    """The same robot in a simulator whose dry friction sticks instead of creeping: explained, and no cause."""
+    xml = PENDULUM.replace('frictionloss="0.15"', 'frictionloss="0.6"')
+    case = load_case(made("sticking", Truth(), xml=xml, runs=2, span=(2.6, 3.0)))
+    screen, fitter = screened(logged(case, [("friction_solver", (), {"stick": 1.0})]))
+    with screen.simulator:
+        assert not select(screen, fitter, CONFIG).fit.causes
+        explained = leftover(screen, fitter.nominal())
+        screen.prior[screen.index["friction_solver", (), "stick"]] = 0.0
+        assert (explained < 0.5 * leftover(screen, Fitter(screen).nominal())).all()
