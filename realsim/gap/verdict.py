@@ -14,6 +14,8 @@ from realsim.gap.screen import Screen
 from realsim.gap.select import Selection
 from realsim.types import F64
 
+EXCESS = 1.5
+"""Where no cause takes any of it, a rest must be larger than else by this factor to be called a gap."""
 FAR_ABOVE = 20.0
 """Mean square in units of the floor from which on a rest is no matter of tolerances."""
 NOT_HELD = 0.3
@@ -40,7 +42,7 @@ def judge(case: Case, config: DiagnoseConfig, screen: Screen, selection: Selecti
     gap = is_gap(left)
     if not fit.causes:
         reasons.append(f"{left.mean():.2f} times the floor stays beside the small deviations (nominal {first:.1f})")
-        if gap:
+        if is_gap(left / EXCESS):
             return Judgement("unexplained", max(unexplained, 0.5), probabilities, tuple(reasons))
         return Judgement("no_gap", 0.0, probabilities, tuple(reasons))
     reasons.append(f"{first:.1f} -> {left.mean():.2f} in units of the floor")

@@ -12,7 +12,9 @@ def _places(context) -> list[Place]:
 
 
 def _parameters(context, place: Place) -> tuple[Parameter, ...]:
-    weight = 9.81 * max(context.moved_mass(place[0]), 0.05 * context.total_mass)
+    # On a robot that walks, forces that are small beside its own weight imitate what contacts do.
+    least = (0.5 if context.case.floating else 0.05) * context.total_mass
+    weight = 9.81 * max(context.moved_mass(place[0]), least)
     force = [Parameter(f"f{a}", "N", (-6 * weight, 6 * weight), 0.15 * weight) for a in "xyz"]
     start = Parameter("start", "s", (-1.0, 60.0), 0.1, default=-1.0)
     return (*force, start, Parameter("end", "s", (0.0, FOREVER), 0.1, default=FOREVER))
