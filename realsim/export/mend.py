@@ -46,7 +46,8 @@ def read_mesh(path: Path, unit: str | None = None, up: str = "auto") -> tuple[Te
         mesh: Any = trimesh.load(path, force="mesh", process=False, skip_materials=True)
         vertices, triangles = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
     except Exception as error:  # readers of broken files raise whatever comes up
-        raise ExportError("the mesh cannot be read", file=path, found=f"{type(error).__name__}: {error}") from error
+        found = f"a file that is cut off or damaged ({type(error).__name__}: {error})"
+        raise ExportError("the mesh cannot be read", file=path, found=found) from error
     if path.suffix.lower() == ".stl" and not len(triangles):
         raise ExportError("the mesh cannot be read", file=path, found="no triangle: cut off, or no STL")
     notes = []

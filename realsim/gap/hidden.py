@@ -17,9 +17,9 @@ WORTH_TRYING = 10.0
 TRIED = 3
 """At most so many effects are simulated, the best place of each."""
 SURE, SURE_A_JOINT, SUREST = 12.0, 8.0, 40.0
-"""Gain in log-likelihood that it must then bring, beside its price, grows with the number of joints up to a limit:
+"""Gain in log-likelihood that it must then bring, beside its price: the first, the second a joint, at most the third.
 
-a servo's unmodelled form is worth some on every joint, and more small deviations can be bent to it.
+A servo's unmodelled form is worth some on every joint, and more joints have more small deviations to bend.
 """
 FAR = 4.0
 """Everyday deviations of its own kind that it must exceed."""

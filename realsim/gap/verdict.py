@@ -50,7 +50,8 @@ def judge(case: Case, config: DiagnoseConfig, screen: Screen, selection: Selecti
     if gap and unexplained > limit:
         reasons.append(f"{unexplained:.0%} of the gap stays")
         return Judgement("unexplained", unexplained, probabilities, tuple(reasons))
-    if failed := not_held(shrunk):
+    failed = not_held(shrunk.before_over_floor, shrunk.after_over_floor) if shrunk.unseen else 0.0
+    if failed:
         reasons.append(f"{failed:.0%} of the gap stays on unseen runs")
         return Judgement("unexplained", max(unexplained, failed), probabilities, tuple(reasons))
     if selection.equivalent:
@@ -60,11 +61,14 @@ def judge(case: Case, config: DiagnoseConfig, screen: Screen, selection: Selecti
     return Judgement("identified", unexplained, probabilities, tuple(reasons))
 
 
-def not_held(shrunk: Shrinkage) -> float:
-    """Share of the gap that stays on unseen runs, at most 1; 0 where that is little, or no more than tolerances."""
-    share = shrunk.after_over_floor / max(shrunk.before_over_floor, 1e-9)
-    failed = shrunk.unseen and shrunk.after_over_floor > FAR_ABOVE and share > NOT_HELD
-    return min(share, 1.0) if failed else 0.0
+def not_held(before: float, after: float) -> float:
+    """Share of the gap that stays, at most 1; 0 where that is little, or no more than tolerances.
+
+    Args:
+        before, after: mean squares on unseen runs in units of the floor, without and with the causes.
+    """
+    share = after / max(before, 1e-9)
+    return min(share, 1.0) if after > FAR_ABOVE and share > NOT_HELD else 0.0
 
 
 def remains(screen: Screen, selection: Selection) -> tuple[float, F64, float]:

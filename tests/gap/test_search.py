@@ -85,14 +85,10 @@ def test_a_cause_is_clear_of_nothing_only_where_it_acts(fitter: Fitter) -> None:
 
 
 def test_causes_that_fail_on_unseen_runs_are_no_answer() -> None:
-    def share(before: float, after: float, unseen: bool = True) -> float:
-        return not_held(SimpleNamespace(unseen=unseen, before_over_floor=before, after_over_floor=after))  # type: ignore[arg-type]
-
-    assert share(100.0, 2 * NOT_HELD * 100.0) == pytest.approx(2 * NOT_HELD)
-    assert share(100.0, 400.0) == 1.0
-    assert share(100.0, 60.0, unseen=False) == 0.0  # then there was nothing to check on
-    assert share(100.0, NOT_HELD * 50.0) == 0.0
-    assert share(10.0, 0.9 * FAR_ABOVE) == 0.0
+    assert not_held(100.0, 2 * NOT_HELD * 100.0) == pytest.approx(2 * NOT_HELD)
+    assert not_held(100.0, 400.0) == 1.0
+    assert not_held(100.0, NOT_HELD * 50.0) == 0.0
+    assert not_held(10.0, 0.9 * FAR_ABOVE) == 0.0
 
 
 def test_the_more_usual_of_two_that_fit_alike_stands_first() -> None:
