@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from realsim.gap.case import Case, Run
 from realsim.gap.motion import Motion, blur, estimate
@@ -26,6 +27,8 @@ BLOCK = 25
 """States in a block of the bootstrap: half a second."""
 NEAR_GROUND = 0.02
 """m below which a body counts as touching, where contacts were not logged."""
+AT_STOP = 0.01
+"""rad or m from a joint's stop, inside or beyond: there the stop bears an unknown part of the torque."""
 LEAST_EXPLAINED = 0.3
 """Share of a residual that a term must explain to be named."""
 GRAVITY = 9.81
@@ -39,7 +42,7 @@ class TorqueResidual:
     velocity: F64
     """(N, J) rad/s"""
     residual: F64
-    """(N, J) N m: logged minus needed."""
+    """(N, J) N m: logged minus needed; NaN where the joint is at a stop."""
     rms: F64
     """(J,) of the residual."""
     share: F64
@@ -79,13 +82,15 @@ def torque_residual(simulator: Simulator) -> TorqueResidual | None:
             phases.append(phase[n])
             velocity.append(motion.qvel[n, dofs])
             change.append(motion.qacc[n, dofs])
-            residual.append(torque[n] - needed)
+            residual.append(np.where(at_stop(model, motion.qpos[n])[dofs], np.nan, torque[n] - needed))
             logged.append(torque[n])
     if len(residual) < 20:
         return None
     v, a, r, t, p = (np.array(x) for x in (velocity, change, residual, logged, phases))
-    rms = np.sqrt(np.mean(r**2, axis=0))
-    share = rms**2 / np.maximum(np.mean(t**2, axis=0), 1e-12)
+    free = np.isfinite(r)
+    count = np.maximum(free.sum(axis=0), 1)
+    rms = np.sqrt(np.nansum(r**2, axis=0) / count)
+    share = rms**2 / np.maximum(np.where(free, t**2, 0.0).sum(axis=0) / count, 1e-12)
     terms = tuple(_term(v[:, j], a[:, j], t[:, j], r[:, j], p[:, j]) for j in range(r.shape[1]))
     return TorqueResidual(case.joint_names, v, r, rms, share, terms)
 
@@ -109,7 +114,7 @@ def _phase(case: Case, run: Run, motion: Motion) -> F64:
 
 def _term(v: F64, a: F64, torque: F64, residual: F64, phase: F64) -> dict[str, Any]:
     """The one regressor that explains most of a joint's residual; states near rest say nothing about friction."""
-    moving = np.abs(v) > 0.03 * np.abs(v).max(initial=1e-9)
+    moving = (np.abs(v) > 0.03 * np.abs(v).max(initial=1e-9)) & np.isfinite(residual)
     rivals = {
         "against the velocity, of constant size": (np.sign(v), "N m"),
         "in proportion to the velocity": (v, "N m s/rad"),
@@ -175,6 +180,7 @@ def _lacking(case: Case, model: Any, data: Any, run: Run, motion: Motion, n: int
     sigma = np.full(model.nv, 0.0)
     sigma[:] = 0.2 + 0.05 * np.abs(driven)
     sigma[base] = 0.5 * weight
+    sigma[at_stop(model, motion.qpos[n])] = weight  # what the stop bears is unknown
     A = np.vstack([J.T / sigma[:, None], np.eye(len(J)) / (3 * weight)])
     b = np.concatenate([rest / sigma, np.zeros(len(J))])
     force = np.linalg.lstsq(A, b, rcond=None)[0]
@@ -182,17 +188,27 @@ def _lacking(case: Case, model: Any, data: Any, run: Run, motion: Motion, n: int
 
 
 def _needed(model: Any, data: Any, motion: Motion, n: int) -> F64:
-    """(nv,) generalised force that the model needs for a state and its acceleration, without contacts."""
+    """(nv,) generalised force that the model needs for a state and its acceleration, without contacts or stops."""
     import mujoco
 
     flags = int(model.opt.disableflags)
-    model.opt.disableflags = flags | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    outside = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    model.opt.disableflags = flags | int(outside)
     try:
         data.qpos[:], data.qvel[:], data.qacc[:] = motion.qpos[n], motion.qvel[n], motion.qacc[n]
         mujoco.mj_inverse(model, data)
     finally:
         model.opt.disableflags = flags
     return np.array(data.qfrc_inverse)
+
+
+def at_stop(model: Any, qpos: F64) -> npt.NDArray[np.bool_]:
+    """(nv,) whether a hinge or slide is at the end of its range."""
+    found = np.zeros(model.nv, bool)
+    ends = model.jnt_limited.astype(bool) & (model.jnt_type >= 2)  # mjJNT_SLIDE, mjJNT_HINGE
+    q, (low, high) = qpos[model.jnt_qposadr[ends]], model.jnt_range[ends].T
+    found[model.jnt_dofadr[ends]] = (q < low + AT_STOP) | (q > high - AT_STOP)
+    return found
 
 
 def _drive(case: Case, model: Any, data: Any, run: Run, when: float) -> F64:

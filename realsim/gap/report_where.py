@@ -124,8 +124,11 @@ def _scatter(found: Diagnosis, joint: str) -> str:
     if residual is None:
         return ""
     j = residual.joints.index(joint)
-    step = max(1, len(residual.residual) // _POINTS)
-    points = np.column_stack([residual.velocity[::step, j], residual.residual[::step, j]])
+    points = np.column_stack([residual.velocity[:, j], residual.residual[:, j]])
+    points = points[np.isfinite(points[:, 1])]
+    if not len(points):
+        return ""
+    points = points[:: max(1, len(points) // _POINTS)]
     axes = svg.Axes(svg.padded(points[:, 0], 0.05), svg.padded(points[:, 1], 0.08), height=190, left=48,
                     x_label=f"velocity of {short(joint, 24)}, rad/s", y_label="N m")  # fmt: skip
     axes.dots(points, "var(--c1)", radius=1.8)

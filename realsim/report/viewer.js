@@ -84,7 +84,7 @@
     const canvas = host.appendChild(document.createElement("canvas"));
     const gl = canvas.getContext("webgl2", { antialias: true, alpha: true, premultipliedAlpha: true });
     if (!gl) {
-      host.insertAdjacentHTML("beforeend", '<div class="message">This browser offers no WebGL 2: the 3D view is not shown. The mesh is in mesh.glb beside this page.</div>');
+      host.insertAdjacentHTML("beforeend", '<div class="message">This browser offers no WebGL 2, which the 3D view needs. The rest of the page is whole.</div>');
       return;
     }
     const shader = program(gl);

@@ -113,6 +113,21 @@ def test_torque_residual_names_friction(sticky: Simulator) -> None:
     assert shoulder["explains"] < 0.6
 
 
+def test_what_a_stop_bears_is_no_missing_torque(arm: Simulator) -> None:
+    """The commands press the elbow against a stop that the model has."""
+    spec = arm.case.spec.copy()
+    spec.joint("elbow").limited = True
+    spec.joint("elbow").range = [-10.0, float(np.nanmedian(arm.case.runs[0].signals["joint_pos"][:, 1]))]
+    with Simulator(replace(arm.case, spec=spec, model=spec.copy().compile()), CONFIG) as robot:
+        pressed = logged(robot, [])
+    with Simulator(pressed, CONFIG) as robot:
+        found = torque_residual(robot)
+    assert found is not None
+    assert np.isnan(found.residual[:, 1]).mean() > 0.1
+    assert np.isfinite(found.residual[:, 0]).all()
+    assert found.rms[1] < 0.3 * np.std(pressed.runs[0].signals["joint_torque"][:, 1])
+
+
 def quadruped(folder: Path) -> Case:
     legs, servos, names = [], [], []
     for leg, x, y in (("fl", 0.2, 0.1), ("fr", 0.2, -0.1), ("hl", -0.2, 0.1), ("hr", -0.2, -0.1)):
