@@ -290,12 +290,12 @@ def measured(function: Callable[..., Row], *args: Any) -> Row:
 
 
 def _timed(function: Callable[..., Row], args: tuple[Any, ...]) -> Row:
-    import resource
+    from realsim.pipeline import peak_memory_mb
 
     began, cpu = time.perf_counter(), time.process_time()
     row = function(*args)
     spent = {"seconds": time.perf_counter() - began, "cpu_seconds": time.process_time() - cpu}
-    return {**spent, "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3, **row}
+    return {**spent, "peak_mb": peak_memory_mb(), **row}
 
 
 def _reconstruct(source: Path, out: Path, poses: str, max_frames: int | None = None, every: int = 1) -> Row:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,7 @@ from realsim import export, pipeline
 from realsim.cli import main
 from realsim.errors import RealsimError
 from realsim.export.config import SceneConfig
-from realsim.pipeline import ReconstructConfig, reconstruct
+from realsim.pipeline import ReconstructConfig, peak_memory_mb, reconstruct
 from realsim.synth.capture import SynthCapture, write_capture
 from realsim.synth.config import SynthConfig
 from realsim.synth.errors import compare
@@ -135,3 +137,12 @@ def test_a_damaged_frame_is_dropped_named_and_the_rest_goes_on(
     read = pipeline.capture.read(tmp_path / "capture", config.capture)
     assert len(read) == FRAMES - 1
     assert [d.name for d in read.dropped] == [victim.stem]
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems' figure is getrusage's")
+def test_peak_memory_is_this_process_s_own() -> None:
+    ballast = np.ones(30_000_000)  # 240 MB, more than the child will need
+    code = "from realsim.pipeline import peak_memory_mb; print(peak_memory_mb())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert peak_memory_mb() > ballast.nbytes / 1e6
+    assert 5 < float(done.stdout) < ballast.nbytes / 1e6
