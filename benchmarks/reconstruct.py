@@ -320,10 +320,10 @@ def show(rows: list[Row], columns: tuple[str, ...]) -> None:
         print("  ".join(text.ljust(w) for text, w in zip(line, widths, strict=True)).rstrip())
     for row in rows:
         if "error" in row:
-            print(f"{row.get('capture', row.get('frames'))} {row.get('method', '')}: {row['error']}")
+            print(f"{row.get('frames', row.get('capture'))} {row.get('method', '')}: {row['error']}")
         if "stages" in row:
             stages = ", ".join(f"{s['name']} {s['seconds']:.1f} s {s['peak_mb']:.0f} MB" for s in row["stages"])
-            print(f"{row.get('capture', row.get('frames'))} {row.get('method', '')}: {stages}")
+            print(f"{row.get('frames', row.get('capture'))} {row.get('method', '')}: {stages}")
     print()
 
 
