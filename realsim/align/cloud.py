@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.errors import AlignError
+from realsim.ordered import in_order
 from realsim.progress import track
 from realsim.types import F32, F64, Bool, MetricScene, Scan
 
@@ -76,9 +77,10 @@ def from_views(scene: MetricScene, voxel: float = VOXEL) -> Cloud:
     Raises:
         AlignError: no view has a usable point.
     """
-    gathered: list[tuple[NDArray[np.int64], F64]] = []
     anchor = scene.T_world_camera[0, :3, 3]
-    for i, view in track(scene.views(), "fuse", total=len(scene)):
+
+    def voxels(i: int) -> tuple[NDArray[np.int64], F64]:
+        view = scene.load(i)
         z = view.points[..., 2]
         keep = (view.mask & ~depth_edges(z, view.mask))[::2, ::2]
         p = view.points[::2, ::2][keep].astype(np.float64)
@@ -92,7 +94,11 @@ def from_views(scene: MetricScene, voxel: float = VOXEL) -> Cloud:
         rows[:, 7] = 0
         keys, rows = _reduced(_keys(world - anchor, voxel), rows)
         rows[:, 7] = 1  # this frame saw the voxel, however many of its pixels fell into it
-        gathered.append((keys, rows))
+        return keys, rows
+
+    gathered: list[tuple[NDArray[np.int64], F64]] = []
+    for part in track(in_order(voxels, len(scene)), "fuse", total=len(scene)):
+        gathered.append(part)
         if len(gathered) > MERGE_EVERY:
             gathered = [_merged(gathered)]
     _, rows = _merged(gathered)

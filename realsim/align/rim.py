@@ -15,6 +15,7 @@ import numpy as np
 from realsim.align.cloud import depth_edges
 from realsim.align.platforms import Face, polygon_area_centroid
 from realsim.geometry import invert_T, transform
+from realsim.ordered import in_order
 from realsim.progress import track
 from realsim.types import F64, Intrinsics, MetricScene, PointView
 
@@ -47,19 +48,28 @@ class Votes:
     def empty(cls, edges: int) -> Votes:
         return cls(*(np.zeros((edges, SECTIONS, BINS)) for _ in range(3)))
 
+    def add(self, other: Votes) -> None:
+        """Take in another view's."""
+        self.stopped[...] += other.stopped
+        self.passed[...] += other.passed
+        self.sides[...] += other.sides
+
 
 def refined(faces: list[Face], scene: MetricScene, T_level_world: F64) -> list[Face]:
     """Faces (levelled frame) with their outlines moved to where the views see the edges. Views are read once."""
     if not faces:
         return faces
+
+    def seen(i: int) -> list[Votes | None]:
+        view, T = scene.load(i), T_level_world @ scene.T_world_camera[i]
+        windows = [_window(face, T, scene.frames[i].intrinsics, view.mask.shape) for face in faces]
+        return [None if w is None else _votes(face, T, view, w) for face, w in zip(faces, windows, strict=True)]
+
     votes = [Votes.empty(len(face.outline)) for face in faces]
-    for i, view in track(scene.views(), "edges of platforms", total=len(scene)):
-        T = T_level_world @ scene.T_world_camera[i]
-        for face, counted in zip(faces, votes, strict=True):
-            window = _window(face, T, scene.frames[i].intrinsics, view.mask.shape)
-            if window is None:
-                continue
-            _vote(face, counted, T, view, window)
+    for more in track(in_order(seen, len(scene)), "edges of platforms", total=len(scene)):
+        for counted, new in zip(votes, more, strict=True):
+            if new is not None:
+                counted.add(new)
     return [
         moved(face, [located(counted, e) for e in range(len(face.outline))])
         for face, counted in zip(faces, votes, strict=True)
@@ -85,8 +95,8 @@ def _window(face: Face, T: F64, camera: Intrinsics, shape: tuple[int, ...]) -> t
     return slice(top, bottom), slice(left, right)
 
 
-def _vote(face: Face, votes: Votes, T: F64, view: PointView, window: tuple[slice, slice]) -> None:
-    """Add one view's pixels to the votes of a face."""
+def _votes(face: Face, T: F64, view: PointView, window: tuple[slice, slice]) -> Votes | None:
+    """Of one view's pixels for the rim of a face; None if it hardly saw the face."""
     pixels, mask = view.points[window], view.mask[window]
     edges = depth_edges(pixels[..., 2], mask)
     stride = 1 + int(np.sqrt(mask.size / PIXELS))
@@ -107,7 +117,8 @@ def _vote(face: Face, votes: Votes, T: F64, view: PointView, window: tuple[slice
     outward = np.column_stack([along[:, 1], -along[:, 0]])
     inner = np.all([(crossing - a[e]) @ outward[e] < -0.03 for e in range(len(a))], axis=0) & (np.abs(over) < 0.04)
     if inner.sum() < 100:
-        return
+        return None
+    votes = Votes.empty(len(a))
     # This view's own idea of the face: its height here takes out what pose and sensor pattern add.
     shift = float(np.median(over[inner]))
     over = over - shift
@@ -117,19 +128,24 @@ def _vote(face: Face, votes: Votes, T: F64, view: PointView, window: tuple[slice
         if lengths[e] < LEAST_EDGE:
             continue
         facing = ray[:, :2] @ outward[e]
-        for kind, xy, chosen, weight in (
-            (votes.stopped, crossing, (facing > 0) & (np.abs(over) <= band), depth**-2.0),
-            (votes.passed, crossing, (facing > 0) & (over < -band) & ~flying, depth**-2.0),
-            (votes.sides, points[:, :2], (facing < 0) & (over > SIDE[0]) & (over < SIDE[1]), depth**-4.0),
-        ):
-            s = (xy - a[e]) @ outward[e]
-            t = (xy - a[e]) @ along[e] / lengths[e]
-            keep = chosen & (np.abs(s) < REACH) & (t > 0.08) & (t < 0.92)
-            section = ((t[keep] - 0.08) / 0.84 * SECTIONS).astype(int)
-            cell = np.clip(section, 0, SECTIONS - 1) * BINS + np.clip(
-                ((s[keep] + REACH) / BIN).astype(int), 0, BINS - 1
-            )
-            kind[e] += np.bincount(cell, weight[keep], SECTIONS * BINS).reshape(SECTIONS, BINS)
+        edge = a[e], along[e], outward[e], float(lengths[e])
+        stopped = (facing > 0) & (np.abs(over) <= band)
+        passed = (facing > 0) & (over < -band) & ~flying
+        side = (facing < 0) & (over > SIDE[0]) & (over < SIDE[1])
+        votes.stopped[e] = _histogram(crossing[stopped], depth[stopped] ** -2.0, *edge)
+        votes.passed[e] = _histogram(crossing[passed], depth[passed] ** -2.0, *edge)
+        votes.sides[e] = _histogram(points[side, :2], depth[side] ** -4.0, *edge)
+    return votes
+
+
+def _histogram(xy: F64, weight: F64, start: F64, along: F64, outward: F64, length: float) -> F64:
+    """(SECTIONS, BINS) sums of weights by place along an edge and distance outward from it."""
+    offset = xy - start
+    s, t = offset @ outward, offset @ along / length
+    keep = (np.abs(s) < REACH) & (t > 0.08) & (t < 0.92)
+    section = np.clip(((t[keep] - 0.08) / 0.84 * SECTIONS).astype(int), 0, SECTIONS - 1)
+    cell = section * BINS + np.clip(((s[keep] + REACH) / BIN).astype(int), 0, BINS - 1)
+    return np.bincount(cell, weight[keep], SECTIONS * BINS).reshape(SECTIONS, BINS).astype(np.float64)
 
 
 def _over(face: Face, points: F64) -> F64:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.meshing.quality import corner_fans, crossing, degenerate, passes
-from realsim.meshing.surface import Surface, edges_of
+from realsim.meshing.surface import Surface, edges_of, first_of_each
 from realsim.types import Bool
 
 
@@ -23,7 +23,7 @@ def tidy(surface: Surface) -> Surface:
     """Manifold, without degenerate or doubled triangles, in canonical order (so that equal input gives equal bytes)."""
     for _ in range(5):
         surface = surface.where(~degenerate(surface))
-        _, first = np.unique(np.sort(surface.triangles, axis=1), axis=0, return_index=True)
+        first = first_of_each(np.sort(surface.triangles, axis=1).astype(np.int64))
         keep = np.zeros(len(surface.triangles), bool)
         keep[first] = True
         surface = surface.where(keep)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.meshing.surface import Surface, components, edges_of
+from realsim.meshing.surface import Surface, components, edges_of, first_of_each
 from realsim.types import Bool, MeshQuality
 
 
@@ -53,8 +53,9 @@ def non_manifold(surface: Surface) -> tuple[int, int]:
     _, count, of_half = edges_of(surface.triangles)
     forward = passes(surface.triangles, of_half, len(count))
     bad_edges = int(((count > 2) | (np.maximum(forward, count - forward) > 1)).sum())
-    fans = np.unique(np.stack([t.ravel(), corner_fans(surface.triangles)], -1), axis=0)[:, 0]
-    return bad_edges, int((np.unique(fans, return_counts=True)[1] > 1).sum())
+    corner = t.ravel()
+    fans = corner[first_of_each(np.stack([corner, corner_fans(surface.triangles)], -1))]
+    return bad_edges, int((np.bincount(fans) > 1).sum())
 
 
 def crossing(surface: Surface) -> Bool:

@@ -84,11 +84,25 @@ def edges_of(triangles: I32) -> tuple[NDArray[np.int64], NDArray[np.int64], NDAr
     Half-edge h belongs to triangle h // 3 and leads from its corner h % 3 to the next.
     """
     t = triangles.astype(np.int64)
-    half = np.stack([t, np.roll(t, -1, axis=1)], -1).reshape(-1, 2)
-    low, high = half.min(1), half.max(1)
+    start, end = t.ravel(), np.roll(t, -1, axis=1).ravel()
+    low, high = np.minimum(start, end), np.maximum(start, end)
     scale = int(t.max()) + 1 if len(t) else 1
     key, inverse, count = np.unique(low * scale + high, return_inverse=True, return_counts=True)
     return np.stack([key // scale, key % scale], -1), count, inverse.ravel()
+
+
+def first_of_each(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Where each different row of (K, 2 or 3) non-negative numbers first occurs, in the order of the rows' values.
+
+    As `np.unique(rows, axis=0, return_index=True)[1]`, but over one number a row, which sorts many times faster.
+    """
+    scale = int(rows.max()) + 1 if len(rows) else 1
+    if scale ** rows.shape[1] > 2**63:
+        return np.asarray(np.unique(rows, axis=0, return_index=True)[1])
+    key = rows[:, 0]
+    for column in rows.T[1:]:
+        key = key * scale + column
+    return np.asarray(np.unique(key, return_index=True)[1])
 
 
 def components(triangles: I32) -> tuple[int, NDArray[np.int64]]:

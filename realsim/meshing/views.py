@@ -58,8 +58,8 @@ def noise_of(d: F32) -> float:
     return float(max(np.median(second) / 0.6745 / np.sqrt(6), 2.5e-4 * np.median(valid)))
 
 
-def _slope(d: F32, axis: int, sigma: float) -> tuple[F32, Bool]:
-    """Derivative of inverse depth a pixel along an axis, taken from the side that looks like a plane.
+def _slope(d: F32, axis: int, sigma: float, some: tuple[slice, slice]) -> tuple[F32, Bool]:
+    """Derivative of inverse depth a pixel along an axis at some pixels, taken from the side that looks like a plane.
 
     Returns the slope and where it is known. A side is judged by its own second difference, so that at a crease or a
     jump the slope comes from the pixel's own surface (the stencil choice of ENO schemes; Harten et al. 1987).
@@ -71,14 +71,15 @@ def _slope(d: F32, axis: int, sigma: float) -> tuple[F32, Bool]:
     def at(offset: int) -> F32:
         take = [slice(None), slice(None)]
         take[axis] = slice(SPAN + offset, SPAN + offset + d.shape[axis])
-        return p[tuple(take)]
+        return p[tuple(take)][some]
 
+    here = d[some]
     sides = []
     for sign in (-1, 1):
         near, far = at(sign * h), at(sign * SPAN)
-        bend = np.abs(far - 2 * near + d)
+        bend = np.abs(far - 2 * near + here)
         bend[(near <= 0) | (far <= 0)] = np.inf
-        sides.append((sign * (far - d) / SPAN, bend))
+        sides.append((sign * (far - here) / SPAN, bend))
     (left, bend_l), (right, bend_r) = sides
     limit = np.float32(2 * sigma)
     both = (bend_l < limit) & (bend_r < limit)
@@ -100,34 +101,34 @@ def sample_view(view: PointView, T_sim_camera: F64, bounds: F64, sigma: float, p
     valid = d > 0
     blurred = np.asarray(cv2.bilateralFilter(d, 7, max(3.0 * sigma, 1e-6), 2.5), np.float32)
     smooth: F32 = np.where(valid & (np.abs(blurred - d) < 4 * sigma), blurred, np.float32(0))
-    du, ok_u = _slope(smooth, 1, sigma)
-    dv, ok_v = _slope(smooth, 0, sigma)
-    keep = (smooth > 0) & ok_u & ok_v & view.mask
+    # From here on one pixel in four.
+    some = slice(phase % 2, None, 2), slice(phase // 2 % 2, None, 2)
+    du, ok_u = _slope(smooth, 1, sigma, some)
+    dv, ok_v = _slope(smooth, 0, sigma, some)
+    pixels, q, soft, confidence = view.points[some], d[some], smooth[some], view.confidence[some]
+    keep = (soft > 0) & ok_u & ok_v & view.mask[some]
 
-    ray = view.points[..., :2] * d[..., None]
+    ray = pixels[..., :2] * q[..., None]
     fx, fy, _, _ = pinhole(view)
-    normal = np.empty((*d.shape, 3), np.float32)
+    normal = np.empty((*q.shape, 3), np.float32)
     normal[..., 0], normal[..., 1] = -du * fx, -dv * fy
     # Plane n·P = 1 means n·(x, y, 1) = d, hence n_z = d - n_x x - n_y y; the minus turns it toward the camera.
-    normal[..., 2] = -smooth - normal[..., 0] * ray[..., 0] - normal[..., 1] * ray[..., 1]
+    normal[..., 2] = -soft - normal[..., 0] * ray[..., 0] - normal[..., 1] * ray[..., 1]
     length = np.linalg.norm(normal, axis=-1)
     ray_length = np.sqrt(1 + (ray**2).sum(-1))
-    cosine = np.divide(smooth, length * ray_length, out=np.zeros_like(d), where=length > 0)
+    cosine = np.divide(soft, length * ray_length, out=np.zeros_like(q), where=length > 0)
     keep &= cosine > MIN_COSINE
-    turn = np.zeros_like(keep)
-    turn[phase % 2 :: 2, phase // 2 % 2 :: 2] = True
-    keep &= turn
 
     z = np.divide(1.0, smooth, out=np.zeros_like(d), where=smooth > 0)
-    points = transform(T_sim_camera, (view.points[keep] * (z[keep] * d[keep])[:, None]).astype(np.float64))
+    points = transform(T_sim_camera, (pixels[keep] * (z[some][keep] * q[keep])[:, None]).astype(np.float64))
     inside = ((points > bounds[0]) & (points < bounds[1])).all(1)
-    index = np.flatnonzero(keep)[inside]
-    zk, ck = z.ravel()[index].astype(np.float64), cosine.ravel()[index].astype(np.float64)
+    keep[keep] = inside
+    zk, ck = z[some][keep].astype(np.float64), cosine[keep].astype(np.float64)
     along = sigma * zk**2 * ck
     sideways = LATERAL_PX * zk / max(fx, fy) * np.sqrt(1 - np.minimum(ck, 1) ** 2)
-    weights = view.confidence.ravel()[index] * ck / (along**2 + sideways**2 + 1e-8)
-    normals = normal.reshape(-1, 3)[index] / length.ravel()[index, None]
-    colors = None if view.color is None else view.color.reshape(-1, 3)[index]
+    weights = confidence[keep] * ck / (along**2 + sideways**2 + 1e-8)
+    normals = normal[keep] / length[keep, None]
+    colors = None if view.color is None else view.color[some][keep]
     return Samples(points[inside], normals.astype(np.float64) @ T_sim_camera[:3, :3].T, weights, colors), z
 
 

@@ -37,10 +37,11 @@ def depth_map(depth: F32, fx: float, fy: float, cx: float, cy: float, T_sim_came
     import cv2
 
     h, w = depth.shape[0] // 2 * 2, depth.shape[1] // 2 * 2
-    blocks = depth[:h, :w].reshape(h // 2, 2, w // 2, 2)
-    near = np.where(blocks > 0, blocks, np.inf).min((1, 3))
-    known = np.isfinite(near)
-    far = blocks.max((1, 3))
+    a, b, c, d = (depth[i:h:2, j:w:2] for i in (0, 1) for j in (0, 1))
+    far = np.maximum(np.maximum(a, b), np.maximum(c, d))
+    known = far > 0
+    a, b, c, d = (np.where(x > 0, x, np.float32(np.inf)) for x in (a, b, c, d))
+    near = np.minimum(np.minimum(a, b), np.minimum(c, d))
     kernel = np.ones((3, 3), np.uint8)
     near = cv2.erode(np.where(known, near, 60).astype(np.float32), kernel)
     far = cv2.dilate(far.astype(np.float32), kernel)

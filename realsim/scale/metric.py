@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from realsim.errors import ScaleError
+from realsim.ordered import in_order
 from realsim.progress import track
 from realsim.scale.config import ScaleConfig
 from realsim.types import F32, F64, Bool, MetricScene, Pointmaps, PointView, ScaleEstimate
@@ -36,11 +37,12 @@ def to_metric(points: Pointmaps, config: ScaleConfig, up_world: F64 | None = Non
     from realsim.scale import ESTIMATORS
 
     ratio = ESTIMATORS[config.method]
-    ratios = []
-    for i in track(range(len(points)), "scale"):
-        rng = np.random.default_rng([config.seed, i])
+
+    def of_frame(i: int) -> float:
         pixels = _paired(points, i, up_world)
-        ratios.append(float("nan") if pixels is None else ratio(*pixels, rng))
+        return float("nan") if pixels is None else ratio(*pixels, np.random.default_rng([config.seed, i]))
+
+    ratios = list(track(in_order(of_frame, len(points)), "scale", len(points)))
     scale = estimate(np.array(ratios), [f.name for f in points.frames], config)
     scale = with_sensor(scale, _sensor_sigma(points, config))
     scale = with_claim(scale, points.metric_claim)

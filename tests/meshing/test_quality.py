@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from realsim.meshing.clean import canonical, tidy, uncrossed, weld
 from realsim.meshing.decimate import decimate, hausdorff
 from realsim.meshing.quality import check, degenerate, non_manifold
-from realsim.meshing.surface import Surface, components, drop_islands
+from realsim.meshing.surface import Surface, components, drop_islands, first_of_each
 
 
 def cube(offset: float = 0.0, size: float = 1.0) -> Surface:
@@ -118,3 +119,10 @@ def test_decimation_is_within_its_bound(target: int, bound: float) -> None:
     border = result.surface.vertices
     assert np.allclose(border.min(0)[:2], 0, atol=bound)
     assert np.allclose(border.max(0)[:2], 1, atol=bound)
+
+
+@given(
+    arrays(np.int64, st.tuples(st.integers(0, 30), st.integers(2, 3)), elements=st.sampled_from([0, 1, 2, 7, 2**40]))
+)
+def test_first_rows_are_those_of_numpy(rows: np.ndarray) -> None:
+    assert np.array_equal(first_of_each(rows), np.unique(rows, axis=0, return_index=True)[1])

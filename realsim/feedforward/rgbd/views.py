@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from realsim.types import F32, U8, Bool, Frame, Intrinsics, PointView
@@ -31,7 +33,7 @@ def point_view(frame: Frame, gain: float) -> PointView:
     color = frame.color()
     if color is not None:
         color = resample(color, frame.color_intrinsics or frame.intrinsics, frame.intrinsics)
-    points = frame.intrinsics.rays() * depth[..., None]
+    points = _rays(frame.intrinsics)[0] * depth[..., None]
     return PointView(points, np.where(mask, confidence, 0).astype(np.float32), mask, color)
 
 
@@ -50,12 +52,22 @@ def _slant(depth: F32, camera: Intrinsics) -> tuple[F32, Bool]:
     soft = cv2.blur(filled, (5, 5))
     nx = cv2.Sobel(soft, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8) * camera.fx
     ny = cv2.Sobel(soft, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8) * camera.fy
-    rays = camera.rays()
+    rays, ray_lengths = _rays(camera)
     nz = q - nx * rays[..., 0] - ny * rays[..., 1]
-    length = np.sqrt(nx**2 + ny**2 + nz**2) * np.linalg.norm(rays, axis=-1)
+    length = np.sqrt(nx**2 + ny**2 + nz**2) * ray_lengths
     cosine = np.abs(q) / np.maximum(length, 1e-9)
     jump = _jumps(q)
     return np.where(depth > 0, cosine, 0).astype(np.float32), jump
+
+
+@lru_cache(maxsize=4)
+def _rays(camera: Intrinsics) -> tuple[F32, F32]:
+    """A camera's rays (H, W, 3) and their lengths (H, W), read-only: most captures have one camera."""
+    rays = camera.rays()
+    lengths = np.linalg.norm(rays, axis=-1)
+    for a in (rays, lengths):
+        a.flags.writeable = False
+    return rays, lengths
 
 
 def _jumps(q: F32) -> Bool:
