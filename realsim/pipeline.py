@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import tyro
+from threadpoolctl import threadpool_limits
 
 from realsim import align, capture, export, feedforward, meshing, modes, report, scale
 from realsim.align.config import AlignConfig
@@ -177,7 +178,9 @@ class _Run:
         note(f"{name} ...")
         began = time.perf_counter()
         try:
-            value, reused = work()
+            # Views are worked on in threads; BLAS threads of its own beside them would wait in loops for each other.
+            with threadpool_limits(1, user_api="blas"):
+                value, reused = work()
         except MemoryError as error:
             raise RealsimError(
                 f"out of memory in stage {name}", hint="use fewer frames (--max-frames) or a coarser --resolution"
