@@ -177,7 +177,7 @@ class Pointmaps:
     T_world_camera: F64
     """(N, 4, 4) as found, up to scale."""
     load: Callable[[int], PointView]
-    """i -> points of view i, camera frame, up to scale. Reads or computes at each call."""
+    """i -> points of view i, camera frame, up to scale. May read or compute at each call; not to be written into."""
     backend: str
     world_is_capture: bool
     """True if the world of the poses is that of the given poses, False if it was chosen by the backend."""

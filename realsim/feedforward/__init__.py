@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from realsim.errors import CaptureError
 from realsim.feedforward.config import PointsConfig
+from realsim.feedforward.kept import Kept
 from realsim.registry import Registry
 from realsim.types import FrameSet, Pointmaps, Solution
 
@@ -35,8 +37,12 @@ def solve(frames: FrameSet, config: PointsConfig) -> Solution:
 
 
 def pointmaps(frames: FrameSet, solution: Solution, config: PointsConfig) -> Pointmaps:
-    """The views of a solution, made when they are asked for. `solution` must be of the same frames and backend."""
-    return BACKENDS[config.backend].pointmaps(frames, solution, config)
+    """The views of a solution, made when they are asked for and kept if few.
+
+    `solution` must be of the same frames and backend.
+    """
+    found = BACKENDS[config.backend].pointmaps(frames, solution, config)
+    return replace(found, load=Kept(found.load, len(found.frames)))
 
 
 def inputs(config: PointsConfig) -> tuple[Path, ...]:
