@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from realsim.gap.baselines import first_choices, rival_settings
 from realsim.gap.case import Case
@@ -49,7 +50,8 @@ def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progres
         EFFECTS[name]  # an unknown name is said with the closest ones
     began, cpu = time.perf_counter(), time.process_time()
     case = _limited(case, config)
-    with Simulator(case, config) as simulator:
+    # The matrices are too small for BLAS to gain from threads, and with one the sums have one order everywhere.
+    with threadpool_limits(1, user_api="blas"), Simulator(case, config) as simulator:
         health = examine(simulator)
         nominal = simulator.simulate()
         comparison = Comparison(case, simulator.channels, nominal, config)
