@@ -20,7 +20,9 @@ REASONABLE = 3.0
 """Standard deviations up to which a small deviation is an everyday one."""
 
 SURE_ERRORS = (2.0, 2.0, 3.0)
-"""Standard errors beyond which a first, second, third cause is something: many at once are rare."""
+"""Standard errors off nothing that each of one, two, three causes must reach: many at once are rare."""
+ENOUGH = 4
+"""Runs."""
 
 
 class Fitter(Search):
@@ -124,10 +126,16 @@ class Fitter(Search):
             return fit
         return self._measure(fit.causes, self._parameters([c.candidate for c in fit.causes]), None)
 
-    def clear(self, fit: Fit) -> bool:
-        """Whether the last cause lies well off nothing, by slopes at its very values: a search's own may be stale."""
+    def clear(self, fit: Fit) -> list[bool]:
+        """Whether each cause lies well off nothing, by slopes at its very values: a search's own may be stale.
+
+        Of few runs all do: too few say too little about their own scatter for a standard error to decide.
+        """
+        if len(self.screen.runs) < ENOUGH:
+            return [True] * len(fit.causes)
         least = SURE_ERRORS[min(len(fit.causes), len(SURE_ERRORS)) - 1]
-        return significance(self.spread(fit)) >= least
+        parameters = self._parameters([c.candidate for c in fit.causes])
+        return [found >= least for found in significance(self.spread(fit), parameters)]
 
     # ------------------------------------------------------------ inside
 

@@ -73,13 +73,22 @@ def spread(info: F64, scores: F64, parameters: list[Parameter]) -> F64:
     return np.asarray(inverse * np.outer(ratio, ratio))
 
 
-def significance(fit: Fit) -> float:
-    """Size of the last cause's best-determined value in its own standard errors."""
-    cause = fit.causes[-1]
-    count = len(cause.values)
-    errors = np.sqrt(np.maximum(np.diag(fit.covariance)[-count:], 1e-30))
-    defaults = np.array([0.0 if v else v for v in cause.values])
-    return float(np.max(np.abs(np.array(cause.values) - defaults) / errors))
+def significance(fit: Fit, parameters: Sequence[Parameter]) -> list[float]:
+    """How many of its own standard errors each cause lies off nothing, by its best-determined strength.
+
+    Shape parameters (a Stribeck velocity, when a force begins) do not count: none of their values means nothing.
+
+    Args:
+        parameters: of all values in a row.
+    """
+    errors = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-30))
+    found, i = [], 0
+    for cause in fit.causes:
+        n = len(cause.values)
+        rows = zip(cause.values, errors[i : i + n], parameters[i : i + n], strict=True)
+        found.append(max((abs(v) / e for v, e, p in rows if p.default == 0.0), default=0.0))
+        i += n
+    return found
 
 
 def form(fit: Fit) -> float:

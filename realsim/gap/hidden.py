@@ -46,7 +46,7 @@ def hidden(screen: Screen, fitter: Fitter, current: Fit, stage: int, trials: lis
         sure = (
             brings > least + 2.0 * len(cause.values)
             and deviation(screen, cause) >= FAR
-            and (len(screen.runs) < 4 or fitter.clear(fit))
+            and fitter.clear(fit)[-1]
             and holds(mean, error, positive)
             and positive >= NEARLY_ALL
         )

@@ -117,8 +117,8 @@ def _acceptable(
         reasons.append(f"gain {gain:.1f} is within noise")
     if deviation(screen, cause) < config.min_deviation:
         reasons.append("no larger than everyday deviations")
-    if len(screen.runs) >= 4 and not fitter.clear(fit):  # three runs say too little about their own scatter
-        reasons.append("within two standard errors of nothing")
+    if not fitter.clear(fit)[-1]:
+        reasons.append("too few standard errors off nothing")
     if not holds(mean, error, positive):
         reasons.append("does not hold on unseen runs")
     share = config.min_share if not current.causes else 2 * config.min_share
@@ -178,15 +178,16 @@ def _exchange(screen: Screen, fitter: Fitter, fit: Fit, notes: list[str]) -> Fit
 
 
 def _prune(screen: Screen, fitter: Fitter, config: DiagnoseConfig, fit: Fit, notes: list[str]) -> Fit:
-    """Take out causes that later ones have made superfluous."""
+    """Take out causes that later ones have made superfluous, or that lie too near to nothing beside them."""
     while len(fit.causes) > 1:
         losses = []
+        clear = fitter.clear(fit)
         for i in range(len(fit.causes)):
             less = fitter.fit([c for j, c in enumerate(fit.causes) if j != i])
             if less is not None:
                 mean, _, _ = heldout(screen, less, fit)
                 small = deviation(screen, fit.causes[i]) < config.min_deviation
-                keep = less.misfit - fit.misfit > config.min_gain and mean > 0 and not small
+                keep = less.misfit - fit.misfit > config.min_gain and mean > 0 and not small and clear[i]
                 losses.append((keep, less.misfit - fit.misfit, i, less))
         out = [item for item in losses if not item[0]]
         if not out:

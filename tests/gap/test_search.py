@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 
 from realsim.gap import DiagnoseConfig, load_case
 from realsim.gap.compare import Comparison
+from realsim.gap.effects.base import Parameter
 from realsim.gap.equivalent import likelier
 from realsim.gap.fit import Cause, Fitter
+from realsim.gap.fitted import significance
 from realsim.gap.screen import Screen
 from realsim.gap.simulate import Simulator
 from realsim.gap.verdict import FAR_ABOVE, NOT_HELD, not_held
@@ -76,12 +78,21 @@ def test_laws_that_need_the_fine_step_keep_it(fitter: Fitter) -> None:
     assert fitter._look([_cause(fitter, "backlash", 0.01)], rough=False, coarse=True).coarse == 1
 
 
-def test_a_cause_is_clear_of_nothing_only_where_it_acts(fitter: Fitter) -> None:
+def test_a_cause_is_clear_of_nothing_only_where_it_acts(fitter: Fitter, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("realsim.gap.fit.ENOUGH", 3)
     fit = fitter.fit([_cause(fitter, "motor_gain", -0.05)])
     assert fit is not None
-    assert fitter.clear(fit)
+    assert fitter.clear(fit) == [True]
     tiny = fitter.remeasure(replace(fit, causes=(_cause(fitter, "motor_gain", 1e-6),)))
-    assert not fitter.clear(tiny)
+    assert fitter.clear(tiny) == [False]
+
+
+def test_the_shape_of_a_law_proves_no_cause() -> None:
+    """A force of a tenth of its standard error that begins at a well determined time."""
+    parameters = [Parameter("fx", "N", (-9, 9), 1.0), Parameter("start", "s", (-1, 60), 0.1, default=-1.0)]
+    cause: Any = SimpleNamespace(values=(0.1, 1.0))
+    fit: Any = SimpleNamespace(causes=(cause,), covariance=np.diag([1.0, 1e-4]))
+    assert significance(fit, parameters) == [pytest.approx(0.1)]
 
 
 def test_causes_that_fail_on_unseen_runs_are_no_answer() -> None:
