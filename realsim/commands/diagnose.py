@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -40,5 +41,12 @@ def diagnose(
         raise RealsimError("no case given", expected="realsim diagnose CASE --out DIR, or --explain EFFECT")
     if len(cases) == 1 and ray is None:
         result = gap.run_case(cases[0], out, config, overwrite=overwrite)
-        return CommandResult(f"{result['sentence']}\nreport  {out / 'report.html'}", result)
+        return CommandResult(_summary(result, out, config), result)
     return run_each("diagnose", cases, out, shows="sentence", jobs=jobs, ray=ray)
+
+
+def _summary(result: Mapping[str, Any], out: Path, config: DiagnoseConfig) -> str:
+    lines = [str(result["sentence"]), f"model   {out / 'model.xml'}"]
+    lines.append(f"report  {out / ('report.html' if config.report else 'diagnosis.json')}")
+    lines += [f"note    {warning}" for warning in result["health"]["warnings"]]
+    return "\n".join(lines)

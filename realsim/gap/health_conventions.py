@@ -13,12 +13,15 @@ import numpy as np
 from realsim.errors import GapError
 from realsim.gap.case import Case
 from realsim.gap.simulate import Simulator, rotation_from
+from realsim.gap.units import TORQUE
 from realsim.types import F64
 
 PLAIN = 0.35
 """Relative error up to which a log that is read otherwise agrees."""
 WRONG = 0.8
 """Relative error from which a log as it is read does not agree at all."""
+LIKE = 0.8
+"""Cosine from which two torques have the same course."""
 DEG = 180 / np.pi
 
 
@@ -149,20 +152,47 @@ def _likely(names: tuple[str, ...], real: F64, model: F64, follows: Sequence[boo
 
 
 def _torque_units(simulator: Simulator, nominal: list[F64]) -> list[str]:
-    case, found = simulator.case, []
-    torque = _all(case, "joint_torque")
+    """Refuses torques that are a known unit's or the sign's factor away in every joint; says where one joint is odd.
+
+    A single joint of several proves no unit: what it carries may be many times what the model knows of.
+    """
+    case = simulator.case
+    torque, scales = _all(case, "joint_torque"), {}
     for c, channel in enumerate(simulator.channels):
-        if channel.signal != "joint_torque":
-            continue
-        real, model = torque[:, channel.index], np.concatenate([y[:, c] for y in nominal])
-        good = np.isfinite(real) & np.isfinite(model)
-        top = float((model[good] ** 2).sum())
-        gain = float((real[good] * model[good]).sum()) / top if top > 1e-12 else 1.0
-        if case.torque_kind == "measured" and (abs(gain) > 4 or abs(gain) < 0.25):
-            found.append(f"{channel.label}: torque is {gain:.3g} times the simulator's: is it in N m?")
-        elif gain < -0.25:
-            found.append(f"{channel.label}: torque looks negated")
-    return found
+        if channel.signal == "joint_torque":
+            scale = _scale(torque[:, channel.index], np.concatenate([y[:, c] for y in nominal]))
+            if scale is not None:
+                scales[channel.label] = scale
+    if scales:
+        factors = {unit: 1 / f for unit, f in TORQUE.items() if f != 1.0} | {"-1": -1.0}
+        for unit, factor in factors.items():
+            if all(alike > LIKE and 0.6 < scale / factor < 1.6 for scale, alike in scales.values()):
+                turned = unit == "-1"
+                raise GapError(
+                    f"joint_torque looks {'negated' if turned else f'like {unit}'}",
+                    file=case.folder,
+                    expected="agreement with the nominal simulator, in N m and the contract's signs",
+                    found=", ".join(f"{name} {scale:.3g} times as large" for name, (scale, _) in scales.items()),
+                    hint='mend the log, or give "sign": -1 for the columns in columns.json (.csv)'
+                    if turned
+                    else f'say so: "units": {{"joint_torque": "{unit}"}} in log.json (.npz), or a unit in columns.json',
+                )
+    odd = {name: scale for name, (scale, _) in scales.items() if scale < -0.25 or not 0.25 < abs(scale) < 4}
+    return [
+        f"{name}: torque looks negated" if -4 < scale < -0.25
+        else f"{name}: torque is {scale:.3g} times the simulator's: is it in N m?"
+        for name, scale in odd.items()
+    ]  # fmt: skip
+
+
+def _scale(values: F64, like: F64) -> tuple[float, float] | None:
+    """(factor of least squares from `like` to `values`, how alike they are: the cosine's size); None where all is 0."""
+    good = np.isfinite(values) & np.isfinite(like)
+    a, b = values[good], like[good]
+    dot, size_a, size_b = float(a @ b), float(a @ a), float(b @ b)
+    if min(size_a, size_b) < 1e-12:
+        return None
+    return dot / size_b, abs(dot) / float(np.sqrt(size_a * size_b))
 
 
 def _imu(simulator: Simulator, nominal: list[F64]) -> list[str]:

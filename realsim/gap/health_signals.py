@@ -80,7 +80,7 @@ def missing(case: Case) -> tuple[dict[str, float], Said]:
     found = {k: v for k, v in found.items() if v > 0}
     if found.get("joint_pos", 0) > 0.7:
         raise GapError("most joint positions are missing", file=case.folder, found=f"{found['joint_pos']:.0%} are NaN")
-    said = [f"{share:.0%} of {name} is missing" for name, share in found.items() if share > 0.2]
+    said = [f"{share:.0%} of {name} is missing" for name, share in found.items() if share > 0.05]
     partly = sorted({k for r in case.runs for k in r.signals if not all(k in s.signals for s in case.runs)})
     return found, said + [f"{name} is not in every run, so it is not compared" for name in partly]
 

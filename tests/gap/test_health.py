@@ -76,6 +76,9 @@ def test_a_good_log_raises_no_alarm(good: Case) -> None:
         (lambda r: replace(r, command=np.degrees(r.command)), "command of (shoulder|elbow)_servo looks like deg"),
         (with_signal("joint_vel", column(1, np.degrees)), "joint_vel of elbow looks like deg/s"),
         (with_signal("joint_vel", lambda v: v * 30 / np.pi), "looks like rpm"),
+        (with_signal("joint_torque", np.negative), r"joint_torque looks negated[\s\S]*\"sign\": -1"),
+        (with_signal("joint_torque", lambda t: 1000 * t), r"joint_torque looks like mN m[\s\S]*\"units\""),
+        (with_signal("joint_torque", lambda t: t / 0.0980665), "joint_torque looks like kgf cm"),
         (with_signal("joint_vel", column(0, np.negative)), "joint_vel of shoulder looks negated"),
         (with_signal("joint_pos", column(1, np.negative)), r"joint_(pos|vel) of elbow looks negated"),
         (lambda r: replace(r, signals={k: v[:, ::-1] for k, v in r.signals.items()}), "shoulder moves like elbow"),
@@ -117,8 +120,8 @@ def held(values: Any) -> Any:
         (gap_in_time, "1 gaps in time"),
         (with_signal("joint_pos", held), "the bus is slower than the log"),
         (with_signal("joint_torque", lambda t: np.clip(t, -3, 3)), "logged torque stays at 3"),
-        (with_signal("joint_torque", np.negative), "torque (looks negated|is -1)"),
-        (with_signal("joint_torque", lambda t: 1000 * t), "is it in N m"),
+        (with_signal("joint_torque", column(0, np.negative)), "shoulder: torque looks negated"),
+        (with_signal("joint_torque", column(0, lambda t: 30 * t)), r"shoulder: torque is [23]\d.* is it in N m"),
         (lambda r: replace(r, init_qvel=np.ones(2)), "init_qvel is not zero"),
         (lambda r: replace(r, init_qpos=np.full(2, 2.0)), "init_qpos has"),
     ],
@@ -223,6 +226,20 @@ def test_nominal_that_falls_over_is_named(tmp_path: Path) -> None:
     case = floating_case(tmp_path / "case", [1.0, 0, 0, 0], height=1.0)
     with pytest.raises(GapError, match=r"falls over[\s\S]*in a at"):
         health(case)
+
+
+def test_a_run_that_is_left_out_is_said_on_the_terminal(made: Callable[..., Path], tmp_path: Path, capsys: Any) -> None:
+    from realsim.cli import main
+
+    case = shutil.copytree(made("plain", Truth()), tmp_path / "case")
+    sorted((case / "runs").iterdir())[0].write_bytes(b"torn")
+    out = tmp_path / "out"
+    assert main(["diagnose", str(case), "--out", str(out), "--effects", "command_delay", "--threads", "1",
+                 "--no-report"]) == 0  # fmt: skip
+    said = capsys.readouterr().out
+    assert "note    left out: " in said
+    assert str(out / "diagnosis.json") in said
+    assert "report.html" not in said
 
 
 def test_a_broken_case_stops_no_other(made: Callable[..., Path], tmp_path: Path, capsys: Any) -> None:
