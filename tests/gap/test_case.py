@@ -157,13 +157,18 @@ def test_exploding_model_is_named_with_the_time(case: Path) -> None:
         diagnose(load_case(case))
 
 
-def test_torque_in_other_units_is_said(made, tmp_path: Path) -> None:
+def test_torque_in_other_units_is_refused_until_log_json_says_so(made, tmp_path: Path) -> None:
     folder = tmp_path / "case"
     shutil.copytree(made("torque", Truth(), torque="measured"), folder)
     for path in (folder / "runs").glob("*.npz"):
         change(folder, path.stem, joint_torque=lambda t: 1000 * t)
-    found = diagnose(load_case(folder), DiagnoseConfig(effects=("command_delay",)))
-    assert any("N m" in w for w in found.health["warnings"])
+    config = DiagnoseConfig(effects=("command_delay",))
+    with pytest.raises(GapError, match="joint_torque looks like mN m"):
+        diagnose(load_case(folder), config)
+    log = json.loads((folder / "log.json").read_text()) | {"units": {"joint_torque": "mN m"}}
+    (folder / "log.json").write_text(json.dumps(log))
+    found = diagnose(load_case(folder), config)
+    assert not any("N m" in w for w in found.health["warnings"])
 
 
 def test_one_run_only_is_said(case: Path) -> None:
