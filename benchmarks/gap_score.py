@@ -46,18 +46,18 @@ def score(labels: dict[str, Label], found: dict[str, Diagnosis]) -> dict[str, An
 
     out: dict[str, Any] = {"diagnosed": [len(found), len(labels)]}
     single = of("single")
-    top = [_top1(labels[n], found[n]) for n in single]
+    top = [top1(labels[n], found[n]) for n in single]
     out["single_top1"] = _share(t == 2 for t in top)
     out["single_top1_with_equivalents"] = _share(t >= 1 for t in top)
-    out["single_by_robot"] = _by(single, lambda n: labels[n]["robot"], lambda n: _top1(labels[n], found[n]) == 2)
+    out["single_by_robot"] = _by(single, lambda n: labels[n]["robot"], lambda n: top1(labels[n], found[n]) == 2)
     out["single_by_effect"] = _by(
-        single, lambda n: labels[n]["effects"][0]["effect"], lambda n: _top1(labels[n], found[n]) == 2
+        single, lambda n: labels[n]["effects"][0]["effect"], lambda n: top1(labels[n], found[n]) == 2
     )
     out["power_by_visibility"] = _by(
-        single, lambda n: _visible(labels[n]["visibility"][0]), lambda n: _top1(labels[n], found[n]) == 2
+        single, lambda n: _visible(labels[n]["visibility"][0]), lambda n: top1(labels[n], found[n]) == 2
     )
     out["named_by_visibility"] = _by(
-        single, lambda n: _visible(labels[n]["visibility"][0]), lambda n: _top1(labels[n], found[n]) >= 1
+        single, lambda n: _visible(labels[n]["visibility"][0]), lambda n: top1(labels[n], found[n]) >= 1
     )
     both = of("double")
     out["double_both_found"] = _share(
@@ -80,7 +80,7 @@ def score(labels: dict[str, Label], found: dict[str, Diagnosis]) -> dict[str, An
     errors, held = _parameters(labels, found, single + both)
     out["parameter_error_median"] = float(np.median(errors)) if errors else None
     out["ci90_holds_truth"] = _share(held)
-    right = [n for n in single if _top1(labels[n], found[n]) == 2]
+    right = [n for n in single if top1(labels[n], found[n]) == 2]
     gone = [_gone(found[n]) for n in right]
     out["gap_gone_median_where_right"] = float(np.nanmedian(gone)) if gone else None
     out["verdicts"] = {
@@ -96,7 +96,7 @@ def _sets(d: Diagnosis) -> list[list[dict[str, Any]]]:
     return [d["causes"], *d["equivalent"]]
 
 
-def _top1(label: Label, d: Diagnosis) -> int:
+def top1(label: Label, d: Diagnosis) -> int:
     """2: the true cause stands first. 1: it is named among the equivalents, or an equivalent of it stands first."""
     if d["verdict"] == "no_gap" or not d["causes"]:
         return 0

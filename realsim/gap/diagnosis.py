@@ -10,9 +10,9 @@ import numpy as np
 
 from realsim.files import to_json, write_text
 from realsim.gap.fit import Cause, Fit
+from realsim.gap.fitted import Z90
 from realsim.gap.simulate import Simulator, lookup
 
-Z90 = 1.6449
 MODEL_ERROR = 0.07
 """Relative error of a fitted value that comes from the simplified form of an effect (measured on made cases)."""
 

@@ -126,16 +126,17 @@ class Fitter(Search):
             return fit
         return self._measure(fit.causes, self._parameters([c.candidate for c in fit.causes]), None)
 
-    def clear(self, fit: Fit) -> list[bool]:
+    def clear(self, fit: Fit, of_few: float = 0.0) -> list[bool]:
         """Whether each cause lies well off nothing, by slopes at its very values: a search's own may be stale.
 
-        Of few runs all do: too few say too little about their own scatter for a standard error to decide.
+        Few runs say too little about their own scatter for a standard error to decide; there, `of_few` errors will do.
         """
-        if len(self.screen.runs) < ENOUGH:
+        enough = len(self.screen.runs) >= ENOUGH
+        least = SURE_ERRORS[min(len(fit.causes), len(SURE_ERRORS)) - 1] if enough else of_few
+        if not least:
             return [True] * len(fit.causes)
-        least = SURE_ERRORS[min(len(fit.causes), len(SURE_ERRORS)) - 1]
         parameters = self._parameters([c.candidate for c in fit.causes])
-        return [found >= least for found in significance(self.spread(fit), parameters)]
+        return [bool(found >= least) for found in significance(self.spread(fit), parameters)]
 
     # ------------------------------------------------------------ inside
 

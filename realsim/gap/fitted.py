@@ -12,6 +12,9 @@ from realsim.gap.screen import Candidate, Evidence
 from realsim.gap.simulate import Setting, lookup
 from realsim.types import F64
 
+Z90 = 1.6449
+"""Standard errors to either end of a 90 percent interval."""
+
 
 @dataclass(frozen=True)
 class Cause:

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from realsim.gap.diagnosis import Z90, Diagnosis
+from realsim.gap.diagnosis import Diagnosis
+from realsim.gap.fitted import Z90
 from realsim.gap.report_series import Replay, horizons, place_shares
 from realsim.gap.report_words import after, percent, places, short, signal_name, title_of
 from realsim.gap.where import PHASES

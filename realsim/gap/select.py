@@ -10,6 +10,7 @@ import numpy as np
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.equivalent import equivalents, likelier, simplest
 from realsim.gap.fit import Fit, Fitter
+from realsim.gap.fitted import Z90
 from realsim.gap.heldout import leftover
 from realsim.gap.hidden import hidden
 from realsim.gap.merit import complexity, deviation, heldout, holds, is_gap, total_gap
@@ -181,7 +182,7 @@ def _prune(screen: Screen, fitter: Fitter, config: DiagnoseConfig, fit: Fit, not
     """Take out causes that later ones have made superfluous, or that lie too near to nothing beside them."""
     while len(fit.causes) > 1:
         losses = []
-        clear = fitter.clear(fit)
+        clear = fitter.clear(fit, of_few=Z90)  # no cause is named whose own interval holds nothing
         for i in range(len(fit.causes)):
             less = fitter.fit([c for j, c in enumerate(fit.causes) if j != i])
             if less is not None:

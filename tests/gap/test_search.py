@@ -16,7 +16,7 @@ from realsim.gap.compare import Comparison
 from realsim.gap.effects.base import Parameter
 from realsim.gap.equivalent import likelier
 from realsim.gap.fit import Cause, Fitter
-from realsim.gap.fitted import significance
+from realsim.gap.fitted import Z90, significance
 from realsim.gap.screen import Screen
 from realsim.gap.simulate import Simulator
 from realsim.gap.verdict import FAR_ABOVE, NOT_HELD, not_held
@@ -85,6 +85,15 @@ def test_a_cause_is_clear_of_nothing_only_where_it_acts(fitter: Fitter, monkeypa
     assert fitter.clear(fit) == [True]
     tiny = fitter.remeasure(replace(fit, causes=(_cause(fitter, "motor_gain", 1e-6),)))
     assert fitter.clear(tiny) == [False]
+
+
+def test_of_few_runs_only_an_interval_that_holds_nothing_decides(fitter: Fitter) -> None:
+    tiny = fitter.remeasure(replace(fitter.nominal(), causes=(_cause(fitter, "motor_gain", 1e-6),)))
+    assert fitter.clear(tiny) == [True]
+    assert fitter.clear(tiny, of_few=Z90) == [False]
+    strong = fitter.fit([_cause(fitter, "motor_gain", -0.05)])
+    assert strong is not None
+    assert fitter.clear(strong, of_few=Z90) == [True]
 
 
 def test_the_shape_of_a_law_proves_no_cause() -> None:
