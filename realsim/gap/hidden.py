@@ -16,11 +16,13 @@ WORTH_TRYING = 10.0
 """Gain in log-evidence by the linear screen from which on a candidate is simulated."""
 TRIED = 3
 """At most so many effects are simulated, the best place of each."""
-SURE, SURE_A_JOINT, SUREST = 12.0, 8.0, 40.0
-"""Gain in log-likelihood that it must then bring, beside its price: the first, the second a joint, at most the third.
+SURE, SURE_A_JOINT = 12.0, 8.0
+"""Gain in log-likelihood that it must then bring, beside its price: the first, and the second a joint.
 
 A servo's unmodelled form is worth some on every joint, and more joints have more small deviations to bend.
 """
+SUREST, SUREST_A_JOINT = 40.0, 3.0
+"""At most the first, or on robots with many joints the second a joint."""
 FAR = 4.0
 """Everyday deviations of its own kind that it must exceed."""
 NEARLY_ALL = 0.75
@@ -30,7 +32,8 @@ NEARLY_ALL = 0.75
 def hidden(screen: Screen, fitter: Fitter, current: Fit, stage: int, trials: list[Trial]) -> list[Fit]:
     """Fits with one further cause that is far likelier than the small deviations alone, best first."""
     found, seen = [], set[str]()
-    least = min(SURE + SURE_A_JOINT * len(screen.simulator.case.joint_names), SUREST)
+    joints = len(screen.simulator.case.joint_names)
+    least = min(SURE + SURE_A_JOINT * joints, max(SUREST, SUREST_A_JOINT * joints))
     for gain, candidate, estimate in ranked(screen, current):
         if gain < WORTH_TRYING or len(seen) == TRIED:
             break

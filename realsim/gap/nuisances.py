@@ -13,6 +13,8 @@ import numpy as np
 from realsim.gap.edit import Edit
 from realsim.gap.effects.base import Effect, Parameter, Place, always
 
+MANY_JOINTS = 8
+
 
 def _base_places(context: Any) -> list[Place]:
     return [()] if context.case.floating and context.case.has("base_pos") else []
@@ -92,6 +94,21 @@ def _sticking_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         edit.stiffen_friction(joint, values["stick"])
 
 
+def _step_places(context: Any) -> list[Place]:
+    """With few joints their own small deviations of inertia and damping cover it."""
+    return [()] if len(context.driven) >= MANY_JOINTS else []
+
+
+def _step_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
+    """The robot lives in continuous time: 1 is the limit of ever finer steps."""
+    return (Parameter("finer", "ratio", (0.0, 0.5), 0.5, nuisance=1.0, fine=True),)
+
+
+def _step_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+    """An implicit step of dt lends each servo a rotor inertia of about dt kd / 2; on all joints at once, that shows."""
+    edit.spec.option.timestep *= 1.0 - values["finer"]
+
+
 def _make(name: str, places: Any, parameters: Any, apply: Any, description: str) -> Effect:
     return Effect(name, name, "sensor", description, "", "", places, parameters, always, apply, patchable=False)
 
@@ -114,6 +131,9 @@ NUISANCES = {
         _sticking_parameters,
         _sticking_apply,
         "How the simulator solves dry friction in joints.",
+    ),
+    "time_step": _make(
+        "time_step", _step_places, _step_parameters, _step_apply, "What the simulator's time step adds to the motion."
     ),
     "contact_solver": _make(
         "contact_solver", _solver_places, _solver_parameters, _solver_apply, "How the simulator solves contacts."

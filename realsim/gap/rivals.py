@@ -10,6 +10,7 @@ import numpy as np
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.fit import Cause, Fit, Fitter
 from realsim.gap.merit import complexity, heldout
+from realsim.gap.probes import probed
 from realsim.gap.screen import Candidate, Screen, marginal, score, slab
 from realsim.gap.simulate import lookup
 from realsim.gap.windows import window_candidates
@@ -77,7 +78,8 @@ def refitted(
             trials.append(Trial(candidate.effect, candidate.place, candidate.names, stage, gain))
     fits: list[Fit] = []
     forces = [(g, c, v) for g, c, v in window_candidates(screen, current) if not _has(current, c)]
-    chosen: list[tuple[float, Candidate, Any]] = [*finalists, *forces]
+    ground = [(g, c, v) for g, c, v in probed(screen, fitter, current) if g > least and not _has(current, c)]
+    chosen: list[tuple[float, Candidate, Any]] = [*finalists, *forces, *ground]
     for gain, candidate, estimate in chosen:
         best = min((searched(screen, f) for f in fits), default=np.inf)
         target = best + near(searched(screen, current) - best)

@@ -124,8 +124,8 @@ class Screen:
         self.index = {(a.effect, a.place, a.parameter.name): i for i, a in enumerate(self.atoms)}
         self.varied = self._varied()
         self.prior = np.array([a.parameter.nuisance for a in self.atoms])
-        self.simulable = np.array([a.effect != "load_friction" for a in self.atoms])
-        """(p,) False for atoms that cost a second pass: as nuisances they stay linear."""
+        self.simulable = np.array([a.effect != "load_friction" and not a.parameter.fine for a in self.atoms])
+        """(p,) False for atoms that cost a second pass or many steps: as nuisances they stay linear."""
         self.candidates = self._candidates(chosen)
 
     def _varied(self, count: int = 3) -> tuple[int, ...] | None:
@@ -140,6 +140,7 @@ class Screen:
         """Change of the prediction by one unit of the parameter, a flat (B * C) array a run; None if it cannot run."""
         p = atom.parameter
         # Where small deviations are everyday, the slope at the nominal model counts: it must predict them.
+        coarse, base = (1, self.nominal) if p.fine else (self.coarse, base)
         width = np.copysign(min(3 * p.nuisance, abs(p.step)), p.step) if p.nuisance and p.bounds[0] < 0 else p.step
         for scale in (1.0, -1.0, 0.3):  # a payload may only be removable, a gap only be small
             value = p.default + scale * width
@@ -147,7 +148,7 @@ class Screen:
                 continue
             try:
                 moved = self.simulator.simulate(
-                    [(atom.effect, atom.place, {p.name: value})], runs=self.runs, coarse=self.coarse
+                    [(atom.effect, atom.place, {p.name: value})], runs=self.runs, coarse=coarse
                 )
             except GapError:
                 continue

@@ -9,8 +9,8 @@ from realsim.gap.config import DiagnoseConfig
 from realsim.gap.repeats import replicates
 from realsim.types import F64
 
-MOST_FITTED = (6, 3)
-"""Runs that carry the sensitivities, on robots of up to 8 driven joints and on larger ones."""
+MOST_FITTED, MOST_FITTED_OF_MANY, MANY_JOINTS = 6, 3, 16
+"""Runs that carry the sensitivities, and how many do on robots with more than so many joints."""
 ENOUGH = 7
 """Different runs from which on a whole regime is held out beside the last runs."""
 APART = 1.5
@@ -31,7 +31,7 @@ def split_runs(case: Case, config: DiagnoseConfig) -> tuple[list[int], list[int]
     if held and len(single) >= ENOUGH:
         held = sorted([*held, *_regime_apart(case, [i for i in single if i not in held])])
     fitted = [i for i in range(count) if i not in held]
-    most = MOST_FITTED[0] if len(case.joint_names) <= 8 else MOST_FITTED[1]
+    most = MOST_FITTED if len(case.joint_names) <= MANY_JOINTS else MOST_FITTED_OF_MANY
     if len(fitted) > most:
         repeated = {i for g in twins for i in g[1:]}
         order = sorted(fitted, key=lambda i: (i in repeated, -_liveliness(case.runs[i])))

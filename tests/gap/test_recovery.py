@@ -17,6 +17,7 @@ from realsim.gap.compare import Comparison
 from realsim.gap.fit import Cause, Fitter
 from realsim.gap.heldout import leftover
 from realsim.gap.merit import is_gap
+from realsim.gap.probes import probed
 from realsim.gap.rivals import refit
 from realsim.gap.screen import Screen, marginal, score, slab
 from realsim.gap.simulate import Simulator
@@ -92,6 +93,32 @@ def test_recovered_on_an_arm(name: str, arm: Case) -> None:
 @pytest.mark.parametrize("name", [*GROUND, "imu_bias"])
 def test_recovered_on_a_floating_base(name: str, quadruped: Case) -> None:
     recover(name, logged(quadruped, []))
+
+
+@pytest.mark.slow
+def test_the_block_that_is_lower_is_found_though_no_slope_points_there(quadruped: Case) -> None:
+    case = logged(logged(quadruped, []), [("terrain_height", ("block_2",), {"height": -0.02})])
+    with Simulator(case, CONFIG) as simulator:
+        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
+        screen = Screen(simulator, comparison, range(len(case.runs)), ("terrain_height",))
+        fitter = Fitter(screen)
+        (gain, candidate, start), *_ = probed(screen, fitter, fitter.nominal())
+    assert gain > 100
+    assert candidate.place == ("block_2",)
+    assert start == {"height": pytest.approx(-0.02)}
+
+
+@pytest.mark.slow
+def test_what_a_finer_step_does_is_no_gap(quadruped: Case) -> None:
+    case = logged(logged(quadruped, []), [("time_step", (), {"finer": 0.5})])
+    with Simulator(case, CONFIG) as simulator:
+        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
+        screen = Screen(simulator, comparison, range(len(case.runs)), ("armature",))
+        nominal = Fitter(screen).nominal()
+        step = screen.index["time_step", (), "finer"]
+        assert screen.nuisances(nominal.evidence, nominal.prior)[step] > 0
+        never = np.where(np.arange(len(nominal.prior)) == step, 1e-9, nominal.prior)
+        assert screen.misfit(nominal.evidence, never) > screen.misfit(nominal.evidence, nominal.prior) + 5
 
 
 def recover(name: str, case: Case) -> None:

@@ -41,6 +41,8 @@ class Parameter:
     """Value of the coordinate when the parameter is not fitted."""
     whole: bool = False
     """Only whole values can be simulated."""
+    fine: bool = False
+    """Its slope is taken at the model's own time step, however large the robot, and only the slope: more would cost."""
     like: tuple[str, str] | None = None
     """(effect, parameter) whose slope this one shares to first order, so that none is simulated for it."""
 

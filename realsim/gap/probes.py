@@ -1,0 +1,39 @@
+"""Terrain that stands higher or lower, looked at by simulation: whether a foot meets it, no slope foretells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from realsim.errors import GapError
+from realsim.gap.fit import Cause, Fit, Fitter
+from realsim.gap.screen import Candidate, Screen
+from realsim.gap.simulate import lookup
+
+SIZES = (2.0, 0.7, -0.7, -2.0)
+"""Steps of the parameter."""
+KEPT = 2
+"""Places that are worth a fit."""
+
+
+def probed(screen: Screen, fitter: Fitter, current: Fit) -> list[tuple[float, Candidate, dict[str, float]]]:
+    """(gain in log-likelihood, candidate, value to start from) of the best places, beside the current causes."""
+    found = []
+    for candidate in screen.candidates:
+        if lookup(candidate.effect).scope != "terrain" or len(candidate.places) > 1 or len(candidate.names) > 1:
+            continue
+        (parameter,) = lookup(candidate.effect).parameters(screen.simulator.context, candidate.place)
+        low, high = parameter.bounds
+        values = [v for size in SIZES if low <= (v := size * parameter.step) <= high]
+        tried = [_gain(fitter, current, candidate, v) for v in values]
+        gain, value = max(tried)
+        if gain > 0:
+            found.append((gain, candidate, {parameter.name: value}))
+    return sorted(found, key=lambda item: -item[0])[:KEPT]
+
+
+def _gain(fitter: Fitter, current: Fit, candidate: Candidate, value: float) -> tuple[float, float]:
+    try:
+        moved = fitter.remeasure(replace(current, causes=(*current.causes, Cause(candidate, (value,)))))
+    except GapError:  # the robot falls
+        return float("-inf"), value
+    return current.misfit - moved.misfit, value
