@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -11,8 +12,8 @@ class DiagnoseConfig:
     """Effects to consider; all of the library if empty."""
     max_causes: int = 3
     """At most this many causes are accepted."""
-    threads: int = 2
-    """Threads of the batch simulator."""
+    threads: int = field(default_factory=lambda: os.cpu_count() or 1)
+    """Threads of the batch simulator; all cores unless told."""
     max_runs: int = 12
     """At most this many runs are simulated, spread over the log; the rest are left out and named."""
     max_seconds: float = 10.0
