@@ -51,6 +51,7 @@ def main() -> int:
     if args.score:
         labels = {n: labels[n] for n in found}
     figures = score(labels, found) | {"machine": machine(), "seconds": seconds, "cases": len(labels), "seed": args.seed}
+    figures["baselines"] |= sysid_baseline(args.work, sorted(found))
     print(table(figures))
     if args.developed_on:
         fresh = [n for n in found if n not in args.developed_on]
@@ -76,6 +77,12 @@ def make_all(args: argparse.Namespace) -> dict[str, dict[str, Any]]:
 def read_labels(work: Path) -> dict[str, dict[str, Any]]:
     """Case -> its label."""
     return {f.stem: json.loads(f.read_text()) for f in sorted((work / "labels").glob("*.json"))}
+
+
+def sysid_baseline(work: Path, names: list[str]) -> dict[str, list[int]]:
+    """[hits, of] of `mujoco.sysid`, where gap_sysid.py has been run on some of the cases."""
+    rows = [json.loads(f.read_text()) for n in names if (f := work / "sysid" / f"{n}.json").is_file()]
+    return {"mujoco.sysid, all parameters": [sum(r["sysid"]["top1"] for r in rows), len(rows)]} if rows else {}
 
 
 def _make(job: tuple[int, Draw, str]) -> None:

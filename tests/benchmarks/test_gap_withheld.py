@@ -16,6 +16,7 @@ from benchmarks.gap_truth.motions import sample_times
 from benchmarks.gap_truth.plant import Plant
 from benchmarks.gap_truth.robots import ROBOTS
 from benchmarks.gap_truth.truth import Truth
+from benchmarks.gap_withheld import sysid_baseline
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -109,3 +110,11 @@ def test_score_of_hand_made_diagnoses() -> None:
     assert figures["outside_said"] == [1, 1]
     assert figures["parameter_error_median"] == pytest.approx(0.2)
     assert figures["ci90_holds_truth"] == [1, 1]
+
+
+def test_a_baseline_that_was_run_on_some_cases_stands_in_the_table(tmp_path: Path) -> None:
+    assert sysid_baseline(tmp_path, ["case_000"]) == {}
+    (tmp_path / "sysid").mkdir()
+    for name, right in (("case_000", True), ("case_001", False), ("case_009", True)):
+        (tmp_path / "sysid" / f"{name}.json").write_text(json.dumps({"sysid": {"top1": right}}))
+    assert sysid_baseline(tmp_path, ["case_000", "case_001"]) == {"mujoco.sysid, all parameters": [1, 2]}
