@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
+from itertools import islice
 
 from realsim.errors import GapError
 from realsim.gap.fit import Cause, Fit, Fitter
@@ -11,16 +13,20 @@ from realsim.gap.simulate import lookup
 
 SIZES = (2.0, 0.7, -0.7, -2.0)
 """Steps of the parameter."""
-KEPT = 2
-"""Places that are worth a fit."""
+MOST, KEPT = 12, 2
+"""Places that are looked at, and those of them that are worth a fit."""
 
 
-def probed(screen: Screen, fitter: Fitter, current: Fit) -> list[tuple[float, Candidate, dict[str, float]]]:
-    """(gain in log-likelihood, candidate, value to start from) of the best places, beside the current causes."""
+def probed(
+    screen: Screen, fitter: Fitter, current: Fit, order: Iterable[Candidate]
+) -> list[tuple[float, Candidate, dict[str, float]]]:
+    """(gain in log-likelihood, candidate, value to start from) of the best places, beside the current causes.
+
+    `order`: all candidates, those to look at first before the others.
+    """
     found = []
-    for candidate in screen.candidates:
-        if lookup(candidate.effect).scope != "terrain" or len(candidate.places) > 1 or len(candidate.names) > 1:
-            continue
+    single = (c for c in order if lookup(c.effect).scope == "terrain" and len(c.places) == len(c.names) == 1)
+    for candidate in islice(single, MOST):
         (parameter,) = lookup(candidate.effect).parameters(screen.simulator.context, candidate.place)
         low, high = parameter.bounds
         values = [v for size in SIZES if low <= (v := size * parameter.step) <= high]

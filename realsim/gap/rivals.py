@@ -78,7 +78,8 @@ def refitted(
             trials.append(Trial(candidate.effect, candidate.place, candidate.names, stage, gain))
     fits: list[Fit] = []
     forces = [(g, c, v) for g, c, v in window_candidates(screen, current) if not _has(current, c)]
-    ground = [(g, c, v) for g, c, v in probed(screen, fitter, current) if g > least and not _has(current, c)]
+    heights = probed(screen, fitter, current, [c for _, c, _ in order])
+    ground = [(g, c, v) for g, c, v in heights if g > least]
     chosen: list[tuple[float, Candidate, Any]] = [*finalists, *forces, *ground]
     for gain, candidate, estimate in chosen:
         best = min((searched(screen, f) for f in fits), default=np.inf)

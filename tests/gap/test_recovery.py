@@ -102,7 +102,7 @@ def test_the_block_that_is_lower_is_found_though_no_slope_points_there(quadruped
         comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
         screen = Screen(simulator, comparison, range(len(case.runs)), ("terrain_height",))
         fitter = Fitter(screen)
-        (gain, candidate, start), *_ = probed(screen, fitter, fitter.nominal())
+        (gain, candidate, start), *_ = probed(screen, fitter, fitter.nominal(), screen.candidates)
     assert gain > 100
     assert candidate.place == ("block_2",)
     assert start == {"height": pytest.approx(-0.02)}
