@@ -13,7 +13,7 @@ from realsim.gap.merit import complexity, heldout
 from realsim.gap.probes import probed
 from realsim.gap.screen import Candidate, Screen, marginal, score, slab
 from realsim.gap.simulate import lookup
-from realsim.gap.windows import window_candidates
+from realsim.gap.windows import slid, window_candidates
 from realsim.types import F64
 
 GROWN = 3
@@ -101,6 +101,11 @@ def refitted(
                 trials.append(tried(screen, current, found, stage, gain))
                 fits.append(found)
     fits.sort(key=lambda f: f.misfit + complexity(screen, f))
+    if fits and screen.simulator.context.touches and "start" in fits[0].causes[-1].candidate.names:
+        again = fitter.fit(slid(fitter, fits[0]).causes, iterations=6, rough=True)
+        if again is not None:
+            trials.append(tried(screen, current, again, stage, 0.0))
+            fits.insert(0, again)
     for fit in list(fits[:GROWN]):  # with all its parameters an effect may do what the simple form cannot
         full = _fullest(screen, fit.causes[-1].candidate)
         if full is not None:

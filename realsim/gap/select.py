@@ -18,7 +18,7 @@ from realsim.gap.pairs import better_pair
 from realsim.gap.rivals import Trial, duel, ranked, refit, refitted
 from realsim.gap.screen import Screen
 
-STEADY = 4.0
+STEADY = 3.0
 """A gain this many times its standard error, on runs left out in turn, counts however small its share."""
 SHARPEST = 0.1
 """Least share of the allowance that is left after a cause."""

@@ -21,6 +21,7 @@ from realsim.gap.probes import probed
 from realsim.gap.rivals import refit
 from realsim.gap.screen import Screen, marginal, score, slab
 from realsim.gap.simulate import Simulator
+from realsim.gap.windows import slid
 
 from .truth import Truth
 
@@ -106,6 +107,22 @@ def test_the_block_that_is_lower_is_found_though_no_slope_points_there(quadruped
     assert gain > 100
     assert candidate.place == ("block_2",)
     assert start == {"height": pytest.approx(-0.02)}
+
+
+@pytest.mark.slow
+def test_a_window_slides_to_where_the_push_was(quadruped: Case) -> None:
+    push = {"fx": 0.0, "fy": 0.0, "fz": -30.0}
+    case = logged(logged(quadruped, []), [("external_force", ("trunk",), push | {"start": 0.6, "end": 1.3})])
+    with Simulator(case, CONFIG) as simulator:
+        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
+        screen = Screen(simulator, comparison, range(len(case.runs)), ("external_force",))
+        fitter = Fitter(screen)
+        names = (*push, "start", "end")
+        trunk = next(c for c in screen.candidates if c.place == ("trunk",) and c.names == tuple(push))
+        late = Cause(replace(trunk, names=names), (*push.values(), 0.85, 1.5))
+        found = slid(fitter, fitter.remeasure(replace(fitter.nominal(), causes=(late,)))).causes[0].named
+    assert found["start"] == pytest.approx(0.6, abs=0.05)
+    assert found["end"] == pytest.approx(1.3, abs=0.05)
 
 
 @pytest.mark.slow
