@@ -43,11 +43,7 @@ def main() -> int:
     args = parser.parse_args()
     labels = read_labels(args.work) if args.score else make_all(args)
     seconds = 0.0 if args.score else diagnose_all(args, sorted(labels))
-    found = {
-        n: json.loads(f.read_text())
-        for n in sorted(labels)
-        if (f := args.work / "out" / n / "diagnosis.json").is_file()
-    }
+    found = read_found(args.work, sorted(labels))
     if args.score:
         labels = {n: labels[n] for n in found}
     figures = score(labels, found) | {"machine": machine(), "seconds": seconds, "cases": len(labels), "seed": args.seed}
@@ -85,6 +81,17 @@ def sysid_baseline(work: Path, names: list[str]) -> dict[str, list[int]]:
     return {"mujoco.sysid, all parameters": [sum(r["sysid"]["top1"] for r in rows), len(rows)]} if rows else {}
 
 
+def read_found(work: Path, names: list[str]) -> dict[str, dict[str, Any]]:
+    """Case -> its diagnosis; a case that the tool refused counts as one without an answer."""
+    found: dict[str, dict[str, Any]] = {}
+    for name in names:
+        if (file := work / "out" / name / "diagnosis.json").is_file():
+            found[name] = json.loads(file.read_text())
+        elif (work / "refused" / f"{name}.json").is_file():
+            found[name] = {"verdict": "refused", "causes": [], "equivalent": []}
+    return found
+
+
 def _make(job: tuple[int, Draw, str]) -> None:
     index, draw, work = job
     name = f"case_{index:03d}"
@@ -110,10 +117,24 @@ def diagnose_all(args: argparse.Namespace, names: list[str]) -> float:
         target = out / todo[0] if len(todo) == 1 else out
         options = ["--out", str(target), "--jobs", str(args.jobs), "--threads", "1", "--no-report", "--json"]
         command = [sys.executable, "-m", "realsim", "diagnose", *folders, *options]
-        done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode not in (0, 1):
             print(done.stderr[-2000:], file=sys.stderr)
+        _note_refusals(args.work / "refused", todo, done.stdout)
     return time.perf_counter() - began
+
+
+def _note_refusals(folder: Path, todo: list[str], said: str) -> None:
+    """Keep the reason of every case that ended with bad input (exit code 2)."""
+    try:
+        answer = json.loads(said)
+    except json.JSONDecodeError:
+        return
+    items = answer.get("items", [{"name": todo[0], "exit_code": 2, **answer}] if "error" in answer else [])
+    for item in items:
+        if item.get("exit_code") == 2:
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / f"{item['name']}.json").write_text(json.dumps(item, indent=1) + "\n")
 
 
 def machine() -> str:

@@ -16,7 +16,7 @@ from benchmarks.gap_truth.motions import sample_times
 from benchmarks.gap_truth.plant import Plant
 from benchmarks.gap_truth.robots import ROBOTS
 from benchmarks.gap_truth.truth import Truth
-from benchmarks.gap_withheld import sysid_baseline
+from benchmarks.gap_withheld import read_found, sysid_baseline
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -118,3 +118,14 @@ def test_a_baseline_that_was_run_on_some_cases_stands_in_the_table(tmp_path: Pat
     for name, right in (("case_000", True), ("case_001", False), ("case_009", True)):
         (tmp_path / "sysid" / f"{name}.json").write_text(json.dumps({"sysid": {"top1": right}}))
     assert sysid_baseline(tmp_path, ["case_000", "case_001"]) == {"mujoco.sysid, all parameters": [1, 2]}
+
+
+def test_a_case_that_is_refused_counts_as_one_without_an_answer(tmp_path: Path) -> None:
+    (tmp_path / "refused").mkdir()
+    (tmp_path / "refused" / "case_000.json").write_text("{}")
+    found = read_found(tmp_path, ["case_000", "case_001"])
+    assert list(found) == ["case_000"]
+    label = {"cls": "single", "robot": "arm2", "effects": [{"effect": "armature", "joints": ["a"], "parameters": []}]}
+    figures = score({"case_000": label | {"equivalents": [], "visibility": [5.0]}}, found)
+    assert figures["single_top1"] == [0, 1]
+    assert figures["missed_gaps"] == [0, 1]

@@ -228,6 +228,16 @@ def test_nominal_that_falls_over_is_named(tmp_path: Path) -> None:
         health(case)
 
 
+def test_one_fall_of_the_nominal_among_many_runs_is_a_warning(tmp_path: Path) -> None:
+    case = floating_case(tmp_path / "case", [1.0, 0, 0, 0])
+    fallen = floating_case(tmp_path / "fallen", [1.0, 0, 0, 0], height=1.0).runs[0]
+    stood = [replace(case.runs[0], name=name) for name in ("b", "c", "d")]
+    said = health(case.with_runs((*stood, fallen)))["warnings"]
+    assert any("falls over where the robot does not, in a at" in w for w in said)
+    with pytest.raises(GapError, match="falls over"):
+        health(case.with_runs((stood[0], fallen)))
+
+
 def test_a_run_that_is_left_out_is_said_on_the_terminal(made: Callable[..., Path], tmp_path: Path, capsys: Any) -> None:
     from realsim.cli import main
 
