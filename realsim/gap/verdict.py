@@ -8,10 +8,12 @@ import numpy as np
 
 from realsim.gap.case import Case
 from realsim.gap.config import DiagnoseConfig
+from realsim.gap.fit import Fit
 from realsim.gap.heldout import Shrinkage, leftover
 from realsim.gap.merit import is_gap
 from realsim.gap.screen import Screen
 from realsim.gap.select import Selection
+from realsim.gap.simulate import lookup
 from realsim.types import F64
 
 EXCESS = 1.5
@@ -54,11 +56,26 @@ def judge(case: Case, config: DiagnoseConfig, screen: Screen, selection: Selecti
     if failed:
         reasons.append(f"{failed:.0%} of the gap stays on unseen runs")
         return Judgement("unexplained", max(unexplained, failed), probabilities, tuple(reasons))
+    ends = at_an_end(screen, fit)
+    if ends:
+        reasons.append(f"{', '.join(ends)}: as far as the library goes, so it stands for something else")
+        return Judgement("unexplained", unexplained, probabilities, tuple(reasons))
     if selection.equivalent:
         count = 1 + len(selection.equivalent)
         probabilities = [p / count if p / count > 0.5 else max(p / count, 0.5) for p in probabilities]
         return Judgement("ambiguous", unexplained, probabilities, tuple(reasons))
     return Judgement("identified", unexplained, probabilities, tuple(reasons))
+
+
+def at_an_end(screen: Screen, fit: Fit) -> list[str]:
+    """Strengths at an end of their range; a law's shape may be at one, as where dry friction has no dip."""
+    strengths = {
+        p.name
+        for c in fit.causes
+        for p in lookup(c.candidate.effect).parameters(screen.simulator.context, c.candidate.place)
+        if p.default == 0.0
+    }
+    return [name for name in fit.at_bounds if name in strengths]
 
 
 def not_held(before: float, after: float) -> float:

@@ -19,7 +19,7 @@ from realsim.gap.fit import Cause, Fitter
 from realsim.gap.fitted import Z90, significance
 from realsim.gap.screen import Screen
 from realsim.gap.simulate import Simulator
-from realsim.gap.verdict import FAR_ABOVE, NOT_HELD, not_held
+from realsim.gap.verdict import FAR_ABOVE, NOT_HELD, at_an_end, not_held
 from realsim.gap.windows import SHORTEST, _best_window
 
 from .test_recovery import logged
@@ -109,6 +109,12 @@ def test_causes_that_fail_on_unseen_runs_are_no_answer() -> None:
     assert not_held(100.0, 400.0) == 1.0
     assert not_held(100.0, NOT_HELD * 50.0) == 0.0
     assert not_held(10.0, 0.9 * FAR_ABOVE) == 0.0
+
+
+def test_a_strength_at_an_end_of_its_range_is_no_answer(fitter: Fitter) -> None:
+    fit = replace(fitter.nominal(), causes=(_cause(fitter, "motor_gain", -0.9),), at_bounds=("ratio",))
+    assert at_an_end(fitter.screen, fit) == ["ratio"]
+    assert at_an_end(fitter.screen, replace(fit, at_bounds=("stribeck_velocity",))) == []
 
 
 def test_the_more_usual_of_two_that_fit_alike_stands_first() -> None:

@@ -6,6 +6,11 @@ import numpy as np
 
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place
 
+REACH = 0.2
+"""A tool may hang so far from the body that carries it, m, however small that body is."""
+SHARE = 0.3
+"""Of the robot's mass: what a light flange may carry at least."""
+
 
 def _places(context) -> list[Place]:
     return [(name,) for name in context.bodies]
@@ -14,20 +19,21 @@ def _places(context) -> list[Place]:
 def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     body = context.case.model.body(place[0])
     mass, total = float(body.mass[0]), context.moved_mass(place[0])
-    reach = context.reach(place[0])
+    reach = max(1.3 * context.reach(place[0]), REACH)
+    most = max(3 * total, 3 * mass, SHARE * context.total_mass)
     step = max(0.15 * mass, 0.05 * total)
     where = [
         Parameter(
             axis,
             "m",
-            (float(c) - 1.3 * reach, float(c) + 1.3 * reach),
+            (float(c) - reach, float(c) + reach),
             0.05,
             default=float(c),
             like=("com_offset", axis),
         )
         for axis, c in zip("xyz", body.ipos, strict=True)
     ]
-    return (Parameter("mass", "kg", (-0.7 * mass, 3 * max(total, mass)), step, nuisance=0.012 * mass), *where)
+    return (Parameter("mass", "kg", (-0.7 * mass, most), step, nuisance=0.012 * mass), *where)
 
 
 def _excited(context, place: Place) -> Excitation:
