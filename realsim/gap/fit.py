@@ -59,6 +59,13 @@ class Fitter(Search):
         new = self._measure(fit.causes, None)
         return replace(new, covariance=fit.covariance, at_bounds=fit.at_bounds)
 
+    def looked_at(self, fit: Fit, causes: Sequence[Cause]) -> Fit | None:
+        """These causes at their very values, without a search, under the fit's weights; None if the robot falls."""
+        try:
+            return self.remeasure(replace(fit, causes=tuple(causes)))
+        except GapError:
+            return None
+
     def _settle(self, fit: Fit) -> tuple[Fit, bool]:
         """Nuisances at their most probable values beside the causes, by simulation; whether they moved.
 

@@ -93,7 +93,7 @@ def _failures(simulator: Simulator) -> list[str]:
             raise GapError(
                 "the nominal simulator explodes",
                 file=case.folder / "model.xml",
-                found=f"in {run.name} at {when:.2f} s",
+                found=f"in {run.name} at {when:.2f} s" if when >= 0 else f"while it settles before {run.name} begins",
                 hint="check gains, inertias and the time step of model.xml before looking for a gap",
             )
         if "base_pos" in track and "base_pos" in run.signals:

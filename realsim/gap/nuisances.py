@@ -14,6 +14,7 @@ from realsim.gap.edit import Edit
 from realsim.gap.effects.base import Effect, Parameter, Place, always
 
 MANY_JOINTS = 8
+"""Driven joints from which on what the time step does to all of them at once can be told from their own deviations."""
 
 
 def _base_places(context: Any) -> list[Place]:

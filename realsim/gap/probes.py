@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 from itertools import islice
 
-from realsim.errors import GapError
 from realsim.gap.fit import Cause, Fit, Fitter
 from realsim.gap.screen import Candidate, Screen
 from realsim.gap.simulate import lookup
@@ -31,15 +29,12 @@ def probed(
         low, high = parameter.bounds
         values = [v for size in SIZES if low <= (v := size * parameter.step) <= high]
         tried = [_gain(fitter, current, candidate, v) for v in values]
-        gain, value = max(tried)
+        gain, value = max(tried, default=(0.0, 0.0))
         if gain > 0:
             found.append((gain, candidate, {parameter.name: value}))
     return sorted(found, key=lambda item: -item[0])[:KEPT]
 
 
 def _gain(fitter: Fitter, current: Fit, candidate: Candidate, value: float) -> tuple[float, float]:
-    try:
-        moved = fitter.remeasure(replace(current, causes=(*current.causes, Cause(candidate, (value,)))))
-    except GapError:  # the robot falls
-        return float("-inf"), value
-    return current.misfit - moved.misfit, value
+    moved = fitter.looked_at(current, (*current.causes, Cause(candidate, (value,))))
+    return (current.misfit - moved.misfit if moved else float("-inf")), value

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import GapError
 from realsim.gap.fit import Fit, Fitter
 from realsim.gap.screen import Candidate, Screen
 from realsim.types import F64
@@ -64,10 +63,7 @@ def slid(fitter: Fitter, fit: Fit) -> Fit:
 def _moved(fitter: Fitter, fit: Fit, edge: str, move: float) -> Fit | None:
     cause = fit.causes[-1]
     values = tuple(v + move * (n == edge) for n, v in cause.named.items())
-    try:
-        return fitter.remeasure(replace(fit, causes=(*fit.causes[:-1], replace(cause, values=values))))
-    except GapError:  # the robot falls
-        return None
+    return fitter.looked_at(fit, (*fit.causes[:-1], replace(cause, values=values)))
 
 
 def _left(screen: Screen, fit: Fit) -> tuple[list[F64], list[F64]]:
