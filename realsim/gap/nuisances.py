@@ -13,9 +13,6 @@ import numpy as np
 from realsim.gap.edit import Edit
 from realsim.gap.effects.base import Effect, Parameter, Place, always
 
-MANY_JOINTS = 8
-"""Driven joints from which on what the time step does to all of them at once can be told from their own deviations."""
-
 
 def _base_places(context: Any) -> list[Place]:
     return [()] if context.case.floating and context.case.has("base_pos") else []
@@ -96,8 +93,7 @@ def _sticking_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 
 def _step_places(context: Any) -> list[Place]:
-    """With few joints their own small deviations of inertia and damping cover it."""
-    return [()] if len(context.driven) >= MANY_JOINTS else []
+    return [()] if context.driven else []
 
 
 def _step_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:

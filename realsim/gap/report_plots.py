@@ -125,7 +125,7 @@ def what_card(found: Diagnosis) -> str:
         value = r["heldout_gain"]
         bars.append((label, value, value - spread, value + spread, kind, svg.number(value, 3)))
     top = max(max(b[1] for b in bars), 1.0)
-    end = 1.25 * min(max(b[3] for b in bars), 1.6 * top)
+    end = 1.25 * min(max(b[3] for b in bars), 2.5 * top)
     picture = _labelled_bars(bars, (-0.1 * end, max(end, top)), "gain in log-likelihood a run, runs left out in turn")
     legend = [("in the diagnosis", FOUND)] if here else []
     legend += [("explains the log as well", RIVAL)] if same else []
@@ -157,6 +157,7 @@ def _labelled_bars(
     n = len(rows)
     axes = svg.Axes(x, (-0.5, n - 0.5), width=WIDTH, height=38 * n + (38 if x_label else 22), left=4, right=4,
                     top=2, bottom=36 if x_label else 20, y_ticks=[], x_label=x_label, x_ticks=x_ticks)  # fmt: skip
+    room = x[1] - 0.17 * (x[1] - x[0])
     for i, (name, value, low, high, fill, text) in enumerate(rows):
         y = n - 1 - i
         axes.text(x[0], y, name, fill="var(--ink)" if fill != OTHER else "var(--soft)", anchor="start", dx=3, dy=-6)
@@ -165,10 +166,9 @@ def _labelled_bars(
         if math.isfinite(value):
             axes.bar(y - 0.2, min(value, x[1]), fill, thickness=0.3, title=f"{name}: {text}")
             if high > low:
-                axes.whisker(y - 0.2, max(low, x[0]), min(high, x[1]), "var(--ink)", horizontal=True)
-            end = max(value, high, 0.0)
-        room = x[1] - 0.17 * (x[1] - x[0])
-        axes.text(min(end, room), y - 0.2, text, fill="var(--ink)", anchor="start", dx=6, dy=4, halo=end > room)
+                axes.whisker(y - 0.2, max(low, x[0]), min(high, room), "var(--ink)", horizontal=True)
+            end = min(max(value, high, 0.0), room)
+        axes.text(end, y - 0.2, text, fill="var(--ink)", anchor="start", dx=6, dy=4, halo=value > room)
     return axes.svg(x_label)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.fit import Cause, Fit, Fitter
 from realsim.gap.merit import complexity, heldout
-from realsim.gap.probes import probed
+from realsim.gap.probes import FORETOLD, probed, probed_ground
 from realsim.gap.screen import Candidate, Screen, marginal, score, slab
 from realsim.gap.simulate import lookup
 from realsim.gap.windows import slid, window_candidates
@@ -78,9 +78,11 @@ def refitted(
             trials.append(Trial(candidate.effect, candidate.place, candidate.names, stage, gain))
     fits: list[Fit] = []
     forces = [(g, c, v) for g, c, v in window_candidates(screen, current) if not _has(current, c)]
-    heights = probed(screen, fitter, current, [c for _, c, _ in order])
-    ground = [(g, c, v) for g, c, v in heights if g > least]
+    everything = [c for _, c, _ in order]
+    ground = [(g, c, v) for g, c, v in probed_ground(screen, fitter, current, everything) if g > least]
     chosen: list[tuple[float, Candidate, Any]] = [*finalists, *forces, *ground]
+    if order and order[0][0] < FORETOLD * current.misfit and len(finalists) < config.finalists:
+        chosen += probed(screen, fitter, current, everything, config.finalists + 4 - len(finalists))
     for gain, candidate, estimate in chosen:
         best = min((searched(screen, f) for f in fits), default=np.inf)
         target = best + near(searched(screen, current) - best)

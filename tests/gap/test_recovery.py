@@ -17,7 +17,7 @@ from realsim.gap.compare import Comparison
 from realsim.gap.fit import Cause, Fitter
 from realsim.gap.heldout import leftover
 from realsim.gap.merit import is_gap
-from realsim.gap.probes import probed
+from realsim.gap.probes import probed, probed_ground
 from realsim.gap.rivals import refit
 from realsim.gap.screen import Screen, marginal, score, slab
 from realsim.gap.simulate import Simulator
@@ -103,10 +103,25 @@ def test_the_block_that_is_lower_is_found_though_no_slope_points_there(quadruped
         comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
         screen = Screen(simulator, comparison, range(len(case.runs)), ("terrain_height",))
         fitter = Fitter(screen)
-        (gain, candidate, start), *_ = probed(screen, fitter, fitter.nominal(), screen.candidates)
+        (gain, candidate, start), *_ = probed_ground(screen, fitter, fitter.nominal(), screen.candidates)
     assert gain > 100
     assert candidate.place == ("block_2",)
     assert start == {"height": pytest.approx(-0.02)}
+
+
+def test_where_slopes_say_little_the_right_body_is_found_by_simulation(arm: Case) -> None:
+    case = logged(arm, [("com_offset", ("upper",), {"z": 0.04})])
+    with Simulator(case, CONFIG) as simulator:
+        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
+        screen = Screen(
+            simulator, comparison, range(len(case.runs)), ("com_offset", "motor_gain", "torque_speed_limit")
+        )
+        fitter = Fitter(screen)
+        probes = probed(screen, fitter, fitter.nominal(), screen.candidates, 3)
+    (gain, candidate, start), *others = probes
+    assert (candidate.effect, candidate.place, start) == ("com_offset", ("upper",), {"z": pytest.approx(0.04)})
+    assert all(gain > g + 10 for g, _, _ in others)
+    assert len({c.effect for _, c, _ in probes}) == len(probes)
 
 
 @pytest.mark.slow
