@@ -120,7 +120,7 @@ def _assemble(
     runs = list(range(len(case.runs)))
     residuals = [comparison.residual(i, nominal[i]) for i in runs]
     where, shares = localise(comparison, residuals, runs, simulator.nominal_tracks)
-    judgement = judge(case, config, screen, selection, shrunk)
+    judgement = judge(config, screen, selection, shrunk)
     fit = selection.fit
     order = sorted(range(len(fit.causes)), key=lambda i: -selection.gains.get(i, 0.0))
     causes = describe_set(simulator, fit, order, judgement.probabilities)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from realsim.gap.case import Case
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.fit import Fit
 from realsim.gap.heldout import Shrinkage, leftover
@@ -33,9 +32,8 @@ class Judgement:
     reasons: tuple[str, ...]
 
 
-def judge(case: Case, config: DiagnoseConfig, screen: Screen, selection: Selection, shrunk: Shrinkage) -> Judgement:
+def judge(config: DiagnoseConfig, screen: Screen, selection: Selection, shrunk: Shrinkage) -> Judgement:
     """No gap, identified, ambiguous or unexplained, with the reasons."""
-    del case
     reasons = []
     fit = selection.fit
     first, left, unexplained = remains(screen, selection)
@@ -62,7 +60,7 @@ def judge(case: Case, config: DiagnoseConfig, screen: Screen, selection: Selecti
         return Judgement("unexplained", unexplained, probabilities, tuple(reasons))
     if selection.equivalent:
         count = 1 + len(selection.equivalent)
-        probabilities = [p / count if p / count > 0.5 else max(p / count, 0.5) for p in probabilities]
+        probabilities = [max(p / count, 0.5) for p in probabilities]
         return Judgement("ambiguous", unexplained, probabilities, tuple(reasons))
     return Judgement("identified", unexplained, probabilities, tuple(reasons))
 
