@@ -12,6 +12,7 @@ from realsim.gap.fit import Cause, Fit, Fitter
 from realsim.gap.merit import PRICE, complexity, deviation, heldout
 from realsim.gap.rivals import near
 from realsim.gap.screen import Candidate, Screen
+from realsim.gap.simulate import lookup
 
 ALIKE, MOST_ALIKE = 0.95, 3
 """Squared cosine from which on two footprints count as one, and how many such rivals are refitted."""
@@ -44,7 +45,7 @@ def equivalents(
     for i, cause in enumerate(fit.causes):
         others = [c for j, c in enumerate(fit.causes) if j != i]
         near_by = [r for r in _close_rivals(stages, fit) if deviation(screen, r) >= config.min_deviation]
-        for rival in [*_alike(screen, fit, cause), *near_by]:
+        for rival in [*_alike(screen, fit, cause), *_elsewhere(screen, cause), *near_by]:
             key = (cause.candidate.key, rival.candidate.effect, rival.candidate.place)
             if key in found or LIMITS.get(rival.candidate.effect) == cause.candidate.effect:
                 continue
@@ -108,6 +109,18 @@ def _alike(screen: Screen, fit: Fit, cause: Cause) -> list[Cause]:
     for _, rival in found:  # the simplest form of each
         first.setdefault((rival.candidate.effect, rival.candidate.place), rival)
     return list(first.values())[:MOST_ALIKE]
+
+
+def _elsewhere(screen: Screen, cause: Cause) -> list[Cause]:
+    """The same effect where it does nearly the same, if all its parameters are known."""
+    effect = lookup(cause.candidate.effect)
+    context, (first, *more) = screen.simulator.context, cause.candidate.places
+    names = {p.name for p in effect.parameters(context, first)}
+    if effect.elsewhere is None or more or names != set(cause.candidate.names):
+        return []
+    moved = dict(effect.elsewhere(context, first, cause.named))
+    same = [c for c in screen.candidates if c.effect == effect.name and set(c.names) == names and c.place in moved]
+    return [Cause(c, tuple(moved[c.place][n] for n in c.names)) for c in same]
 
 
 def _close_rivals(stages: Sequence[tuple[Fit, list[Fit]]], fit: Fit) -> list[Cause]:

@@ -105,6 +105,20 @@ def test_parameters_are_well_formed(name: str, simulator: Simulator) -> None:
         assert effect.excited_by(simulator.context, place).reason
 
 
+def test_a_payload_near_a_joint_does_nearly_the_same_on_both_links(simulator: Simulator) -> None:
+    payload = EFFECTS["payload"]
+    values = {"mass": 0.5, "x": 0.0, "y": 0.0, "z": 0.01}  # 1 cm above the elbow
+    assert payload.elsewhere is not None
+    ((place, moved),) = payload.elsewhere(simulator.context, ("fore",), values)
+    assert place == ("upper",)
+    assert moved == pytest.approx({"mass": 0.5, "x": 0.0, "y": 0.0, "z": -0.39})
+    changes = [
+        np.concatenate(simulator.simulate([("payload", p, v)])) - np.concatenate(simulator.simulate())
+        for p, v in ((("fore",), values), (place, moved))
+    ]
+    assert np.nanstd(changes[0] - changes[1]) < 0.1 * np.nanstd(changes[0])
+
+
 def test_camera_effects_say_why_they_are_not_tried(simulator: Simulator) -> None:
     for name in ("camera_delay", "camera_mount", "depth_noise"):
         excitation = EFFECTS[name].excited_by(simulator.context, ())

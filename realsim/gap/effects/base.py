@@ -83,6 +83,8 @@ class Effect:
     """Whether its law needs the model's own time step."""
     further_start: Callable[[dict[str, float]], dict[str, float]] | None = None
     """From values that were found: others from which a search should begin once more, in another valley."""
+    elsewhere: Callable[[Context, Place, dict[str, float]], list[tuple[Place, dict[str, float]]]] | None = None
+    """From values that were found at a place: other places, with the values there, that do nearly the same."""
 
 
 def each_joint(context: Context) -> list[Place]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place
@@ -51,6 +52,21 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         edit.set_inertia(body, *add_point_mass(*edit.inertia_of(body), added, where))
 
 
+def _elsewhere(context, place: Place, values: dict[str, float]) -> list[tuple[Place, dict[str, float]]]:
+    """The same mass on the links before and behind: near the joint between them, it does the same on either."""
+    model, data = context.case.model, mujoco.MjData(context.case.model)
+    mujoco.mj_kinematics(model, data)
+    here = model.body(place[0])
+    world = data.xpos[here.id] + data.xmat[here.id].reshape(3, 3) @ [values[a] for a in "xyz"]
+    found: list[tuple[Place, dict[str, float]]] = []
+    for name in context.bodies:
+        there = model.body(name)
+        if there.id == int(here.parentid[0]) or here.id == int(there.parentid[0]):
+            local = data.xmat[there.id].reshape(3, 3).T @ (world - data.xpos[there.id])
+            found.append(((name,), {"mass": values["mass"], **dict(zip("xyz", local.tolist(), strict=True))}))
+    return found
+
+
 def add_point_mass(mass: float, com: np.ndarray, inertia: np.ndarray, added: float, where: np.ndarray):
     """(mass, com, 3x3 inertia about com) of the body with a point mass added; all in the body's frame."""
     total = mass + added
@@ -75,4 +91,5 @@ EFFECT = Effect(
     apply=_apply,
     form=EXACT,
     variants=(("mass",), ("mass", "x", "y", "z")),
+    elsewhere=_elsewhere,
 )
