@@ -236,7 +236,7 @@ class Simulator:
                 torque[:, j] = gear * force[:, u]
                 if joint in edit.signals.back_emf:
                     slope, top = edit.signals.back_emf[joint]
-                    torque[:, j] = np.clip(torque[:, j] - slope * vel[:, j], -top, top)
+                    torque[:, j] = np.clip(torque[:, j] + slope * vel[:, j], -top, top) - slope * vel[:, j]
         tracks = {"pos": pos, "vel": vel, "torque": torque}
         if self.case.floating:
             tracks["base_pos"], tracks["base_quat"] = take("rs_base_pos", [""], 3), take("rs_base_quat", [""], 4)

@@ -20,26 +20,28 @@ def _excited(context, place: Place) -> Excitation:
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     """The drive gives clip(u, max(-T, -T - c v), min(T, T - c v)) with c = T / v0, in plain MuJoCo.
 
-    clip(u, -T - c v, T - c v) is clip(u + c v, -T, T) - c v: the servo with more velocity gain, and a helper that takes
-    it off again; the joint's own limit on actuator forces then keeps braking within T.
+    For |u| <= T that is clip(u + c v, -T, T) - c v: a helper adds c v to the servo, the joint's limit on its actuators
+    clips the sum, and damping takes c v off again. (In the servo itself, a velocity gain above zero would be taken for
+    a damping ratio by MuJoCo's compiler.)
     """
     if values["no_load_speed"] <= 0:
         return
     for joint in place:
-        actuator = edit.spec.actuator(edit.context.actuator[joint])
         limit = edit.context.torque_range[joint]
         slope = limit * values["no_load_speed"] / max(edit.context.speed[j] for j in place)
-        bias = actuator.biasprm
-        bias[2] += slope
-        actuator.biasprm = bias
-        actuator.forcerange, actuator.forcelimited = np.array([-limit, limit]), 1
+        actuator = edit.spec.actuator(edit.context.actuator[joint])
+        if not edit.context.case.model.actuator(actuator.name).forcelimited[0]:
+            actuator.forcerange, actuator.forcelimited = np.array([-limit, limit]), 1
         name = edit.motor_joint(joint)
-        helper = edit.add_actuator(f"back_emf_{joint}", name)
+        helper = edit.add_actuator(f"back_emf_{joint}", name, gain=1.0)
         bias = np.zeros_like(helper.biasprm)
-        bias[2] = -slope
+        bias[2] = slope
         helper.biasprm = bias
         target = edit.spec.joint(name)
         target.actfrcrange, target.actfrclimited = np.array([-limit, limit]), 1
+        damping = target.damping
+        damping[0] += slope
+        target.damping = damping
         edit.signals.back_emf[joint] = (slope, limit)
 
 
