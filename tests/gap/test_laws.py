@@ -129,3 +129,25 @@ def test_stribeck_friction_falls_from_rest_to_motion(made) -> None:
         mujoco.mj_forward(model, data)
         brakes = model.dof_frictionloss[dof] - nominal - np.sign(speed) * data.actuator_force[helper]
         assert brakes == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize("no_load", [40.0, 3.0])  # the slope T / v0 below and above the servo's own velocity gain
+def test_a_drive_loses_torque_with_speed_only_where_it_drives(no_load: float, made) -> None:
+    case = load_case(made("torque_speed_law", Truth(), runs=1))
+    joint = case.joint_names[0]
+    with Simulator(case, DiagnoseConfig(threads=1)) as simulator:
+        speed, top = simulator.context.speed[joint], simulator.context.torque_range[joint]
+        settings = [("torque_speed_limit", (joint,), {"no_load_speed": speed / no_load})]
+        models = [simulator.edited(s).spec.compile() for s in ([], settings)]
+    assert (-models[0].actuator("shoulder_servo").biasprm[2] < top / no_load) == (no_load < 5)
+    for command, v in ((2.0, 1.0), (2.0, -1.0), (-2.0, 1.0), (0.05, 0.5), (0.0, 2.0), (3.0, 0.0)):
+        forces = []
+        for model in models:
+            data = mujoco.MjData(model)
+            data.qvel[model.joint(joint).dofadr[0]], data.ctrl[0] = v, command
+            mujoco.mj_forward(model, data)
+            forces.append(float((data.qfrc_actuator + data.qfrc_passive)[model.joint(joint).dofadr[0]]))
+        passive = -0.3 * v
+        asked, left = forces[0] - passive, top * (1 - abs(v) / no_load)
+        given = np.clip(asked, -top, top) if asked * v <= 0 else np.sign(asked) * min(abs(asked), left)
+        assert forces[1] - passive == pytest.approx(given, abs=1e-6)
