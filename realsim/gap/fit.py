@@ -66,6 +66,14 @@ class Fitter(Search):
         except GapError:
             return None
 
+    def glance(self, causes: Sequence[Cause], further: Cause) -> float:
+        """Gain in log-likelihood by a further cause at its very values, as a rough search sees it."""
+        look = self._look([*causes, further], rough=True, coarse=True)
+        candidates, z = [c.candidate for c in causes], [v for c in causes for v in c.values]
+        before = self._misfit(candidates, np.array(z), look)
+        after = self._misfit([*candidates, further.candidate], np.array([*z, *further.values]), look)
+        return -np.inf if before is None or after is None else before - after
+
     def _settle(self, fit: Fit) -> tuple[Fit, bool]:
         """Nuisances at their most probable values beside the causes, by simulation; whether they moved.
 

@@ -6,7 +6,7 @@ two share little, every slope is of another motion than the robot's.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from itertools import islice
 
 from realsim.gap.fit import Cause, Fit, Fitter
@@ -29,7 +29,12 @@ FORETOLD = 0.2
 def probed_ground(screen: Screen, fitter: Fitter, current: Fit, order: Iterable[Candidate]) -> list[Probe]:
     """The best places for higher or lower ground. `order`: all candidates, those to look at first before the others."""
     single = (c for c in order if lookup(c.effect).scope == "terrain" and len(c.places) == len(c.names) == 1)
-    return _probed(screen, fitter, current, islice(single, MOST_GROUND))[:KEPT_GROUND]
+
+    def gain(cause: Cause) -> float:  # a foot may meet the ground in one run only: all of them, at the model's own step
+        moved = fitter.looked_at(current, (*current.causes, cause))
+        return current.misfit - moved.misfit if moved else float("-inf")
+
+    return _probed(screen, gain, islice(single, MOST_GROUND))[:KEPT_GROUND]
 
 
 def probed(screen: Screen, fitter: Fitter, current: Fit, order: Iterable[Candidate], kept: int) -> list[Probe]:
@@ -41,26 +46,23 @@ def probed(screen: Screen, fitter: Fitter, current: Fit, order: Iterable[Candida
             seen.add(what)
             single.append(c)
     best: dict[str, Probe] = {}
-    for probe in _probed(screen, fitter, current, single[:MOST]):
+    for probe in _probed(screen, lambda cause: fitter.glance(current.causes, cause), single[:MOST]):
         best.setdefault(probe[1].effect, probe)
     return list(best.values())[:kept]
 
 
-def _probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:
+def _probed(screen: Screen, gain_of: Callable[[Cause], float], candidates: Iterable[Candidate]) -> list[Probe]:
     found = []
     for candidate in candidates:
         parameters = lookup(candidate.effect).parameters(screen.simulator.context, candidate.place)
         start = {p.name: p.default for p in parameters if p.name in candidate.names}
         first = next(p for p in parameters if p.name == candidate.names[0])
         values = [v for size in SIZES if first.bounds[0] <= (v := first.default + size * first.step) <= first.bounds[1]]
-        tried = [(_gain(fitter, current, candidate, {**start, first.name: v}), v) for v in values]
+        tried = []
+        for v in values:
+            named = {**start, first.name: v}
+            tried.append((gain_of(Cause(candidate, tuple(named[n] for n in candidate.names))), v))
         gain, value = max(tried, default=(0.0, 0.0))
         if gain > 0:
             found.append((gain, candidate, {**start, first.name: value}))
     return sorted(found, key=lambda item: -item[0])
-
-
-def _gain(fitter: Fitter, current: Fit, candidate: Candidate, values: dict[str, float]) -> float:
-    cause = Cause(candidate, tuple(values[n] for n in candidate.names))
-    moved = fitter.looked_at(current, (*current.causes, cause))
-    return current.misfit - moved.misfit if moved else float("-inf")

@@ -10,6 +10,7 @@ import numpy as np
 
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.fit import Cause, Fit, Fitter
+from realsim.gap.heldout import leftover
 from realsim.gap.merit import complexity, heldout
 from realsim.gap.probes import FORETOLD, probed, probed_ground
 from realsim.gap.screen import Candidate, Screen, marginal, score, slab
@@ -21,6 +22,9 @@ GROWN = 3
 """The best rivals of a stage are also tried with all their parameters."""
 
 DUELLISTS = 5
+
+FAR = 20.0
+"""Mean square in units of the floor beside the small deviations: above it, more than the linear screen is asked."""
 
 ALONE, MOST_ALONE = 0.3, 2
 """Share of what is left that an effect must explain all by itself to be refitted whatever the screen says of it."""
@@ -105,9 +109,11 @@ def refitted(
     everything = [c for _, c, _ in order]
     ground = [(g, c, v) for g, c, v in probed_ground(screen, fitter, current, everything) if g > least]
     chosen: list[tuple[float, Candidate, Any]] = [*finalists, *forces, *ground]
-    chosen += alone(screen, current, [c.effect for _, c, _ in chosen] + [c.candidate.effect for c in current.causes])
-    if order and order[0][0] < FORETOLD * current.misfit and len(finalists) < config.finalists:
-        chosen += probed(screen, fitter, current, everything, config.finalists + 4 - len(finalists))
+    if leftover(screen, current).mean() > FAR:
+        tried_already = [c.effect for _, c, _ in chosen] + [c.candidate.effect for c in current.causes]
+        chosen += alone(screen, current, tried_already)
+        if order and order[0][0] < FORETOLD * current.misfit and len(finalists) < config.finalists:
+            chosen += probed(screen, fitter, current, everything, config.finalists + 4 - len(finalists))
     for gain, candidate, estimate in chosen:
         best = min((searched(screen, f) for f in fits), default=np.inf)
         target = best + near(searched(screen, current) - best)
