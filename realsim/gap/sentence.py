@@ -108,9 +108,14 @@ def _size(parameters: dict[str, dict[str, Any]], sign: int = 1) -> str:
     sizes = {n: p for n, p in active.items() if n not in ("start", "end")}
     listed = []
     for name, p in [item for item in sizes.items() if not _minor(*item, sizes)][:5]:
-        label = f"{name.replace('_', ' ')} " if len(sizes) > 1 else ""
+        label = f"{name.replace('_', ' ')} " if len(sizes) > 1 or _directed(name) else ""
         listed.append(label + _interval(p, sign))
     return ", ".join(listed) + when
+
+
+def _directed(name: str) -> bool:
+    """Whether a number alone would not say which way."""
+    return name[-1] in "xyz" or name in ("roll", "pitch")
 
 
 def _minor(name: str, parameter: dict[str, Any], among: dict[str, dict[str, Any]]) -> bool:

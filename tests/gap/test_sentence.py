@@ -12,7 +12,7 @@ from realsim.gap.sentence import phrase, removed, sentence
 
 
 def cause(
-    effect: str, value: float, unit: str, low: float, high: float, name: str = "x", **place: Any
+    effect: str, value: float, unit: str, low: float, high: float, name: str = "amount", **place: Any
 ) -> dict[str, Any]:
     return {"effect": effect, "parameters": {name: {"value": value, "unit": unit, "ci90": [low, high]}}, **place}
 
@@ -150,3 +150,8 @@ def test_two_causes_are_added_together() -> None:
     )
     gain = cause("motor_gain", 0.8, "ratio", 0.7, 0.9, joints=["hip"])
     assert "correcting them removes" in say("identified", [KNEE, gain])
+
+
+def test_a_single_component_says_which_way() -> None:
+    shift = cause("com_offset", 0.065, "m", 0.057, 0.073, name="z", bodies=["upper"])
+    assert phrase(shift) == "upper: centre of mass z 0.065 m [0.057, 0.073] is missing"
