@@ -100,6 +100,8 @@ def _alike(screen: Screen, fit: Fit, cause: Cause) -> list[Cause]:
         D = c.directions
         inside = D.T @ A @ v
         info = D.T @ A @ D
+        if np.trace(info) <= 0:  # it does nothing where errors count, as in runs that were cut at a fall
+            continue
         coefficients = np.linalg.solve(info + 1e-9 * np.trace(info) * np.eye(len(info)), inside)
         share = float(inside @ coefficients) / size
         if share > ALIKE:

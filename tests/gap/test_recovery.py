@@ -14,6 +14,7 @@ from benchmarks.gap_truth.robots import ROBOTS
 from benchmarks.gap_truth.truth import Truth as TrueRobot
 from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
 from realsim.gap.compare import Comparison
+from realsim.gap.equivalent import _alike
 from realsim.gap.fit import Cause, Fitter
 from realsim.gap.heldout import leftover
 from realsim.gap.merit import is_gap
@@ -122,6 +123,18 @@ def test_where_slopes_say_little_the_right_body_is_found_by_simulation(arm: Case
     assert (candidate.effect, candidate.place, start) == ("com_offset", ("upper",), {"z": pytest.approx(0.04)})
     assert all(gain > g + 10 for g, _, _ in others)
     assert len({c.effect for _, c, _ in probes}) == len(probes)
+
+
+def test_a_rival_that_does_nothing_where_errors_count_is_no_rival(arm: Case) -> None:
+    with Simulator(arm, CONFIG) as simulator:
+        comparison = Comparison(arm, simulator.channels, simulator.simulate(), CONFIG)
+        screen = Screen(simulator, comparison, range(len(arm.runs)), ("stiffness_gain", "motor_gain"))
+        fit = Fitter(screen).nominal()
+        ours = next(c for c in screen.candidates if c.effect == "stiffness_gain" and c.place == ("shoulder",))
+        idle = [i for i, atom in enumerate(screen.atoms) if atom.effect == "motor_gain"]
+        for A in fit.evidence.A:
+            A[idle, :] = A[:, idle] = 0.0
+        assert all(r.candidate.effect != "motor_gain" for r in _alike(screen, fit, Cause(ours, (0.1,))))
 
 
 @pytest.mark.slow
