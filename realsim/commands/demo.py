@@ -48,10 +48,12 @@ def demo(
     config = pipeline.ReconstructConfig(scene=SceneConfig(robot=robot), seed=seed, overwrite=True)
     result = pipeline.reconstruct(made.capture, out / "scene", config)
     seconds = sum(s.seconds for s in result.stages)
+    reused = sum(s.reused for s in result.stages)
     errors = compare(out / "scene", made.truth)
     sensor = float(read_json(made.truth / "truth.json")["depth_scale"])
     lines = [
         f"rendered {frames} frames in {rendered:.1f} s, reconstructed them in {seconds:.1f} s"
+        + (f" ({reused} of {len(result.stages)} stages kept from an earlier run)" if reused else "")
         + ("" if poses else ", camera poses unknown"),
         "",
         *_table(errors, sensor, poses),
