@@ -11,6 +11,8 @@ from realsim.types import F64
 
 GATE_MEDIAN, GATE_MEAN = 1.4, 2.8
 """Mean square in units of the floor, over runs, above which there is a gap."""
+FAR_ABOVE = 20.0
+"""Mean square in units of the floor from which on a rest is no matter of tolerances."""
 PRICE = 4.0
 """Log-likelihood that a parameter must bring: half a log of the data, in round numbers."""
 

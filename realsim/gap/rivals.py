@@ -11,7 +11,7 @@ import numpy as np
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.fit import Cause, Fit, Fitter
 from realsim.gap.heldout import leftover
-from realsim.gap.merit import complexity, heldout
+from realsim.gap.merit import FAR_ABOVE, complexity, heldout
 from realsim.gap.probes import FORETOLD, probed, probed_ground
 from realsim.gap.screen import Candidate, Screen, marginal, score, slab
 from realsim.gap.simulate import lookup
@@ -23,11 +23,9 @@ GROWN = 3
 
 DUELLISTS = 5
 
-FAR = 20.0
-"""Mean square in units of the floor beside the small deviations: above it, more than the linear screen is asked."""
-
 ALONE, MOST_ALONE = 0.3, 2
-"""Share of what is left that an effect must explain all by itself to be refitted whatever the screen says of it."""
+"""Share of what is left that an effect must explain all by itself to be refitted whatever the screen says, and how many
+such effects are."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +107,7 @@ def refitted(
     everything = [c for _, c, _ in order]
     ground = [(g, c, v) for g, c, v in probed_ground(screen, fitter, current, everything) if g > least]
     chosen: list[tuple[float, Candidate, Any]] = [*finalists, *forces, *ground]
-    if leftover(screen, current).mean() > FAR:
+    if leftover(screen, current).mean() > FAR_ABOVE:  # more than the linear screen is asked
         tried_already = [c.effect for _, c, _ in chosen] + [c.candidate.effect for c in current.causes]
         chosen += alone(screen, current, tried_already)
         if order and order[0][0] < FORETOLD * current.misfit and len(finalists) < config.finalists:

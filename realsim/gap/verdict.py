@@ -9,7 +9,7 @@ import numpy as np
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.fit import Fit
 from realsim.gap.heldout import Shrinkage, leftover
-from realsim.gap.merit import is_gap
+from realsim.gap.merit import FAR_ABOVE, is_gap
 from realsim.gap.screen import Screen
 from realsim.gap.select import Selection
 from realsim.gap.simulate import lookup
@@ -17,8 +17,6 @@ from realsim.types import F64
 
 EXCESS = 1.5
 """Where no cause takes any of it, a rest must be larger than else by this factor to be called a gap."""
-FAR_ABOVE = 20.0
-"""Mean square in units of the floor from which on a rest is no matter of tolerances."""
 NOT_HELD = 0.3
 """Share of the gap on unseen runs that may stay at most; causes that hold leave a few per cent."""
 
