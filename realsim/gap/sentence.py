@@ -115,14 +115,19 @@ def _size(parameters: dict[str, dict[str, Any]], sign: int = 1) -> str:
 
 def _directed(name: str) -> bool:
     """Whether a number alone would not say which way."""
-    return name[-1] in "xyz" or name in ("roll", "pitch")
+    return _component(name) or name in ("roll", "pitch")
+
+
+def _component(name: str) -> bool:
+    """Whether it is one of a vector's: z, fx, gyro_x."""
+    return name.rpartition("_")[2] in ("x", "y", "z", "fx", "fy", "fz")
 
 
 def _minor(name: str, parameter: dict[str, Any], among: dict[str, dict[str, Any]]) -> bool:
     """A component of a vector that is under a tenth of the largest one."""
-    if name[-1] not in "xyz":
+    if not _component(name):
         return False
-    vector = [abs(p["value"]) for n, p in among.items() if n[-1] in "xyz" and n[:-1] == name[:-1]]
+    vector = [abs(p["value"]) for n, p in among.items() if _component(n) and n[:-1] == name[:-1]]
     return bool(abs(parameter["value"]) < 0.1 * max(vector))
 
 

@@ -155,3 +155,8 @@ def test_two_causes_are_added_together() -> None:
 def test_a_single_component_says_which_way() -> None:
     shift = cause("com_offset", 0.065, "m", 0.057, 0.073, name="z", bodies=["upper"])
     assert phrase(shift) == "upper: centre of mass z 0.065 m [0.057, 0.073] is missing"
+
+
+def test_a_delay_is_no_vector() -> None:
+    late = cause("command_delay", 0.0176, "s", 0.014, 0.0211, name="delay")
+    assert phrase(late) == "command delay 17.6 ms [14, 21.1] is missing"
