@@ -45,7 +45,7 @@ def equivalents(
     for i, cause in enumerate(fit.causes):
         others = [c for j, c in enumerate(fit.causes) if j != i]
         near_by = [r for r in _close_rivals(stages, fit) if deviation(screen, r) >= config.min_deviation]
-        for rival in [*_alike(screen, fit, cause), *_elsewhere(screen, cause), *near_by]:
+        for rival in [*_limit(screen, cause), *_alike(screen, fit, cause), *_elsewhere(screen, cause), *near_by]:
             key = (cause.candidate.key, rival.candidate.effect, rival.candidate.place)
             if key in found or LIMITS.get(rival.candidate.effect) == cause.candidate.effect:
                 continue
@@ -123,6 +123,20 @@ def _elsewhere(screen: Screen, cause: Cause) -> list[Cause]:
     moved = dict(effect.elsewhere(context, first, cause.named))
     same = [c for c in screen.candidates if c.effect == effect.name and set(c.names) == names and c.place in moved]
     return [Cause(c, tuple(moved[c.place][n] for n in c.names)) for c in same]
+
+
+def _limit(screen: Screen, cause: Cause) -> list[Cause]:
+    """The plain law that a richer one contains, at the same place."""
+    c, shared = cause.candidate, {}
+    for p in lookup(c.effect).parameters(screen.simulator.context, c.place):
+        if p.like is not None and p.name in cause.named:
+            shared[p.like[1]] = cause.named[p.name]
+    plain = [
+        x
+        for x in screen.candidates
+        if (x.effect, x.places) == (LIMITS.get(c.effect), c.places) and set(x.names) == set(shared)
+    ]
+    return [Cause(x, tuple(shared[n] for n in x.names)) for x in plain]
 
 
 def _close_rivals(stages: Sequence[tuple[Fit, list[Fit]]], fit: Fit) -> list[Cause]:

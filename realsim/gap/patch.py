@@ -24,7 +24,7 @@ _WRAPPER = {
     "reading_offset": "add it to the joint's reading; the servo is right",
     "gyro_bias": "add it to the gyroscope's reading",
     "acc_bias": "add it to the accelerometer's reading",
-    "load_friction": "each step, set ctrl of actuator load_friction_JOINT to -ratio * |drive torque| * sign(velocity)",
+    "load_friction": "before each step, set dof_frictionloss to the model's plus ratio * |torque of the drive|",
     "external_force": "set ctrl of this actuator to 1 from start to end, and to 0 otherwise",
 }
 _IN_XML = ("command_delay", "joint_offset")

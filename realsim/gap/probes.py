@@ -9,9 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from itertools import islice
 
+import numpy as np
+
+from realsim.gap.effects.base import Place
 from realsim.gap.fit import Cause, Fit, Fitter
-from realsim.gap.screen import Candidate, Screen
+from realsim.gap.screen import Candidate, Screen, score, slab
 from realsim.gap.simulate import lookup
+from realsim.types import F64
 
 Probe = tuple[float, Candidate, dict[str, float]]
 """(gain in log-likelihood, candidate, values to start from) beside the current causes."""
@@ -20,8 +24,8 @@ SIZES = (2.0, 0.7, -0.7, -2.0)
 """Steps of the parameter."""
 MOST_GROUND, KEPT_GROUND = 12, 2
 """Places on the terrain that are looked at, and those of them that are worth a fit."""
-MOST = 60
-"""Candidates of any kind that are looked at."""
+MOST, KEPT = 60, 5
+"""Candidates of any kind that are looked at, and effects of them that are worth a fit."""
 FORETOLD = 0.2
 """Share of the misfit that the best candidate must explain by its slopes, for the slopes to be believed."""
 
@@ -34,35 +38,51 @@ def probed_ground(screen: Screen, fitter: Fitter, current: Fit, order: Iterable[
         moved = fitter.looked_at(current, (*current.causes, cause))
         return current.misfit - moved.misfit if moved else float("-inf")
 
-    return _probed(screen, gain, islice(single, MOST_GROUND))[:KEPT_GROUND]
+    ground = ((c, np.zeros(len(c.linear))) for c in islice(single, MOST_GROUND))
+    return _probed(screen, gain, ground)[:KEPT_GROUND]
 
 
-def probed(screen: Screen, fitter: Fitter, current: Fit, order: Iterable[Candidate], kept: int) -> list[Probe]:
-    """The best place of each effect, by the first parameter of its simpler forms; at most `kept`."""
-    seen, single = set[tuple[str, tuple[str, ...], str]](), []
-    for c in order:
-        what = (c.effect, c.place, c.names[0])
-        if len(c.places) == 1 and what not in seen and lookup(c.effect).scope != "terrain":
-            seen.add(what)
-            single.append(c)
-    best: dict[str, Probe] = {}
-    for probe in _probed(screen, lambda cause: fitter.glance(current.causes, cause), single[:MOST]):
-        best.setdefault(probe[1].effect, probe)
-    return list(best.values())[:kept]
+def probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:
+    """The best places of the best effects, at the sizes that are looked at.
+
+    To first order many small deviations imitate a gross cause, at a price that is small against a large gap; so the
+    order here is by what a candidate explains all by itself. Abrupt effects have no slope to be ordered by.
+    """
+    A, b = np.sum(current.evidence.A, axis=0), np.sum(current.evidence.b, axis=0)
+    best: dict[tuple[str, Place], tuple[float, Candidate, F64]] = {}
+    for c in candidates:
+        effect = lookup(c.effect)
+        if len(c.places) == 1 and effect.scope != "terrain":
+            gain, estimate, _ = score(A, b, c.directions, slab(c, screen))
+            gain = np.inf if effect.abrupt else gain
+            if gain > best.get((c.effect, c.place), (-np.inf,))[0]:
+                best[c.effect, c.place] = gain, c, estimate
+    order = sorted(best.values(), key=lambda item: -item[0])[:MOST]
+    gain_of = lambda cause: fitter.glance(current.causes, cause)  # noqa: E731
+    found: dict[str, Probe] = {}
+    for probe in _probed(screen, gain_of, [(c, estimate) for _, c, estimate in order]):
+        found.setdefault(probe[1].effect, probe)
+    return list(found.values())[:KEPT]
 
 
-def _probed(screen: Screen, gain_of: Callable[[Cause], float], candidates: Iterable[Candidate]) -> list[Probe]:
+def _probed(
+    screen: Screen, gain_of: Callable[[Cause], float], candidates: Iterable[tuple[Candidate, F64]]
+) -> list[Probe]:
+    """Candidates that gain, best first, each at its best size along its estimate."""
     found = []
-    for candidate in candidates:
-        parameters = lookup(candidate.effect).parameters(screen.simulator.context, candidate.place)
-        start = {p.name: p.default for p in parameters if p.name in candidate.names}
-        first = next(p for p in parameters if p.name == candidate.names[0])
-        values = [v for size in SIZES if first.bounds[0] <= (v := first.default + size * first.step) <= first.bounds[1]]
+    for candidate, estimate in candidates:
+        parameters = {p.name: p for p in lookup(candidate.effect).parameters(screen.simulator.context, candidate.place)}
+        start = {n: parameters[n].default for n in candidate.names}
+        steps = np.array([abs(parameters[n].step) for n in candidate.linear])
+        size = float(np.linalg.norm(estimate / steps))
+        unit = estimate / size if size else np.eye(len(steps))[0] * steps
         tried = []
-        for v in values:
-            named = {**start, first.name: v}
-            tried.append((gain_of(Cause(candidate, tuple(named[n] for n in candidate.names))), v))
-        gain, value = max(tried, default=(0.0, 0.0))
+        for factor in SIZES:
+            moved = dict(zip(candidate.linear, unit * factor, strict=True))
+            if all(parameters[n].bounds[0] <= v <= parameters[n].bounds[1] for n, v in moved.items()):
+                values = start | moved
+                tried.append((gain_of(Cause(candidate, tuple(values[n] for n in candidate.names))), factor, values))
+        gain, _, values = max(tried, default=(0.0, 0.0, start))
         if gain > 0:
-            found.append((gain, candidate, {**start, first.name: value}))
+            found.append((gain, candidate, values))
     return sorted(found, key=lambda item: -item[0])

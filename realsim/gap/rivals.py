@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,8 +9,7 @@ import numpy as np
 
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.fit import Cause, Fit, Fitter
-from realsim.gap.heldout import leftover
-from realsim.gap.merit import FAR_ABOVE, complexity, heldout
+from realsim.gap.merit import complexity, heldout
 from realsim.gap.probes import FORETOLD, probed, probed_ground
 from realsim.gap.screen import Candidate, Screen, marginal, score, slab
 from realsim.gap.simulate import lookup
@@ -22,10 +20,6 @@ GROWN = 3
 """The best rivals of a stage are also tried with all their parameters."""
 
 DUELLISTS = 5
-
-ALONE, MOST_ALONE = 0.3, 2
-"""Share of what is left that an effect must explain all by itself to be refitted whatever the screen says, and how many
-such effects are."""
 
 
 @dataclass(frozen=True)
@@ -60,38 +54,20 @@ def ranked(screen: Screen, current: Fit) -> list[tuple[float, Candidate, F64]]:
     return sorted(found, key=lambda item: -item[0])
 
 
-def alone(screen: Screen, current: Fit, taken: Sequence[str]) -> list[tuple[float, Candidate, F64]]:
-    """The effects that explain most of what is left all by themselves, the best place of each, best first.
-
-    Beside many small deviations the linear screen may see nothing of a gross cause: to first order they imitate it at a
-    price that is small against a large gap, but they would have to be absurd.
-
-    Args:
-        taken: effects that need not be looked at.
-    """
-    A, b = np.sum(current.evidence.A, axis=0), np.sum(current.evidence.b, axis=0)
-    total = 0.5 * float(sum(current.evidence.c))
-    best: dict[str, tuple[float, Candidate, F64]] = {}
-    for candidate in screen.candidates:
-        if candidate.effect not in taken:
-            gain, estimate, _ = score(A, b, candidate.directions, slab(candidate, screen))
-            if gain > max(ALONE * total, best.get(candidate.effect, (0.0,))[0]):
-                best[candidate.effect] = gain, candidate, estimate
-    return sorted(best.values(), key=lambda item: -item[0])[:MOST_ALONE]
-
-
 def refitted(
     screen: Screen, fitter: Fitter, config: DiagnoseConfig, current: Fit, stage: int, trials: list[Trial]
 ) -> list[Fit]:
     """The best candidates of the linear screen, refitted together with what is already accepted; best first."""
     order = ranked(screen, current)
+    foretold = bool(order) and order[0][0] > FORETOLD * current.misfit
+    most = config.finalists + (4 if foretold else 0)
     # Far behind the leader by the linear screen, only effects that are far from linear can still win.
     least = max(0.5 * config.min_gain, 0.04 * order[0][0] if order else 0.0)
     finalists: list[tuple[float, Candidate, F64]] = []
     per_effect: dict[str, int] = {}
     for gain, candidate, estimate in order:
         nested = any(_nested(candidate, other) for _, other, _ in finalists)
-        if gain > least and len(finalists) < config.finalists + 4 and not nested:
+        if gain > least and len(finalists) < most and not nested:
             count = per_effect.get(candidate.effect, 0)
             # The first few take what is best; then every further effect gets its best place, so none is overlooked.
             if count < 2 or (len(finalists) < 3 and count < 3):
@@ -107,11 +83,9 @@ def refitted(
     everything = [c for _, c, _ in order]
     ground = [(g, c, v) for g, c, v in probed_ground(screen, fitter, current, everything) if g > least]
     chosen: list[tuple[float, Candidate, Any]] = [*finalists, *forces, *ground]
-    if leftover(screen, current).mean() > FAR_ABOVE:  # more than the linear screen is asked
-        tried_already = [c.effect for _, c, _ in chosen] + [c.candidate.effect for c in current.causes]
-        chosen += alone(screen, current, tried_already)
-        if order and order[0][0] < FORETOLD * current.misfit and len(finalists) < config.finalists:
-            chosen += probed(screen, fitter, current, everything, config.finalists + 4 - len(finalists))
+    if not foretold:
+        known = {(c.effect, c.place) for _, c, _ in chosen}
+        chosen += [p for p in probed(screen, fitter, current, everything) if (p[1].effect, p[1].place) not in known]
     for gain, candidate, estimate in chosen:
         best = min((searched(screen, f) for f in fits), default=np.inf)
         target = best + near(searched(screen, current) - best)

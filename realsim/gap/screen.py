@@ -125,7 +125,7 @@ class Screen:
         self.varied = self._varied()
         self.prior = np.array([a.parameter.nuisance for a in self.atoms])
         self.simulable = np.array([a.effect != "load_friction" and not a.parameter.fine for a in self.atoms])
-        """(p,) False for atoms that cost a second pass or many steps: as nuisances they stay linear."""
+        """(p,) False for atoms that cost steps one by one, or many of them: as nuisances they stay linear."""
         self.candidates = self._candidates(chosen)
 
     def _varied(self, count: int = 3) -> tuple[int, ...] | None:

@@ -80,12 +80,7 @@ def shoot(simulator: Simulator, settings: Sequence[Setting] = (), runs: Sequence
             seen.append((run, motion, n))
     if not states:
         return Shots(labels, seconds, (), np.zeros((0, len(seconds), 0)))
-    sensors = simulator._roll(model, np.stack(states), np.stack(controls))
-    if edit.signals.load_friction:  # friction that goes with the load is fed in along the first pass
-        tracks = [simulator._tracks(model, s, 0, edit) for s in sensors]
-        control = np.stack(controls)
-        simulator._feed_friction(model, control, tracks, edit)
-        sensors = simulator._roll(model, np.stack(states), control)
+    sensors = simulator.rolled(model, np.stack(states), np.stack(controls), edit)
     simulator.simulated_seconds += len(states) * count * dt
     names, rows = _names(simulator), []
     for s, (run, motion, n) in zip(sensors, seen, strict=True):

@@ -21,6 +21,7 @@ from realsim.gap.sampling import quiet_mujoco as quiet_mujoco
 from realsim.gap.sampling import rotation_from as rotation_from
 from realsim.gap.sampling import sample as sample
 from realsim.gap.start import Start, find_starts, first_rows, initial_state
+from realsim.gap.stepping import gears, stepped
 from realsim.types import F64
 
 Setting = tuple[str, Place, dict[str, float]]
@@ -155,30 +156,23 @@ class Simulator:
         control = np.zeros((len(runs), max(steps), model.nu))
         for i, run in enumerate(runs):
             control[i] = self._control(model, run, edit, max(steps), settle[i], dt)
-        passes = 2 if edit.signals.load_friction else 1
-        previous = None
-        if self._raw and passes == 2 and dt == self.context.timestep:
-            previous = [self._raw[i] for i in (chosen or range(len(runs)))]
-            if any(round(float(p["settle"][0]) / dt) != k for p, k in zip(previous, settle, strict=True)):
-                previous = None  # its rows stand for other times
-        result: list[dict[str, F64]] = []
-        for _ in range(passes):
-            if previous is not None:
-                self._feed_friction(model, control, previous, edit)
-            sensors = self._roll(model, state, control)
-            result = [self._tracks(model, s[:n], k, edit) for s, n, k in zip(sensors, steps, settle, strict=True)]
-            previous = result
-        self.simulated_seconds += passes * float(sum(steps)) * dt
-        return result
+        sensors = self.rolled(model, state, control, edit)
+        self.simulated_seconds += float(sum(steps)) * dt
+        return [self._tracks(model, s[:n], k, edit) for s, n, k in zip(sensors, steps, settle, strict=True)]
 
-    def _roll(self, model: Any, state: F64, control: F64) -> F64:
+    def rolled(self, model: Any, state: F64, control: F64, edit: Edit) -> F64:
+        """(R, T, S) sensors of R runs, from (R, X) full physics states under (R, T, U) controls."""
         import mujoco
         from mujoco import rollout
 
-        if self._pool is None:
-            self._pool = rollout.Rollout(nthread=self.config.threads if self.config.threads > 1 else 0)
-        datas = [mujoco.MjData(model) for _ in range(self.config.threads)]
         with quiet_mujoco():
+            if edit.signals.load_friction:
+                drives = {j: (edit.motor_joint(j), a) for j, a in self.context.actuator.items()}
+                laws = gears(model, edit.signals.load_friction, drives)
+                return stepped(model, state, control, laws, self.config.threads)
+            if self._pool is None:
+                self._pool = rollout.Rollout(nthread=self.config.threads if self.config.threads > 1 else 0)
+            datas = [mujoco.MjData(model) for _ in range(self.config.threads)]
             _, sensors = self._pool.rollout(model, datas, state, control, chunk_size=1)
         return np.asarray(sensors)
 
@@ -207,17 +201,6 @@ class Simulator:
         for name, start, end in edit.signals.pulses:
             control[:, model.actuator(name).id] = (grid[:-1] >= start) & (grid[:-1] < end)
         return control
-
-    def _feed_friction(self, model: Any, control: F64, tracks: list[dict[str, F64]], edit: Edit) -> None:
-        """Friction against the motion of the pass before; it fades in over a hundredth of the peak speed."""
-        for joint, ratio in edit.signals.load_friction.items():
-            j = self.case.joint_names.index(joint)
-            u = model.actuator(f"load_friction_{joint}").id
-            slow = 0.01 * max(np.abs(t["vel"][:, j]).max(initial=0) for t in tracks) + 1e-9
-            for i, track in enumerate(tracks):
-                force = -ratio * np.abs(track["torque"][:, j]) * np.tanh(track["vel"][:, j] / slow)
-                count = min(len(force), control.shape[1])
-                control[i, :count, u] = np.nan_to_num(force[:count])
 
     def _tracks(self, model: Any, sensors: F64, settle: int, edit: Edit) -> dict[str, F64]:
         """Signals on the simulator's grid, from the first settling step; NaN after a failure."""

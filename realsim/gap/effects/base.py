@@ -81,6 +81,8 @@ class Effect:
     """Share of its own correction that the effect's simplified law may miss: less where the law is exact."""
     stiff: bool = False
     """Whether its law needs the model's own time step."""
+    abrupt: bool = False
+    """Whether its slope foretells nothing: a foot slips, a drive saturates, or not."""
     further_start: Callable[[dict[str, float]], dict[str, float]] | None = None
     """From values that were found: others from which a search should begin once more, in another valley."""
     elsewhere: Callable[[Context, Place, dict[str, float]], list[tuple[Place, dict[str, float]]]] | None = None

@@ -15,10 +15,12 @@ def _excited(context, place: Place) -> Excitation:
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
-    """The force is fed in along the simulated motion (a second pass), because MuJoCo's dry friction is constant."""
+    """MuJoCo's dry friction is constant: the loop that steps the model changes it (see realsim.gap.stepping)."""
     for joint in place:
         edit.signals.load_friction[joint] = edit.signals.load_friction.get(joint, 0.0) + values["ratio"]
-        edit.add_actuator(f"load_friction_{joint}", edit.motor_joint(joint), gain=1.0)
+        added = max(values["ratio"], 0.0) * edit.context.torque_scale(joint)
+        if added:
+            edit.stiffen_friction(joint, added / (edit.context.friction(joint) + added))
 
 
 EFFECT = Effect(

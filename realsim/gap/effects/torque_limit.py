@@ -38,4 +38,5 @@ EFFECT = Effect(
     parameters=_parameters,
     excited_by=_excited,
     apply=_apply,
+    abrupt=True,
 )

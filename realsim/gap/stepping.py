@@ -1,0 +1,74 @@
+"""Roll-outs step by step, for laws that change the model as it moves: friction that goes with the load."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from realsim.types import F64
+
+
+@dataclass(frozen=True)
+class Gear:
+    """A joint whose dry friction is that of the model, and a ratio of the torque that its drive delivers."""
+
+    dof: int
+    """Of the motor's side."""
+    actuator: int
+    ratio: float
+
+
+def gears(model: Any, load_friction: Mapping[str, float], drives: Mapping[str, tuple[str, str]]) -> list[Gear]:
+    """`load_friction`: joint -> ratio. `drives`: joint -> (joint on the motor's side, actuator)."""
+    found = []
+    for joint, ratio in load_friction.items():
+        motor, actuator = drives[joint]
+        u = model.actuator(actuator)
+        found.append(Gear(int(model.joint(motor).dofadr[0]), int(u.id), ratio * abs(float(u.gear[0]))))
+    return found
+
+
+def stepped(model: Any, states: F64, controls: F64, laws: Sequence[Gear], threads: int = 1) -> F64:
+    """(R, T, S) sensors of R runs of T steps, as `mujoco.rollout` gives them; NaN from where MuJoCo gives one up.
+
+    Args:
+        states: (R, X) full physics states to begin in.
+        controls: (R, T, U).
+        laws: the friction of a step goes with the torque of the step before.
+    """
+    one = partial(_one, model, laws)
+    if threads == 1:
+        return np.stack([one(s, c) for s, c in zip(states, controls, strict=True)])
+    with ThreadPoolExecutor(threads) as pool:
+        return np.stack(list(pool.map(one, states, controls)))
+
+
+def _one(model: Any, laws: Sequence[Gear], state: F64, control: F64) -> F64:
+    import mujoco
+
+    model = copy.copy(model)  # its friction changes on the way, and other threads step it too
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    dofs = np.array([law.dof for law in laws], int)
+    drives = np.array([law.actuator for law in laws], int)
+    ratios = np.array([law.ratio for law in laws])
+    least = model.dof_frictionloss[dofs].copy()
+    rows = np.empty((len(control), model.nsensordata))
+    last = data.time
+    data.ctrl[:] = control[0]
+    mujoco.mj_forward(model, data)
+    for k, ctrl in enumerate(control):
+        model.dof_frictionloss[dofs] = np.maximum(least + ratios * np.abs(data.actuator_force[drives]), 0.0)
+        data.ctrl[:] = ctrl
+        mujoco.mj_step(model, data)
+        if data.time <= last:  # the state was no number, and MuJoCo has begun anew
+            rows[k:] = np.nan
+            break
+        rows[k], last = data.sensordata, data.time
+    return rows
