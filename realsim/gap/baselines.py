@@ -55,11 +55,14 @@ def rival_settings(screen: Screen, comparison: Comparison, selection: Selection)
 
 
 def _everything(screen: Screen, comparison: Comparison, nominal: Fit) -> list[Setting]:
-    """Ridge over all effects, as far along its way as the simulator still gains on the fitted runs."""
+    """Ridge over all effects, as far along its way as the simulator still gains on the fitted runs.
+
+    Laws that need joints or a time step of their own stay out: at every joint at once they cost more than all else.
+    """
     wide = replace(nominal, prior=_wide(screen))
     best: tuple[float, list[Setting]] = (np.inf, [])
     for scale in (1.0, 0.5, 0.25):
-        settings = [s for s in nuisance_settings(screen, wide, scale) if s[0] in EFFECTS]
+        settings = [s for s in nuisance_settings(screen, wide, scale) if s[0] in EFFECTS and not EFFECTS[s[0]].stiff]
         left = errors(screen.simulator, comparison, settings, screen.runs)
         if left is not None and (error := mean_square(comparison, left, screen.runs)) < best[0]:
             best = (error, settings)

@@ -44,6 +44,7 @@ def equivalents(
     removed = nominal.misfit - fit.misfit
     for i, cause in enumerate(fit.causes):
         others = [c for j, c in enumerate(fit.causes) if j != i]
+        found |= _twins(screen, fitter, cause, others)
         near_by = [r for r in _close_rivals(stages, fit) if deviation(screen, r) >= config.min_deviation]
         for rival in [*_limit(screen, cause), *_alike(screen, fit, cause), *_elsewhere(screen, cause), *near_by]:
             key = (cause.candidate.key, rival.candidate.effect, rival.candidate.place)
@@ -123,6 +124,17 @@ def _elsewhere(screen: Screen, cause: Cause) -> list[Cause]:
     moved = dict(effect.elsewhere(context, first, cause.named))
     same = [c for c in screen.candidates if c.effect == effect.name and set(c.names) == names and c.place in moved]
     return [Cause(c, tuple(moved[c.place][n] for n in c.names)) for c in same]
+
+
+def _twins(screen: Screen, fitter: Fitter, cause: Cause, others: list[Cause]) -> dict[tuple, Fit]:
+    """The effect that does exactly the same by its nature: no preference of the runs is believed, only refitted."""
+    c, context = cause.candidate, screen.simulator.context
+    effect, starts = lookup(c.effect), screen.simulator.starts
+    if effect.twin is None or not effect.twinned(context) or any(start.moving for start in starts):
+        return {}
+    same = [x for x in screen.candidates if (x.effect, x.places, x.names) == (effect.twin, c.places, c.names)]
+    fits = {(c.key, x.effect, x.place): fitter.fit([*others, Cause(x, cause.values)], iterations=3) for x in same}
+    return {key: fit for key, fit in fits.items() if fit is not None}
 
 
 def _limit(screen: Screen, cause: Cause) -> list[Cause]:

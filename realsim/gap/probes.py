@@ -7,12 +7,14 @@ two share little, every slope is of another motion than the robot's.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from itertools import islice
 
 import numpy as np
 
 from realsim.gap.effects.base import Place
 from realsim.gap.fit import Cause, Fit, Fitter
+from realsim.gap.heldout import leftover
 from realsim.gap.screen import Candidate, Screen, score, slab
 from realsim.gap.simulate import lookup
 from realsim.types import F64
@@ -20,14 +22,22 @@ from realsim.types import F64
 Probe = tuple[float, Candidate, dict[str, float]]
 """(gain in log-likelihood, candidate, values to start from) beside the current causes."""
 
-SIZES = (2.0, 0.7, -0.7, -2.0)
+SIZES, GROUND_SIZES = (1.5, -1.5), (2.0, 0.7, -0.7, -2.0)
 """Steps of the parameter."""
+FURTHER = 2.0
+"""Factor by which the largest is exceeded where it is the best."""
 MOST_GROUND, KEPT_GROUND = 12, 2
 """Places on the terrain that are looked at, and those of them that are worth a fit."""
 MOST, KEPT = 60, 5
 """Candidates of any kind that are looked at, and effects of them that are worth a fit."""
-FORETOLD = 0.2
-"""Share of the misfit that the best candidate must explain by its slopes, for the slopes to be believed."""
+FORETOLD, SMALL = 0.2, 3.0
+"""Share of the misfit that the best candidate must explain by its slopes for the slopes to be believed, and mean square
+in units of the floor below which they are anyway."""
+
+
+def foretold(screen: Screen, current: Fit, best: float) -> bool:
+    """Whether slopes foretell what a cause would do. `best`: gain of the best candidate by the linear screen."""
+    return best > FORETOLD * current.misfit or leftover(screen, current).mean() < SMALL
 
 
 def probed_ground(screen: Screen, fitter: Fitter, current: Fit, order: Iterable[Candidate]) -> list[Probe]:
@@ -39,50 +49,68 @@ def probed_ground(screen: Screen, fitter: Fitter, current: Fit, order: Iterable[
         return current.misfit - moved.misfit if moved else float("-inf")
 
     ground = ((c, np.zeros(len(c.linear))) for c in islice(single, MOST_GROUND))
-    return _probed(screen, gain, ground)[:KEPT_GROUND]
+    return _probed(screen, gain, ground, GROUND_SIZES)[:KEPT_GROUND]
 
 
 def probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:
     """The best places of the best effects, at the sizes that are looked at.
 
     To first order many small deviations imitate a gross cause, at a price that is small against a large gap; so the
-    order here is by what a candidate explains all by itself. Abrupt effects have no slope to be ordered by.
+    order here is by what a candidate explains all by itself. Abrupt effects have no slope to be ordered by. Stiff laws
+    would take too long, and are refitted from several sizes anyway.
     """
     A, b = np.sum(current.evidence.A, axis=0), np.sum(current.evidence.b, axis=0)
     best: dict[tuple[str, Place], tuple[float, Candidate, F64]] = {}
     for c in candidates:
         effect = lookup(c.effect)
-        if len(c.places) == 1 and effect.scope != "terrain":
+        if len(c.places) == 1 and effect.scope != "terrain" and not effect.stiff:
             gain, estimate, _ = score(A, b, c.directions, slab(c, screen))
             gain = np.inf if effect.abrupt else gain
             if gain > best.get((c.effect, c.place), (-np.inf,))[0]:
                 best[c.effect, c.place] = gain, c, estimate
     order = sorted(best.values(), key=lambda item: -item[0])[:MOST]
-    gain_of = lambda cause: fitter.glance(current.causes, cause)  # noqa: E731
     found: dict[str, Probe] = {}
-    for probe in _probed(screen, gain_of, [(c, estimate) for _, c, estimate in order]):
+    gain_of = partial(fitter.glance, current.causes)
+    for probe in _probed(screen, gain_of, [(c, estimate) for _, c, estimate in order], SIZES):
         found.setdefault(probe[1].effect, probe)
     return list(found.values())[:KEPT]
 
 
 def _probed(
-    screen: Screen, gain_of: Callable[[Cause], float], candidates: Iterable[tuple[Candidate, F64]]
+    screen: Screen,
+    gain_of: Callable[[Cause], float],
+    candidates: Iterable[tuple[Candidate, F64]],
+    sizes: tuple[float, ...],
 ) -> list[Probe]:
     """Candidates that gain, best first, each at its best size along its estimate."""
-    found = []
-    for candidate, estimate in candidates:
-        parameters = {p.name: p for p in lookup(candidate.effect).parameters(screen.simulator.context, candidate.place)}
-        start = {n: parameters[n].default for n in candidate.names}
-        steps = np.array([abs(parameters[n].step) for n in candidate.linear])
-        size = float(np.linalg.norm(estimate / steps))
-        unit = estimate / size if size else np.eye(len(steps))[0] * steps
-        tried = []
-        for factor in SIZES:
-            moved = dict(zip(candidate.linear, unit * factor, strict=True))
-            if all(parameters[n].bounds[0] <= v <= parameters[n].bounds[1] for n, v in moved.items()):
-                values = start | moved
-                tried.append((gain_of(Cause(candidate, tuple(values[n] for n in candidate.names))), factor, values))
-        gain, _, values = max(tried, default=(0.0, 0.0, start))
-        if gain > 0:
-            found.append((gain, candidate, values))
-    return sorted(found, key=lambda item: -item[0])
+    probes = [_sized(screen, gain_of, c, estimate, sizes) for c, estimate in candidates]
+    return sorted((p for p in probes if p[0] > 0), key=lambda p: -p[0])
+
+
+def _sized(
+    screen: Screen,
+    gain_of: Callable[[Cause], float],
+    candidate: Candidate,
+    estimate: F64,
+    sizes: tuple[float, ...],
+) -> Probe:
+    """The best of some sizes; beyond the largest, as long as that gains."""
+    parameters = {p.name: p for p in lookup(candidate.effect).parameters(screen.simulator.context, candidate.place)}
+    start = {n: parameters[n].default for n in candidate.names}
+    steps = np.array([abs(parameters[n].step) for n in candidate.linear])
+    size = float(np.linalg.norm(estimate / steps))
+    unit = estimate / size if size else np.eye(len(steps))[0] * steps
+
+    def values(factor: float) -> dict[str, float]:
+        return start | {n: float(v) for n, v in zip(candidate.linear, unit * factor, strict=True)}
+
+    def gain(factor: float) -> float:
+        named = values(factor)
+        if any(not parameters[n].bounds[0] <= named[n] <= parameters[n].bounds[1] for n in candidate.linear):
+            return -np.inf
+        return gain_of(Cause(candidate, tuple(named[n] for n in candidate.names)))
+
+    most, best = max((gain(factor), factor) for factor in sizes)
+    while abs(best) >= max(sizes) and (further := gain(FURTHER * best)) > most:
+        most, best = further, FURTHER * best
+    return most, candidate, values(best)

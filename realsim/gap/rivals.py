@@ -10,7 +10,7 @@ import numpy as np
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.fit import Cause, Fit, Fitter
 from realsim.gap.merit import complexity, heldout
-from realsim.gap.probes import FORETOLD, probed, probed_ground
+from realsim.gap.probes import foretold, probed, probed_ground
 from realsim.gap.screen import Candidate, Screen, marginal, score, slab
 from realsim.gap.simulate import lookup
 from realsim.gap.windows import slid, window_candidates
@@ -59,8 +59,8 @@ def refitted(
 ) -> list[Fit]:
     """The best candidates of the linear screen, refitted together with what is already accepted; best first."""
     order = ranked(screen, current)
-    foretold = bool(order) and order[0][0] > FORETOLD * current.misfit
-    most = config.finalists + (4 if foretold else 0)
+    by_slopes = foretold(screen, current, order[0][0] if order else 0.0)
+    most = config.finalists + (4 if by_slopes else 0)
     # Far behind the leader by the linear screen, only effects that are far from linear can still win.
     least = max(0.5 * config.min_gain, 0.04 * order[0][0] if order else 0.0)
     finalists: list[tuple[float, Candidate, F64]] = []
@@ -83,7 +83,7 @@ def refitted(
     everything = [c for _, c, _ in order]
     ground = [(g, c, v) for g, c, v in probed_ground(screen, fitter, current, everything) if g > least]
     chosen: list[tuple[float, Candidate, Any]] = [*finalists, *forces, *ground]
-    if not foretold:
+    if not by_slopes:
         known = {(c.effect, c.place) for _, c, _ in chosen}
         chosen += [p for p in probed(screen, fitter, current, everything) if (p[1].effect, p[1].place) not in known]
     for gain, candidate, estimate in chosen:

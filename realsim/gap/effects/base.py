@@ -85,8 +85,19 @@ class Effect:
     """Whether its slope foretells nothing: a foot slips, a drive saturates, or not."""
     further_start: Callable[[dict[str, float]], dict[str, float]] | None = None
     """From values that were found: others from which a search should begin once more, in another valley."""
+    twin: str | None = None
+    """Another effect that does exactly the same at the same values, where `twinned` says so of a log."""
+    twinned: Callable[[Context], bool] = lambda context: False
     elsewhere: Callable[[Context, Place, dict[str, float]], list[tuple[Place, dict[str, float]]]] | None = None
     """From values that were found at a place: other places, with the values there, that do nearly the same."""
+
+
+def joint_signals_only(context: Context) -> bool:
+    """Whether nothing but the joints' own signals is logged: then late commands and late readings are one and the same.
+
+    A robot that begins at rest knows no clock, so shifting its commands shifts every reading.
+    """
+    return not any(context.case.has(name) for name in ("base_pos", "imu_gyro", "imu_acc", "contact"))
 
 
 def each_joint(context: Context) -> list[Place]:

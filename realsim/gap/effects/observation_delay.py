@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from realsim.gap.effects.base import EXACT, Edit, Effect, Parameter, Place, always, everywhere
+from realsim.gap.effects.base import EXACT, Edit, Effect, Parameter, Place, always, everywhere, joint_signals_only
 
 
 def _parameters(context, place: Place) -> tuple[Parameter, ...]:
@@ -26,4 +26,6 @@ EFFECT = Effect(
     apply=_apply,
     form=EXACT,
     patchable=False,
+    twin="command_delay",
+    twinned=joint_signals_only,
 )
