@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from realsim.gap import DiagnoseConfig, load_case
 from realsim.gap.compare import Comparison
 from realsim.gap.effects.base import Parameter
-from realsim.gap.equivalent import likelier
 from realsim.gap.fit import Cause, Fitter
 from realsim.gap.fitted import Z90, significance
 from realsim.gap.screen import Screen
@@ -115,13 +114,3 @@ def test_a_strength_at_an_end_of_its_range_is_no_answer(fitter: Fitter) -> None:
     fit = replace(fitter.nominal(), causes=(_cause(fitter, "motor_gain", -0.9),), at_bounds=("ratio",))
     assert at_an_end(fitter.screen, fit) == ["ratio"]
     assert at_an_end(fitter.screen, replace(fit, at_bounds=("stribeck_velocity",))) == []
-
-
-def test_the_more_usual_of_two_that_fit_alike_stands_first() -> None:
-    def fit(effect: str, misfit: float) -> Any:
-        return SimpleNamespace(misfit=misfit, causes=(SimpleNamespace(candidate=SimpleNamespace(effect=effect)),))
-
-    inertia, rotor, far = fit("link_inertia", 10.0), fit("armature", 11.0), fit("armature", 30.0)
-    assert likelier(inertia, [rotor]) == (rotor, [inertia])
-    assert likelier(inertia, [far]) == (inertia, [far])  # the runs prefer the first
-    assert likelier(rotor, [inertia]) == (rotor, [inertia])

@@ -1,0 +1,69 @@
+"""Rivals that the diagnosis knows of without looking: laws that contain each other, and effects that are one thing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
+from realsim.gap.compare import Comparison
+from realsim.gap.effects import EFFECTS
+from realsim.gap.equivalent import _limit, likelier
+from realsim.gap.fit import Cause
+from realsim.gap.screen import Screen
+from realsim.gap.simulate import Simulator
+
+from .test_recovery import logged
+from .truth import Truth
+
+CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
+
+
+@pytest.fixture(scope="module")
+def arm(made) -> Case:
+    return load_case(made("equivalent", Truth(), runs=3))
+
+
+def test_beside_a_richer_friction_stands_the_plain_one(arm: Case) -> None:
+    with Simulator(arm, CONFIG) as simulator:
+        comparison = Comparison(arm, simulator.channels, simulator.simulate(), CONFIG)
+        screen = Screen(simulator, comparison, range(3), ("stribeck_friction", "coulomb_friction"))
+    full = next(c for c in screen.candidates if c.effect == "stribeck_friction" and "coulomb" in c.names)
+    values = {"static_friction": 0.1, "coulomb": 0.4, "stribeck_velocity": 0.1}
+    (plain,) = _limit(screen, Cause(full, tuple(values[n] for n in full.names)))
+    assert plain.candidate.effect == "coulomb_friction"
+    assert plain.candidate.places == full.places
+    assert plain.values == (0.4,)
+    assert not _limit(screen, plain)
+
+
+@pytest.mark.parametrize("name", ["command_delay", "observation_delay"])
+def test_where_only_joints_are_logged_both_delays_are_named(name: str, arm: Case) -> None:
+    case = logged(arm, [(name, (), {"delay": 0.02})])
+    found = diagnose(case, replace(CONFIG, effects=("command_delay", "observation_delay"), bootstrap=20))
+    assert found.verdict == "ambiguous"
+    named = [found.causes[0]["effect"], *(c["effect"] for s in found.equivalent for c in s)]
+    assert sorted(named) == ["command_delay", "observation_delay"]
+
+
+@pytest.mark.parametrize("name", ["command_delay", "observation_delay"])
+def test_an_imu_tells_them_apart(name: str, arm: Case) -> None:
+    effect = EFFECTS[name]
+    with Simulator(arm, CONFIG) as simulator:
+        assert effect.twinned(simulator.context)
+        acc = tuple(replace(r, signals=r.signals | {"imu_acc": np.zeros((len(r.time), 3))}) for r in arm.runs)
+        assert not effect.twinned(replace(simulator.context, case=arm.with_runs(acc)))
+
+
+def test_the_more_usual_of_two_that_fit_alike_stands_first() -> None:
+    def fit(effect: str, misfit: float) -> Any:
+        return SimpleNamespace(misfit=misfit, causes=(SimpleNamespace(candidate=SimpleNamespace(effect=effect)),))
+
+    inertia, rotor, far = fit("link_inertia", 10.0), fit("armature", 11.0), fit("armature", 30.0)
+    assert likelier(inertia, [rotor]) == (rotor, [inertia])
+    assert likelier(inertia, [far]) == (inertia, [far])  # the runs prefer the first
+    assert likelier(rotor, [inertia]) == (rotor, [inertia])
