@@ -22,8 +22,8 @@ from realsim.types import F64
 Probe = tuple[float, Candidate, dict[str, float]]
 """(gain in log-likelihood, candidate, values to start from) beside the current causes."""
 
-SIZES, GROUND_SIZES = (1.5, -1.5), (2.0, 0.7, -0.7, -2.0)
-"""Steps of the parameter."""
+SIZES, ABRUPT_SIZES = (1.5, -1.5), (2.0, 0.7, -0.7, -2.0)
+"""Steps of the parameter; more where nothing may show below a threshold."""
 FURTHER = 2.0
 """Factor by which the largest is exceeded where it is the best."""
 MOST_GROUND, KEPT_GROUND = 12, 2
@@ -49,7 +49,7 @@ def probed_ground(screen: Screen, fitter: Fitter, current: Fit, order: Iterable[
         return current.misfit - moved.misfit if moved else float("-inf")
 
     ground = ((c, np.zeros(len(c.linear))) for c in islice(single, MOST_GROUND))
-    return _probed(screen, gain, ground, GROUND_SIZES)[:KEPT_GROUND]
+    return _probed(screen, gain, ground)[:KEPT_GROUND]
 
 
 def probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:
@@ -71,7 +71,7 @@ def probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Ca
     order = sorted(best.values(), key=lambda item: -item[0])[:MOST]
     found: dict[str, Probe] = {}
     gain_of = partial(fitter.glance, current.causes)
-    for probe in _probed(screen, gain_of, [(c, estimate) for _, c, estimate in order], SIZES):
+    for probe in _probed(screen, gain_of, [(c, estimate) for _, c, estimate in order]):
         found.setdefault(probe[1].effect, probe)
     return list(found.values())[:KEPT]
 
@@ -80,10 +80,9 @@ def _probed(
     screen: Screen,
     gain_of: Callable[[Cause], float],
     candidates: Iterable[tuple[Candidate, F64]],
-    sizes: tuple[float, ...],
 ) -> list[Probe]:
     """Candidates that gain, best first, each at its best size along its estimate."""
-    probes = [_sized(screen, gain_of, c, estimate, sizes) for c, estimate in candidates]
+    probes = [_sized(screen, gain_of, c, estimate) for c, estimate in candidates]
     return sorted((p for p in probes if p[0] > 0), key=lambda p: -p[0])
 
 
@@ -92,10 +91,11 @@ def _sized(
     gain_of: Callable[[Cause], float],
     candidate: Candidate,
     estimate: F64,
-    sizes: tuple[float, ...],
 ) -> Probe:
     """The best of some sizes; beyond the largest, as long as that gains."""
-    parameters = {p.name: p for p in lookup(candidate.effect).parameters(screen.simulator.context, candidate.place)}
+    effect = lookup(candidate.effect)
+    sizes = ABRUPT_SIZES if effect.abrupt else SIZES
+    parameters = {p.name: p for p in effect.parameters(screen.simulator.context, candidate.place)}
     start = {n: parameters[n].default for n in candidate.names}
     steps = np.array([abs(parameters[n].step) for n in candidate.linear])
     size = float(np.linalg.norm(estimate / steps))

@@ -82,7 +82,7 @@ class Effect:
     stiff: bool = False
     """Whether its law needs the model's own time step."""
     abrupt: bool = False
-    """Whether its slope foretells nothing: a foot slips, a drive saturates, or not."""
+    """Whether its slope foretells nothing: a foot slips or lands, a drive saturates, or not."""
     further_start: Callable[[dict[str, float]], dict[str, float]] | None = None
     """From values that were found: others from which a search should begin once more, in another valley."""
     twin: str | None = None

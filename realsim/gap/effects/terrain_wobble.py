@@ -57,5 +57,6 @@ EFFECT = Effect(
     parameters=_parameters,
     excited_by=_excited,
     apply=_apply,
+    abrupt=True,
     variants=(("stiffness", "relaxation"), ("tilt_stiffness", "relaxation")),
 )
