@@ -17,10 +17,6 @@ from realsim.gap.simulate import lookup
 ALIKE, MOST_ALIKE = 0.95, 3
 """Squared cosine from which on two footprints count as one, and how many such rivals are refitted."""
 
-LIMITS = {"stribeck_friction": "coulomb_friction"}
-"""An effect and the simpler one that it becomes at the end of a parameter's range: it always fits as well."""
-USUAL = {"link_inertia": "armature"}
-"""An effect and a more usual one that may do the same: a drawing tells a link's inertia, but not a rotor's."""
 NO_PREFERENCE = 4.0
 """Log-likelihood below which the runs prefer neither."""
 NOT_HELD = 4.0
@@ -46,9 +42,9 @@ def equivalents(
         others = [c for j, c in enumerate(fit.causes) if j != i]
         found |= _twins(screen, fitter, cause, others)
         near_by = [r for r in _close_rivals(stages, fit) if deviation(screen, r) >= config.min_deviation]
-        for rival in [*_limit(screen, cause), *_alike(screen, fit, cause), *_elsewhere(screen, cause), *near_by]:
+        for rival in [*_plain(screen, cause), *_alike(screen, fit, cause), *_elsewhere(screen, cause), *near_by]:
             key = (cause.candidate.key, rival.candidate.effect, rival.candidate.place)
-            if key in found or LIMITS.get(rival.candidate.effect) == cause.candidate.effect:
+            if key in found or lookup(rival.candidate.effect).plain == cause.candidate.effect:
                 continue
             trial = fitter.fit([*others, rival], iterations=3)
             if trial is not None and _as_good(screen, config, fit, trial, removed):
@@ -64,7 +60,7 @@ def simplest(fit: Fit, rivals: list[Fit]) -> tuple[Fit, list[Fit]]:
     for rival in rivals:
         law = rival.causes[-1].candidate
         richer = [
-            c for c in fit.causes if LIMITS.get(c.candidate.effect) == law.effect and c.candidate.place == law.place
+            c for c in fit.causes if lookup(c.candidate.effect).plain == law.effect and c.candidate.place == law.place
         ]
         undetermined = any(p in fit.at_bounds for c in richer for p in c.candidate.names)
         worse = rival.misfit - fit.misfit
@@ -78,7 +74,7 @@ def likelier(fit: Fit, rivals: list[Fit]) -> tuple[Fit, list[Fit]]:
     for rival in rivals:
         theirs = {c.candidate.effect for c in rival.causes}
         ours = {c.candidate.effect for c in fit.causes}
-        usual = any(USUAL.get(e) in theirs - ours for e in ours - theirs)
+        usual = any(lookup(e).usual in theirs - ours for e in ours - theirs)
         if usual and len(rival.causes) == len(fit.causes) and rival.misfit - fit.misfit < NO_PREFERENCE:
             return rival, [fit, *(r for r in rivals if r is not rival)]
     return fit, rivals
@@ -137,7 +133,7 @@ def _twins(screen: Screen, fitter: Fitter, cause: Cause, others: list[Cause]) ->
     return {key: fit for key, fit in fits.items() if fit is not None}
 
 
-def _limit(screen: Screen, cause: Cause) -> list[Cause]:
+def _plain(screen: Screen, cause: Cause) -> list[Cause]:
     """The plain law that a richer one contains, at the same place."""
     c, shared = cause.candidate, {}
     for p in lookup(c.effect).parameters(screen.simulator.context, c.place):
@@ -146,7 +142,7 @@ def _limit(screen: Screen, cause: Cause) -> list[Cause]:
     plain = [
         x
         for x in screen.candidates
-        if (x.effect, x.places) == (LIMITS.get(c.effect), c.places) and set(x.names) == set(shared)
+        if (x.effect, x.places) == (lookup(c.effect).plain, c.places) and set(x.names) == set(shared)
     ]
     return [Cause(x, tuple(shared[n] for n in x.names)) for x in plain]
 

@@ -12,7 +12,7 @@ import pytest
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
 from realsim.gap.compare import Comparison
 from realsim.gap.effects import EFFECTS
-from realsim.gap.equivalent import _limit, likelier
+from realsim.gap.equivalent import _plain, likelier
 from realsim.gap.fit import Cause
 from realsim.gap.screen import Screen
 from realsim.gap.simulate import Simulator
@@ -34,11 +34,11 @@ def test_beside_a_richer_friction_stands_the_plain_one(arm: Case) -> None:
         screen = Screen(simulator, comparison, range(3), ("stribeck_friction", "coulomb_friction"))
     full = next(c for c in screen.candidates if c.effect == "stribeck_friction" and "coulomb" in c.names)
     values = {"static_friction": 0.1, "coulomb": 0.4, "stribeck_velocity": 0.1}
-    (plain,) = _limit(screen, Cause(full, tuple(values[n] for n in full.names)))
+    (plain,) = _plain(screen, Cause(full, tuple(values[n] for n in full.names)))
     assert plain.candidate.effect == "coulomb_friction"
     assert plain.candidate.places == full.places
     assert plain.values == (0.4,)
-    assert not _limit(screen, plain)
+    assert not _plain(screen, plain)
 
 
 @pytest.mark.parametrize("name", ["command_delay", "observation_delay"])

@@ -85,6 +85,10 @@ class Effect:
     """Whether its slope foretells nothing: a foot slips or lands, a drive saturates, or not."""
     further_start: Callable[[dict[str, float]], dict[str, float]] | None = None
     """From values that were found: others from which a search should begin once more, in another valley."""
+    plain: str | None = None
+    """A plainer effect that it becomes at the end of a parameter's range, and so always fits as well as."""
+    usual: str | None = None
+    """A more usual effect that may do the same."""
     twin: str | None = None
     """Another effect that does exactly the same at the same values, where `twinned` says so of a log."""
     twinned: Callable[[Context], bool] = lambda context: False

@@ -36,4 +36,5 @@ EFFECT = Effect(
     excited_by=_excited,
     apply=_apply,
     form=EXACT,
+    usual="armature",  # a drawing tells a link's inertia, but not a rotor's
 )

@@ -79,5 +79,6 @@ EFFECT = Effect(
     excited_by=_excited,
     apply=_apply,
     stiff=True,
+    plain="coulomb_friction",
     further_start=_further_start,
 )
