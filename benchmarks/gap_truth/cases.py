@@ -82,7 +82,7 @@ def make_case(draw: Draw, folder: Path, runs: int = 6) -> dict[str, Any]:
         robot = ROBOTS[draw.robot](rng)
         model = mujoco.MjModel.from_xml_string(robot.xml)
         sensors = _sensors(robot, draw.stratum, rng)
-        site = _site(robot, model, draw.seed + attempt)
+        site = site_of(robot, model, draw.seed + attempt)
         truths, labels, strength = _truth(draw, site, sensors, rng, attempt // 3)
         commands = _commands(robot, sensors, runs, rng)
         traces = _drive(robot, truths[-1], commands)
@@ -99,7 +99,7 @@ def make_case(draw: Draw, folder: Path, runs: int = 6) -> dict[str, Any]:
         seen = visibility(robot, sensors, truths, commands[:2])
         if not all(v >= VISIBLE for v in seen):
             continue
-        _write(folder, robot, sensors, truths[-1], commands, traces, rng)
+        write_log(folder, robot, sensors, truths[-1], commands, traces, rng)
         return {
             "cls": draw.stratum,
             "robot": draw.robot,
@@ -206,7 +206,7 @@ def _sensors(robot: Robot, stratum: str, rng: np.random.Generator) -> Sensors:
     )
 
 
-def _site(robot: Robot, model: mujoco.MjModel, seed: int) -> causes.Site:
+def site_of(robot: Robot, model: mujoco.MjModel, seed: int) -> causes.Site:
     """Typical torque and speed of the nominal robot in these motions."""
     rng = np.random.default_rng(seed)
     plant = Plant(robot, Truth(len(robot.joints)))
@@ -291,7 +291,7 @@ def _drive(robot: Robot, truth: Truth, commands: list[tuple[np.ndarray, np.ndarr
 # ---------------------------------------------------------------- logs
 
 
-def _write(
+def write_log(
     folder: Path,
     robot: Robot,
     sensors: Sensors,
@@ -300,6 +300,7 @@ def _write(
     traces: list[Trace],
     rng: np.random.Generator,
 ) -> None:
+    """Traces as a log in the contract's form."""
     (folder / "runs").mkdir(parents=True)
     (folder / "model.xml").write_text(robot.xml)
     log = {

@@ -192,8 +192,9 @@ class Plant:
                 mujoco.mj_step(m, d)
         if self.robot.base == "floating":
             up = np.array([np.zeros(9)])
-            mujoco.mju_quat2Mat(up[0], d.qpos[3:7])
-            upright = bool(up[0, 8] > 0.8 and d.qpos[2] > 0.5 * qpos0[2])
+            base = self._base()
+            mujoco.mju_quat2Mat(up[0], base[3:])
+            upright = bool(up[0, 8] > 0.8 and base[2] > 0.5 * qpos0[2])
         arrays: dict[str, Any] = {k: np.array(v) if v else None for k, v in rows.items()}
         finite = bool(np.isfinite(arrays["q"]).all())
         return Trace(**arrays, qpos0=qpos0, upright=upright and finite)
@@ -244,7 +245,13 @@ class Plant:
 
     def _nominal_qpos(self) -> np.ndarray:
         q = self._link_q()
-        return np.concatenate([self.data.qpos[:7], q]) if self.robot.base == "floating" else q
+        return np.concatenate([self._base(), q]) if self.robot.base == "floating" else q
+
+    def _base(self) -> np.ndarray:
+        """(7,) position and orientation. A support that wobbles has coordinates of its own before them."""
+        free = int(np.flatnonzero(self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)[0])
+        first = int(self.model.jnt_qposadr[free])
+        return np.array(self.data.qpos[first : first + 7])
 
     def _link_q(self) -> np.ndarray:
         q = self.data.qpos[self.qadr].copy()
@@ -260,7 +267,7 @@ class Plant:
         rows["v"].append(v)
         rows["torque"].append(delivered.copy())
         if self.robot.base == "floating":
-            rows["base"].append(d.qpos[:7].copy())
+            rows["base"].append(self._base())
         if self.robot.imu_site:
             rows["gyro"].append(d.sensor("gyro").data.copy())
             rows["acc"].append(d.sensor("acc").data.copy())
