@@ -9,8 +9,8 @@ from realsim.gap.config import DiagnoseConfig
 from realsim.gap.repeats import replicates
 from realsim.types import F64
 
-MOST_FITTED, MOST_FITTED_OF_MANY, MANY_JOINTS = 6, 3, 16
-"""Runs that carry the sensitivities, and how many do on robots with more than so many joints."""
+MOST_FITTED = 6
+"""Runs that carry the sensitivities."""
 ENOUGH = 7
 """Different runs from which on a whole regime is held out beside the last runs."""
 APART = 1.5
@@ -21,8 +21,8 @@ def split_runs(case: Case, config: DiagnoseConfig) -> tuple[list[int], list[int]
     """(runs for fitting, runs that no fit sees). A replicate of a fitted run is no test, so it is not held out.
 
     Where there are enough runs, the one whose regime (speed, posture) is farthest from the others' is held out too:
-    a cause must hold beyond the motions that it was found in. On robots with many joints only some runs carry the
-    sensitivities: the most different ones first.
+    a cause must hold beyond the motions that it was found in. Of many runs only some carry the sensitivities: the most
+    lively ones first, repetitions last.
     """
     count = len(case.runs)
     twins = replicates(case)
@@ -31,11 +31,10 @@ def split_runs(case: Case, config: DiagnoseConfig) -> tuple[list[int], list[int]
     if held and len(single) >= ENOUGH:
         held = sorted([*held, *_regime_apart(case, [i for i in single if i not in held])])
     fitted = [i for i in range(count) if i not in held]
-    most = MOST_FITTED if len(case.joint_names) <= MANY_JOINTS else MOST_FITTED_OF_MANY
-    if len(fitted) > most:
+    if len(fitted) > MOST_FITTED:
         repeated = {i for g in twins for i in g[1:]}
         order = sorted(fitted, key=lambda i: (i in repeated, -_liveliness(case.runs[i])))
-        fitted = sorted(order[:most])
+        fitted = sorted(order[:MOST_FITTED])
     return fitted, held
 
 
