@@ -19,7 +19,7 @@ from realsim.gap.fit import Cause, Fitter
 from realsim.gap.heldout import leftover
 from realsim.gap.merit import is_gap
 from realsim.gap.probes import probed, probed_ground
-from realsim.gap.rivals import refit
+from realsim.gap.rivals import alone, ranked, refit
 from realsim.gap.screen import Screen, marginal, score, slab
 from realsim.gap.simulate import Simulator
 from realsim.gap.windows import slid
@@ -161,6 +161,23 @@ def test_a_gross_cause_is_found_by_simulation_though_small_deviations_imitate_it
     (found,) = start.values()
     (true,) = values.values()
     assert 0.25 < found / true < 2
+
+
+@pytest.mark.slow
+def test_a_gross_tilt_promises_most_by_itself_though_small_deviations_imitate_it(quadruped: Case) -> None:
+    case = logged(logged(quadruped, []), [("terrain_tilt", (), {"roll": 0.05, "pitch": 0.03})])
+    with Simulator(case, CONFIG) as simulator:
+        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
+        screen = Screen(
+            simulator, comparison, range(len(case.runs)), ("terrain_tilt", "terrain_height", "joint_offset")
+        )
+        nominal = Fitter(screen).nominal()
+        promised = ranked(screen, nominal)[0][0]
+        (gain, candidate, estimate), *_ = alone(screen, nominal, ())
+        assert all(c.effect != "terrain_tilt" for _, c, _ in alone(screen, nominal, ("terrain_tilt",)))
+    assert gain > 10 * promised
+    assert candidate.effect == "terrain_tilt"
+    assert dict(zip(candidate.linear, estimate, strict=True))["roll"] > 0.02
 
 
 @pytest.mark.slow
