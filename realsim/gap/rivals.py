@@ -10,7 +10,8 @@ import numpy as np
 
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.fit import Cause, Fit, Fitter
-from realsim.gap.merit import complexity, heldout
+from realsim.gap.heldout import leftover
+from realsim.gap.merit import FAR_ABOVE, complexity, heldout
 from realsim.gap.probes import foretold, probed, probed_ground
 from realsim.gap.screen import Candidate, Screen, marginal, score, slab
 from realsim.gap.simulate import lookup
@@ -112,9 +113,9 @@ def refitted(
     if not by_slopes:
         known = {(c.effect, c.place) for _, c, _ in chosen}
         chosen += [p for p in probed(screen, fitter, current, everything) if (p[1].effect, p[1].place) not in known]
-        chosen += alone(
-            screen, current, [c.effect for _, c, _ in chosen] + [c.candidate.effect for c in current.causes]
-        )
+    if leftover(screen, current).mean() > FAR_ABOVE:
+        taken = [c.effect for _, c, _ in chosen] + [c.candidate.effect for c in current.causes]
+        chosen += alone(screen, current, taken)
     for gain, candidate, estimate in chosen:
         best = min((searched(screen, f) for f in fits), default=np.inf)
         target = best + near(searched(screen, current) - best)
