@@ -124,13 +124,9 @@ def _elsewhere(screen: Screen, cause: Cause) -> list[Cause]:
 
 def _twins(screen: Screen, fitter: Fitter, cause: Cause, others: list[Cause]) -> dict[tuple, Fit]:
     """The effect that does exactly the same by its nature: no preference of the runs is believed, only refitted."""
-    c, context = cause.candidate, screen.simulator.context
-    effect, starts = lookup(c.effect), screen.simulator.starts
-    if effect.twin is None or not effect.twinned(context) or any(start.moving for start in starts):
-        return {}
-    if any(other.candidate.effect == effect.twin for other in others):
-        return {}
-    same = [x for x in screen.candidates if (x.effect, x.places, x.names) == (effect.twin, c.places, c.names)]
+    c = cause.candidate
+    twin = screen.simulator.twin(c.effect)
+    same = [x for x in screen.candidates if (x.effect, x.places, x.names) == (twin, c.places, c.names)]
     fits = {(c.key, x.effect, x.place): fitter.fit([*others, Cause(x, cause.values)], iterations=3) for x in same}
     return {key: fit for key, fit in fits.items() if fit is not None}
 

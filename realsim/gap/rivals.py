@@ -52,6 +52,7 @@ def ranked(screen: Screen, current: Fit) -> list[tuple[float, Candidate, F64]]:
     """All candidates by the linear evidence they add to `current`, best first."""
     A, b, _ = marginal(current.evidence, current.prior)
     taken = {(c.candidate.effect, p) for c in current.causes for p in c.candidate.places}
+    taken |= {(screen.simulator.twin(effect) or effect, p) for effect, p in taken}
     found = []
     for candidate in screen.candidates:
         if any((candidate.effect, p) in taken for p in candidate.places):

@@ -118,6 +118,11 @@ class Simulator:
             raw = self._coarse[key]
         return [self.read(self.case.runs[i], r, edit) for i, r in zip(chosen, raw, strict=True)]
 
+    def twin(self, name: str) -> str | None:
+        """Name of the effect that does exactly the same in these logs, at the same values, if there is one."""
+        effect = lookup(name)
+        return effect.twin if effect.twinned(self.context) and not any(s.moving for s in self.starts) else None
+
     # ------------------------------------------------------------ inside
 
     def _start_in_motion(self) -> None:

@@ -13,7 +13,8 @@ from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
 from realsim.gap.compare import Comparison
 from realsim.gap.effects import EFFECTS
 from realsim.gap.equivalent import _plain, likelier
-from realsim.gap.fit import Cause
+from realsim.gap.fit import Cause, Fitter
+from realsim.gap.rivals import ranked
 from realsim.gap.screen import Screen
 from realsim.gap.simulate import Simulator
 
@@ -48,6 +49,17 @@ def test_where_only_joints_are_logged_both_delays_are_named(name: str, arm: Case
     assert found.verdict == "ambiguous"
     named = [found.causes[0]["effect"], *(c["effect"] for s in found.equivalent for c in s)]
     assert sorted(named) == ["command_delay", "observation_delay"]
+
+
+def test_what_does_the_same_as_a_cause_is_no_further_one(arm: Case) -> None:
+    with Simulator(arm, CONFIG) as simulator:
+        comparison = Comparison(arm, simulator.channels, simulator.simulate(), CONFIG)
+        fitter = Fitter(Screen(simulator, comparison, range(3), ("command_delay", "observation_delay")))
+        delay = next(c for c in fitter.screen.candidates if c.effect == "command_delay")
+        late = fitter.looked_at(fitter.nominal(), [Cause(delay, (0.02,))])
+        assert late is not None
+        assert len(ranked(fitter.screen, fitter.nominal())) == 2
+        assert not ranked(fitter.screen, late)
 
 
 @pytest.mark.parametrize("name", ["command_delay", "observation_delay"])
