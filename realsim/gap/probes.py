@@ -6,7 +6,7 @@ two share little, every slope is of another motion than the robot's.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from itertools import islice
 
@@ -40,6 +40,14 @@ def foretold(screen: Screen, current: Fit, best: float) -> bool:
     return best > FORETOLD * current.misfit or leftover(screen, current).mean() < SMALL
 
 
+def alone(screen: Screen, current: Fit, candidates: Iterable[Candidate]) -> Iterator[tuple[float, Candidate, F64]]:
+    """(gain, candidate, estimate) of each by the linear screen if there were no small deviations beside it."""
+    A, b = np.sum(current.evidence.A, axis=0), np.sum(current.evidence.b, axis=0)
+    for c in candidates:
+        gain, estimate, _ = score(A, b, c.directions, slab(c, screen))
+        yield gain, c, estimate
+
+
 def probed_ground(screen: Screen, fitter: Fitter, current: Fit, order: Iterable[Candidate]) -> list[Probe]:
     """The best places for higher or lower ground. `order`: all candidates, those to look at first before the others."""
     single = (c for c in order if lookup(c.effect).scope == "terrain" and len(c.places) == len(c.names) == 1)
@@ -59,13 +67,11 @@ def probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Ca
     order here is by what a candidate explains all by itself. Abrupt effects have no slope to be ordered by. Stiff laws
     would take too long, and are refitted from several sizes anyway.
     """
-    A, b = np.sum(current.evidence.A, axis=0), np.sum(current.evidence.b, axis=0)
     best: dict[tuple[str, Place], tuple[float, Candidate, F64]] = {}
-    for c in candidates:
+    for by_itself, c, estimate in alone(screen, current, candidates):
         effect = lookup(c.effect)
         if len(c.places) == 1 and effect.scope != "terrain" and not effect.stiff:
-            gain, estimate, _ = score(A, b, c.directions, slab(c, screen))
-            gain = np.inf if effect.abrupt else gain
+            gain = np.inf if effect.abrupt else by_itself
             if gain > best.get((c.effect, c.place), (-np.inf,))[0]:
                 best[c.effect, c.place] = gain, c, estimate
     order = sorted(best.values(), key=lambda item: -item[0])[:MOST]

@@ -12,7 +12,7 @@ from realsim.gap.config import DiagnoseConfig
 from realsim.gap.fit import Cause, Fit, Fitter
 from realsim.gap.heldout import leftover
 from realsim.gap.merit import FAR_ABOVE, complexity, heldout
-from realsim.gap.probes import foretold, probed, probed_ground
+from realsim.gap.probes import alone, foretold, probed, probed_ground
 from realsim.gap.screen import Candidate, Screen, marginal, score, slab
 from realsim.gap.simulate import lookup
 from realsim.gap.windows import slid, window_candidates
@@ -22,7 +22,6 @@ GROWN = 3
 """The best rivals of a stage are also tried with all their parameters."""
 
 DUELLISTS = 5
-
 
 ALONE, MOST_ALONE = 0.3, 2
 """Share of what is left that an effect must explain all by itself to be refitted whatever the screen says, and how many
@@ -62,7 +61,7 @@ def ranked(screen: Screen, current: Fit) -> list[tuple[float, Candidate, F64]]:
     return sorted(found, key=lambda item: -item[0])
 
 
-def alone(screen: Screen, current: Fit, taken: Sequence[str]) -> list[tuple[float, Candidate, F64]]:
+def outstanding(screen: Screen, current: Fit, taken: Sequence[str]) -> list[tuple[float, Candidate, F64]]:
     """The effects that explain most of what is left all by themselves, the best place of each, best first.
 
     Beside many small deviations the linear screen may see nothing of a gross cause: to first order they imitate it at a
@@ -71,14 +70,12 @@ def alone(screen: Screen, current: Fit, taken: Sequence[str]) -> list[tuple[floa
     Args:
         taken: effects that need not be looked at.
     """
-    A, b = np.sum(current.evidence.A, axis=0), np.sum(current.evidence.b, axis=0)
     total = 0.5 * float(sum(current.evidence.c))
     best: dict[str, tuple[float, Candidate, F64]] = {}
-    for candidate in screen.candidates:
-        if candidate.effect not in taken:
-            gain, estimate, _ = score(A, b, candidate.directions, slab(candidate, screen))
-            if gain > max(ALONE * total, best.get(candidate.effect, (0.0,))[0]):
-                best[candidate.effect] = gain, candidate, estimate
+    for found in alone(screen, current, [c for c in screen.candidates if c.effect not in taken]):
+        gain, candidate, _ = found
+        if gain > max(ALONE * total, best.get(candidate.effect, (0.0,))[0]):
+            best[candidate.effect] = found
     return sorted(best.values(), key=lambda item: -item[0])[:MOST_ALONE]
 
 
@@ -116,7 +113,7 @@ def refitted(
         chosen += [p for p in probed(screen, fitter, current, everything) if (p[1].effect, p[1].place) not in known]
     if leftover(screen, current).mean() > FAR_ABOVE:
         taken = [c.effect for _, c, _ in chosen] + [c.candidate.effect for c in current.causes]
-        chosen += alone(screen, current, taken)
+        chosen += outstanding(screen, current, taken)
     for gain, candidate, estimate in chosen:
         best = min((searched(screen, f) for f in fits), default=np.inf)
         target = best + near(searched(screen, current) - best)

@@ -19,7 +19,7 @@ from realsim.gap.fit import Cause, Fitter
 from realsim.gap.heldout import leftover
 from realsim.gap.merit import is_gap
 from realsim.gap.probes import probed, probed_ground
-from realsim.gap.rivals import alone, ranked, refit
+from realsim.gap.rivals import outstanding, ranked, refit
 from realsim.gap.screen import Screen, marginal, score, slab
 from realsim.gap.simulate import Simulator
 from realsim.gap.windows import slid
@@ -173,8 +173,8 @@ def test_a_gross_tilt_promises_most_by_itself_though_small_deviations_imitate_it
         )
         nominal = Fitter(screen).nominal()
         promised = ranked(screen, nominal)[0][0]
-        (gain, candidate, estimate), *_ = alone(screen, nominal, ())
-        assert all(c.effect != "terrain_tilt" for _, c, _ in alone(screen, nominal, ("terrain_tilt",)))
+        (gain, candidate, estimate), *_ = outstanding(screen, nominal, ())
+        assert all(c.effect != "terrain_tilt" for _, c, _ in outstanding(screen, nominal, ("terrain_tilt",)))
     assert gain > 10 * promised
     assert candidate.effect == "terrain_tilt"
     assert dict(zip(candidate.linear, estimate, strict=True))["roll"] > 0.02
