@@ -134,7 +134,7 @@ def _assemble(
         health["warnings"].append("no run was left unseen: the shrinkage is optimistic and the verdict weaker")
     return Diagnosis(
         verdict=judgement.verdict,
-        sentence=sentence(judgement.verdict, causes, equivalent, shrunk, judgement.unexplained, where, case),
+        sentence=sentence(judgement, causes, equivalent, shrunk, where, case),
         causes=tuple(causes),
         equivalent=tuple(equivalent),
         where=tuple(where),

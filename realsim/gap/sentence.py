@@ -8,6 +8,7 @@ from typing import Any
 from realsim.gap.case import Case
 from realsim.gap.effects import EFFECTS
 from realsim.gap.heldout import Shrinkage
+from realsim.gap.verdict import Judgement
 
 Cause = dict[str, Any]
 _ABSOLUTE = {"torque_limit", "torque_speed_limit", "joint_compliance", "terrain_wobble"}
@@ -18,15 +19,15 @@ _MOST_ALTERNATIVES = 3
 
 
 def sentence(
-    verdict: str,
+    judgement: Judgement,
     causes: Sequence[Cause],
     equivalent: Sequence[Sequence[Cause]],
     shrunk: Shrinkage,
-    unexplained: float,
     where: Sequence[dict[str, Any]],
     case: Case,
 ) -> str:
     """What is wrong, how sure that is, what it brings; or why that cannot be told, and what to record."""
+    verdict, unexplained = judgement.verdict, judgement.unexplained
     if verdict == "no_gap":
         return (
             "No gap that these runs can show: what differs is within sensor noise and the small deviations that every "
@@ -47,8 +48,10 @@ def sentence(
         )
     text = f"{said}; {_verb(causes)} {gain}"
     if verdict == "unexplained":
+        ends = f", with {', '.join(judgement.at_an_end)} as far as this library goes" if judgement.at_an_end else ""
         return (
-            f"{text}, but {_percent(unexplained)} of the gap stays unexplained{_mostly(where)}: a partial answer; "
+            f"Not explained{_mostly(where)}. The nearest is {text}, and {_percent(unexplained)} of the gap "
+            f"stays{ends}: it may only imitate the cause; "
             f"record {_next_for_unknown(where, case)}."
         )
     return f"{text}."

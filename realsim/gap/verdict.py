@@ -20,6 +20,9 @@ EXCESS = 1.5
 NOT_HELD = 0.3
 """Share of the gap on unseen runs that may stay at most; causes that hold leave a few per cent."""
 
+IMITATION = 0.5
+"""Factor on the probability of causes that leave a gap unexplained: what the library lacks looks in part like them."""
+
 
 @dataclass(frozen=True)
 class Judgement:
@@ -28,6 +31,8 @@ class Judgement:
     probabilities: list[float]
     """By cause of the fit, in the fit's order."""
     reasons: tuple[str, ...]
+    at_an_end: tuple[str, ...] = ()
+    """Strengths of an unexplained gap's causes that lie at an end of their range."""
 
 
 def judge(config: DiagnoseConfig, screen: Screen, selection: Selection, shrunk: Shrinkage) -> Judgement:
@@ -45,17 +50,18 @@ def judge(config: DiagnoseConfig, screen: Screen, selection: Selection, shrunk: 
         return Judgement("no_gap", 0.0, probabilities, tuple(reasons))
     reasons.append(f"{first:.1f} -> {left.mean():.2f} in units of the floor")
     limit = config.unexplained_share * (0.5 if left.mean() > FAR_ABOVE else 1.0)
-    if gap and unexplained > limit:
-        reasons.append(f"{unexplained:.0%} of the gap stays")
-        return Judgement("unexplained", unexplained, probabilities, tuple(reasons))
     failed = not_held(shrunk.before_over_floor, shrunk.after_over_floor) if shrunk.unseen else 0.0
-    if failed:
-        reasons.append(f"{failed:.0%} of the gap stays on unseen runs")
-        return Judgement("unexplained", max(unexplained, failed), probabilities, tuple(reasons))
     ends = at_an_end(screen, fit)
-    if ends:
-        reasons.append(f"{', '.join(ends)}: as far as the library goes, so it stands for something else")
-        return Judgement("unexplained", unexplained, probabilities, tuple(reasons))
+    doubt = ""
+    if gap and unexplained > limit:
+        doubt = f"{unexplained:.0%} of the gap stays"
+    elif failed:
+        doubt, unexplained = f"{failed:.0%} of the gap stays on unseen runs", max(unexplained, failed)
+    elif ends:
+        doubt = f"{', '.join(ends)}: as far as the library goes, so it stands for something else"
+    if doubt:
+        probabilities = [IMITATION * (1 - unexplained) * p for p in probabilities]
+        return Judgement("unexplained", unexplained, probabilities, (*reasons, doubt), tuple(ends))
     if selection.equivalent:
         count = 1 + len(selection.equivalent)
         probabilities = [max(p / count, 0.5) for p in probabilities]

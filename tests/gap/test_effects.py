@@ -165,3 +165,4 @@ def test_found_among_the_whole_library(name: str, made) -> None:
 def test_outside_the_library_is_unexplained(made) -> None:
     found = diagnose(load_case(made("ripple", Truth(ripple={"shoulder": 2.0}), runs=5)))
     assert found.verdict == "unexplained"
+    assert all(c["probability"] < 0.5 for c in found.causes)

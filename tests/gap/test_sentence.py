@@ -9,6 +9,7 @@ import pytest
 
 from realsim.gap.effects import EFFECTS
 from realsim.gap.sentence import phrase, removed, sentence
+from realsim.gap.verdict import Judgement
 
 
 def cause(
@@ -28,10 +29,16 @@ WHERE = [{"signal": "joint_pos", "joint": "left_knee_joint", "phase": "reversal"
 
 
 def say(
-    verdict: str, causes: Any, equivalent: Any = (), of: Any = None, has: tuple[str, ...] = ("joint_torque",)
+    verdict: str,
+    causes: Any,
+    equivalent: Any = (),
+    of: Any = None,
+    has: tuple[str, ...] = ("joint_torque",),
+    ends: tuple[str, ...] = (),
 ) -> str:
     case: Any = SimpleNamespace(has=lambda s: s in has, floating=False, has_imu=False)
-    return sentence(verdict, causes, equivalent, of or shrunk(), 0.4, WHERE, case)
+    judgement = Judgement(verdict, 0.4, [0.5] * len(causes), (), ends)
+    return sentence(judgement, causes, equivalent, of or shrunk(), WHERE, case)
 
 
 def test_identified_is_the_sentence_of_the_promise() -> None:
@@ -132,11 +139,16 @@ def test_unknown_causes_ask_for_the_signal_that_is_not_there() -> None:
     assert "left knee alone, slowly and fast" in say("unexplained", [])
 
 
-def test_partial_answers_are_called_so() -> None:
+def test_what_explains_a_part_is_the_nearest_and_no_cause() -> None:
     said = say("unexplained", [KNEE])
+    assert said.startswith("Not explained, most of it in left knee (reversal). The nearest is left knee: Coulomb")
     assert "removes 83 % [74, 88]" in said
-    assert "40 % of the gap stays unexplained" in said
-    assert "a partial answer" in said
+    assert "and 40 % of the gap stays: it may only imitate the cause" in said
+
+
+def test_a_value_at_the_end_of_its_range_is_said() -> None:
+    said = say("unexplained", [KNEE], ends=("friction",))
+    assert "and 40 % of the gap stays, with friction as far as this library goes: it may only imitate the cause" in said
 
 
 def test_no_unseen_run_and_no_gap_are_said() -> None:
