@@ -20,8 +20,11 @@ EXCESS = 1.5
 NOT_HELD = 0.3
 """Share of the gap on unseen runs that may stay at most; causes that hold leave a few per cent."""
 
+CERTAIN = 0.93
+"""Largest probability: of identified causes 97 of 104 were right on withheld logs. What is clear beyond noise may still
+be the imitation of something else."""
 IMITATION = 0.5
-"""Factor on the probability of causes that leave a gap unexplained: what the library lacks looks in part like them."""
+"""Factor on it where a gap stays unexplained: what the library lacks looks in part like something it holds."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ def judge(config: DiagnoseConfig, screen: Screen, selection: Selection, shrunk: 
     fit = selection.fit
     first, left, unexplained = remains(screen, selection)
     gains = [min(selection.gains.get(i, 0.0), 30.0) for i in range(len(fit.causes))]
-    probabilities = [float(1 / (1 + np.exp(5 - g))) for g in gains]
+    probabilities = [float(CERTAIN / (1 + np.exp(5 - g))) for g in gains]
     gap = is_gap(left)
     if not fit.causes:
         reasons.append(f"{left.mean():.2f} times the floor stays beside the small deviations (nominal {first:.1f})")

@@ -159,6 +159,7 @@ def test_found_among_the_whole_library(name: str, made) -> None:
     named = {c["effect"] for s in [found.causes, *found.equivalent] for c in s}
     assert found.verdict in ("identified", "ambiguous")
     assert name in named
+    assert all(0.4 < c["probability"] < 0.95 for c in found.causes)
 
 
 @pytest.mark.slow
