@@ -57,6 +57,9 @@ class Plant:
         force = nominal.actuator_forcerange[ids, 1].copy()
         force[force <= 0] = np.inf
         self.limit = np.minimum(force, truth.torque_limit)
+        self.slows = bool(np.isfinite(truth.no_load_speed).any())
+        self.rubs = bool(truth.coulomb.any() or truth.load_friction.any() or truth.stribeck.any())
+        self.nothing = np.zeros(len(robot.joints))
         for actuator in list(spec.actuators):
             spec.delete(actuator)
         self._edit(spec, nominal)
@@ -208,10 +211,10 @@ class Plant:
             read[j] += amplitude * np.sin(periods * q[j])
         asked = self.kp * (command - read) - self.kv * v
         limit = self.limit
-        with np.errstate(invalid="ignore"):
-            slope = np.where(np.isinf(t.no_load_speed), 1.0, np.clip(1 - np.abs(v) / t.no_load_speed, 0.0, 1.0))
+        if self.slows:
+            slope = np.maximum(1 - np.abs(v) / t.no_load_speed, 0.0)
             limit = np.where((asked * v > 0) & np.isfinite(limit), limit * slope, limit)
-        delivered = t.motor_gain * np.clip(asked, -limit, limit)
+        delivered = t.motor_gain * np.minimum(np.maximum(asked, -limit), limit)
         if t.dropout is not None:
             j, period, length = t.dropout
             if now % period < length:
@@ -221,16 +224,18 @@ class Plant:
     def _friction(self, delivered: np.ndarray) -> np.ndarray:
         """Bristle friction on the motor side, advanced by one physics step (implicit in the bristle's own equation)."""
         t = self.truth
+        if not self.rubs:
+            return self.nothing
         slide = t.coulomb + t.load_friction * np.abs(delivered)
-        if not (slide.any() or t.stribeck.any()):
-            return np.zeros_like(delivered)
         v = self.data.qvel[self.dadr]
         level = slide + t.stribeck * np.exp(-((v / t.stribeck_speed) ** 2)) + 1e-9
         stiffness = (slide + t.stribeck) / PRESLIDING + 1e-9
         self._bristle = (self._bristle + v * STEP) / (1 + stiffness * np.abs(v) * STEP / level)
-        return -np.clip(stiffness * self._bristle, -level, level) * (level > 1e-8)
+        return -np.minimum(np.maximum(stiffness * self._bristle, -level), level) * (level > 1e-8)
 
     def _strange(self, now: float, delivered: np.ndarray) -> np.ndarray:
+        if not self.truth.strange:
+            return self.nothing
         extra = np.zeros_like(delivered)
         q, v = self.data.qpos[self.qadr], self.data.qvel[self.dadr]
         for law in self.truth.strange:
