@@ -18,12 +18,13 @@ from realsim.gap.diagnosis import Diagnosis, describe_set
 from realsim.gap.effects import EFFECTS
 from realsim.gap.fit import Fitter
 from realsim.gap.health import examine
-from realsim.gap.heldout import Shrinkage, shrinkage
+from realsim.gap.heldout import Shrinkage, mean_gaps, shrinkage
+from realsim.gap.onsets import find_onsets
 from realsim.gap.patch import make_patch
 from realsim.gap.ranking import ranked_effects
 from realsim.gap.repeats import replicates as replicates
 from realsim.gap.screen import Screen
-from realsim.gap.select import Selection, select
+from realsim.gap.select import Selection, select, without_causes
 from realsim.gap.sentence import sentence
 from realsim.gap.simulate import Simulator
 from realsim.gap.split import split_runs
@@ -57,18 +58,17 @@ def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progres
         comparison = Comparison(case, simulator.channels, nominal, config)
         for name, at in comparison.parted.items():
             health["warnings"].append(f"{name}: robot and simulator part for good at {at:.1f} s; the rest is left out")
-        fitted, held = split_runs(case, config)
+        simulator.onsets = find_onsets(comparison, nominal)
+        fitted, held = split_runs(case, config, mean_gaps(comparison, nominal))
         tick("sensitivities", 0.0)
         screen = Screen(simulator, comparison, fitted, config.effects, tick)
         fitter = Fitter(screen)
         selection = select(screen, fitter, config, tick)
         tick("unseen runs", 0.9)
-        unseen = bool(held)
-        check = held or fitted
-        rivals = rival_settings(screen, comparison, selection) if config.baselines else {}
-        shrunk = shrinkage(
-            screen, comparison, selection.nominal, selection.fit, check, unseen, config.bootstrap, config.seed, rivals
-        )
+        shrunk = _checked(config, screen, selection, held)
+        if _harms(shrunk) and judge(config, screen, selection, shrunk).verdict == "unexplained":
+            selection = without_causes(selection)
+            shrunk = _checked(config, screen, selection, held)
         found = _assemble(case, config, simulator, comparison, screen, selection, shrunk, nominal, health)
         cost = {
             "seconds": round(time.perf_counter() - began, 2),
@@ -82,6 +82,21 @@ def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progres
         }
         choices = first_choices(screen, selection) if config.baselines else {}
     return replace(found, statistics=statistics, cost=cost, baselines=choices)
+
+
+def _checked(config: DiagnoseConfig, screen: Screen, selection: Selection, held: list[int]) -> Shrinkage:
+    """What becomes of the gap on the runs held out, or on the fitted ones where there is none to spare."""
+    comparison = screen.comparison
+    rivals = rival_settings(screen, comparison, selection) if config.baselines else {}
+    return shrinkage(
+        screen, comparison, selection.nominal, selection.fit, held or screen.runs, bool(held),
+        config.bootstrap, config.seed, rivals,
+    )  # fmt: skip
+
+
+def _harms(shrunk: Shrinkage) -> bool:
+    """Whether the causes make an unseen run worse, with the best small deviations beside them."""
+    return shrunk.unseen and shrunk.after_over_floor > shrunk.before_over_floor
 
 
 def _limited(case: Case, config: DiagnoseConfig) -> Case:

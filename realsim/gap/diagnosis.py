@@ -85,6 +85,10 @@ def describe_cause(simulator: Simulator, cause: Cause, sigmas: np.ndarray, proba
         reported[label] = {"value": p.report(value), "unit": p.unit, "ci90": ends}
         if name == "reading_offset":
             reported[label]["note"] = "only the logged encoder has it, not the servo's"
+    if "lasts" in reported:
+        since = cause.named["since"]
+        starts = [f"{name} from {at + since:.2f} s" for name, at in simulator.onsets.items()]
+        reported["lasts"]["note"] = f"in {', '.join(starts)}; in no other run"
     found: dict[str, Any] = {"effect": cause.candidate.effect}
     if effect.scope == "joint":
         found["joints"] = list(cause.candidate.place)

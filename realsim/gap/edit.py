@@ -16,6 +16,18 @@ STIFFEST = 2.2
 """Time steps in which a constraint gives way at the fastest; below 2, MuJoCo takes 2."""
 
 
+@dataclass(frozen=True)
+class Pulse:
+    """A force that the control of its actuator turns on (1) and off (0)."""
+
+    actuator: str
+    start: float
+    end: float
+    """Seconds of each run, or since its onset."""
+    by_onset: bool = False
+    """Whether it comes at a moment of its own in each run, and in some not at all (realsim.gap.onsets)."""
+
+
 @dataclass
 class Signals:
     """What lies between the simulator and the log: wrappers of commands and sensors, and forces known in time."""
@@ -42,8 +54,7 @@ class Signals:
     """Joint -> (N m s/rad, N m): the drive's torque is clip(servo force - first * velocity, second both ways)."""
     load_friction: dict[str, float] = field(default_factory=dict)
     """Joint -> friction as a ratio of the transmitted torque."""
-    pulses: list[tuple[str, float, float]] = field(default_factory=list)
-    """(actuator, start s, end s): its control is 1 inside the interval, else 0."""
+    pulses: list[Pulse] = field(default_factory=list)
     rotors: dict[str, str] = field(default_factory=dict)
     """Joint -> joint of the motor that drives it through play or a spring."""
 

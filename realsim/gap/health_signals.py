@@ -8,7 +8,8 @@ import numpy as np
 
 from realsim.errors import GapError
 from realsim.gap.case import Case, Run
-from realsim.gap.repeats import spread
+from realsim.gap.compare import DETAIL
+from realsim.gap.repeats import replicates, spread
 from realsim.gap.simulate import Simulator
 from realsim.gap.start import STILL, Start
 from realsim.types import F64
@@ -27,6 +28,10 @@ STARTED = {
 }
 MOSTLY = 0.1
 """Share of samples at a limit from which it is said."""
+
+CHANGES = 0.7
+"""Root mean square by which repetitions differ, as a share of their error against the simulator: with errors that have
+nothing to do with each other it is 1."""
 
 
 def clocks(case: Case) -> tuple[dict[str, Any], Said]:
@@ -151,14 +156,23 @@ def noise(simulator: Simulator, nominal: list[F64]) -> tuple[dict[str, Any], Sai
             errors.append(r)
         sample = float(1.4826 * np.nanmedian(np.abs(np.concatenate(kinks))))
         found[signal] = {"sample": sample, "replicates": spread(case, signal)}
-        size = float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2)))
-        apart = found[signal]["replicates"] or 0.0
-        if apart > max(0.5 * size, 4 * sample):
-            said.append(
-                f"{signal}: runs that repeat a command differ by {apart:.3g}, as much as from the "
-                "simulator: something changes from run to run"
-            )
+        for group in replicates(case):
+            sizes = {i: float(np.sqrt(np.nanmean(errors[i] ** 2))) for i in group}
+            apart = spread(case, signal, group) or 0.0
+            least = max(CHANGES * float(np.mean(list(sizes.values()))), 4 * sample, 2 * _tolerated(case, signal))
+            if apart > least:
+                names = " and ".join(case.runs[i].name for i in group)
+                said.append(
+                    f"{signal}: {names} have the same commands and differ by {apart:.3g}, as much as from the "
+                    "simulator: the robot itself changes from run to run"
+                )
     return found, said
+
+
+def _tolerated(case: Case, signal: str) -> float:
+    """Structure that is left in any good simulator of these runs, in the signal's unit."""
+    absolute, relative = DETAIL[signal]
+    return float(np.hypot(absolute, relative * np.nanstd(np.concatenate([r.signals[signal] for r in case.runs]))))
 
 
 def initial_states(simulator: Simulator) -> tuple[dict[str, Any], Said]:

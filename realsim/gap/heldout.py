@@ -90,6 +90,12 @@ def with_nuisances(
     return None
 
 
+def mean_gaps(comparison: Comparison, nominal: Sequence[F64]) -> list[float]:
+    """Mean square of the nominal simulator's error in units of the floor, a run."""
+    runs = range(len(nominal))
+    return [mean_square(comparison, [comparison.residual(i, nominal[i])], [i]) for i in runs]
+
+
 def mean_square(comparison: Comparison, residuals: Sequence[F64], runs: Sequence[int], cap: float = np.inf) -> float:
     """Mean of squared residuals in units of the floor."""
     total, count = 0.0, 0

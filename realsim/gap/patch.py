@@ -8,14 +8,13 @@ from typing import Any
 from realsim.errors import GapError, UnknownNameError
 from realsim.gap.case import Case
 from realsim.gap.context import Context, build_context
-from realsim.gap.edit import Edit, Signals
+from realsim.gap.edit import Edit, Pulse, Signals
 from realsim.gap.effects import EFFECTS
+from realsim.gap.effects.external_force import EVER
 from realsim.gap.fit import Fit
 from realsim.gap.simulate import Setting, Simulator
 
 FORMAT = "realsim.gap.patch/1"
-EVER = 1e5
-"""A force that ends after this many seconds never ends."""
 # What no compiled model holds, and what the loop that steps it must do about it.
 _WRAPPER = {
     "command_delay": "hold back every command by this time before it is written to ctrl (model.xml does it itself)",
@@ -25,7 +24,7 @@ _WRAPPER = {
     "gyro_bias": "add it to the gyroscope's reading",
     "acc_bias": "add it to the accelerometer's reading",
     "load_friction": "before each step, set dof_frictionloss to the model's plus ratio * |torque of the drive|",
-    "external_force": "set ctrl of this actuator to 1 from start to end, and to 0 otherwise",
+    "external_force": "set ctrl of this actuator to 1 from start to end (of the run, or since its onset), else to 0",
 }
 _IN_XML = ("command_delay", "joint_offset")
 """Wrappers that the patched model.xml does without."""
@@ -47,7 +46,7 @@ def make_patch(simulator: Simulator, fit: Fit) -> dict[str, Any]:
             for n, p, values in settings
         ],
         "scales": _scales(simulator.context),
-        "wrappers": wrappers(signals),
+        "wrappers": wrappers(signals, simulator.onsets),
         "how": [_how(setting) for setting in settings],
     }
 
@@ -55,13 +54,13 @@ def make_patch(simulator: Simulator, fit: Fit) -> dict[str, Any]:
 def _how(setting: Setting) -> dict[str, Any]:
     name, place, values = setting
     effect = EFFECTS[name]
-    passing = name == "external_force" and ("start" in values or values.get("end", 2 * EVER) < EVER)
+    passing = name == "external_force" and bool({"start", "end", "lasts"} & set(values))
     means = "model" if effect.patchable and not passing else "wrapper"
     return {"effect": name, "place": list(place), "means": means}
 
 
-def wrappers(signals: Signals) -> dict[str, Any]:
-    """Only what differs from nothing: {value, unit, what to do}."""
+def wrappers(signals: Signals, onsets: dict[str, float] | None = None) -> dict[str, Any]:
+    """Only what differs from nothing: {value, unit, what to do}; `onsets`: those of the runs, s."""
     found: dict[str, Any] = {}
     for name in ("command_delay", "observation_delay"):
         value = getattr(signals, name)
@@ -76,15 +75,19 @@ def wrappers(signals: Signals) -> dict[str, Any]:
         found["acc_bias"] = {"value": list(signals.acc_bias), "unit": "m/s^2"}
     if signals.load_friction:
         found["load_friction"] = {"value": dict(signals.load_friction), "unit": "ratio"}
-    passing = [p for p in signals.pulses if not _always(*p)]
+    passing = [p for p in signals.pulses if not _always(p)]
     if passing:
-        value = [{"actuator": n, "start_s": s, "end_s": e} for n, s, e in passing]
+        value = [
+            {"actuator": p.actuator, "start_s": p.start, "end_s": p.end, "since_onset": p.by_onset} for p in passing
+        ]
         found["external_force"] = {"value": value, "unit": "s"}
+        if any(p.by_onset for p in passing):
+            found["external_force"]["onsets_s"] = dict(onsets or {})
     return {name: {**said, "what": _WRAPPER[name]} for name, said in found.items()}
 
 
-def _always(actuator: str, start: float, end: float) -> bool:
-    return start <= 0 and end >= EVER
+def _always(pulse: Pulse) -> bool:
+    return pulse.start <= 0 and pulse.end >= EVER
 
 
 def _scales(context: Context) -> dict[str, Any]:
@@ -153,8 +156,8 @@ def _hold_forces(edit: Edit) -> None:
     """A force that acts always needs no control: its actuator has it as a constant."""
     import mujoco
 
-    for pulse in [p for p in edit.signals.pulses if _always(*p)]:
-        actuator = edit.spec.actuator(pulse[0])
+    for pulse in [p for p in edit.signals.pulses if _always(p)]:
+        actuator = edit.spec.actuator(pulse.actuator)
         actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         bias, gain = actuator.biasprm, actuator.gainprm
         bias[0], gain[0] = 1.0, 0.0

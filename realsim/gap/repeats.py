@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from realsim.gap.case import Case
@@ -24,10 +26,14 @@ def replicates(case: Case) -> list[list[int]]:
     return [g for g in groups if len(g) > 1]
 
 
-def spread(case: Case, signal: str) -> float | None:
-    """Standard deviation of one run about what its repetitions share, the median over columns; None without any."""
+def spread(case: Case, signal: str, only: Sequence[int] = ()) -> float | None:
+    """Root mean square by which one run differs from what its repetitions share, over all columns; None without any.
+
+    Args:
+        only: a group of runs; all groups if empty.
+    """
     found = []
-    for group in replicates(case):
+    for group in [list(only)] if only else replicates(case):
         first = case.runs[group[0]]
         for i in group[1:]:
             run = case.runs[i]
@@ -37,5 +43,5 @@ def spread(case: Case, signal: str) -> float | None:
                 if good.sum() > 10:
                     other = np.interp(first.time, run.time[good], b[good, column], right=np.nan)
                     difference = a[:, column] - other
-                    found.append(float(np.nanstd(difference)) / np.sqrt(2) if np.isfinite(difference).any() else np.nan)
-    return float(np.nanmedian(found)) if np.isfinite(found).any() else None
+                    found.append(float(np.nanmean(difference**2)) / 2 if np.isfinite(difference).any() else np.nan)
+    return float(np.sqrt(np.nanmean(found))) if np.isfinite(found).any() else None

@@ -134,7 +134,7 @@ def refitted(
                 trials.append(tried(screen, current, found, stage, gain))
                 fits.append(found)
     fits.sort(key=lambda f: f.misfit + complexity(screen, f))
-    if fits and screen.simulator.context.touches and "start" in fits[0].causes[-1].candidate.names:
+    if fits and _slides(screen, fits[0].causes[-1].candidate):
         again = fitter.fit(slid(fitter, fits[0]).causes, iterations=6, rough=True)
         if again is not None:
             trials.append(tried(screen, current, again, stage, 0.0))
@@ -171,6 +171,12 @@ def tried(screen: Screen, current: Fit, fit: Fit, stage: int, gain: float) -> Tr
         cause.candidate.effect, cause.candidate.place, cause.candidate.names, stage, gain,
         current.misfit - fit.misfit, mean, error, cause.named, "refitted",
     )  # fmt: skip
+
+
+def _slides(screen: Screen, candidate: Candidate) -> bool:
+    """Whether slopes may have found a wrong window: what lifts a foot or sets a robot swinging foretells none."""
+    names = candidate.names
+    return "since" in names or ("start" in names and screen.simulator.context.touches)
 
 
 def _nested(a: Candidate, b: Candidate) -> bool:

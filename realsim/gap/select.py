@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -91,6 +91,13 @@ def select(
     if current.causes:
         current, nominal = fitter.spread(fitter.tighten(current)), fitter.remeasure(nominal)
     return Selection(current, nominal, trials, equivalent, gains, notes)
+
+
+def without_causes(selection: Selection) -> Selection:
+    """The same search that came to nothing: what it found does not hold."""
+    found = ", ".join(dict.fromkeys(c.candidate.effect for c in selection.fit.causes))
+    note = f"{found} fits best, and makes the unseen run worse: no cause"
+    return replace(selection, fit=selection.nominal, equivalent=[], gains={}, notes=[*selection.notes, note])
 
 
 def sharpened(screen: Screen, fitter: Fitter, fit: Fit) -> Fit:

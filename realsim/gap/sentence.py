@@ -8,6 +8,7 @@ from typing import Any
 from realsim.gap.case import Case
 from realsim.gap.effects import EFFECTS
 from realsim.gap.heldout import Shrinkage
+from realsim.gap.repeats import replicates
 from realsim.gap.verdict import Judgement
 
 Cause = dict[str, Any]
@@ -80,7 +81,8 @@ def phrase(cause: Cause) -> str:
         return f"{place}{title} is {_size(parameters, sign)} {way} than in the model"
     if first["value"] < 0 and len(parameters) == 1 and effect not in _SIGNED:
         return f"{place}{title} is {_size(parameters, -1)} too large in the model"
-    note = f" ({first['note']})" if first.get("note") else ""
+    notes = [p["note"] for p in parameters.values() if p.get("note")]
+    note = f" ({'; '.join(notes)})" if notes else ""
     return f"{place}{title} {size} is missing{note}"
 
 
@@ -108,7 +110,9 @@ def _size(parameters: dict[str, dict[str, Any]], sign: int = 1) -> str:
         for n, word in (("start", "from"), ("end", "to"))
         if n in active
     )
-    sizes = {n: p for n, p in active.items() if n not in ("start", "end")}
+    if "lasts" in active:
+        when = f" for {_number(active['lasts']['value'])} s"
+    sizes = {n: p for n, p in active.items() if n not in ("start", "end", "since", "lasts")}
     listed = []
     for name, p in [item for item in sizes.items() if not _minor(*item, sizes)][:5]:
         label = f"{name.replace('_', ' ')} " if len(sizes) > 1 or _directed(name) else ""
@@ -211,4 +215,5 @@ def _next_for_unknown(where: Sequence[dict[str, Any]], case: Case) -> str:
     if case.floating and not case.has_imu:
         return "the IMU too, which tells the robot's motion from delays of its readings"
     joint = next((_plain(w["joint"]) for w in where if "joint" in w), "each joint")
-    return f"one run twice, to see whether it comes back, and {joint} alone, slowly and fast, over its whole range"
+    motion = f"{joint} alone, slowly and fast, over its whole range"
+    return motion if replicates(case) else f"one run twice, to see whether it comes back, and {motion}"

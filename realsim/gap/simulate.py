@@ -64,6 +64,8 @@ class Simulator:
         self._coarse: dict[tuple[int, tuple[int, ...]], list[dict[str, F64]]] = {}
         self.starts: tuple[Start, ...] = tuple(Start() for _ in case.runs)
         """How each run begins."""
+        self.onsets: dict[str, float] = {}
+        """Run -> seconds at which something sudden begins there; see realsim.gap.onsets."""
         self._raw = self.roll_out(Edit(self.context), None)
         self.rests = [r["pos"][round(float(r["settle"][0] / r["settle"][1]))] for r in self._raw]
         """(J,) a run: where the nominal simulator rests under the first command."""
@@ -203,8 +205,11 @@ class Simulator:
         control = np.zeros((steps, model.nu))
         for u, name in enumerate(self.case.actuator_names):
             control[:, model.actuator(name).id] = mean[:, u]
-        for name, start, end in edit.signals.pulses:
-            control[:, model.actuator(name).id] = (grid[:-1] >= start) & (grid[:-1] < end)
+        for pulse in edit.signals.pulses:
+            began = self.onsets.get(run.name) if pulse.by_onset else 0.0
+            if began is not None:
+                since = grid[:-1] - began
+                control[:, model.actuator(pulse.actuator).id] = (since >= pulse.start) & (since < pulse.end)
         return control
 
     def _tracks(self, model: Any, sensors: F64, settle: int, edit: Edit) -> dict[str, F64]:

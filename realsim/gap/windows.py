@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,36 @@ from realsim.types import F64
 
 GRID = 0.1
 """Windows begin and end on a grid of so many seconds at first, then on single bins near the best."""
+LEAD = 0.2
+"""Seconds before an onset in which its window may begin."""
 SHORTEST = 0.2
 MARGIN = 20.0
 SLIDES = 0.3, 0.1, 0.03
 """Steps in which the edges of a window are moved, s."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """From when on a window's seconds are counted in each run, and the names of its edges."""
+
+    zero: dict[int, float]
+    """Screened run -> s; a run that is left out has no force."""
+    edges: tuple[str, str]
+
+    def values(self, start: float, end: float) -> dict[str, float]:
+        first, second = self.edges
+        return {first: start - LEAD, second: end - start} if second == "lasts" else {first: start, second: end}
+
+
+def clocks(screen: Screen) -> list[Clock]:
+    """The runs' own time; and since something sudden began in them, where it does."""
+    found = [Clock(dict.fromkeys(range(len(screen.runs)), 0.0), ("start", "end"))]
+    onsets = screen.simulator.onsets
+    names = [screen.simulator.case.runs[r].name for r in screen.runs]
+    if any(n in onsets for n in names):
+        zero = {k: onsets[n] - LEAD for k, n in enumerate(names) if n in onsets}
+        found.append(Clock(zero, ("since", "lasts")))
+    return found
 
 
 def window_candidates(screen: Screen, fit: Fit, most: int = 2) -> list[tuple[float, Candidate, dict[str, float]]]:
@@ -25,22 +51,32 @@ def window_candidates(screen: Screen, fit: Fit, most: int = 2) -> list[tuple[flo
     The response to a force that lasts much longer than the servos' settling is nearly the constant force's response
     cut to the window, so that no further simulation is needed to find the window; the fit then simulates it.
     """
-    places = dict.fromkeys(a.place for a in screen.atoms if a.effect == "external_force")
-    found = []
     left, weights = _left(screen, fit)
-    for place in places:
+    chosen = []
+    for clock in clocks(screen):
+        found = _by_place(screen, clock, left, weights)
+        chosen += sorted(found, key=lambda item: -item[0])[:most]
+    return chosen
+
+
+def _by_place(
+    screen: Screen, clock: Clock, left: list[F64], weights: list[F64]
+) -> list[tuple[float, Candidate, dict[str, float]]]:
+    always = Clock(dict.fromkeys(range(len(screen.runs)), 0.0), ("start", "end"))
+    found = []
+    for place in dict.fromkeys(a.place for a in screen.atoms if a.effect == "external_force"):
         at = {n: screen.index[key] for n in ("fx", "fy", "fz") if (key := ("external_force", place, n)) in screen.index}
         axes, index = tuple(at), list(at.values())  # a planar arm cannot feel a force across its plane
-        info, score = _by_time(screen, index, left, weights)
+        info, score = _by_time(screen, clock, index, left, weights)
+        total = (info, score) if clock == always else _by_time(screen, always, index, left, weights)
         scale = np.array([abs(screen.atoms[i].parameter.step) for i in index])
-        whole = float(_gain(info.sum(axis=0), score.sum(axis=0), scale)[0])
-        best = _best_window(info, score, scale, screen.comparison.config.bin_seconds)
-        if best[0] > 1.5 * whole + MARGIN:
-            gain, start, end, force = best
+        whole = float(_gain(total[0].sum(axis=0), total[1].sum(axis=0), scale)[0])
+        gain, start, end, force = _best_window(info, score, scale, screen.comparison.config.bin_seconds)
+        if gain > 1.5 * whole + MARGIN:
             directions = np.eye(len(screen.atoms))[:, index]
-            candidate = Candidate("external_force", (place,), (*axes, "start", "end"), directions, axes)
-            found.append((gain, candidate, dict(zip(axes, force, strict=True)) | {"start": start, "end": end}))
-    return sorted(found, key=lambda item: -item[0])[:most]
+            candidate = Candidate("external_force", (place,), (*axes, *clock.edges), directions, axes)
+            found.append((gain, candidate, dict(zip(axes, force, strict=True)) | clock.values(start, end)))
+    return found
 
 
 def slid(fitter: Fitter, fit: Fit) -> Fit:
@@ -49,8 +85,9 @@ def slid(fitter: Fitter, fit: Fit) -> Fit:
     A push that lifts a foot has no response in proportion to itself, so that a window found on slopes may be off.
     """
     best = fit
+    edges = [n for n in ("start", "end", "since", "lasts") if n in fit.causes[-1].candidate.names]
     for size in SLIDES:
-        moves = [(edge, move) for edge in ("start", "end") for move in (size, -size)]
+        moves = [(edge, move) for edge in edges for move in (size, -size)]
         while True:
             moved = [f for edge, move in moves if (f := _moved(fitter, best, edge, move)) is not None]
             nearest = min(moved, key=lambda f: f.misfit, default=best)
@@ -77,18 +114,20 @@ def _left(screen: Screen, fit: Fit) -> tuple[list[F64], list[F64]]:
     return left, weights
 
 
-def _by_time(screen: Screen, index: list[int], left: list[F64], weights: list[F64]) -> tuple[F64, F64]:
-    """(T, m, m) information and (T, m) score of the force in each bin of time, all runs together."""
+def _by_time(screen: Screen, clock: Clock, index: list[int], left: list[F64], weights: list[F64]) -> tuple[F64, F64]:
+    """(T, m, m) information and (T, m) score of the force in each bin of a clock's time, all its runs together."""
     width = screen.comparison.config.bin_seconds
-    last = max(int(screen.comparison.times[r][-1] / width) for r in screen.runs) + 1
+    times = {k: screen.comparison.times[screen.runs[k]] - zero for k, zero in clock.zero.items()}
+    last = max(int(t[-1] / width) for t in times.values()) + 1
     m = len(index)
     info, score = np.zeros((last, m, m)), np.zeros((last, m))
-    for k, run in enumerate(screen.runs):
+    for k, t in times.items():
         D = screen.columns(k, index).reshape(*weights[k].shape, len(index)).astype(float)
-        at = np.clip((screen.comparison.times[run] / width).astype(int), 0, last - 1)
-        W = weights[k][:, :, None] * D
-        np.add.at(info, at, np.einsum("bci,bcj->bij", W, D))
-        np.add.at(score, at, np.einsum("bci,bc->bi", W, left[k]))
+        inside = t >= 0
+        at = np.clip((t[inside] / width).astype(int), 0, last - 1)
+        W = (weights[k][:, :, None] * D)[inside]
+        np.add.at(info, at, np.einsum("bci,bcj->bij", W, D[inside]))
+        np.add.at(score, at, np.einsum("bci,bc->bi", W, left[k][inside]))
     return info, score
 
 

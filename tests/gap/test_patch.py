@@ -109,8 +109,8 @@ def test_round_trip(name: str, arm: Simulator, walker: Simulator) -> None:
     edit = simulator.edited(fit.settings())
     reference = edit.spec.compile()
     if name == "external_force":  # the simulator turns it on by its control, the patch holds it
-        reference.actuator(edit.signals.pulses[0][0]).biasprm[0] = 1.0
-        reference.actuator(edit.signals.pulses[0][0]).biastype[0] = int(mujoco.mjtBias.mjBIAS_AFFINE)
+        reference.actuator(edit.signals.pulses[0].actuator).biasprm[0] = 1.0
+        reference.actuator(edit.signals.pulses[0].actuator).biastype[0] = int(mujoco.mjtBias.mjBIAS_AFFINE)
     np.testing.assert_allclose(ours, moved(reference, simulator.case), atol=1e-9)
     nominal = moved(simulator.case.model, simulator.case)
     if name != "load_friction":  # the model's own friction is made as stiff as what a wrapper adds to it

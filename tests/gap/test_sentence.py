@@ -36,7 +36,7 @@ def say(
     has: tuple[str, ...] = ("joint_torque",),
     ends: tuple[str, ...] = (),
 ) -> str:
-    case: Any = SimpleNamespace(has=lambda s: s in has, floating=False, has_imu=False)
+    case: Any = SimpleNamespace(has=lambda s: s in has, floating=False, has_imu=False, runs=[])
     judgement = Judgement(verdict, 0.4, [0.5] * len(causes), (), ends)
     return sentence(judgement, causes, equivalent, of or shrunk(), WHERE, case)
 

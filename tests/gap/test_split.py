@@ -22,6 +22,21 @@ def test_few_runs_keep_the_last_one_unseen():
     assert split_runs(case_of([2.0, 3.0, 2.5, 2.2, 2.8]), DiagnoseConfig()) == ([0, 1, 2, 3], [4])
 
 
+def test_a_last_run_that_checks_nothing_is_fitted():
+    runs = case_of([2.0, 3.0, 2.5, 2.2, 2.8])
+    assert split_runs(runs, DiagnoseConfig(), [80.0, 30.0, 90.0, 20.0, 0.5]) == ([0, 2, 3, 4], [1])
+
+
+def test_the_only_run_that_shows_the_gap_is_fitted():
+    runs = case_of([2.0, 3.0, 2.5, 2.2, 2.8])
+    assert split_runs(runs, DiagnoseConfig(), [1.0, 1.2, 0.5, 0.9, 70.0]) == ([1, 2, 3, 4], [0])
+
+
+def test_an_ordinary_last_run_stays_unseen():
+    runs = case_of([2.0, 3.0, 2.5, 2.2, 2.8])
+    assert split_runs(runs, DiagnoseConfig(), [10.0, 12.0, 5.0, 9.0, 30.0])[1] == [4]
+
+
 def test_a_single_run_is_fitted_and_none_is_unseen():
     assert split_runs(case_of([2.0]), DiagnoseConfig()) == ([0], [])
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import mujoco
@@ -70,6 +70,8 @@ class Truth:
     force: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     force_window: tuple[float, float] = (-10.0, 100.0)
     """s of each run in which the force acts."""
+    force_windows: tuple[tuple[float, float] | None, ...] = ()
+    """The same run by run, where it comes at another time in each; None: not at all."""
     tilt: float = 0.0
     ripple: dict[str, float] = field(default_factory=dict)
     """Outside the library: torque that varies with the angle, N m."""
@@ -139,7 +141,9 @@ def make_case(
     for i in range(runs):
         seconds = rng.uniform(*span)
         fine = commands(rng, kinds[i % len(kinds)], seconds, len(joints), rate, 0.6)
-        data = replay(real, nominal, joints, fine, truth, rng, rate, drift, nuisance)
+        window = (truth.force_windows[i] or (0.0, 0.0)) if truth.force_windows else truth.force_window
+        now = replace(truth, force_window=window)
+        data = replay(real, nominal, joints, fine, now, rng, rate, drift, nuisance)
         if torque == "none":
             data.pop("joint_torque")
         if not velocity:

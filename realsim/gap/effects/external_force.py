@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from realsim.gap.edit import Pulse
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
 
 FOREVER = 1e6
+EVER = 1e5
+"""What lasts longer than so many seconds always acts."""
 
 
 def _places(context) -> list[Place]:
@@ -16,8 +19,13 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     least = (0.5 if context.case.floating else 0.05) * context.total_mass
     weight = 9.81 * max(context.moved_mass(place[0]), least)
     force = [Parameter(f"f{a}", "N", (-6 * weight, 6 * weight), 0.15 * weight) for a in "xyz"]
-    start = Parameter("start", "s", (-1.0, 60.0), 0.1, default=-1.0)
-    return (*force, start, Parameter("end", "s", (0.0, FOREVER), 0.1, default=FOREVER))
+    return (
+        *force,
+        Parameter("start", "s", (-1.0, 60.0), 0.1, default=-1.0),
+        Parameter("end", "s", (0.0, FOREVER), 0.1, default=FOREVER),
+        Parameter("since", "s", (-1.0, 60.0), 0.05, default=-1.0),
+        Parameter("lasts", "s", (0.0, FOREVER), 0.1, default=FOREVER),
+    )
 
 
 def _excited(context, place: Place) -> Excitation:
@@ -25,11 +33,17 @@ def _excited(context, place: Place) -> Excitation:
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
-    """A force in world axes at the body's centre of mass, from `start` to `end` seconds of each run."""
+    """A force in world axes at the body's centre of mass, from `start` to `end` seconds of each run.
+
+    One that `lasts` a while begins at each run's own onset instead, or `since` seconds later.
+    """
     for name in place:
-        force = [values[f"f{a}"] for a in "xyz"]
-        actuator = edit.add_force(name, force)
-        edit.signals.pulses.append((actuator, values["start"], values["end"]))
+        actuator = edit.add_force(name, [values[f"f{a}"] for a in "xyz"])
+        if values["lasts"] < EVER:
+            pulse = Pulse(actuator, values["since"], values["since"] + values["lasts"], by_onset=True)
+        else:
+            pulse = Pulse(actuator, values["start"], values["end"])
+        edit.signals.pulses.append(pulse)
 
 
 EFFECT = Effect(

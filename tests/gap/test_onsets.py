@@ -1,0 +1,61 @@
+"""A push that comes at a moment of its own in each run."""
+
+from __future__ import annotations
+
+import pytest
+
+from realsim.gap import DiagnoseConfig, diagnose, load_case
+from realsim.gap.compare import Comparison
+from realsim.gap.onsets import find_onsets
+from realsim.gap.simulate import Simulator
+
+from .truth import Truth
+
+PUSHED = {"run_02": 1.9, "run_03": 1.2, "run_05": 2.3}
+WINDOWS = tuple((at, at + 0.5) if (at := PUSHED.get(f"run_{i:02d}")) else None for i in range(1, 7))
+
+
+def onsets_of(folder) -> dict[str, float]:
+    case, config = load_case(folder), DiagnoseConfig(threads=1)
+    with Simulator(case, config) as simulator:
+        nominal = simulator.simulate()
+        return find_onsets(Comparison(case, simulator.channels, nominal, config), nominal)
+
+
+@pytest.fixture(scope="module")
+def bumped(made):
+    return made("bumped", Truth(force={"fore": (14.0, 0.0, 6.0)}, force_windows=WINDOWS), runs=6)
+
+
+def test_onsets_are_read_off_the_log(bumped) -> None:
+    found = onsets_of(bumped)
+    assert set(found) == set(PUSHED)
+    assert all(abs(found[name] - at) < 0.1 for name, at in PUSHED.items())
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [
+        Truth(),
+        Truth(coulomb={"elbow": 3.0}),
+        Truth(force={"fore": (14.0, 0.0, 6.0)}, force_window=(1.0, 1.5)),
+    ],
+)
+def test_other_gaps_have_none(made, truth: Truth) -> None:
+    """A lasting cause is there from the first motion on; a force at a fixed time has that time."""
+    assert onsets_of(made(f"no_onsets_{truth.coulomb}_{bool(truth.force)}", truth, runs=6)) == {}
+
+
+def test_the_push_is_found_and_checked_on_a_run_that_no_fit_saw(bumped) -> None:
+    found = diagnose(load_case(bumped))
+    assert found.verdict in ("identified", "ambiguous")
+    (cause,) = found.causes
+    assert (cause["effect"], cause["bodies"]) == ("external_force", ["fore"])
+    assert cause["parameters"]["fx"]["value"] == pytest.approx(14.0, rel=0.15)
+    assert cause["parameters"]["lasts"]["value"] == pytest.approx(0.5, abs=0.08)
+    assert set(found.shrinkage["runs"]) <= set(PUSHED)
+    assert found.shrinkage["fraction"] > 0.8
+    assert "run_03 from 1." in found.sentence
+    (force,) = found.patch["wrappers"]["external_force"]["value"]
+    assert force["since_onset"]
+    assert set(found.patch["wrappers"]["external_force"]["onsets_s"]) == set(PUSHED)
