@@ -12,12 +12,12 @@ import pytest
 
 from realsim.gap import DiagnoseConfig, Diagnosis, diagnose, load_case
 from realsim.gap.report import diagnosis_page, write_report
-from realsim.gap.report_evidence import model_changes
-from realsim.gap.report_plots import rival_label
-from realsim.gap.report_robot import body_shares
-from realsim.gap.report_series import horizons, replay, worst_windows
-from realsim.gap.report_shapes import solids
-from realsim.gap.report_words import WORDS, percent, short
+from realsim.gap.report.evidence import model_changes
+from realsim.gap.report.plots import rival_label
+from realsim.gap.report.robot import body_shares
+from realsim.gap.report.series import horizons, replay, worst_windows
+from realsim.gap.report.shapes import solids
+from realsim.gap.report.words import WORDS, percent, short
 from tests.pages import read
 
 from .truth import Truth

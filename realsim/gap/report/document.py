@@ -12,20 +12,20 @@ from pathlib import Path
 
 from realsim.files import write_text
 from realsim.gap.diagnosis import Diagnosis
-from realsim.gap.report_evidence import (
+from realsim.gap.report.evidence import (
     assumptions_card,
     causes_card,
     equivalents_card,
     patch_card,
     ranking_card,
 )
-from realsim.gap.report_health import health_card
-from realsim.gap.report_overlays import overlays_card, path_card
-from realsim.gap.report_plots import how_much_card, what_card, where_card
-from realsim.gap.report_robot import robot_card
-from realsim.gap.report_series import Replay, replay
-from realsim.gap.report_where import evidence_cards
-from realsim.gap.report_words import LEVELS, WORDS, lead, percent, times
+from realsim.gap.report.health import health_card
+from realsim.gap.report.overlays import overlays_card, path_card
+from realsim.gap.report.plots import how_much_card, what_card, where_card
+from realsim.gap.report.robot import robot_card
+from realsim.gap.report.series import Replay, replay
+from realsim.gap.report.where import evidence_cards
+from realsim.gap.report.words import LEVELS, WORDS, lead, percent, times
 from realsim.report import page, viewer3d
 
 # Three cards in a row on a screen, one below the other on a phone.

@@ -8,9 +8,9 @@ import numpy as np
 
 from realsim.gap.case import Case, Run
 from realsim.gap.diagnosis import Diagnosis
-from realsim.gap.report_series import place_shares
-from realsim.gap.report_shapes import Solid, extent, ring, rod, solids
-from realsim.gap.report_words import HEAT, place_of
+from realsim.gap.report.series import place_shares
+from realsim.gap.report.shapes import Solid, extent, ring, rod, solids
+from realsim.gap.report.words import HEAT, place_of
 from realsim.report import page, raster, svg
 from realsim.report.viewer3d import Layer, viewer
 from realsim.types import F64

@@ -8,8 +8,8 @@ from typing import Any
 from realsim.gap.diagnosis import Diagnosis
 from realsim.gap.effects import EFFECTS
 from realsim.gap.patch import patched_xml
-from realsim.gap.report_series import Replay
-from realsim.gap.report_words import after, interval, percent, place_of, places, title_of
+from realsim.gap.report.series import Replay
+from realsim.gap.report.words import after, interval, percent, place_of, places, title_of
 from realsim.report import page, svg
 
 APPLY = """\

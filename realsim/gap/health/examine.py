@@ -10,8 +10,8 @@ import numpy as np
 
 from realsim.errors import GapError
 from realsim.gap.case import Case
-from realsim.gap.health_conventions import log_conventions, nominal_conventions
-from realsim.gap.health_signals import clocks, initial_states, missing, noise, quanta, saturation
+from realsim.gap.health.conventions import log_conventions, nominal_conventions
+from realsim.gap.health.signals import clocks, initial_states, missing, noise, quanta, saturation
 from realsim.gap.simulate import Simulator
 
 SOME_FALLS = 1 / 3

@@ -6,9 +6,9 @@ import numpy as np
 
 from realsim.gap.case import Case
 from realsim.gap.diagnosis import Diagnosis
-from realsim.gap.report_series import Replay, worst_windows
-from realsim.gap.report_shapes import solids
-from realsim.gap.report_words import HEAT, short, signal_name, unit_of
+from realsim.gap.report.series import Replay, worst_windows
+from realsim.gap.report.shapes import solids
+from realsim.gap.report.words import HEAT, short, signal_name, unit_of
 from realsim.gap.simulate import measured
 from realsim.report import page, raster, svg
 from realsim.types import F64

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from realsim.gap.diagnosis import Diagnosis
-from realsim.gap.report_words import UNITS, percent, short, signal_name
+from realsim.gap.report.words import UNITS, percent, short, signal_name
 from realsim.report import page, svg
 
 _SATURATED = {"nominal_drive": "at its force range in the simulator", "logged_torque": "logged torque at its top"}
