@@ -31,11 +31,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.gap_score import hit, top1
 from benchmarks.gap_withheld import machine, read_labels
 from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
+from realsim.gap.answer.heldout import mean_square
 from realsim.gap.compare import Comparison
-from realsim.gap.edit import Edit
-from realsim.gap.heldout import mean_square
-from realsim.gap.sampling import held_mean
-from realsim.gap.simulate import Simulator
+from realsim.gap.simulation.edit import Edit
+from realsim.gap.simulation.sampling import held_mean
+from realsim.gap.simulation.simulate import Simulator
 
 RESULTS = Path(__file__).parent / "results" / "gap_sysid.json"
 ROBOTS = ("pendulum", "arm2", "arm6")

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from realsim.gap.case import Case, Run
 from realsim.gap.config import DiagnoseConfig
-from realsim.gap.simulate import Channel, measured
+from realsim.gap.logs.case import Case, Run
+from realsim.gap.simulation.simulate import Channel, measured
 from realsim.types import F64
 
 CORRELATION = 20.0

@@ -10,26 +10,26 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from realsim.gap.baselines import first_choices, rival_settings
-from realsim.gap.case import Case
+from realsim.gap.answer.baselines import first_choices, rival_settings
+from realsim.gap.answer.diagnosis import Diagnosis, describe_set
+from realsim.gap.answer.heldout import Shrinkage, mean_gaps, shrinkage
+from realsim.gap.answer.patch import make_patch
+from realsim.gap.answer.ranking import ranked_effects
+from realsim.gap.answer.sentence import sentence
+from realsim.gap.answer.verdict import judge
+from realsim.gap.causes.fit import Fitter
+from realsim.gap.causes.screen import Screen
+from realsim.gap.causes.select import Selection, select, without_causes
 from realsim.gap.compare import Comparison
 from realsim.gap.config import DiagnoseConfig
-from realsim.gap.diagnosis import Diagnosis, describe_set
 from realsim.gap.effects import EFFECTS
-from realsim.gap.fit import Fitter
+from realsim.gap.evidence.onsets import find_onsets
+from realsim.gap.evidence.where import by_signal, change_by_horizon, evidence, localise
 from realsim.gap.health import examine
-from realsim.gap.heldout import Shrinkage, mean_gaps, shrinkage
-from realsim.gap.onsets import find_onsets
-from realsim.gap.patch import make_patch
-from realsim.gap.ranking import ranked_effects
-from realsim.gap.repeats import replicates as replicates
-from realsim.gap.screen import Screen
-from realsim.gap.select import Selection, select, without_causes
-from realsim.gap.sentence import sentence
-from realsim.gap.simulate import Simulator
-from realsim.gap.split import split_runs
-from realsim.gap.verdict import judge
-from realsim.gap.where import by_signal, change_by_horizon, evidence, localise
+from realsim.gap.logs.case import Case
+from realsim.gap.logs.repeats import replicates as replicates
+from realsim.gap.logs.split import split_runs
+from realsim.gap.simulation.simulate import Simulator
 
 Progress = Callable[[str, float], None]
 
@@ -168,7 +168,7 @@ def _assemble(
         unexplained_share=judgement.unexplained,
         patch=make_patch(simulator, fit)
         if causes
-        else {"format": "realsim.gap.patch/1", "settings": [], "wrappers": {}},
+        else {"format": "realsim.gap.answer.patch/1", "settings": [], "wrappers": {}},
         ranking=tuple(ranked_effects(selection, screen)),
         health=health,
         statistics={

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from realsim.files import inside, output_folder, read_bytes, write_bytes, write_text
-from realsim.gap.case import load_case
+from realsim.gap.answer.patch import asset_files, patched_xml
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.diagnose import Progress, diagnose
-from realsim.gap.patch import asset_files, patched_xml
+from realsim.gap.logs.case import load_case
 
 
 def run_case(

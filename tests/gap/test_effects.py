@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from realsim.gap import EFFECTS, DiagnoseConfig, diagnose, explain, load_case
-from realsim.gap.simulate import Simulator
+from realsim.gap.simulation.simulate import Simulator
 
 from .truth import Truth
 

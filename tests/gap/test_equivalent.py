@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
+from realsim.gap.causes.equivalent import _plain, likelier
+from realsim.gap.causes.fit import Cause, Fitter
+from realsim.gap.causes.rivals import ranked
+from realsim.gap.causes.screen import Screen
 from realsim.gap.compare import Comparison
 from realsim.gap.effects import EFFECTS
-from realsim.gap.equivalent import _plain, likelier
-from realsim.gap.fit import Cause, Fitter
-from realsim.gap.rivals import ranked
-from realsim.gap.screen import Screen
-from realsim.gap.simulate import Simulator
+from realsim.gap.simulation.simulate import Simulator
 
 from .test_recovery import logged
 from .truth import Truth

@@ -15,7 +15,7 @@ import pytest
 from realsim.errors import GapError
 from realsim.gap import Case, DiagnoseConfig, Run, load_case
 from realsim.gap.health import examine, gathered
-from realsim.gap.simulate import Simulator
+from realsim.gap.simulation.simulate import Simulator
 
 from .truth import Truth
 

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from realsim.gap import DiagnoseConfig, apply_patch, diagnose, load_case, run_case
+from realsim.gap.causes.screen import posterior, score
 from realsim.gap.effects.payload import add_point_mass
 from realsim.gap.effects.terrain_tilt import quaternion, rotation
-from realsim.gap.groups import kind_of, like_joints
-from realsim.gap.screen import posterior, score
-from realsim.gap.simulate import Simulator, held_mean, rotation_from
+from realsim.gap.simulation.groups import kind_of, like_joints
+from realsim.gap.simulation.simulate import Simulator, held_mean, rotation_from
 
 from .truth import Truth
 

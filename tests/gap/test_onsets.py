@@ -6,8 +6,8 @@ import pytest
 
 from realsim.gap import DiagnoseConfig, diagnose, load_case
 from realsim.gap.compare import Comparison
-from realsim.gap.onsets import find_onsets
-from realsim.gap.simulate import Simulator
+from realsim.gap.evidence.onsets import find_onsets
+from realsim.gap.simulation.simulate import Simulator
 
 from .truth import Truth
 

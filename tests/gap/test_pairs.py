@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from realsim.gap import DiagnoseConfig, load_case
+from realsim.gap.causes.fit import Cause, Fitter
+from realsim.gap.causes.pairs import better_pair
+from realsim.gap.causes.screen import Screen
+from realsim.gap.causes.select import sharpened
 from realsim.gap.compare import Comparison
-from realsim.gap.fit import Cause, Fitter
-from realsim.gap.pairs import better_pair
-from realsim.gap.screen import Screen
-from realsim.gap.select import sharpened
-from realsim.gap.simulate import Simulator
+from realsim.gap.simulation.simulate import Simulator
 
 from .test_recovery import logged
 from .truth import Truth

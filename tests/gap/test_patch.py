@@ -15,8 +15,8 @@ import pytest
 from realsim.errors import GapError, UnknownNameError
 from realsim.files import to_json
 from realsim.gap import EFFECTS, DiagnoseConfig, apply_patch, explain, load_case
-from realsim.gap.patch import asset_files, make_patch, patched_xml
-from realsim.gap.simulate import Simulator
+from realsim.gap.answer.patch import asset_files, make_patch, patched_xml
+from realsim.gap.simulation.simulate import Simulator
 
 from .truth import Truth
 
@@ -165,7 +165,7 @@ def test_a_passing_force_stays_a_wrapper(arm: Simulator) -> None:
 def test_an_empty_patch_changes_nothing(arm: Simulator) -> None:
     spec = mujoco.MjSpec.from_file(str(arm.case.folder / "model.xml"))
     before = spec.to_xml()
-    apply_patch(spec, {"format": "realsim.gap.patch/1", "settings": [], "wrappers": {}})
+    apply_patch(spec, {"format": "realsim.gap.answer.patch/1", "settings": [], "wrappers": {}})
     assert spec.to_xml() == before
 
 

@@ -13,16 +13,16 @@ from benchmarks.gap_truth.plant import Plant
 from benchmarks.gap_truth.robots import ROBOTS
 from benchmarks.gap_truth.truth import Truth as TrueRobot
 from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
+from realsim.gap.answer.heldout import leftover
+from realsim.gap.causes.equivalent import _alike
+from realsim.gap.causes.fit import Cause, Fitter
+from realsim.gap.causes.merit import is_gap
+from realsim.gap.causes.probes import probed, probed_ground
+from realsim.gap.causes.rivals import outstanding, ranked, refit
+from realsim.gap.causes.screen import Screen, marginal, score, slab
+from realsim.gap.causes.windows import slid
 from realsim.gap.compare import Comparison
-from realsim.gap.equivalent import _alike
-from realsim.gap.fit import Cause, Fitter
-from realsim.gap.heldout import leftover
-from realsim.gap.merit import is_gap
-from realsim.gap.probes import probed, probed_ground
-from realsim.gap.rivals import outstanding, ranked, refit
-from realsim.gap.screen import Screen, marginal, score, slab
-from realsim.gap.simulate import Simulator
-from realsim.gap.windows import slid
+from realsim.gap.simulation.simulate import Simulator
 
 from .truth import Truth
 

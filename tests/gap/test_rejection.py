@@ -8,15 +8,15 @@ from pathlib import Path
 import pytest
 
 from realsim.gap import EFFECTS, Case, load_case
+from realsim.gap.answer.heldout import leftover
+from realsim.gap.causes.fit import Cause, Fit, Fitter
+from realsim.gap.causes.hidden import WORTH_TRYING
+from realsim.gap.causes.merit import is_gap
+from realsim.gap.causes.rivals import ranked
+from realsim.gap.causes.screen import Screen
+from realsim.gap.causes.select import select
 from realsim.gap.compare import Comparison
-from realsim.gap.fit import Cause, Fit, Fitter
-from realsim.gap.heldout import leftover
-from realsim.gap.hidden import WORTH_TRYING
-from realsim.gap.merit import is_gap
-from realsim.gap.rivals import ranked
-from realsim.gap.screen import Screen
-from realsim.gap.select import select
-from realsim.gap.simulate import Setting, Simulator
+from realsim.gap.simulation.simulate import Setting, Simulator
 
 from .test_recovery import CONFIG, GROUND, SIZE, UNSEEN, logged, quadruped
 from .truth import PENDULUM, Truth

@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from realsim.gap import DiagnoseConfig, load_case
+from realsim.gap.answer.verdict import FAR_ABOVE, NOT_HELD, at_an_end, not_held
+from realsim.gap.causes.fit import Cause, Fitter
+from realsim.gap.causes.fitted import Z90, significance
+from realsim.gap.causes.screen import Screen
+from realsim.gap.causes.windows import SHORTEST, _best_window
 from realsim.gap.compare import Comparison
 from realsim.gap.effects.base import Parameter
-from realsim.gap.fit import Cause, Fitter
-from realsim.gap.fitted import Z90, significance
-from realsim.gap.screen import Screen
-from realsim.gap.simulate import Simulator
-from realsim.gap.verdict import FAR_ABOVE, NOT_HELD, at_an_end, not_held
-from realsim.gap.windows import SHORTEST, _best_window
+from realsim.gap.simulation.simulate import Simulator
 
 from .test_recovery import logged
 from .truth import Truth
@@ -78,7 +78,7 @@ def test_laws_that_need_the_fine_step_keep_it(fitter: Fitter) -> None:
 
 
 def test_a_cause_is_clear_of_nothing_only_where_it_acts(fitter: Fitter, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("realsim.gap.fit.ENOUGH", 3)
+    monkeypatch.setattr("realsim.gap.causes.fit.ENOUGH", 3)
     fit = fitter.fit([_cause(fitter, "motor_gain", -0.05)])
     assert fit is not None
     assert fitter.clear(fit) == [True]

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
+from realsim.gap.answer.sentence import phrase, removed, sentence
+from realsim.gap.answer.verdict import Judgement
 from realsim.gap.effects import EFFECTS
-from realsim.gap.sentence import phrase, removed, sentence
-from realsim.gap.verdict import Judgement
 
 
 def cause(

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from realsim.gap.config import DiagnoseConfig
-from realsim.gap.runs import Run
-from realsim.gap.split import split_runs
+from realsim.gap.logs.runs import Run
+from realsim.gap.logs.split import split_runs
 
 
 def case_of(speeds: list[float]) -> SimpleNamespace:

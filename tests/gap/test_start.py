@@ -14,8 +14,8 @@ import pytest
 
 from realsim.gap import DiagnoseConfig, Run, diagnose, load_case
 from realsim.gap.health import examine
-from realsim.gap.simulate import Simulator
-from realsim.gap.start import first_fit
+from realsim.gap.simulation.simulate import Simulator
+from realsim.gap.simulation.start import first_fit
 
 from .truth import ARM, PENDULUM, Truth
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from mujoco import rollout
 
-from realsim.gap.stepping import Gear, stepped
+from realsim.gap.simulation.stepping import Gear, stepped
 
 SLED = """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody><body>
 <joint name="x" type="slide" axis="1 0 0" solreffriction="0.0022 1"/><geom size="0.1" mass="2"/></body></worldbody>

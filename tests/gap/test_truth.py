@@ -15,7 +15,7 @@ from benchmarks.gap_truth.robots import ROBOTS
 from benchmarks.gap_truth.truth import Truth
 from realsim.gap import EFFECTS, DiagnoseConfig, load_case
 from realsim.gap.effects.base import Parameter
-from realsim.gap.simulate import Setting, Simulator, measured
+from realsim.gap.simulation.simulate import Setting, Simulator, measured
 
 CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
 LEFT = {"contact_compliance": 0.2, "ground_friction": 0.4}

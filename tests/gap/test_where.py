@@ -13,12 +13,12 @@ import pytest
 
 from realsim.gap import Case, DiagnoseConfig, load_case
 from realsim.gap.compare import Comparison
-from realsim.gap.inverse import base_wrench, torque_residual
-from realsim.gap.motion import estimate, smooth
-from realsim.gap.shooting import shoot
-from realsim.gap.simulate import Simulator
-from realsim.gap.standout import significant, standouts
-from realsim.gap.where import change_by_horizon, evidence, localise
+from realsim.gap.evidence.inverse import base_wrench, torque_residual
+from realsim.gap.evidence.motion import estimate, smooth
+from realsim.gap.evidence.shooting import shoot
+from realsim.gap.evidence.standout import significant, standouts
+from realsim.gap.evidence.where import change_by_horizon, evidence, localise
+from realsim.gap.simulation.simulate import Simulator
 
 from .truth import Truth
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.gap.edit import STIFFEST
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.simulation.edit import STIFFEST
 
 
 def _parameters(context, place: Place) -> tuple[Parameter, ...]:

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from realsim.gap.edit import Edit as Edit
+from realsim.gap.simulation.edit import Edit as Edit
 
 if TYPE_CHECKING:
-    from realsim.gap.context import Context
+    from realsim.gap.simulation.context import Context
 
 Place = tuple[str, ...]
 """Names of joints or bodies; () for effects that act everywhere."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from realsim.gap.edit import Pulse
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
+from realsim.gap.simulation.edit import Pulse
 
 FOREVER = 1e6
 EVER = 1e5

@@ -15,7 +15,7 @@ def _excited(context, place: Place) -> Excitation:
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
-    """MuJoCo's dry friction is constant: the loop that steps the model changes it (see realsim.gap.stepping)."""
+    """MuJoCo's dry friction is constant: the loop that steps the model changes it (realsim.gap.simulation.stepping)."""
     for joint in place:
         edit.signals.load_friction[joint] = edit.signals.load_friction.get(joint, 0.0) + values["ratio"]
         added = max(values["ratio"], 0.0) * edit.context.torque_scale(joint)

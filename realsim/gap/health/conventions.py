@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from realsim.errors import GapError
-from realsim.gap.case import Case
-from realsim.gap.simulate import Simulator, rotation_from
-from realsim.gap.units import TORQUE
+from realsim.gap.logs.case import Case
+from realsim.gap.logs.units import TORQUE
+from realsim.gap.simulation.simulate import Simulator, rotation_from
 from realsim.types import F64
 
 PLAIN = 0.35

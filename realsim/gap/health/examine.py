@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from realsim.errors import GapError
-from realsim.gap.case import Case
 from realsim.gap.health.conventions import log_conventions, nominal_conventions
 from realsim.gap.health.signals import clocks, initial_states, missing, noise, quanta, saturation
-from realsim.gap.simulate import Simulator
+from realsim.gap.logs.case import Case
+from realsim.gap.simulation.simulate import Simulator
 
 SOME_FALLS = 1 / 3
 """Share of the runs in which the nominal simulator may fall over before the log is refused."""

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from realsim.errors import GapError
-from realsim.gap.case import Case, Run
 from realsim.gap.compare import DETAIL
-from realsim.gap.repeats import replicates, spread
-from realsim.gap.simulate import Simulator
-from realsim.gap.start import STILL, Start
+from realsim.gap.logs.case import Case, Run
+from realsim.gap.logs.repeats import replicates, spread
+from realsim.gap.simulation.simulate import Simulator
+from realsim.gap.simulation.start import STILL, Start
 from realsim.types import F64
 
 Said = list[str]

@@ -11,7 +11,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from realsim.files import write_text
-from realsim.gap.diagnosis import Diagnosis
+from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.report.evidence import (
     assumptions_card,
     causes_card,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from difflib import unified_diff
 from typing import Any
 
-from realsim.gap.diagnosis import Diagnosis
+from realsim.gap.answer.diagnosis import Diagnosis
+from realsim.gap.answer.patch import patched_xml
 from realsim.gap.effects import EFFECTS
-from realsim.gap.patch import patched_xml
 from realsim.gap.report.series import Replay
 from realsim.gap.report.words import after, interval, percent, place_of, places, title_of
 from realsim.report import page, svg

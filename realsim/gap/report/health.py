@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.gap.diagnosis import Diagnosis
+from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.report.words import UNITS, percent, short, signal_name
 from realsim.report import page, svg
 

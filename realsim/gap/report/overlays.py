@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.gap.case import Case
-from realsim.gap.diagnosis import Diagnosis
+from realsim.gap.answer.diagnosis import Diagnosis
+from realsim.gap.logs.case import Case
 from realsim.gap.report.series import Replay, worst_windows
 from realsim.gap.report.shapes import solids
 from realsim.gap.report.words import HEAT, short, signal_name, unit_of
-from realsim.gap.simulate import measured
+from realsim.gap.simulation.simulate import measured
 from realsim.report import page, raster, svg
 from realsim.types import F64
 

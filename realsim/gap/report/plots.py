@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from realsim.gap.diagnosis import Diagnosis
-from realsim.gap.fitted import Z90
+from realsim.gap.answer.diagnosis import Diagnosis
+from realsim.gap.causes.fitted import Z90
+from realsim.gap.evidence.where import PHASES
 from realsim.gap.report.series import Replay, horizons, place_shares
 from realsim.gap.report.words import after, percent, places, short, signal_name, title_of
-from realsim.gap.where import PHASES
 from realsim.report import page, svg
 
 WIDTH = 340

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from realsim.gap.case import Case, Run
-from realsim.gap.diagnosis import Diagnosis
+from realsim.gap.answer.diagnosis import Diagnosis
+from realsim.gap.logs.case import Case, Run
 from realsim.gap.report.series import place_shares
 from realsim.gap.report.shapes import Solid, extent, ring, rod, solids
 from realsim.gap.report.words import HEAT, place_of

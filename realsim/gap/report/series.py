@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from realsim.errors import GapError
-from realsim.gap.case import Case
+from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.compare import Comparison
-from realsim.gap.diagnosis import Diagnosis
-from realsim.gap.shooting import Shots, shoot
+from realsim.gap.evidence.shooting import Shots, shoot
+from realsim.gap.logs.case import Case
 from realsim.types import F64
 
 

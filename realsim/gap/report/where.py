@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from realsim.errors import GapError
-from realsim.gap.diagnosis import Diagnosis
-from realsim.gap.inverse import torque_residual
+from realsim.gap.answer.diagnosis import Diagnosis
+from realsim.gap.evidence.inverse import torque_residual
 from realsim.gap.report.series import Replay, horizons
 from realsim.gap.report.words import percent, short, signal_name
 from realsim.report import page, svg

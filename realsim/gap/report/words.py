@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from realsim.gap.diagnosis import Diagnosis
+from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.effects import EFFECTS
 from realsim.report import page, svg
 

@@ -1,0 +1,116 @@
+"""What a diagnosis says, in the form of the contract."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from realsim.files import to_json, write_text
+from realsim.gap.causes.fit import Cause, Fit
+from realsim.gap.causes.fitted import Z90
+from realsim.gap.simulation.simulate import Simulator, lookup
+
+MODEL_ERROR = 0.07
+"""Relative error of a fitted value that comes from the simplified form of an effect (measured on made cases)."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """A verdict with its evidence. `as_dict` is the contract's diagnosis.json."""
+
+    verdict: str
+    """`no_gap`, `identified`, `ambiguous` or `unexplained`."""
+    sentence: str
+    """The verdict as one sentence that a person can act on."""
+    causes: tuple[dict[str, Any], ...]
+    equivalent: tuple[tuple[dict[str, Any], ...], ...]
+    where: tuple[dict[str, Any], ...]
+    shrinkage: dict[str, Any]
+    unexplained_share: float
+    patch: dict[str, Any]
+    next_experiment: dict[str, Any] | None = None
+    ranking: tuple[dict[str, Any], ...] = ()
+    """All effects tried, with their gains."""
+    health: dict[str, Any] = field(default_factory=dict)
+    statistics: dict[str, Any] = field(default_factory=dict)
+    cost: dict[str, float] = field(default_factory=dict)
+    """`seconds` of wall time, `cpu_seconds`, `simulated_seconds` (of the robot's time, all replays together)."""
+    baselines: dict[str, Any] = field(default_factory=dict)
+    """Simpler rule -> the cause that it would have named first."""
+    evidence: dict[str, Any] = field(default_factory=dict, repr=False)
+    """Arrays for the report's plots; not part of the JSON."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-able, the contract's fields first."""
+        return {
+            "verdict": self.verdict,
+            "causes": list(self.causes),
+            "equivalent": [list(s) for s in self.equivalent],
+            "where": list(self.where),
+            "shrinkage": self.shrinkage,
+            "unexplained_share": self.unexplained_share,
+            "next_experiment": self.next_experiment,
+            "patch": self.patch,
+            "sentence": self.sentence,
+            "ranking": list(self.ranking),
+            "health": self.health,
+            "statistics": self.statistics,
+            "baselines": self.baselines,
+            **self.cost,
+        }
+
+    def write(self, folder: Path) -> Path:
+        """Write diagnosis.json."""
+        path = Path(folder) / "diagnosis.json"
+        write_text(path, to_json(self.as_dict()))
+        return path
+
+
+def describe_cause(simulator: Simulator, cause: Cause, sigmas: np.ndarray, probability: float) -> dict[str, Any]:
+    """A cause in the contract's form: places, values and intervals in reported units."""
+    effect = lookup(cause.candidate.effect)
+    parameters = {p.name: p for p in effect.parameters(simulator.context, cause.candidate.place)}
+    reported = {}
+    for name, value, sigma in zip(cause.candidate.names, cause.values, sigmas, strict=True):
+        p = parameters[name]
+        # The robot's own everyday deviation of this very kind, and the model's imperfection, belong to the interval.
+        relative = MODEL_ERROR * value if p.default == 0 else 0.0
+        sigma = float(np.sqrt(sigma**2 + p.nuisance**2 + relative**2))
+        low, high = (float(np.clip(value + s * Z90 * sigma, *p.bounds)) for s in (-1, 1))
+        ends = sorted((p.report(low), p.report(high)))
+        label = "offset" if name == "reading_offset" else name
+        reported[label] = {"value": p.report(value), "unit": p.unit, "ci90": ends}
+        if name == "reading_offset":
+            reported[label]["note"] = "only the logged encoder has it, not the servo's"
+    if "lasts" in reported:
+        since = cause.named["since"]
+        starts = [f"{name} from {at + since:.2f} s" for name, at in simulator.onsets.items()]
+        reported["lasts"]["note"] = f"in {', '.join(starts)}; in no other run"
+    found: dict[str, Any] = {"effect": cause.candidate.effect}
+    if effect.scope == "joint":
+        found["joints"] = list(cause.candidate.place)
+    elif effect.scope in ("body", "terrain"):
+        found["bodies"] = list(cause.candidate.place)
+    found["parameters"] = reported
+    found["probability"] = probability
+    return found
+
+
+def describe_set(simulator: Simulator, fit: Fit, order: list[int], probabilities: list[float]) -> list[dict[str, Any]]:
+    """All causes of a fit, in `order`."""
+    sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)) if fit.causes else np.zeros(0)
+    starts = np.cumsum([0, *(len(c.values) for c in fit.causes)])
+    return [
+        describe_cause(simulator, fit.causes[i], sigmas[starts[i] : starts[i + 1]], probabilities[i]) for i in order
+    ]
+
+
+def settings_of(fit: Fit) -> list[dict[str, Any]]:
+    """The fit's settings as plain data, for the patch."""
+    return [
+        {"effect": name, "place": list(place), "coordinates": {k: float(v) for k, v in values.items()}}
+        for name, place, values in fit.settings()
+    ]

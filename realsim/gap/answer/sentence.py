@@ -1,0 +1,219 @@
+"""The verdict as one sentence that a person can act on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from realsim.gap.answer.heldout import Shrinkage
+from realsim.gap.answer.verdict import Judgement
+from realsim.gap.effects import EFFECTS
+from realsim.gap.logs.case import Case
+from realsim.gap.logs.repeats import replicates
+
+Cause = dict[str, Any]
+_ABSOLUTE = {"torque_limit", "torque_speed_limit", "joint_compliance", "terrain_wobble"}
+_SIGNED = {"joint_offset", "imu_bias", "com_offset", "terrain_tilt", "terrain_height", "link_geometry"}
+"""Quantities whose sign is a direction: they are missing either way, not too large in the model."""
+_SPELLED = {"ratio": "times", "kg m^2": "kg m²", "m/s^2": "m/s²"}
+_MOST_ALTERNATIVES = 3
+
+
+def sentence(
+    judgement: Judgement,
+    causes: Sequence[Cause],
+    equivalent: Sequence[Sequence[Cause]],
+    shrunk: Shrinkage,
+    where: Sequence[dict[str, Any]],
+    case: Case,
+) -> str:
+    """What is wrong, how sure that is, what it brings; or why that cannot be told, and what to record."""
+    verdict, unexplained = judgement.verdict, judgement.unexplained
+    if verdict == "no_gap":
+        return (
+            "No gap that these runs can show: what differs is within sensor noise and the small deviations that every "
+            "robot has."
+        )
+    if not causes:
+        return (
+            f"No cause that this library knows: {_percent(unexplained)} of the gap above the noise floor stays on "
+            f"unseen runs{_mostly(where)}; record {_next_for_unknown(where, case)}."
+        )
+    said = "; ".join(phrase(c) for c in causes)
+    gain = f"removes {removed(shrunk)} of the squared error on {_runs(shrunk)}"
+    if verdict == "ambiguous":
+        others = ", or ".join(" with ".join(phrase(c) for c in s) for s in equivalent[:_MOST_ALTERNATIVES])
+        return (
+            f"Cannot tell: {said}, or {others}; each explains these runs as well, and adding the first {gain}; to tell "
+            f"them apart, record {_what_tells([causes, *equivalent])}."
+        )
+    text = f"{said}; {_verb(causes)} {gain}"
+    if verdict == "unexplained":
+        ends = f", with {', '.join(judgement.at_an_end)} as far as this library goes" if judgement.at_an_end else ""
+        return (
+            f"Not explained{_mostly(where)}. The nearest is {text}, and {_percent(unexplained)} of the gap "
+            f"stays{ends}: it may only imitate the cause; "
+            f"record {_next_for_unknown(where, case)}."
+        )
+    return f"{text}."
+
+
+def phrase(cause: Cause) -> str:
+    """left knee: Coulomb friction 1.9 N m [1.6, 2.2] is missing."""
+    effect, parameters = cause["effect"], cause["parameters"]
+    title = EFFECTS[effect].title if effect in EFFECTS else effect.replace("_", " ")
+    names = ", ".join(_plain(n) for n in cause.get("joints") or cause.get("bodies") or [])
+    place = f"{names}: " if names else ""
+    size = _size(parameters)
+    first = next(iter(parameters.values()))
+    if effect in _ABSOLUTE:
+        return f"{place}a {title} of {size} is missing"
+    if first["unit"] == "ratio" and len(parameters) == 1 and effect != "load_friction":
+        return f"{place}{title} is {size} the model's"
+    if effect == "payload":
+        where = _at(parameters)
+        mass = {"mass": first}
+        if first["value"] < 0:
+            return f"{names} is {_size(mass, -1)} lighter than in the model{where}"
+        return f"{place}a payload of {_size(mass)}{where} is missing"
+    if effect == "terrain_height":
+        way, sign = ("lower", -1) if first["value"] < 0 else ("higher", 1)
+        return f"{place}{title} is {_size(parameters, sign)} {way} than in the model"
+    if first["value"] < 0 and len(parameters) == 1 and effect not in _SIGNED:
+        return f"{place}{title} is {_size(parameters, -1)} too large in the model"
+    notes = [p["note"] for p in parameters.values() if p.get("note")]
+    note = f" ({'; '.join(notes)})" if notes else ""
+    return f"{place}{title} {size} is missing{note}"
+
+
+def removed(shrunk: Shrinkage) -> str:
+    """83 % [74, 88]; with a decimal where whole numbers would say all or nothing."""
+    low, high = shrunk.ci90
+    values = (shrunk.fraction, low, high)
+    digits = 1 if any(0.985 < v < 1 for v in values) else 0
+    return f"{_share(shrunk.fraction, digits)} % [{_share(low, digits)}, {_share(high, digits)}]"
+
+
+def _share(value: float, digits: int) -> str:
+    return ">99.9" if 0.9995 <= value < 1 else f"{100 * value:.{digits}f}".replace("-", "−")
+
+
+def _percent(value: float) -> str:
+    return f"{_share(value, 0)} %"
+
+
+def _size(parameters: dict[str, dict[str, Any]], sign: int = 1) -> str:
+    """1.9 N m [1.6, 2.2]; several parameters by name, of a vector those that matter; when, if not always."""
+    active = {n: p for n, p in parameters.items() if not _idle(n, p)}
+    when = "".join(
+        f" {word} {_number(active[n]['value'])} {active[n]['unit']}"
+        for n, word in (("start", "from"), ("end", "to"))
+        if n in active
+    )
+    if "lasts" in active:
+        when = f" for {_number(active['lasts']['value'])} s"
+    sizes = {n: p for n, p in active.items() if n not in ("start", "end", "since", "lasts")}
+    listed = []
+    for name, p in [item for item in sizes.items() if not _minor(*item, sizes)][:5]:
+        label = f"{name.replace('_', ' ')} " if len(sizes) > 1 or _directed(name) else ""
+        listed.append(label + _interval(p, sign))
+    return ", ".join(listed) + when
+
+
+def _directed(name: str) -> bool:
+    """Whether a number alone would not say which way."""
+    return _component(name) or name in ("roll", "pitch")
+
+
+def _component(name: str) -> bool:
+    """Whether it is one of a vector's: z, fx, gyro_x."""
+    return name.rpartition("_")[2] in ("x", "y", "z", "fx", "fy", "fz")
+
+
+def _minor(name: str, parameter: dict[str, Any], among: dict[str, dict[str, Any]]) -> bool:
+    """A component of a vector that is under a tenth of the largest one."""
+    if not _component(name):
+        return False
+    vector = [abs(p["value"]) for n, p in among.items() if _component(n) and n[:-1] == name[:-1]]
+    return bool(abs(parameter["value"]) < 0.1 * max(vector))
+
+
+def _at(parameters: dict[str, dict[str, Any]]) -> str:
+    """At (0.02, 0, 0.1) m."""
+    if not all(axis in parameters for axis in "xyz"):
+        return ""
+    return f" at ({', '.join(_number(round(parameters[axis]['value'], 3)) for axis in 'xyz')}) m"
+
+
+def _idle(name: str, parameter: dict[str, Any]) -> bool:
+    """The ends of a force that acts always."""
+    return (name == "start" and parameter["value"] < 0) or (name == "end" and parameter["value"] > 1e3)
+
+
+def _interval(parameter: dict[str, Any], sign: int) -> str:
+    unit, factor = parameter["unit"], float(sign)
+    if unit == "s" and abs(parameter["value"]) < 0.5:
+        unit, factor = "ms", 1000.0 * sign
+    low, high = sorted(factor * v for v in parameter["ci90"])
+    value = factor * parameter["value"]
+    return f"{_number(value)} {_SPELLED.get(unit, unit)} [{_number(low)}, {_number(high)}]"
+
+
+def _number(value: float) -> str:
+    text = f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+    return text.replace("-", "−") if "e" not in text else text
+
+
+def _verb(causes: Sequence[Cause]) -> str:
+    """Adding what is missing, correcting what is wrong."""
+    missing = all("is missing" in phrase(c) for c in causes)
+    return f"{'adding' if missing else 'correcting'} {'it' if len(causes) == 1 else 'them'}"
+
+
+def _runs(shrunk: Shrinkage) -> str:
+    return "runs it has not seen" if shrunk.unseen else "the runs it was fitted on (no other was left)"
+
+
+def _plain(name: str) -> str:
+    return name.removesuffix("_joint").removesuffix("_link").replace("_", " ")
+
+
+def _mostly(where: Sequence[dict[str, Any]]) -> str:
+    """Most of it in ..., from the largest entry of `where`."""
+    if not where:
+        return ""
+    first = where[0]
+    name = first.get("joint")
+    return f", most of it in {_plain(name) if name else first['signal'].replace('_', ' ')} ({first['phase']})"
+
+
+def _what_tells(sets: Sequence[Sequence[Cause]]) -> str:
+    """What to record: the signals that tell one from the other where an effect names them, else what excites each."""
+    names = [{c["effect"] for c in s} for s in sets]
+    rivals = set.union(*names) - set.intersection(*names) or set.union(*names)
+    listed = dict.fromkeys(n for s in sets for n in _effects(s) if n in rivals)
+    clauses = {n: [c.strip(" .") for c in EFFECTS[n].excitation.split(";")] for n in listed}
+    tell = {n: [c.split(" tell")[0] for c in parts if " tell" in c] for n, parts in clauses.items()}
+    chosen = tell if all(tell.values()) else clauses
+    return "; ".join(dict.fromkeys(_lower(text) for parts in chosen.values() for text in parts))
+
+
+def _lower(text: str) -> str:
+    return text if text[1:2].isupper() else text[:1].lower() + text[1:]
+
+
+def _effects(causes: Sequence[Cause]) -> list[str]:
+    return [c["effect"] for c in causes if c["effect"] in EFFECTS]
+
+
+def _next_for_unknown(where: Sequence[dict[str, Any]], case: Case) -> str:
+    """The signal that is not logged and that would say most; else the motion that would."""
+    if not case.has("joint_torque"):
+        return "the joint torques too, which tell the drives from the mechanism"
+    if case.floating and not case.has("base_pos"):
+        return "the pose of the base too, which tells the ground from the joints"
+    if case.floating and not case.has_imu:
+        return "the IMU too, which tells the robot's motion from delays of its readings"
+    joint = next((_plain(w["joint"]) for w in where if "joint" in w), "each joint")
+    motion = f"{joint} alone, slowly and fast, over its whole range"
+    return motion if replicates(case) else f"one run twice, to see whether it comes back, and {motion}"

@@ -1,0 +1,1 @@
+"""Which causes: every effect screened, the best refitted, rivals held against each other."""

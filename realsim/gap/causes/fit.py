@@ -1,0 +1,187 @@
+"""Fit causes with the full nonlinear simulation; the small deviations are marginalised on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from realsim.errors import GapError
+from realsim.gap.causes.fitted import Cause as Cause
+from realsim.gap.causes.fitted import Fit as Fit
+from realsim.gap.causes.fitted import causes_of, form, significance, spread
+from realsim.gap.causes.search import POLISH, WHOLE, Look, Search
+from realsim.gap.effects.base import Parameter
+from realsim.gap.simulation.nuisances import NUISANCES
+from realsim.types import F64
+
+REASONABLE = 3.0
+"""Standard deviations up to which a small deviation is an everyday one."""
+
+SURE_ERRORS = (2.0, 2.0, 3.0)
+"""Standard errors off nothing that each of one, two, three causes must reach: many at once are rare."""
+ENOUGH = 4
+"""Runs."""
+
+
+class Fitter(Search):
+    """What the selection asks of a fit: causes at their best values, measured on all runs of a screen."""
+
+    def nominal(self) -> Fit:
+        """No cause at all."""
+        return self._measure((), None)
+
+    def tighten(self, fit: Fit) -> Fit:
+        """Weigh errors against what this fit leaves, put the nuisances where they belong, and measure it anew."""
+        for _ in range(2):
+            self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal, form(fit))
+            fit, moved = self._settle(self.remeasure(fit))
+            if not moved:
+                break
+        return fit
+
+    def unbend(self, fit: Fit) -> Fit:
+        """Back to robots without deviations (the solver's and the sensors' stay): a gap is left all the same.
+
+        Small deviations that were bent to imitate a cause would hide it from its own rivals.
+        """
+        pure = np.array([a.effect in NUISANCES for a in self.screen.atoms])
+        if not self.about[~pure].any():
+            return fit
+        self.about = np.where(pure, self.about, 0.0)
+        fit = self.remeasure(fit)
+        self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal, form(fit))
+        return self.remeasure(fit)
+
+    def remeasure(self, fit: Fit) -> Fit:
+        """The same fit under the present weights and nuisances."""
+        new = self._measure(fit.causes, None)
+        return replace(new, covariance=fit.covariance, at_bounds=fit.at_bounds)
+
+    def looked_at(self, fit: Fit, causes: Sequence[Cause]) -> Fit | None:
+        """These causes at their very values, without a search, under the fit's weights; None if the robot falls."""
+        try:
+            return self.remeasure(replace(fit, causes=tuple(causes)))
+        except GapError:
+            return None
+
+    def glance(self, causes: Sequence[Cause], further: Cause) -> float:
+        """Gain in log-likelihood by a further cause at its very values, as a rough search sees it."""
+        look = self._look([*causes, further], rough=True, coarse=True)
+        candidates, z = [c.candidate for c in causes], [v for c in causes for v in c.values]
+        before = self._misfit(candidates, np.array(z), look)
+        after = self._misfit([*candidates, further.candidate], np.array([*z, *further.values]), look)
+        return -np.inf if before is None or after is None else before - after
+
+    def _settle(self, fit: Fit) -> tuple[Fit, bool]:
+        """Nuisances at their most probable values beside the causes, by simulation; whether they moved.
+
+        They only move if that explains most of what is left: beside a large gap, many small deviations would be bent
+        to imitate it.
+        """
+        x = self.screen.nuisances(fit.evidence, fit.prior)
+        x = np.clip(x, -REASONABLE * fit.prior, REASONABLE * fit.prior)
+        x = np.where(self.screen.simulable & (np.abs(x) > 0.05 * fit.prior), x, 0.0)
+        old, cost = self.about, self._cost(fit)
+        for share in (1.0, 0.5):
+            self.about = self.screen.possible(old + share * (x - old))
+            try:
+                moved = self.remeasure(fit)
+            except GapError:
+                continue
+            if self._cost(moved) < (0.98 if old.any() else 0.6) * cost:
+                return moved, True
+        self.about = old
+        return fit, False
+
+    def _cost(self, fit: Fit) -> float:
+        """Weighted squared residual of the simulation itself, and the nuisances' price."""
+        total = float(np.sum((self.about[fit.prior > 0] / fit.prior[fit.prior > 0]) ** 2))
+        for run, y in zip(self.screen.runs, fit.predictions, strict=True):
+            r = self.screen.comparison.residual(run, y)
+            total += float(np.nansum(self.screen.comparison.weights[run] * r**2))
+        return total
+
+    def fit(
+        self,
+        causes: Sequence[Cause],
+        starts: Sequence[Sequence[float]] = (),
+        iterations: int = 6,
+        rough: bool = False,
+        coarse: bool = False,
+        target: float = np.inf,
+    ) -> Fit | None:
+        """The best values near the causes' own and the further `starts` (all values in a row); None if none runs.
+
+        A `rough` fit looks at some of the runs while it searches, and is measured on all of them; it is broken off
+        once it would not come down to the misfit `target` (of the runs it looks at) at its present pace. A `coarse`
+        one takes the screen's coarser time step while it searches.
+        """
+        candidates = [c.candidate for c in causes]
+        parameters = self._parameters(candidates)
+        look = self._look(causes, rough, coarse)
+        first = [[v for c in causes for v in c.values], *starts]
+        z = self._best_start(candidates, parameters, first, look)
+        if z is None and look.coarse > 1:
+            look = Look(look.few)
+            z = self._best_start(candidates, parameters, first, look)
+        if z is None:
+            return None
+        z, value, slopes = self._descend(candidates, z, None, parameters, look, iterations, target)
+        if look.coarse > 1:
+            look = Look(look.few)
+            if value <= target and self._predict(candidates, z, look) is not None:
+                z, value, slopes = self._descend(candidates, z, slopes, parameters, look, POLISH)
+        return self._measure(causes_of(candidates, z), parameters, slopes, look)
+
+    def spread(self, fit: Fit) -> Fit:
+        """The same fit with its covariance from slopes taken at its very values."""
+        if not fit.causes:
+            return fit
+        return self._measure(fit.causes, self._parameters([c.candidate for c in fit.causes]), None)
+
+    def clear(self, fit: Fit, of_few: float = 0.0) -> list[bool]:
+        """Whether each cause lies well off nothing, by slopes at its very values: a search's own may be stale.
+
+        Few runs say too little about their own scatter for a standard error to decide; there, `of_few` errors will do.
+        """
+        enough = len(self.screen.runs) >= ENOUGH
+        least = SURE_ERRORS[min(len(fit.causes), len(SURE_ERRORS)) - 1] if enough else of_few
+        if not least:
+            return [True] * len(fit.causes)
+        parameters = self._parameters([c.candidate for c in fit.causes])
+        return [bool(found >= least) for found in significance(self.spread(fit), parameters)]
+
+    # ------------------------------------------------------------ inside
+
+    def _measure(
+        self,
+        causes: tuple[Cause, ...],
+        parameters: list[Parameter] | None,
+        slopes: list[F64] | None = None,
+        look: Look = WHOLE,
+    ) -> Fit:
+        """The fit with its evidence; `slopes` (of the runs looked at) are taken by differences if there are none."""
+        candidates = [c.candidate for c in causes]
+        z = np.array([v for c in causes for v in c.values])
+        prior = self.prior_beside(candidates)
+        predicted = self._predict(candidates, z)
+        if predicted is None:
+            raise GapError("the simulator fails with the values found", hint="look at the units of the log")
+        about = self._about(candidates)
+        evidence = self.screen.evidence(predicted, None, about)
+        covariance = np.zeros((len(z), len(z)))
+        at_bounds = []
+        if parameters:
+            if slopes is None:
+                slopes, look = self._slopes(candidates, z, parameters, predicted), WHOLE
+            if slopes is not None:
+                seen = predicted if look.few is None else [predicted[k] for k in look.few]
+                covariance = spread(*self._local(candidates, seen, slopes, look), parameters)
+            for p, v in zip(parameters, z, strict=True):
+                span = p.bounds[1] - p.bounds[0]
+                if v >= p.bounds[1] - 1e-3 * span or (p.bounds[0] != 0 and v <= p.bounds[0] + 1e-3 * span):
+                    at_bounds.append(p.name)
+        misfit = self.screen.misfit(evidence, prior)
+        return Fit(causes, misfit, covariance, tuple(predicted), about, evidence, prior, tuple(at_bounds))

@@ -1,0 +1,99 @@
+"""What a fit finds: causes with values, how well they explain the runs, and how well they are determined."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from realsim.gap.causes.screen import Candidate, Evidence
+from realsim.gap.effects.base import Parameter
+from realsim.gap.simulation.simulate import Setting, lookup
+from realsim.types import F64
+
+Z90 = 1.6449
+"""Standard errors to either end of a 90 percent interval."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A candidate with values (coordinates in which 0 is nominal)."""
+
+    candidate: Candidate
+    values: tuple[float, ...]
+
+    @property
+    def named(self) -> dict[str, float]:
+        return dict(zip(self.candidate.names, self.values, strict=True))
+
+    def settings(self) -> list[Setting]:
+        """What the simulator is told; places of a group share the values."""
+        return [(self.candidate.effect, place, self.named) for place in self.candidate.places]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Causes at their best values, and how well they explain the screened runs."""
+
+    causes: tuple[Cause, ...]
+    misfit: float
+    """Half the weighted squared residual after the nuisances, plus their prior: lower is better."""
+    covariance: F64
+    """(m, m) of all values, nuisances marginalised; the larger of model-based and run-to-run."""
+    predictions: tuple[F64, ...]
+    """(T, C) a screened run, with the nuisances `about`."""
+    about: F64
+    """(p,) nuisances that were simulated; the others are linear about them."""
+    evidence: Evidence
+    prior: F64
+    """(p,) prior of the nuisances that stay beside these causes."""
+    at_bounds: tuple[str, ...] = ()
+
+    def settings(self) -> list[Setting]:
+        return [s for c in self.causes for s in c.settings()]
+
+
+def causes_of(candidates: Sequence[Candidate], z: F64) -> tuple[Cause, ...]:
+    """Values in a row (all causes) -> causes."""
+    found, i = [], 0
+    for candidate in candidates:
+        found.append(Cause(candidate, tuple(float(v) for v in z[i : i + len(candidate.names)])))
+        i += len(candidate.names)
+    return tuple(found)
+
+
+def spread(info: F64, scores: F64, parameters: list[Parameter]) -> F64:
+    """The model's own, or the one that the runs' disagreement speaks of (sandwich), whichever is larger."""
+    scale = np.array([abs(p.step) for p in parameters])
+    inverse: F64 = np.asarray(np.linalg.inv(info + np.diag(1e-2 / scale**2)), dtype=np.float64)
+    runs = len(scores)
+    if runs < 3:
+        return inverse
+    centred = scores - scores.mean(axis=0)
+    sandwich = inverse @ (centred.T @ centred * runs / (runs - 1)) @ inverse
+    ratio = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(inverse), 1e-30), 1.0))
+    return np.asarray(inverse * np.outer(ratio, ratio))
+
+
+def significance(fit: Fit, parameters: Sequence[Parameter]) -> list[float]:
+    """How many of its own standard errors each cause lies off nothing, by its best-determined strength.
+
+    Shape parameters (a Stribeck velocity, when a force begins) do not count: none of their values means nothing.
+
+    Args:
+        parameters: of all values in a row.
+    """
+    errors = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-30))
+    found, i = [], 0
+    for cause in fit.causes:
+        n = len(cause.values)
+        rows = zip(cause.values, errors[i : i + n], parameters[i : i + n], strict=True)
+        found.append(max((abs(v) / e for v, e, p in rows if p.default == 0.0), default=0.0))
+        i += n
+    return found
+
+
+def form(fit: Fit) -> float:
+    """Share of the correction that the laws of these causes may miss: that of the roughest one."""
+    return max((lookup(c.candidate.effect).form for c in fit.causes), default=0.0)

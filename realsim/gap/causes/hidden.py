@@ -1,0 +1,63 @@
+"""A gap that everyday deviations could hide: many small ones fit the runs, but one cause is far likelier.
+
+The gate asks what stays beside the small deviations. With dozens of them free, each within its usual size, a modest
+cause can be shared out among them until nothing stays. What it costs them to be all off at once is in the misfit, so
+the evidence still tells: here a cause must bring much more than elsewhere, and hold on nearly every run.
+"""
+
+from __future__ import annotations
+
+from realsim.gap.causes.fit import ENOUGH, Fit, Fitter
+from realsim.gap.causes.merit import complexity, deviation, heldout, holds
+from realsim.gap.causes.rivals import Trial, ranked, refit
+from realsim.gap.causes.screen import Screen
+
+WORTH_TRYING = 10.0
+"""Gain in log-evidence by the linear screen from which on a candidate is simulated."""
+TRIED = 3
+"""At most so many effects are simulated, the best place of each."""
+SURE, SURE_A_JOINT = 12.0, 8.0
+"""Gain in log-likelihood that it must then bring, beside its price: the first, and the second a joint.
+
+A servo's unmodelled form is worth some on every joint, and more joints have more small deviations to bend.
+"""
+SUREST, SUREST_A_JOINT = 40.0, 3.0
+"""At most the first, or on robots with many joints the second a joint."""
+FAR = 4.0
+"""Everyday deviations of its own kind that it must exceed."""
+NEARLY_ALL = 0.75
+"""Share of the unseen runs that must gain; of few runs two of three, if it brings twice what it must."""
+
+
+def hidden(screen: Screen, fitter: Fitter, current: Fit, stage: int, trials: list[Trial]) -> list[Fit]:
+    """Fits with one further cause that is far likelier than the small deviations alone, best first."""
+    found, seen = [], set[str]()
+    joints = len(screen.simulator.case.joint_names)
+    least = min(SURE + SURE_A_JOINT * joints, max(SUREST, SUREST_A_JOINT * joints))
+    for gain, candidate, estimate in ranked(screen, current):
+        if gain < WORTH_TRYING or len(seen) == TRIED:
+            break
+        if candidate.effect in seen:
+            continue
+        seen.add(candidate.effect)
+        fit = refit(screen, fitter, current, candidate, estimate)
+        if fit is None:
+            continue
+        mean, error, positive = heldout(screen, current, fit)
+        cause = fit.causes[-1]
+        brings = current.misfit - fit.misfit
+        needed = least + 2.0 * len(cause.values)
+        few = len(screen.runs) < ENOUGH and brings > 2 * needed
+        sure = (
+            brings > needed
+            and deviation(screen, cause) >= FAR
+            and fitter.clear(fit)[-1]
+            and holds(mean, error, positive)
+            and (positive >= NEARLY_ALL or few)
+        )
+        outcome = "accepted" if sure else "small deviations explain it as well"
+        where = (candidate.effect, candidate.place, candidate.names)
+        trials.append(Trial(*where, stage, gain, brings, mean, error, cause.named, outcome))
+        if sure:
+            found.append(fit)
+    return sorted(found, key=lambda f: f.misfit + complexity(screen, f))

@@ -1,0 +1,122 @@
+"""Candidates looked at by simulation, where slopes at the nominal model foretell nothing.
+
+Whether a foot meets higher ground, no slope foretells. And where a robot swings so far from its simulator that the
+two share little, every slope is of another motion than the robot's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from itertools import islice
+
+import numpy as np
+
+from realsim.gap.answer.heldout import leftover
+from realsim.gap.causes.fit import Cause, Fit, Fitter
+from realsim.gap.causes.screen import Candidate, Screen, score, slab
+from realsim.gap.effects.base import Place
+from realsim.gap.simulation.simulate import lookup
+from realsim.types import F64
+
+Probe = tuple[float, Candidate, dict[str, float]]
+"""(gain in log-likelihood, candidate, values to start from) beside the current causes."""
+
+SIZES, ABRUPT_SIZES = (1.5, -1.5), (2.0, 0.7, -0.7, -2.0)
+"""Steps of the parameter; more where nothing may show below a threshold."""
+FURTHER = 2.0
+"""Factor by which the largest is exceeded where it is the best."""
+MOST_GROUND, KEPT_GROUND = 12, 2
+"""Places on the terrain that are looked at, and those of them that are worth a fit."""
+MOST, KEPT = 60, 5
+"""Candidates of any kind that are looked at, and effects of them that are worth a fit."""
+FORETOLD, SMALL = 0.2, 3.0
+"""Share of the misfit that the best candidate must explain by its slopes for the slopes to be believed, and mean square
+in units of the floor below which they are anyway."""
+
+
+def foretold(screen: Screen, current: Fit, best: float) -> bool:
+    """Whether slopes foretell what a cause would do. `best`: gain of the best candidate by the linear screen."""
+    return best > FORETOLD * current.misfit or leftover(screen, current).mean() < SMALL
+
+
+def alone(screen: Screen, current: Fit, candidates: Iterable[Candidate]) -> Iterator[tuple[float, Candidate, F64]]:
+    """(gain, candidate, estimate) of each by the linear screen if there were no small deviations beside it."""
+    A, b = np.sum(current.evidence.A, axis=0), np.sum(current.evidence.b, axis=0)
+    for c in candidates:
+        gain, estimate, _ = score(A, b, c.directions, slab(c, screen))
+        yield gain, c, estimate
+
+
+def probed_ground(screen: Screen, fitter: Fitter, current: Fit, order: Iterable[Candidate]) -> list[Probe]:
+    """The best places for higher or lower ground. `order`: all candidates, those to look at first before the others."""
+    single = (c for c in order if lookup(c.effect).scope == "terrain" and len(c.places) == len(c.names) == 1)
+
+    def gain(cause: Cause) -> float:  # a foot may meet the ground in one run only: all of them, at the model's own step
+        moved = fitter.looked_at(current, (*current.causes, cause))
+        return current.misfit - moved.misfit if moved else float("-inf")
+
+    ground = ((c, np.zeros(len(c.linear))) for c in islice(single, MOST_GROUND))
+    return _probed(screen, gain, ground)[:KEPT_GROUND]
+
+
+def probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:
+    """The best places of the best effects, at the sizes that are looked at.
+
+    To first order many small deviations imitate a gross cause, at a price that is small against a large gap; so the
+    order here is by what a candidate explains all by itself. Abrupt effects have no slope to be ordered by. Stiff laws
+    would take too long, and are refitted from several sizes anyway.
+    """
+    best: dict[tuple[str, Place], tuple[float, Candidate, F64]] = {}
+    for by_itself, c, estimate in alone(screen, current, candidates):
+        effect = lookup(c.effect)
+        if len(c.places) == 1 and effect.scope != "terrain" and not effect.stiff:
+            gain = np.inf if effect.abrupt else by_itself
+            if gain > best.get((c.effect, c.place), (-np.inf,))[0]:
+                best[c.effect, c.place] = gain, c, estimate
+    order = sorted(best.values(), key=lambda item: -item[0])[:MOST]
+    found: dict[str, Probe] = {}
+    gain_of = partial(fitter.glance, current.causes)
+    for probe in _probed(screen, gain_of, [(c, estimate) for _, c, estimate in order]):
+        found.setdefault(probe[1].effect, probe)
+    return list(found.values())[:KEPT]
+
+
+def _probed(
+    screen: Screen,
+    gain_of: Callable[[Cause], float],
+    candidates: Iterable[tuple[Candidate, F64]],
+) -> list[Probe]:
+    """Candidates that gain, best first, each at its best size along its estimate."""
+    probes = [_sized(screen, gain_of, c, estimate) for c, estimate in candidates]
+    return sorted((p for p in probes if p[0] > 0), key=lambda p: -p[0])
+
+
+def _sized(
+    screen: Screen,
+    gain_of: Callable[[Cause], float],
+    candidate: Candidate,
+    estimate: F64,
+) -> Probe:
+    """The best of some sizes; beyond the largest, as long as that gains."""
+    effect = lookup(candidate.effect)
+    sizes = ABRUPT_SIZES if effect.abrupt else SIZES
+    parameters = {p.name: p for p in effect.parameters(screen.simulator.context, candidate.place)}
+    start = {n: parameters[n].default for n in candidate.names}
+    steps = np.array([abs(parameters[n].step) for n in candidate.linear])
+    size = float(np.linalg.norm(estimate / steps))
+    unit = estimate / size if size else np.eye(len(steps))[0] * steps
+
+    def values(factor: float) -> dict[str, float]:
+        return start | {n: float(v) for n, v in zip(candidate.linear, unit * factor, strict=True)}
+
+    def gain(factor: float) -> float:
+        named = values(factor)
+        if any(not parameters[n].bounds[0] <= named[n] <= parameters[n].bounds[1] for n in candidate.linear):
+            return -np.inf
+        return gain_of(Cause(candidate, tuple(named[n] for n in candidate.names)))
+
+    most, best = max((gain(factor), factor) for factor in sizes)
+    while abs(best) >= max(sizes) and (further := gain(FURTHER * best)) > most:
+        most, best = further, FURTHER * best
+    return most, candidate, values(best)

@@ -1,0 +1,340 @@
+"""Every effect at every place at once: sensitivities by simulation, then linear algebra.
+
+The residual r of the nominal simulator is taken as r = G x + e: G holds one column an atom (effect, place, parameter),
+x is small for the deviations that every robot has (prior sizes from the effects) and large for a cause. Everything the
+selection needs is in A = G'WG, b = G'Wr, c = r'Wr of each run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from realsim.errors import GapError
+from realsim.gap.compare import Comparison
+from realsim.gap.effects import EFFECTS
+from realsim.gap.effects.base import Effect, Parameter, Place
+from realsim.gap.simulation.groups import like_joints
+from realsim.gap.simulation.nuisances import NUISANCES
+from realsim.gap.simulation.simulate import Setting, Simulator, lookup
+from realsim.types import F32, F64
+
+
+@dataclass(frozen=True)
+class Atom:
+    """One column: a parameter of an effect at one place."""
+
+    effect: str
+    place: Place
+    parameter: Parameter
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A possible cause: an effect at one or several places that share parameters."""
+
+    effect: str
+    places: tuple[Place, ...]
+    names: tuple[str, ...]
+    """Parameters that are fitted."""
+    directions: F64
+    """(p, m) columns over atoms: what one unit of each parameter does, to first order."""
+    linear: tuple[str, ...]
+    """The m parameters that have a direction (others act only at second order)."""
+
+    @property
+    def place(self) -> Place:
+        """All joints or bodies."""
+        return tuple(n for p in self.places for n in p)
+
+    @property
+    def key(self) -> tuple[str, Place, tuple[str, ...]]:
+        return self.effect, self.place, self.names
+
+
+@dataclass
+class Evidence:
+    """Normal equations over atoms, a run each, of the residual about some simulator."""
+
+    A: list[F64]
+    b: list[F64]
+    c: list[float]
+    version: int = -1
+    """Of the weights; -1 if they are nobody's."""
+    runs: tuple[int, ...] = ()
+    """Positions among the screened runs."""
+
+
+class Screen:
+    """Atoms, their columns on the chosen runs, and the candidates made of them."""
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        comparison: Comparison,
+        runs: Sequence[int],
+        effects: Sequence[str] = (),
+        tick: Callable[[str, float], None] = lambda what, share: None,
+    ) -> None:
+        self.simulator, self.comparison, self.runs = simulator, comparison, list(runs)
+        self.skipped: dict[str, str] = {}
+        self._version = -1
+        self._A: list[F64] = []
+        self._weighted: list[F64] = []
+        self._covariances: dict[tuple[bytes, tuple[int, ...]], F64] = {}
+        context = simulator.context
+        chosen = [n for n in EFFECTS if not effects or n in effects]
+        self.atoms: list[Atom] = []
+        columns: list[list[F32]] = [[] for _ in self.runs]
+        wanted: list[Atom] = []
+        for effect in [*(EFFECTS[n] for n in chosen), *NUISANCES.values()]:
+            places = effect.places(context)
+            if not places:
+                self.skipped[effect.name] = effect.excited_by(context, ()).reason if _placeless(effect) else "no place"
+            for place in places:
+                excitation = effect.excited_by(context, place)
+                if not excitation.yes:
+                    self.skipped.setdefault(effect.name, excitation.reason)
+                    continue
+                wanted += [Atom(effect.name, place, p) for p in effect.parameters(context, place) if _has_slope(p)]
+        self.nominal = simulator.simulate(runs=self.runs)
+        # Slopes of a large robot bear a coarser step: it halves the time, and both ends of the difference share it.
+        self.coarse = 2 if simulator.case.model.nv >= 5 and context.timestep <= 0.0025 else 1
+        base = simulator.simulate(runs=self.runs, coarse=self.coarse)
+        if not all(np.isfinite(y).all() for y in base):  # stiff servos may not bear it
+            self.coarse, base = 1, simulator.simulate(runs=self.runs)
+        for k, atom in enumerate(wanted):
+            tick("sensitivities", k / len(wanted))
+            change = self._column(atom, base)
+            if change is None:
+                continue
+            self.atoms.append(atom)
+            for i, column in enumerate(change):
+                columns[i].append(column)
+        self._columns = [np.stack(c, axis=1) if c else np.zeros((0, 0), np.float32) for c in columns]
+        if not self.atoms:
+            raise GapError(
+                "nothing that the log could show changes the simulation",
+                file=simulator.case.folder,
+                hint="are the commands in the unit that log.json says, and do they move the joints?",
+            )
+        self.index = {(a.effect, a.place, a.parameter.name): i for i, a in enumerate(self.atoms)}
+        self.varied = self._varied()
+        self.prior = np.array([a.parameter.nuisance for a in self.atoms])
+        self.simulable = np.array([a.effect != "load_friction" and not a.parameter.fine for a in self.atoms])
+        """(p,) False for atoms that cost steps one by one, or many of them: as nuisances they stay linear."""
+        self.candidates = self._candidates(chosen)
+
+    def _varied(self, count: int = 3) -> tuple[int, ...] | None:
+        """Positions of a few screened runs from calm to lively, for the searches of rivals; None where all are few."""
+        if len(self.runs) <= count:
+            return None
+        commands = [self.simulator.case.runs[r].command for r in self.runs]
+        order = np.argsort([float(np.abs(np.diff(c, axis=0)).sum() / len(c)) for c in commands])
+        return tuple(sorted(int(order[i]) for i in np.linspace(0, len(order) - 1, count).round().astype(int)))
+
+    def _column(self, atom: Atom, base: list[F64]) -> list[F32] | None:
+        """Change of the prediction by one unit of the parameter, a flat (B * C) array a run; None if it cannot run."""
+        p = atom.parameter
+        # Where small deviations are everyday, the slope at the nominal model counts: it must predict them.
+        coarse, base = (1, self.nominal) if p.fine else (self.coarse, base)
+        width = np.copysign(min(3 * p.nuisance, abs(p.step)), p.step) if p.nuisance and p.bounds[0] < 0 else p.step
+        for scale in (1.0, -1.0, 0.3):  # a payload may only be removable, a gap only be small
+            value = p.default + scale * width
+            if not p.bounds[0] <= value <= p.bounds[1]:
+                continue
+            try:
+                moved = self.simulator.simulate(
+                    [(atom.effect, atom.place, {p.name: value})], runs=self.runs, coarse=coarse
+                )
+            except GapError:
+                continue
+            if not all(np.isfinite(m).all() for m in moved):
+                continue
+            change = [
+                self.comparison.change(run, m, y) / (scale * width)
+                for run, m, y in zip(self.runs, moved, base, strict=True)
+            ]
+            size = max(float(np.abs(c * p.step / self.comparison.noise.detail).max(initial=0)) for c in change)
+            if size < 0.05:
+                return None  # far below what could ever be seen
+            return [c.reshape(-1).astype(np.float32) for c in change]
+        return None
+
+    def evidence(
+        self, simulated: Sequence[F64], few: tuple[int, ...] | None = None, about: F64 | None = None
+    ) -> Evidence:
+        """Normal equations of the residual about these predictions: one a screened run (or one of the `few`).
+
+        `about`: (p,) the small deviations that are in the predictions already; x counts from zero all the same.
+        """
+        if self._version != self.comparison.version:
+            self._version = self.comparison.version
+            self._covariances.clear()
+            self._A, self._weighted = [], []
+            for run, G in zip(self.runs, self._columns, strict=True):
+                W = self.comparison.weights[run].reshape(-1, 1)
+                self._weighted.append(G * W)
+                self._A.append((G.T @ self._weighted[-1].astype(np.float32)).astype(float))
+        b, c = [], []
+        which = range(len(self.runs)) if few is None else few
+        for k, y in zip(which, simulated, strict=True):
+            run, GW = self.runs[k], self._weighted[k]
+            r = self.residual(k, y, about)
+            W = np.where(np.isfinite(r), self.comparison.weights[run], 0.0)
+            r = np.nan_to_num(r)
+            b.append(r.reshape(-1) @ GW)
+            c.append(float((W * r * r).sum()))
+        A = self._A if few is None else [self._A[k] for k in few]
+        return Evidence(A, b, c, self._version, tuple(which))
+
+    def residual(self, k: int, simulated: F64, about: F64 | None = None) -> F64:
+        """(B, C) residual of screened run k as it would be without the small deviations that were simulated."""
+        r = self.comparison.residual(self.runs[k], simulated)
+        return r if about is None or not about.any() else r + self.fitted(k, about)
+
+    def covariance(self, evidence: Evidence, prior: F64, runs: Sequence[int] | None = None) -> F64:
+        """(p, p) posterior covariance of the nuisances on these screened runs (all if None).
+
+        It depends on the weights and the prior, not on the residual, so that one factorisation serves many fits.
+        """
+        which = tuple(range(len(evidence.A)) if runs is None else runs)
+        key = (prior.tobytes(), tuple(evidence.runs[k] for k in which))
+        if evidence.version != self._version or key not in self._covariances:
+            A = np.sum([evidence.A[k] for k in which], axis=0)
+            cov = posterior(A, np.zeros(len(prior)), prior)[1]
+            if evidence.version != self._version:
+                return cov
+            self._covariances[key] = cov
+        return self._covariances[key]
+
+    def nuisances(self, evidence: Evidence, prior: F64, runs: Sequence[int] | None = None) -> F64:
+        """(p,) posterior mean of the nuisances on these screened runs (all if None)."""
+        which = range(len(evidence.A)) if runs is None else runs
+        return np.asarray(self.covariance(evidence, prior, runs) @ np.sum([evidence.b[k] for k in which], axis=0))
+
+    def misfit(self, evidence: Evidence, prior: F64) -> float:
+        """Half the weighted squared residual once the nuisances are marginalised."""
+        return 0.5 * float(sum(evidence.c) - np.sum(evidence.b, axis=0) @ self.nuisances(evidence, prior))
+
+    def fitted(self, k: int, x: F64) -> Any:
+        """(B, C) change of the prediction of screened run k by atoms x."""
+        run = self.runs[k]
+        return (self._columns[k] @ x.astype(np.float32)).reshape(self.comparison.weights[run].shape)
+
+    def weighted(self, k: int) -> F64:
+        """(B * C, p) of all atoms on screened run k, times the present weights."""
+        return self._weighted[k]
+
+    def possible(self, x: F64) -> F64:
+        """The nearest coordinates that can be simulated."""
+        whole = np.array([a.parameter.whole for a in self.atoms])
+        low, high = np.array([a.parameter.bounds for a in self.atoms]).T
+        return np.asarray(np.clip(np.where(whole, np.round(x), x), low, high))
+
+    def settings(self, x: F64) -> list[Setting]:
+        """Atoms with these coordinates (0: left out) as settings for the simulator."""
+        values: dict[tuple[str, Place], dict[str, float]] = {}
+        for atom, v in zip(self.atoms, x, strict=True):
+            if v:
+                value = float(np.clip(v, *atom.parameter.bounds))
+                values.setdefault((atom.effect, atom.place), {})[atom.parameter.name] = value
+        return [(name, place, named) for (name, place), named in values.items()]
+
+    def columns(self, k: int, index: Sequence[int]) -> Any:
+        """(B * C, m) of some atoms on screened run k."""
+        return self._columns[k][:, list(index)]
+
+    # ------------------------------------------------------------ candidates
+
+    def _candidates(self, chosen: Sequence[str]) -> list[Candidate]:
+        found = []
+        context = self.simulator.context
+        for name in chosen:
+            effect = EFFECTS[name]
+            places = [p for p in effect.places(context) if any(a.effect == name and a.place == p for a in self.atoms)]
+            groups: list[tuple[Place, ...]] = [(p,) for p in places]
+            if effect.scope == "joint" and len(places) > 1:
+                groups += [tuple((j,) for j in g) for g in like_joints([p[0] for p in places])]
+            elif effect.scope == "terrain" and len(places) > 1:
+                groups.append(tuple(places))
+            for group in groups:
+                for variant in effect.variants:
+                    made = self._candidate(effect, group, variant)
+                    if made is not None:
+                        found.append(made)
+        return found
+
+    def _candidate(self, effect: Effect, group: tuple[Place, ...], variant: tuple[str, ...]) -> Candidate | None:
+        parameters = effect.parameters(self.simulator.context, group[0])
+        names = variant or tuple(p.name for p in parameters)
+        directions, linear = [], []
+        for name in names:
+            column = np.zeros(len(self.atoms))
+            for place in group:
+                i = self.index.get((effect.name, place, name))
+                if i is not None:
+                    column[i] = 1.0
+                like = next(p.like for p in parameters if p.name == name)
+                if like is not None and (i := self.index.get((like[0], place, like[1]))) is not None:
+                    column[i] = 1.0
+            if column.any():
+                directions.append(column)
+                linear.append(name)
+        if not directions:
+            return None
+        return Candidate(effect.name, group, names, np.stack(directions, axis=1), tuple(linear))
+
+
+def _has_slope(p: Parameter) -> bool:
+    """Shape parameters (a Stribeck velocity, where a payload sits) do nothing on their own."""
+    return p.default == 0.0 and p.like is None and p.unit != "" and not p.name.startswith("start")
+
+
+def _placeless(effect: Effect) -> bool:
+    return effect.scope == "global"
+
+
+def slab(candidate: Candidate, screen: Screen) -> F64:
+    """(m,) prior size of a cause's parameters: the step that is worth calling a gap, generously."""
+    effect = lookup(candidate.effect)
+    parameters = {p.name: p for p in effect.parameters(screen.simulator.context, candidate.place)}
+    sizes = []
+    for name in candidate.linear:
+        if candidate.effect == "payload" and name in "xyz":
+            sizes.append(0.03)
+        else:
+            sizes.append(2.0 * abs(parameters[name].step))
+    return np.array(sizes)
+
+
+def posterior(A: F64, b: F64, prior: F64) -> tuple[F64, F64]:
+    """(mean, covariance) of x for r = G x + e with standard deviations `prior` (0: the atom is absent)."""
+    D = prior[:, None]
+    inner = np.eye(len(prior)) + D * A * prior
+    solved = np.linalg.solve(inner, np.concatenate([(prior * b)[:, None], np.diag(prior)], axis=1))
+    return prior * solved[:, 0], D * solved[:, 1:]
+
+
+def marginal(evidence: Evidence, prior: F64, runs: Sequence[int] | None = None) -> tuple[F64, F64, float]:
+    """(A~, b~, J): information and score of any extra direction once the nuisances are marginalised, and the misfit."""
+    which = range(len(evidence.A)) if runs is None else runs
+    A = np.sum([evidence.A[k] for k in which], axis=0)
+    b = np.sum([evidence.b[k] for k in which], axis=0)
+    c = float(sum(evidence.c[k] for k in which))
+    mean, cov = posterior(A, b, prior)
+    AC = A @ cov
+    return A - AC @ A, b - A @ mean, 0.5 * (c - b @ mean)
+
+
+def score(A: F64, b: F64, directions: F64, size: F64) -> tuple[float, F64, F64]:
+    """(log evidence gain, estimate, covariance) of parameters along `directions` with prior sizes `size`."""
+    info = directions.T @ A @ directions
+    s = directions.T @ b
+    full = info + np.diag(1 / size**2)
+    estimate = np.linalg.solve(full, s)
+    occam = 0.5 * np.linalg.slogdet(np.eye(len(size)) + (size[:, None] * info) * size)[1]
+    return float(0.5 * s @ estimate - occam), np.asarray(estimate), np.asarray(np.linalg.inv(full))

@@ -1,0 +1,207 @@
+"""Which causes: forward selection with backward removal, decided by unseen runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from realsim.gap.answer.heldout import leftover
+from realsim.gap.causes.equivalent import equivalents, likelier, simplest
+from realsim.gap.causes.fit import Fit, Fitter
+from realsim.gap.causes.fitted import Z90
+from realsim.gap.causes.hidden import hidden
+from realsim.gap.causes.merit import complexity, deviation, heldout, holds, is_gap, total_gap
+from realsim.gap.causes.pairs import better_pair
+from realsim.gap.causes.rivals import Trial, duel, ranked, refit, refitted
+from realsim.gap.causes.screen import Screen
+from realsim.gap.config import DiagnoseConfig
+
+STEADY = 3.0
+"""A gain this many times its standard error, on runs left out in turn, counts however small its share."""
+SHARPEST = 0.1
+"""Least share of the allowance that is left after a cause."""
+LEAST_IMPROVEMENT = 0.08
+"""Share of what is left that a further cause must remove."""
+
+
+@dataclass
+class Selection:
+    """What the selection came to."""
+
+    fit: Fit
+    nominal: Fit
+    trials: list[Trial]
+    equivalent: list[Fit]
+    gains: dict[int, float]
+    """Loss in log-likelihood without cause i of the fit."""
+    notes: list[str]
+
+
+def select(
+    screen: Screen, fitter: Fitter, config: DiagnoseConfig, tick: Callable[[str, float], None] = lambda w, s: None
+) -> Selection:
+    """Causes of the gap on the screened runs."""
+    nominal = fitter.nominal()
+    current = nominal
+    trials: list[Trial] = []
+    notes: list[str] = []
+    stages: list[tuple[Fit, list[Fit]]] = []
+    for stage in range(config.max_causes):
+        tick(f"selection, cause {stage + 1}", stage / config.max_causes)
+        current = fitter.tighten(current)
+        if not is_gap(leftover(screen, current)):
+            current = sharpened(screen, fitter, current)
+            fits = hidden(screen, fitter, current, stage, trials)
+            if not fits:
+                notes.append("what is left is within the floor and the small deviations")
+                break
+            stages.append((current, fits))
+            current = fits[0]
+            continue
+        current = fitter.unbend(current)
+        fits = refitted(screen, fitter, config, current, stage, trials)
+        if not fits:
+            break
+        current, fits = duel(screen, fitter, current, fits)
+        if stage == 1 and (pair := better_pair(screen, fitter, nominal, current, stages[0][1], fits, trials)):
+            notes.append(
+                f"{', '.join(c.candidate.effect for c in pair[1][0].causes)} together beat what was best alone"
+            )
+            current, fits = pair
+        best = next((f for f in fits if _acceptable(screen, fitter, config, current, f, trials)), None)
+        if best is None:
+            break
+        stages.append((current, fits))
+        current = best
+    current = sharpened(screen, fitter, fitter.tighten(current))
+    nominal = fitter.remeasure(nominal)
+    if current.causes:
+        current = fitter.fit(current.causes) or current
+        current = _exchange(screen, fitter, current, notes)
+    current = _prune(screen, fitter, config, current, notes)
+    current = fitter.spread(current)
+    equivalent = equivalents(screen, fitter, config, current, nominal, stages) if current.causes else []
+    current, equivalent = likelier(*simplest(current, equivalent))
+    gains = {}
+    for i in range(len(current.causes)):
+        less = _without(fitter, current, i, nominal)
+        gains[i] = less.misfit - current.misfit if less is not None else 0.0
+    if current.causes:
+        current, nominal = fitter.spread(fitter.tighten(current)), fitter.remeasure(nominal)
+    return Selection(current, nominal, trials, equivalent, gains, notes)
+
+
+def without_causes(selection: Selection) -> Selection:
+    """The same search that came to nothing: what it found does not hold."""
+    found = ", ".join(dict.fromkeys(c.candidate.effect for c in selection.fit.causes))
+    note = f"{found} fits best, and makes the unseen run worse: no cause"
+    return replace(selection, fit=selection.nominal, equivalent=[], gains={}, notes=[*selection.notes, note])
+
+
+def sharpened(screen: Screen, fitter: Fitter, fit: Fit) -> Fit:
+    """The fit under weights that its own leftover justifies; without a cause the allowance stays as it is.
+
+    What is allowed for in any good simulator is too much for most. Beside one cause that explains a large gap, a
+    smaller one would go under in it.
+    """
+    if fit.causes:
+        left = float(leftover(screen, fit).mean())
+        screen.comparison.sharpen(float(np.clip(left, SHARPEST, 1.0)))
+        fit = fitter.remeasure(fit)
+    return fit
+
+
+def _acceptable(
+    screen: Screen, fitter: Fitter, config: DiagnoseConfig, current: Fit, fit: Fit, trials: list[Trial]
+) -> bool:
+    """Whether the last cause of `fit` is more than noise, more than a small deviation, and holds on unseen runs."""
+    gain = current.misfit - fit.misfit
+    cause = fit.causes[-1]
+    mean, error, positive = heldout(screen, current, fit)
+    reasons = []
+    if gain < config.min_gain + 2.0 * len(cause.values):
+        reasons.append(f"gain {gain:.1f} is within noise")
+    if deviation(screen, cause) < config.min_deviation:
+        reasons.append("no larger than everyday deviations")
+    if not fitter.clear(fit)[-1]:
+        reasons.append("too few standard errors off nothing")
+    if not holds(mean, error, positive):
+        reasons.append("does not hold on unseen runs")
+    share = config.min_share if not current.causes else 2 * config.min_share
+    left = leftover(screen, current), leftover(screen, fit)
+    if (
+        np.mean(np.log(left[1] / left[0])) > np.log(1 - LEAST_IMPROVEMENT)
+        and left[1].mean() > (1 - LEAST_IMPROVEMENT) * left[0].mean()
+    ):
+        reasons.append("leaves as much as before")
+    steady = mean > STEADY * error and gain > STEADY * config.min_gain
+    if mean < share * max(total_gap(screen, current), 1e-9) and not steady:
+        reasons.append("too small a share of the gap")
+    for i in range(len(trials) - 1, -1, -1):
+        t = trials[i]
+        if (t.effect, t.place, t.names) == cause.candidate.key and t.outcome == "refitted":
+            trials[i] = Trial(
+                t.effect, t.place, t.names, t.stage, t.linear_gain, t.gain, t.heldout_gain, t.heldout_se, t.values,
+                "; ".join(reasons) or "accepted",
+            )  # fmt: skip
+            break
+    return not reasons
+
+
+# ---------------------------------------------------------------- after the stages
+
+
+def _without(fitter: Fitter, fit: Fit, i: int, nominal: Fit) -> Fit | None:
+    rest = [c for j, c in enumerate(fit.causes) if j != i]
+    return fitter.fit(rest) if rest else nominal
+
+
+def _exchange(screen: Screen, fitter: Fitter, fit: Fit, notes: list[str]) -> Fit:
+    """Try every cause's rivals once more beside the others: the first choice was made when they were still missing."""
+    if len(fit.causes) < 2:
+        return fit
+    for i in range(len(fit.causes)):
+        others = [c for j, c in enumerate(fit.causes) if j != i]
+        beside = fitter.fit(others, iterations=2)
+        if beside is None:
+            continue
+        tried = 0
+        for gain, candidate, estimate in ranked(screen, beside):
+            if gain <= 0 or tried >= 3:
+                break
+            if candidate.key == fit.causes[i].candidate.key:
+                continue
+            tried += 1
+            trial = refit(screen, fitter, beside, candidate, estimate)
+            if trial is None:
+                continue
+            better = fit.misfit + complexity(screen, fit) - trial.misfit - complexity(screen, trial)
+            if better > 5.0:
+                gone = fit.causes[i].candidate
+                notes.append(f"{gone.effect} {', '.join(gone.place)} gave way to {candidate.effect}")
+                return _exchange(screen, fitter, trial, notes) if len(notes) < 6 else trial
+    return fit
+
+
+def _prune(screen: Screen, fitter: Fitter, config: DiagnoseConfig, fit: Fit, notes: list[str]) -> Fit:
+    """Take out causes that later ones have made superfluous, or that lie too near to nothing beside them."""
+    while len(fit.causes) > 1:
+        losses = []
+        clear = fitter.clear(fit, of_few=Z90)  # no cause is named whose own interval holds nothing
+        for i in range(len(fit.causes)):
+            less = fitter.fit([c for j, c in enumerate(fit.causes) if j != i])
+            if less is not None:
+                mean, _, _ = heldout(screen, less, fit)
+                small = deviation(screen, fit.causes[i]) < config.min_deviation
+                keep = less.misfit - fit.misfit > config.min_gain and mean > 0 and not small and clear[i]
+                losses.append((keep, less.misfit - fit.misfit, i, less))
+        out = [item for item in losses if not item[0]]
+        if not out:
+            return fit
+        _, loss, i, less = min(out, key=lambda item: item[1])
+        gone = fit.causes[i].candidate
+        notes.append(f"{gone.effect} {', '.join(gone.place)} was taken out again (loss {loss:.1f})")
+        fit = less
+    return fit

@@ -1,0 +1,1 @@
+"""Where the gap lies and what it looks like, before any cause is fitted."""

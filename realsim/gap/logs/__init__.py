@@ -1,0 +1,1 @@
+"""What was recorded: folders and CSV files, units, repeated commands, which runs are fitted."""

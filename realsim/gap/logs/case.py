@@ -1,0 +1,242 @@
+"""A robot log with its nominal simulator: read, checked, and said what is wrong with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from realsim.errors import GapError, RealsimError, did_you_mean
+from realsim.files import inside, read_json, read_text
+from realsim.gap.logs.runs import Layout, layout, read_run
+from realsim.gap.logs.runs import Run as Run
+
+MAX_INCLUDES = 8
+"""Files of a model that include each other in a row."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A log and the simulator that the user believes in."""
+
+    folder: Path
+    joint_names: tuple[str, ...]
+    actuator_names: tuple[str, ...]
+    command_kind: str
+    base: str
+    torque_kind: str
+    imu_site: str | None
+    contact_bodies: tuple[str, ...]
+    notes: str
+    xml: str
+    """Text of model.xml."""
+    spec: Any = field(repr=False)
+    """mujoco.MjSpec of model.xml; never edited, always copied."""
+    model: Any = field(repr=False)
+    """The compiled nominal mujoco.MjModel."""
+    runs: tuple[Run, ...] = field(repr=False)
+    warnings: tuple[str, ...] = ()
+    dropped_runs: tuple[str, ...] = ()
+
+    @property
+    def floating(self) -> bool:
+        return self.base == "floating"
+
+    @property
+    def has_imu(self) -> bool:
+        return self.imu_site is not None and all("imu_gyro" in r.signals for r in self.runs)
+
+    def has(self, signal: str) -> bool:
+        """Whether every run logged this signal with at least some finite samples."""
+        return all(signal in r.signals and np.isfinite(r.signals[signal]).any() for r in self.runs)
+
+    def with_runs(self, runs: tuple[Run, ...], *warnings: str) -> Case:
+        """The same case with other runs, and more said about it."""
+        return replace(self, runs=runs, warnings=self.warnings + tuple(warnings))
+
+    def actuator_of(self, joint: str) -> str | None:
+        """Name of the actuator that drives this joint, or None."""
+        return _actuators(self).get(joint)
+
+
+def _actuators(case: Case) -> dict[str, str]:
+    import mujoco
+
+    found = {}
+    for name in case.actuator_names:
+        i = case.model.actuator(name).id
+        if case.model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT:
+            found[case.model.joint(case.model.actuator_trnid[i, 0]).name] = name
+    return found
+
+
+def load_case(folder: Path) -> Case:
+    """Read a case folder of the contract (log.json, model.xml, runs/*.npz or *.csv).
+
+    Raises:
+        GapError: with the file, what was expected and what was found; names are matched to the closest ones.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise GapError(
+            "no such case", file=folder, expected="a folder with log.json, model.xml and runs/ with .npz or .csv"
+        )
+    for name in ("log.json", "model.xml"):
+        if not (folder / name).is_file():
+            raise GapError(
+                f"{name} is missing", file=folder, expected="log.json, model.xml and runs/ with .npz or .csv"
+            )
+    log = read_json(folder / "log.json")
+    if not isinstance(log, dict):
+        raise GapError("log.json is not an object", file=folder / "log.json")
+    spec, model, xml = _load_model(folder / "model.xml")
+    joints = _names(log, "joint_names", folder)
+    actuators = _names(log, "actuator_names", folder)
+    _match(joints, [model.joint(i).name for i in range(model.njnt)], "joint", folder)
+    _match(actuators, [model.actuator(i).name for i in range(model.nu)], "actuator", folder)
+    for name in joints:
+        if model.joint(name).type[0] not in (2, 3):
+            raise GapError(
+                f"joint {name!r} has more than one degree of freedom",
+                file=folder / "log.json",
+                expected="hinge or slide joints in joint_names",
+            )
+    warnings: list[str] = []
+    site = log.get("imu_site")
+    if site is not None:
+        _match([site], [model.site(i).name for i in range(model.nsite)], "imu_site", folder)
+    contact = [str(b) for b in log.get("contact_bodies") or []]
+    _match(contact, [model.body(i).name for i in range(model.nbody)], "contact body", folder)
+    kind = _choice(log, "command_kind", ("position", "velocity", "torque"), folder)
+    base = _choice(log, "base", ("fixed", "floating"), folder)
+    torque = _choice(log, "torque_kind", ("none", "measured", "current_times_constant"), folder, default="none")
+    if log.get("command_hold", "zoh") != "zoh":
+        raise GapError("unknown command_hold", file=folder / "log.json", expected="zoh", found=str(log["command_hold"]))
+    free = bool(model.njnt and (model.jnt_type == 0).any())
+    if (base == "floating") != free:
+        raise GapError(
+            "base does not agree with the model",
+            file=folder / "log.json",
+            expected=f"base: {'floating' if free else 'fixed'} (model.xml {'has' if free else 'has no'} free joint)",
+            found=base,
+        )
+    if model.ntendon:
+        warnings.append(f"the model has {model.ntendon} tendons: they are simulated, but no effect acts on them")
+    if model.neq:
+        warnings.append(f"the model has {model.neq} equality constraints (closed loops): joints in them share causes")
+    unlogged = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] in (2, 3)]
+    unlogged = [n for n in unlogged if n not in joints]
+    if unlogged:
+        warnings.append(f"joints of the model that are not logged start at their default: {', '.join(unlogged[:6])}")
+    want = layout(joints, actuators, contact, model, log | {"command_kind": kind, "columns": _columns(log, folder)})
+    runs, dropped = _read_runs(folder / "runs", want, warnings)
+    if len(runs) == 1:
+        warnings.append("only one run: nothing is left to check the diagnosis on, so it is weaker")
+    return Case(
+        folder, tuple(joints), tuple(actuators), kind, base, torque, site, tuple(contact), str(log.get("notes", "")),
+        xml, spec, model, runs, tuple(warnings), dropped,
+    )  # fmt: skip
+
+
+def _read_runs(folder: Path, want: Layout, warnings: list[str]) -> tuple[tuple[Run, ...], tuple[str, ...]]:
+    """(runs, what was left out and why). If no run can be used, the first one's error is raised."""
+    files = sorted(f for f in folder.iterdir() if f.suffix in (".npz", ".csv")) if folder.is_dir() else []
+    if not files:
+        raise GapError("no runs", file=folder, expected="one .npz or .csv file a run")
+    twice = sorted({f.stem for f in files if sum(g.stem == f.stem for g in files) > 1})
+    if twice:
+        raise GapError("two files of one run", file=folder, found=", ".join(twice), hint="keep the .npz or the .csv")
+    runs, dropped, first = [], [], None
+    for file in files:
+        try:
+            runs.append(read_run(file, want, warnings))
+        except RealsimError as error:
+            first = first or error
+            dropped.append(f"{file.name}: {error.message}")
+    if not runs:
+        assert first is not None
+        raise first
+    return tuple(runs), tuple(dropped)
+
+
+def _columns(log: dict[str, Any], folder: Path) -> Any:
+    """The map of .csv columns: in log.json, or in columns.json beside it, or none."""
+    beside = folder / "columns.json"
+    if beside.is_file():
+        if "columns" in log:
+            raise GapError("the column map is given twice", file=folder, found="columns in log.json, and columns.json")
+        return read_json(beside)
+    return log.get("columns")
+
+
+def _load_model(path: Path) -> tuple[Any, Any, str]:
+    import mujoco
+
+    text = _harmless(path, path.parent)
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        model = spec.copy().compile()
+    except Exception as error:  # MuJoCo raises ValueError and its own types
+        raise GapError("model.xml does not compile", file=path, found=str(error).splitlines()[0]) from error
+    if model.nu == 0:
+        raise GapError("the model has no actuators", file=path, expected="the robot's servos as actuators")
+    return spec, model, text
+
+
+def _harmless(path: Path, folder: Path, depth: int = 0) -> str:
+    """The text of an MJCF file that neither runs code nor names a file outside `folder`; nor do those it includes.
+
+    All names are relative to `folder`, that of the first file, as MuJoCo takes them.
+    """
+    from defusedxml import ElementTree
+    from defusedxml.common import DefusedXmlException
+
+    text = read_text(path)
+    try:
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, DefusedXmlException) as error:
+        raise GapError(f"{path.name} is not plain XML", file=path, found=str(error)) from error
+    for node in root.iter():
+        for name in ("file", "meshdir", "texturedir", "assetdir"):
+            if node.get(name):
+                inside(folder, node.get(name, ""))
+        if node.tag in ("plugin", "extension"):
+            raise GapError("models with plugins are not loaded", file=path, found=f"<{node.tag}>")
+        if node.tag == "include" and node.get("file"):
+            if depth == MAX_INCLUDES:
+                raise GapError("the model's files include each other", file=path, found=node.get("file"))
+            _harmless(folder / node.get("file", ""), folder, depth + 1)
+    return text
+
+
+def _names(log: dict[str, Any], key: str, folder: Path) -> list[str]:
+    value = log.get(key)
+    if not isinstance(value, list) or not value or not all(isinstance(v, str) for v in value):
+        raise GapError(
+            f"{key} is missing", file=folder / "log.json", expected="a list of names", found=repr(value)[:60]
+        )
+    if len(set(value)) != len(value):
+        raise GapError(f"{key} names something twice", file=folder / "log.json", found=", ".join(value))
+    return value
+
+
+def _match(names: list[str], known: list[str], kind: str, folder: Path) -> None:
+    for name in names:
+        if name not in known:
+            raise GapError(
+                f"{kind} {name!r} is not in model.xml",
+                file=folder / "log.json",
+                expected=f"one of {', '.join(known[:40])}",
+                hint=did_you_mean(name, known),
+            )
+
+
+def _choice(log: dict[str, Any], key: str, allowed: tuple[str, ...], folder: Path, default: str | None = None) -> str:
+    value = log.get(key, default)
+    if value not in allowed:
+        raise GapError(
+            f"{key} is not known", file=folder / "log.json", expected=" or ".join(allowed), found=repr(value)[:60]
+        )
+    return str(value)

@@ -1,0 +1,196 @@
+"""One run of a log: read from .npz or .csv, mended where that is harmless and said, refused where it is not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from realsim.errors import GapError
+from realsim.files import check_size, read_npz
+from realsim.gap.logs.csv_runs import read_csv
+from realsim.gap.logs.units import in_si
+from realsim.types import F64
+
+SIGNAL_SHAPES: dict[str, str | int] = {
+    "joint_pos": "J",
+    "joint_vel": "J",
+    "joint_torque": "J",
+    "base_pos": 3,
+    "base_quat": 4,
+    "imu_gyro": 3,
+    "imu_acc": 3,
+    "contact": "F",
+}
+REQUIRED = ("time", "command", "joint_pos")
+MAX_SAMPLES = 5_000_000
+LEAST_SAMPLES = 20
+
+
+@dataclass(frozen=True)
+class Run:
+    """One trajectory on the robot. Arrays as in the contract; missing samples are NaN."""
+
+    name: str
+    time: F64
+    """(T,) seconds, strictly increasing, the first is 0."""
+    command: F64
+    """(T, U), held between samples."""
+    signals: dict[str, F64]
+    """joint_pos (T, J) and whatever else was logged."""
+    init_qpos: F64 | None = None
+    init_qvel: F64 | None = None
+
+    @property
+    def duration(self) -> float:
+        return float(self.time[-1] - self.time[0])
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What a run's arrays must look like, from log.json and model.xml."""
+
+    names: Mapping[str, Sequence[str]]
+    """Array -> the names of its columns (joints, actuators, axes)."""
+    nq: int
+    nv: int
+    command_kind: str
+    columns: Mapping[str, Any] | None
+    """Where the arrays stand in .csv files, or None."""
+    units: Mapping[str, str]
+    """Array -> the unit that .npz files have it in, where that is not the contract's."""
+
+
+def layout(
+    joints: Sequence[str], actuators: Sequence[str], contact: Sequence[str], model: Any, log: Mapping[str, Any]
+) -> Layout:
+    """The arrays' columns by name."""
+    wide = {"J": tuple(joints), "F": tuple(contact), 3: tuple("xyz"), 4: tuple("wxyz")}
+    names = {"time": ("time",), "command": tuple(actuators)} | {k: wide[v] for k, v in SIGNAL_SHAPES.items()}
+    units = log.get("units") or {}
+    if not isinstance(units, Mapping) or not all(isinstance(u, str) for u in units.values()):
+        raise GapError(
+            "units of log.json cannot be read", expected='{"time": "ms", "joint_pos": "deg"}', found=repr(units)
+        )
+    return Layout(names, model.nq, model.nv, str(log["command_kind"]), log.get("columns"), units)
+
+
+def read_run(path: Path, want: Layout, warnings: list[str]) -> Run:
+    """One .npz or .csv file. Raises GapError for what cannot be used; adds to `warnings` what was mended."""
+    check_size(path)
+    if path.suffix == ".csv":
+        data = read_csv(path, want.columns, want.names, want.command_kind)
+    else:
+        data = _read_npz(path)
+        for name, unit in want.units.items():
+            if name in data:
+                data[name] = in_si(data[name], name, unit, want.command_kind, path)
+    for name in REQUIRED:
+        if name not in data:
+            raise GapError(f"array {name!r} is missing", file=path, found=", ".join(sorted(data)) or "nothing")
+    return _checked(path, data, want, warnings)
+
+
+def _read_npz(path: Path) -> dict[str, F64]:
+    try:
+        return {k: np.asarray(v, dtype=np.float64) for k, v in read_npz(path).items()}
+    except ValueError as error:
+        raise GapError("not a readable .npz of plain numbers", file=path, found=str(error)) from error
+
+
+def _checked(path: Path, data: dict[str, F64], want: Layout, warnings: list[str]) -> Run:
+    time = data["time"].reshape(-1)
+    count = len(time)
+    if count < LEAST_SAMPLES:
+        raise GapError(
+            "the run is too short", file=path, expected=f"at least {LEAST_SAMPLES} samples", found=str(count)
+        )
+    if count > MAX_SAMPLES:
+        raise GapError("the run is too long", file=path, expected=f"at most {MAX_SAMPLES} samples", found=str(count))
+    _check_shape(path, "command", data["command"], (count, len(want.names["command"])))
+    signals = {}
+    for name in SIGNAL_SHAPES:
+        if name in data and want.names[name]:
+            _check_shape(path, name, data[name], (count, len(want.names[name])))
+            signals[name] = np.where(np.isfinite(data[name]), data[name], np.nan)
+    empty = ~np.isfinite(signals["joint_pos"]).any(axis=0)
+    if empty.any():
+        joint = want.names["joint_pos"][int(np.argmax(empty))]
+        raise GapError("a joint has no finite position", file=path, found=f"joint_pos of {joint} is all NaN")
+    signals["joint_pos"] = _unwrapped(signals["joint_pos"], path, want.names["joint_pos"], warnings)
+    keep = _trusted(time, path, warnings)
+    if keep.sum() < LEAST_SAMPLES:
+        raise GapError("too few samples have a time stamp", file=path, found=f"{int(keep.sum())} of {count}")
+    command = _fill_forward(data["command"], path, warnings)
+    if np.ptp(time[keep]) > 3600:
+        raise GapError(
+            "the run lasts more than an hour",
+            file=path,
+            found=f"{np.ptp(time[keep]):.3g} s",
+            hint='is time in seconds? If not, say so: "units": {"time": "ms"} in log.json, or a unit in columns.json',
+        )
+    qpos, qvel = data.get("init_qpos"), data.get("init_qvel")
+    for name, value, size in (("init_qpos", qpos, want.nq), ("init_qvel", qvel, want.nv)):
+        if value is not None and (value.shape != (size,) or not np.isfinite(value).all()):
+            raise GapError(
+                f"{name} does not fit the model", file=path, expected=f"({size},) finite", found=str(value.shape)
+            )
+    clock = time[keep] - time[keep][0]
+    return Run(path.stem, clock, command[keep], {k: v[keep] for k, v in signals.items()}, qpos, qvel)
+
+
+def _unwrapped(positions: F64, path: Path, joints: Sequence[str], warnings: list[str]) -> F64:
+    """Joint positions without jumps by a whole turn from one sample to the next, where readings were wrapped."""
+    result = positions.copy()
+    for j, joint in enumerate(joints):
+        finite = np.flatnonzero(np.isfinite(positions[:, j]))
+        turns = np.diff(positions[finite, j]) / (2 * np.pi)
+        jumps = np.where(np.abs(np.abs(turns) - 1) < 0.1, np.round(turns), 0.0)
+        if jumps.any():
+            result[finite[1:], j] -= 2 * np.pi * np.cumsum(jumps)
+            warnings.append(f"{path.name}: {joint} jumps by a turn {int(np.abs(jumps).sum())} times: it is unwrapped")
+    return result
+
+
+def _trusted(time: F64, path: Path, warnings: list[str]) -> Any:
+    """(T,) which samples have a stamp that fits in; refuses a clock that cannot be trusted at all."""
+    keep = np.isfinite(time)
+    if not keep.all():
+        warnings.append(f"{path.name}: {int((~keep).sum())} samples without a time stamp are left out")
+    latest = np.maximum.accumulate(np.where(keep, time, -np.inf))
+    back = keep & (time <= np.concatenate([[-np.inf], latest[:-1]]))  # any earlier one is as new: order is in doubt
+    if back.sum() > 0.05 * len(time):
+        raise GapError(
+            "the clock runs backwards",
+            file=path,
+            expected="increasing time",
+            found=f"{int(back.sum())} of {len(time)} steps do not increase, the first at sample {int(np.argmax(back))}",
+            hint="sort the log by the robot's own clock",
+        )
+    if back.any():
+        warnings.append(f"{path.name}: the clock runs backwards at {int(back.sum())} samples, which are left out")
+    return keep & ~back
+
+
+def _check_shape(path: Path, name: str, array: F64, want: tuple[int, int]) -> None:
+    if array.shape != want:
+        raise GapError(f"{name} has the wrong shape", file=path, expected=str(want), found=str(array.shape))
+
+
+def _fill_forward(command: F64, path: Path, warnings: list[str]) -> F64:
+    """A missing command is the one before it: that is what a held command does."""
+    bad = ~np.isfinite(command)
+    if not bad.any():
+        return command
+    if bad.all(axis=0).any() or bad.mean() > 0.5:
+        raise GapError("the command is missing", file=path, found=f"{bad.mean():.0%} of the samples are not finite")
+    warnings.append(f"{path.name}: {int(bad.any(axis=1).sum())} samples without a command hold the one before")
+    filled = command.copy()
+    for column in range(command.shape[1]):
+        good = np.flatnonzero(~bad[:, column])
+        source = good[np.clip(np.searchsorted(good, np.arange(len(command)), side="right") - 1, 0, None)]
+        filled[:, column] = command[source, column]
+    return filled

@@ -1,0 +1,72 @@
+"""Which runs are fitted, and which no fit sees."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from realsim.gap.config import DiagnoseConfig
+from realsim.gap.logs.case import Case, Run
+from realsim.gap.logs.repeats import replicates
+from realsim.types import F64
+
+MOST_FITTED = 6
+"""Runs that carry the sensitivities."""
+ENOUGH = 7
+"""Different runs from which on a whole regime is held out beside the last runs."""
+FAINT, STANDS_ALONE = 0.1, 5.0
+"""Gap of the run that is held out: at least this part of the others' median, at most so many times their largest."""
+APART = 1.5
+"""A run is of another regime if its speed differs from the usual by this many spreads over runs."""
+
+
+def split_runs(case: Case, config: DiagnoseConfig, gaps: Sequence[float] = ()) -> tuple[list[int], list[int]]:
+    """(runs for fitting, runs that no fit sees). A replicate of a fitted run is no test, so it is not held out.
+
+    The last run is held out, unless it shows hardly any of the gap, and so checks nothing, or by far the most of it, so
+    that without it there is nothing to fit: then the run whose gap is of middle size is.
+
+    Where there are enough runs, the one whose regime (speed, posture) is farthest from the others' is held out too:
+    a cause must hold beyond the motions that it was found in. Of many runs only some carry the sensitivities: the most
+    lively ones first, repetitions last.
+    """
+    count = len(case.runs)
+    twins = replicates(case)
+    single = [i for i in range(count) if not any(i in g for g in twins)] or list(range(count))
+    held = single[-config.holdout :] if config.holdout and count > config.holdout + 1 else []
+    if len(held) == 1 and len(gaps) and not _shows(gaps, held[0]):
+        held = [sorted(single, key=lambda i: gaps[i])[len(single) // 2]]
+    if held and len(single) >= ENOUGH:
+        held = sorted([*held, *_regime_apart(case, [i for i in single if i not in held])])
+    fitted = [i for i in range(count) if i not in held]
+    if len(fitted) > MOST_FITTED:
+        repeated = {i for g in twins for i in g[1:]}
+        order = sorted(fitted, key=lambda i: (i in repeated, -_liveliness(case.runs[i])))
+        fitted = sorted(order[:MOST_FITTED])
+    return fitted, held
+
+
+def _shows(gaps: Sequence[float], run: int) -> bool:
+    """Whether a run shows a fair part of the gap, and the others do too."""
+    others = np.nan_to_num([g for i, g in enumerate(gaps) if i != run])
+    return bool(FAINT * np.median(others) <= np.nan_to_num(gaps[run]) <= STANDS_ALONE * others.max())
+
+
+def _regime_apart(case: Case, runs: list[int]) -> list[int]:
+    """The run farthest from the others in speed and posture; none if none stands apart."""
+    features = np.array([_regime(case.runs[i]) for i in runs])
+    spread = features.std(axis=0) + 1e-9
+    distance = np.abs((features - np.median(features, axis=0)) / spread).max(axis=1)
+    best = int(np.argmax(distance))
+    return [runs[best]] if distance[best] > APART else []
+
+
+def _regime(run: Run) -> F64:
+    """Log of the command's mean speed, and the mean posture."""
+    speed = np.abs(np.diff(run.command, axis=0)).sum() / max(run.duration, 1e-9)
+    return np.concatenate([[np.log(speed + 1e-6)], run.command.mean(axis=0)])
+
+
+def _liveliness(run: Run) -> float:
+    return float(np.abs(np.diff(run.command, axis=0)).sum())

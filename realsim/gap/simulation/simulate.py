@@ -1,0 +1,317 @@
+"""The batch simulator: runs of a case, replayed by the nominal model or by one that effects have changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from realsim.errors import GapError
+from realsim.gap.config import DiagnoseConfig
+from realsim.gap.effects import EFFECTS
+from realsim.gap.effects.base import Effect, Place
+from realsim.gap.logs.case import Case, Run
+from realsim.gap.simulation.context import Context, base_body, build_context, measure
+from realsim.gap.simulation.edit import Edit
+from realsim.gap.simulation.nuisances import NUISANCES
+from realsim.gap.simulation.sampling import held_mean as held_mean
+from realsim.gap.simulation.sampling import quiet_mujoco as quiet_mujoco
+from realsim.gap.simulation.sampling import rotation_from as rotation_from
+from realsim.gap.simulation.sampling import sample as sample
+from realsim.gap.simulation.start import Start, find_starts, first_rows, initial_state
+from realsim.gap.simulation.stepping import gears, stepped
+from realsim.types import F64
+
+Setting = tuple[str, Place, dict[str, float]]
+"""(effect name, place, coordinates by parameter name; missing ones keep their defaults)."""
+
+LIMIT = 1e4
+"""A coordinate or speed beyond this (m, rad, /s) means that the simulation has exploded."""
+
+RESTING = 0.06
+"""Seconds that are enough for contacts to take up their load."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One scalar that simulator and log share."""
+
+    signal: str
+    label: str
+    """Joint name or axis."""
+    index: int
+    """Column of the signal."""
+
+
+class Simulator:
+    """Replays runs. `simulate` returns, for each run, (T, C) at the logged time stamps; NaN from where it failed.
+
+    A run begins after the first command was held for `settle_seconds` from the logged initial pose, so that a changed
+    model starts from its own rest; one that was recorded out of rest begins in the state of the log (`starts`, see
+    realsim.gap.simulation.start). Held commands are averaged over simulation steps, which makes delays of a fraction
+    of a step exact in the mean.
+    """
+
+    def __init__(self, case: Case, config: DiagnoseConfig) -> None:
+        self.case, self.config = case, config
+        self.context: Context = build_context(case)
+        self.channels = _channels(case)
+        self.simulated_seconds = 0.0
+        self._pool: Any = None
+        self._raw: list[dict[str, F64]] | None = None
+        self._coarse: dict[tuple[int, tuple[int, ...]], list[dict[str, F64]]] = {}
+        self.starts: tuple[Start, ...] = tuple(Start() for _ in case.runs)
+        """How each run begins."""
+        self.onsets: dict[str, float] = {}
+        """Run -> seconds at which something sudden begins there; see realsim.gap.evidence.onsets."""
+        self._raw = self.roll_out(Edit(self.context), None)
+        self.rests = [r["pos"][round(float(r["settle"][0] / r["settle"][1]))] for r in self._raw]
+        """(J,) a run: where the nominal simulator rests under the first command."""
+        self._start_in_motion()
+        measure(self.context, [_inside(raw) for raw in self._raw])
+
+    def close(self) -> None:
+        if self._pool is not None:
+            self._pool.close()
+            self._pool = None
+
+    def __enter__(self) -> Simulator:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def nominal_tracks(self) -> list[dict[str, F64]]:
+        """pos, vel, torque (N, J) on the simulator's own grid, a dict a run."""
+        assert self._raw is not None
+        return self._raw
+
+    def edited(self, settings: Sequence[Setting]) -> Edit:
+        """The changed simulator."""
+        edit = Edit(self.context)
+        for name, place, values in settings:
+            effect = lookup(name)
+            full = {p.name: p.default for p in effect.parameters(self.context, place)}
+            unknown = set(values) - set(full)
+            if unknown:
+                raise GapError(f"{name} has no parameter {sorted(unknown)[0]!r}", expected=", ".join(full))
+            effect.apply(edit, place, full | values)
+        return edit
+
+    def simulate(
+        self, settings: Sequence[Setting] = (), runs: Sequence[int] | None = None, coarse: int = 1
+    ) -> list[F64]:
+        """(T, C) a run, of the runs with these indices (all if None); `coarse` multiplies the time step."""
+        chosen = list(range(len(self.case.runs))) if runs is None else list(runs)
+        edit = self.edited(settings)
+        earlier = edit.signals.observation_delay and any(self.starts[i].moving for i in chosen)
+        if edit.touched or edit.signals.moves_the_robot() or earlier:
+            raw = self.roll_out(edit, chosen, coarse)
+        elif coarse == 1:
+            assert self._raw is not None
+            raw = [self._raw[i] for i in chosen]
+        else:
+            key = (coarse, tuple(chosen))
+            if key not in self._coarse:
+                self._coarse[key] = self.roll_out(edit, chosen, coarse)
+            raw = self._coarse[key]
+        return [self.read(self.case.runs[i], r, edit) for i, r in zip(chosen, raw, strict=True)]
+
+    def twin(self, name: str) -> str | None:
+        """Name of the effect that does exactly the same in these logs, at the same values, if there is one."""
+        effect = lookup(name)
+        return effect.twin if effect.twinned(self.context) and not any(s.moving for s in self.starts) else None
+
+    # ------------------------------------------------------------ inside
+
+    def _start_in_motion(self) -> None:
+        """Simulate again the runs that do not begin at rest."""
+        assert self._raw is not None
+        edit = Edit(self.context)
+        self.starts = find_starts(
+            self, [self.read(run, raw, edit) for run, raw in zip(self.case.runs, self._raw, strict=True)]
+        )
+        moving = [i for i, start in enumerate(self.starts) if start.moving]
+        for i, raw in zip(moving, self.roll_out(edit, moving) if moving else [], strict=True):
+            self._raw[i] = raw
+
+    def roll_out(
+        self,
+        edit: Edit,
+        chosen: list[int] | None,
+        coarse: int = 1,
+        starts: Sequence[Start] | None = None,
+        seconds: float = np.inf,
+    ) -> list[dict[str, F64]]:
+        """Signals on the simulator's own grid, a dict a run; begun as in `starts` (the runs' own if None)."""
+        begun = starts or [self.starts[i] for i in (chosen if chosen is not None else range(len(self.starts)))]
+        runs = [self.case.runs[i] for i in chosen] if chosen is not None else list(self.case.runs)
+        spec = edit.spec
+        try:
+            model = spec.compile()
+        except Exception as error:  # the effect's values do not make a body (negative inertia, say)
+            raise GapError("the changed model does not compile", found=str(error).splitlines()[0]) from error
+        model.opt.timestep *= coarse
+        dt = model.opt.timestep
+        settle = [self._settle_steps(start, edit, dt) for start in begun]
+        lengths = [int(np.ceil((min(run.duration, seconds) + 0.05) / dt)) + 2 for run in runs]
+        steps = [lead + length for lead, length in zip(settle, lengths, strict=True)]
+        state = np.stack([initial_state(self.case, model, r, edit, s) for r, s in zip(runs, begun, strict=True)])
+        control = np.zeros((len(runs), max(steps), model.nu))
+        for i, run in enumerate(runs):
+            control[i] = self._control(model, run, edit, max(steps), settle[i], dt)
+        sensors = self.rolled(model, state, control, edit)
+        self.simulated_seconds += float(sum(steps)) * dt
+        return [self._tracks(model, s[:n], k, edit) for s, n, k in zip(sensors, steps, settle, strict=True)]
+
+    def rolled(self, model: Any, state: F64, control: F64, edit: Edit) -> F64:
+        """(R, T, S) sensors of R runs, from (R, X) full physics states under (R, T, U) controls."""
+        import mujoco
+        from mujoco import rollout
+
+        with quiet_mujoco():
+            if edit.signals.load_friction:
+                drives = {j: (edit.motor_joint(j), a) for j, a in self.context.actuator.items()}
+                laws = gears(model, edit.signals.load_friction, drives)
+                return stepped(model, state, control, laws, self.config.threads)
+            if self._pool is None:
+                self._pool = rollout.Rollout(nthread=self.config.threads if self.config.threads > 1 else 0)
+            datas = [mujoco.MjData(model) for _ in range(self.config.threads)]
+            _, sensors = self._pool.rollout(model, datas, state, control, chunk_size=1)
+        return np.asarray(sensors)
+
+    def _settle_steps(self, start: Start, edit: Edit, dt: float) -> int:
+        """Steps before the first sample."""
+        if start.moving:  # late encoders read at time 0 the state that was there earlier
+            return round(edit.signals.observation_delay / dt) if start.encoders else 0
+        seconds = self.config.settle_seconds
+        if self.case.floating and all(r.init_qpos is not None for r in self.case.runs):
+            seconds = min(
+                seconds, RESTING
+            )  # the logged state is the robot's own rest; contacts would creep away from it
+        return round(seconds / dt)
+
+    def _control(self, model: Any, run: Run, edit: Edit, steps: int, settle: int, dt: float) -> F64:
+        command = run.command.copy()
+        if self.case.command_kind == "position":
+            for u, name in enumerate(self.case.actuator_names):
+                joint = next((j for j, a in self.context.actuator.items() if a == name), None)
+                command[:, u] -= edit.signals.joint_offset.get(joint or "", 0.0)
+        grid = (np.arange(steps + 1) - settle) * dt
+        mean = held_mean(run.time, command, grid - edit.signals.command_delay)
+        control = np.zeros((steps, model.nu))
+        for u, name in enumerate(self.case.actuator_names):
+            control[:, model.actuator(name).id] = mean[:, u]
+        for pulse in edit.signals.pulses:
+            began = self.onsets.get(run.name) if pulse.by_onset else 0.0
+            if began is not None:
+                since = grid[:-1] - began
+                control[:, model.actuator(pulse.actuator).id] = (since >= pulse.start) & (since < pulse.end)
+        return control
+
+    def _tracks(self, model: Any, sensors: F64, settle: int, edit: Edit) -> dict[str, F64]:
+        """Signals on the simulator's grid, from the first settling step; NaN after a failure."""
+
+        def take(prefix: str, names: Sequence[str], width: int = 1) -> F64:
+            columns = [model.sensor(prefix + n).adr[0] + k for n in names for k in range(width)]
+            return sensors[:, columns]
+
+        pos, vel = take("rs_pos_", self.case.joint_names), take("rs_vel_", self.case.joint_names)
+        force = take("rs_force_", self.case.actuator_names)
+        torque = np.zeros_like(pos)
+        for j, joint in enumerate(self.case.joint_names):
+            if joint in self.context.actuator:
+                u = self.case.actuator_names.index(self.context.actuator[joint])
+                gear = float(self.case.model.actuator(self.context.actuator[joint]).gear[0])
+                torque[:, j] = gear * force[:, u]
+                if joint in edit.signals.back_emf:
+                    slope, top = edit.signals.back_emf[joint]
+                    torque[:, j] = np.clip(torque[:, j] + slope * vel[:, j], -top, top) - slope * vel[:, j]
+        tracks = {"pos": pos, "vel": vel, "torque": torque}
+        if self.case.floating:
+            tracks["base_pos"], tracks["base_quat"] = take("rs_base_pos", [""], 3), take("rs_base_quat", [""], 4)
+        if self.case.imu_site:
+            tracks["gyro"], tracks["acc"] = take("rs_gyro", [""], 3), take("rs_acc", [""], 3)
+        bad = ~np.isfinite(sensors).all(axis=1) | (np.abs(vel) > LIMIT).any(axis=1)
+        if bad.any():
+            for name in tracks:
+                tracks[name] = tracks[name].copy()
+                tracks[name][int(np.argmax(bad)) :] = np.nan
+        tracks["settle"] = np.array([settle * model.opt.timestep, model.opt.timestep])
+        return tracks
+
+    def _command_steps(self, run: Run) -> F64:
+        """(T, J) what each new command adds to a position servo's torque at once, N m."""
+        steps = np.zeros((len(run.time), len(self.case.joint_names)))
+        for joint, name in self.context.actuator.items():
+            u = self.case.actuator_names.index(name)
+            gain = float(self.case.model.actuator(name).gainprm[0])
+            steps[:, self.case.joint_names.index(joint)] = gain * np.diff(run.command[:, u], prepend=run.command[0, u])
+        return steps
+
+    def read(self, run: Run, raw: dict[str, F64], edit: Edit) -> F64:
+        """(T, C) at the time stamps of the run, through the wrappers."""
+        s = edit.signals
+        settle, dt = raw["settle"]
+        now = (run.time + settle) / dt
+        late = now - s.observation_delay / dt
+        columns: dict[str, F64] = {}
+        names = self.case.joint_names
+        shift = np.array([s.joint_offset.get(n, 0.0) + s.read_offset.get(n, 0.0) for n in names])
+        columns["joint_pos"] = sample(raw["pos"], late) + shift
+        columns["joint_vel"] = sample(raw["vel"], late)
+        gain = np.array([1 + s.torque_gain.get(n, 0.0) for n in names])
+        columns["joint_torque"] = sample(raw["torque"], late) * gain
+        if s.torque_phase:
+            columns["joint_torque"] += s.torque_phase * self._command_steps(run)
+        if "base_pos" in raw:
+            columns["base_pos"] = sample(raw["base_pos"], now) + np.array(s.base_bias)
+            if "base_quat" in run.signals:
+                reference = first_rows(run.signals["base_quat"])
+                columns["base_rot"] = rotation_from(sample(raw["base_quat"], now), reference) + np.array(s.base_turn)
+        if "gyro" in raw:
+            columns["imu_gyro"] = sample(raw["gyro"], now) + np.array(s.gyro_bias)
+            columns["imu_acc"] = sample(raw["acc"], now) + np.array(s.acc_bias)
+        return np.stack([columns[c.signal][:, c.index] for c in self.channels], axis=1)
+
+
+def lookup(name: str) -> Effect:
+    """An effect of the library, or one of the nuisances."""
+    return NUISANCES[name] if name in NUISANCES else EFFECTS[name]
+
+
+def measured(run: Run, channels: Sequence[Channel]) -> F64:
+    """(T, C) of the log, orientation as a rotation vector from the first sample."""
+    columns = dict(run.signals)
+    if "base_quat" in columns:
+        columns["base_rot"] = rotation_from(columns["base_quat"], first_rows(columns["base_quat"]))
+    return np.stack([columns[c.signal][:, c.index] for c in channels], axis=1)
+
+
+def _channels(case: Case) -> tuple[Channel, ...]:
+    found = []
+    for signal in ("joint_pos", "joint_vel", "joint_torque"):
+        if case.has(signal) and not (signal == "joint_torque" and case.torque_kind == "none"):
+            found += [Channel(signal, name, i) for i, name in enumerate(case.joint_names)]
+    if case.floating and case.has("base_pos"):
+        found += [Channel("base_pos", a, i) for i, a in enumerate("xyz")]
+        if case.has("base_quat"):
+            found += [Channel("base_rot", a, i) for i, a in enumerate("xyz")]
+    if case.imu_site:
+        for signal in ("imu_gyro", "imu_acc"):
+            if case.has(signal):
+                found += [Channel(signal, a, i) for i, a in enumerate("xyz")]
+    return tuple(found)
+
+
+def _inside(raw: dict[str, F64]) -> dict[str, F64]:
+    settle, dt = (float(v) for v in raw["settle"])
+    return {k: raw[k][round(settle / dt) :] for k in ("pos", "vel", "torque")}
+
+
+def base_name(case: Case) -> str:
+    """Name of the floating base's body."""
+    return str(case.model.body(base_body(case)).name)
