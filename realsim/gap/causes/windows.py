@@ -9,6 +9,7 @@ import numpy as np
 
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.screen import Candidate, Screen
+from realsim.gap.effects.external_force import NEAR
 from realsim.types import F64
 
 GRID = 0.1
@@ -28,6 +29,8 @@ class Clock:
     zero: dict[int, float]
     """Screened run -> s; a run that is left out has no force."""
     edges: tuple[str, str]
+    latest: float = np.inf
+    """s at which a window may begin at the latest."""
 
     def values(self, start: float, end: float) -> dict[str, float]:
         first, second = self.edges
@@ -41,7 +44,7 @@ def clocks(screen: Screen) -> list[Clock]:
     names = [screen.simulator.case.runs[r].name for r in screen.runs]
     if any(n in onsets for n in names):
         zero = {k: onsets[n] - LEAD for k, n in enumerate(names) if n in onsets}
-        found.append(Clock(zero, ("since", "lasts")))
+        found.append(Clock(zero, ("since", "lasts"), LEAD + NEAR))
     return found
 
 
@@ -71,7 +74,7 @@ def _by_place(
         total = (info, score) if clock == always else _by_time(screen, always, index, left, weights)
         scale = np.array([abs(screen.atoms[i].parameter.step) for i in index])
         whole = float(_gain(total[0].sum(axis=0), total[1].sum(axis=0), scale)[0])
-        gain, start, end, force = _best_window(info, score, scale, screen.comparison.config.bin_seconds)
+        gain, start, end, force = _best_window(info, score, scale, screen.comparison.config.bin_seconds, clock.latest)
         if gain > 1.5 * whole + MARGIN:
             directions = np.eye(len(screen.atoms))[:, index]
             candidate = Candidate("external_force", (place,), (*axes, *clock.edges), directions, axes)
@@ -99,6 +102,8 @@ def slid(fitter: Fitter, fit: Fit) -> Fit:
 
 def _moved(fitter: Fitter, fit: Fit, edge: str, move: float) -> Fit | None:
     cause = fit.causes[-1]
+    if edge == "since" and abs(cause.named[edge] + move) > NEAR:
+        return None
     values = tuple(v + move * (n == edge) for n, v in cause.named.items())
     return fitter.looked_at(fit, (*fit.causes[:-1], replace(cause, values=values)))
 
@@ -137,15 +142,15 @@ def _gain(info: F64, score: F64, scale: F64) -> tuple[F64, F64]:
     return 0.5 * np.sum(score * force, axis=-1), np.asarray(force, np.float64)
 
 
-def _best_window(info: F64, score: F64, scale: F64, width: float) -> tuple[float, float, float, F64]:
-    """(gain, start, end, force) of the window in which a constant force says most."""
+def _best_window(info: F64, score: F64, scale: F64, width: float, latest: float) -> tuple[float, float, float, F64]:
+    """(gain, start, end, force) of the window in which a constant force says most, begun at the `latest` then."""
     zero = np.zeros((1, *info.shape[1:]))
     total, tally = np.cumsum(np.concatenate([zero, info]), axis=0), np.cumsum(np.vstack([zero[:, 0], score]), axis=0)
     shortest, step = int(SHORTEST / width), max(int(GRID / width), 1)
 
     def best(starts: Any, ends: Any) -> tuple[float, int, int, F64]:
         first, last = (a.ravel() for a in np.meshgrid(starts, ends, indexing="ij"))
-        long = last - first >= min(shortest, len(info))
+        long = (last - first >= min(shortest, len(info))) & (first * width <= latest)
         first, last = first[long], last[long]
         gain, force = _gain(total[last] - total[first], tally[last] - tally[first], scale)
         k = int(np.argmax(gain))

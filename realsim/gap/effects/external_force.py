@@ -6,6 +6,8 @@ from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
 from realsim.gap.simulation.edit import Pulse
 
 FOREVER = 1e6
+NEAR = 0.3
+"""Seconds by which an onset that was read off a log may be wrong."""
 EVER = 1e5
 """What lasts longer than so many seconds always acts."""
 
@@ -23,7 +25,7 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:
         *force,
         Parameter("start", "s", (-1.0, 60.0), 0.1, default=-1.0),
         Parameter("end", "s", (0.0, FOREVER), 0.1, default=FOREVER),
-        Parameter("since", "s", (-1.0, 60.0), 0.05, default=-1.0),
+        Parameter("since", "s", (-NEAR, NEAR), 0.05, default=-NEAR),
         Parameter("lasts", "s", (0.0, FOREVER), 0.1, default=FOREVER),
     )
 
@@ -35,7 +37,7 @@ def _excited(context, place: Place) -> Excitation:
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     """A force in world axes at the body's centre of mass, from `start` to `end` seconds of each run.
 
-    One that `lasts` a while begins at each run's own onset instead, or `since` seconds later.
+    One that `lasts` a while begins at each run's own onset instead, which may be off by `since`.
     """
     for name in place:
         actuator = edit.add_force(name, [values[f"f{a}"] for a in "xyz"])

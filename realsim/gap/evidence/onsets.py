@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from realsim.gap.compare import Comparison
+from realsim.gap.logs.runs import Run
 from realsim.types import F64
 
 SMOOTH = 0.1
@@ -21,6 +22,8 @@ LOUD, WITHIN = 50.0, 0.3
 """Multiple of the usual error that counts as something, and seconds in which it must have come up."""
 UNUSUAL = 3.0
 """Multiple from which on it is coming up."""
+MOVING = 0.3
+"""Seconds of motion that must agree before: what begins with the motion is no push."""
 STEEP = 3.0
 """Factor by which it must have come up in them, without falling in between."""
 ALIKE = 0.1
@@ -42,13 +45,19 @@ def find_onsets(comparison: Comparison, nominal: Sequence[F64]) -> dict[str, flo
     for run, level, times in zip(runs, levels, comparison.times, strict=True):
         if level.max(initial=0.0) > LOUD * usual:
             at = _onset(level, times, usual)
-            if at is None:
+            if at is None or at < _moves(run) + MOVING:
                 return {}
             found[run.name] = at
     if len(found) < 2:
         return {}
     same = np.ptp(np.quantile(list(found.values()), [0.25, 0.75])) < ALIKE
     return {} if same and len(found) == len(runs) else found
+
+
+def _moves(run: Run) -> float:
+    """Seconds at which the command begins to change."""
+    changed = np.abs(run.command - run.command[0]).max(axis=1) > 0.02 * np.ptp(run.command, axis=0).max()
+    return float(run.time[int(np.argmax(changed))])
 
 
 def _level(comparison: Comparison, run: int, nominal: F64) -> F64:
