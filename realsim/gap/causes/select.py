@@ -17,6 +17,7 @@ from realsim.gap.causes.pairs import better_pair
 from realsim.gap.causes.rivals import Trial, duel, ranked, refit, refitted
 from realsim.gap.causes.screen import Screen
 from realsim.gap.config import DiagnoseConfig
+from realsim.gap.evidence.onsets import find_onsets
 
 STEADY = 3.0
 """A gain this many times its standard error, on runs left out in turn, counts however small its share."""
@@ -75,6 +76,7 @@ def select(
             break
         stages.append((current, fits))
         current = best
+        look_for_onsets(screen, current)
     current = sharpened(screen, fitter, fitter.tighten(current))
     nominal = fitter.remeasure(nominal)
     if current.causes:
@@ -91,6 +93,13 @@ def select(
     if current.causes:
         current, nominal = fitter.spread(fitter.tighten(current)), fitter.remeasure(nominal)
     return Selection(current, nominal, trials, equivalent, gains, notes)
+
+
+def look_for_onsets(screen: Screen, fit: Fit) -> None:
+    """Moments at which something sudden begins beside these causes; a lasting one drowns a push until it is known."""
+    simulator = screen.simulator
+    if not simulator.onsets:
+        simulator.onsets = find_onsets(screen.comparison, simulator.simulate(fit.settings()))
 
 
 def without_causes(selection: Selection) -> Selection:
