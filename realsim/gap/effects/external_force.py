@@ -52,10 +52,10 @@ EFFECT = Effect(
     name="external_force",
     title="external force",
     scope="body",
-    description="A force in world axes at a body's centre of mass (a cable, a tether, a hand): always, from one time to "
-    "another of each run, or, as a push has it, at a time of its own in each run.",
-    signature="An error with no command behind it, in one direction of the world whatever the pose; of a push, one that "
-    "begins suddenly and dies away.",
+    description="A force in world axes at a body's centre of mass (a cable, a tether, a hand): always, from one time "
+    "to another of each run, or, as a push has it, at a time of its own in each run.",
+    signature="An error with no command behind it, in one direction of the world whatever the pose; of a push, one "
+    "that begins suddenly and dies away.",
     excitation="Several poses tell a constant force from a payload; replicates tell a passing one from the command.",
     places=_places,
     parameters=_parameters,
