@@ -142,7 +142,9 @@ def _gain(info: F64, score: F64, scale: F64) -> tuple[F64, F64]:
     return 0.5 * np.sum(score * force, axis=-1), np.asarray(force, np.float64)
 
 
-def _best_window(info: F64, score: F64, scale: F64, width: float, latest: float) -> tuple[float, float, float, F64]:
+def _best_window(
+    info: F64, score: F64, scale: F64, width: float, latest: float = np.inf
+) -> tuple[float, float, float, F64]:
     """(gain, start, end, force) of the window in which a constant force says most, begun at the `latest` then."""
     zero = np.zeros((1, *info.shape[1:]))
     total, tally = np.cumsum(np.concatenate([zero, info]), axis=0), np.cumsum(np.vstack([zero[:, 0], score]), axis=0)
