@@ -134,6 +134,7 @@ def test_learning_rate_stays_in_its_bounds() -> None:
         assert ppo.learning_rate.item() == pytest.approx(bound)
 
 
+@pytest.mark.timeout(900)  # three minutes on one busy core
 def test_point_mass_is_learnt_from_depth() -> None:
     """Only the image says where the goal is; 2.0 would be a whole episode on it, doing nothing earns 0.0."""
     r = runner(worlds=64)
