@@ -66,7 +66,11 @@ def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progres
         selection = select(screen, fitter, config, tick)
         tick("unseen runs", 0.9)
         shrunk = _checked(config, screen, selection, held)
-        if _harms(shrunk) and judge(config, screen, selection, shrunk).verdict == "unexplained":
+        if (
+            selection.fit.causes
+            and _harms(shrunk)
+            and judge(config, screen, selection, shrunk).verdict == "unexplained"
+        ):
             selection = without_causes(selection)
             shrunk = _checked(config, screen, selection, held)
         found = _assemble(case, config, simulator, comparison, screen, selection, shrunk, nominal, health)
