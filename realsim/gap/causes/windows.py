@@ -37,9 +37,14 @@ class Clock:
         return {first: start - LEAD, second: end - start} if second == "lasts" else {first: start, second: end}
 
 
+def own_time(screen: Screen) -> Clock:
+    """Seconds since each run began."""
+    return Clock(dict.fromkeys(range(len(screen.runs)), 0.0), ("start", "end"))
+
+
 def clocks(screen: Screen) -> list[Clock]:
     """The runs' own time; and since something sudden began in them, where it does."""
-    found = [Clock(dict.fromkeys(range(len(screen.runs)), 0.0), ("start", "end"))]
+    found = [own_time(screen)]
     onsets = screen.simulator.onsets
     names = [screen.simulator.case.runs[r].name for r in screen.runs]
     if any(n in onsets for n in names):
@@ -65,13 +70,14 @@ def window_candidates(screen: Screen, fit: Fit, most: int = 2) -> list[tuple[flo
 def _by_place(
     screen: Screen, clock: Clock, left: list[F64], weights: list[F64]
 ) -> list[tuple[float, Candidate, dict[str, float]]]:
-    always = Clock(dict.fromkeys(range(len(screen.runs)), 0.0), ("start", "end"))
+    """The best window of each body's force on one clock, where it says much more than a force that acts always."""
+    whole_runs = own_time(screen)
     found = []
     for place in dict.fromkeys(a.place for a in screen.atoms if a.effect == "external_force"):
         at = {n: screen.index[key] for n in ("fx", "fy", "fz") if (key := ("external_force", place, n)) in screen.index}
         axes, index = tuple(at), list(at.values())  # a planar arm cannot feel a force across its plane
         info, score = _by_time(screen, clock, index, left, weights)
-        total = (info, score) if clock == always else _by_time(screen, always, index, left, weights)
+        total = (info, score) if clock == whole_runs else _by_time(screen, whole_runs, index, left, weights)
         scale = np.array([abs(screen.atoms[i].parameter.step) for i in index])
         whole = float(_gain(total[0].sum(axis=0), total[1].sum(axis=0), scale)[0])
         gain, start, end, force = _best_window(info, score, scale, screen.comparison.config.bin_seconds, clock.latest)
