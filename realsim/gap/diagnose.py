@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from realsim.gap.answer.baselines import first_choices, rival_settings
 from realsim.gap.answer.diagnosis import Diagnosis, describe_set
 from realsim.gap.answer.heldout import Shrinkage, mean_gaps, shrinkage
-from realsim.gap.answer.patch import make_patch
+from realsim.gap.answer.patch import empty_patch, make_patch
 from realsim.gap.answer.ranking import ranked_effects
 from realsim.gap.answer.sentence import sentence
 from realsim.gap.answer.verdict import judge
@@ -170,9 +170,7 @@ def _assemble(
             "baselines": shrunk.baselines,
         },
         unexplained_share=judgement.unexplained,
-        patch=make_patch(simulator, fit)
-        if causes
-        else {"format": "realsim.gap.answer.patch/1", "settings": [], "wrappers": {}},
+        patch=make_patch(simulator, fit) if causes else empty_patch(),
         ranking=tuple(ranked_effects(selection, screen)),
         health=health,
         statistics={

@@ -15,7 +15,7 @@ import pytest
 from realsim.errors import GapError, UnknownNameError
 from realsim.files import to_json
 from realsim.gap import EFFECTS, DiagnoseConfig, apply_patch, explain, load_case
-from realsim.gap.answer.patch import asset_files, make_patch, patched_xml
+from realsim.gap.answer.patch import asset_files, empty_patch, make_patch, patched_xml
 from realsim.gap.simulation.simulate import Simulator
 
 from .truth import Truth
@@ -165,7 +165,8 @@ def test_a_passing_force_stays_a_wrapper(arm: Simulator) -> None:
 def test_an_empty_patch_changes_nothing(arm: Simulator) -> None:
     spec = mujoco.MjSpec.from_file(str(arm.case.folder / "model.xml"))
     before = spec.to_xml()
-    apply_patch(spec, {"format": "realsim.gap.answer.patch/1", "settings": [], "wrappers": {}})
+    assert empty_patch()["format"] == "realsim.gap.patch/1", "a name in files that people keep"
+    apply_patch(spec, empty_patch())
     assert spec.to_xml() == before
 
 

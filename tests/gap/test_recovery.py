@@ -13,9 +13,9 @@ from benchmarks.gap_truth.plant import Plant
 from benchmarks.gap_truth.robots import ROBOTS
 from benchmarks.gap_truth.truth import Truth as TrueRobot
 from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
-from realsim.gap.answer.heldout import leftover
 from realsim.gap.causes.equivalent import _alike
 from realsim.gap.causes.fit import Cause, Fitter
+from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.merit import is_gap
 from realsim.gap.causes.probes import probed, probed_ground
 from realsim.gap.causes.rivals import outstanding, ranked, refit

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from realsim.gap import EFFECTS, Case, load_case
-from realsim.gap.answer.heldout import leftover
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.hidden import WORTH_TRYING
+from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.merit import is_gap
 from realsim.gap.causes.rivals import ranked
 from realsim.gap.causes.screen import Screen

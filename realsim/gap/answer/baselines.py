@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from realsim.gap.answer.heldout import errors, mean_square, nuisance_settings
+from realsim.gap.answer.heldout import errors, mean_square
 from realsim.gap.causes.fit import Fit
+from realsim.gap.causes.leftover import nuisance_settings
 from realsim.gap.causes.screen import Screen, posterior
 from realsim.gap.causes.select import Selection
 from realsim.gap.compare import Comparison

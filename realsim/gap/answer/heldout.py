@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from realsim.errors import GapError
-from realsim.gap.causes.fit import REASONABLE, Fit
+from realsim.gap.causes.fit import Fit
+from realsim.gap.causes.leftover import nuisance_settings
 from realsim.gap.causes.screen import Screen
 from realsim.gap.compare import Comparison
 from realsim.gap.evidence.blackbox import predict
@@ -43,27 +44,6 @@ class Shrinkage:
     per_signal: dict[str, dict[str, float]] = field(default_factory=dict)
     baselines: dict[str, float] = field(default_factory=dict)
     """Error by baseline, 1 is the nominal simulator's."""
-
-
-def nuisance_settings(screen: Screen, fit: Fit, scale: float = 1.0) -> list[Setting]:
-    """The posterior means of the small deviations as settings for the simulator."""
-    x = screen.nuisances(fit.evidence, fit.prior)
-    x = scale * np.clip(x, -REASONABLE * fit.prior, REASONABLE * fit.prior)
-    return screen.settings(np.where(np.abs(x) > 0.02 * fit.prior, x, 0.0))
-
-
-def leftover(screen: Screen, fit: Fit) -> F64:
-    """(runs,) mean square in units of the tolerance that stays when small deviations do what they reasonably can."""
-    x = screen.nuisances(fit.evidence, fit.prior)
-    x = np.clip(x, -REASONABLE * fit.prior, REASONABLE * fit.prior)
-    result = []
-    for k, run in enumerate(screen.runs):
-        simulated = screen.comparison.residual(run, fit.predictions[k])
-        moved = simulated - screen.fitted(k, x - fit.about)
-        # Where the linear rest is no good, the simulation itself counts.
-        squares = [float(np.nanmean(r**2 / screen.comparison.tolerance(run))) for r in (simulated, moved)]
-        result.append(min(squares))
-    return np.array(result)
 
 
 def errors(

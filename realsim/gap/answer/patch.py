@@ -14,7 +14,7 @@ from realsim.gap.simulation.context import Context, build_context
 from realsim.gap.simulation.edit import Edit, Pulse, Signals
 from realsim.gap.simulation.simulate import Setting, Simulator
 
-FORMAT = "realsim.gap.answer.patch/1"
+FORMAT = "realsim.gap.patch/1"
 # What no compiled model holds, and what the loop that steps it must do about it.
 _WRAPPER = {
     "command_delay": "hold back every command by this time before it is written to ctrl (model.xml does it itself)",
@@ -28,6 +28,11 @@ _WRAPPER = {
 }
 _IN_XML = ("command_delay", "joint_offset")
 """Wrappers that the patched model.xml does without."""
+
+
+def empty_patch() -> dict[str, Any]:
+    """A patch that changes nothing."""
+    return {"format": FORMAT, "settings": [], "wrappers": {}}
 
 
 def make_patch(simulator: Simulator, fit: Fit) -> dict[str, Any]:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from realsim.gap.answer.heldout import Shrinkage, leftover
+from realsim.gap.answer.heldout import Shrinkage
 from realsim.gap.causes.fit import Fit
+from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.merit import FAR_ABOVE, is_gap
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import Selection

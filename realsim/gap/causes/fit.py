@@ -11,13 +11,11 @@ from realsim.errors import GapError
 from realsim.gap.causes.fitted import Cause as Cause
 from realsim.gap.causes.fitted import Fit as Fit
 from realsim.gap.causes.fitted import causes_of, form, significance, spread
+from realsim.gap.causes.leftover import deviations
 from realsim.gap.causes.search import POLISH, WHOLE, Look, Search
 from realsim.gap.effects.base import Parameter
 from realsim.gap.simulation.nuisances import NUISANCES
 from realsim.types import F64
-
-REASONABLE = 3.0
-"""Standard deviations up to which a small deviation is an everyday one."""
 
 SURE_ERRORS = (2.0, 2.0, 3.0)
 """Standard errors off nothing that each of one, two, three causes must reach: many at once are rare."""
@@ -80,8 +78,7 @@ class Fitter(Search):
         They only move if that explains most of what is left: beside a large gap, many small deviations would be bent
         to imitate it.
         """
-        x = self.screen.nuisances(fit.evidence, fit.prior)
-        x = np.clip(x, -REASONABLE * fit.prior, REASONABLE * fit.prior)
+        x = deviations(self.screen, fit)
         x = np.where(self.screen.simulable & (np.abs(x) > 0.05 * fit.prior), x, 0.0)
         old, cost = self.about, self._cost(fit)
         for share in (1.0, 0.5):

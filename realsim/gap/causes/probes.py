@@ -12,8 +12,8 @@ from itertools import islice
 
 import numpy as np
 
-from realsim.gap.answer.heldout import leftover
 from realsim.gap.causes.fit import Cause, Fit, Fitter
+from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.screen import Candidate, Screen, score, slab
 from realsim.gap.effects.base import Place
 from realsim.gap.simulation.simulate import lookup

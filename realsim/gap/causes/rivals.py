@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from realsim.gap.answer.heldout import leftover
 from realsim.gap.causes.fit import Cause, Fit, Fitter
+from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.merit import FAR_ABOVE, complexity, heldout
 from realsim.gap.causes.probes import alone, foretold, probed, probed_ground
 from realsim.gap.causes.screen import Candidate, Screen, marginal, score, slab

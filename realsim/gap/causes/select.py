@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from realsim.gap.answer.heldout import leftover
 from realsim.gap.causes.equivalent import equivalents, likelier, simplest
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.fitted import Z90
 from realsim.gap.causes.hidden import hidden
+from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.merit import complexity, deviation, heldout, holds, is_gap, total_gap
 from realsim.gap.causes.pairs import better_pair
 from realsim.gap.causes.rivals import Trial, duel, ranked, refit, refitted

@@ -1,0 +1,38 @@
+"""What stays of a gap beside causes, when the small everyday deviations do what they reasonably can."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from realsim.gap.causes.fitted import Fit
+from realsim.gap.causes.screen import Screen
+from realsim.gap.simulation.simulate import Setting
+from realsim.types import F64
+
+REASONABLE = 3.0
+"""Standard deviations that an everyday deviation may take."""
+
+
+def deviations(screen: Screen, fit: Fit) -> F64:
+    """(atoms,) the most probable everyday deviations beside a fit's causes, none beyond what is reasonable."""
+    x = screen.nuisances(fit.evidence, fit.prior)
+    return np.clip(x, -REASONABLE * fit.prior, REASONABLE * fit.prior)
+
+
+def nuisance_settings(screen: Screen, fit: Fit, scale: float = 1.0) -> list[Setting]:
+    """The most probable everyday deviations, times `scale`, as settings for the simulator; tiny ones are left out."""
+    x = scale * deviations(screen, fit)
+    return screen.settings(np.where(np.abs(x) > 0.02 * fit.prior, x, 0.0))
+
+
+def leftover(screen: Screen, fit: Fit) -> F64:
+    """(runs,) mean square in units of the tolerance that stays beside causes and everyday deviations."""
+    x = deviations(screen, fit)
+    result = []
+    for k, run in enumerate(screen.runs):
+        simulated = screen.comparison.residual(run, fit.predictions[k])
+        moved = simulated - screen.fitted(k, x - fit.about)
+        # Where the linear rest is no good, the simulation itself counts.
+        squares = [float(np.nanmean(r**2 / screen.comparison.tolerance(run))) for r in (simulated, moved)]
+        result.append(min(squares))
+    return np.array(result)
