@@ -4,9 +4,9 @@
     python benchmarks/reconstruct.py --captures stake_a --no-real
     python benchmarks/reconstruct.py --frames 60 240 960     cost against the number of frames (half an hour)
 
-Captures come from REALSIM_SHARED (default ../shared); `score.py` there measures every mesh. Each run has a process of
-its own, one after the other, so that times and peak memory are its own. Every figure goes to benchmarks/results/ as
-soon as it is there.
+Captures come from REALSIM_SHARED (default ../shared); `score.py` there measures every mesh. They are not part of this
+repository; `--frames` renders its own. Each run has a process of its own, one after the other, so that times and peak
+memory are its own. Every figure goes to benchmarks/results/ as soon as it is there; what failed is only printed.
 """
 
 from __future__ import annotations
@@ -65,15 +65,60 @@ def main(options: Options) -> None:
                 ("frames", "poses", "seconds", "cpu_seconds", "peak_mb", "cpu_s_a_frame", "points", "align", "mesh"),
             )
             return
+        absent = [str(path) for path in needed(options) if not path.exists()]
+        if absent:
+            sys.exit(f"no {', '.join(absent)}: set REALSIM_SHARED to the folder of the captures, or use --frames")
         store = Store(RESULTS / "reconstruct.json", ("capture", "method"))
-        rows = [store.add(row) for name in options.captures for row in rendered(name, options, work)]
+        rows = [_kept(store, row) for name in options.captures for row in rendered(name, options, work)]
         if rows:
             show(rows, _COLUMNS)
             _show_ratios(rows)
         for run in (boxes, stairs) if options.real else ():
-            row = store.add(run(work))
+            row = _kept(store, run(work))
             print("\n".join(f"  {k:<28} {_text(v)}" for k, v in row.items() if k != "stages"), end="\n\n")
-        print(f"written: {store.path}")
+        print(*readme_table(store.rows), "", f"written: {store.path}", sep="\n")
+
+
+def needed(options: Options) -> list[Path]:
+    """Folders and files of REALSIM_SHARED that a run reads."""
+    rendered = [SHARED / "captures" / name for name in options.captures]
+    real = [SHARED / "real_captures" / name for name in ("realsense_boxes_floor", "pcl_kinect_stairs")]
+    return [*rendered, *([SHARED / "captures" / "score.py"] if rendered else []), *(real if options.real else [])]
+
+
+def _kept(store: Store, row: Row) -> Row:
+    """A failure is no figure: it does not take the place of one."""
+    return row if {"error", "score_error"} & set(row) else store.add(row)
+
+
+NAMES = {"stake_a": "stakes", "narrow_a": "narrow beams", "mixed_a": "mixed"}
+"""Rendered capture -> what the README calls it."""
+
+
+def readme_table(rows: list[Row]) -> list[str]:
+    """The README's table in Markdown: a line a capture and mode, and the worst of plain TSDF."""
+    found = {(r["capture"], r["method"]): r for r in rows if r["capture"] in NAMES}
+    lines = [
+        _readme_line(f"{NAMES[name]}, {mode}", [found[name, f"realsim, poses {mode}"]])
+        for mode in MODES
+        for name in NAMES
+        if (name, f"realsim, poses {mode}") in found
+    ]
+    plain = [found[name, "tsdf, true poses"] for name in NAMES if (name, "tsdf, true poses") in found]
+    if plain:
+        lines.append(_readme_line(f"plain 1 cm TSDF with the true poses, worst of {len(plain)}", plain))
+    return lines
+
+
+def _readme_line(name: str, rows: list[Row]) -> str:
+    high = {
+        k: max(r[k] for r in rows) for k in ("scale_error", "tilt_deg", "yaw_deg", "origin_mm", "delivered_tops_mm")
+    }
+    low = {k: min(r[k] for r in rows) for k in ("f1", "f2")}
+    return (
+        f"| {name} | {100 * high['scale_error']:.2f} % | {high['tilt_deg']:.2f}° | {high['yaw_deg']:.2f}° "
+        f"| {high['origin_mm']:.1f} mm | {high['delivered_tops_mm']:.1f} mm | {low['f1']:.3f} / {low['f2']:.3f} |"
+    )
 
 
 _COLUMNS = (

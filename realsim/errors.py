@@ -97,7 +97,9 @@ class MissingExtraError(RealsimError):
     """A package that belongs to an optional extra is not installed."""
 
     def __init__(self, package: str, extra: str, what: str) -> None:
-        super().__init__(f"{what} needs the package {package}", hint=f'pip install "realsim[{extra}]"')
+        super().__init__(
+            f"{what} needs the package {package}", hint=f'pip install -e ".[{extra}]" in the source folder'
+        )
 
 
 def extra(module: str, package_extra: str, what: str) -> Any:

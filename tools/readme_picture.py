@@ -1,4 +1,4 @@
-"""Makes the picture of the README from a demo: a camera frame, the scene with the robot, the contact error map.
+"""Makes the picture of the README from a demo: a camera frame, and the scene with the robot.
 
 python tools/readme_picture.py demo_out docs/images/demo.jpg
 """

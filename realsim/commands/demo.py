@@ -26,7 +26,7 @@ def demo(
 
     Args:
         out: gets frames/ (capture and truth) and scene/ (what was reconstructed).
-        terrain: stakes, beams, wedges, boxes or mixed.
+        terrain: stakes, beams, wedges, boxes, trapezoids, boston or mixed.
         frames: views along the walk.
         poses: give the reconstruction the camera poses as well.
         robot: robot to put on the start platform.

@@ -170,6 +170,17 @@ def test_it_stops_rather_than_going_on() -> None:
     assert (late.reason, late.steps) == ("late", CONFIG.max_late)
 
 
+def test_a_start_that_fails_half_way_is_stopped_too() -> None:
+    class Refusing(_Robot):
+        def start(self, kp, kd) -> None:
+            raise OSError("the third motor does not answer")
+
+    robot = Refusing()
+    with pytest.raises(OSError, match="third motor"):
+        deploy(robot, _Session(np.zeros(12)), BLIND, CONFIG)
+    assert robot.stops == 1
+
+
 def test_wild_targets_are_clipped_and_counted() -> None:
     robot, clock = _Robot(), _Clock()
     report = deploy(robot, _Session(np.full(12, 100.0)), BLIND, CONFIG, clock=clock, sleep=clock.sleep)

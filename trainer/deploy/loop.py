@@ -111,8 +111,8 @@ def deploy(
     action = np.zeros(len(default), np.float32)
     report = Report()
     session.run(None, _warm_up(facts))  # the first call allocates: not while the robot waits
-    robot.start(np.asarray(facts.kp), np.asarray(facts.kd))
-    try:
+    try:  # from here on the robot may hold gains of ours, also where `start` itself fails half way
+        robot.start(np.asarray(facts.kp), np.asarray(facts.kd))
         began = due = clock()
         late = 0
         while report.steps * facts.policy_dt < config.seconds and not (until is not None and until()):
