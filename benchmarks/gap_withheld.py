@@ -1,10 +1,11 @@
 """The withheld check of `realsim diagnose`: logs whose cause is known only here.
 
-    python benchmarks/gap_withheld.py --cases 200 --jobs 2
+    python benchmarks/gap_withheld.py --cases 200 --seed 7 --jobs 2
 
 Makes cases with `benchmarks.gap_truth` (which shares no code with the diagnosis), keeps the labels apart, runs the
 diagnosis over the cases in processes of its own, and scores what it wrote. Prints a table and stores the figures.
-Cases that are already diagnosed in --work are kept, so an interrupted run goes on where it stopped.
+Cases that are already diagnosed in --work are kept, so an interrupted run goes on where it stopped. A seed makes the
+same cases everywhere; results/gap_withheld.json says seed and commit of the figures that the README has.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import subprocess
 import sys
 import time
@@ -24,8 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.gap_score import BARS, score, table
 from benchmarks.gap_truth.cases import Draw, make_case, plan
-
-RESULTS = Path(__file__).parent / "results" / "gap_withheld.json"
+from benchmarks.store import described_run
 
 
 def main() -> int:
@@ -35,7 +34,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--robots", nargs="*", help="only these robots")
     parser.add_argument("--work", type=Path, default=Path("out/gap_withheld"))
-    parser.add_argument("--store", type=Path, default=RESULTS)
+    parser.add_argument("--store", type=Path, help="file for the figures (default: figures.json in --work)")
     parser.add_argument("--score", action="store_true", help="only score what --work holds already")
     parser.add_argument(
         "--developed-on", nargs="*", default=[], help="cases whose failures were looked at: also without"
@@ -46,7 +45,8 @@ def main() -> int:
     found = read_found(args.work, sorted(labels))
     if args.score:
         labels = {n: labels[n] for n in found}
-    figures = score(labels, found) | {"machine": machine(), "seconds": seconds, "cases": len(labels), "seed": args.seed}
+    made = {"seconds": seconds, "cases": len(labels), "seed": args.seed, "run": described_run()}
+    figures = score(labels, found) | made
     figures["baselines"] |= sysid_baseline(args.work, sorted(found))
     print(table(figures))
     if args.developed_on:
@@ -54,8 +54,9 @@ def main() -> int:
         other = score({n: labels[n] for n in fresh}, {n: found[n] for n in fresh})
         print(f"\nThe {len(fresh)} cases that development did not look at:\n{table(other)}")
         figures |= {"developed_on": args.developed_on, "not_developed_on": {k: other[k] for k in other if k in BARS}}
-    args.store.parent.mkdir(parents=True, exist_ok=True)
-    args.store.write_text(json.dumps(figures, indent=1) + "\n")
+    store = args.store or args.work / "figures.json"
+    store.parent.mkdir(parents=True, exist_ok=True)
+    store.write_text(json.dumps(figures, indent=1) + "\n")
     return 0
 
 
@@ -135,10 +136,6 @@ def _note_refusals(folder: Path, todo: list[str], said: str) -> None:
         if item.get("exit_code") == 2:
             folder.mkdir(parents=True, exist_ok=True)
             (folder / f"{item['name']}.json").write_text(json.dumps(item, indent=1) + "\n")
-
-
-def machine() -> str:
-    return f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}"
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ def test_the_table_of_captures_is_the_stored_one() -> None:
 def test_absent_captures_are_named_and_no_figure_is_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reconstruct, "SHARED", tmp_path)
     monkeypatch.setattr(reconstruct, "RESULTS", tmp_path)
-    with pytest.raises(SystemExit, match="stake_a.*REALSIM_SHARED"):
+    with pytest.raises(SystemExit, match=r"stake_a.*REALSIM_SHARED"):
         reconstruct.main(reconstruct.Options())
     assert not list(tmp_path.iterdir())
 

@@ -32,7 +32,7 @@ class CommandConfig:
     gain: float = 2.0
     """1/s: wanted velocity = gain * (goal - position), before clipping; brakes within speed / gain metres."""
     heading_gain: float = 1.0
-    """1/s: wanted yaw rate = gain * heading error; used by rewards; the actor sees it only where it is steered (`observation.steered`)."""
+    """1/s: wanted yaw rate = gain * heading error; for rewards; the actor sees it where it is steered."""
     yaw_rate: float = 1.0
     """rad/s to which the wanted yaw rate is clipped."""
     standing: float = 0.0
