@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
-from realsim.gap import DiagnoseConfig, apply_patch, diagnose, load_case, run_case
-from realsim.gap.causes.screen import posterior, score
+from realsim.gap import EFFECTS, DiagnoseConfig, apply_patch, diagnose, load_case, run_case
+from realsim.gap.causes.screen import Candidate, posterior, score
 from realsim.gap.effects.payload import add_point_mass
 from realsim.gap.effects.terrain_tilt import quaternion, rotation
 from realsim.gap.simulation.groups import kind_of, like_joints
-from realsim.gap.simulation.simulate import Simulator, held_mean, rotation_from
+from realsim.gap.simulation.sampling import continuous_turn, held_mean, nearest_turn, rotation_from
+from realsim.gap.simulation.simulate import Simulator
 
 from .truth import Truth
 
@@ -37,6 +39,34 @@ def test_rotation_from_recovers_small_turns() -> None:
     reference = np.array([1.0, 0, 0, 0])
     quat = quaternion(0.1, 0.0)[None]
     np.testing.assert_allclose(rotation_from(quat, reference)[0], [0.1, 0, 0], atol=1e-12)
+
+
+@given(st.floats(-5.0, 5.0), st.floats(0.0, 0.3), st.integers(0, 20))
+@settings(max_examples=30, deadline=None)
+def test_a_robot_that_turns_round_shows_no_jump(turn: float, tilt: float, gap: int) -> None:
+    t = np.linspace(0, 1, 200)
+    angles = np.stack([tilt * np.sin(5 * t), tilt * np.cos(3 * t) - tilt, turn * t], axis=1)
+    quat = Rotation.from_euler("xyz", angles).as_quat()[:, [3, 0, 1, 2]]
+    logged = rotation_from(quat, quat[0])
+    logged[100 : 100 + gap] = np.nan
+    path = continuous_turn(logged)
+    late = nearest_turn(rotation_from(np.roll(quat, 1, axis=0), quat[0]), path)
+    known = np.isfinite(path).all(axis=1)
+    assert np.abs(np.diff(path[known], axis=0)).max() < 0.8
+    assert np.abs(late - path)[1:][known[1:]].max() < 0.1, "one sample late is a small error at any heading"
+    again = Rotation.from_rotvec(path[known]) * Rotation.from_rotvec(logged[known]).inv()
+    assert again.magnitude().max() < 1e-6
+
+
+def test_joints_that_share_a_limit_share_the_figure(made) -> None:
+    with Simulator(load_case(made("nothing", Truth())), DiagnoseConfig(threads=1)) as simulator:
+        peaks = simulator.context.peak_torque
+        assert peaks["shoulder"] > 1.3 * peaks["elbow"]
+        both = Candidate("torque_limit", (("shoulder",), ("elbow",)), ("limit",), np.zeros((0, 1)), ("limit",))
+        edit = simulator.edited(both.settings({"limit": 0.6}))
+        (limit,) = EFFECTS["torque_limit"].parameters(simulator.context, both.place)
+        ranges = [edit.spec.actuator(simulator.context.actuator[j]).forcerange[1] for j in ("shoulder", "elbow")]
+        assert ranges == pytest.approx([limit.report(0.6)] * 2)
 
 
 def test_tilt_matrix_and_quaternion_agree() -> None:

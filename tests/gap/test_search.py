@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from realsim.gap import DiagnoseConfig, load_case
 from realsim.gap.answer.verdict import FAR_ABOVE, NOT_HELD, at_an_end, not_held
-from realsim.gap.causes.fit import Cause, Fitter
+from realsim.gap.causes.fit import Cause, Fitter, _at_bound
 from realsim.gap.causes.fitted import Z90, significance
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.windows import SHORTEST, _best_window
@@ -108,6 +108,14 @@ def test_causes_that_fail_on_unseen_runs_are_no_answer() -> None:
     assert not_held(100.0, 400.0) == 1.0
     assert not_held(100.0, NOT_HELD * 50.0) == 0.0
     assert not_held(10.0, 0.9 * FAR_ABOVE) == 0.0
+
+
+def test_no_friction_at_all_is_an_answer_and_twice_the_range_is_none() -> None:
+    friction = Parameter("friction", "N m", (-0.1, 100.0), 0.05, none_left=True)
+    ratio = Parameter("ratio", "ratio", (-0.85, 2.0), 0.15)
+    ends = [_at_bound(friction, v) for v in (-0.1, -0.05, 0.0, 100.0)]
+    assert ends == [False, False, False, True]
+    assert [_at_bound(ratio, v) for v in (-0.85, -0.8, 0.0, 2.0)] == [True, False, False, True]
 
 
 def test_a_strength_at_an_end_of_its_range_is_no_answer(fitter: Fitter) -> None:

@@ -280,6 +280,7 @@ def test_touchdowns_and_places_are_bins(tmp_path: Path) -> None:
             residuals[-1][late < 0.15, at["y"]] *= 9
             residuals[-1][comparison.times[i] > 3.0, at["z"]] *= 6
         named = standouts(comparison, residuals, simulator.nominal_tracks)
-    assert {(e["body"], e["by"]) for e in named} == {("y", "touchdown"), ("z", "place")}
+    assert {(e["axis"], e["by"]) for e in named} == {("y", "touchdown"), ("z", "place")}
+    assert {e["body"] for e in named} == {"trunk"}
     assert {e["bin"] for e in named if e["by"] == "touchdown"} == {"just after"}
     assert next(e["bin"] for e in named if e["by"] == "place").startswith("x 0.90 to 1.20 m")

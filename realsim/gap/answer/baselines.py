@@ -49,8 +49,8 @@ def rival_settings(screen: Screen, comparison: Comparison, selection: Selection)
     others = [t for t in selection.trials if t.gain is not None and t.stage == 0 and t.effect not in mine | same]
     if others:
         best = max(others, key=lambda t: t.gain or 0.0)
-        places = next(c.places for c in screen.candidates if c.effect == best.effect and c.place == best.place)
-        rivals[f"best wrong effect ({best.effect})"] = [(best.effect, p, best.values) for p in places]
+        tried = next(c for c in screen.candidates if c.effect == best.effect and c.place == best.place)
+        rivals[f"best wrong effect ({best.effect})"] = tried.settings(best.values)
     rivals["all effects at once"] = _everything(screen, comparison, selection.nominal)
     return rivals
 

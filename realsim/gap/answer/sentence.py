@@ -13,7 +13,9 @@ from realsim.gap.logs.repeats import replicates
 
 Cause = dict[str, Any]
 _ABSOLUTE = {"torque_limit", "torque_speed_limit", "joint_compliance", "terrain_wobble"}
-_SIGNED = {"joint_offset", "imu_bias", "com_offset", "terrain_tilt", "terrain_height", "link_geometry"}
+_SIGNED = {
+    "joint_offset", "imu_bias", "com_offset", "terrain_tilt", "terrain_height", "link_geometry", "external_force",
+}  # fmt: skip
 """Quantities whose sign is a direction: they are missing either way, not too large in the model."""
 _SPELLED = {"ratio": "times", "kg m^2": "kg m²", "m/s^2": "m/s²"}
 _MOST_ALTERNATIVES = 3

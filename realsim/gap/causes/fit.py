@@ -169,16 +169,20 @@ class Fitter(Search):
         about = self._about(candidates)
         evidence = self.screen.evidence(predicted, None, about)
         covariance = np.zeros((len(z), len(z)))
-        at_bounds = []
+        at_bounds: list[str] = []
         if parameters:
             if slopes is None:
                 slopes, look = self._slopes(candidates, z, parameters, predicted), WHOLE
             if slopes is not None:
                 seen = predicted if look.few is None else [predicted[k] for k in look.few]
                 covariance = spread(*self._local(candidates, seen, slopes, look), parameters)
-            for p, v in zip(parameters, z, strict=True):
-                span = p.bounds[1] - p.bounds[0]
-                if v >= p.bounds[1] - 1e-3 * span or (p.bounds[0] != 0 and v <= p.bounds[0] + 1e-3 * span):
-                    at_bounds.append(p.name)
+            at_bounds = [p.name for p, v in zip(parameters, z, strict=True) if _at_bound(p, float(v))]
         misfit = self.screen.misfit(evidence, prior)
         return Fit(causes, misfit, covariance, tuple(predicted), about, evidence, prior, tuple(at_bounds))
+
+
+def _at_bound(p: Parameter, value: float) -> bool:
+    """Whether a value lies at an end of its range; zero, where an effect begins, and nothing left of it are no ends."""
+    low, high = p.bounds
+    near = min(1e-3 * (high - low), 0.05 * abs(p.step))
+    return value >= high - near or (low != 0 and not p.none_left and value <= low + near)

@@ -28,8 +28,8 @@ class Cause:
         return dict(zip(self.candidate.names, self.values, strict=True))
 
     def settings(self) -> list[Setting]:
-        """What the simulator is told; places of a group share the values."""
-        return [(self.candidate.effect, place, self.named) for place in self.candidate.places]
+        """What the simulator is told."""
+        return self.candidate.settings(self.named)
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,11 @@ class Candidate:
     def key(self) -> tuple[str, Place, tuple[str, ...]]:
         return self.effect, self.place, self.names
 
+    def settings(self, values: dict[str, float]) -> list[Setting]:
+        """What the simulator is told: places of a group share the values."""
+        places = (self.place,) if lookup(self.effect).joint_figure else self.places
+        return [(self.effect, place, values) for place in places]
+
 
 @dataclass
 class Evidence:

@@ -142,7 +142,7 @@ class Search:
         i = 0
         for c in candidates:
             named = {n: float(v) for n, v in zip(c.names, z[i : i + len(c.names)], strict=True)}
-            settings += [(c.effect, place, named) for place in c.places]
+            settings += c.settings(named)
             i += len(c.names)
         return settings
 

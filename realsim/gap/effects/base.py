@@ -43,6 +43,8 @@ class Parameter:
     """Only whole values can be simulated."""
     fine: bool = False
     """Its slope is taken at the model's own time step, however large the robot, and only the slope: more would cost."""
+    none_left: bool = False
+    """Whether at the lower bound nothing of its kind is left (no friction at all): a finding like any other."""
     like: tuple[str, str] | None = None
     """(effect, parameter) whose slope this one shares to first order, so that none is simulated for it."""
 
@@ -79,6 +81,9 @@ class Effect:
     """Sets of parameters that are fitted together; the rest keep their defaults. () means all of them."""
     form: float = 0.04
     """Share of its own correction that the effect's simplified law may miss: less where the law is exact."""
+    joint_figure: bool = False
+    """Whether joints that share a value share one figure in its unit (of the highest torque or speed among them), and
+    not one share of what each of them does."""
     stiff: bool = False
     """Whether its law needs the model's own time step."""
     abrupt: bool = False

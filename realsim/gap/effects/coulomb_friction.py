@@ -10,7 +10,8 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     scale = min(context.torque_scale(j) for j in place)
     top = max(context.torque_range[j] for j in place)
     step = max(0.5 * nominal, 0.04 * scale, 1e-4)
-    return (Parameter("friction", "N m", (-nominal, top), step, nuisance=0.05 * nominal + 0.002 * scale),)
+    price = 0.05 * nominal + 0.002 * scale
+    return (Parameter("friction", "N m", (-nominal, top), step, nuisance=price, none_left=True),)
 
 
 def _excited(context, place: Place) -> Excitation:

@@ -39,4 +39,5 @@ EFFECT = Effect(
     excited_by=_excited,
     apply=_apply,
     abrupt=True,
+    joint_figure=True,
 )

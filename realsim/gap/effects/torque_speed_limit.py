@@ -56,4 +56,5 @@ EFFECT = Effect(
     parameters=_parameters,
     excited_by=_excited,
     apply=_apply,
+    joint_figure=True,
 )

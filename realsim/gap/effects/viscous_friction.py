@@ -10,7 +10,8 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     scale = min(context.torque_scale(j) / context.speed_scale(j) for j in place)
     step = max(0.5 * nominal, 0.08 * scale, 1e-5)
     bounds = (-nominal, 20 * max(scale, nominal))
-    return (Parameter("damping", "N m s/rad", bounds, step, nuisance=0.05 * nominal + 0.003 * scale),)
+    price = 0.05 * nominal + 0.003 * scale
+    return (Parameter("damping", "N m s/rad", bounds, step, nuisance=price, none_left=True),)
 
 
 def _excited(context, place: Place) -> Excitation:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from realsim.gap.compare import Comparison
-from realsim.gap.simulation.simulate import Channel
+from realsim.gap.simulation.simulate import Channel, named_place
 from realsim.types import F64
 
 BLOCK_SECONDS = 0.5
@@ -61,7 +61,7 @@ def standouts(
         share = inside / max(total, 1e-12)
         if yes and ratio > RATIO and share > 0.01:
             channel = comparison.channels[b.channel]
-            place = {"joint" if channel.signal.startswith("joint") else "body": channel.label}
+            place = named_place(comparison.case, channel)
             entry = {"signal": channel.signal, **place, "by": b.by, "bin": b.name}
             found.append(entry | {"ratio": ratio, "share": share, "p": p})
     return sorted(found, key=lambda e: -float(e["share"]))[:most]

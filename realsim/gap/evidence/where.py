@@ -11,7 +11,7 @@ from realsim.gap.compare import Comparison
 from realsim.gap.evidence.inverse import base_wrench, torque_residual
 from realsim.gap.evidence.shooting import Shots, shoot
 from realsim.gap.evidence.standout import excesses, significant, standouts, tail
-from realsim.gap.simulation.simulate import Setting, Simulator
+from realsim.gap.simulation.simulate import Setting, Simulator, named_place
 from realsim.types import F64
 
 PHASES = ("at rest", "reversal", "slow", "fast forward", "fast backward")
@@ -72,9 +72,8 @@ def localise(
     for (c, p), yes, (_, mean) in zip(listed, significant([p for p, _ in chances]), chances, strict=True):
         channel = comparison.channels[c]
         if yes or (mean > PLAIN_EXCESS and shares[c, p] > PLAIN_SHARE):
-            place = {"joint": channel.label} if channel.signal.startswith("joint") else {"body": channel.label}
-            share = float(shares[c, p])
-            entries.append({"signal": channel.signal, **place, "phase": PHASES[p], "share": share})
+            place = named_place(comparison.case, channel)
+            entries.append({"signal": channel.signal, **place, "phase": PHASES[p], "share": float(shares[c, p])})
     entries.sort(key=lambda e: -float(str(e["share"])))
     return entries[:40], shares
 

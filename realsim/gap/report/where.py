@@ -36,7 +36,7 @@ def _standout_card(found: Diagnosis) -> list[str]:
         return []
     rows = [
         [
-            f"{short(e.get('joint') or e['body'], 24)}, {signal_name(e['signal'])}",
+            f"{short(e.get('joint') or ' '.join([e['body'], e['axis']]), 24)}, {signal_name(e['signal'])}",
             f"{_BY.get(e['by'], e['by'])} {e['bin']}",
             f"{svg.number(e['ratio'], 2)} ×",
             percent(e["share"]),

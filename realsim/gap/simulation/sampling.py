@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,25 @@ def rotation_from(quat: F64, reference: F64) -> F64:
     norm = np.linalg.norm(v, axis=1)
     angle = 2 * np.arctan2(norm, w)
     return v * np.where(norm > 1e-9, angle / np.maximum(norm, 1e-9), 2.0)[:, None]
+
+
+def nearest_turn(vectors: F64, to: F64) -> F64:
+    """(T, 3) the same orientations, each as the rotation vector nearest to that of `to`: whole turns about its axis."""
+    angle = np.linalg.norm(vectors, axis=1)
+    axis = vectors / np.maximum(angle, 1e-9)[:, None]
+    turns = np.nan_to_num(np.round(((axis * to).sum(axis=1) - angle) / (2 * np.pi)))
+    return vectors + np.where(turns[:, None] != 0, 2 * np.pi * turns[:, None] * axis, 0.0)
+
+
+def continuous_turn(vectors: F64) -> F64:
+    """(T, 3) rotation vectors without the jump from half a turn to minus half a turn; NaN rows are stepped over."""
+    known = np.flatnonzero(np.isfinite(vectors).all(axis=1))
+    result = vectors.copy()
+    if not (np.linalg.norm(np.diff(vectors[known], axis=0), axis=1) > np.pi).any():
+        return result
+    for before, row in pairwise(known):
+        result[row] = nearest_turn(vectors[row : row + 1], result[before : before + 1])[0]
+    return result
 
 
 @contextlib.contextmanager

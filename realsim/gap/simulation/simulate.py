@@ -16,6 +16,7 @@ from realsim.gap.logs.case import Case, Run
 from realsim.gap.simulation.context import Context, base_body, build_context, measure
 from realsim.gap.simulation.edit import Edit
 from realsim.gap.simulation.nuisances import NUISANCES
+from realsim.gap.simulation.sampling import continuous_turn, nearest_turn
 from realsim.gap.simulation.sampling import held_mean as held_mean
 from realsim.gap.simulation.sampling import quiet_mujoco as quiet_mujoco
 from realsim.gap.simulation.sampling import rotation_from as rotation_from
@@ -271,7 +272,8 @@ class Simulator:
             columns["base_pos"] = sample(raw["base_pos"], now) + np.array(s.base_bias)
             if "base_quat" in run.signals:
                 reference = first_rows(run.signals["base_quat"])
-                columns["base_rot"] = rotation_from(sample(raw["base_quat"], now), reference) + np.array(s.base_turn)
+                turn = rotation_from(sample(raw["base_quat"], now), reference)
+                columns["base_rot"] = nearest_turn(turn, logged_turn(run)) + np.array(s.base_turn)
         if "gyro" in raw:
             columns["imu_gyro"] = sample(raw["gyro"], now) + np.array(s.gyro_bias)
             columns["imu_acc"] = sample(raw["acc"], now) + np.array(s.acc_bias)
@@ -287,8 +289,14 @@ def measured(run: Run, channels: Sequence[Channel]) -> F64:
     """(T, C) of the log, orientation as a rotation vector from the first sample."""
     columns = dict(run.signals)
     if "base_quat" in columns:
-        columns["base_rot"] = rotation_from(columns["base_quat"], first_rows(columns["base_quat"]))
+        columns["base_rot"] = logged_turn(run)
     return np.stack([columns[c.signal][:, c.index] for c in channels], axis=1)
+
+
+def logged_turn(run: Run) -> F64:
+    """(T, 3) rotation vectors of the base from its first logged orientation, without jumps beyond half a turn."""
+    quat = run.signals["base_quat"]
+    return continuous_turn(rotation_from(quat, first_rows(quat)))
 
 
 def _channels(case: Case) -> tuple[Channel, ...]:
@@ -312,6 +320,10 @@ def _inside(raw: dict[str, F64]) -> dict[str, F64]:
     return {k: raw[k][round(settle / dt) :] for k in ("pos", "vel", "torque")}
 
 
-def base_name(case: Case) -> str:
-    """Name of the floating base's body."""
-    return str(case.model.body(base_body(case)).name)
+def named_place(case: Case, channel: Channel) -> dict[str, str]:
+    """{joint}, or {body, axis} for what a base or an inertial unit measures."""
+    if channel.signal.startswith("joint"):
+        return {"joint": channel.label}
+    site = case.imu_site if channel.signal.startswith("imu") else None
+    body = int(case.model.site(site).bodyid[0]) if site else base_body(case)
+    return {"body": str(case.model.body(body).name), "axis": channel.label}
