@@ -10,6 +10,7 @@ from realsim.gap.causes.fit import Fit
 from realsim.gap.effects import EFFECTS
 from realsim.gap.effects.external_force import EVER
 from realsim.gap.logs.case import Case
+from realsim.gap.logs.resolve import resolve
 from realsim.gap.simulation.context import Context, build_context
 from realsim.gap.simulation.edit import Edit, Pulse, Signals
 from realsim.gap.simulation.simulate import Setting, Simulator
@@ -115,6 +116,7 @@ def apply_patch(spec: Any, patch: dict[str, Any]) -> Signals:
         raise GapError("not a patch of this tool", expected=f'"format": "{FORMAT}"', found=repr(patch)[:80])
     if not patch.get("settings"):
         return Signals()
+    resolve(spec)
     model = spec.copy().compile()
     joints = tuple(patch["scales"]["torque_range"])
     _belongs(model, patch, joints)

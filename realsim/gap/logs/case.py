@@ -10,6 +10,7 @@ import numpy as np
 
 from realsim.errors import GapError, RealsimError, did_you_mean
 from realsim.files import inside, read_json, read_text
+from realsim.gap.logs.resolve import resolve
 from realsim.gap.logs.runs import Layout, layout, read_run
 from realsim.gap.logs.runs import Run as Run
 
@@ -33,7 +34,7 @@ class Case:
     xml: str
     """Text of model.xml."""
     spec: Any = field(repr=False)
-    """mujoco.MjSpec of model.xml; never edited, always copied."""
+    """mujoco.MjSpec of model.xml, resolved (realsim.gap.logs.resolve); never edited, always copied."""
     model: Any = field(repr=False)
     """The compiled nominal mujoco.MjModel."""
     runs: tuple[Run, ...] = field(repr=False)
@@ -177,6 +178,7 @@ def _load_model(path: Path) -> tuple[Any, Any, str]:
     text = _harmless(path, path.parent)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
+        resolve(spec)
         model = spec.copy().compile()
     except Exception as error:  # MuJoCo raises ValueError and its own types
         raise GapError("model.xml does not compile", file=path, found=str(error).splitlines()[0]) from error
