@@ -186,7 +186,7 @@ def patched_xml(simulator: Simulator, fit: Fit) -> str:
         if simulator.case.command_kind == "position" and offset:
             actuator = spec.actuator(context.actuator[joint])
             bias = actuator.biasprm
-            bias[0] -= actuator.gainprm[0] * offset
+            bias[0] -= actuator.gainprm[0] * simulator.case.gear(joint) * offset
             actuator.biasprm = bias
     spec.compile()
     left = [name for name in wrappers(signals) if name not in _IN_XML or _beyond_xml(name, simulator)]
