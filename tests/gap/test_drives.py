@@ -11,8 +11,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from realsim.gap import DiagnoseConfig, load_case
-from realsim.gap.answer.patch import patched_xml
+from realsim.files import to_json
+from realsim.gap import DiagnoseConfig, apply_patch, load_case
+from realsim.gap.answer.patch import make_patch, patched_xml
 from realsim.gap.compare import _torque_steps
 from realsim.gap.evidence.inverse import _phase
 from realsim.gap.evidence.motion import estimate
@@ -141,3 +142,30 @@ def test_a_limit_that_is_not_the_same_both_ways_stays(tmp_path: Path) -> None:
         slower = simulator.edited([("torque_speed_limit", ("swing",), {"no_load_speed": 0.5})]).spec.compile()
         assert slower.jnt_actfrcrange[0].tolist() == [-1.5, 6]
         assert slower.actuator("servo").forcerange.tolist() == [-2, 6]
+
+
+def test_a_velocity_servo_s_gain_is_patched_whole(tmp_path: Path) -> None:
+    case = load_case(case_of(tmp_path / "case", '<velocity name="servo" joint="swing" kv="5"/>', kind="velocity"))
+    fit: Any = SimpleNamespace(settings=lambda: [("damping_gain", ("swing",), {"ratio": -0.5})])
+    with Simulator(case, DiagnoseConfig(threads=1)) as simulator:
+        patch = json.loads(to_json(make_patch(simulator, fit)))
+        spec = mujoco.MjSpec.from_file(str(case.folder / "model.xml"))
+        apply_patch(spec, patch)
+        models = [spec.compile(), mujoco.MjModel.from_xml_string(patched_xml(simulator, fit))]
+        models.append(simulator.edited(fit.settings()).spec.compile())
+    for model in models:
+        assert (model.actuator_gainprm[0, 0], model.actuator_biasprm[0, 2]) == (2.5, -2.5)
+    del patch["command_kind"]  # as older ones are
+    spec = mujoco.MjSpec.from_file(str(case.folder / "model.xml"))
+    apply_patch(spec, patch)
+    assert spec.compile().actuator_gainprm[0, 0] == 5
+
+
+def test_commands_that_come_early_are_not_in_the_file(tmp_path: Path) -> None:
+    with Simulator(load_case(geared(tmp_path / "case", 1.0)), DiagnoseConfig(threads=1)) as simulator:
+        texts = [
+            patched_xml(simulator, SimpleNamespace(settings=lambda d=d: [("command_delay", (), {"delay": d})]))  # type: ignore[arg-type,misc]
+            for d in (-0.005, 0.005)
+        ]
+    assert "not in this file, see patch.wrappers in diagnosis.json: command_delay" in texts[0]
+    assert "not in this file" not in texts[1]
