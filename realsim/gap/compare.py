@@ -198,7 +198,7 @@ def _torque_steps(case: Case, run: Run, channels: Sequence[Channel]) -> F64:
         if name is None or case.command_kind != "position":
             continue
         column = run.command[:, case.actuator_names.index(name)]
-        gain = abs(float(case.model.actuator(name).gainprm[0]))
+        gain = abs(case.command_torque(channel.label))
         most = float(np.nanmax(np.abs(run.signals["joint_torque"][:, channel.index]), initial=0.0))
         steps[:, c] = np.minimum(gain * np.abs(np.diff(column, prepend=column[0])), 2 * most)
     return steps

@@ -106,11 +106,3 @@ def describe_set(simulator: Simulator, fit: Fit, order: list[int], probabilities
     return [
         describe_cause(simulator, fit.causes[i], sigmas[starts[i] : starts[i + 1]], probabilities[i]) for i in order
     ]
-
-
-def settings_of(fit: Fit) -> list[dict[str, Any]]:
-    """The fit's settings as plain data, for the patch."""
-    return [
-        {"effect": name, "place": list(place), "coordinates": {k: float(v) for k, v in values.items()}}
-        for name, place, values in fit.settings()
-    ]

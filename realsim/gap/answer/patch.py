@@ -10,6 +10,7 @@ from realsim.gap.causes.fit import Fit
 from realsim.gap.effects import EFFECTS
 from realsim.gap.effects.external_force import EVER
 from realsim.gap.logs.case import Case
+from realsim.gap.logs.resolve import resolve
 from realsim.gap.simulation.context import Context, build_context
 from realsim.gap.simulation.edit import Edit, Pulse, Signals
 from realsim.gap.simulation.simulate import Setting, Simulator
@@ -17,9 +18,11 @@ from realsim.gap.simulation.simulate import Setting, Simulator
 FORMAT = "realsim.gap.patch/1"
 # What no compiled model holds, and what the loop that steps it must do about it.
 _WRAPPER = {
-    "command_delay": "hold back every command by this time before it is written to ctrl (model.xml does it itself)",
+    "command_delay": "hold back every command by this time before it is written to ctrl (model.xml does it itself, but "
+    "for a delay below 0)",
     "observation_delay": "read joint positions, velocities and torques this much later",
-    "joint_offset": "add it to the joint's reading, and give the servo the command less it (model.xml does it itself)",
+    "joint_offset": "add it to the joint's reading, and give the servo the command less it (times the actuator's gear; "
+    "for position servos model.xml does this)",
     "reading_offset": "add it to the joint's reading; the servo is right",
     "gyro_bias": "add it to the gyroscope's reading",
     "acc_bias": "add it to the accelerometer's reading",
@@ -46,6 +49,7 @@ def make_patch(simulator: Simulator, fit: Fit) -> dict[str, Any]:
     signals = simulator.edited(settings).signals
     return {
         "format": FORMAT,
+        "command_kind": simulator.case.command_kind,
         "settings": [
             {"effect": n, "place": list(p), "coordinates": {k: float(v) for k, v in values.items()}}
             for n, p, values in settings
@@ -115,13 +119,15 @@ def apply_patch(spec: Any, patch: dict[str, Any]) -> Signals:
         raise GapError("not a patch of this tool", expected=f'"format": "{FORMAT}"', found=repr(patch)[:80])
     if not patch.get("settings"):
         return Signals()
+    resolve(spec)
     model = spec.copy().compile()
     joints = tuple(patch["scales"]["torque_range"])
     _belongs(model, patch, joints)
     actuators = tuple(model.actuator(i).name for i in range(model.nu))
     base = "floating" if bool((model.jnt_type == 0).any()) else "fixed"
+    kind = patch.get("command_kind", "position")  # older patches do not say
     case = Case(
-        Path(), joints, actuators, "position", base, "none", None, (), "", "", spec, model, (),
+        Path(), joints, actuators, kind, base, "none", None, (), "", "", spec, model, (),
     )  # fmt: skip
     context = build_context(case)
     for name, values in patch["scales"].items():
@@ -184,15 +190,17 @@ def patched_xml(simulator: Simulator, fit: Fit) -> str:
         if simulator.case.command_kind == "position" and offset:
             actuator = spec.actuator(context.actuator[joint])
             bias = actuator.biasprm
-            bias[0] -= actuator.gainprm[0] * offset
+            bias[0] -= actuator.gainprm[0] * simulator.case.gear(joint) * offset
             actuator.biasprm = bias
     spec.compile()
-    left = [name for name in wrappers(signals) if name not in _IN_XML or _beyond_xml(name, simulator)]
+    left = [name for name in wrappers(signals) if name not in _IN_XML or _beyond_xml(name, simulator, signals)]
     note = f"<!-- not in this file, see patch.wrappers in diagnosis.json: {', '.join(left)} -->\n" if left else ""
     return note + str(spec.to_xml())
 
 
-def _beyond_xml(wrapper: str, simulator: Simulator) -> bool:
+def _beyond_xml(wrapper: str, simulator: Simulator, signals: Signals) -> bool:
+    if wrapper == "command_delay":
+        return signals.command_delay <= 0
     return wrapper == "joint_offset" and simulator.case.command_kind != "position"
 
 

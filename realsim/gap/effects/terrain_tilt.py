@@ -21,7 +21,10 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     if not edit.context.case.floating:
         edit.spec.option.gravity = turn.T @ np.asarray(edit.spec.option.gravity)
         return
-    for item in [*edit.spec.worldbody.geoms, *(edit.spec.body(b) for b in edit.context.terrain)]:
+    # Bodies that stand in the world, not the parts that they carry, which turn with them.
+    fixed = [not body.joints for body in edit.context.spec.worldbody.bodies]
+    bodies = [b for b, f in zip(edit.spec.worldbody.bodies, fixed, strict=False) if f]  # rotors come after these
+    for item in [*edit.spec.worldbody.geoms, *bodies]:
         item.pos = turn @ item.pos
         item.quat = multiply(quaternion(values["roll"], values["pitch"]), item.quat)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
 
 
@@ -22,9 +20,7 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         return  # the coordinate is the cut below the highest torque that the nominal drive ever uses
     limit = max(edit.context.peak_torque[j] for j in place) * (1 - values["limit"])
     for joint in place:
-        actuator = edit.spec.actuator(edit.context.actuator[joint])
-        actuator.forcerange = np.array([-limit, limit])
-        actuator.forcelimited = 1
+        edit.limit_drive(joint, limit)
 
 
 EFFECT = Effect(

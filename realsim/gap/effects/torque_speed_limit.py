@@ -29,20 +29,22 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     for joint in place:
         limit = edit.context.torque_range[joint]
         slope = limit * values["no_load_speed"] / max(edit.context.speed[j] for j in place)
-        actuator = edit.spec.actuator(edit.context.actuator[joint])
-        if not edit.context.case.model.actuator(actuator.name).forcelimited[0]:
-            actuator.forcerange, actuator.forcelimited = np.array([-limit, limit]), 1
-        name = edit.motor_joint(joint)
+        model, name, ends = edit.context.case.model, edit.motor_joint(joint), np.array([-limit, limit])
+        i = model.joint(joint).id
+        if model.jnt_actfrclimited[i]:
+            ends = np.clip(ends, *model.jnt_actfrcrange[i])
+        if model.jnt_actfrclimited[i] or not model.actuator(edit.context.actuator[joint]).forcelimited[0]:
+            edit.limit_drive(joint, limit)
         helper = edit.add_actuator(f"back_emf_{joint}", name, gain=1.0)
         bias = np.zeros_like(helper.biasprm)
         bias[2] = slope
         helper.biasprm = bias
         target = edit.spec.joint(name)
-        target.actfrcrange, target.actfrclimited = np.array([-limit, limit]), 1
+        target.actfrcrange, target.actfrclimited = ends, 1
         damping = target.damping
         damping[0] += slope
         target.damping = damping
-        edit.signals.back_emf[joint] = (slope, limit)
+        edit.signals.back_emf[joint] = slope
 
 
 EFFECT = Effect(

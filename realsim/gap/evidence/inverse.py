@@ -107,8 +107,7 @@ def _phase(case: Case, run: Run, motion: Motion) -> F64:
         for j, joint in enumerate(case.joint_names):
             servo = case.actuator_of(joint)
             if servo is not None:
-                gain = float(case.model.actuator(servo).gainprm[0])
-                found[:, j] = gain * step * rate[:, case.actuator_names.index(servo)]
+                found[:, j] = case.command_torque(joint) * step * rate[:, case.actuator_names.index(servo)]
     return found
 
 

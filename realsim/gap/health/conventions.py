@@ -32,7 +32,7 @@ def log_conventions(case: Case) -> list[str]:
         servo = case.actuator_of(joint)
         if servo is None or case.command_kind != "position":
             continue
-        command = np.concatenate([r.command[:, case.actuator_names.index(servo)] for r in case.runs])
+        command = _asked(case, joint, servo)
         _refuse_unit(case, "joint_pos", joint, position[:, j], command, {"deg": DEG}, "the commands")
         _refuse_unit(case, "command", servo, command, position[:, j], {"deg": DEG}, "the positions")
     if case.has("joint_vel"):
@@ -95,12 +95,18 @@ def disagreement(values: F64, like: F64) -> float:
     return float(np.sqrt(np.mean((a - b) ** 2))) / size if size > 1e-3 else 0.0
 
 
+def _asked(case: Case, joint: str, servo: str) -> F64:
+    """(N,) where a position servo's commands want its joint, rad or m."""
+    column = case.actuator_names.index(servo)
+    return np.concatenate([r.command[:, column] for r in case.runs]) / (case.gear(joint) or 1.0)
+
+
 def _follows(case: Case, joint: str, position: F64) -> bool:
     """Whether a position servo's joint goes where its own command says."""
     servo = case.actuator_of(joint)
     if servo is None or case.command_kind != "position":
         return False
-    command = np.concatenate([r.command[:, case.actuator_names.index(servo)] for r in case.runs])
+    command = _asked(case, joint, servo)
     return 0 < disagreement(position, command) < WRONG
 
 

@@ -112,7 +112,7 @@ def saturation(simulator: Simulator) -> tuple[dict[str, Any], Said]:
     logged: dict[str, float] = {}
     said = []
     for j, joint in enumerate(case.joint_names):
-        if joint in context.actuator and case.model.actuator(context.actuator[joint]).forcelimited[0]:
+        if joint in context.actuator and context.limited(joint):
             torque = np.concatenate([np.abs(t["torque"][:, j]) for t in simulator.nominal_tracks])
             drive[joint] = float((torque > 0.995 * context.torque_range[joint]).mean())
         if case.has("joint_torque"):

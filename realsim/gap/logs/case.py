@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from realsim.errors import GapError, RealsimError, did_you_mean
 from realsim.files import inside, read_json, read_text
+from realsim.gap.logs.resolve import resolve
 from realsim.gap.logs.runs import Layout, layout, read_run
 from realsim.gap.logs.runs import Run as Run
 
@@ -33,7 +35,7 @@ class Case:
     xml: str
     """Text of model.xml."""
     spec: Any = field(repr=False)
-    """mujoco.MjSpec of model.xml; never edited, always copied."""
+    """mujoco.MjSpec of model.xml, resolved (realsim.gap.logs.resolve); never edited, always copied."""
     model: Any = field(repr=False)
     """The compiled nominal mujoco.MjModel."""
     runs: tuple[Run, ...] = field(repr=False)
@@ -58,18 +60,31 @@ class Case:
 
     def actuator_of(self, joint: str) -> str | None:
         """Name of the actuator that drives this joint, or None."""
-        return _actuators(self).get(joint)
+        return self._actuators.get(joint)
 
+    def gear(self, joint: str) -> float:
+        """N m at the joint for 1 N m of its actuator, and the actuator's command for 1 rad; 1 without an actuator.
 
-def _actuators(case: Case) -> dict[str, str]:
-    import mujoco
+        Figures of the diagnosis are the joint's; gains, force ranges and commands of a model are the actuator's.
+        """
+        name = self.actuator_of(joint)
+        return 1.0 if name is None else float(self.model.actuator(name).gear[0])
 
-    found = {}
-    for name in case.actuator_names:
-        i = case.model.actuator(name).id
-        if case.model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT:
-            found[case.model.joint(case.model.actuator_trnid[i, 0]).name] = name
-    return found
+    def command_torque(self, joint: str) -> float:
+        """N m that its servo adds at once to the joint's torque for a unit of command; 0 without an actuator."""
+        name = self.actuator_of(joint)
+        return 0.0 if name is None else self.gear(joint) * float(self.model.actuator(name).gainprm[0])
+
+    @cached_property
+    def _actuators(self) -> dict[str, str]:
+        import mujoco
+
+        found = {}
+        for name in self.actuator_names:
+            i = self.model.actuator(name).id
+            if self.model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT:
+                found[self.model.joint(self.model.actuator_trnid[i, 0]).name] = name
+        return found
 
 
 def load_case(folder: Path) -> Case:
@@ -177,6 +192,7 @@ def _load_model(path: Path) -> tuple[Any, Any, str]:
     text = _harmless(path, path.parent)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
+        resolve(spec)
         model = spec.copy().compile()
     except Exception as error:  # MuJoCo raises ValueError and its own types
         raise GapError("model.xml does not compile", file=path, found=str(error).splitlines()[0]) from error

@@ -30,7 +30,7 @@ class Context:
     """Whether the robot can touch anything static."""
     total_mass: float
     torque_range: dict[str, float]
-    """Largest force of the actuator, N m; the nominal peak where there is no limit."""
+    """Largest torque of the drive by its own limit or the joint's, N m; the nominal peak where there is none."""
     inertia: dict[str, float]
     """Apparent inertia of the joint in its first pose, kg m^2."""
     peak_torque: dict[str, float] = field(default_factory=dict)
@@ -58,6 +58,13 @@ class Context:
     def _dof(self, name: str, joint: str) -> float:
         model = self.case.model
         return float(np.atleast_1d(getattr(model, f"dof_{name}")[model.joint(joint).dofadr[0]])[0])
+
+    def limited(self, joint: str) -> bool:
+        """Whether the model limits the drive's torque, at the actuator or at the joint."""
+        model = self.case.model
+        return bool(
+            model.actuator(self.actuator[joint]).forcelimited[0] or model.jnt_actfrclimited[model.joint(joint).id]
+        )
 
     def torque_scale(self, joint: str) -> float:
         """A usual size of the drive's torque (not that of rare peaks), N m."""
@@ -149,8 +156,10 @@ def build_context(case: Case) -> Context:
         dof = model.joint(joint).dofadr[0]
         inertia[joint] = float(max(full[dof, dof], 1e-9))
         i = model.actuator(name).id
-        top = float(np.abs(model.actuator_forcerange[i]).max())
-        limit[joint] = top if model.actuator_forcelimited[i] and top > 0 else 0.0
+        tops = [abs(case.gear(joint)) * model.actuator_forcerange[i]] if model.actuator_forcelimited[i] else []
+        if model.jnt_actfrclimited[model.joint(joint).id]:
+            tops.append(model.jnt_actfrcrange[model.joint(joint).id])
+        limit[joint] = min((t for t in (float(np.abs(ends).max()) for ends in tops) if t > 0), default=0.0)
     return Context(
         case, instrumented(case), float(model.opt.timestep), list(actuator), actuator, bodies,
         terrain if touches else [], touches, total, limit, inertia,

@@ -50,8 +50,8 @@ class Signals:
     """Joint -> g: logged torque = (1 + g) * true torque."""
     torque_phase: float = 0.0
     """Share of a held command's step that the logged torque has seen when it is sampled (0: as simulated)."""
-    back_emf: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Joint -> (N m s/rad, N m): the drive's torque is clip(servo force - first * velocity, second both ways)."""
+    back_emf: dict[str, float] = field(default_factory=dict)
+    """Joint -> N m s/rad: what a helper adds to the servo before the joint's limit, and damping takes off after it."""
     load_friction: dict[str, float] = field(default_factory=dict)
     """Joint -> friction as a ratio of the transmitted torque."""
     pulses: list[Pulse] = field(default_factory=list)
@@ -105,6 +105,8 @@ class Edit:
             new.armature = max(link.armature, 0.2 * self.context.inertia[joint] if link.armature < 1e-6 else 0.0)
             new.frictionloss, new.damping = link.frictionloss, link.damping
             new.solref_friction, new.solimp_friction = link.solref_friction, link.solimp_friction
+            new.actfrcrange, new.actfrclimited = link.actfrcrange, link.actfrclimited
+            link.actfrcrange, link.actfrclimited = np.zeros(2), 0
             link.armature, link.frictionloss, link.damping = 0.02 * new.armature, 0.0, 0.0 * np.asarray(link.damping)
             for actuator in self.spec.actuators:
                 if actuator.target == joint and actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT:
@@ -114,6 +116,15 @@ class Edit:
         tendon.wrap_joint(rotor, 1.0)
         tendon.wrap_joint(joint, -1.0)
         return tendon
+
+    def limit_drive(self, joint: str, most: float) -> None:
+        """Let a joint's actuator give at most this torque (N m at the joint) either way, within the model's range."""
+        drive = self.context.actuator[joint]
+        gear, model = abs(self.context.case.gear(joint)), self.context.case.model.actuator(drive)
+        ends = most / max(gear, 1e-9) * np.array([-1.0, 1.0])
+        actuator = self.spec.actuator(drive)
+        actuator.forcerange = np.clip(ends, *model.forcerange) if model.forcelimited[0] else ends
+        actuator.forcelimited = 1
 
     def add_actuator(self, name: str, joint: str, gain: float = 0.0) -> Any:
         """A motor on a joint: force = gain * control + bias."""

@@ -199,8 +199,8 @@ class Simulator:
         command = run.command.copy()
         if self.case.command_kind == "position":
             for u, name in enumerate(self.case.actuator_names):
-                joint = next((j for j, a in self.context.actuator.items() if a == name), None)
-                command[:, u] -= edit.signals.joint_offset.get(joint or "", 0.0)
+                joint = next((j for j, a in self.context.actuator.items() if a == name), "")
+                command[:, u] -= self.case.gear(joint) * edit.signals.joint_offset.get(joint, 0.0)
         grid = (np.arange(steps + 1) - settle) * dt
         mean = held_mean(run.time, command, grid - edit.signals.command_delay)
         control = np.zeros((steps, model.nu))
@@ -226,11 +226,11 @@ class Simulator:
         for j, joint in enumerate(self.case.joint_names):
             if joint in self.context.actuator:
                 u = self.case.actuator_names.index(self.context.actuator[joint])
-                gear = float(self.case.model.actuator(self.context.actuator[joint]).gear[0])
-                torque[:, j] = gear * force[:, u]
-                if joint in edit.signals.back_emf:
-                    slope, top = edit.signals.back_emf[joint]
-                    torque[:, j] = np.clip(torque[:, j] + slope * vel[:, j], -top, top) - slope * vel[:, j]
+                torque[:, j] = self.case.gear(joint) * force[:, u]
+                motor = model.joint(edit.motor_joint(joint)).id
+                if model.jnt_actfrclimited[motor]:  # the sensor reads what the actuator gives, before the joint's limit
+                    back = edit.signals.back_emf.get(joint, 0.0) * vel[:, j]
+                    torque[:, j] = np.clip(torque[:, j] + back, *model.jnt_actfrcrange[motor]) - back
         tracks = {"pos": pos, "vel": vel, "torque": torque}
         if self.case.floating:
             tracks["base_pos"], tracks["base_quat"] = take("rs_base_pos", [""], 3), take("rs_base_quat", [""], 4)
@@ -249,7 +249,7 @@ class Simulator:
         steps = np.zeros((len(run.time), len(self.case.joint_names)))
         for joint, name in self.context.actuator.items():
             u = self.case.actuator_names.index(name)
-            gain = float(self.case.model.actuator(name).gainprm[0])
+            gain = self.case.command_torque(joint)
             steps[:, self.case.joint_names.index(joint)] = gain * np.diff(run.command[:, u], prepend=run.command[0, u])
         return steps
 

@@ -22,6 +22,9 @@ class Gear:
     """Of the motor's side."""
     actuator: int
     ratio: float
+    """N m of friction for 1 N m of the actuator's force."""
+    limit: tuple[float, float] = (-np.inf, np.inf)
+    """Of the actuator's force, N m: what the joint's own limit lets through."""
 
 
 def gears(model: Any, load_friction: Mapping[str, float], drives: Mapping[str, tuple[str, str]]) -> list[Gear]:
@@ -29,8 +32,12 @@ def gears(model: Any, load_friction: Mapping[str, float], drives: Mapping[str, t
     found = []
     for joint, ratio in load_friction.items():
         motor, actuator = drives[joint]
-        u = model.actuator(actuator)
-        found.append(Gear(int(model.joint(motor).dofadr[0]), int(u.id), ratio * abs(float(u.gear[0]))))
+        u, j = model.actuator(actuator), model.joint(motor)
+        turn, limit = float(u.gear[0]), (-np.inf, np.inf)
+        if model.jnt_actfrclimited[j.id] and turn:
+            low, high = sorted(float(end) / turn for end in model.jnt_actfrcrange[j.id])
+            limit = (low, high)
+        found.append(Gear(int(j.dofadr[0]), int(u.id), ratio * abs(turn), limit))
     return found
 
 
@@ -58,13 +65,15 @@ def _one(model: Any, laws: Sequence[Gear], state: F64, control: F64) -> F64:
     dofs = np.array([law.dof for law in laws], int)
     drives = np.array([law.actuator for law in laws], int)
     ratios = np.array([law.ratio for law in laws])
+    low, high = np.array([law.limit for law in laws]).reshape(-1, 2).T
     least = model.dof_frictionloss[dofs].copy()
     rows = np.empty((len(control), model.nsensordata))
     last = data.time
     data.ctrl[:] = control[0]
     mujoco.mj_forward(model, data)
     for k, ctrl in enumerate(control):
-        model.dof_frictionloss[dofs] = np.maximum(least + ratios * np.abs(data.actuator_force[drives]), 0.0)
+        force = np.clip(data.actuator_force[drives], low, high)
+        model.dof_frictionloss[dofs] = np.maximum(least + ratios * np.abs(force), 0.0)
         data.ctrl[:] = ctrl
         mujoco.mj_step(model, data)
         if data.time <= last:  # the state was no number, and MuJoCo has begun anew
