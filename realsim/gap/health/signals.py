@@ -9,6 +9,7 @@ import numpy as np
 from realsim.errors import GapError
 from realsim.gap.compare import DETAIL
 from realsim.gap.logs.case import Case, Run
+from realsim.gap.logs.kinks import median_size, third_differences
 from realsim.gap.logs.repeats import replicates, spread
 from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.simulation.start import STILL, Start
@@ -152,9 +153,9 @@ def noise(simulator: Simulator, nominal: list[F64]) -> tuple[dict[str, Any], Sai
         kinks, errors = [], []
         for run, y in zip(case.runs, nominal, strict=True):
             r = run.signals[signal][:, [simulator.channels[i].index for i in columns]] - y[:, columns]
-            kinks.append((r[3:] - 3 * r[2:-1] + 3 * r[1:-2] - r[:-3]) / np.sqrt(20))
+            kinks += [third_differences(column) / np.sqrt(20) for column in r.T]
             errors.append(r)
-        sample = float(1.4826 * np.nanmedian(np.abs(np.concatenate(kinks))))
+        sample = 1.4826 * median_size(np.concatenate(kinks))
         found[signal] = {"sample": sample, "replicates": spread(case, signal)}
         for group in replicates(case):
             sizes = {i: float(np.sqrt(np.nanmean(errors[i] ** 2))) for i in group}
