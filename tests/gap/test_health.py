@@ -266,3 +266,13 @@ def test_a_broken_case_stops_no_other(made: Callable[..., Path], tmp_path: Path,
     assert [item["exit_code"] for item in said["items"]] == [2, 0]
     assert (tmp_path / "out" / "still" / "diagnosis.json").is_file()
     assert not (tmp_path / "out" / "broken").exists()
+
+
+def test_encoders_that_come_up_late_are_borne(good: Case) -> None:
+    def late(values: Any) -> Any:
+        values[:6] = np.nan
+        return values
+
+    found = health(spoiled(good, with_signal("joint_pos", late)))
+    assert found["warnings"] == []
+    assert found["start"]["farthest_from_rest"] < 0.1

@@ -12,7 +12,7 @@ from realsim.gap.logs.case import Case, Run
 from realsim.gap.logs.kinks import median_size, third_differences
 from realsim.gap.logs.repeats import replicates, spread
 from realsim.gap.simulation.simulate import Simulator
-from realsim.gap.simulation.start import STILL, Start
+from realsim.gap.simulation.start import STILL, Start, first_rows
 from realsim.types import F64
 
 Said = list[str]
@@ -188,7 +188,7 @@ def initial_states(simulator: Simulator) -> tuple[dict[str, Any], Said]:
         case.runs, simulator.nominal_tracks, simulator.starts, simulator.rests, strict=True
     ):
         position = run.signals["joint_pos"]
-        first = np.nanmedian(position[:5], axis=0)
+        first = _first_position(position)
         travel = np.nanmax(position, axis=0) - np.nanmin(position, axis=0)
         distance, speed = np.abs(first - rest), _first_speed(run.time, position)
         peak = np.nanmax(np.abs(np.gradient(track["pos"], track["settle"][1], axis=0)), axis=0)
@@ -213,11 +213,21 @@ def initial_states(simulator: Simulator) -> tuple[dict[str, Any], Said]:
     return {"farthest_from_rest": max(off), "fastest_at_start": max(fast), "runs": how}, said
 
 
+def _first_position(position: F64) -> F64:
+    """(J,) median of the first five samples; of the first finite ones where an encoder comes up later."""
+    if np.isfinite(position[:5]).any(axis=0).all():
+        return np.asarray(np.nanmedian(position[:5], axis=0))
+    return first_rows(position)
+
+
 def _first_speed(time: F64, position: F64) -> F64:
-    """(J,) slope of the first tenth of a second, by least squares."""
+    """(J,) slope of the first tenth of a second, by least squares; 0 where an encoder has no sample in it."""
     inside = time <= max(0.1, time[4])
     t = time[inside] - time[inside].mean()
-    values = np.nan_to_num(position[inside] - np.nanmean(position[inside], axis=0))
+    early = np.isfinite(position[inside]).any(axis=0)
+    mean = np.zeros(position.shape[1])
+    mean[early] = np.nanmean(position[inside][:, early], axis=0)
+    values = np.nan_to_num(position[inside] - mean)
     return np.asarray(np.abs(t @ values) / max(float(t @ t), 1e-12))
 
 
