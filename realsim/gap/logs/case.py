@@ -46,7 +46,8 @@ class Case:
 
     @property
     def has_imu(self) -> bool:
-        return self.imu_site is not None and all("imu_gyro" in r.signals for r in self.runs)
+        """Whether a gyroscope or an accelerometer is logged and has its place in the model."""
+        return self.imu_site is not None and (self.has("imu_gyro") or self.has("imu_acc"))
 
     def has(self, signal: str) -> bool:
         """Whether every run logged this signal with at least some finite samples."""

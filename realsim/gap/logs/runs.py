@@ -113,7 +113,9 @@ def _checked(path: Path, data: dict[str, F64], want: Layout, warnings: list[str]
     _check_shape(path, "command", data["command"], (count, len(want.names["command"])))
     signals = {}
     for name in SIGNAL_SHAPES:
-        if name in data and want.names[name]:
+        if name in data and not want.names[name]:
+            warnings.append(f"{path.name}: {name} is left out: contact_bodies in log.json is empty")
+        elif name in data:
             _check_shape(path, name, data[name], (count, len(want.names[name])))
             signals[name] = np.where(np.isfinite(data[name]), data[name], np.nan)
     empty = ~np.isfinite(signals["joint_pos"]).any(axis=0)
