@@ -91,6 +91,34 @@ def test_wrong_joint_name_gives_the_closest(case: Path) -> None:
         load_case(case)
 
 
+@pytest.mark.parametrize(
+    ("log", "said"),
+    [
+        ({"contact_bodies": 5}, r"contact_bodies cannot be read[\s\S]*a list of names"),
+        ({"contact_bodies": ["fore", 5]}, "contact_bodies cannot be read"),
+        ({"contact_bodies": ["for"]}, "did you mean fore"),
+        ({"imu_site": 5}, "imu_site cannot be read"),
+        ({"imu_site": "wrst"}, "did you mean wrist"),
+        ({"units": {"joint_position": "deg"}}, r"joint_position[\s\S]*did you mean joint_pos"),
+        ({"units": {"joint_pos": 5}}, r"units of log.json cannot be read[\s\S]*log.json"),
+        ({"joint_names": None}, "joint_names is missing"),
+        ({"joint_names": 5}, "joint_names cannot be read"),
+    ],
+)
+def test_what_log_json_cannot_mean_is_refused(case: Path, log: dict[str, object], said: str) -> None:
+    relog(case, **log)
+    with pytest.raises(GapError, match=said):
+        load_case(case)
+
+
+@pytest.mark.parametrize("dtype", [[("a", float), ("b", float)], "U4"])
+def test_arrays_that_are_no_numbers_are_named(case: Path, dtype: object) -> None:
+    only_one_run(case)
+    change(case, mode=np.zeros(3, dtype=dtype))
+    with pytest.raises(GapError, match=r"plain numbers[\s\S]*mode of type"):
+        load_case(case)
+
+
 def test_mismatched_lengths(case: Path) -> None:
     only_one_run(case)
     change(case, joint_pos=lambda a: a[:-3])

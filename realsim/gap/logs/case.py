@@ -107,8 +107,12 @@ def load_case(folder: Path) -> Case:
     warnings: list[str] = []
     site = log.get("imu_site")
     if site is not None:
+        if not isinstance(site, str):
+            raise GapError(
+                "imu_site cannot be read", file=folder / "log.json", expected="a name, or null", found=repr(site)[:60]
+            )
         _match([site], [model.site(i).name for i in range(model.nsite)], "imu_site", folder)
-    contact = [str(b) for b in log.get("contact_bodies") or []]
+    contact = _names(log, "contact_bodies", folder) if log.get("contact_bodies") not in (None, []) else []
     _match(contact, [model.body(i).name for i in range(model.nbody)], "contact body", folder)
     kind = _choice(log, "command_kind", ("position", "velocity", "torque"), folder)
     base = _choice(log, "base", ("fixed", "floating"), folder)
@@ -131,7 +135,8 @@ def load_case(folder: Path) -> Case:
     unlogged = [n for n in unlogged if n not in joints]
     if unlogged:
         warnings.append(f"joints of the model that are not logged start at their default: {', '.join(unlogged[:6])}")
-    want = layout(joints, actuators, contact, model, log | {"command_kind": kind, "columns": _columns(log, folder)})
+    said = log | {"command_kind": kind, "columns": _columns(log, folder)}
+    want = layout(joints, actuators, contact, model, said, folder / "log.json")
     runs, dropped = _read_runs(folder / "runs", want, warnings)
     if len(runs) == 1:
         warnings.append("only one run: nothing is left to check the diagnosis on, so it is weaker")
@@ -216,7 +221,10 @@ def _names(log: dict[str, Any], key: str, folder: Path) -> list[str]:
     value = log.get(key)
     if not isinstance(value, list) or not value or not all(isinstance(v, str) for v in value):
         raise GapError(
-            f"{key} is missing", file=folder / "log.json", expected="a list of names", found=repr(value)[:60]
+            f"{key} {'is missing' if value is None else 'cannot be read'}",
+            file=folder / "log.json",
+            expected="a list of names",
+            found=repr(value)[:60],
         )
     if len(set(value)) != len(value):
         raise GapError(f"{key} names something twice", file=folder / "log.json", found=", ".join(value))
