@@ -280,6 +280,36 @@ def test_a_closed_loop_is_diagnosed(tmp_path: Path) -> None:
     assert found.causes[0]["joints"] == ["crank"]
 
 
+def test_long_runs_with_few_samples_at_first_are_left_out_and_said(case: Path) -> None:
+    def late(t):
+        return t + 5.0 * (np.arange(len(t)) > 10)
+
+    change(case, "run_02", time=late)
+    config = DiagnoseConfig(effects=("command_delay",), max_seconds=2.0, baselines=False, bootstrap=20)
+    found = diagnose(load_case(case), config)
+    assert "left out: run_02 has less than 20 samples until then" in found.health["warnings"]
+    for path in (case / "runs").glob("*.npz"):
+        change(case, path.stem, time=lambda t: 30 * t)
+    with pytest.raises(GapError, match=r"too short[\s\S]*max_seconds"):
+        diagnose(load_case(case), config)
+
+
+@pytest.mark.parametrize("effect", ["camera_delay", "ground_friction"])
+def test_effects_that_cannot_act_name_no_first_cause(made, effect: str) -> None:
+    folder = made("no_effects", Truth(coulomb={"elbow": 2.0}), runs=3, span=(1.5, 1.6))
+    found = diagnose(load_case(folder), DiagnoseConfig(effects=(effect,), bootstrap=20, threads=1))
+    assert found.verdict == "unexplained"
+    assert found.baselines == {}
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"bootstrap": 0}, {"seed": -1}, {"max_seconds": 0.02}, {"max_seconds": float("nan")}, {"holdout": -1}]
+)
+def test_settings_that_would_fail_late_are_refused_at_once(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        DiagnoseConfig(**wrong)  # type: ignore[arg-type]
+
+
 def test_replicates_are_found(case: Path) -> None:
     shutil.copy(case / "runs" / "run_01.npz", case / "runs" / "run_09.npz")
     assert replicates(load_case(case)) == [[0, 4]]
