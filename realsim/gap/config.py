@@ -26,7 +26,7 @@ class DiagnoseConfig:
     settle_seconds: float = 0.6
     """The simulator holds the first command for this long before a run that begins at rest."""
     holdout: int = 1
-    """Runs that no fit sees, for the shrinkage (0 if the log has only one run)."""
+    """Runs that no fit sees, for the shrinkage; none if the log has no more than one run beside them."""
     finalists: int = 5
     """Rivals that are refitted with the full nonlinear simulation at each stage of the selection."""
     min_gain: float = 8.0
