@@ -13,9 +13,11 @@ import pytest
 from realsim.errors import GapError, RealsimError, UnknownNameError
 from realsim.gap import DiagnoseConfig, diagnose, explain, load_case
 from realsim.gap.diagnose import replicates
+from realsim.gap.run import run_case
 
 from .truth import Truth
 
+TETRA = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
 FOUR_BAR = """
 <mujoco>
   <option timestep="0.002"/>
@@ -220,17 +222,62 @@ def test_many_runs_are_subsampled_and_said(case: Path) -> None:
         ('<asset><mesh name="m" file="../secret.stl"/></asset>', "leads out"),
         ('<include file="more.xml"/>', "leads out"),
         ('<include file="model.xml"/>', "include each other"),
+        ('<asset><texture name="t" type="cube" fileright="../right.png"/></asset>', "leads out"),
+        ('<asset><model name="m" file="parts/evil.xml"/></asset>', "leads out"),
+        ('<asset><model name="m" file="parts/loop.xml"/></asset>', "include each other"),
+        ('<asset><model name="m" file="parts/code.xml"/></asset>', "plugins"),
+        ('<asset><mesh name="m" file="CASE/tetra.obj"/></asset>', "absolute path"),
+        ('<compiler meshdir="CASE"/>', "absolute path"),
         ('<extension><plugin plugin="mujoco.pid"/></extension>', "plugins"),
     ],
 )
 def test_model_that_reaches_out_of_its_folder_is_refused(case: Path, line: str, error: str) -> None:
     (case / "more.xml").write_text('<mujoco><asset><texture name="t" type="2d" file="/etc/passwd"/></asset></mujoco>')
-    path = case / "model.xml"
-    text = path.read_text()
-    at = text.index(">", text.index("<mujoco")) + 1
-    path.write_text(text[:at] + line + text[at:])
+    (case / "parts").mkdir()
+    for name, asset in (
+        ("evil", '<hfield name="h" file="../../secret.png"/>'),
+        ("loop", '<model name="m" file="loop.xml"/>'),
+        ("code", '<model name="m" file="../code.xml"/>'),
+    ):
+        (case / "parts" / f"{name}.xml").write_text(f"<mujoco><asset>{asset}</asset></mujoco>")
+    (case / "code.xml").write_text('<mujoco><extension><plugin plugin="mujoco.pid"/></extension></mujoco>')
+    (case / "tetra.obj").write_text(TETRA)
+    insert(case, line.replace("CASE", str(case)))
     with pytest.raises(RealsimError, match=error):
         load_case(case)
+
+
+def insert(case: Path, line: str, before: str = "") -> None:
+    """Write a line into model.xml: at its beginning, or before another text."""
+    path = case / "model.xml"
+    text = path.read_text()
+    at = text.index(before) if before else text.index(">", text.index("<mujoco")) + 1
+    path.write_text(text[:at] + line + text[at:])
+
+
+def test_a_model_of_parts_is_read(case: Path) -> None:
+    """A mesh in a model of its own, in a folder of its own; its name is relative to that."""
+    (case / "parts").mkdir()
+    (case / "meshes").mkdir()
+    (case / "meshes" / "tetra.obj").write_text(TETRA)
+    (case / "parts" / "tip.xml").write_text(
+        '<mujoco><asset><mesh name="tip" file="../meshes/tetra.obj"/></asset><worldbody><body name="tip">'
+        '<geom type="mesh" mesh="tip" mass="0.01" contype="0" conaffinity="0"/></body></worldbody></mujoco>'
+    )
+    insert(case, '<asset><model name="tip" file="parts/tip.xml"/></asset>')
+    insert(case, '<attach model="tip" body="tip" prefix="a_"/>', before='<site name="wrist"')
+    assert load_case(case).model.nmesh == 1
+
+
+@pytest.mark.parametrize(("name", "error"), [("../tetra.obj", "leads out"), ("gone.obj", "cannot be read")])
+def test_files_that_the_patched_model_would_not_find_are_refused_first(
+    case: Path, tmp_path: Path, name: str, error: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("realsim.gap.run.asset_files", lambda spec: [name])
+    said: list[str] = []
+    with pytest.raises(RealsimError, match=error):
+        run_case(case, tmp_path / "out", progress=lambda what, share: said.append(what))
+    assert not said
 
 
 def test_model_with_an_entity_bomb_is_refused(case: Path) -> None:

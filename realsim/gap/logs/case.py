@@ -191,30 +191,44 @@ def _load_model(path: Path) -> tuple[Any, Any, str]:
     return spec, model, text
 
 
-def _harmless(path: Path, folder: Path, depth: int = 0) -> str:
-    """The text of an MJCF file that neither runs code nor names a file outside `folder`; nor do those it includes.
+def _harmless(path: Path, root: Path, where: Path = Path(), depth: int = 0) -> str:
+    """The text of an MJCF file that neither runs code nor names a file outside `root`; nor do those that it reads.
 
-    All names are relative to `folder`, that of the first file, as MuJoCo takes them.
+    As MuJoCo takes them, names are relative to `where`, a folder below `root`: that of the first file, also in those
+    that it includes, but that of the file itself in a model to attach.
     """
     from defusedxml import ElementTree
     from defusedxml.common import DefusedXmlException
 
     text = read_text(path)
     try:
-        root = ElementTree.fromstring(text)
+        tree = ElementTree.fromstring(text)
     except (ElementTree.ParseError, DefusedXmlException) as error:
         raise GapError(f"{path.name} is not plain XML", file=path, found=str(error)) from error
-    for node in root.iter():
-        for name in ("file", "meshdir", "texturedir", "assetdir"):
-            if node.get(name):
-                inside(folder, node.get(name, ""))
+    for node in tree.iter():
+        for attribute, name in node.attrib.items():
+            if name and (attribute.startswith("file") or attribute in ("meshdir", "texturedir", "assetdir")):
+                _check_name(path, root, where, name)
         if node.tag in ("plugin", "extension"):
             raise GapError("models with plugins are not loaded", file=path, found=f"<{node.tag}>")
-        if node.tag == "include" and node.get("file"):
+        if node.tag in ("include", "model") and (further := node.get("file")):
             if depth == MAX_INCLUDES:
-                raise GapError("the model's files include each other", file=path, found=node.get("file"))
-            _harmless(folder / node.get("file", ""), folder, depth + 1)
+                raise GapError("the model's files include each other", file=path, found=further)
+            below = where if node.tag == "include" else (where / further).parent
+            _harmless(root / where / further, root, below, depth + 1)
     return text
+
+
+def _check_name(path: Path, root: Path, where: Path, name: str) -> None:
+    """Refuse a name that leads out of the case, or that would not lead to the same file from another folder."""
+    inside(root, str(where / name))
+    if Path(name).is_absolute():
+        raise GapError(
+            "a file of the model is named by an absolute path",
+            file=path,
+            expected="a path relative to model.xml, so that the patched model finds its files too",
+            found=name,
+        )
 
 
 def _names(log: dict[str, Any], key: str, folder: Path) -> list[str]:
