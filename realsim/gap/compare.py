@@ -9,6 +9,7 @@ import numpy as np
 
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.logs.case import Case, Run
+from realsim.gap.logs.kinks import median_size, second_differences
 from realsim.gap.simulation.simulate import Channel, measured
 from realsim.types import F64
 
@@ -175,11 +176,10 @@ class Comparison:
             second, spread = [], []
             for i, y in enumerate(nominal):
                 r = np.where(self._valid[i][:, c], self._values[i][:, c] - y[:, c], np.nan)
-                second.append(r[:-2] - 2 * r[1:-1] + r[2:])
+                second.append(second_differences(r))
                 spread.append(self._values[i][self._valid[i][:, c], c])
             kinks = np.concatenate(second)
-            kinks = kinks[np.isfinite(kinks)]
-            robust = 1.4826 * float(np.median(np.abs(kinks))) if len(kinks) else 0.0
+            robust = 1.4826 * median_size(kinks)
             # A coarse encoder has a median of zero: then the mean of the smaller kinks speaks.
             trimmed = float(np.sqrt(np.mean(np.sort(kinks**2)[: max(int(0.9 * len(kinks)), 1)]))) if len(kinks) else 0.0
             sensor.append(max(robust, trimmed) / np.sqrt(6) + 1e-9)

@@ -5,6 +5,9 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 
+SHORTEST_RUN = 0.1
+"""Seconds of a run that must be left when it is cut."""
+
 
 @dataclass(frozen=True)
 class DiagnoseConfig:
@@ -23,7 +26,7 @@ class DiagnoseConfig:
     settle_seconds: float = 0.6
     """The simulator holds the first command for this long before a run that begins at rest."""
     holdout: int = 1
-    """Runs that no fit sees, for the shrinkage (0 if the log has only one run)."""
+    """Runs that no fit sees, for the shrinkage; none if the log has no more than one run beside them."""
     finalists: int = 5
     """Rivals that are refitted with the full nonlinear simulation at each stage of the selection."""
     min_gain: float = 8.0
@@ -52,5 +55,9 @@ class DiagnoseConfig:
             raise ValueError("bin_seconds must lie in (0, 0.2]")
         if not 0 <= self.unexplained_share <= 1 or not 0 <= self.min_share < 1:
             raise ValueError("shares lie in 0..1")
-        if self.holdout < 0 or self.settle_seconds < 0 or self.max_seconds <= 0:
-            raise ValueError("holdout, settle_seconds and max_seconds must not be negative")
+        if self.holdout < 0 or not self.settle_seconds >= 0 or self.seed < 0:
+            raise ValueError("holdout, settle_seconds and seed must not be negative")
+        if not self.max_seconds >= SHORTEST_RUN:
+            raise ValueError(f"max_seconds must be at least {SHORTEST_RUN:g}: less shows no motion of a servo")
+        if self.bootstrap < 1:
+            raise ValueError("bootstrap must be at least 1")

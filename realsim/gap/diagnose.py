@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from realsim.errors import GapError
 from realsim.gap.answer.baselines import first_choices, rival_settings
 from realsim.gap.answer.diagnosis import Diagnosis, describe_set
 from realsim.gap.answer.heldout import Shrinkage, mean_gaps, shrinkage
@@ -28,6 +29,7 @@ from realsim.gap.evidence.where import by_signal, change_by_horizon, evidence, l
 from realsim.gap.health import examine
 from realsim.gap.logs.case import Case
 from realsim.gap.logs.repeats import replicates as replicates
+from realsim.gap.logs.runs import LEAST_SAMPLES
 from realsim.gap.logs.split import split_runs
 from realsim.gap.simulation.simulate import Simulator
 
@@ -114,7 +116,17 @@ def _limited(case: Case, config: DiagnoseConfig) -> Case:
     long = [r.name for r in runs if r.duration > config.max_seconds + 0.5]
     if long:
         notes.append(f"{len(long)} runs are longer than {config.max_seconds:g} s: their beginning is used")
-        runs = [_cut(r, config.max_seconds) for r in runs]
+        cut = [_cut(r, config.max_seconds) for r in runs]
+        few = [r.name for r in cut if len(r.time) < LEAST_SAMPLES]
+        notes += [f"left out: {name} has less than {LEAST_SAMPLES} samples until then" for name in few]
+        runs = [r for r in cut if r.name not in few]
+    if not runs:
+        raise GapError(
+            "the runs are too short",
+            file=case.folder,
+            expected=f"at least {LEAST_SAMPLES} samples in the first {config.max_seconds:g} s",
+            hint="raise max_seconds (--max-seconds)",
+        )
     return case.with_runs(tuple(runs), *notes)
 
 

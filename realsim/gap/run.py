@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from realsim.files import inside, output_folder, read_bytes, write_bytes, write_text
+from realsim.files import check_size, inside, output_folder, read_bytes, write_bytes, write_text
 from realsim.gap.answer.patch import asset_files, patched_xml
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.diagnose import Progress, diagnose
@@ -25,12 +25,18 @@ def run_case(
     Returns what diagnosis.json holds. Raises GapError with the reason where a log cannot support a diagnosis.
     """
     config = config or DiagnoseConfig()
-    with output_folder(Path(out), overwrite=overwrite) as work:  # a full folder is refused before the work is done
-        found = diagnose(load_case(Path(folder)), config, progress)
+    with output_folder(
+        Path(out), overwrite=overwrite
+    ) as work:  # what cannot be written is refused before the work is done
+        case = load_case(Path(folder))
+        assets = asset_files(case.spec)
+        for name in assets:
+            check_size(inside(Path(folder), name))
+        found = diagnose(case, config, progress)
         found.write(work)
         fit, simulator = found.evidence["fit"], found.evidence["simulator"]
         write_text(work / "model.xml", patched_xml(simulator, fit))
-        for name in asset_files(simulator.case.spec):  # so that the patched model loads where it lies
+        for name in assets:  # so that the patched model loads where it lies
             write_bytes(inside(work, name), read_bytes(inside(Path(folder), name)))
         if config.report:
             from realsim.gap.report import write_report

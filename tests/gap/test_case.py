@@ -13,9 +13,11 @@ import pytest
 from realsim.errors import GapError, RealsimError, UnknownNameError
 from realsim.gap import DiagnoseConfig, diagnose, explain, load_case
 from realsim.gap.diagnose import replicates
+from realsim.gap.run import run_case
 
 from .truth import Truth
 
+TETRA = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
 FOUR_BAR = """
 <mujoco>
   <option timestep="0.002"/>
@@ -88,6 +90,34 @@ def test_missing_array_is_named(case: Path, name: str) -> None:
 def test_wrong_joint_name_gives_the_closest(case: Path) -> None:
     relog(case, joint_names=["sholder", "elbow"])
     with pytest.raises(GapError, match="did you mean shoulder"):
+        load_case(case)
+
+
+@pytest.mark.parametrize(
+    ("log", "said"),
+    [
+        ({"contact_bodies": 5}, r"contact_bodies cannot be read[\s\S]*a list of names"),
+        ({"contact_bodies": ["fore", 5]}, "contact_bodies cannot be read"),
+        ({"contact_bodies": ["for"]}, "did you mean fore"),
+        ({"imu_site": 5}, "imu_site cannot be read"),
+        ({"imu_site": "wrst"}, "did you mean wrist"),
+        ({"units": {"joint_position": "deg"}}, r"joint_position[\s\S]*did you mean joint_pos"),
+        ({"units": {"joint_pos": 5}}, r"units of log.json cannot be read[\s\S]*log.json"),
+        ({"joint_names": None}, "joint_names is missing"),
+        ({"joint_names": 5}, "joint_names cannot be read"),
+    ],
+)
+def test_what_log_json_cannot_mean_is_refused(case: Path, log: dict[str, object], said: str) -> None:
+    relog(case, **log)
+    with pytest.raises(GapError, match=said):
+        load_case(case)
+
+
+@pytest.mark.parametrize("dtype", [[("a", float), ("b", float)], "U4"])
+def test_arrays_that_are_no_numbers_are_named(case: Path, dtype: object) -> None:
+    only_one_run(case)
+    change(case, mode=np.zeros(3, dtype=dtype))
+    with pytest.raises(GapError, match=r"plain numbers[\s\S]*mode of type"):
         load_case(case)
 
 
@@ -192,17 +222,62 @@ def test_many_runs_are_subsampled_and_said(case: Path) -> None:
         ('<asset><mesh name="m" file="../secret.stl"/></asset>', "leads out"),
         ('<include file="more.xml"/>', "leads out"),
         ('<include file="model.xml"/>', "include each other"),
+        ('<asset><texture name="t" type="cube" fileright="../right.png"/></asset>', "leads out"),
+        ('<asset><model name="m" file="parts/evil.xml"/></asset>', "leads out"),
+        ('<asset><model name="m" file="parts/loop.xml"/></asset>', "include each other"),
+        ('<asset><model name="m" file="parts/code.xml"/></asset>', "plugins"),
+        ('<asset><mesh name="m" file="CASE/tetra.obj"/></asset>', "absolute path"),
+        ('<compiler meshdir="CASE"/>', "absolute path"),
         ('<extension><plugin plugin="mujoco.pid"/></extension>', "plugins"),
     ],
 )
 def test_model_that_reaches_out_of_its_folder_is_refused(case: Path, line: str, error: str) -> None:
     (case / "more.xml").write_text('<mujoco><asset><texture name="t" type="2d" file="/etc/passwd"/></asset></mujoco>')
-    path = case / "model.xml"
-    text = path.read_text()
-    at = text.index(">", text.index("<mujoco")) + 1
-    path.write_text(text[:at] + line + text[at:])
+    (case / "parts").mkdir()
+    for name, asset in (
+        ("evil", '<hfield name="h" file="../../secret.png"/>'),
+        ("loop", '<model name="m" file="loop.xml"/>'),
+        ("code", '<model name="m" file="../code.xml"/>'),
+    ):
+        (case / "parts" / f"{name}.xml").write_text(f"<mujoco><asset>{asset}</asset></mujoco>")
+    (case / "code.xml").write_text('<mujoco><extension><plugin plugin="mujoco.pid"/></extension></mujoco>')
+    (case / "tetra.obj").write_text(TETRA)
+    insert(case, line.replace("CASE", str(case)))
     with pytest.raises(RealsimError, match=error):
         load_case(case)
+
+
+def insert(case: Path, line: str, before: str = "") -> None:
+    """Write a line into model.xml: at its beginning, or before another text."""
+    path = case / "model.xml"
+    text = path.read_text()
+    at = text.index(before) if before else text.index(">", text.index("<mujoco")) + 1
+    path.write_text(text[:at] + line + text[at:])
+
+
+def test_a_model_of_parts_is_read(case: Path) -> None:
+    """A mesh in a model of its own, in a folder of its own; its name is relative to that."""
+    (case / "parts").mkdir()
+    (case / "meshes").mkdir()
+    (case / "meshes" / "tetra.obj").write_text(TETRA)
+    (case / "parts" / "tip.xml").write_text(
+        '<mujoco><asset><mesh name="tip" file="../meshes/tetra.obj"/></asset><worldbody><body name="tip">'
+        '<geom type="mesh" mesh="tip" mass="0.01" contype="0" conaffinity="0"/></body></worldbody></mujoco>'
+    )
+    insert(case, '<asset><model name="tip" file="parts/tip.xml"/></asset>')
+    insert(case, '<attach model="tip" body="tip" prefix="a_"/>', before='<site name="wrist"')
+    assert load_case(case).model.nmesh == 1
+
+
+@pytest.mark.parametrize(("name", "error"), [("../tetra.obj", "leads out"), ("gone.obj", "cannot be read")])
+def test_files_that_the_patched_model_would_not_find_are_refused_first(
+    case: Path, tmp_path: Path, name: str, error: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("realsim.gap.run.asset_files", lambda spec: [name])
+    said: list[str] = []
+    with pytest.raises(RealsimError, match=error):
+        run_case(case, tmp_path / "out", progress=lambda what, share: said.append(what))
+    assert not said
 
 
 def test_model_with_an_entity_bomb_is_refused(case: Path) -> None:
@@ -250,6 +325,36 @@ def test_a_closed_loop_is_diagnosed(tmp_path: Path) -> None:
     assert any("closed loops" in w for w in found.health["warnings"])
     assert found.causes[0]["effect"] == "coulomb_friction"
     assert found.causes[0]["joints"] == ["crank"]
+
+
+def test_long_runs_with_few_samples_at_first_are_left_out_and_said(case: Path) -> None:
+    def late(t):
+        return t + 5.0 * (np.arange(len(t)) > 10)
+
+    change(case, "run_02", time=late)
+    config = DiagnoseConfig(effects=("command_delay",), max_seconds=2.0, baselines=False, bootstrap=20)
+    found = diagnose(load_case(case), config)
+    assert "left out: run_02 has less than 20 samples until then" in found.health["warnings"]
+    for path in (case / "runs").glob("*.npz"):
+        change(case, path.stem, time=lambda t: 30 * t)
+    with pytest.raises(GapError, match=r"too short[\s\S]*max_seconds"):
+        diagnose(load_case(case), config)
+
+
+@pytest.mark.parametrize("effect", ["camera_delay", "ground_friction"])
+def test_effects_that_cannot_act_name_no_first_cause(made, effect: str) -> None:
+    folder = made("no_effects", Truth(coulomb={"elbow": 2.0}), runs=3, span=(1.5, 1.6))
+    found = diagnose(load_case(folder), DiagnoseConfig(effects=(effect,), bootstrap=20, threads=1))
+    assert found.verdict == "unexplained"
+    assert found.baselines == {}
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"bootstrap": 0}, {"seed": -1}, {"max_seconds": 0.02}, {"max_seconds": float("nan")}, {"holdout": -1}]
+)
+def test_settings_that_would_fail_late_are_refused_at_once(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        DiagnoseConfig(**wrong)  # type: ignore[arg-type]
 
 
 def test_replicates_are_found(case: Path) -> None:

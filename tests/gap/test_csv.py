@@ -110,6 +110,12 @@ def test_units_of_npz_runs_stand_in_log_json(made: Callable[..., Path], tmp_path
         ({"joint_pos": ["s_pos", 7]}, "cannot be read"),
         ({"command": None}, "'command' is missing"),
         ({"contact": ["s_pos"]}, "wrong number of columns"),
+        ({"joint_pos": {"columns": 5}}, "joint_pos cannot be read"),
+        ({"joint_pos": {"columns": ["s_pos", "e_pos"], "sign": None}}, "sign is 1 or -1"),
+        ({"joint_pos": {"columns": ["s_pos", "e_pos"], "sign": 2}}, "sign is 1 or -1"),
+        ({"joint_pos": {"columns": ["s_pos", "e_pos"], "units": "deg"}}, "did you mean unit"),
+        ({"joint_pos": ["s_pos", {"column": "e_pos", "units": "deg"}]}, "did you mean unit"),
+        ({"joint_pos": {"columns": ["s_pos", "e_pos"], "unit": None}}, "unknown unit 'None'"),
         ({"time": "stamp"}, "more than an hour"),
     ],
 )
@@ -138,10 +144,18 @@ def test_same_run_twice_is_refused(case: Path) -> None:
         load_case(case)
 
 
+def test_a_sign_and_a_unit_hold_for_all_columns(case: Path, made: Callable[..., Path]) -> None:
+    remap(case, joint_vel={"columns": ["s_vel", "e_vel"], "unit": "rpm", "sign": -1})
+    ours, theirs = load_case(case).runs[0], load_case(made("plain", Truth())).runs[0]
+    np.testing.assert_allclose(ours.signals["joint_vel"], -theirs.signals["joint_vel"], atol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
         (lambda rows: rows[1:], "no header"),
+        (lambda rows: [*rows[:9], rows[9].replace(",walk", ',"walk'), *rows[10:]], r"does not end[\s\S]*row 10"),
+        (lambda rows: [*rows[:9], rows[9].replace(",walk", ',"walk'), *200 * rows[10:]], r"does not end[\s\S]*row 10"),
         (lambda rows: rows[:1], "no samples"),
         (lambda rows: [rows[0].replace("s_des", "stamp"), *rows[1:]], "a column twice"),
         (lambda rows: [*rows[:9], rows[9] + ",3", *rows[10:]], "row 10"),

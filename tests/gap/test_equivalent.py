@@ -63,12 +63,31 @@ def test_what_does_the_same_as_a_cause_is_no_further_one(arm: Case) -> None:
 
 
 @pytest.mark.parametrize("name", ["command_delay", "observation_delay"])
-def test_an_imu_tells_them_apart(name: str, arm: Case) -> None:
+def test_an_imu_tells_them_apart_where_it_is_compared(name: str, arm: Case) -> None:
     effect = EFFECTS[name]
     with Simulator(arm, CONFIG) as simulator:
         assert effect.twinned(simulator.context)
-        acc = tuple(replace(r, signals=r.signals | {"imu_acc": np.zeros((len(r.time), 3))}) for r in arm.runs)
-        assert not effect.twinned(replace(simulator.context, case=arm.with_runs(acc)))
+        mute = also(arm, imu_acc=3, base_pos=3, contact=2)  # no site, a fixed base, and never compared
+        assert effect.twinned(replace(simulator.context, case=mute))
+        heard = replace(also(arm, imu_acc=3), imu_site="wrist")
+        assert not effect.twinned(replace(simulator.context, case=heard))
+
+
+def also(case: Case, **signals: int) -> Case:
+    """The case with more signals, all zero, of so many columns."""
+    return case.with_runs(
+        tuple(replace(r, signals=r.signals | {k: np.zeros((len(r.time), n)) for k, n in signals.items()})
+              for r in case.runs)
+    )  # fmt: skip
+
+
+def test_an_accelerometer_alone_has_a_bias(arm: Case) -> None:
+    case = also(replace(arm, imu_site="wrist"), imu_acc=3)
+    assert case.has_imu
+    biased = logged(case, [("imu_bias", (), {"acc_y": 0.6})])
+    found = diagnose(biased, replace(CONFIG, effects=("imu_bias", "coulomb_friction"), bootstrap=20, baselines=False))
+    assert found.causes[0]["effect"] == "imu_bias"
+    assert found.causes[0]["parameters"]["acc_y"]["value"] == pytest.approx(0.6, rel=0.1)
 
 
 def test_the_more_usual_of_two_that_fit_alike_stands_first() -> None:

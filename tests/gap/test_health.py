@@ -222,6 +222,37 @@ def test_quaternion_in_another_order_is_refused(tmp_path: Path) -> None:
         health(tilted)
 
 
+def test_what_is_logged_and_not_compared_is_said(good: Case, tmp_path: Path) -> None:
+    def more(run: Run) -> Run:
+        extra = {name: np.ones((len(run.time), 3)) for name in ("base_pos", "imu_gyro", "contact")}
+        return replace(run, signals=run.signals | extra)
+
+    said = health(replace(spoiled(good, more), torque_kind="none"))["warnings"]
+    assert {w.split()[0] for w in said} == {"base_pos", "imu_gyro", "contact", "joint_torque"}
+    assert next(w for w in said if "torque" in w).endswith("says none, not measured or current_times_constant")
+    assert any("imu_gyro is not compared: log.json names no imu_site" in w for w in said)
+
+    def without_place(run: Run) -> Run:
+        touching = {"contact": np.ones((len(run.time), 1))}
+        return replace(run, signals={k: v for k, v in run.signals.items() if k != "base_pos"} | touching)
+
+    floating = floating_case(tmp_path / "case", [1.0, 0, 0, 0])
+    said = health(replace(spoiled(floating, without_place), contact_bodies=("leg",)))["warnings"]
+    assert [w for w in said if "compared" in w] == [
+        "base_quat is neither compared nor taken for the pose that runs begin in: base_pos is not in every run"
+    ]
+
+
+def test_contacts_of_no_body_are_left_out_and_said(made: Callable[..., Path], tmp_path: Path) -> None:
+    folder = shutil.copytree(made("plain", Truth()), tmp_path / "case")
+    for path in (folder / "runs").glob("*.npz"):
+        with np.load(path) as data:
+            np.savez(path, **data, contact=np.ones((len(data["time"]), 1)))
+    case = load_case(folder)
+    assert "run_01.npz: contact is left out: contact_bodies in log.json is empty" in case.warnings
+    assert "contact" not in case.runs[0].signals
+
+
 def test_nominal_that_falls_over_is_named(tmp_path: Path) -> None:
     case = floating_case(tmp_path / "case", [1.0, 0, 0, 0], height=1.0)
     with pytest.raises(GapError, match=r"falls over[\s\S]*in a at"):
@@ -266,3 +297,13 @@ def test_a_broken_case_stops_no_other(made: Callable[..., Path], tmp_path: Path,
     assert [item["exit_code"] for item in said["items"]] == [2, 0]
     assert (tmp_path / "out" / "still" / "diagnosis.json").is_file()
     assert not (tmp_path / "out" / "broken").exists()
+
+
+def test_encoders_that_come_up_late_are_borne(good: Case) -> None:
+    def late(values: Any) -> Any:
+        values[:6] = np.nan
+        return values
+
+    found = health(spoiled(good, with_signal("joint_pos", late)))
+    assert found["warnings"] == []
+    assert found["start"]["farthest_from_rest"] < 0.1

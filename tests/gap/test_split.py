@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.logs.runs import Run
@@ -39,6 +40,44 @@ def test_an_ordinary_last_run_stays_unseen():
 
 def test_a_single_run_is_fitted_and_none_is_unseen():
     assert split_runs(case_of([2.0]), DiagnoseConfig()) == ([0], [])
+
+
+def test_with_two_runs_none_is_unseen():
+    assert split_runs(case_of([2.0, 3.0]), DiagnoseConfig()) == ([0, 1], [])
+
+
+def repeated(commands: str) -> SimpleNamespace:
+    """Runs whose commands have these names."""
+    case = case_of([2.0 + "ABCDEFGH".index(name) for name in commands])
+    for run in case.runs:
+        run.command[:] /= np.abs(run.command).max()
+    return case
+
+
+@pytest.mark.parametrize(
+    ("commands", "held"),
+    [
+        ("AABB", [2, 3]),
+        ("ABAB", [1, 3]),
+        ("ABBA", [0, 3]),
+        ("AABBCC", [4, 5]),
+        ("AABBC", [4]),
+        ("ABCA", [2]),
+        ("AAA", []),
+    ],
+)
+def test_no_repetition_of_a_fitted_run_is_unseen(commands: str, held: list[int]):
+    fitted = [i for i in range(len(commands)) if i not in held]
+    assert split_runs(repeated(commands), DiagnoseConfig()) == (fitted, held)
+
+
+def test_repetitions_that_show_nothing_are_fitted():
+    gaps = [50.0, 55.0, 80.0, 90.0, 0.4, 0.5]
+    assert split_runs(repeated("AABBCC"), DiagnoseConfig(), gaps) == ([2, 3, 4, 5], [0, 1])
+
+
+def test_more_groups_than_there_are_leave_none_unseen():
+    assert split_runs(repeated("AABB"), DiagnoseConfig(holdout=2))[1] == []
 
 
 def test_of_many_runs_the_one_of_another_regime_is_unseen_too():

@@ -128,6 +128,29 @@ def test_what_a_stop_bears_is_no_missing_torque(arm: Simulator) -> None:
     assert found.rms[1] < 0.3 * np.std(pressed.runs[0].signals["joint_torque"][:, 1])
 
 
+def test_a_joint_without_a_torque_sensor_lacks_no_torque(sticky: Simulator) -> None:
+    whole = torque_residual(sticky)
+    runs = [replace(r, signals=r.signals | {"joint_torque": r.signals["joint_torque"] * [1, np.nan]})
+            for r in sticky.case.runs]  # fmt: skip
+    with Simulator(sticky.case.with_runs(tuple(runs)), CONFIG) as robot:
+        found = torque_residual(robot)
+    assert whole is not None
+    assert found is not None
+    assert found.joints == ("shoulder",)
+    assert found.rms == pytest.approx(whole.rms[:1])
+    assert found.share == pytest.approx(whole.share[:1])
+    assert found.terms[0]["what"] == whole.terms[0]["what"]
+
+
+def test_no_torque_at_all_is_no_residual(arm: Simulator) -> None:
+    """Both joints are at a stop throughout."""
+    spec = arm.case.spec.copy()
+    for joint in ("shoulder", "elbow"):
+        spec.joint(joint).limited, spec.joint(joint).range = True, [-20.0, -10.0]
+    with Simulator(replace(arm.case, spec=spec, model=spec.copy().compile()), CONFIG) as robot:
+        assert torque_residual(robot) is None
+
+
 def quadruped(folder: Path) -> Case:
     legs, servos, names = [], [], []
     for leg, x, y in (("fl", 0.2, 0.1), ("fr", 0.2, -0.1), ("hl", -0.2, 0.1), ("hr", -0.2, -0.1)):
@@ -182,6 +205,24 @@ def test_a_payload_shows_in_the_rows_without_motors_and_friction_does_not(tmp_pa
     assert masses[0] == pytest.approx(0, abs=0.15)
     assert masses[1] == pytest.approx(1.5, rel=0.2)
     assert masses[2] == pytest.approx(masses[0], abs=0.15)
+
+
+def test_a_leg_without_a_torque_sensor_leaves_the_wrench(tmp_path: Path) -> None:
+    """What its foot bears is unknown, so part of a payload could be; but nothing is made up where nothing lacks."""
+    case = replace(quadruped(tmp_path / "case"), torque_kind="measured")
+    with Simulator(case, CONFIG) as simulator:
+        runs = []
+        for run, y in zip(case.runs, simulator.simulate(), strict=True):
+            position = [i for i, c in enumerate(simulator.channels) if c.signal == "joint_pos"]
+            place = [i for i, c in enumerate(simulator.channels) if c.signal == "base_pos"]
+            torque = 120 * (run.command - y[:, position]) - 4 * np.gradient(y[:, position], run.time, axis=0)
+            torque[:, -1] = np.nan
+            arrays = {"joint_pos": y[:, position], "base_pos": y[:, place], "joint_torque": torque}
+            runs.append(replace(run, signals=run.signals | arrays))
+    with Simulator(case.with_runs(tuple(runs)), CONFIG) as simulator:
+        wrench = base_wrench(simulator)
+    assert wrench is not None
+    assert wrench.mass == pytest.approx(0, abs=0.15)
 
 
 # ---------------------------------------------------------------- bins

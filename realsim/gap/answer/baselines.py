@@ -32,6 +32,8 @@ def first_choices(screen: Screen, selection: Selection) -> dict[str, dict[str, A
         best = max(single, key=lambda t: t.gain or 0.0)
         found["largest single-effect fit"] = _named(best.effect, best.place)
     effects = [i for i, a in enumerate(screen.atoms) if a.effect in EFFECTS]
+    if not effects:  # none of those asked for can act on this robot
+        return found
     A, b, c = _plain(screen, selection.nominal)
     size = np.sqrt(np.maximum(np.diag(A), 1e-30))
     alike = np.abs(b) / (size * np.sqrt(max(c, 1e-30)))

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from realsim.gap.simulation.channels import channels
 from realsim.gap.simulation.edit import Edit as Edit
 
 if TYPE_CHECKING:
@@ -102,11 +103,11 @@ class Effect:
 
 
 def joint_signals_only(context: Context) -> bool:
-    """Whether nothing but the joints' own signals is logged: then late commands and late readings are one and the same.
+    """Whether nothing but the joints' own signals is compared: then late commands and late readings are one thing.
 
     A robot that begins at rest knows no clock, so shifting its commands shifts every reading.
     """
-    return not any(context.case.has(name) for name in ("base_pos", "imu_gyro", "imu_acc", "contact"))
+    return all(channel.signal.startswith("joint_") for channel in channels(context.case))
 
 
 def each_joint(context: Context) -> list[Place]:

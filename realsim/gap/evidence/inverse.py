@@ -36,13 +36,13 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class TorqueResidual:
-    """Torque that the nominal model does not explain."""
+    """Torque that the nominal model does not explain, of the J joints whose torque was logged away from their stops."""
 
     joints: tuple[str, ...]
     velocity: F64
     """(N, J) rad/s"""
     residual: F64
-    """(N, J) N m: logged minus needed; NaN where the joint is at a stop."""
+    """(N, J) N m: logged minus needed; NaN where the joint is at a stop, or in a run without its torque."""
     rms: F64
     """(J,) of the residual."""
     share: F64
@@ -64,7 +64,7 @@ class BaseWrench:
 
 
 def torque_residual(simulator: Simulator) -> TorqueResidual | None:
-    """None for a floating base (its contact forces are unknown), or where no torque was logged."""
+    """None for a floating base (its contact forces are unknown), or where no torque was logged away from the stops."""
     case = simulator.case
     if case.floating or not case.has("joint_torque") or case.torque_kind == "none":
         return None
@@ -76,6 +76,7 @@ def torque_residual(simulator: Simulator) -> TorqueResidual | None:
     for run in case.runs:
         motion = estimate(case, run, blur)
         torque = blur(motion.time, run.time, run.signals["joint_torque"])[0]
+        torque[:, ~np.isfinite(run.signals["joint_torque"]).any(axis=0)] = np.nan  # a joint without a sensor
         phase = _phase(case, run, motion)
         for n in _picked(motion):
             needed = _needed(model, data, motion, n)[dofs]
@@ -86,13 +87,16 @@ def torque_residual(simulator: Simulator) -> TorqueResidual | None:
             logged.append(torque[n])
     if len(residual) < 20:
         return None
-    v, a, r, t, p = (np.array(x) for x in (velocity, change, residual, logged, phases))
+    known = np.flatnonzero(np.isfinite(residual).any(axis=0))
+    if not len(known):
+        return None
+    v, a, r, t, p = (np.take(x, known, axis=1) for x in (velocity, change, residual, logged, phases))
     free = np.isfinite(r)
-    count = np.maximum(free.sum(axis=0), 1)
+    count = free.sum(axis=0)
     rms = np.sqrt(np.nansum(r**2, axis=0) / count)
     share = rms**2 / np.maximum(np.where(free, t**2, 0.0).sum(axis=0) / count, 1e-12)
     terms = tuple(_term(v[:, j], a[:, j], t[:, j], r[:, j], p[:, j]) for j in range(r.shape[1]))
-    return TorqueResidual(case.joint_names, v, r, rms, share, terms)
+    return TorqueResidual(tuple(case.joint_names[j] for j in known), v, r, rms, share, terms)
 
 
 def _phase(case: Case, run: Run, motion: Motion) -> F64:
@@ -172,6 +176,8 @@ def _lacking(case: Case, model: Any, data: Any, run: Run, motion: Motion, n: int
     if J is None:
         return None
     driven = _drive(case, model, data, run, float(motion.time[n]))
+    unknown = ~np.isfinite(driven)
+    driven[unknown] = 0.0
     rest = needed - driven
     weight = GRAVITY * float(model.body_subtreemass[0])
     # The legs' rows fix the contact forces; the base's rows are trusted only as far as a wrench of half the weight
@@ -179,7 +185,7 @@ def _lacking(case: Case, model: Any, data: Any, run: Run, motion: Motion, n: int
     sigma = np.full(model.nv, 0.0)
     sigma[:] = 0.2 + 0.05 * np.abs(driven)
     sigma[base] = 0.5 * weight
-    sigma[at_stop(model, motion.qpos[n])] = weight  # what the stop bears is unknown
+    sigma[at_stop(model, motion.qpos[n]) | unknown] = weight  # what a stop, or a drive without a sensor, bears
     A = np.vstack([J.T / sigma[:, None], np.eye(len(J)) / (3 * weight)])
     b = np.concatenate([rest / sigma, np.zeros(len(J))])
     force = np.linalg.lstsq(A, b, rcond=None)[0]
@@ -211,13 +217,16 @@ def at_stop(model: Any, qpos: F64) -> npt.NDArray[np.bool_]:
 
 
 def _drive(case: Case, model: Any, data: Any, run: Run, when: float) -> F64:
-    """(nv,) of the drives: the logged torque where there is one, else the servos' law at the logged state."""
+    """(nv,) of the drives: the logged torque if torques were measured, else the servos' law at the logged state.
+
+    NaN for a joint whose torque this run does not have.
+    """
     import mujoco
 
     if case.has("joint_torque") and case.torque_kind == "measured":
         force = np.zeros(model.nv)
         for j, name in enumerate(case.joint_names):
-            force[model.joint(name).dofadr[0]] = _at(np.array([when]), run.time, run.signals["joint_torque"][:, j])[0]
+            force[model.joint(name).dofadr[0]] = _at(when, run.time, run.signals["joint_torque"][:, j])
         return force
     at = int(np.clip(np.searchsorted(run.time, when, side="right") - 1, 0, len(run.time) - 1))
     for u, name in enumerate(case.actuator_names):
@@ -259,6 +268,7 @@ def _picked(motion: Motion) -> list[int]:
     return [n for n in range(edge, len(motion.time) - edge, step) if motion.good[n]]
 
 
-def _at(grid: F64, time: F64, column: F64) -> F64:
+def _at(when: float, time: F64, column: F64) -> float:
+    """A column between its finite samples; NaN where it has none."""
     finite = np.isfinite(column)
-    return np.interp(grid, time[finite], column[finite])
+    return float(np.interp(when, time[finite], column[finite])) if finite.any() else np.nan

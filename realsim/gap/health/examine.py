@@ -12,6 +12,7 @@ from realsim.errors import GapError
 from realsim.gap.health.conventions import log_conventions, nominal_conventions
 from realsim.gap.health.signals import clocks, initial_states, missing, noise, quanta, saturation
 from realsim.gap.logs.case import Case
+from realsim.gap.simulation.channels import uncompared
 from realsim.gap.simulation.simulate import Simulator
 
 SOME_FALLS = 1 / 3
@@ -28,7 +29,7 @@ def examine(simulator: Simulator) -> dict[str, Any]:
     warnings += _failures(simulator)
     warnings += _excitation(case)
     gone, said = missing(case)
-    warnings += said
+    warnings += said + uncompared(case)
     nominal = simulator.simulate()
     warnings += nominal_conventions(simulator, nominal)
     start, said = initial_states(simulator)

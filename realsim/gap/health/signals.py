@@ -9,9 +9,10 @@ import numpy as np
 from realsim.errors import GapError
 from realsim.gap.compare import DETAIL
 from realsim.gap.logs.case import Case, Run
+from realsim.gap.logs.kinks import median_size, third_differences
 from realsim.gap.logs.repeats import replicates, spread
 from realsim.gap.simulation.simulate import Simulator
-from realsim.gap.simulation.start import STILL, Start
+from realsim.gap.simulation.start import STILL, Start, first_rows
 from realsim.types import F64
 
 Said = list[str]
@@ -152,9 +153,9 @@ def noise(simulator: Simulator, nominal: list[F64]) -> tuple[dict[str, Any], Sai
         kinks, errors = [], []
         for run, y in zip(case.runs, nominal, strict=True):
             r = run.signals[signal][:, [simulator.channels[i].index for i in columns]] - y[:, columns]
-            kinks.append((r[3:] - 3 * r[2:-1] + 3 * r[1:-2] - r[:-3]) / np.sqrt(20))
+            kinks += [third_differences(column) / np.sqrt(20) for column in r.T]
             errors.append(r)
-        sample = float(1.4826 * np.nanmedian(np.abs(np.concatenate(kinks))))
+        sample = 1.4826 * median_size(np.concatenate(kinks))
         found[signal] = {"sample": sample, "replicates": spread(case, signal)}
         for group in replicates(case):
             sizes = {i: float(np.sqrt(np.nanmean(errors[i] ** 2))) for i in group}
@@ -187,7 +188,7 @@ def initial_states(simulator: Simulator) -> tuple[dict[str, Any], Said]:
         case.runs, simulator.nominal_tracks, simulator.starts, simulator.rests, strict=True
     ):
         position = run.signals["joint_pos"]
-        first = np.nanmedian(position[:5], axis=0)
+        first = _first_position(position)
         travel = np.nanmax(position, axis=0) - np.nanmin(position, axis=0)
         distance, speed = np.abs(first - rest), _first_speed(run.time, position)
         peak = np.nanmax(np.abs(np.gradient(track["pos"], track["settle"][1], axis=0)), axis=0)
@@ -212,11 +213,21 @@ def initial_states(simulator: Simulator) -> tuple[dict[str, Any], Said]:
     return {"farthest_from_rest": max(off), "fastest_at_start": max(fast), "runs": how}, said
 
 
+def _first_position(position: F64) -> F64:
+    """(J,) median of the first five samples; of the first finite ones where an encoder comes up later."""
+    if np.isfinite(position[:5]).any(axis=0).all():
+        return np.asarray(np.nanmedian(position[:5], axis=0))
+    return first_rows(position)
+
+
 def _first_speed(time: F64, position: F64) -> F64:
-    """(J,) slope of the first tenth of a second, by least squares."""
+    """(J,) slope of the first tenth of a second, by least squares; 0 where an encoder has no sample in it."""
     inside = time <= max(0.1, time[4])
     t = time[inside] - time[inside].mean()
-    values = np.nan_to_num(position[inside] - np.nanmean(position[inside], axis=0))
+    early = np.isfinite(position[inside]).any(axis=0)
+    mean = np.zeros(position.shape[1])
+    mean[early] = np.nanmean(position[inside][:, early], axis=0)
+    values = np.nan_to_num(position[inside] - mean)
     return np.asarray(np.abs(t @ values) / max(float(t @ t), 1e-12))
 
 

@@ -48,7 +48,8 @@ class Case:
 
     @property
     def has_imu(self) -> bool:
-        return self.imu_site is not None and all("imu_gyro" in r.signals for r in self.runs)
+        """Whether a gyroscope or an accelerometer is logged and has its place in the model."""
+        return self.imu_site is not None and (self.has("imu_gyro") or self.has("imu_acc"))
 
     def has(self, signal: str) -> bool:
         """Whether every run logged this signal with at least some finite samples."""
@@ -121,8 +122,12 @@ def load_case(folder: Path) -> Case:
     warnings: list[str] = []
     site = log.get("imu_site")
     if site is not None:
+        if not isinstance(site, str):
+            raise GapError(
+                "imu_site cannot be read", file=folder / "log.json", expected="a name, or null", found=repr(site)[:60]
+            )
         _match([site], [model.site(i).name for i in range(model.nsite)], "imu_site", folder)
-    contact = [str(b) for b in log.get("contact_bodies") or []]
+    contact = _names(log, "contact_bodies", folder) if log.get("contact_bodies") not in (None, []) else []
     _match(contact, [model.body(i).name for i in range(model.nbody)], "contact body", folder)
     kind = _choice(log, "command_kind", ("position", "velocity", "torque"), folder)
     base = _choice(log, "base", ("fixed", "floating"), folder)
@@ -145,7 +150,8 @@ def load_case(folder: Path) -> Case:
     unlogged = [n for n in unlogged if n not in joints]
     if unlogged:
         warnings.append(f"joints of the model that are not logged start at their default: {', '.join(unlogged[:6])}")
-    want = layout(joints, actuators, contact, model, log | {"command_kind": kind, "columns": _columns(log, folder)})
+    said = log | {"command_kind": kind, "columns": _columns(log, folder)}
+    want = layout(joints, actuators, contact, model, said, folder / "log.json")
     runs, dropped = _read_runs(folder / "runs", want, warnings)
     if len(runs) == 1:
         warnings.append("only one run: nothing is left to check the diagnosis on, so it is weaker")
@@ -201,37 +207,54 @@ def _load_model(path: Path) -> tuple[Any, Any, str]:
     return spec, model, text
 
 
-def _harmless(path: Path, folder: Path, depth: int = 0) -> str:
-    """The text of an MJCF file that neither runs code nor names a file outside `folder`; nor do those it includes.
+def _harmless(path: Path, root: Path, where: Path = Path(), depth: int = 0) -> str:
+    """The text of an MJCF file that neither runs code nor names a file outside `root`; nor do those that it reads.
 
-    All names are relative to `folder`, that of the first file, as MuJoCo takes them.
+    As MuJoCo takes them, names are relative to `where`, a folder below `root`: that of the first file, also in those
+    that it includes, but that of the file itself in a model to attach.
     """
     from defusedxml import ElementTree
     from defusedxml.common import DefusedXmlException
 
     text = read_text(path)
     try:
-        root = ElementTree.fromstring(text)
+        tree = ElementTree.fromstring(text)
     except (ElementTree.ParseError, DefusedXmlException) as error:
         raise GapError(f"{path.name} is not plain XML", file=path, found=str(error)) from error
-    for node in root.iter():
-        for name in ("file", "meshdir", "texturedir", "assetdir"):
-            if node.get(name):
-                inside(folder, node.get(name, ""))
+    for node in tree.iter():
+        for attribute, name in node.attrib.items():
+            if name and (attribute.startswith("file") or attribute in ("meshdir", "texturedir", "assetdir")):
+                _check_name(path, root, where, name)
         if node.tag in ("plugin", "extension"):
             raise GapError("models with plugins are not loaded", file=path, found=f"<{node.tag}>")
-        if node.tag == "include" and node.get("file"):
+        if node.tag in ("include", "model") and (further := node.get("file")):
             if depth == MAX_INCLUDES:
-                raise GapError("the model's files include each other", file=path, found=node.get("file"))
-            _harmless(folder / node.get("file", ""), folder, depth + 1)
+                raise GapError("the model's files include each other", file=path, found=further)
+            below = where if node.tag == "include" else (where / further).parent
+            _harmless(root / where / further, root, below, depth + 1)
     return text
+
+
+def _check_name(path: Path, root: Path, where: Path, name: str) -> None:
+    """Refuse a name that leads out of the case, or that would not lead to the same file from another folder."""
+    inside(root, str(where / name))
+    if Path(name).is_absolute():
+        raise GapError(
+            "a file of the model is named by an absolute path",
+            file=path,
+            expected="a path relative to model.xml, so that the patched model finds its files too",
+            found=name,
+        )
 
 
 def _names(log: dict[str, Any], key: str, folder: Path) -> list[str]:
     value = log.get(key)
     if not isinstance(value, list) or not value or not all(isinstance(v, str) for v in value):
         raise GapError(
-            f"{key} is missing", file=folder / "log.json", expected="a list of names", found=repr(value)[:60]
+            f"{key} {'is missing' if value is None else 'cannot be read'}",
+            file=folder / "log.json",
+            expected="a list of names",
+            found=repr(value)[:60],
         )
     if len(set(value)) != len(value):
         raise GapError(f"{key} names something twice", file=folder / "log.json", found=", ".join(value))

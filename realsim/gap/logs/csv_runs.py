@@ -26,6 +26,7 @@ from realsim.types import F64
 MAX_BYTES = 512 * 2**20
 DELIMITERS = ",;\t"
 _ENTRY = ("column", "unit", "sign")
+_SHARED = ("columns", "unit", "sign")
 
 
 def read_csv(
@@ -91,8 +92,13 @@ def _from_map(
 
 
 def _entries(path: Path, array: str, said: Any) -> list[dict[str, Any]]:
-    shared = {k: v for k, v in said.items() if k in ("unit", "sign")} if isinstance(said, Mapping) else {}
-    listed = said.get("columns", [said]) if isinstance(said, Mapping) else said if isinstance(said, list) else [said]
+    """What the map says of one array: a name, an entry, a list of these, or {columns, unit, sign} for all at once."""
+    shared: dict[str, Any] = {}
+    listed = said if isinstance(said, list) else [said]
+    if isinstance(said, Mapping) and "columns" in said:
+        _check_entry(path, array, said, _SHARED)
+        shared = {k: v for k, v in said.items() if k != "columns"}
+        listed = said["columns"] if isinstance(said["columns"], list) else [said["columns"]]
     entries = []
     for item in listed:
         entry = {"column": item} if isinstance(item, str) else item
@@ -103,16 +109,21 @@ def _entries(path: Path, array: str, said: Any) -> list[dict[str, Any]]:
                 expected='a column name, {"column": NAME, "unit": UNIT, "sign": 1 or -1}, or a list of these',
                 found=repr(item)[:80],
             )
-        odd = [k for k in entry if k not in _ENTRY]
-        if odd or entry.get("sign", 1) not in (1, -1):
-            raise GapError(
-                f"the column map of {array} says what it cannot say",
-                file=path,
-                expected=f"only {', '.join(_ENTRY)}; sign is 1 or -1",
-                found=repr(dict(entry))[:80],
-            )
+        _check_entry(path, array, entry, _ENTRY)
         entries.append({**shared, **entry})
     return entries
+
+
+def _check_entry(path: Path, array: str, entry: Mapping[str, Any], known: Sequence[str]) -> None:
+    odd = [k for k in entry if k not in known]
+    if odd or entry.get("sign", 1) not in (1, -1):
+        raise GapError(
+            f"the column map of {array} says what it cannot say",
+            file=path,
+            expected=f"only {', '.join(known)}; sign is 1 or -1",
+            found=repr(dict(entry))[:80],
+            hint=did_you_mean(odd[0], known) if odd else None,
+        )
 
 
 def _position(path: Path, array: str, column: str, header: Sequence[str]) -> int:
@@ -133,7 +144,7 @@ def _table(path: Path) -> tuple[list[str], F64]:
     if len(lines) < 2:
         raise GapError("the file has no samples", file=path, expected="a header and a row a sample")
     delimiter = max(DELIMITERS, key=lines[0].count)
-    header = [h.strip() for h in next(csv.reader([lines[0].lstrip("# ")], delimiter=delimiter))]
+    header = [h.strip() for h in _cells(path, [lines[0].lstrip("# ")], delimiter, 1)[0]]
     twice = sorted({h for h in header if header.count(h) > 1})
     if twice:
         raise GapError("the header names a column twice", file=path, found=", ".join(twice))
@@ -145,7 +156,7 @@ def _table(path: Path) -> tuple[list[str], F64]:
             return header, table
     except ValueError:
         pass  # empty cells, text or damage: cell by cell, so that it can be said where
-    rows = list(csv.reader(lines[1:], delimiter=delimiter))
+    rows = _cells(path, lines[1:], delimiter, 2)
     for number, row in enumerate(rows, 2):
         if len(row) != len(header):
             raise GapError(
@@ -156,6 +167,25 @@ def _table(path: Path) -> tuple[list[str], F64]:
                 hint="decimal commas? Write decimal points" if len(row) > len(header) else None,
             )
     return header, _numbers(path, header, rows)
+
+
+def _cells(path: Path, lines: Sequence[str], delimiter: str, first: int) -> list[list[str]]:
+    """The cells of each line; `first` is the number of the first row."""
+    rows: list[list[str]] = []
+    reader = csv.reader(lines, delimiter=delimiter)
+    try:
+        for row in reader:
+            if reader.line_num > len(rows) + 1:  # an open quotation mark turns all rows up to the next into one cell
+                raise csv.Error("the cell goes on in the next row")
+            rows.append(row)
+    except csv.Error as error:
+        raise GapError(
+            "a cell does not end in its row",
+            file=path,
+            expected="each quotation mark closed in its own row",
+            found=f"{error}, from row {first + len(rows)} on",
+        ) from error
+    return rows
 
 
 def _numbers(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]]) -> F64:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import GapError
+from realsim.errors import GapError, did_you_mean
 from realsim.files import check_size, read_npz
 from realsim.gap.logs.csv_runs import read_csv
 from realsim.gap.logs.units import in_si
@@ -65,16 +65,32 @@ class Layout:
 
 
 def layout(
-    joints: Sequence[str], actuators: Sequence[str], contact: Sequence[str], model: Any, log: Mapping[str, Any]
+    joints: Sequence[str],
+    actuators: Sequence[str],
+    contact: Sequence[str],
+    model: Any,
+    log: Mapping[str, Any],
+    file: Path,
 ) -> Layout:
-    """The arrays' columns by name."""
+    """The arrays' columns by name, from what log.json (`file`) says. Raises GapError for units of no array."""
     wide = {"J": tuple(joints), "F": tuple(contact), 3: tuple("xyz"), 4: tuple("wxyz")}
     names = {"time": ("time",), "command": tuple(actuators)} | {k: wide[v] for k, v in SIGNAL_SHAPES.items()}
     units = log.get("units") or {}
     if not isinstance(units, Mapping) or not all(isinstance(u, str) for u in units.values()):
         raise GapError(
-            "units of log.json cannot be read", expected='{"time": "ms", "joint_pos": "deg"}', found=repr(units)
+            "units of log.json cannot be read",
+            file=file,
+            expected='{"time": "ms", "joint_pos": "deg"}',
+            found=repr(units)[:80],
         )
+    for array in units:
+        if array not in names:
+            raise GapError(
+                f"units of log.json name {array!r}, which is no array of a log",
+                file=file,
+                expected=f"one of {', '.join(names)}",
+                hint=did_you_mean(array, names),
+            )
     return Layout(names, model.nq, model.nv, str(log["command_kind"]), log.get("columns"), units)
 
 
@@ -95,10 +111,18 @@ def read_run(path: Path, want: Layout, warnings: list[str]) -> Run:
 
 
 def _read_npz(path: Path) -> dict[str, F64]:
-    try:
-        return {k: np.asarray(v, dtype=np.float64) for k, v in read_npz(path).items()}
-    except ValueError as error:
-        raise GapError("not a readable .npz of plain numbers", file=path, found=str(error)) from error
+    arrays = {}
+    for name, values in read_npz(path).items():
+        try:
+            arrays[name] = np.asarray(values, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise GapError(
+                "not a readable .npz of plain numbers",
+                file=path,
+                expected="arrays of numbers",
+                found=f"{name} of type {values.dtype}",
+            ) from error
+    return arrays
 
 
 def _checked(path: Path, data: dict[str, F64], want: Layout, warnings: list[str]) -> Run:
@@ -113,7 +137,9 @@ def _checked(path: Path, data: dict[str, F64], want: Layout, warnings: list[str]
     _check_shape(path, "command", data["command"], (count, len(want.names["command"])))
     signals = {}
     for name in SIGNAL_SHAPES:
-        if name in data and want.names[name]:
+        if name in data and not want.names[name]:
+            warnings.append(f"{path.name}: {name} is left out: contact_bodies in log.json is empty")
+        elif name in data:
             _check_shape(path, name, data[name], (count, len(want.names[name])))
             signals[name] = np.where(np.isfinite(data[name]), data[name], np.nan)
     empty = ~np.isfinite(signals["joint_pos"]).any(axis=0)

@@ -24,6 +24,9 @@ APART = 1.5
 def split_runs(case: Case, config: DiagnoseConfig, gaps: Sequence[float] = ()) -> tuple[list[int], list[int]]:
     """(runs for fitting, runs that no fit sees). A replicate of a fitted run is no test, so it is not held out.
 
+    Where every run has replicates, whole groups of them take the place of runs; if all repeat one command, none is
+    held out. Nor is one of two runs.
+
     The last run is held out, unless it shows hardly any of the gap, and so checks nothing, or by far the most of it, so
     that without it there is nothing to fit: then the run whose gap is of middle size is.
 
@@ -33,10 +36,13 @@ def split_runs(case: Case, config: DiagnoseConfig, gaps: Sequence[float] = ()) -
     """
     count = len(case.runs)
     twins = replicates(case)
-    single = [i for i in range(count) if not any(i in g for g in twins)] or list(range(count))
-    held = single[-config.holdout :] if config.holdout and count > config.holdout + 1 else []
-    if len(held) == 1 and len(gaps) and not _shows(gaps, held[0]):
-        held = [sorted(single, key=lambda i: gaps[i])[len(single) // 2]]
+    single = [i for i in range(count) if not any(i in g for g in twins)]
+    groups = [[i] for i in single] or sorted(twins, key=max)
+    spare = count > config.holdout + 1 and (bool(single) or len(twins) > config.holdout)
+    kept = groups[-config.holdout :] if config.holdout and spare else []
+    if len(kept) == 1 and len(gaps) and not _shows(gaps, kept[0]):
+        kept = [sorted(groups, key=lambda g: np.mean([gaps[i] for i in g]))[len(groups) // 2]]
+    held = sorted(i for group in kept for i in group)
     if held and len(single) >= ENOUGH:
         held = sorted([*held, *_regime_apart(case, [i for i in single if i not in held])])
     fitted = [i for i in range(count) if i not in held]
@@ -47,10 +53,11 @@ def split_runs(case: Case, config: DiagnoseConfig, gaps: Sequence[float] = ()) -
     return fitted, held
 
 
-def _shows(gaps: Sequence[float], run: int) -> bool:
-    """Whether a run shows a fair part of the gap, and the others do too."""
-    others = np.nan_to_num([g for i, g in enumerate(gaps) if i != run])
-    return bool(FAINT * np.median(others) <= np.nan_to_num(gaps[run]) <= STANDS_ALONE * others.max())
+def _shows(gaps: Sequence[float], runs: Sequence[int]) -> bool:
+    """Whether these runs show a fair part of the gap, and the others do too."""
+    others = np.nan_to_num([g for i, g in enumerate(gaps) if i not in runs])
+    own = np.nan_to_num(np.mean([gaps[i] for i in runs]))
+    return bool(FAINT * np.median(others) <= own <= STANDS_ALONE * others.max())
 
 
 def _regime_apart(case: Case, runs: list[int]) -> list[int]:

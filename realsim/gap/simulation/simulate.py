@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,8 @@ from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects import EFFECTS
 from realsim.gap.effects.base import Effect, Place
 from realsim.gap.logs.case import Case, Run
+from realsim.gap.simulation.channels import Channel as Channel
+from realsim.gap.simulation.channels import channels
 from realsim.gap.simulation.context import Context, base_body, build_context, measure
 from realsim.gap.simulation.edit import Edit
 from realsim.gap.simulation.nuisances import NUISANCES
@@ -35,17 +36,6 @@ RESTING = 0.06
 """Seconds that are enough for contacts to take up their load."""
 
 
-@dataclass(frozen=True)
-class Channel:
-    """One scalar that simulator and log share."""
-
-    signal: str
-    label: str
-    """Joint name or axis."""
-    index: int
-    """Column of the signal."""
-
-
 class Simulator:
     """Replays runs. `simulate` returns, for each run, (T, C) at the logged time stamps; NaN from where it failed.
 
@@ -58,7 +48,7 @@ class Simulator:
     def __init__(self, case: Case, config: DiagnoseConfig) -> None:
         self.case, self.config = case, config
         self.context: Context = build_context(case)
-        self.channels = _channels(case)
+        self.channels = channels(case)
         self.simulated_seconds = 0.0
         self._pool: Any = None
         self._raw: list[dict[str, F64]] | None = None
@@ -297,22 +287,6 @@ def logged_turn(run: Run) -> F64:
     """(T, 3) rotation vectors of the base from its first logged orientation, without jumps beyond half a turn."""
     quat = run.signals["base_quat"]
     return continuous_turn(rotation_from(quat, first_rows(quat)))
-
-
-def _channels(case: Case) -> tuple[Channel, ...]:
-    found = []
-    for signal in ("joint_pos", "joint_vel", "joint_torque"):
-        if case.has(signal) and not (signal == "joint_torque" and case.torque_kind == "none"):
-            found += [Channel(signal, name, i) for i, name in enumerate(case.joint_names)]
-    if case.floating and case.has("base_pos"):
-        found += [Channel("base_pos", a, i) for i, a in enumerate("xyz")]
-        if case.has("base_quat"):
-            found += [Channel("base_rot", a, i) for i, a in enumerate("xyz")]
-    if case.imu_site:
-        for signal in ("imu_gyro", "imu_acc"):
-            if case.has(signal):
-                found += [Channel(signal, a, i) for i, a in enumerate("xyz")]
-    return tuple(found)
 
 
 def _inside(raw: dict[str, F64]) -> dict[str, F64]:

@@ -7,7 +7,6 @@ the state it begins in explains and that a start from rest does not.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -16,6 +15,7 @@ import numpy as np
 
 from realsim.errors import GapError
 from realsim.gap.logs.case import Case, Run
+from realsim.gap.logs.kinks import median_size, third_differences
 from realsim.gap.simulation.edit import Edit
 from realsim.types import F64
 
@@ -305,8 +305,4 @@ def _speed_spread(time: F64) -> float:
 
 def _noise(values: F64) -> F64:
     """(K,) standard deviation of a sample, from third differences."""
-    kinks = (values[3:] - 3 * values[2:-1] + 3 * values[1:-2] - values[:-3]) / np.sqrt(20)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a column without four samples in a row has none
-        found = 1.4826 * np.nanmedian(np.abs(kinks), axis=0)
-    return np.nan_to_num(found)
+    return np.array([1.4826 * median_size(third_differences(column) / np.sqrt(20)) for column in values.T])

@@ -1,0 +1,56 @@
+"""What simulator and log share, scalar by scalar: what is compared, and why the rest of a log is not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from realsim.gap.logs.case import Case
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One scalar that simulator and log share."""
+
+    signal: str
+    label: str
+    """Joint name or axis."""
+    index: int
+    """Column of the signal."""
+
+
+def channels(case: Case) -> tuple[Channel, ...]:
+    """All that is compared. The base's orientation is compared as a rotation vector, `base_rot`."""
+    found = []
+    for signal in ("joint_pos", "joint_vel", "joint_torque"):
+        if case.has(signal) and not (signal == "joint_torque" and case.torque_kind == "none"):
+            found += [Channel(signal, name, i) for i, name in enumerate(case.joint_names)]
+    if case.floating and case.has("base_pos"):
+        found += [Channel("base_pos", a, i) for i, a in enumerate("xyz")]
+        if case.has("base_quat"):
+            found += [Channel("base_rot", a, i) for i, a in enumerate("xyz")]
+    if case.imu_site:
+        for signal in ("imu_gyro", "imu_acc"):
+            if case.has(signal):
+                found += [Channel(signal, a, i) for i, a in enumerate("xyz")]
+    return tuple(found)
+
+
+def uncompared(case: Case) -> list[str]:
+    """A sentence for each signal that is in every run and nevertheless not compared."""
+    used = {"base_quat" if c.signal == "base_rot" else c.signal for c in channels(case)}
+    if case.floating:
+        used.add("contact")  # it tells touchdowns, and what bears the robot
+    shared = [name for name in case.runs[0].signals if all(name in run.signals for run in case.runs)]
+    return [_why_not(case, name) for name in shared if name not in used]
+
+
+def _why_not(case: Case, signal: str) -> str:
+    if not case.has(signal):
+        return f"{signal} has no finite sample in some run, so it is not compared"
+    if signal == "joint_torque":
+        return "joint_torque is not compared: torque_kind in log.json says none, not measured or current_times_constant"
+    if signal.startswith("imu"):
+        return f"{signal} is not compared: log.json names no imu_site"
+    if not case.floating:
+        return f"{signal} is not compared: the base is fixed"
+    return f"{signal} is neither compared nor taken for the pose that runs begin in: base_pos is not in every run"
