@@ -19,6 +19,8 @@ ALIKE, MOST_ALIKE = 0.95, 3
 
 NO_PREFERENCE = 4.0
 """Log-likelihood below which the runs prefer neither."""
+SAME = 0.5
+"""Log-likelihood below which two sets do the very same."""
 NOT_HELD = 4.0
 """A preference that unseen runs do not share may be so many times larger: one lively run is no witness."""
 CLEARLY_BETTER = 0.975
@@ -70,14 +72,20 @@ def simplest(fit: Fit, rivals: list[Fit]) -> tuple[Fit, list[Fit]]:
 
 
 def likelier(fit: Fit, rivals: list[Fit]) -> tuple[Fit, list[Fit]]:
-    """(fit, rivals) with the more usual cause first, where the runs do not prefer either."""
+    """(fit, rivals) with the more usual or simpler cause first, where the runs do not prefer either."""
     for rival in rivals:
         theirs = {c.candidate.effect for c in rival.causes}
         ours = {c.candidate.effect for c in fit.causes}
         usual = any(lookup(e).usual in theirs - ours for e in ours - theirs)
-        if usual and len(rival.causes) == len(fit.causes) and rival.misfit - fit.misfit < NO_PREFERENCE:
+        worse = rival.misfit - fit.misfit
+        simpler = worse < SAME and _size(rival) < _size(fit)
+        if len(rival.causes) == len(fit.causes) and ((usual and worse < NO_PREFERENCE) or simpler):
             return rival, [fit, *(r for r in rivals if r is not rival)]
     return fit, rivals
+
+
+def _size(fit: Fit) -> int:
+    return sum(len(c.values) for c in fit.causes)
 
 
 def _alike(screen: Screen, fit: Fit, cause: Cause) -> list[Cause]:

@@ -21,6 +21,8 @@ SURE_ERRORS = (2.0, 2.0, 3.0)
 """Standard errors off nothing that each of one, two, three causes must reach: many at once are rare."""
 ENOUGH = 4
 """Runs."""
+SETTLED = 0.6
+"""Share of the weighted squares that deviations must leave at most to be simulated at all."""
 
 
 class Fitter(Search):
@@ -29,6 +31,25 @@ class Fitter(Search):
     def nominal(self) -> Fit:
         """No cause at all."""
         return self._measure((), None)
+
+    def switched(self, fit: Fit) -> Fit:
+        """With the solver's other friction cone and the like, each where it explains most of the gap by itself.
+
+        What is one or the other is tried, not sloped: beside slipping feet its slope says little of it, and lower
+        friction imitates it.
+        """
+        for i, atom in enumerate(self.screen.atoms):
+            if not (atom.parameter.whole and fit.prior[i] > 0):
+                continue
+            old, cost = self.about, self._cost(fit)
+            self.about = old.copy()
+            self.about[i] = sum(atom.parameter.bounds) - old[i]
+            moved = self._or_none(fit)
+            if moved is not None and self._cost(moved) < SETTLED * cost:
+                fit = moved
+            else:
+                self.about = old
+        return fit
 
     def tighten(self, fit: Fit) -> Fit:
         """Weigh errors against what this fit leaves, put the nuisances where they belong, and measure it anew."""
@@ -59,10 +80,7 @@ class Fitter(Search):
 
     def looked_at(self, fit: Fit, causes: Sequence[Cause]) -> Fit | None:
         """These causes at their very values, without a search, under the fit's weights; None if the robot falls."""
-        try:
-            return self.remeasure(replace(fit, causes=tuple(causes)))
-        except GapError:
-            return None
+        return self._or_none(replace(fit, causes=tuple(causes)))
 
     def glance(self, causes: Sequence[Cause], further: Cause) -> float:
         """Gain in log-likelihood by a further cause at its very values, as a rough search sees it."""
@@ -83,14 +101,18 @@ class Fitter(Search):
         old, cost = self.about, self._cost(fit)
         for share in (1.0, 0.5):
             self.about = self.screen.possible(old + share * (x - old))
-            try:
-                moved = self.remeasure(fit)
-            except GapError:
-                continue
-            if self._cost(moved) < (0.98 if old.any() else 0.6) * cost:
+            moved = self._or_none(fit)
+            if moved is not None and self._cost(moved) < (0.98 if old.any() else SETTLED) * cost:
                 return moved, True
         self.about = old
         return fit, False
+
+    def _or_none(self, fit: Fit) -> Fit | None:
+        """`remeasure`, or None where the robot falls."""
+        try:
+            return self.remeasure(fit)
+        except GapError:
+            return None
 
     def _cost(self, fit: Fit) -> float:
         """Weighted squared residual of the simulation itself, and the nuisances' price."""

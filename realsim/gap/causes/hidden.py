@@ -11,10 +11,11 @@ from realsim.gap.causes.fit import ENOUGH, Fit, Fitter
 from realsim.gap.causes.merit import complexity, deviation, heldout, holds
 from realsim.gap.causes.rivals import Trial, ranked, refit
 from realsim.gap.causes.screen import Screen
+from realsim.gap.simulation.nuisances import MANY_JOINTS
 
 WORTH_TRYING = 10.0
 """Gain in log-evidence by the linear screen from which on a candidate is simulated."""
-TRIED = 3
+TRIED = 5
 """At most so many effects are simulated, the best place of each."""
 SURE, SURE_A_JOINT = 12.0, 8.0
 """Gain in log-likelihood that it must then bring, beside its price: the first, and the second a joint.
@@ -48,12 +49,12 @@ def hidden(screen: Screen, fitter: Fitter, current: Fit, stage: int, trials: lis
         brings = current.misfit - fit.misfit
         needed = least + 2.0 * len(cause.values)
         few = len(screen.runs) < ENOUGH and brings > 2 * needed
+        held = holds(mean, error, positive) and (positive >= NEARLY_ALL or few)
         sure = (
             brings > needed
             and deviation(screen, cause) >= FAR
             and fitter.clear(fit)[-1]
-            and holds(mean, error, positive)
-            and (positive >= NEARLY_ALL or few)
+            and (held or (joints < MANY_JOINTS and mean > -error))
         )
         outcome = "accepted" if sure else "small deviations explain it as well"
         where = (candidate.effect, candidate.place, candidate.names)

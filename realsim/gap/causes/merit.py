@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.gap.causes.fit import Cause, Fit
+from realsim.gap.causes.leftover import REASONABLE
 from realsim.gap.causes.screen import Screen
 from realsim.gap.simulation.simulate import lookup
 from realsim.types import F64
@@ -76,4 +77,5 @@ def heldout(screen: Screen, before: Fit, after: Fit) -> tuple[float, float, floa
 def _unseen(screen: Screen, fit: Fit, others: list[int], k: int) -> float:
     e = fit.evidence
     x = screen.nuisances(e, fit.prior, others)
+    x = np.clip(x, -REASONABLE * fit.prior, REASONABLE * fit.prior)
     return 0.5 * float(e.c[k] - 2 * e.b[k] @ x + x @ e.A[k] @ x)

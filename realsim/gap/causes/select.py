@@ -45,7 +45,7 @@ def select(
 ) -> Selection:
     """Causes of the gap on the screened runs."""
     nominal = fitter.nominal()
-    current = nominal
+    current = fitter.switched(nominal)
     trials: list[Trial] = []
     notes: list[str] = []
     stages: list[tuple[Fit, list[Fit]]] = []

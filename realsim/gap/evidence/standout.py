@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from realsim.gap.compare import Comparison
-from realsim.gap.simulation.simulate import Channel, named_place
+from realsim.gap.simulation.channels import Channel, named_place
 from realsim.types import F64
 
 BLOCK_SECONDS = 0.5

@@ -11,7 +11,8 @@ from realsim.gap.compare import Comparison
 from realsim.gap.evidence.inverse import base_wrench, torque_residual
 from realsim.gap.evidence.shooting import Shots, shoot
 from realsim.gap.evidence.standout import excesses, significant, standouts, tail
-from realsim.gap.simulation.simulate import Setting, Simulator, named_place
+from realsim.gap.simulation.channels import named_place
+from realsim.gap.simulation.simulate import Setting, Simulator
 from realsim.types import F64
 
 PHASES = ("at rest", "reversal", "slow", "fast forward", "fast backward")

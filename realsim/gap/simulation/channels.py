@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from realsim.gap.logs.case import Case
+from realsim.gap.simulation.context import base_body
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,15 @@ def channels(case: Case) -> tuple[Channel, ...]:
             if case.has(signal):
                 found += [Channel(signal, a, i) for i, a in enumerate("xyz")]
     return tuple(found)
+
+
+def named_place(case: Case, channel: Channel) -> dict[str, str]:
+    """{joint}, or {body, axis} for what a base or an inertial unit measures."""
+    if channel.signal.startswith("joint"):
+        return {"joint": channel.label}
+    site = case.imu_site if channel.signal.startswith("imu") else None
+    body = int(case.model.site(site).bodyid[0]) if site else base_body(case)
+    return {"body": str(case.model.body(body).name), "axis": channel.label}
 
 
 def uncompared(case: Case) -> list[str]:

@@ -14,7 +14,7 @@ from realsim.gap.effects.base import Effect, Place
 from realsim.gap.logs.case import Case, Run
 from realsim.gap.simulation.channels import Channel as Channel
 from realsim.gap.simulation.channels import channels
-from realsim.gap.simulation.context import Context, base_body, build_context, measure
+from realsim.gap.simulation.context import Context, build_context, measure
 from realsim.gap.simulation.edit import Edit
 from realsim.gap.simulation.nuisances import NUISANCES
 from realsim.gap.simulation.sampling import continuous_turn, nearest_turn
@@ -292,12 +292,3 @@ def logged_turn(run: Run) -> F64:
 def _inside(raw: dict[str, F64]) -> dict[str, F64]:
     settle, dt = (float(v) for v in raw["settle"])
     return {k: raw[k][round(settle / dt) :] for k in ("pos", "vel", "torque")}
-
-
-def named_place(case: Case, channel: Channel) -> dict[str, str]:
-    """{joint}, or {body, axis} for what a base or an inertial unit measures."""
-    if channel.signal.startswith("joint"):
-        return {"joint": channel.label}
-    site = case.imu_site if channel.signal.startswith("imu") else None
-    body = int(case.model.site(site).bodyid[0]) if site else base_body(case)
-    return {"body": str(case.model.body(body).name), "axis": channel.label}
