@@ -91,10 +91,15 @@ def test_an_accelerometer_alone_has_a_bias(arm: Case) -> None:
 
 
 def test_the_more_usual_of_two_that_fit_alike_stands_first() -> None:
-    def fit(effect: str, misfit: float) -> Any:
-        return SimpleNamespace(misfit=misfit, causes=(SimpleNamespace(candidate=SimpleNamespace(effect=effect)),))
+    def fit(effect: str, misfit: float, values: int = 1) -> Any:
+        cause = SimpleNamespace(candidate=SimpleNamespace(effect=effect), values=(0.0,) * values)
+        return SimpleNamespace(misfit=misfit, causes=(cause,))
 
     inertia, rotor, far = fit("link_inertia", 10.0), fit("armature", 11.0), fit("armature", 30.0)
     assert likelier(inertia, [rotor]) == (rotor, [inertia])
     assert likelier(inertia, [far]) == (inertia, [far])  # the runs prefer the first
     assert likelier(rotor, [inertia]) == (rotor, [inertia])
+    tilt, offset = fit("terrain_tilt", 10.0, 2), fit("joint_offset", 10.1)
+    assert likelier(tilt, [offset]) == (offset, [tilt])  # the same with one parameter less
+    assert likelier(offset, [tilt]) == (offset, [tilt])
+    assert likelier(tilt, [fit("joint_offset", 12.0)])[0] == tilt

@@ -115,6 +115,21 @@ def test_absent_on_a_perfect_log_of_a_floating_base(quadruped: Case) -> None:
     assert max(found.values()) < WORTH_TRYING
 
 
+@pytest.mark.slow
+def test_the_other_friction_cone_is_no_lower_friction(quadruped: Case) -> None:
+    """The same robot on MuJoCo's other cone: seen before a cause is looked for; a true cause does not turn it over."""
+    logs: list[tuple[Setting, float]] = [
+        (("contact_solver", (), {"cone": 1.0}), 1.0),
+        (("ground_friction", (), {"ratio": -0.3}), 0.0),
+        (("ground_friction", (), {"ratio": -0.6}), 0.0),
+    ]
+    for setting, cone in logs:
+        screen, fitter = screened(logged(quadruped, [setting]), ("ground_friction",))
+        with screen.simulator:
+            fitter.switched(fitter.nominal())
+            assert fitter.about[screen.index["contact_solver", (), "cone"]] == cone
+
+
 def test_how_the_solver_treats_friction_is_a_nuisance(made: Callable[..., Path]) -> None:
     """The same robot in a simulator whose dry friction sticks instead of creeping: explained, and no cause."""
     xml = PENDULUM.replace('frictionloss="0.15"', 'frictionloss="0.6"')

@@ -15,6 +15,7 @@ from realsim.gap import DiagnoseConfig, load_case
 from realsim.gap.answer.verdict import FAR_ABOVE, NOT_HELD, at_an_end, not_held
 from realsim.gap.causes.fit import Cause, Fitter, _at_bound
 from realsim.gap.causes.fitted import Z90, significance
+from realsim.gap.causes.merit import heldout
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.windows import SHORTEST, _best_window
 from realsim.gap.compare import Comparison
@@ -116,6 +117,21 @@ def test_no_friction_at_all_is_an_answer_and_twice_the_range_is_none() -> None:
     ends = [_at_bound(friction, v) for v in (-0.1, -0.05, 0.0, 100.0)]
     assert ends == [False, False, False, True]
     assert [_at_bound(ratio, v) for v in (-0.85, -0.8, 0.0, 2.0)] == [True, False, False, True]
+
+
+def test_an_absurd_deviation_wins_no_unseen_run() -> None:
+    """Two runs with an error of 30 everyday deviations: 3 of them are believed, so a cause that takes it all gains."""
+    ones = np.ones((2, 1, 1))
+    evidence = SimpleNamespace(A=100 * ones, b=3000 * ones[:, :, 0], c=np.full(2, 90000.0))
+    nothing = SimpleNamespace(evidence=evidence, prior=np.array([1.0]))
+    gone = SimpleNamespace(A=100 * ones, b=0 * ones[:, :, 0], c=np.zeros(2))
+    cause = SimpleNamespace(evidence=gone, prior=np.array([1.0]))
+    screen: Any = SimpleNamespace(
+        runs=[0, 1], nuisances=lambda e, prior, runs: sum(e.b[k] for k in runs) / (sum(e.A[k] for k in runs)[0] + 1)
+    )
+    mean, _, positive = heldout(screen, nothing, cause)  # type: ignore[arg-type]
+    assert mean == pytest.approx(0.5 * (90000 - 2 * 3000 * 3 + 100 * 9))
+    assert positive == 1.0
 
 
 def test_a_strength_at_an_end_of_its_range_is_no_answer(fitter: Fitter) -> None:

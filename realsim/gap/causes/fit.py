@@ -21,8 +21,8 @@ SURE_ERRORS = (2.0, 2.0, 3.0)
 """Standard errors off nothing that each of one, two, three causes must reach: many at once are rare."""
 ENOUGH = 4
 """Runs."""
-SETTLED = 0.6
-"""Share of the weighted squares that deviations must leave at most to be simulated at all."""
+SETTLED, SWITCHED = 0.6, 0.5
+"""Share of the weighted squares that deviations must leave at most to be simulated at all, and those without a slope."""
 
 
 class Fitter(Search):
@@ -45,7 +45,7 @@ class Fitter(Search):
             self.about = old.copy()
             self.about[i] = sum(atom.parameter.bounds) - old[i]
             moved = self._or_none(fit)
-            if moved is not None and self._cost(moved) < SETTLED * cost:
+            if moved is not None and self._cost(moved) < SWITCHED * cost:
                 fit = moved
             else:
                 self.about = old
