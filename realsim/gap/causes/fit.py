@@ -22,7 +22,7 @@ SURE_ERRORS = (2.0, 2.0, 3.0)
 ENOUGH = 4
 """Runs."""
 SETTLED, SWITCHED = 0.6, 0.5
-"""Share of the weighted squares that deviations must leave at most to be simulated at all, and those without a slope."""
+"""Share of the weighted squares that deviations may leave to be simulated at all, and those that have no slope."""
 
 
 class Fitter(Search):
