@@ -21,7 +21,8 @@ def recognise(path: Path, name: str, layouts: Mapping[str, Layout]) -> tuple[Lay
         UnknownNameError: a name that is not in `layouts`.
     """
     if not path.exists():
-        raise CaptureError("the capture does not exist", file=path)
+        known = f"a folder with frames (layouts: {', '.join(layouts)}), a recording, or a scan"
+        raise CaptureError("the capture does not exist", file=path, expected=known, hint="check the path")
     if path.is_dir() and not any(path.iterdir()):
         raise CaptureError("the folder is empty", file=path, expected="a folder with a capture in it")
     if name != "auto":
