@@ -29,7 +29,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.gap_score import hit, top1
-from benchmarks.gap_withheld import machine, read_labels
+from benchmarks.gap_withheld import read_labels
+from benchmarks.store import described_run
 from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
 from realsim.gap.answer.heldout import mean_square
 from realsim.gap.compare import Comparison
@@ -97,7 +98,7 @@ def main() -> int:
     if not rows:
         print(f"no diagnosed cases with one cause in {args.work}: run gap_withheld.py first", file=sys.stderr)
         return 2
-    figures = summary(rows) | {"machine": machine(), "mujoco": mujoco.__version__, "cases": rows}
+    figures = summary(rows) | {"run": described_run(), "cases": rows}
     print(json.dumps({k: v for k, v in figures.items() if k != "cases"}, indent=1))
     args.store.parent.mkdir(parents=True, exist_ok=True)
     args.store.write_text(json.dumps(figures, indent=1) + "\n")
