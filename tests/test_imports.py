@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
 import tomllib
 from pathlib import Path
 
@@ -73,3 +74,19 @@ def test_every_extra_that_a_message_names_exists() -> None:
     ]
     assert {arg.value for arg in named if isinstance(arg, ast.Constant)} <= set(extras)
     assert len(named) > 5
+
+
+@pytest.mark.parametrize("folder", ["benchmarks", "examples", "tools"])
+def test_scripts_import_what_exists(folder: str) -> None:
+    """Scripts that no test runs would else be found broken by whoever runs them."""
+    ours = {n for path in sorted((ROOT / folder).rglob("*.py")) for n in imported(path)}
+    for name in sorted(n for n in ours if n.split(".")[0] in ("realsim", "trainer", "benchmarks")):
+        module, _, attribute = name.rpartition(".")
+        assert _is_module(name) or hasattr(importlib.import_module(module), attribute), f"{folder}: no {name}"
+
+
+def _is_module(name: str) -> bool:
+    try:
+        return importlib.util.find_spec(name) is not None
+    except ModuleNotFoundError:
+        return False
