@@ -48,6 +48,12 @@ def test_identified_is_the_sentence_of_the_promise() -> None:
     )
 
 
+def test_what_unseen_runs_do_not_confirm_is_not_said_to_be_removed() -> None:
+    assert say("identified", [KNEE], of=shrunk(-0.11, -0.66, 0.47)).endswith(
+        "adding it does not surely reduce the squared error on runs it has not seen (by −11 % [−66, 47])."
+    )
+
+
 @pytest.mark.parametrize(
     ("effect", "value", "unit", "ends", "said"),
     [
@@ -62,6 +68,7 @@ def test_identified_is_the_sentence_of_the_promise() -> None:
         ("joint_offset", -0.04, "rad", (-0.05, -0.03), "encoder zero offset −0.04 rad [−0.05, −0.03] is missing"),
         ("torque_limit", 13.0, "N m", (12, 14), "a torque limit of 13 N m [12, 14] is missing"),
         ("load_friction", 0.15, "ratio", (0.1, 0.2), "load-dependent friction 0.15 times [0.1, 0.2] is missing"),
+        ("external_force", -12.0, "N", (-14, -10), "external force −12 N [−14, −10] is missing"),
     ],
 )
 def test_phrases(effect: str, value: float, unit: str, ends: tuple[float, float], said: str) -> None:

@@ -43,6 +43,8 @@ def sentence(
         )
     said = "; ".join(phrase(c) for c in causes)
     gain = f"removes {removed(shrunk)} of the squared error on {_runs(shrunk)}"
+    if shrunk.ci90[0] <= 0:
+        gain = f"does not surely reduce the squared error on {_runs(shrunk)} (by {removed(shrunk)})"
     if verdict == "ambiguous":
         others = ", or ".join(" with ".join(phrase(c) for c in s) for s in equivalent[:_MOST_ALTERNATIVES])
         return (
