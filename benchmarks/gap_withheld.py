@@ -35,6 +35,7 @@ def main() -> int:
     parser.add_argument("--robots", nargs="*", help="only these robots")
     parser.add_argument("--work", type=Path, default=Path("out/gap_withheld"))
     parser.add_argument("--store", type=Path, help="file for the figures (default: figures.json in --work)")
+    parser.add_argument("--note", default="", help="what else to know of the figures; kept with them")
     parser.add_argument("--score", action="store_true", help="only score what --work holds already")
     parser.add_argument(
         "--developed-on", nargs="*", default=[], help="cases whose failures were looked at: also without"
@@ -45,7 +46,7 @@ def main() -> int:
     found = read_found(args.work, sorted(labels))
     if args.score:
         labels = {n: labels[n] for n in found}
-    made = {"seconds": seconds, "cases": len(labels), "seed": args.seed, "run": described_run()}
+    made = {"seconds": seconds, "cases": len(labels), "seed": args.seed, "note": args.note, "run": described_run()}
     figures = score(labels, found) | made
     figures["baselines"] |= sysid_baseline(args.work, sorted(found))
     print(table(figures))
