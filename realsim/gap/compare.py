@@ -108,10 +108,11 @@ class Comparison:
         return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
     def change(self, run: int, simulated: F64, base: F64) -> F64:
-        """(B, C) mean change of the prediction in each bin."""
+        """(B, C) mean change of the prediction in each bin; 0 where none of its samples count."""
         diff = np.where(self._valid[run], simulated - base, 0.0)
         total = np.add.reduceat(diff, self._starts[run], axis=0)
-        return total / np.maximum(self._counts[run], 1)
+        count = self._counts[run]
+        return np.where(count > 0, total / np.maximum(count, 1), 0.0)
 
     def set_detail(self, detail: Sequence[F64]) -> None:
         """Set the size of slow structure, (C,) or (B, C) a run, and with it the weights."""

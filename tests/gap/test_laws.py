@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from realsim.gap import EFFECTS, DiagnoseConfig, apply_patch, diagnose, load_case, run_case
 from realsim.gap.causes.screen import Candidate, posterior, score
+from realsim.gap.compare import Comparison
 from realsim.gap.effects.payload import add_point_mass
 from realsim.gap.effects.terrain_tilt import quaternion, rotation
 from realsim.gap.simulation.groups import kind_of, like_joints
@@ -181,3 +182,14 @@ def test_a_drive_loses_torque_with_speed_only_where_it_drives(no_load: float, ma
         asked, left = forces[0] - passive, top * (1 - abs(v) / no_load)
         given = np.clip(asked, -top, top) if asked * v <= 0 else np.sign(asked) * min(abs(asked), left)
         assert forces[1] - passive == pytest.approx(given, abs=1e-6)
+
+
+def test_where_robot_and_simulator_have_parted_nothing_changes(made) -> None:
+    case = load_case(made("nothing", Truth()))
+    with Simulator(case, DiagnoseConfig(threads=1)) as simulator:
+        nominal = simulator.simulate()
+        comparison = Comparison(case, simulator.channels, nominal, DiagnoseConfig(threads=1))
+        comparison._counts[0][30:] = 0
+        change = comparison.change(0, nominal[0] + 1.0, nominal[0])
+        assert (change[30:] == 0).all()
+        assert change[:30][comparison._counts[0][:30] > 0] == pytest.approx(1.0)
