@@ -85,12 +85,18 @@ def main() -> int:
     if not hasattr(sysid, "optimize"):
         print("mujoco.sysid is not complete here: pip install 'mujoco[sysid]'", file=sys.stderr)
         return 1
-    rows = []
+    rows: list[dict[str, Any]] = []
+    failed: list[dict[str, str]] = []
     for name, label in chosen(args.work, args.robots, args.per_robot).items():
         kept = args.work / "sysid" / f"{name}.json"
         if not kept.is_file():
             found = json.loads((args.work / "out" / name / "diagnosis.json").read_text())
-            row = compare(args.work / "cases" / name, label, found, args)
+            try:
+                row = compare(args.work / "cases" / name, label, found, args)
+            except ValueError as error:  # MuJoCo refuses the model that the optimiser tries
+                failed.append({"case": name, "error": str(error).splitlines()[0]})
+                print(f"{name}: mujoco.sysid fails: {failed[-1]['error']}", flush=True)
+                continue
             kept.parent.mkdir(parents=True, exist_ok=True)
             kept.write_text(json.dumps(row, indent=1) + "\n")
         rows.append({"case": name, **json.loads(kept.read_text())})
@@ -98,7 +104,7 @@ def main() -> int:
     if not rows:
         print(f"no diagnosed cases with one cause in {args.work}: run gap_withheld.py first", file=sys.stderr)
         return 2
-    figures = summary(rows) | {"run": described_run(), "cases": rows}
+    figures = summary(rows) | {"run": described_run(), "failed": failed, "cases": rows}
     print(json.dumps({k: v for k, v in figures.items() if k != "cases"}, indent=1))
     args.store.parent.mkdir(parents=True, exist_ok=True)
     args.store.write_text(json.dumps(figures, indent=1) + "\n")
