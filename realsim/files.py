@@ -21,6 +21,8 @@ from realsim.errors import RealsimError
 
 MAX_TEXT_BYTES = 64 * 2**20
 MAX_BINARY_BYTES = 2 * 2**30
+MARKS = ("report.json", "contact.json", "diagnosis.json", "truth/truth.json")
+"""Files of which every output folder holds one: of a scene, of `realsim contact`, a diagnosis, a synthetic capture."""
 _DAMAGED = (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
 """What reading a damaged, encrypted or exotic archive of arrays raises."""
 
@@ -143,19 +145,25 @@ def explain_write_errors(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def output_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
+def output_folder(path: Path, *, overwrite: bool = False, source: Path | None = None) -> Iterator[Path]:
     """A folder that appears under its name only when everything in it has been written.
 
     Yields a temporary sibling; on success it is renamed to `path`, on any error or interrupt it is removed.
     An existing non-empty `path` is refused unless `overwrite`, and then replaced only at the very end.
+
+    Args:
+        source: what the folder is made from; it must not go with what is replaced.
+
+    Raises:
+        RealsimError: a file, `source` in it, or a folder that is not to be, or not ours to be, replaced.
     """
     path = path.absolute()
     if path.is_file():
         raise RealsimError("the output is a file", file=path, expected="a folder that does not exist yet")
-    if path.is_dir() and any(path.iterdir()) and not overwrite:
-        raise RealsimError(
-            "the output folder exists and is not empty", file=path, hint="choose another --out, or pass --overwrite"
-        )
+    if source is not None:
+        refuse_within(path, source)
+    if path.is_dir() and any(path.iterdir()):
+        _refuse_existing(path, overwrite)
     with explain_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.partial-"))
@@ -167,6 +175,35 @@ def output_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     except BaseException:
         shutil.rmtree(work, ignore_errors=True)
         raise
+
+
+def refuse_within(out: Path, source: Path) -> None:
+    """Refuse an output folder that is the input or holds it: what is in it is replaced as a whole."""
+    if source.resolve().is_relative_to(out.resolve()):
+        raise RealsimError(
+            "the input lies in the output folder, which is written as a whole",
+            file=source,
+            expected="an output folder that does not hold the input",
+            found=str(out),
+            hint="choose another --out",
+        )
+
+
+def _refuse_existing(path: Path, overwrite: bool) -> None:
+    """Refuse to replace a folder that is not empty, unless that was asked for and the folder is ours."""
+    if not overwrite:
+        raise RealsimError(
+            "the output folder exists and is not empty", file=path, hint="choose another --out, or pass --overwrite"
+        )
+    if not any((path / mark).is_file() for mark in MARKS):
+        names = sorted(p.name for p in path.iterdir())
+        raise RealsimError(
+            "the output folder holds what realsim did not write",
+            file=path,
+            expected=f"one that realsim wrote (with {', '.join(MARKS[:-1])} or {MARKS[-1]}), or an empty one",
+            found=", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else ""),
+            hint="choose another --out, or remove the folder yourself",
+        )
 
 
 def _replace_folder(new: Path, target: Path) -> None:

@@ -117,3 +117,24 @@ def run(times: int = 2) -> CommandResult:
         assert f"what {name} does" in said
         assert main([name, "--times", "3"]) == 0
         assert capsys.readouterr().out.split() == [name] * 3
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "reconstruct my --out my",
+        "reconstruct my/capture --out my",
+        "contact my/a.stl --out my",
+        "diagnose my/capture --out my",
+    ],
+)
+def test_the_input_is_never_overwritten(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my" / "capture").mkdir(parents=True)
+    for name in ("a.stl", "report.json"):
+        (tmp_path / "my" / name).write_text("precious")
+    assert main([*command.split(), "--overwrite", "--json"]) == 2
+    assert "input lies in the output" in json.loads(capsys.readouterr().out)["message"]
+    assert (tmp_path / "my" / "a.stl").read_text() == "precious"

@@ -31,7 +31,7 @@ def demo(
         poses: give the reconstruction the camera poses as well.
         robot: robot to put on the start platform.
         seed: of the terrain, the walk, the sensor's noise and the reconstruction.
-        overwrite: replace an existing folder.
+        overwrite: replace a folder that realsim wrote before.
     """
     from realsim.export.config import SceneConfig
     from realsim.synth.capture import write_capture
