@@ -98,6 +98,8 @@ class Dropped:
 
     name: str
     reason: str
+    lost: bool = True
+    """False where nothing is wrong with the frame: enough others show the same."""
 
 
 @dataclass(frozen=True)

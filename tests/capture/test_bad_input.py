@@ -239,7 +239,9 @@ def test_duplicate_frames(tmp_path):
     write_plain(tmp_path, walk(6))
     for which in ("rgb", "depth"):
         shutil.copy(tmp_path / which / "000002.png", tmp_path / which / "000003.png")
-    assert reason(frames_of(tmp_path), "000003") == "the same images as 000002"
+    capture = frames_of(tmp_path)
+    assert reason(capture, "000003") == "the same images as 000002"
+    assert not capture.dropped[0].lost
 
 
 def test_blurred_frame(tmp_path):

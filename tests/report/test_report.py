@@ -18,7 +18,7 @@ import pytest
 from realsim.report import write_report
 from realsim.report.topdown import map_from_above
 from realsim.report.verdict import judge
-from realsim.types import AlignedScene, Reconstruction
+from realsim.types import AlignedScene, Dropped, Reconstruction
 from tests.pages import read
 
 from .scene import reconstruction
@@ -133,6 +133,16 @@ def test_verdict_follows_its_rules(tmp_path: Path, changes: dict[str, object], l
 
 def test_a_warning_asks_for_a_look(tmp_path: Path) -> None:
     assert judge(reconstruction(tmp_path, warnings=("two grounds",))).level == "look"
+
+
+@pytest.mark.parametrize(("lost", "level"), [(False, "good"), (True, "bad")])
+def test_good_frames_that_were_not_picked_do_not_count_against_a_scene(tmp_path: Path, lost: bool, level: str) -> None:
+    result = reconstruction(tmp_path)
+    dropped = tuple(Dropped(f"{i:06d}", "reason", lost) for i in range(100, 200))
+    result = replace(result, source=replace(result.source, dropped=dropped))
+    assert judge(result).level == level
+    write_report(tmp_path, result)
+    assert len(json.loads((tmp_path / "report.json").read_text())["frames"]["dropped"]) == 101
 
 
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is not installed")
