@@ -94,6 +94,12 @@ def test_arguments_of_an_item_are_the_commands_less_its_own() -> None:
     assert other_arguments({"--out": 1, "--jobs": 1}, ["a", "b"]) == ("--seed", "3", "--robot", "g1")
 
 
+def test_inputs_as_a_shell_completes_them_are_no_options() -> None:
+    set_arguments(["caps/a/", "./caps/b", "--out", "x", "--cache", "kept/"])
+    rest = other_arguments({"--out": 1}, [str(Path("caps/a/")), str(Path("./caps/b"))])
+    assert rest == ("--cache", "kept/")
+
+
 def test_packages_add_commands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
