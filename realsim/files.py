@@ -28,13 +28,15 @@ _DAMAGED = (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZi
 
 
 def check_size(path: Path, limit: int = MAX_BINARY_BYTES) -> None:
-    """Refuse a file that is missing, not a plain file, or larger than `limit` bytes."""
+    """Refuse a file that is missing, not a plain file, not ours to read, or larger than `limit` bytes."""
     try:
         size = path.stat().st_size
     except OSError as error:
         raise RealsimError("the file cannot be read", file=path, found=error.strerror or str(error)) from error
     if not path.is_file():
         raise RealsimError("not a plain file", file=path)
+    if not os.access(path, os.R_OK):
+        raise RealsimError("the file cannot be read", file=path, found=os.strerror(errno.EACCES))
     if size > limit:
         raise RealsimError("the file is too large", file=path, expected=f"at most {limit} bytes", found=f"{size} bytes")
 
@@ -42,7 +44,10 @@ def check_size(path: Path, limit: int = MAX_BINARY_BYTES) -> None:
 def read_bytes(path: Path, limit: int = MAX_BINARY_BYTES) -> bytes:
     """The content of a file of at most `limit` bytes."""
     check_size(path, limit)
-    return path.read_bytes()
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise RealsimError("the file cannot be read", file=path, found=error.strerror or str(error)) from error
 
 
 def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
@@ -64,6 +69,8 @@ def read_json(path: Path) -> Any:
             expected="valid JSON",
             found=f"{error.msg} at line {error.lineno} column {error.colno}",
         ) from error
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits, brackets in brackets without end
+        raise RealsimError("broken JSON", file=path, expected="JSON of a usual kind", found=str(error)) from error
 
 
 def read_npz(path: Path, limit: int = MAX_BINARY_BYTES) -> dict[str, np.ndarray]:

@@ -77,6 +77,12 @@ def test_missing_folder_is_exit_code_2_without_a_traceback(tmp_path: Path, capsy
     assert list(tmp_path.iterdir()) == []
 
 
+def test_an_output_that_is_a_file_is_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "taken").write_text("x")
+    assert main(["demo", "--out", str(tmp_path / "taken"), "--json"]) == 2
+    assert "output is a file" in json.loads(capsys.readouterr().out)["message"]
+
+
 def test_errors_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["inspect", str(tmp_path / "none"), "--json"]) == 2
     said = json.loads(capsys.readouterr().out)

@@ -106,6 +106,30 @@ def test_json_is_plain_and_broken_json_says_where(tmp_path: Path) -> None:
         files.read_json(tmp_path / "y.json")
 
 
+@pytest.mark.parametrize("text", ["[" * 100_000, "9" * 5000])
+def test_json_of_an_unusual_kind_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "x.json").write_text(text)
+    with pytest.raises(RealsimError, match="broken JSON") as error:
+        files.read_json(tmp_path / "x.json")
+    assert error.value.file == str(tmp_path / "x.json")
+
+
+def test_a_file_that_may_not_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "x").write_text("{}")
+
+    def denied(*_: object) -> bytes:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    with monkeypatch.context() as patch:  # whoever runs the tests may be allowed to read everything
+        patch.setattr(Path, "read_bytes", denied)
+        with pytest.raises(RealsimError, match="cannot be read") as error:
+            files.read_bytes(tmp_path / "x")
+        assert error.value.found == "Permission denied"
+    monkeypatch.setattr(files.os, "access", lambda path, mode: False)
+    with pytest.raises(RealsimError, match="cannot be read"):
+        files.check_size(tmp_path / "x")
+
+
 def test_size_limit(tmp_path: Path) -> None:
     (tmp_path / "big").write_bytes(b"0" * 100)
     with pytest.raises(RealsimError, match="too large"):

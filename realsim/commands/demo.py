@@ -38,6 +38,8 @@ def demo(
     from realsim.synth.config import SynthConfig
     from realsim.synth.errors import compare
 
+    if out.exists() and not out.is_dir():
+        raise RealsimError("the output is a file", file=out, expected="a folder that does not exist yet")
     if out.exists() and any(out.iterdir()) and not overwrite:
         raise RealsimError("the output folder exists and is not empty", file=out, hint="pass --overwrite")
     note(f"rendering {frames} frames of the {terrain} terrain ...")

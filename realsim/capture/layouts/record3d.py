@@ -242,7 +242,7 @@ def pose_notes(meta: Metadata) -> list[str]:
 def parse_json(data: bytes, source: Path) -> Any:
     try:
         return json.loads(data)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise CaptureError("broken JSON in the metadata", file=source, found=str(error)) from error
 
 
