@@ -1,8 +1,9 @@
 """Finished stages, kept and reused while their inputs have not changed.
 
-A key is the digest of everything a result depends on: the content of the capture's files, the configuration, and the
-source code of the packages that compute it. Values are dataclasses of `realsim.types` made of plain values and
-arrays, stored as one .npz without pickles. The oldest entries go when the folder grows beyond its limit.
+A key is the digest of everything a result depends on: the content of the capture's files and how they are read, the
+configuration, the source code that computes it, and the versions of the packages that it calls. Values are dataclasses
+of `realsim.types` made of plain values and arrays, stored as one .npz without pickles. The oldest entries go when the
+folder grows beyond its limit.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ import dataclasses
 import io
 import json
 import os
-import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -26,6 +27,22 @@ from realsim.files import digest, write_bytes
 
 T = TypeVar("T")
 MAX_BYTES = 4 * 2**30
+COMPUTING = (
+    "numpy",
+    "scipy",
+    "open3d",
+    "opencv-contrib-python-headless",
+    "scikit-image",
+    "trimesh",
+    "fast-simplification",
+    "manifold3d",
+    "pymeshlab",
+    "onnxruntime",
+    "pycolmap",
+    "OpenEXR",
+    "lzfse",
+)
+"""Packages that stages whose results are kept compute with: another version may give another result."""
 
 
 def default_folder() -> Path:
@@ -45,12 +62,11 @@ class StageCache:
         if self.folder is None:
             return make(), False
         path = self.folder / f"{key}.npz"
-        try:
+        # Damage shows as anything from zlib.error to NotImplementedError, and none of it is worth a run.
+        with contextlib.suppress(Exception):
             value = unpack(path.read_bytes())
             os.utime(path)
             return value, True
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-            pass
         value = make()
         # A full or read-only disk must not spoil a result that is already there.
         with contextlib.suppress(RealsimError, OSError):
@@ -70,10 +86,17 @@ class StageCache:
 
 @cache
 def code_digest(*packages: str) -> str:
-    """Digest of the source of `realsim` subpackages and of the modules that they all share."""
+    """Digest of the source of `realsim` subpackages, of the modules that they all share, and of what they call."""
     root = Path(__file__).parent
     files = sorted(root.glob("*.py")) + [f for p in packages for f in sorted((root / p).rglob("*.py"))]
-    return digest(*files)
+    return digest(*files, [f"{name} {_version(name)}" for name in COMPUTING])
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
 
 
 def source_digest(source: types.FrameSet | types.Scan) -> str:
@@ -83,9 +106,45 @@ def source_digest(source: types.FrameSet | types.Scan) -> str:
             source.points, source.triangles, source.normals, source.colors, source.sensor_position, source.up_world
         )
     parts: list[Any] = [source.layout, source.poses_metric, source.up_world]
+    named: set[Path] = set()
     for frame in source.frames:
-        parts += [frame.name, frame.intrinsics, frame.color_intrinsics, frame.T_world_camera, *frame.files]
+        readers = (frame.read_depth, frame.read_color, frame.read_confidence)
+        # Many frames may be read from one video or archive: its content is looked at once.
+        files = dict.fromkeys([*frame.files, *(path for reader in readers for path in _files_of(reader))])
+        parts += [frame.name, frame.intrinsics, frame.color_intrinsics, frame.T_world_camera]
+        parts += [_made_of(readers), *(path for path in files if path not in named)]
+        named.update(files)
     return digest(*parts)
+
+
+def _made_of(reader: Any) -> Any:
+    """The kind of a frame's reader and what it was told (the depth's unit, limits, a video frame's number).
+
+    Without paths and addresses: a capture in another folder, or in another process, is the same capture.
+    """
+    if isinstance(reader, (tuple, list)):
+        return tuple(map(_made_of, reader))
+    if isinstance(reader, np.ndarray):
+        return reader.tolist()
+    if _is_record(reader):
+        values = (getattr(reader, f.name) for f in dataclasses.fields(reader))
+        return (type(reader).__qualname__, *map(_made_of, values))
+    if reader is None or isinstance(reader, (bool, int, float, str)):
+        return reader
+    return getattr(reader, "__qualname__", type(reader).__qualname__)
+
+
+def _files_of(reader: Any) -> Iterator[Path]:
+    """Files that a reader of a frame holds."""
+    if isinstance(reader, Path) and reader.is_file():
+        yield reader
+    elif _is_record(reader):
+        for f in dataclasses.fields(reader):
+            yield from _files_of(getattr(reader, f.name))
+
+
+def _is_record(value: Any) -> bool:
+    return dataclasses.is_dataclass(value) and not isinstance(value, type)
 
 
 def pack(value: Any) -> bytes:
@@ -100,7 +159,7 @@ def pack(value: Any) -> bytes:
 
 
 def unpack(data: bytes) -> Any:
-    """Inverse of `pack`. Raises ValueError, KeyError or BadZipFile on anything else."""
+    """Inverse of `pack`. Anything else raises whatever its reading meets: ValueError, zlib.error, BadZipFile."""
     with np.load(io.BytesIO(data), allow_pickle=False) as store:
         tree = json.loads(store["tree"].tobytes())
         return _decode(tree, store)
@@ -114,7 +173,7 @@ def _encode(value: Any, arrays: list[np.ndarray]) -> Any:
         return {"array": len(arrays) - 1}
     if isinstance(value, np.generic):
         return value.item()
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+    if _is_record(value):
         fields = {f.name: _encode(getattr(value, f.name), arrays) for f in dataclasses.fields(value)}
         return {"type": type(value).__name__, "fields": fields}
     if isinstance(value, Mapping):

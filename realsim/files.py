@@ -21,18 +21,22 @@ from realsim.errors import RealsimError
 
 MAX_TEXT_BYTES = 64 * 2**20
 MAX_BINARY_BYTES = 2 * 2**30
+MARKS = ("report.json", "contact.json", "diagnosis.json", "truth/truth.json")
+"""Files of which every output folder holds one: of a scene, of `realsim contact`, a diagnosis, a synthetic capture."""
 _DAMAGED = (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
 """What reading a damaged, encrypted or exotic archive of arrays raises."""
 
 
 def check_size(path: Path, limit: int = MAX_BINARY_BYTES) -> None:
-    """Refuse a file that is missing, not a plain file, or larger than `limit` bytes."""
+    """Refuse a file that is missing, not a plain file, not ours to read, or larger than `limit` bytes."""
     try:
         size = path.stat().st_size
     except OSError as error:
         raise RealsimError("the file cannot be read", file=path, found=error.strerror or str(error)) from error
     if not path.is_file():
         raise RealsimError("not a plain file", file=path)
+    if not os.access(path, os.R_OK):
+        raise RealsimError("the file cannot be read", file=path, found=os.strerror(errno.EACCES))
     if size > limit:
         raise RealsimError("the file is too large", file=path, expected=f"at most {limit} bytes", found=f"{size} bytes")
 
@@ -40,7 +44,10 @@ def check_size(path: Path, limit: int = MAX_BINARY_BYTES) -> None:
 def read_bytes(path: Path, limit: int = MAX_BINARY_BYTES) -> bytes:
     """The content of a file of at most `limit` bytes."""
     check_size(path, limit)
-    return path.read_bytes()
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise RealsimError("the file cannot be read", file=path, found=error.strerror or str(error)) from error
 
 
 def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
@@ -62,6 +69,8 @@ def read_json(path: Path) -> Any:
             expected="valid JSON",
             found=f"{error.msg} at line {error.lineno} column {error.colno}",
         ) from error
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits, brackets in brackets without end
+        raise RealsimError("broken JSON", file=path, expected="JSON of a usual kind", found=str(error)) from error
 
 
 def read_npz(path: Path, limit: int = MAX_BINARY_BYTES) -> dict[str, np.ndarray]:
@@ -143,19 +152,25 @@ def explain_write_errors(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def output_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
+def output_folder(path: Path, *, overwrite: bool = False, source: Path | None = None) -> Iterator[Path]:
     """A folder that appears under its name only when everything in it has been written.
 
     Yields a temporary sibling; on success it is renamed to `path`, on any error or interrupt it is removed.
     An existing non-empty `path` is refused unless `overwrite`, and then replaced only at the very end.
+
+    Args:
+        source: what the folder is made from; it must not go with what is replaced.
+
+    Raises:
+        RealsimError: a file, `source` in it, or a folder that is not to be, or not ours to be, replaced.
     """
     path = path.absolute()
     if path.is_file():
         raise RealsimError("the output is a file", file=path, expected="a folder that does not exist yet")
-    if path.is_dir() and any(path.iterdir()) and not overwrite:
-        raise RealsimError(
-            "the output folder exists and is not empty", file=path, hint="choose another --out, or pass --overwrite"
-        )
+    if source is not None:
+        refuse_within(path, source)
+    if path.is_dir() and any(path.iterdir()):
+        _refuse_existing(path, overwrite)
     with explain_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.partial-"))
@@ -167,6 +182,35 @@ def output_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     except BaseException:
         shutil.rmtree(work, ignore_errors=True)
         raise
+
+
+def refuse_within(out: Path, source: Path) -> None:
+    """Refuse an output folder that is the input or holds it: what is in it is replaced as a whole."""
+    if source.resolve().is_relative_to(out.resolve()):
+        raise RealsimError(
+            "the input lies in the output folder, which is written as a whole",
+            file=source,
+            expected="an output folder that does not hold the input",
+            found=str(out),
+            hint="choose another --out",
+        )
+
+
+def _refuse_existing(path: Path, overwrite: bool) -> None:
+    """Refuse to replace a folder that is not empty, unless that was asked for and the folder is ours."""
+    if not overwrite:
+        raise RealsimError(
+            "the output folder exists and is not empty", file=path, hint="choose another --out, or pass --overwrite"
+        )
+    if not any((path / mark).is_file() for mark in MARKS):
+        names = sorted(p.name for p in path.iterdir())
+        raise RealsimError(
+            "the output folder holds what realsim did not write",
+            file=path,
+            expected=f"one that realsim wrote (with {', '.join(MARKS[:-1])} or {MARKS[-1]}), or an empty one",
+            found=", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else ""),
+            hint="choose another --out, or remove the folder yourself",
+        )
 
 
 def _replace_folder(new: Path, target: Path) -> None:

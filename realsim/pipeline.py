@@ -57,7 +57,7 @@ class ReconstructConfig:
     compare: bool = False
     """Also build the mesh from the other sources of points (onnx, onnx+depth, rgbd) and report how they differ."""
     overwrite: bool = False
-    """Replace an output folder that exists (only once the new scene is complete)."""
+    """Replace an output folder that realsim wrote before (only once the new scene is complete)."""
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Where finished stages are kept (default: REALSIM_CACHE or the user's cache folder)."""
     no_cache: tyro.conf.FlagCreatePairsOff[bool] = False
@@ -93,7 +93,7 @@ def reconstruct(source: Path, out: Path, config: ReconstructConfig | None = None
     if config.compare:
         modes.others(config.points.backend, config.points.onnx.model is not None)  # refused now, not after the work
     run = _Run(config)
-    with output_folder(out, overwrite=config.overwrite) as folder:
+    with output_folder(out, overwrite=config.overwrite, source=source) as folder:
         data = run.stage("capture", lambda: capture.read(source, config.capture))
         points, aligned = run.scan(data) if isinstance(data, Scan) else run.frames(data)
         mesh = run.mesh(aligned)

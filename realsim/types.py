@@ -98,6 +98,8 @@ class Dropped:
 
     name: str
     reason: str
+    lost: bool = True
+    """False where nothing is wrong with the frame: enough others show the same."""
 
 
 @dataclass(frozen=True)
@@ -249,7 +251,7 @@ class MetricScene:
     backend: str
     world_is_capture: bool
     up_world: F64 | None = None
-    """(3,) a hint from the source, or None."""
+    """(3,) a hint from the source, or None; None too where the world was chosen by the backend."""
     depth_gain: float = 1.0
     dropped: tuple[Dropped, ...] = ()
     warnings: tuple[str, ...] = ()

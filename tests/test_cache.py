@@ -9,7 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from realsim.cache import StageCache, pack, source_digest, unpack
+from realsim import cache
+from realsim.cache import StageCache, code_digest, pack, source_digest, unpack
+from realsim.capture.finish import InRange
+from realsim.capture.images import ConfidenceImage, DepthImage
+from realsim.capture.video import VideoFrame
 from realsim.types import Dropped, Frame, FrameSet, Intrinsics, Solution
 
 
@@ -60,6 +64,23 @@ def test_kept_results_are_reused_and_broken_ones_made_again(tmp_path: Path) -> N
     assert StageCache(None).get_or_make("k", make)[1] is False
 
 
+def test_an_entry_with_damaged_content_is_made_again(tmp_path: Path) -> None:
+    """The archive's directory is whole; what it lists cannot be unpacked, is no JSON, or fits no type."""
+    store, path = StageCache(tmp_path), tmp_path / "k.npz"
+    store.get_or_make("k", solution)
+    good = path.read_bytes()
+    start = good.index(b"tree.npy") + len(b"tree.npy")
+    path.write_bytes(good[:start] + bytes(b ^ 0xFF for b in good[start : start + 200]) + good[start + 200 :])
+    assert store.get_or_make("k", solution)[1] is False
+    assert store.get_or_make("k", solution)[1] is True
+    nested = np.frombuffer(b"[" * 100_000, np.uint8)
+    np.savez(path, tree=nested)
+    assert store.get_or_make("k", solution)[1] is False
+    fields = np.frombuffer(b'{"type": "Dropped", "fields": {"nobody": 1}}', np.uint8)
+    np.savez(path, tree=fields)
+    assert store.get_or_make("k", solution)[1] is False
+
+
 def test_the_digest_sees_files_poses_and_intrinsics(tmp_path: Path) -> None:
     image = tmp_path / "depth.png"
     image.write_bytes(b"1")
@@ -72,3 +93,44 @@ def test_the_digest_sees_files_poses_and_intrinsics(tmp_path: Path) -> None:
     assert source_digest(replace(frames, frames=(other,))) != first
     image.write_bytes(b"2")
     assert source_digest(frames) != first
+
+
+def test_the_digest_sees_how_files_are_read(tmp_path: Path) -> None:
+    """The depth's unit may come from a file that is no frame's own, such as intrinsics.json."""
+
+    def captured(folder: Path, unit: float = 0.001, sure: bytes = b"1", best: int = 2) -> FrameSet:
+        folder.mkdir(exist_ok=True)
+        image, confidence = folder / "depth.png", folder / "confidence.png"
+        image.write_bytes(b"1")
+        confidence.write_bytes(sure)
+        camera, depth = Intrinsics(4, 3, 5.0, 5.0, 1.5, 1.0), InRange(DepthImage(image, unit), 0.15, 6.0)
+        reader = ConfidenceImage(confidence, best)
+        return FrameSet((Frame("a", camera, depth, read_confidence=reader, files=(image,)),), folder, "plain")
+
+    first = source_digest(captured(tmp_path / "a"))
+    assert source_digest(captured(tmp_path / "b")) == first  # the same capture elsewhere
+    assert source_digest(captured(tmp_path / "a", unit=0.0002)) != first
+    assert source_digest(captured(tmp_path / "a", sure=b"2")) != first
+    assert source_digest(captured(tmp_path / "a", best=255)) != first
+
+
+def test_a_video_that_all_frames_share_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    video = tmp_path / "rgb.mp4"
+    video.write_bytes(b"1")
+    camera, seen = Intrinsics(4, 3, 5.0, 5.0, 1.5, 1.0), []
+
+    def depth() -> np.ndarray:
+        return np.zeros((3, 4), np.float32)
+
+    shared = tuple(Frame(f"f{i}", camera, depth, VideoFrame(video, i), files=(video,) * (i == 0)) for i in range(3))
+    monkeypatch.setattr(cache, "digest", lambda *parts: seen.extend(parts))
+    source_digest(FrameSet(shared, tmp_path, "stray"))
+    assert seen.count(video) == 1
+
+
+def test_another_version_of_a_package_is_other_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    first = code_digest("scale")
+    monkeypatch.setattr(cache, "version", lambda name: "0.0.0")
+    code_digest.cache_clear()
+    assert code_digest("scale") != first
+    code_digest.cache_clear()

@@ -77,6 +77,12 @@ def test_missing_folder_is_exit_code_2_without_a_traceback(tmp_path: Path, capsy
     assert list(tmp_path.iterdir()) == []
 
 
+def test_an_output_that_is_a_file_is_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "taken").write_text("x")
+    assert main(["demo", "--out", str(tmp_path / "taken"), "--json"]) == 2
+    assert "output is a file" in json.loads(capsys.readouterr().out)["message"]
+
+
 def test_errors_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["inspect", str(tmp_path / "none"), "--json"]) == 2
     said = json.loads(capsys.readouterr().out)
@@ -92,6 +98,12 @@ def test_values_that_do_not_fit_are_refused(tmp_path: Path, capsys: pytest.Captu
 def test_arguments_of_an_item_are_the_commands_less_its_own() -> None:
     set_arguments(["a", "--out", "x", "--jobs=2", "--seed", "3", "b", "--robot", "g1"])
     assert other_arguments({"--out": 1, "--jobs": 1}, ["a", "b"]) == ("--seed", "3", "--robot", "g1")
+
+
+def test_inputs_as_a_shell_completes_them_are_no_options() -> None:
+    set_arguments(["caps/a/", "./caps/b", "--out", "x", "--cache", "kept/"])
+    rest = other_arguments({"--out": 1}, [str(Path("caps/a/")), str(Path("./caps/b"))])
+    assert rest == ("--cache", "kept/")
 
 
 def test_packages_add_commands(
@@ -117,3 +129,24 @@ def run(times: int = 2) -> CommandResult:
         assert f"what {name} does" in said
         assert main([name, "--times", "3"]) == 0
         assert capsys.readouterr().out.split() == [name] * 3
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "reconstruct my --out my",
+        "reconstruct my/capture --out my",
+        "contact my/a.stl --out my",
+        "diagnose my/capture --out my",
+    ],
+)
+def test_the_input_is_never_overwritten(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my" / "capture").mkdir(parents=True)
+    for name in ("a.stl", "report.json"):
+        (tmp_path / "my" / name).write_text("precious")
+    assert main([*command.split(), "--overwrite", "--json"]) == 2
+    assert "input lies in the output" in json.loads(capsys.readouterr().out)["message"]
+    assert (tmp_path / "my" / "a.stl").read_text() == "precious"

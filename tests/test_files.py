@@ -34,15 +34,44 @@ def test_nothing_is_left_after_an_error_or_an_interrupt(tmp_path: Path, error: t
 def test_existing_output_is_kept_unless_overwrite_and_until_the_end(tmp_path: Path) -> None:
     out = tmp_path / "scene"
     out.mkdir()
-    (out / "old").write_text("old")
+    (out / "report.json").write_text("old")
     with pytest.raises(RealsimError, match="--overwrite"), files.output_folder(out):
         pass
     with pytest.raises(RuntimeError), files.output_folder(out, overwrite=True):
         raise RuntimeError
-    assert (out / "old").read_text() == "old"
+    assert (out / "report.json").read_text() == "old"
     with files.output_folder(out, overwrite=True) as work:
         (work / "new").write_text("new")
     assert [p.name for p in out.iterdir()] == ["new"]
+
+
+def test_a_folder_that_is_not_ours_is_never_replaced(tmp_path: Path) -> None:
+    (tmp_path / "precious").write_text("x")
+    with pytest.raises(RealsimError, match="did not write") as error, files.output_folder(tmp_path, overwrite=True):
+        pass
+    assert error.value.found == "precious"
+    assert (tmp_path / "precious").read_text() == "x"
+    (tmp_path / "empty").mkdir()
+    with files.output_folder(tmp_path / "empty", overwrite=True) as work:
+        (work / "a").write_text("1")
+    assert (tmp_path / "empty" / "a").exists()
+
+
+@pytest.mark.parametrize("source", [".", "capture", "a/../capture"])
+def test_an_input_inside_the_output_folder_is_refused(
+    source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "capture").mkdir()
+    (tmp_path / "report.json").write_text("{}")
+    monkeypatch.chdir(tmp_path)
+    with (
+        pytest.raises(RealsimError, match="input lies in the output"),
+        files.output_folder(Path("."), overwrite=True, source=Path(source)),
+    ):
+        pass
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["capture", "report.json"]
+    with files.output_folder(tmp_path / "capture" / "scene", overwrite=True, source=tmp_path / "capture") as work:
+        (work / "a").write_text("1")  # beside the frames is fine
 
 
 def test_output_that_is_a_file_is_refused(tmp_path: Path) -> None:
@@ -75,6 +104,30 @@ def test_json_is_plain_and_broken_json_says_where(tmp_path: Path) -> None:
     (tmp_path / "y.json").write_text('{"a": 1,\n "b": }')
     with pytest.raises(RealsimError, match="line 2"):
         files.read_json(tmp_path / "y.json")
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "9" * 5000])
+def test_json_of_an_unusual_kind_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "x.json").write_text(text)
+    with pytest.raises(RealsimError, match="broken JSON") as error:
+        files.read_json(tmp_path / "x.json")
+    assert error.value.file == str(tmp_path / "x.json")
+
+
+def test_a_file_that_may_not_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "x").write_text("{}")
+
+    def denied(*_: object) -> bytes:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    with monkeypatch.context() as patch:  # whoever runs the tests may be allowed to read everything
+        patch.setattr(Path, "read_bytes", denied)
+        with pytest.raises(RealsimError, match="cannot be read") as error:
+            files.read_bytes(tmp_path / "x")
+        assert error.value.found == "Permission denied"
+    monkeypatch.setattr(files.os, "access", lambda path, mode: False)
+    with pytest.raises(RealsimError, match="cannot be read"):
+        files.check_size(tmp_path / "x")
 
 
 def test_size_limit(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.align.winding import inside_out
 from realsim.errors import AlignError
 from realsim.ordered import in_order
 from realsim.progress import track
@@ -50,6 +51,8 @@ class Cloud:
     held: bool
     """Whether the cameras' rotations mean something: they do not for scans."""
     voxel: float = VOXEL
+    turned: bool = False
+    """Whether the source's triangles were wound inside out (the normals here are not)."""
 
     def __len__(self) -> int:
         return len(self.points)
@@ -65,6 +68,7 @@ class Cloud:
             self.cameras,
             self.held,
             self.voxel,
+            self.turned,
         )
 
 
@@ -123,9 +127,11 @@ def from_scan(scan: Scan, seed: int, voxel: float | None = None) -> Cloud:
     Raises:
         AlignError: fewer than 100 occupied voxels.
     """
-    points, normals = scan.points, scan.normals
+    points, normals, turned = scan.points, scan.normals, False
     if scan.triangles is not None and len(scan.triangles):
         points, normals = _sampled(scan.points, scan.triangles, seed)
+        turned = inside_out(points, normals, scan.up_world)
+        normals = -normals if turned else normals
         if scan.up_world is not None:
             # The underside of a closed mesh is level too, and as large as its ground; nothing stands on it.
             upper = normals @ scan.up_world > -0.5
@@ -160,7 +166,7 @@ def from_scan(scan: Scan, seed: int, voxel: float | None = None) -> Cloud:
         found *= np.where(np.einsum("ij,ij->i", found, given) < 0, -1.0, 1.0)[:, None]
     oriented = scan.sensor_position is not None or normals is not None
     ones = np.ones(len(points))
-    return Cloud(points, found, ones, ones.astype(np.int32), oriented, cameras, False, voxel)
+    return Cloud(points, found, ones, ones.astype(np.int32), oriented, cameras, False, voxel, turned)
 
 
 def depth_edges(z: F32, mask: Bool) -> Bool:

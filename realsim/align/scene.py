@@ -38,6 +38,8 @@ def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
     labels = segmented(config.segmenter, level)
     faces = find_faces(level, labels)
     assumptions, warnings = list(ground.assumptions), list(ground.warnings)
+    if cloud.turned:
+        assumptions.append("the mesh is wound inside out: its triangles were turned round")
 
     T_level_world = T_level_cloud @ T_cloud_world
     if isinstance(source, MetricScene):

@@ -168,8 +168,8 @@ def camera_from_mapping(data: Any, source: Path) -> Camera:
         fy,
         cx,
         cy,
-        None if width is None or height is None else int(_number(width, source)),
-        None if width is None or height is None else int(_number(height, source)),
+        None if width is None or height is None else _pixels(width, source),
+        None if width is None or height is None else _pixels(height, source),
         source,
         notes + unit_notes,
         _distortion_warning(data, source),
@@ -186,7 +186,7 @@ def camera_from_text(text: str, source: Path) -> Camera:
         raise _no_camera(source, str(error)) from error
     if len(values) in (4, 6):
         fx, fy, cx, cy = values[:4]
-        width, height = (int(v) for v in values[4:]) if len(values) == 6 else (None, None)
+        width, height = (_pixels(v, source) for v in values[4:]) if len(values) == 6 else (None, None)
         return Camera(fx, fy, cx, cy, width, height, source)
     if len(values) in (9, 16):
         K, order = camera_matrix(values, source)
@@ -217,7 +217,7 @@ def _read_yaml(path: Path) -> Any:
     text = re.sub(r"^%YAML.*$|!!opencv-matrix", "", read_text(path, 2**20), flags=re.MULTILINE)
     try:
         return yaml.safe_load(text)
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise CaptureError("broken YAML", file=path, found=" ".join(str(error).split())) from error
 
 
@@ -244,7 +244,18 @@ def _first(data: Mapping, keys: Sequence[str]) -> Any | None:
 def _number(value: Any, source: Path) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise CaptureError("a camera parameter is not a number", file=source, found=repr(value))
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise CaptureError("a camera parameter is not a usual number", file=source, found=str(error)) from error
+
+
+def _pixels(value: Any, source: Path) -> int:
+    """A width or height."""
+    number = _number(value, source)
+    if not np.isfinite(number):
+        raise CaptureError("the image size is not a number of pixels", file=source, found=str(number))
+    return int(number)
 
 
 def _depth_unit(data: Mapping, source: Path) -> tuple[float | None, tuple[str, ...]]:

@@ -67,8 +67,8 @@ class PcdHeader:
 
     @property
     def color_field(self) -> str | None:
-        """`rgb` or `rgba` where the points have colour."""
-        return next((f.name for f in self.fields if f.name in ("rgb", "rgba")), None)
+        """`rgb` or `rgba` where the points have colour as PCL packs it: in one number."""
+        return next((f.name for f in self.fields if f.name in ("rgb", "rgba") and f.count == 1), None)
 
     @property
     def T_world_sensor(self) -> F64:

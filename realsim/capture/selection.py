@@ -28,7 +28,7 @@ def pick(frames: Sequence[Frame], looks: Sequence[Look], limit: int) -> list[Dro
     travelled = np.concatenate([[0.0], np.cumsum(view_changes(frames, looks))])
     kept = _best_cut(travelled, [look.sharpness or 0.0 for look in looks], limit)
     reason = f"{NOT_NEEDED}: at most {limit} of {len(frames)} frames are picked by sharpness and view change"
-    return [Dropped(frame.name, reason) for i, frame in enumerate(frames) if i not in kept]
+    return [Dropped(frame.name, reason, lost=False) for i, frame in enumerate(frames) if i not in kept]
 
 
 def view_changes(frames: Sequence[Frame], looks: Sequence[Look]) -> F64:

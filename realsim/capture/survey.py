@@ -137,7 +137,7 @@ def duplicates(looks: Sequence[Look]) -> list[Dropped]:
     out = []
     for look in looks:
         if look.content in first:
-            out.append(Dropped(look.name, f"the same images as {first[look.content]}"))
+            out.append(Dropped(look.name, f"the same images as {first[look.content]}", lost=False))
         else:
             first[look.content] = look.name
     return out

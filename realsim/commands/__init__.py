@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 _arguments: ContextVar[tuple[str, ...]] = ContextVar("arguments", default=())
@@ -16,7 +17,7 @@ def set_arguments(arguments: Sequence[str]) -> None:
 
 
 def other_arguments(drop: Mapping[str, int], positional: Sequence[str]) -> tuple[str, ...]:
-    """The given arguments less the options in `drop` (name -> how many values it takes) and the positional ones."""
+    """The given arguments less the options in `drop` (name -> how many values it takes) and the positional paths."""
     rest: list[str] = []
     skip = 0
     for argument in _arguments.get():
@@ -25,7 +26,7 @@ def other_arguments(drop: Mapping[str, int], positional: Sequence[str]) -> tuple
             skip -= 1
         elif name in drop:
             skip = 0 if equals else drop[name]
-        elif argument not in positional:
+        elif str(Path(argument)) not in positional:  # a name as the shell completes it ends in a slash
             rest.append(argument)
     return tuple(rest)
 

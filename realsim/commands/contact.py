@@ -29,11 +29,11 @@ def contact(
         unit: unit of the file; metres if not given, but what is more than 50 m across then is refused.
         up: axis of the file that points up.
         ground_z: height of the ground in metres; found from the mesh if not given.
-        overwrite: replace an existing folder.
+        overwrite: replace a folder that realsim wrote before.
     """
     from realsim.export import contact_mesh
 
-    with output_folder(out, overwrite=overwrite) as folder:
+    with output_folder(out, overwrite=overwrite, source=mesh) as folder:
         files = contact_mesh(mesh, folder, config, unit=unit, up=up, ground_z=ground_z)
     c = dict(files.contact)
     lines = [

@@ -31,13 +31,15 @@ def demo(
         poses: give the reconstruction the camera poses as well.
         robot: robot to put on the start platform.
         seed: of the terrain, the walk, the sensor's noise and the reconstruction.
-        overwrite: replace an existing folder.
+        overwrite: replace a folder that realsim wrote before.
     """
     from realsim.export.config import SceneConfig
     from realsim.synth.capture import write_capture
     from realsim.synth.config import SynthConfig
     from realsim.synth.errors import compare
 
+    if out.exists() and not out.is_dir():
+        raise RealsimError("the output is a file", file=out, expected="a folder that does not exist yet")
     if out.exists() and any(out.iterdir()) and not overwrite:
         raise RealsimError("the output folder exists and is not empty", file=out, hint="pass --overwrite")
     note(f"rendering {frames} frames of the {terrain} terrain ...")

@@ -12,6 +12,7 @@ from realsim import gap
 from realsim.commands import CommandResult
 from realsim.commands.many import run_each
 from realsim.errors import RealsimError
+from realsim.files import refuse_within
 from realsim.gap.config import DiagnoseConfig
 
 
@@ -32,7 +33,7 @@ def diagnose(
         explain: instead of a case: say what an effect looks like and what excites it (`all` lists them).
         jobs: with several cases: how many at a time on this machine.
         ray: with several cases: the address of a Ray cluster that shares this file system.
-        overwrite: replace an output folder that is there already.
+        overwrite: replace an output folder that realsim wrote before.
     """
     if explain is not None:
         text = gap.explain(explain)
@@ -40,6 +41,7 @@ def diagnose(
     if not cases:
         raise RealsimError("no case given", expected="realsim diagnose CASE --out DIR, or --explain EFFECT")
     if len(cases) == 1 and ray is None:
+        refuse_within(out, cases[0])
         result = gap.run_case(cases[0], out, config, overwrite=overwrite)
         return CommandResult(_summary(result, out, config), result)
     return run_each("diagnose", cases, out, shows="sentence", jobs=jobs, ray=ray)

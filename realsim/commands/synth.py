@@ -13,7 +13,7 @@ def synth(config: SynthConfig, out: Path = Path("synth"), overwrite: bool = Fals
 
     Args:
         out: gets capture/ (what `realsim reconstruct` reads) and truth/ (what it may not see).
-        overwrite: replace an existing folder.
+        overwrite: replace a folder that realsim wrote before.
     """
     from realsim.synth.capture import write_capture
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from realsim.report.page import Level
-from realsim.types import Reconstruction, ScaleEstimate
+from realsim.types import Dropped, Reconstruction, ScaleEstimate
 
 
 @dataclass(frozen=True)
@@ -117,21 +117,26 @@ def _frames(result: Reconstruction) -> Iterator[Check]:
     metric = result.aligned.metric
     if metric is None:
         return
-    used, dropped = len(metric), len(dropped_frames(result))
-    yield graded("Frames that fit together", used / max(used + dropped, 1), 0.8, 0.3, percent, low_is_bad=True)
+    used, lost = len(metric), sum(d.lost for _, d in _left_out(result))
+    yield graded("Frames that fit together", used / max(used + lost, 1), 0.8, 0.3, percent, low_is_bad=True)
 
 
 def dropped_frames(result: Reconstruction) -> list[tuple[str, str, str]]:
     """(frame, stage, reason) of every frame left out, in order, each once."""
+    return [(d.name, stage, d.reason) for stage, d in _left_out(result)]
+
+
+def _left_out(result: Reconstruction) -> list[tuple[str, Dropped]]:
+    """(stage, frame) of every frame left out, in order, each once."""
     parts = [
         ("capture", getattr(result.source, "dropped", ())),
         ("points", result.points.dropped if result.points else ()),
         ("scale", result.aligned.metric.dropped if result.aligned.metric else ()),
     ]
-    rows: dict[str, tuple[str, str, str]] = {}
+    rows: dict[str, tuple[str, Dropped]] = {}
     for stage, dropped in parts:
         for d in dropped:
-            rows.setdefault(d.name, (d.name, stage, d.reason))
+            rows.setdefault(d.name, (stage, d))
     return list(rows.values())
 
 

@@ -14,8 +14,10 @@ from realsim.types import Reconstruction
 def write_report(folder: Path, result: Reconstruction) -> None:
     """Write `folder/report.json` and `folder/report.html`.
 
-    The same result gives the same bytes, except for what it cost: `stages` in the JSON, the card "Time and memory" in
-    the page. `folder` holds the exported scene, whose collision geometry is read for the 3D view.
+    The same result gives the same bytes. Two runs differ in what was measured with a clock: in the JSON `stages`, the
+    costs of a step under `contact`, and `seconds` of `modes`; in the page the card "Time and memory", the lines with
+    the costs of a step, and the times of the comparison. `folder` holds the exported scene, whose collision geometry is
+    read for the 3D view.
     """
     judgement = judge(result)
     write_text(folder / "report.json", to_json(summary(result, judgement)))

@@ -27,9 +27,9 @@ def to_metric(points: Pointmaps, config: ScaleConfig, up_world: F64 | None = Non
 
     Args:
         points: N views and poses up to scale; both are multiplied by the same number.
-        up_world: (3,) direction against gravity in the world of the poses, where the source knows it. It tells which
+        up_world: (3,) direction against gravity in the capture's world, where the source knows it. It tells which
             half of an image is the lower one when the camera was held sideways or upside down; without it the lower
-            half is that of the rows as stored.
+            half is that of the rows as stored. Of poses in a world that the backend chose it says nothing.
 
     Raises:
         ScaleError: no frame has sensor depth to compare with, or frames disagree beyond `config.max_spread`.
@@ -37,6 +37,7 @@ def to_metric(points: Pointmaps, config: ScaleConfig, up_world: F64 | None = Non
     from realsim.scale import ESTIMATORS
 
     ratio = ESTIMATORS[config.method]
+    up_world = up_world if points.world_is_capture else None
 
     def of_frame(i: int) -> float:
         pixels = _paired(points, i, up_world)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -275,6 +277,52 @@ def test_a_scan_that_knows_up_is_believed(course, source):
     T = make_T(exp_so3([2.0, 0.5, -1.0]))
     aligned = align(Scan(source, "mesh", transform(T, V), F, up_world=T[:3, 2]), CONFIG)
     assert errors(aligned, T, truth())[0] < 0.05
+
+
+ASKEW = make_T(exp_so3([2.0, 0.5, -1.0]))
+LYING = make_T(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]))
+HEAD_DOWN = make_T(exp_so3([np.pi, 0, 0]))
+
+
+def plinth(boxes, size=3.0, thickness=0.1):
+    """The same with sides and an underside: every piece is closed."""
+    return mesh_of([((0, 0, -thickness), (2 * size, 2 * size, thickness), 0.0), *boxes], 0.0)
+
+
+def turned(T, V, F, up=None):
+    from realsim.align.cloud import _sampled
+    from realsim.align.winding import inside_out
+
+    return inside_out(*_sampled(transform(T, V), F, 0), up)
+
+
+@pytest.mark.parametrize("T", [np.eye(4), LYING, ASKEW])
+@pytest.mark.parametrize(("closed", "up_known"), [(False, False), (False, True), (True, True)])
+def test_a_mesh_wound_inside_out_gives_the_same_scene(course, source, closed, up_known, T):
+    V, F = plinth(course[:4]) if closed else mesh_of(course[:4], 3.0)
+    scan = Scan(source, "mesh", transform(T, V), F, up_world=T[:3, 2] if up_known else None)
+    right, wrong = align(scan, CONFIG), align(replace(scan, triangles=F[:, ::-1].copy()), CONFIG)
+    assert errors(right, T, truth())[0] < 0.05
+    np.testing.assert_allclose(wrong.T_sim_world, right.T_sim_world, atol=2e-3)  # other samples
+    assert len(wrong.platforms) == len(right.platforms)
+    assert not any("inside out" in a for a in right.assumptions)
+    assert any("inside out" in a for a in wrong.assumptions)
+
+
+@pytest.mark.parametrize("T", [np.eye(4), LYING, HEAD_DOWN, ASKEW])
+def test_a_mesh_of_right_winding_is_left_alone(course, T):
+    """Whatever its axis; and a room seen from inside is no block inside out."""
+    for V, F in (mesh_of(course[:4], 3.0), plinth(course[:4])):
+        assert not turned(T, V, F)
+        assert not turned(T, V, F, T[:3, 2])
+    assert turned(T, V, F[:, ::-1])  # a closed one
+    V, F = mesh_of([((0, 0, 0), (5.0, 4.0, 2.5), 0.0)], 0.0)
+    assert not turned(T, V, F[:, ::-1], T[:3, 2])
+
+
+def test_what_lies_under_a_floor_that_faces_up_in_its_file_is_a_pit(course):
+    V, F = mesh_of(course[:4], 3.0)
+    assert not turned(HEAD_DOWN, V, F[:, ::-1])
 
 
 def test_a_scanner_that_knows_where_it_stood_starts_nearest(course, source):

@@ -16,6 +16,7 @@ from .scene import CAMERA, walk
 from .test_layouts import CONFIG, EVERY, frames_of
 from .writers import (
     WRITERS,
+    camera_points,
     millimetres,
     write_image,
     write_log,
@@ -88,6 +89,10 @@ def test_no_intrinsics(tmp_path):
         ('{"fx": 88, "fy": 87, "cx": 46, "cy": 37, "width": 640, "height": 480}', "another size than their intrinsics"),
         ('{"fx": 88, "fy": 87, "cx": NaN, "cy": 37}', "cannot belong"),
         ('{"fx": 88, "fy": 87, "cx": 46, "cy": 37, "depth_scale": 0}', "not positive"),
+        ('{"fx": 88, "fy": 87, "cx": 46, "cy": 37, "width": NaN, "height": 75}', "not a number of pixels"),
+        ('{"fx": 88, "fy": 87, "cx": 46, "cy": 37, "width": 96, "height": Infinity}', "not a number of pixels"),
+        ('{"fx": 1' + "0" * 400 + ', "fy": 87, "cx": 46, "cy": 37}', "not a usual number"),
+        ("[" * 100_000, "broken JSON"),
         ('{"fx": 88,', "broken JSON"),
     ],
 )
@@ -98,6 +103,15 @@ def test_intrinsics_that_cannot_be(text, said, tmp_path):
     with pytest.raises(RealsimError, match=said) as caught:
         read(tmp_path, CONFIG)
     assert "intrinsics.json" in str(caught.value.file)
+
+
+@pytest.mark.parametrize("size", ["nan nan", "96 inf"])
+def test_a_camera_in_a_line_of_text_without_a_size(size, tmp_path):
+    write_plain(tmp_path, walk(3))
+    (tmp_path / "intrinsics.yaml").unlink()
+    (tmp_path / "intrinsics.txt").write_text(f"88 87 46 37 {size}")
+    with pytest.raises(CaptureError, match="not a number of pixels"):
+        read(tmp_path, CONFIG)
 
 
 def test_a_name_that_leads_out_of_the_folder_is_refused(tmp_path):
@@ -239,7 +253,9 @@ def test_duplicate_frames(tmp_path):
     write_plain(tmp_path, walk(6))
     for which in ("rgb", "depth"):
         shutil.copy(tmp_path / which / "000002.png", tmp_path / which / "000003.png")
-    assert reason(frames_of(tmp_path), "000003") == "the same images as 000002"
+    capture = frames_of(tmp_path)
+    assert reason(capture, "000003") == "the same images as 000002"
+    assert not capture.dropped[0].lost
 
 
 def test_blurred_frame(tmp_path):
@@ -463,6 +479,24 @@ def test_unorganised_clouds(tmp_path):
         write_pcd(tmp_path / f"{name}.pcd", np.ones((1, 50, 3)))
     with pytest.raises(CaptureError, match="organised point clouds"):
         read(tmp_path, CONFIG)
+
+
+def test_colour_in_three_numbers_is_no_packed_colour(tmp_path):
+    points = camera_points(walk(1)[0])
+    write_pcd(tmp_path / "a.pcd", points)
+    header, body = (tmp_path / "a.pcd").read_bytes().split(b"DATA binary\n")
+    for old, new in (
+        (b"x y z", b"x y z rgb"),
+        (b"4 4 4", b"4 4 4 4"),
+        (b"F F F", b"F F F F"),
+        (b"1 1 1\n", b"1 1 1 3\n"),
+    ):
+        header = header.replace(old, new)
+    rows = np.concatenate([np.frombuffer(body, "<f4").reshape(-1, 3), np.zeros((points[..., 0].size, 3), "<f4")], 1)
+    (tmp_path / "a.pcd").write_bytes(header + b"DATA binary\n" + rows.astype("<f4").tobytes())
+    capture = frames_of(tmp_path)
+    assert not capture.has_color
+    assert capture.frames[0].depth().any()
 
 
 def test_a_header_with_impossible_promises(tmp_path):

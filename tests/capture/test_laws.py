@@ -184,6 +184,7 @@ def test_at_most_the_limit_is_kept_and_always_the_same(count, limit, seed, posed
     frames, looks = capture(np.cumsum(rng.uniform(0, 0.3, count)), rng.uniform(0.1, 1, count), posed)
     dropped = pick(frames, looks, limit)
     assert dropped == pick(frames, looks, limit)
+    assert not any(d.lost for d in dropped)
     kept = count - len(dropped)
     assert 1 <= kept <= limit or count <= limit
     if count > limit:

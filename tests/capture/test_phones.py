@@ -336,6 +336,20 @@ def test_record3d_poses_relative_to_the_first_do_not_tell_up(tmp_path):
     assert any("up is not known" in a for a in capture.assumptions)
 
 
+@pytest.mark.parametrize("first", [[0, 0, 0, 0, 0, 0, 0], [float("nan")] * 7])
+def test_record3d_bad_first_pose_costs_its_frame(first, tmp_path):
+    members = record3d_members(walk(5))
+    meta = json.loads(members["metadata"])
+    meta["poses"][0] = first
+    members["metadata"] = json.dumps(meta).encode()
+    write_zip(tmp_path / "a.r3d", members)
+    capture = frames_of(tmp_path)
+    assert [d.name for d in capture.dropped] == ["000000"]
+    assert capture.has_poses
+    assert capture.up_world is None
+    assert any("first pose cannot be read" in a for a in capture.assumptions)
+
+
 def test_record3d_fewer_poses_than_frames(tmp_path):
     members = record3d_members(walk(6))
     meta = json.loads(members["metadata"])
@@ -425,6 +439,19 @@ def test_stray_broken_odometry(row, said, tmp_path):
         file.write(row)
     with pytest.raises(PoseError, match=said):
         read(tmp_path, CONFIG)
+
+
+@pytest.mark.parametrize("column", ["timestamp", "qx", "fx"])
+def test_stray_bad_row_costs_its_frame(column, tmp_path):
+    write_stray(tmp_path, walk(5))
+    lines = (tmp_path / "odometry.csv").read_text().splitlines()
+    words = lines[3].split(", ")
+    words[lines[0].split(", ").index(column)] = "oops"
+    (tmp_path / "odometry.csv").write_text("\n".join([*lines[:3], ", ".join(words), *lines[4:]]) + "\n")
+    capture = frames_of(tmp_path)
+    assert [d.name for d in capture.dropped] == ["000002"]
+    assert "not a number" in capture.dropped[0].reason
+    assert any("intrinsics of its own" in a for a in capture.assumptions)
 
 
 def test_stray_odometry_of_another_kind(tmp_path):

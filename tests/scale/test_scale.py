@@ -154,11 +154,21 @@ def test_views_are_read_once_for_the_estimate():
 
 
 def test_what_the_pointmaps_know_is_handed_on():
-    points = replace(capture(), warnings=("w",), statistics={"a": 1}, depth_gain=1.0)
+    points = replace(capture(), warnings=("w",), statistics={"a": 1}, depth_gain=1.0, world_is_capture=True)
     scene = to_metric(points, FAST, np.array([0, 0, 1.0]))
     assert scene.warnings == ("w",)
     assert scene.statistics == {"a": 1}
     np.testing.assert_array_equal(scene.up_world, [0, 0, 1])
+
+
+def test_up_in_the_capture_says_nothing_of_a_world_that_the_backend_chose():
+    """ARKit's +y is up; in the first camera's axes it is down."""
+    points, up = capture(), np.array([0, 1.0, 0])
+    assert not points.world_is_capture
+    scene = to_metric(points, FAST, up)
+    assert scene.up_world is None
+    assert scene.scale == to_metric(points, FAST).scale
+    assert to_metric(replace(points, world_is_capture=True), FAST, up).up_world is up
 
 
 def test_lower_half_follows_gravity_where_it_is_known():

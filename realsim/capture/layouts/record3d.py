@@ -67,9 +67,17 @@ class Metadata:
         return None if self.times is None or i >= len(self.times) else float(self.times[i])
 
     @property
-    def relative(self) -> bool:
-        """Whether the first pose is the identity: then the world is the first camera's, not ARKit's."""
-        return self.poses is not None and bool(np.abs(self.pose(0) @ OPENGL - np.eye(4)).max() < 1e-3)
+    def relative(self) -> bool | None:
+        """Whether the first pose is the identity: then the world is the first camera's, not ARKit's. None without any
+        poses, and where the first cannot be read: that costs its frame, and what it would have told.
+        """
+        try:
+            first = self.pose(0)
+        except RealsimError:
+            return None
+        if first is None or not np.isfinite(first).all():
+            return None
+        return bool(np.abs(first @ OPENGL - np.eye(4)).max() < 1e-3)
 
 
 @dataclass(frozen=True)
@@ -190,7 +198,7 @@ def frame_set(
             )
         )
     assumptions = ["depth is in metres (Record3D's convention)", GRIDS_NOTE, *pose_notes(meta)]
-    up = UP if meta.poses is not None and not meta.relative else None
+    up = UP if meta.relative is False else None
     return capture(path, layout, tuple(frames), tuple(dropped), assumptions, up_world=up)
 
 
@@ -234,6 +242,8 @@ def pose_notes(meta: Metadata) -> list[str]:
     own = ["every frame has intrinsics of its own"] if meta.cameras is not None else ["one camera for all frames"]
     if meta.poses is None:
         return [*own, "no poses are used"]
+    if meta.relative is None:
+        return [*own, AXES_NOTE, "the first pose cannot be read: up is not known"]
     if meta.relative:
         return [*own, AXES_NOTE, "the first pose is the identity: the world is the first camera's, up is not known"]
     return [*own, AXES_NOTE, WORLD_NOTE]
@@ -242,7 +252,7 @@ def pose_notes(meta: Metadata) -> list[str]:
 def parse_json(data: bytes, source: Path) -> Any:
     try:
         return json.loads(data)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise CaptureError("broken JSON in the metadata", file=source, found=str(error)) from error
 
 

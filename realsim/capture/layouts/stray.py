@@ -38,17 +38,20 @@ class Row:
     frame: int
     values: Mapping[str, str]
 
+    def has(self, names: tuple[str, ...]) -> bool:
+        """Whether something stands in all of the named columns."""
+        return all(self.values.get(name) for name in names)
+
     def numbers(self, names: tuple[str, ...]) -> list[float] | None:
         """The named columns, or None where one is absent or empty (the app leaves out what the phone does not say).
 
         Raises:
             PoseError: something else than a number.
         """
-        words = [self.values.get(name, "") for name in names]
-        if not all(words):
+        if not self.has(names):
             return None
         try:
-            return [float(word) for word in words]
+            return [float(self.values[name]) for name in names]
         except ValueError as error:
             raise PoseError("a row of the odometry holds something that is not a number", found=str(error)) from error
 
@@ -106,10 +109,10 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
                 raise CaptureError(f"the video ends before this frame: it has {video.count}")
             of_depth, of_color = on_two_grids(_camera(row, camera, video.size), depth_size)
             pose = _pose(row) if posed else None
+            time = row.numbers(("timestamp",)) if row else None
         except RealsimError as error:
             dropped.append(Dropped(name, one_line(error)))
             continue
-        time = row.numbers(("timestamp",)) if row else None
         frames.append(
             Frame(
                 name,
@@ -124,7 +127,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
             )
         )
     dropped += [Dropped(f"{n:06d}", "colour without depth") for n in sorted(table.keys() - depth.keys())]
-    own = any(row.numbers(OWN_CAMERA) for row in table.values())
+    own = any(row.has(OWN_CAMERA) for row in table.values())
     assumptions = [
         steps.note,
         GRIDS_NOTE,
