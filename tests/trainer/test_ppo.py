@@ -167,3 +167,20 @@ def test_iterations_to_the_target_and_stop(tmp_path: Path) -> None:
     assert history.to_target(0.97) == 2
     assert (tmp_path / "policy.pt").is_file()
     assert list((tmp_path / "events").iterdir())
+    assert [row["success"] for row in read_rows(tmp_path) if "success" in row] == [0.1, 0.5, 0.98]
+
+
+def test_a_policy_is_written_where_nothing_is_left_to_train(tmp_path: Path) -> None:
+    config = LoopConfig(iterations=1, evaluate_every=1, stop_at_target=True, tensorboard=False)
+    at_once = train(runner(worlds=4), config, tmp_path / "at_once", evaluate=lambda policy: 0.99)
+    assert at_once.evaluations == [(0, 0.99)]
+    assert read_rows(tmp_path / "at_once") == [{"iteration": 0, "success": 0.99}]
+    file = tmp_path / "at_once" / "policy.pt"
+    train(runner(worlds=4), replace(config, stop_at_target=False), tmp_path / "on", resume=file)
+    rows = read_rows(tmp_path / "on")
+    assert [row.get("success") for row in rows] == [0.99, None]
+    again = runner(worlds=4, seed=1)
+    train(again, config, tmp_path / "again", resume=tmp_path / "on" / "policy.pt")
+    done, over = (torch.load(tmp_path / name / "policy.pt", weights_only=True) for name in ("on", "again"))
+    assert over["training"]["iteration"] == 1
+    assert all(torch.equal(value, over["actor"][name]) for name, value in done["actor"].items())

@@ -162,6 +162,8 @@ def _attempt(scene: Scene, file: Path | None, plan: Plan, rank: Rank, out: Path)
 
 def _untouched(runner: Runner) -> tuple[str, ...]:
     """That the policy is still its base's, if so."""
+    if runner.iteration == 0:
+        return ("nothing was trained: the target was reached before the first iteration",)
     if runner.iteration > runner.config.critic_first:
         return ()
     return (
