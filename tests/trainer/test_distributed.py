@@ -102,6 +102,16 @@ def test_two_ranks_write_one_checkpoint_with_both_curricula(folder: Path) -> Non
     fewer.iterate()
 
 
+def test_the_device_follows_the_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert pick_device("auto", engine="mujoco").type == "cpu"
+    assert pick_device("auto", engine="warp").type == pick_device("auto").type == "cuda"
+    with ranks("auto", "mujoco") as rank:
+        assert rank.device.type == "cpu"
+    with pytest.raises(TrainerError, match="mujoco runs on the CPU"):
+        pick_device("cuda", engine="mujoco")
+
+
 @pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a GPU")
 def test_no_gpu_is_said() -> None:
     with pytest.raises(TrainerError, match="no CUDA device") as caught:

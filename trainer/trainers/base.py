@@ -43,7 +43,7 @@ class TrainConfig:
     engine: str = ""
     """Physics engine; by default warp on a GPU and mujoco on the CPU."""
     device: str = "auto"
-    """cpu, cuda, or auto: a GPU where there is one."""
+    """cpu, cuda, or auto: a GPU where there is one, unless the engine is mujoco, which runs on the CPU."""
     threads: int = 0
     """Threads of the physics on the CPU; 0 takes all cores."""
     seed: int = 0

@@ -44,7 +44,7 @@ class Plan:
 def train(scene: Scene, policy: Path | None, config: TrainConfig, out: Path) -> TrainResult:
     """See `Trainer`. Under torchrun every rank calls this; the first writes."""
     began = time.perf_counter()
-    with ranks(config.device) as rank:
+    with ranks(config.device, config.engine) as rank:
         plan = decide(config, policy, rank)
         warnings: list[str] = []
         while True:

@@ -43,7 +43,7 @@ def train(scene: Scene, policy: Path | None, config: TrainConfig, out: Path) -> 
     """See `Trainer`. The folder gets rsl_rl's own log (rsl_rl.log, events) beside our files."""
     began = time.perf_counter()
     _refuse_what_it_cannot(config)
-    rank = Rank(0, 1, pick_device(config.device))
+    rank = Rank(0, 1, pick_device(config.device, engine=config.engine))
     plan = decide(config, policy, rank)
     settings = plan.config
     env = make(
