@@ -106,6 +106,10 @@ class ParkourEnv:
         self.at_start = torch.zeros(worlds, device=device)
         self.on_goal = torch.zeros(worlds, device=device)
         self.last_action = torch.zeros(worlds, self.num_actions, device=device)
+        servo = sorted(self.randomiser.known.servo) if self.randomiser.active else []
+        self.misread = torch.zeros(worlds, self.num_actions, device=device) if servo else None
+        """(N, J) rad that the servos read too much; None where they read right."""
+        self._servo = torch.tensor(servo, dtype=torch.long, device=device)
         self.count = 0
         self.ends: Ends | None = None
         """Episodes that ended at the last step; None if none did."""
@@ -127,7 +131,8 @@ class ParkourEnv:
         action = actions.clamp(-self.config.action_limit, self.config.action_limit)
         if self.randomiser.active:
             self.randomiser.push(self.count, self.generator)
-        state = self.physics.step(self.body.default + self.body.action_scale * action)
+        targets = self.body.default + self.body.action_scale * action
+        state = self.physics.step(targets if self.misread is None else targets - self.misread)
         self.count += 1
         self.age = self.age + 1
         signals = self._signals(state, action)
@@ -208,6 +213,8 @@ class ParkourEnv:
         if self.randomiser.active:
             encoder, gyro = self.randomiser.reset(ids, self.generator)
             self.proprioception.encoder_offset[ids], self.proprioception.gyro_offset[ids] = encoder, gyro
+            if self.misread is not None:
+                self.misread[ids[:, None], self._servo] = encoder[:, self._servo]
         pose = poses(terrain, self.course, self.body, self.config.reset, self.generator)
         self.physics.reset(ids, *pose, terrain)
         self.command.reset(ids, self.course.goal[terrain, :2], self.generator)
