@@ -137,6 +137,17 @@ def test_a_broken_world_is_reset_and_counted_and_poisons_nothing():
     assert [text.split()[0] for text in env.warnings] == ["7", "1"]
 
 
+def test_a_log_has_the_same_names_whether_an_episode_ended_or_not():
+    env = env_of(replace(QUIET, log_every=5))
+    env.reset()
+    quiet = [env.step(still(env)).log for _ in range(5)][-1]
+    env.physics.state.ground_contact[1] = True
+    ended = [env.step(still(env)).log for _ in range(5)][-1]
+    assert set(quiet) == set(ended)
+    assert quiet["success"] != quiet["success"]  # not a number: nothing to count
+    assert (ended["success"], ended["end/ground"]) == (0.0, 1.0)
+
+
 def test_too_many_broken_worlds_stop_the_training():
     def break_all(physics):
         physics.state.diverged[:] = True

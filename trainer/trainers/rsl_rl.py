@@ -148,7 +148,7 @@ class Worlds(RslVecEnv):
         done = result.terminated | result.truncated
         self.episode_length_buf = torch.where(done, 0, self.episode_length_buf + 1)
         late = (result.truncated & ~result.terminated).float()
-        log = {f"/{name}": value for name, value in result.log.items()}
+        log = {f"/{name}": value for name, value in result.log.items() if value == value}  # not-a-number: no episodes
         return _groups(self.now, self.num_envs), result.reward, done.long(), {"time_outs": late, "log": log}
 
 
