@@ -90,6 +90,13 @@ def test_what_cannot_be_done_is_said(folder: Path, capsys: pytest.CaptureFixture
         assert "no CUDA device" in failure(capsys, "pretrain", "--terrain", "flat", "--device", "cuda")["message"]
 
 
+def test_a_resume_with_another_strategy_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    base = str(folder / "base" / "policy.pt")
+    arguments = ["finetune", "flat", "--resume", base, "--task-file", str(folder / "task.json"), *SMALL]
+    said = failure(capsys, *arguments, "--final-trials", "0", "--strategy", "adapter")
+    assert (said["file"], said["expected"], said["found"]) == (base, "--strategy adapter", "full")
+
+
 def test_a_checkpoint_that_was_edited_is_refused_before_anything_is_written(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

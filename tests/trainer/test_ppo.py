@@ -159,6 +159,20 @@ def test_resume_is_exact(tmp_path: Path) -> None:
     assert whole.ppo.learning_rate == rest.ppo.learning_rate
 
 
+def test_another_learning_rate_is_begun_with_on_a_resume() -> None:
+    """As after a divergence; the same one, or none, leaves what the schedule made of it."""
+    old = runner(replace(CONFIG, learning_rate=1e-3), worlds=2)
+    old.ppo.learning_rate.fill_(4e-4)
+    for asked, expected in ((2e-4, 2e-4), (None, 4e-4), (1e-3, 4e-4)):
+        ppo = runner(replace(CONFIG, learning_rate=asked), worlds=2).ppo
+        ppo.load_state_dict(old.ppo.state_dict())
+        assert ppo.learning_rate.item() == pytest.approx(expected)
+        assert ppo.optimiser.param_groups[0]["lr"] is ppo.learning_rate
+    before = {name: value for name, value in old.ppo.state_dict().items() if name != "asked_rate"}
+    ppo.load_state_dict(before)
+    assert ppo.learning_rate.item() == pytest.approx(1e-3)
+
+
 def test_iterations_to_the_target_and_stop(tmp_path: Path) -> None:
     rates = iter([0.1, 0.5, 0.98, 1.0])
     config = LoopConfig(iterations=9, evaluate_every=1, stop_at_target=True)

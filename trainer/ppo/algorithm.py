@@ -150,13 +150,20 @@ class PPO:
         rate.copy_(torch.where(faster, (rate * 1.5).clamp(max=high), slower))
 
     def state_dict(self) -> dict[str, object]:
-        """The optimiser with its learning rate."""
-        return {"adam": self.optimiser.state_dict(), "learning_rate": float(self.learning_rate)}
+        """The optimiser with its learning rate, and the rate that was asked for."""
+        return {
+            "adam": self.optimiser.state_dict(),
+            "learning_rate": float(self.learning_rate),
+            "asked_rate": self.config.learning_rate,
+        }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """The inverse."""
+        """The inverse. A learning rate other than the one asked for then is begun with, as for a run that diverged."""
         self.optimiser.load_state_dict(state["adam"])
-        self.learning_rate.fill_(state["learning_rate"])
+        asked = self.config.learning_rate
+        # The same command again must go on exactly: the schedule may have moved the rate since.
+        kept = asked is None or asked == state.get("asked_rate")
+        self.learning_rate.copy_(torch.tensor(state["learning_rate"] if kept else asked))
         for group in self.optimiser.param_groups:  # loading has put a copy there; the schedule moves ours
             group["lr"] = self.learning_rate
 

@@ -80,7 +80,8 @@ class PPOConfig:
     entropy_weight: float = 0.005
     """Weight of the entropy bonus."""
     learning_rate: float | None = None
-    """Learning rate at the start; if not given, 1e-3 for a new policy and 1e-4 for fine-tuning."""
+    """Learning rate at the start; if not given, 1e-3 for a new policy and 1e-4 for fine-tuning. Another one than before
+    is begun with on a resume too."""
     critic_first: int = 0
     """Iterations at the start in which only the critic learns, for a base whose critic knows other terrain."""
     schedule: Literal["adaptive", "fixed"] = "adaptive"

@@ -36,8 +36,8 @@ class TrainConfig:
 
     robot: str = ""
     """Robot of a new policy (g1, quadruped, ...); a given policy brings its own."""
-    strategy: str = "full"
-    """What fine-tuning changes: full, adapter, residual, last_layer."""
+    strategy: str = ""
+    """What fine-tuning changes: full (if not given), adapter, residual, last_layer."""
     worlds: int = 0
     """Simulated robots on each rank; 0 takes 4096 on a GPU and 64 on the CPU."""
     engine: str = ""

@@ -112,10 +112,11 @@ def start(scene: Scene, file: Path | None, plan: Plan, rank: Rank) -> Runner:
     )
     if config.resume is not None:
         policy, _ = checkpoint.load(config.resume)
+        _refuse_another_strategy(policy, config)
     elif file is not None:
         base, _ = checkpoint.load(file)
         policies.check_layout(base.layout, env.layout, str(file))
-        policy = policies.fine_tune(base, config.strategy, config.tuning, config.seed)
+        policy = policies.fine_tune(base, config.strategy or "full", config.tuning, config.seed)
     else:
         policy = policies.new(env.layout, config.ppo.networks, plan.robot, config.seed)
     policies.check_layout(policy.layout, env.layout, str(config.resume or ""))
@@ -158,6 +159,18 @@ def _attempt(scene: Scene, file: Path | None, plan: Plan, rank: Rank, out: Path)
     evaluate = trials(scene, plan) if scene.rows == 1 else None
     config = plan.config
     return runner, loop.train(runner, config.loop, out, evaluate=evaluate, resume=config.resume)
+
+
+def _refuse_another_strategy(policy: Policy, config: TrainConfig) -> None:
+    applied = policy.tuned[-1][0] if policy.tuned else "full"
+    if config.strategy not in ("", applied):
+        raise TrainerError(
+            "the checkpoint is of a run with another strategy",
+            file=config.resume,
+            expected=f"--strategy {config.strategy}",
+            found=applied,
+            hint="leave --strategy out to go on, or begin anew from it with --policy",
+        )
 
 
 def _untouched(runner: Runner) -> tuple[str, ...]:

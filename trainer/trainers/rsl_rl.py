@@ -55,7 +55,7 @@ def train(scene: Scene, policy: Path | None, config: TrainConfig, out: Path) -> 
     else:
         base, _ = checkpoint.load(policy)
         policies.check_layout(base.layout, env.layout, str(policy))
-        learner = policies.fine_tune(base, settings.strategy, settings.tuning, settings.seed)
+        learner = policies.fine_tune(base, settings.strategy or "full", settings.tuning, settings.seed)
     out.mkdir(parents=True, exist_ok=True)
     runner = build(env, learner.to(rank.device), settings.ppo, out / "events", settings.seed)
     history = History()
