@@ -15,6 +15,7 @@ from trainer.ppo import policy as policies
 from trainer.ppo.algorithm import PPO, bootstrap, clipped_value_loss, surrogate
 from trainer.ppo.config import NetworkConfig, PPOConfig
 from trainer.ppo.distributed import Rank
+from trainer.ppo.gaussian import BOUNDS
 from trainer.ppo.loop import LoopConfig, read_rows, train
 from trainer.ppo.normaliser import Normaliser
 from trainer.ppo.runner import Runner
@@ -132,6 +133,26 @@ def test_learning_rate_stays_in_its_bounds() -> None:
         for _ in range(30):
             ppo._adapt(torch.tensor(kl))
         assert ppo.learning_rate.item() == pytest.approx(bound)
+
+
+@pytest.mark.parametrize(("bound", "weight"), [(0, 0.1), (1, -0.1)])
+def test_noise_at_its_bound_can_learn_again(bound: int, weight: float) -> None:
+    """Far outside at first; an entropy bonus, or malus, then pulls it back in."""
+    r = runner(replace(CONFIG, entropy_weight=weight, learning_rate=1e-3, schedule="fixed"), worlds=2)
+    log_std = r.policy.actor.log_std
+    log_std.data.fill_((-9.0, 9.0)[bound])
+    r.ppo = PPO(r.policy.actor, r.policy.critic, r.config)
+    assert torch.allclose(log_std, torch.tensor(BOUNDS[bound]))
+    r.iterate()
+    assert ((log_std > BOUNDS[0]) & (log_std < BOUNDS[1])).all()
+    for group in r.ppo.optimiser.param_groups:
+        group["lr"].fill_(100.0)
+    r.policy.actor.requires_grad_(False)
+    log_std.requires_grad_(True)
+    r.rollout.advantage.zero_()
+    r.ppo.update(r.rollout, r.rng)
+    assert (torch.tensor(BOUNDS[0]) <= log_std).all()
+    assert (log_std <= torch.tensor(BOUNDS[1])).all()
 
 
 @pytest.mark.timeout(900)  # three minutes on one busy core

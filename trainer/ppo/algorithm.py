@@ -52,6 +52,7 @@ class PPO:
         tuned: bool = False,
     ) -> None:
         self.policy, self.critic, self.config = policy, critic, config
+        gaussian.keep_within(policy.get_parameter("log_std"))
         self.extra = dict(extra or {})
         self.actor_parameters = [p for p in policy.parameters() if p.requires_grad]
         self.critic_parameters = list(critic.parameters())
@@ -97,6 +98,7 @@ class PPO:
                 nn.utils.clip_grad_norm_(self.actor_parameters, c.max_gradient)
                 nn.utils.clip_grad_norm_(self.critic_parameters, c.max_gradient)
                 self.optimiser.step()
+                gaussian.keep_within(self.policy.get_parameter("log_std"))
                 for name, value in losses.items():
                     totals[name] = totals.get(name, 0) + value / (c.epochs * c.minibatches)
         # After the update, not before: the policy must be measured against what it was when it acted.

@@ -106,7 +106,7 @@ def build(env: VecEnv, policy: Policy, config: PPOConfig, log: Path | None, seed
 def algorithm(obs: TensorDict, worlds: int, policy: Policy, config: PPOConfig, device: str) -> PPO:
     """rsl_rl's PPO with our networks and settings."""
     storage = RolloutStorage("rl", worlds, config.steps, obs, [len(policy.layout.actions)], device)
-    return PPO(
+    learner = PPO(
         Model(policy.actor, "actor"),
         Model(policy.critic, "critic"),
         storage,
@@ -124,6 +124,10 @@ def algorithm(obs: TensorDict, worlds: int, policy: Policy, config: PPOConfig, d
         use_mixed_precision=config.bfloat16,
         device=device,
     )
+    noise = policy.actor.get_parameter("log_std")
+    gaussian.keep_within(noise)
+    learner.optimizer.register_step_post_hook(lambda *_: gaussian.keep_within(noise))
+    return learner
 
 
 class Worlds(RslVecEnv):
