@@ -15,6 +15,8 @@ from realsim.errors import RealsimError
 from trainer.commands import SUMMARIES
 from trainer.commands.common import find_terrain
 from trainer.commands.task_file import load_task
+from trainer.ppo import export
+from trainer.tasks.parkour import ParkourConfig
 
 SMALL = [
     "--worlds", "16", "--threads", "1", "--evaluate-every", "0", "--steps", "8", "--epochs", "2",
@@ -55,6 +57,7 @@ def test_smoke_fine_tune(folder: Path, capsys: pytest.CaptureFixture[str]) -> No
     deployed = json.loads(capsys.readouterr().out)
     assert deployed["steps"] >= 1
     assert deployed["inference_ms"]["p50"] < 20
+    assert export.load(out / "policy.onnx")[1].action_limit == ParkourConfig().action_limit
     evaluation = str(out / "evaluation.json")
     arguments = ["evaluate", "boxes:0.2:1", "--policy", str(out / "policy.pt"), "--trials", "3", "--device", "cpu"]
     assert main([*arguments, "--task-file", str(folder / "task.json"), "--out", evaluation]) == 0

@@ -148,7 +148,8 @@ def trials(scene: Scene, plan: Plan) -> loop.Evaluate:
 
 def write_onnx(path: Path, policy: Policy, task: ParkourConfig, policy_dt: float) -> Path:
     """Export with everything that a robot must know; the file written."""
-    facts = export.deployment(policy, ROBOTS[policy.robot](), policy_dt, (task.depth.near, task.depth.far))
+    depth = (task.depth.near, task.depth.far)
+    facts = export.deployment(policy, ROBOTS[policy.robot](), policy_dt, depth, task.action_limit)
     export.export(path, policy, facts)
     return path
 
