@@ -89,6 +89,16 @@ def test_what_cannot_be_done_is_said(folder: Path, capsys: pytest.CaptureFixture
     )["message"]  # fmt: skip
     assert "no such scene" in failure(capsys, "pretrain", "--terrain", "./nowhere")["message"]
     assert "unknown trainer" in failure(capsys, "pretrain", "--terrain", "flat", "--trainer", "sac")["message"]
+    base = ["finetune", "flat", "--policy", str(folder / "base" / "policy.pt"), *SMALL]
+    assert failure(capsys, *base, "--device", "gpu")["found"] == "--device gpu"
+    for noise in ("0", "-1", "nan"):
+        assert "noise must be positive" in failure(capsys, *base, "--start-std", noise)["message"]
+    assert failure(capsys, *base, "--minibatches", "129")["found"] == "--minibatches 129"
+    few = ["pretrain", "--terrain", "flat", "--device", "cpu", "--minibatches", str(24 * 64 + 1)]
+    assert "more minibatches than samples" in failure(capsys, *few)["message"]
+    short = folder / "short.json"
+    short.write_text('{"depth": {"frames": 2}, "termination": {"seconds": 0.005}}')
+    assert "shorter than a policy step" in failure(capsys, *base, "--task-file", str(short))["message"]
     if not torch.cuda.is_available():
         assert "no CUDA device" in failure(capsys, "pretrain", "--terrain", "flat", "--device", "cuda")["message"]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import inf
 from typing import Literal
 
 from trainer.errors import TrainerError
@@ -41,6 +42,12 @@ class StrategyConfig:
     """Hidden layers of the residual network."""
     start_std: float | None = None
     """Exploration noise at the start of fine-tuning; the base's own if not given."""
+
+    def __post_init__(self) -> None:
+        if min((self.adapter_width, *self.residual_hidden)) < 1:
+            raise TrainerError("adapters and residual networks need positive layer sizes", found=str(self))
+        if self.start_std is not None and not 0 < self.start_std < inf:
+            raise TrainerError("the exploration noise must be positive", found=f"start_std {self.start_std}")
 
 
 @dataclass(frozen=True)
@@ -108,6 +115,19 @@ class PPOConfig:
             raise TrainerError("the learning rate must be positive", found=f"{self.learning_rate}")
         if self.critic_first < 0:
             raise TrainerError("iterations of the critic alone cannot be negative", found=f"{self.critic_first}")
+
+    def check_samples(self, worlds: int) -> None:
+        """Refuse more minibatches than an iteration of that many worlds has samples.
+
+        Raises:
+            TrainerError: what there is.
+        """
+        if self.minibatches > self.steps * worlds:
+            raise TrainerError(
+                "there are more minibatches than samples",
+                expected=f"at most {self.steps * worlds} of {self.steps} steps x {worlds} worlds",
+                found=f"--minibatches {self.minibatches}",
+            )
 
     def first_rate(self, tuned: bool) -> float:
         """Learning rate with which a new policy begins, or one to be fine-tuned.

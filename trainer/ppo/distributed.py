@@ -6,6 +6,7 @@ Everything here is a no-op without a process group, so that the algorithm reads 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -69,6 +70,8 @@ def pick_device(device: str, local: int | None = None, engine: str = "") -> torc
         TrainerError: no such device, or one that the engine does not work with.
     """
     there = torch.cuda.is_available()
+    if not re.fullmatch(r"auto|cpu|cuda(:\d+)?", device):
+        raise TrainerError("there is no such device", expected="cpu, cuda, cuda:N or auto", found=f"--device {device}")
     if device == "auto":
         device = "cuda" if there and engine not in CPU_ENGINES else "cpu"
     if device.startswith("cuda") and engine in CPU_ENGINES:

@@ -44,6 +44,7 @@ class Runner:
         extra: Mapping[str, tuple[float, Loss]] | None = None,
     ) -> None:
         check_layout(policy.layout, env.layout)
+        config.check_samples(env.num_worlds)
         self.env, self.policy, self.config, self.rank, self.prior = env, policy.to(rank.device), config, rank, prior
         if rank.device.type == "cuda":
             torch.set_float32_matmul_precision("high")  # TF32: the noise of PPO is far above its rounding

@@ -60,6 +60,12 @@ class TrainConfig:
     task: Annotated[ParkourConfig, tyro.conf.Suppress] = field(default_factory=ParkourConfig)
     """The task; from Python, or from a file (--task-file)."""
 
+    def __post_init__(self) -> None:
+        if self.worlds < 0:
+            raise TrainerError("there must be at least one world", found=f"--worlds {self.worlds}")
+        if self.worlds:
+            self.ppo.check_samples(self.worlds)
+
 
 @dataclass(frozen=True)
 class TrainResult:

@@ -88,6 +88,7 @@ def decide(config: TrainConfig, policy: Path | None, rank: Rank) -> Plan:
     robot = robot or "g1"
     engine = config.engine or ("warp" if gpu else "mujoco")
     worlds = config.worlds or (4096 if gpu else 64)
+    config.ppo.check_samples(worlds)
     seed = config.seed * 1009 + rank.index
     physics = PhysicsConfig(device=str(rank.device), threads=config.threads, seed=seed)
     task = replace(config.task, amp=config.ppo.prior.amp)

@@ -84,6 +84,12 @@ class ParkourEnv:
         self.body = Body.of(robot, device)
         self.num_actions = len(robot.joints)
         self.max_steps = round(config.termination.seconds / physics.policy_dt)
+        if self.max_steps < 1:
+            raise TrainerError(
+                "an episode is shorter than a policy step",
+                expected=f"termination.seconds of at least {physics.policy_dt:g}",
+                found=f"{config.termination.seconds:g}",
+            )
         self.generator = torch.Generator(device=device)
         self.generator.manual_seed(seed)
         self.course = Course.of(physics.terrains, device)
