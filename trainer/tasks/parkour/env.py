@@ -108,6 +108,8 @@ class ParkourEnv:
         self.layout = layout(robot, config.observation, depth, config.depth.stride)
         self.terrain_ids = torch.zeros(worlds, dtype=torch.long, device=device)
         self.age = torch.zeros(worlds, dtype=torch.long, device=device)
+        self.shortened = torch.zeros(worlds, dtype=torch.bool, device=device)
+        """(N,) whether the episode began at a later age than 0: running out of time says nothing then."""
         self.origin = torch.zeros(worlds, 2, device=device)
         self.at_start = torch.zeros(worlds, device=device)
         self.on_goal = torch.zeros(worlds, device=device)
@@ -130,6 +132,7 @@ class ParkourEnv:
             self.age = torch.randint(
                 0, self.max_steps, (self.num_worlds,), generator=self.generator, device=self.device
             )
+            self.shortened = self.age > 0
         return Observation(self.proprioception.read(), self._critic_view(signals), self._window())
 
     def step(self, actions: Tensor) -> Step:
@@ -148,7 +151,8 @@ class ParkourEnv:
         observation = self._observe(signals)
         amp = None if self.transitions is None else self.transitions.advance(signals, self.body)
         covered = self.course.covered(state.base_pos[:, :2].nan_to_num(), self.terrain_ids)
-        self.tally.add(terms, outcome, covered, self.age * self.policy_dt)
+        cut_off = self.shortened & (outcome == TIMEOUT)
+        self.tally.add(terms, outcome.masked_fill(cut_off, RUNNING), covered, self.age * self.policy_dt)
         terminated = (outcome != RUNNING) & (outcome < TIMEOUT)
         truncated = outcome >= TIMEOUT
         final, self.ends = None, None
@@ -156,7 +160,8 @@ class ParkourEnv:
         if len(ids):
             final = observation
             self.ends = self._ends(ids, outcome, covered)
-            self.curriculum.update(ids, outcome[ids] == SUCCESS, covered[ids], self.generator)
+            way = covered.masked_fill(cut_off, 1.0)[ids]  # who was cut off stays in its row
+            self.curriculum.update(ids, outcome[ids] == SUCCESS, way, self.generator)
             observation = self._replaced(observation, ids, self._restart(ids))
         return Step(observation, reward, terminated, truncated, final, amp, self._log())
 
@@ -228,6 +233,7 @@ class ParkourEnv:
         self.last_action = self.last_action.index_fill(0, ids, 0.0)  # a copy: it may be the caller's tensor
         for clock in (self.age, self.at_start, self.on_goal):
             clock.index_fill_(0, ids, 0)
+        self.shortened.index_fill_(0, ids, False)
         self.origin[ids] = pose[0][:, :2]
         return self._first_look(ids)
 
