@@ -187,9 +187,11 @@ def scene_model(robot: TrainedRobot, terrain: Terrain, size: tuple[int, int]) ->
             geom.rgba = [0.72, 0.6, 0.45, 1]
     for platform, colour in ((terrain.start, START), (terrain.goal, GOAL)):
         half = [*(platform.size / 2), MARK_THICKNESS]
+        turn = [np.cos(platform.yaw / 2), 0, 0, np.sin(platform.yaw / 2)]
         spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=platform.centre, rgba=colour, contype=0, conaffinity=0
-        )
+            type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=platform.centre, quat=turn, rgba=colour,
+            contype=0, conaffinity=0,
+        )  # fmt: skip
     spec.worldbody.add_light(pos=SUN, dir=-SUN, type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     return spec.compile()
 

@@ -132,6 +132,20 @@ def test_onnx_computes_the_same_and_carries_its_layout(tmp_path: Path, strategie
     assert np.allclose(action, policy.act(o).numpy(), atol=1e-5)
 
 
+def test_onnx_of_before_the_action_limit_has_none(tmp_path: Path) -> None:
+    import onnx
+
+    policy, path = make(), tmp_path / "a.onnx"
+    export.export(path, policy, replace(facts(policy), action_limit=20.0))
+    assert export.load(path)[1].action_limit == 20.0
+    model = onnx.load_model(path)
+    meta = json.loads(model.metadata_props[-1].value)
+    del meta["action_limit"]
+    model.metadata_props[-1].value = json.dumps(meta)
+    onnx.save_model(model, path)
+    assert export.load(path)[1] == facts(policy)
+
+
 def test_onnx_without_metadata_or_cut_off_is_refused(tmp_path: Path) -> None:
     import onnx
 

@@ -15,6 +15,8 @@ from realsim.errors import RealsimError
 from trainer.commands import SUMMARIES
 from trainer.commands.common import find_terrain
 from trainer.commands.task_file import load_task
+from trainer.ppo import export
+from trainer.tasks.parkour import ParkourConfig
 
 SMALL = [
     "--worlds", "16", "--threads", "1", "--evaluate-every", "0", "--steps", "8", "--epochs", "2",
@@ -55,6 +57,7 @@ def test_smoke_fine_tune(folder: Path, capsys: pytest.CaptureFixture[str]) -> No
     deployed = json.loads(capsys.readouterr().out)
     assert deployed["steps"] >= 1
     assert deployed["inference_ms"]["p50"] < 20
+    assert export.load(out / "policy.onnx")[1].action_limit == ParkourConfig().action_limit
     evaluation = str(out / "evaluation.json")
     arguments = ["evaluate", "boxes:0.2:1", "--policy", str(out / "policy.pt"), "--trials", "3", "--device", "cpu"]
     assert main([*arguments, "--task-file", str(folder / "task.json"), "--out", evaluation]) == 0
@@ -86,8 +89,25 @@ def test_what_cannot_be_done_is_said(folder: Path, capsys: pytest.CaptureFixture
     )["message"]  # fmt: skip
     assert "no such scene" in failure(capsys, "pretrain", "--terrain", "./nowhere")["message"]
     assert "unknown trainer" in failure(capsys, "pretrain", "--terrain", "flat", "--trainer", "sac")["message"]
+    base = ["finetune", "flat", "--policy", str(folder / "base" / "policy.pt"), *SMALL]
+    assert failure(capsys, *base, "--device", "gpu")["found"] == "--device gpu"
+    for noise in ("0", "-1", "nan"):
+        assert "noise must be positive" in failure(capsys, *base, "--start-std", noise)["message"]
+    assert failure(capsys, *base, "--minibatches", "129")["found"] == "--minibatches 129"
+    few = ["pretrain", "--terrain", "flat", "--device", "cpu", "--minibatches", str(24 * 64 + 1)]
+    assert "more minibatches than samples" in failure(capsys, *few)["message"]
+    short = folder / "short.json"
+    short.write_text('{"depth": {"frames": 2}, "termination": {"seconds": 0.005}}')
+    assert "shorter than a policy step" in failure(capsys, *base, "--task-file", str(short))["message"]
     if not torch.cuda.is_available():
         assert "no CUDA device" in failure(capsys, "pretrain", "--terrain", "flat", "--device", "cuda")["message"]
+
+
+def test_a_resume_with_another_strategy_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    base = str(folder / "base" / "policy.pt")
+    arguments = ["finetune", "flat", "--resume", base, "--task-file", str(folder / "task.json"), *SMALL]
+    said = failure(capsys, *arguments, "--final-trials", "0", "--strategy", "adapter")
+    assert (said["file"], said["expected"], said["found"]) == (base, "--strategy adapter", "full")
 
 
 def test_a_checkpoint_that_was_edited_is_refused_before_anything_is_written(

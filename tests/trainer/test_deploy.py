@@ -170,6 +170,50 @@ def test_it_stops_rather_than_going_on() -> None:
     assert (late.reason, late.steps) == ("late", CONFIG.max_late)
 
 
+@pytest.mark.parametrize("where", ["read", "sleep"])
+def test_after_a_stall_it_keeps_time_again(where: str) -> None:
+    """A tenth of a second is lost once: no burst of actions makes up for it, and every action is held for a step."""
+    clock = _Clock()
+    stalls = {where: 3}
+
+    class Stalling(_Robot):
+        def __init__(self) -> None:
+            super().__init__()
+            self.times: list[float] = []
+
+        def read(self) -> Reading:
+            clock.now += 0.002
+            stall("read")
+            return super().read()
+
+        def write(self, targets) -> None:
+            super().write(targets)
+            self.times.append(clock.now)
+
+    def stall(place: str) -> None:
+        stalls[place] = stalls.get(place, 0) - 1
+        clock.now += 0.1 * (stalls[place] == 0)
+
+    def sleep(seconds: float) -> None:
+        clock.sleep(seconds)
+        stall("sleep")
+
+    robot = Stalling()
+    report = deploy(robot, _Session(np.zeros(12)), BLIND, CONFIG, clock=clock, sleep=sleep)
+    assert (report.reason, report.steps, report.late) == ("done", 10, 1)
+    gaps = np.diff(robot.times)
+    assert sorted(gaps)[-1] == pytest.approx(0.12)
+    assert np.delete(gaps, gaps.argmax()) == pytest.approx(0.02)
+
+
+def test_actions_are_clipped_as_in_training() -> None:
+    robot, clock, session = _Robot(), _Clock(), _Session(np.full(12, 3.0))
+    limited = replace(BLIND, action_limit=1.5)
+    deploy(robot, session, limited, CONFIG, clock=clock, sleep=clock.sleep)
+    assert np.allclose(robot.targets[0], QUADRUPED.default + 1.5 * QUADRUPED.action_scale)
+    assert np.allclose(session.seen[-1]["vector"][0, -12:], 1.5)  # the newest of the last actions
+
+
 def test_a_start_that_fails_half_way_is_stopped_too() -> None:
     class Refusing(_Robot):
         def start(self, kp, kd) -> None:

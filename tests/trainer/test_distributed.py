@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import socket
 from dataclasses import replace
@@ -18,7 +19,7 @@ from trainer.errors import TrainerError
 from trainer.ppo import policy as policies
 from trainer.ppo.distributed import pick_device, ranks
 from trainer.ppo.loop import LoopConfig, train
-from trainer.ppo.runner import Runner
+from trainer.ppo.runner import Runner, _read
 
 WHOLE = replace(CONFIG, minibatches=1, epochs=2)  # shuffled minibatches would be other ones on each rank
 
@@ -60,6 +61,10 @@ def rank_main(index: int, port: int, folder: str) -> None:
         r = Runner(PointMass(4), policies.new(LAYOUT, WHOLE.networks, "toy", index), WHOLE, rank=rank)
         one_update(r, slice(4 * index, 4 * index + 4))
         torch.save({**weights(r), "rate": r.ppo.learning_rate}, f"{folder}/rank{index}.pt")
+        nan, mine = torch.tensor(float("nan")), torch.tensor(1.0 + index)
+        losses = {"sound": mine, "broken": nan if index else mine}
+        read = _read(losses, {"env/all": mine, "env/first": nan if index else mine, "env/none": nan, "return": nan})
+        torch.save(read, f"{folder}/read{index}.pt")
         # A checkpoint of one rank goes on with two, and stops for both when the first says so.
         again = Runner(PointMass(4, seed=index), policies.new(LAYOUT, CONFIG.networks, "toy", 0), CONFIG, rank=rank)
         loop = LoopConfig(iterations=9, evaluate_every=1, stop_at_target=True, tensorboard=False)
@@ -90,6 +95,16 @@ def test_two_ranks_update_as_one_with_twice_the_worlds(folder: Path) -> None:
     assert first["rate"] == second["rate"] == one.ppo.learning_rate
 
 
+def test_what_one_rank_has_not_seen_is_the_others_figure(folder: Path) -> None:
+    """No episode ended on the second rank; a loss that is not a number there is not passed over."""
+    for index in range(2):
+        read = torch.load(folder / f"read{index}.pt", weights_only=True)
+        assert (read["sound"], read["env/all"], read["env/first"]) == (1.5, 1.5, 1.0)
+        assert math.isnan(read["broken"])
+        assert math.isnan(read["return"])
+        assert "env/none" not in read
+
+
 def test_two_ranks_write_one_checkpoint_with_both_curricula(folder: Path) -> None:
     saved = torch.load(folder / "out" / "policy.pt", weights_only=True)["training"]
     assert len(saved["ranks"]) == 2
@@ -100,6 +115,16 @@ def test_two_ranks_write_one_checkpoint_with_both_curricula(folder: Path) -> Non
     notes = fewer.load_state_dict(saved)
     assert "resumed on 1 ranks instead of 2" in notes[0]
     fewer.iterate()
+
+
+def test_the_device_follows_the_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert pick_device("auto", engine="mujoco").type == "cpu"
+    assert pick_device("auto", engine="warp").type == pick_device("auto").type == "cuda"
+    with ranks("auto", "mujoco") as rank:
+        assert rank.device.type == "cpu"
+    with pytest.raises(TrainerError, match="mujoco runs on the CPU"):
+        pick_device("cuda", engine="mujoco")
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a GPU")

@@ -15,6 +15,7 @@ from trainer.ppo import policy as policies
 from trainer.ppo.algorithm import PPO, bootstrap, clipped_value_loss, surrogate
 from trainer.ppo.config import NetworkConfig, PPOConfig
 from trainer.ppo.distributed import Rank
+from trainer.ppo.gaussian import BOUNDS
 from trainer.ppo.loop import LoopConfig, read_rows, train
 from trainer.ppo.normaliser import Normaliser
 from trainer.ppo.runner import Runner
@@ -134,6 +135,26 @@ def test_learning_rate_stays_in_its_bounds() -> None:
         assert ppo.learning_rate.item() == pytest.approx(bound)
 
 
+@pytest.mark.parametrize(("bound", "weight"), [(0, 0.1), (1, -0.1)])
+def test_noise_at_its_bound_can_learn_again(bound: int, weight: float) -> None:
+    """Far outside at first; an entropy bonus, or malus, then pulls it back in."""
+    r = runner(replace(CONFIG, entropy_weight=weight, learning_rate=1e-3, schedule="fixed"), worlds=2)
+    log_std = r.policy.actor.log_std
+    log_std.data.fill_((-9.0, 9.0)[bound])
+    r.ppo = PPO(r.policy.actor, r.policy.critic, r.config)
+    assert torch.allclose(log_std, torch.tensor(BOUNDS[bound]))
+    r.iterate()
+    assert ((log_std > BOUNDS[0]) & (log_std < BOUNDS[1])).all()
+    for group in r.ppo.optimiser.param_groups:
+        group["lr"].fill_(100.0)
+    r.policy.actor.requires_grad_(False)
+    log_std.requires_grad_(True)
+    r.rollout.advantage.zero_()
+    r.ppo.update(r.rollout, r.rng)
+    assert (torch.tensor(BOUNDS[0]) <= log_std).all()
+    assert (log_std <= torch.tensor(BOUNDS[1])).all()
+
+
 @pytest.mark.timeout(900)  # three minutes on one busy core
 def test_point_mass_is_learnt_from_depth() -> None:
     """Only the image says where the goal is; 2.0 would be a whole episode on it, doing nothing earns 0.0."""
@@ -159,6 +180,20 @@ def test_resume_is_exact(tmp_path: Path) -> None:
     assert whole.ppo.learning_rate == rest.ppo.learning_rate
 
 
+def test_another_learning_rate_is_begun_with_on_a_resume() -> None:
+    """As after a divergence; the same one, or none, leaves what the schedule made of it."""
+    old = runner(replace(CONFIG, learning_rate=1e-3), worlds=2)
+    old.ppo.learning_rate.fill_(4e-4)
+    for asked, expected in ((2e-4, 2e-4), (None, 4e-4), (1e-3, 4e-4)):
+        ppo = runner(replace(CONFIG, learning_rate=asked), worlds=2).ppo
+        ppo.load_state_dict(old.ppo.state_dict())
+        assert ppo.learning_rate.item() == pytest.approx(expected)
+        assert ppo.optimiser.param_groups[0]["lr"] is ppo.learning_rate
+    before = {name: value for name, value in old.ppo.state_dict().items() if name != "asked_rate"}
+    ppo.load_state_dict(before)
+    assert ppo.learning_rate.item() == pytest.approx(1e-3)
+
+
 def test_iterations_to_the_target_and_stop(tmp_path: Path) -> None:
     rates = iter([0.1, 0.5, 0.98, 1.0])
     config = LoopConfig(iterations=9, evaluate_every=1, stop_at_target=True)
@@ -167,3 +202,20 @@ def test_iterations_to_the_target_and_stop(tmp_path: Path) -> None:
     assert history.to_target(0.97) == 2
     assert (tmp_path / "policy.pt").is_file()
     assert list((tmp_path / "events").iterdir())
+    assert [row["success"] for row in read_rows(tmp_path) if "success" in row] == [0.1, 0.5, 0.98]
+
+
+def test_a_policy_is_written_where_nothing_is_left_to_train(tmp_path: Path) -> None:
+    config = LoopConfig(iterations=1, evaluate_every=1, stop_at_target=True, tensorboard=False)
+    at_once = train(runner(worlds=4), config, tmp_path / "at_once", evaluate=lambda policy: 0.99)
+    assert at_once.evaluations == [(0, 0.99)]
+    assert read_rows(tmp_path / "at_once") == [{"iteration": 0, "success": 0.99}]
+    file = tmp_path / "at_once" / "policy.pt"
+    train(runner(worlds=4), replace(config, stop_at_target=False), tmp_path / "on", resume=file)
+    rows = read_rows(tmp_path / "on")
+    assert [row.get("success") for row in rows] == [0.99, None]
+    again = runner(worlds=4, seed=1)
+    train(again, config, tmp_path / "again", resume=tmp_path / "on" / "policy.pt")
+    done, over = (torch.load(tmp_path / name / "policy.pt", weights_only=True) for name in ("on", "again"))
+    assert over["training"]["iteration"] == 1
+    assert all(torch.equal(value, over["actor"][name]) for name, value in done["actor"].items())

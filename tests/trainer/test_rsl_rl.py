@@ -104,6 +104,10 @@ def test_it_trains_our_networks_with_depth(capsys: pytest.CaptureFixture[str]) -
     policy = policies.new(env.layout, SMALL, "toy", 0)
     before = {k: v.clone() for k, v in policy.actor.state_dict().items()}
     runner = build(env, policy, CONFIG, None)
+    policy.actor.log_std.data.fill_(9.0)
+    runner.alg.optimizer.step()
+    assert torch.allclose(policy.actor.log_std.exp(), torch.tensor(2.0))
+    policy.actor.log_std.data.copy_(before["log_std"])
     runner.learn(6)
     changed = {k for k, v in policy.actor.state_dict().items() if not torch.equal(v, before[k])}
     assert {k for k in before if k.startswith(("encoder", "trunk", "log_std"))} <= changed

@@ -113,6 +113,29 @@ def test_first_ages_are_spread():
     env = env_of(replace(QUIET, reset=ResetConfig(spread_ages=True)), worlds=64)
     env.reset()
     assert env.age.float().std() > 100
+    assert torch.equal(env.shortened, env.age > 0)
+
+
+def test_a_first_episode_that_was_cut_short_is_no_failure():
+    """At a random age at first, it runs out of time sooner; what it reached by then counts, and so do whole ones."""
+    config = replace(QUIET, reset=ResetConfig(position=0.0, yaw=0.0, joints=0.0), log_every=5)
+    config = replace(config, termination=TerminationConfig(seconds=1.0), command=CommandConfig(standing=1.0))
+    env = env_of(config, worlds=4, copies=6, rows=6)
+    env.reset()
+    env.curriculum.row[:] = 3
+    env.age[:] = torch.tensor([48, 46, 0, 10])
+    env.shortened = env.age > 0
+    env.on_goal[1] = 5.0  # on the goal since long ago, and still there
+    env.course.goal_half[:] = 100.0
+    env.on_goal[[0, 2, 3]] = -100.0
+    log = [env.step(still(env)).log for _ in range(5)][-1]
+    assert env.curriculum.row.tolist() == [3, 4, 3, 3]
+    assert (log["success"], log["end/timeout"]) == (1.0, 0.0)
+    assert env.shortened.tolist() == [False, False, False, True]
+    env.on_goal[:] = -100.0
+    log = [env.step(still(env)).log for _ in range(45)][-1]
+    assert env.curriculum.row.tolist() == [3, 4, 2, 3]  # the whole one moves down
+    assert log["end/timeout"] == 1.0
 
 
 # ---------------------------------------------------------------- broken worlds
@@ -135,6 +158,17 @@ def test_a_broken_world_is_reset_and_counted_and_poisons_nothing():
     assert logs[-1]["physics/diverged"] == 1
     assert logs[-1]["physics/overflowed"] == 7
     assert [text.split()[0] for text in env.warnings] == ["7", "1"]
+
+
+def test_a_log_has_the_same_names_whether_an_episode_ended_or_not():
+    env = env_of(replace(QUIET, log_every=5))
+    env.reset()
+    quiet = [env.step(still(env)).log for _ in range(5)][-1]
+    env.physics.state.ground_contact[1] = True
+    ended = [env.step(still(env)).log for _ in range(5)][-1]
+    assert set(quiet) == set(ended)
+    assert quiet["success"] != quiet["success"]  # not a number: nothing to count
+    assert (ended["success"], ended["end/ground"]) == (0.0, 1.0)
 
 
 def test_too_many_broken_worlds_stop_the_training():

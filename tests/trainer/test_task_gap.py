@@ -1,12 +1,14 @@
 """What a diagnosis knows replaces what the randomisation guesses; what it cannot say is not dropped silently."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
 torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
 
 from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped  # noqa: E402
+from tests.trainer.task_env import QUIET, env_of, still  # noqa: E402
 from trainer.errors import TrainerError  # noqa: E402
 from trainer.physics import PhysicsConfig  # noqa: E402
 from trainer.robots import ROBOTS  # noqa: E402
@@ -14,7 +16,7 @@ from trainer.tasks.parkour import ParkourConfig, ParkourEnv  # noqa: E402
 from trainer.tasks.parkour.build import with_known  # noqa: E402
 from trainer.tasks.parkour.config import DepthConfig, RandomisationConfig  # noqa: E402
 from trainer.tasks.parkour.gap import load  # noqa: E402
-from trainer.tasks.parkour.randomise import informed  # noqa: E402
+from trainer.tasks.parkour.randomise import Known, informed, limited  # noqa: E402
 from trainer.tasks.parkour.variants import sizes  # noqa: E402
 
 
@@ -58,7 +60,7 @@ def test_causes_become_ranges(diagnosis):
     assert known.encoder == {knee: (0.05, 0.07)}
     assert known.delay == (0.010, 0.012)
     assert known.payload == (1.5, 1.7)
-    assert known.unused == ("backlash",)
+    assert known.unused == ("motor_gain (force limit)", "payload (x)", "backlash")
     assert sizes([course()], informed(RandomisationConfig(), known)) == pytest.approx([1.02, 1.025, 1.03, 1.035, 1.04])
 
 
@@ -97,6 +99,35 @@ def test_worlds_are_drawn_from_what_is_known(diagnosis):
     assert params.kp_scale[:, 2].max() <= 0.72
     assert params.kp_scale[:, 3].max() > 1.0
     assert set(params.delay_steps.tolist()) == {2}
+
+
+def test_what_is_taken_in_part_is_named(diagnosis):
+    causes = [
+        cause("imu_bias", acc_x=(0.1, 0.2), acc_y=(0.0, 0.0), acc_z=(0.0, 0.0)),
+        cause("command_delay", delay=(0.03, 0.04)),
+    ]
+    known = load(diagnosis(*causes), quadruped())
+    assert known.gyro is None  # the guessed range stays
+    assert known.unused == ("imu_bias (acc_x, acc_y, acc_z)",)
+    env = env_of(known=known)
+    assert [text.split(":")[0] for text in env.warnings] == [*known.unused, "command_delay (outside 0 to 20 ms)"]
+    assert limited(Known(delay=(0.01, 0.021)), PhysicsConfig()).unused == ()
+    gyro = load(diagnosis(cause("imu_bias", gyro_x=(0.1, 0.2))), quadruped())
+    assert (gyro.gyro, gyro.unused) == (((0.1, 0.2), (0.0, 0.0), (0.0, 0.0)), ())
+
+
+@pytest.mark.parametrize(("parameter", "shift"), [("offset", 0.1), ("reading_offset", 0.0)])
+def test_a_servo_that_reads_the_offset_stands_elsewhere(diagnosis, parameter, shift):
+    robot = quadruped()
+    known = load(diagnosis(cause("joint_offset", [robot.joints[4]], **{parameter: (0.1, 0.1)})), robot)
+    assert known.unused == ()
+    env = env_of(replace(QUIET, randomisation=RandomisationConfig(push=0.0)), known=known)
+    env.reset()
+    env.step(still(env))
+    told = torch.tensor(robot.default).float().repeat(4, 1)
+    told[:, 4] -= shift
+    assert torch.allclose(env.physics.targets, told)
+    assert torch.allclose(env.proprioception.encoder_offset[:, 4], torch.tensor(0.1))
 
 
 def test_another_robots_diagnosis_is_refused(diagnosis):

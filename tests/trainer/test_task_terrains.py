@@ -9,6 +9,7 @@ torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `tra
 
 from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped  # noqa: E402
 from trainer.errors import TrainerError  # noqa: E402
+from trainer.replay import scene_model  # noqa: E402
 from trainer.tasks.parkour import ParkourConfig, ParkourEnv, check  # noqa: E402
 from trainer.tasks.parkour.config import (  # noqa: E402
     CommandConfig,
@@ -17,6 +18,7 @@ from trainer.tasks.parkour.config import (  # noqa: E402
     RandomisationConfig,
     TerminationConfig,
 )
+from trainer.tasks.parkour.resets import Course  # noqa: E402
 from trainer.tasks.parkour.variants import scaled, scaled_spec, sizes  # noqa: E402
 
 # ---------------------------------------------------------------- terrains
@@ -33,6 +35,28 @@ def test_variants_are_scaled_courses():
     assert sizes([terrain], RandomisationConfig()) == pytest.approx([0.95, 0.975, 1.0, 1.025, 1.05])
     assert sizes([terrain] * 200, RandomisationConfig()) == [1.0]
     assert sizes([terrain], RandomisationConfig(use=False)) == [1.0]
+
+
+def test_the_goal_is_where_its_platform_lies():
+    goal = replace(course().goal, size=np.array([2.0, 0.6]), yaw=np.pi / 2)
+    terrains = [course(), scaled(replace(course(), goal=goal), 1.1)]
+    places = Course.of(terrains, torch.device("cpu"))
+    along_y, along_x = torch.tensor([[3.3, 0.9]]), torch.tensor([[4.2, 0.0]])
+    turned = torch.tensor([1])
+    assert places.on_goal(along_y, along_y[:, None], turned).tolist() == [True]
+    assert places.on_goal(along_x, along_x[:, None], turned).tolist() == [False]
+    # Without yaw the borders are exactly what they were.
+    points = torch.rand(2000, 2, generator=torch.Generator().manual_seed(0)) * 1.2 + torch.tensor([2.4, -0.6])
+    straight = ((points - places.goal[0, :2]).abs() <= places.goal_half[0]).all(-1)
+    assert torch.equal(places.on_goal(points, points[:, None], torch.zeros(2000, dtype=torch.long)), straight)
+
+
+def test_a_mark_is_turned_with_its_platform():
+    goal = replace(course().goal, yaw=0.5)
+    model = scene_model(quadruped(), replace(course(), goal=goal), (64, 64))
+    start, end = model.geom_quat[model.geom_bodyid == 0][-2:]
+    assert start == pytest.approx([1, 0, 0, 0])
+    assert end == pytest.approx([np.cos(0.25), 0, 0, np.sin(0.25)])
 
 
 def test_a_scaled_scene_collides_where_its_mesh_is():

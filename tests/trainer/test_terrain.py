@@ -123,6 +123,23 @@ def test_a_scene_keeps_what_collides_above_the_ground(scene):
     assert terrain.goal.centre[0] == 2.0
 
 
+def test_a_platform_lies_as_its_yaw_says(scene):
+    """Its report gives the long side first, and the direction of that."""
+    report = json.loads((scene / "report.json").read_text())
+    report["goal"] |= {"size": [2.0, 0.6, 0.3], "yaw": np.pi / 2}
+    (scene / "report.json").write_text(json.dumps(report))
+    terrain = load(scene)
+    at = np.array([[2.0, 0.9], [2.9, 0.0], [2.25, 0.0]])
+    assert terrain.goal.contains(at).tolist() == [True, False, True]
+    assert terrain.goal.contains(at, 0.1).tolist() == [True, False, False]
+    assert terrain.goal.corners().max(0) == pytest.approx([2.3, 1.0])
+    assert terrain.start.yaw == 0.0
+    report["goal"]["yaw"] = "north"
+    (scene / "report.json").write_text(json.dumps(report))
+    with pytest.raises(TrainerError, match="the yaw of the goal platform"):
+        load(scene)
+
+
 def test_a_scene_without_platforms_is_refused(scene):
     (scene / "report.json").write_text(json.dumps({"ground_z": -0.3, "start": None, "goal": None}))
     with pytest.raises(TrainerError, match="no start platform"):

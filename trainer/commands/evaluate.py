@@ -40,7 +40,7 @@ def evaluate(
         diagnosis: diagnosis.json of `realsim diagnose`.
     """
     loaded = common.load_policy(policy)
-    place = pick_device(device)
+    place = pick_device(device, engine=engine)
     train = TrainConfig(engine=engine, seed=config.seed, task=load_task(task_file), diagnosis=diagnosis)
     setting = common.setting(loaded, policy, place, train)
     scene = common.find_scene(scenes)

@@ -79,7 +79,7 @@ def finetune(
 def trials(policy: Path, scene: Scene, config: TrainConfig, count: int) -> Evaluation:
     """Trials of a policy on the scene's terrains in the task and engine of the training."""
     loaded = common.load_policy(policy)
-    device = pick_device(config.device)
+    device = pick_device(config.device, engine=config.engine)
     setting = common.setting(loaded, policy, device, config)
     settings = EvaluationConfig(trials=count, worlds=min(count, 250), seed=config.seed)
     return evaluate(loaded.to(device).act, scene.terrains, settings, setting)

@@ -113,7 +113,7 @@ def deploy(
     session.run(None, _warm_up(facts))  # the first call allocates: not while the robot waits
     try:  # from here on the robot may hold gains of ours, also where `start` itself fails half way
         robot.start(np.asarray(facts.kp), np.asarray(facts.kd))
-        began = due = clock()
+        due = clock()
         late = 0
         while report.steps * facts.policy_dt < config.seconds and not (until is not None and until()):
             started = clock()
@@ -130,19 +130,25 @@ def deploy(
             if not np.isfinite(action).all():
                 report.reason = "the policy's action is not a number"
                 break
+            if facts.action_limit is not None:  # as in training, where the policy then sees what was left of it
+                action = np.clip(action, -facts.action_limit, facts.action_limit)
             wanted = default + scale * action
             targets = np.clip(wanted, reading.joint_pos - config.max_step, reading.joint_pos + config.max_step)
             report.clipped += int((targets != wanted).sum())
             robot.write(targets)
             report.latency_s.append(clock() - started)
             report.steps += 1
-            due = began + report.steps * facts.policy_dt
-            missed = config.realtime and clock() > due
+            due += facts.policy_dt
+            now = clock()
+            missed = config.realtime and now > due
             late = late + 1 if missed else 0
             report.late += missed
             if late >= config.max_late:
                 report.reason = "late"
                 break
+            if missed:
+                # What was lost stays lost: an action is to be held for a step, the next takes at least so long to come.
+                due = now + max(0.0, facts.policy_dt - min(report.latency_s))
             if config.realtime:
                 sleep(max(0.0, due - clock()))
     finally:

@@ -52,6 +52,7 @@ class PPO:
         tuned: bool = False,
     ) -> None:
         self.policy, self.critic, self.config = policy, critic, config
+        gaussian.keep_within(policy.get_parameter("log_std"))
         self.extra = dict(extra or {})
         self.actor_parameters = [p for p in policy.parameters() if p.requires_grad]
         self.critic_parameters = list(critic.parameters())
@@ -97,6 +98,7 @@ class PPO:
                 nn.utils.clip_grad_norm_(self.actor_parameters, c.max_gradient)
                 nn.utils.clip_grad_norm_(self.critic_parameters, c.max_gradient)
                 self.optimiser.step()
+                gaussian.keep_within(self.policy.get_parameter("log_std"))
                 for name, value in losses.items():
                     totals[name] = totals.get(name, 0) + value / (c.epochs * c.minibatches)
         # After the update, not before: the policy must be measured against what it was when it acted.
@@ -150,13 +152,20 @@ class PPO:
         rate.copy_(torch.where(faster, (rate * 1.5).clamp(max=high), slower))
 
     def state_dict(self) -> dict[str, object]:
-        """The optimiser with its learning rate."""
-        return {"adam": self.optimiser.state_dict(), "learning_rate": float(self.learning_rate)}
+        """The optimiser with its learning rate, and the rate that was asked for."""
+        return {
+            "adam": self.optimiser.state_dict(),
+            "learning_rate": float(self.learning_rate),
+            "asked_rate": self.config.learning_rate,
+        }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """The inverse."""
+        """The inverse. A learning rate other than the one asked for then is begun with, as for a run that diverged."""
         self.optimiser.load_state_dict(state["adam"])
-        self.learning_rate.fill_(state["learning_rate"])
+        asked = self.config.learning_rate
+        # The same command again must go on exactly: the schedule may have moved the rate since.
+        kept = asked is None or asked == state.get("asked_rate")
+        self.learning_rate.copy_(torch.tensor(state["learning_rate"] if kept else asked))
         for group in self.optimiser.param_groups:  # loading has put a copy there; the schedule moves ours
             group["lr"] = self.learning_rate
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import inf
 from typing import Literal
 
 from trainer.errors import TrainerError
@@ -42,6 +43,12 @@ class StrategyConfig:
     start_std: float | None = None
     """Exploration noise at the start of fine-tuning; the base's own if not given."""
 
+    def __post_init__(self) -> None:
+        if min((self.adapter_width, *self.residual_hidden)) < 1:
+            raise TrainerError("adapters and residual networks need positive layer sizes", found=str(self))
+        if self.start_std is not None and not 0 < self.start_std < inf:
+            raise TrainerError("the exploration noise must be positive", found=f"start_std {self.start_std}")
+
 
 @dataclass(frozen=True)
 class AmpConfig:
@@ -80,7 +87,8 @@ class PPOConfig:
     entropy_weight: float = 0.005
     """Weight of the entropy bonus."""
     learning_rate: float | None = None
-    """Learning rate at the start; if not given, 1e-3 for a new policy and 1e-4 for fine-tuning."""
+    """Learning rate at the start; if not given, 1e-3 for a new policy and 1e-4 for fine-tuning. Another one than before
+    is begun with on a resume too."""
     critic_first: int = 0
     """Iterations at the start in which only the critic learns, for a base whose critic knows other terrain."""
     schedule: Literal["adaptive", "fixed"] = "adaptive"
@@ -107,6 +115,19 @@ class PPOConfig:
             raise TrainerError("the learning rate must be positive", found=f"{self.learning_rate}")
         if self.critic_first < 0:
             raise TrainerError("iterations of the critic alone cannot be negative", found=f"{self.critic_first}")
+
+    def check_samples(self, worlds: int) -> None:
+        """Refuse more minibatches than an iteration of that many worlds has samples.
+
+        Raises:
+            TrainerError: what there is.
+        """
+        if self.minibatches > self.steps * worlds:
+            raise TrainerError(
+                "there are more minibatches than samples",
+                expected=f"at most {self.steps * worlds} of {self.steps} steps x {worlds} worlds",
+                found=f"--minibatches {self.minibatches}",
+            )
 
     def first_rate(self, tuned: bool) -> float:
         """Learning rate with which a new policy begins, or one to be fine-tuned.

@@ -6,6 +6,7 @@ Everything here is a no-op without a process group, so that the algorithm reads 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,6 +17,9 @@ import torch.distributed as dist
 from torch import Tensor, nn
 
 from trainer.errors import TrainerError
+
+CPU_ENGINES = ("mujoco",)
+"""Physics engines whose state lies on the CPU: the networks must be there too."""
 
 
 @dataclass(frozen=True)
@@ -33,14 +37,15 @@ class Rank:
 
 
 @contextmanager
-def ranks(device: str) -> Iterator[Rank]:
+def ranks(device: str, engine: str = "") -> Iterator[Rank]:
     """This process's rank, with the process group open if torchrun started more than one.
 
     Args:
         device: "cpu" (gloo), "cuda" (nccl, one device a local rank), or "auto": CUDA where there is one.
+        engine: the physics engine that will run; see `pick_device`.
     """
     index, count = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
-    chosen = pick_device(device, int(os.environ.get("LOCAL_RANK", "0")) if count > 1 else None)
+    chosen = pick_device(device, int(os.environ.get("LOCAL_RANK", "0")) if count > 1 else None, engine)
     if count == 1:
         yield Rank(0, 1, chosen)
         return
@@ -53,11 +58,29 @@ def ranks(device: str) -> Iterator[Rank]:
         dist.destroy_process_group()
 
 
-def pick_device(device: str, local: int | None = None) -> torch.device:
-    """The torch device of that name; a CUDA device that is not there is said, never silently replaced."""
+def pick_device(device: str, local: int | None = None, engine: str = "") -> torch.device:
+    """The torch device of that name; a CUDA device that is not there is said, never silently replaced.
+
+    Args:
+        device: "cpu", "cuda", "cuda:1", or "auto".
+        local: which of the processes on this machine this is; None for the only one.
+        engine: the physics engine that will run; "auto" is "cpu" for one whose state lies on the CPU.
+
+    Raises:
+        TrainerError: no such device, or one that the engine does not work with.
+    """
     there = torch.cuda.is_available()
+    if not re.fullmatch(r"auto|cpu|cuda(:\d+)?", device):
+        raise TrainerError("there is no such device", expected="cpu, cuda, cuda:N or auto", found=f"--device {device}")
     if device == "auto":
-        device = "cuda" if there else "cpu"
+        device = "cuda" if there and engine not in CPU_ENGINES else "cpu"
+    if device.startswith("cuda") and engine in CPU_ENGINES:
+        raise TrainerError(
+            f"the engine {engine} runs on the CPU",
+            expected="--device cpu, or --engine warp",
+            found=f"--device {device}",
+            hint="leave --device out: it follows the engine",
+        )
     if device.startswith("cuda") and not there:
         raise TrainerError(
             "no CUDA device",

@@ -49,10 +49,16 @@ class Deployment:
     """Metres that become 1; no measurement is 1 too."""
     tuned: tuple[str, ...] = ()
     """Strategies by which it was fine-tuned."""
+    action_limit: float | None = None
+    """Magnitude at which actions are clipped, in the next observation too; None in files of before it was kept."""
 
 
 def deployment(
-    policy: Policy, robot: TrainedRobot, policy_dt: float, depth_range: tuple[float, float] = (0.0, 0.0)
+    policy: Policy,
+    robot: TrainedRobot,
+    policy_dt: float,
+    depth_range: tuple[float, float] = (0.0, 0.0),
+    action_limit: float | None = None,
 ) -> Deployment:
     """The metadata of a policy."""
 
@@ -70,6 +76,7 @@ def deployment(
         depth_near=depth_range[0],
         depth_far=depth_range[1],
         tuned=tuple(name for name, _ in policy.tuned),
+        action_limit=action_limit,
     )
 
 

@@ -12,8 +12,14 @@ BOUNDS = (math.log(0.02), math.log(2.0))
 
 
 def bounded(log_std: Tensor) -> Tensor:
-    """The logarithm of the standard deviation within bounds."""
+    """The logarithm of the standard deviation within bounds; beyond them it gets no gradient, see `keep_within`."""
     return log_std.clamp(*BOUNDS)
+
+
+@torch.no_grad()
+def keep_within(log_std: Tensor) -> None:
+    """Put the parameter itself back to its bounds, after a step of its optimiser: beyond it could never learn again."""
+    log_std.clamp_(*BOUNDS)
 
 
 def sample(mean: Tensor, log_std: Tensor, generator: torch.Generator) -> Tensor:

@@ -78,16 +78,23 @@ def train(
         history = _resume(runner, resume)
     elif evaluate is not None and config.evaluate_every:
         _evaluate(runner, evaluate, history)
-    if not _done(runner, history, config):
+    # Whoever asked for the training goes on with its policy.pt, also where nothing is left to train.
+    done = _done(runner, history, config)
+    if done:
+        save(runner, history, folder)
+    else:
         runner.begin()
     with _writer(folder, runner, config.tensorboard) as write, _progress(runner, config) as show:
-        while not _done(runner, history, config):
+        if runner.iteration == 0 and history.evaluations:
+            write({"iteration": 0, "success": history.evaluations[0][1]})
+        while not done:
             row = {"iteration": runner.iteration, **runner.iterate()}
             write(row)
             if evaluate is not None and config.evaluate_every and runner.iteration % config.evaluate_every == 0:
                 write({"iteration": runner.iteration - 1, "success": _evaluate(runner, evaluate, history)})
             show(row, history)
-            if runner.iteration % config.checkpoint_every == 0 or _done(runner, history, config):
+            done = _done(runner, history, config)
+            if runner.iteration % config.checkpoint_every == 0 or done:
                 save(runner, history, folder)
                 runner.begin()
     return history
@@ -103,7 +110,8 @@ def save(runner: Runner, history: History, folder: Path) -> None:
 
 def read_rows(folder: Path) -> list[dict[str, float | None]]:
     """What was logged, in order: a row an iteration with its number (from 0), losses, reward terms and seconds; a row
-    an evaluation with `success`. None where a figure is not a number (no episode ended)."""
+    an evaluation with `success`, its number that of the iteration before it, or 0 before the first. None where a figure
+    is not a number (no episode ended)."""
     path = folder / "history.jsonl"
     if not path.is_file():
         return []

@@ -13,7 +13,7 @@ from trainer.errors import TrainerError
 from trainer.ppo.algorithm import PPO, Loss, bootstrap
 from trainer.ppo.amp import StylePrior
 from trainer.ppo.config import PPOConfig
-from trainer.ppo.distributed import Rank, all_mean, broadcast, gather
+from trainer.ppo.distributed import Rank, all_sum, broadcast, gather
 from trainer.ppo.policy import Policy, check_layout
 from trainer.ppo.storage import Rollout
 from trainer.tasks import Observation, VecEnv
@@ -44,6 +44,7 @@ class Runner:
         extra: Mapping[str, tuple[float, Loss]] | None = None,
     ) -> None:
         check_layout(policy.layout, env.layout)
+        config.check_samples(env.num_worlds)
         self.env, self.policy, self.config, self.rank, self.prior = env, policy.to(rank.device), config, rank, prior
         if rank.device.type == "cuda":
             torch.set_float32_matmul_precision("high")  # TF32: the noise of PPO is far above its rounding
@@ -75,7 +76,7 @@ class Runner:
         if self.prior is not None:
             losses |= self.prior.update(self.rng)
         self.rollout.carry()
-        result = _read({**losses, **log, **self.episodes.take()})
+        result = _read(losses, {**log, **self.episodes.take()})
         ended = time.perf_counter()
         self.iteration += 1
         self.samples += self.config.steps * self.env.num_worlds * self.rank.count
@@ -152,7 +153,7 @@ class Runner:
         self.ppo.finish(self.rollout, self.observation)
         device = self.rank.device
         return {
-            f"env/{k}": torch.stack([torch.as_tensor(x, device=device) for x in v]).float().mean()
+            f"env/{k}": torch.stack([torch.as_tensor(x, device=device) for x in v]).float().nanmean()
             for k, v in logs.items()
         }
 
@@ -186,7 +187,16 @@ class _Episodes:
         return {"reward": reward, "return": sums[0] / sums[2], "length": sums[1] / sums[2], "episodes": sums[2]}
 
 
-def _read(values: Mapping[str, Tensor]) -> dict[str, float]:
-    """All values at once: the only wait for the device in an iteration. Ranks' means are taken."""
+def _read(losses: Mapping[str, Tensor], figures: Mapping[str, Tensor]) -> dict[str, float]:
+    """All values at once: the only wait for the device in an iteration. Ranks' means are taken.
+
+    Among figures not-a-number says that there was nothing to count: such ranks are left out, and a figure of the
+    environment (`env/...`) that no rank has is left out too. A loss that is not a number on one rank is none at all.
+    """
+    values = {**losses, **figures}
     stacked = torch.stack([v.detach().float().reshape(()) for v in values.values()])
-    return dict(zip(values, all_mean(stacked).tolist(), strict=True))
+    counted = ~stacked.isnan()
+    counted[: len(losses)] = True
+    sums, counts = all_sum(torch.stack([torch.where(counted, stacked, 0.0), counted.float()]))
+    means = dict(zip(values, (sums / counts).tolist(), strict=True))
+    return {name: mean for name, mean in means.items() if mean == mean or not name.startswith("env/")}

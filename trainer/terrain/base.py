@@ -28,11 +28,24 @@ class Platform:
     centre: F64
     """(3,) centroid of the top face, metres."""
     size: F64
-    """(2,) extent along x and y, metres."""
+    """(2,) extent along its own x and y, metres."""
+    yaw: float = 0.0
+    """Radians about z from the terrain's x to its own."""
 
     def contains(self, xy: F64, margin: float = 0.0) -> NDArray[np.bool_]:
         """(N,) whether (N, 2) points lie over the platform, at least `margin` metres inside its border."""
-        return np.all(np.abs(xy - self.centre[:2]) <= self.size / 2 - margin, axis=-1)
+        return np.all(np.abs((xy - self.centre[:2]) @ self._axes) <= self.size / 2 - margin, axis=-1)
+
+    def corners(self) -> F64:
+        """(4, 2) x and y of its corners, metres."""
+        unit = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+        return self.centre[:2] + (unit * self.size) @ self._axes.T
+
+    @property
+    def _axes(self) -> F64:
+        """(2, 2) its own x and y as columns."""
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        return np.array([[c, -s], [s, c]])
 
 
 @dataclass(frozen=True)

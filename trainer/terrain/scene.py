@@ -80,7 +80,7 @@ def _report(folder: Path) -> dict[str, Any]:
     return report
 
 
-def _numbers(folder: Path, value: Any, what: str, count: int) -> NDArray[np.float64]:
+def _numbers(folder: Path, value: Any, what: str, count: int, unit: str = "metres") -> NDArray[np.float64]:
     """The first `count` of the numbers that an entry of the report must hold."""
     try:
         numbers = np.atleast_1d(np.asarray(value, float))
@@ -90,7 +90,7 @@ def _numbers(folder: Path, value: Any, what: str, count: int) -> NDArray[np.floa
         raise TrainerError(
             f"{what} is not given",
             file=folder / "report.json",
-            expected=f"{count} finite numbers, metres",
+            expected=f"{count} finite numbers, {unit}",
             found=repr(value),
             hint="reconstruct again",
         )
@@ -155,7 +155,9 @@ def _platform(folder: Path, report: dict[str, Any], role: str) -> Platform:
             found=" x ".join(f"{s:.3f}" for s in size) + " m",
             hint="check `scale` in report.json",
         )
-    return Platform(_numbers(folder, entry.get("centroid"), f"the centre of the {role} platform", 3), size)
+    centre = _numbers(folder, entry.get("centroid"), f"the centre of the {role} platform", 3)
+    yaw = _numbers(folder, entry.get("yaw", 0.0), f"the yaw of the {role} platform", 1, "radians")
+    return Platform(centre, size, float(yaw[0]))
 
 
 def _contact(folder: Path, floor: float) -> Any:

@@ -36,14 +36,14 @@ class TrainConfig:
 
     robot: str = ""
     """Robot of a new policy (g1, quadruped, ...); a given policy brings its own."""
-    strategy: str = "full"
-    """What fine-tuning changes: full, adapter, residual, last_layer."""
+    strategy: str = ""
+    """What fine-tuning changes: full (if not given), adapter, residual, last_layer."""
     worlds: int = 0
     """Simulated robots on each rank; 0 takes 4096 on a GPU and 64 on the CPU."""
     engine: str = ""
     """Physics engine; by default warp on a GPU and mujoco on the CPU."""
     device: str = "auto"
-    """cpu, cuda, or auto: a GPU where there is one."""
+    """cpu, cuda, or auto: a GPU where there is one, unless the engine is mujoco, which runs on the CPU."""
     threads: int = 0
     """Threads of the physics on the CPU; 0 takes all cores."""
     seed: int = 0
@@ -59,6 +59,12 @@ class TrainConfig:
     tuning: StrategyConfig = field(default_factory=StrategyConfig)
     task: Annotated[ParkourConfig, tyro.conf.Suppress] = field(default_factory=ParkourConfig)
     """The task; from Python, or from a file (--task-file)."""
+
+    def __post_init__(self) -> None:
+        if self.worlds < 0:
+            raise TrainerError("there must be at least one world", found=f"--worlds {self.worlds}")
+        if self.worlds:
+            self.ppo.check_samples(self.worlds)
 
 
 @dataclass(frozen=True)

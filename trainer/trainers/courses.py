@@ -14,8 +14,7 @@ GROUND_HALF_THICKNESS = 0.05
 
 def extent(terrain: Terrain, margin: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """((2,) lowest, (2,) highest) x and y of the course with a margin around it, metres."""
-    corners = [p.centre[:2] + s * p.size / 2 for p in (terrain.start, terrain.goal) for s in (-1, 1)]
-    points = np.concatenate([np.array(corners), terrain.vertices[:, :2]])
+    points = np.concatenate([terrain.start.corners(), terrain.goal.corners(), terrain.vertices[:, :2]])
     return points.min(0) - margin, points.max(0) + margin
 
 

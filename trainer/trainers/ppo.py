@@ -44,7 +44,7 @@ class Plan:
 def train(scene: Scene, policy: Path | None, config: TrainConfig, out: Path) -> TrainResult:
     """See `Trainer`. Under torchrun every rank calls this; the first writes."""
     began = time.perf_counter()
-    with ranks(config.device) as rank:
+    with ranks(config.device, config.engine) as rank:
         plan = decide(config, policy, rank)
         warnings: list[str] = []
         while True:
@@ -88,6 +88,7 @@ def decide(config: TrainConfig, policy: Path | None, rank: Rank) -> Plan:
     robot = robot or "g1"
     engine = config.engine or ("warp" if gpu else "mujoco")
     worlds = config.worlds or (4096 if gpu else 64)
+    config.ppo.check_samples(worlds)
     seed = config.seed * 1009 + rank.index
     physics = PhysicsConfig(device=str(rank.device), threads=config.threads, seed=seed)
     task = replace(config.task, amp=config.ppo.prior.amp)
@@ -112,10 +113,11 @@ def start(scene: Scene, file: Path | None, plan: Plan, rank: Rank) -> Runner:
     )
     if config.resume is not None:
         policy, _ = checkpoint.load(config.resume)
+        _refuse_another_strategy(policy, config)
     elif file is not None:
         base, _ = checkpoint.load(file)
         policies.check_layout(base.layout, env.layout, str(file))
-        policy = policies.fine_tune(base, config.strategy, config.tuning, config.seed)
+        policy = policies.fine_tune(base, config.strategy or "full", config.tuning, config.seed)
     else:
         policy = policies.new(env.layout, config.ppo.networks, plan.robot, config.seed)
     policies.check_layout(policy.layout, env.layout, str(config.resume or ""))
@@ -147,7 +149,8 @@ def trials(scene: Scene, plan: Plan) -> loop.Evaluate:
 
 def write_onnx(path: Path, policy: Policy, task: ParkourConfig, policy_dt: float) -> Path:
     """Export with everything that a robot must know; the file written."""
-    facts = export.deployment(policy, ROBOTS[policy.robot](), policy_dt, (task.depth.near, task.depth.far))
+    depth = (task.depth.near, task.depth.far)
+    facts = export.deployment(policy, ROBOTS[policy.robot](), policy_dt, depth, task.action_limit)
     export.export(path, policy, facts)
     return path
 
@@ -160,8 +163,22 @@ def _attempt(scene: Scene, file: Path | None, plan: Plan, rank: Rank, out: Path)
     return runner, loop.train(runner, config.loop, out, evaluate=evaluate, resume=config.resume)
 
 
+def _refuse_another_strategy(policy: Policy, config: TrainConfig) -> None:
+    applied = policy.tuned[-1][0] if policy.tuned else "full"
+    if config.strategy not in ("", applied):
+        raise TrainerError(
+            "the checkpoint is of a run with another strategy",
+            file=config.resume,
+            expected=f"--strategy {config.strategy}",
+            found=applied,
+            hint="leave --strategy out to go on, or begin anew from it with --policy",
+        )
+
+
 def _untouched(runner: Runner) -> tuple[str, ...]:
     """That the policy is still its base's, if so."""
+    if runner.iteration == 0:
+        return ("nothing was trained: the target was reached before the first iteration",)
     if runner.iteration > runner.config.critic_first:
         return ()
     return (

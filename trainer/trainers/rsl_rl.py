@@ -43,7 +43,7 @@ def train(scene: Scene, policy: Path | None, config: TrainConfig, out: Path) -> 
     """See `Trainer`. The folder gets rsl_rl's own log (rsl_rl.log, events) beside our files."""
     began = time.perf_counter()
     _refuse_what_it_cannot(config)
-    rank = Rank(0, 1, pick_device(config.device))
+    rank = Rank(0, 1, pick_device(config.device, engine=config.engine))
     plan = decide(config, policy, rank)
     settings = plan.config
     env = make(
@@ -55,7 +55,7 @@ def train(scene: Scene, policy: Path | None, config: TrainConfig, out: Path) -> 
     else:
         base, _ = checkpoint.load(policy)
         policies.check_layout(base.layout, env.layout, str(policy))
-        learner = policies.fine_tune(base, settings.strategy, settings.tuning, settings.seed)
+        learner = policies.fine_tune(base, settings.strategy or "full", settings.tuning, settings.seed)
     out.mkdir(parents=True, exist_ok=True)
     runner = build(env, learner.to(rank.device), settings.ppo, out / "events", settings.seed)
     history = History()
@@ -106,7 +106,7 @@ def build(env: VecEnv, policy: Policy, config: PPOConfig, log: Path | None, seed
 def algorithm(obs: TensorDict, worlds: int, policy: Policy, config: PPOConfig, device: str) -> PPO:
     """rsl_rl's PPO with our networks and settings."""
     storage = RolloutStorage("rl", worlds, config.steps, obs, [len(policy.layout.actions)], device)
-    return PPO(
+    learner = PPO(
         Model(policy.actor, "actor"),
         Model(policy.critic, "critic"),
         storage,
@@ -124,6 +124,10 @@ def algorithm(obs: TensorDict, worlds: int, policy: Policy, config: PPOConfig, d
         use_mixed_precision=config.bfloat16,
         device=device,
     )
+    noise = policy.actor.get_parameter("log_std")
+    gaussian.keep_within(noise)
+    learner.optimizer.register_step_post_hook(lambda *_: gaussian.keep_within(noise))
+    return learner
 
 
 class Worlds(RslVecEnv):
@@ -148,7 +152,7 @@ class Worlds(RslVecEnv):
         done = result.terminated | result.truncated
         self.episode_length_buf = torch.where(done, 0, self.episode_length_buf + 1)
         late = (result.truncated & ~result.terminated).float()
-        log = {f"/{name}": value for name, value in result.log.items()}
+        log = {f"/{name}": value for name, value in result.log.items() if value == value}  # not-a-number: no episodes
         return _groups(self.now, self.num_envs), result.reward, done.long(), {"time_outs": late, "log": log}
 
 

@@ -17,7 +17,7 @@ from trainer.robots import ROBOTS, TrainedRobot
 from trainer.tasks.parkour.config import DepthConfig, ParkourConfig
 from trainer.tasks.parkour.env import ParkourEnv
 from trainer.tasks.parkour.gap import load as load_gap
-from trainer.tasks.parkour.randomise import Known, informed
+from trainer.tasks.parkour.randomise import Known, informed, limited
 from trainer.tasks.parkour.variants import scaled, sizes
 from trainer.terrain import Terrain
 
@@ -63,7 +63,7 @@ def make(
         raise TrainerError("there must be at least one world", found=str(worlds))
     for terrain in terrains:
         check(terrain)
-    known = Known() if diagnosis is None else load_gap(diagnosis, body)
+    known = Known() if diagnosis is None else limited(load_gap(diagnosis, body), settings)
     for effect in known.unused:
         note(f"{diagnosis}: {effect} is not simulated by this task")
     config = with_known(config, known, settings)

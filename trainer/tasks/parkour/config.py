@@ -171,7 +171,8 @@ class ResetConfig:
     joints: float = 0.1
     """Radians around the default pose (clipped to the limits)."""
     spread_ages: bool = True
-    """Whether the first episodes begin at random ages, so that they do not end together."""
+    """Whether the first episodes begin at random ages, so that they do not end together. Such an episode that runs out
+    of time moves no world of a curriculum and is no failure in the log."""
 
 
 @dataclass(frozen=True)

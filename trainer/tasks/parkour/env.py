@@ -84,6 +84,12 @@ class ParkourEnv:
         self.body = Body.of(robot, device)
         self.num_actions = len(robot.joints)
         self.max_steps = round(config.termination.seconds / physics.policy_dt)
+        if self.max_steps < 1:
+            raise TrainerError(
+                "an episode is shorter than a policy step",
+                expected=f"termination.seconds of at least {physics.policy_dt:g}",
+                found=f"{config.termination.seconds:g}",
+            )
         self.generator = torch.Generator(device=device)
         self.generator.manual_seed(seed)
         self.course = Course.of(physics.terrains, device)
@@ -102,10 +108,16 @@ class ParkourEnv:
         self.layout = layout(robot, config.observation, depth, config.depth.stride)
         self.terrain_ids = torch.zeros(worlds, dtype=torch.long, device=device)
         self.age = torch.zeros(worlds, dtype=torch.long, device=device)
+        self.shortened = torch.zeros(worlds, dtype=torch.bool, device=device)
+        """(N,) whether the episode began at a later age than 0: running out of time says nothing then."""
         self.origin = torch.zeros(worlds, 2, device=device)
         self.at_start = torch.zeros(worlds, device=device)
         self.on_goal = torch.zeros(worlds, device=device)
         self.last_action = torch.zeros(worlds, self.num_actions, device=device)
+        servo = sorted(self.randomiser.known.servo) if self.randomiser.active else []
+        self.misread = torch.zeros(worlds, self.num_actions, device=device) if servo else None
+        """(N, J) rad that the servos read too much; None where they read right."""
+        self._servo = torch.tensor(servo, dtype=torch.long, device=device)
         self.count = 0
         self.ends: Ends | None = None
         """Episodes that ended at the last step; None if none did."""
@@ -120,6 +132,7 @@ class ParkourEnv:
             self.age = torch.randint(
                 0, self.max_steps, (self.num_worlds,), generator=self.generator, device=self.device
             )
+            self.shortened = self.age > 0
         return Observation(self.proprioception.read(), self._critic_view(signals), self._window())
 
     def step(self, actions: Tensor) -> Step:
@@ -127,7 +140,8 @@ class ParkourEnv:
         action = actions.clamp(-self.config.action_limit, self.config.action_limit)
         if self.randomiser.active:
             self.randomiser.push(self.count, self.generator)
-        state = self.physics.step(self.body.default + self.body.action_scale * action)
+        targets = self.body.default + self.body.action_scale * action
+        state = self.physics.step(targets if self.misread is None else targets - self.misread)
         self.count += 1
         self.age = self.age + 1
         signals = self._signals(state, action)
@@ -137,7 +151,8 @@ class ParkourEnv:
         observation = self._observe(signals)
         amp = None if self.transitions is None else self.transitions.advance(signals, self.body)
         covered = self.course.covered(state.base_pos[:, :2].nan_to_num(), self.terrain_ids)
-        self.tally.add(terms, outcome, covered, self.age * self.policy_dt)
+        cut_off = self.shortened & (outcome == TIMEOUT)
+        self.tally.add(terms, outcome.masked_fill(cut_off, RUNNING), covered, self.age * self.policy_dt)
         terminated = (outcome != RUNNING) & (outcome < TIMEOUT)
         truncated = outcome >= TIMEOUT
         final, self.ends = None, None
@@ -145,7 +160,8 @@ class ParkourEnv:
         if len(ids):
             final = observation
             self.ends = self._ends(ids, outcome, covered)
-            self.curriculum.update(ids, outcome[ids] == SUCCESS, covered[ids], self.generator)
+            way = covered.masked_fill(cut_off, 1.0)[ids]  # who was cut off stays in its row
+            self.curriculum.update(ids, outcome[ids] == SUCCESS, way, self.generator)
             observation = self._replaced(observation, ids, self._restart(ids))
         return Step(observation, reward, terminated, truncated, final, amp, self._log())
 
@@ -208,6 +224,8 @@ class ParkourEnv:
         if self.randomiser.active:
             encoder, gyro = self.randomiser.reset(ids, self.generator)
             self.proprioception.encoder_offset[ids], self.proprioception.gyro_offset[ids] = encoder, gyro
+            if self.misread is not None:
+                self.misread[ids[:, None], self._servo] = encoder[:, self._servo]
         pose = poses(terrain, self.course, self.body, self.config.reset, self.generator)
         self.physics.reset(ids, *pose, terrain)
         self.command.reset(ids, self.course.goal[terrain, :2], self.generator)
@@ -215,6 +233,7 @@ class ParkourEnv:
         self.last_action = self.last_action.index_fill(0, ids, 0.0)  # a copy: it may be the caller's tensor
         for clock in (self.age, self.at_start, self.on_goal):
             clock.index_fill_(0, ids, 0)
+        self.shortened.index_fill_(0, ids, False)
         self.origin[ids] = pose[0][:, :2]
         return self._first_look(ids)
 

@@ -20,7 +20,7 @@ def load(path: str | Path, robot: TrainedRobot) -> Known:
     """What `diagnosis.json` knows about this robot.
 
     Only the causes of an `identified` verdict are taken: an ambiguous set is one guess of several. Effects that the
-    task has no place for come back in `unused`.
+    task has no place for come back in `unused`, and so do parts of effects, as `payload (x, y, z)`.
 
     Raises:
         TrainerError: not a diagnosis, or of a robot with other joints.
@@ -30,10 +30,10 @@ def load(path: str | Path, robot: TrainedRobot) -> Known:
         raise TrainerError("not a diagnosis", file=path, expected="diagnosis.json of `realsim diagnose`")
     if data["verdict"] != "identified":
         return Known(unused=tuple(f"{c.get('effect')} ({data['verdict']})" for c in data["causes"]))
-    found: dict[str, Any] = {"unused": []}
+    found: dict[str, Any] = {"unused": [], "servo": set()}
     for cause in data["causes"]:
         _take(cause, robot, found, path)
-    return Known(**found | {"unused": tuple(found["unused"])})
+    return Known(**found | {"unused": tuple(found["unused"]), "servo": frozenset(found["servo"])})
 
 
 def _take(cause: dict[str, Any], robot: TrainedRobot, found: dict[str, Any], path: str | Path) -> None:
@@ -47,22 +47,32 @@ def _take(cause: dict[str, Any], robot: TrainedRobot, found: dict[str, Any], pat
             found=f"no joint {unknown[0]!r}",
         )
     places = [robot.joints.index(j) for j in joints] or list(range(len(robot.joints)))
+    left = dict(cause.get("parameters", {}))  # what nobody asks for is named as unused
 
     def interval(name: str) -> Range | None:
         value = cause.get("parameters", {}).get(name)
+        left.pop(name, None)
         return None if value is None else (float(value["ci90"][0]), float(value["ci90"][1]))
 
     if effect in _JOINT:
+        if effect == "joint_offset" and interval("offset") is not None:
+            found["servo"].update(places)
         for key, of in _JOINT[effect].items():
             own = found.setdefault(key, {})
             for j in places:
                 bounds = of(interval, robot, j)
-                if bounds is not None:
+                if bounds is None:
+                    left[robot.joints[j]] = None
+                else:
                     own[j] = _product(own[j], bounds) if j in own and key in ("kp", "kd") else bounds
     elif effect in _WHOLE and (effect not in ("payload", "com_offset") or _on_torso(cause, robot)):
         found.update({k: v for k, v in _WHOLE[effect](interval).items() if v is not None})
     else:
         found["unused"].append(effect)
+        return
+    parts = [*left, *_NOT_SIMULATED.get(effect, ())]
+    if parts:
+        found["unused"].append(f"{effect} ({', '.join(parts)})")
 
 
 def _on_torso(cause: dict[str, Any], robot: TrainedRobot) -> bool:
@@ -80,6 +90,10 @@ def _armature(interval: Interval, robot: TrainedRobot, j: int) -> Range | None:
     return None if added is None or own <= 0 else (1 + added[0] / own, 1 + added[1] / own)
 
 
+def _offset(interval: Interval, robot: TrainedRobot, j: int) -> Range | None:
+    return interval("offset") or interval("reading_offset")
+
+
 def _ratio(interval: Interval, robot: TrainedRobot, j: int) -> Range | None:
     return interval("ratio")
 
@@ -91,18 +105,25 @@ _JOINT: dict[str, dict[str, Callable[[Interval, TrainedRobot, int], Range | None
     "motor_gain": {"kp": _ratio, "kd": _ratio},
     "armature": {"armature": _armature},
     "coulomb_friction": {"joint_friction": lambda interval, robot, j: interval("friction")},
-    "joint_offset": {"encoder": lambda interval, robot, j: interval("offset")},
+    "joint_offset": {"encoder": _offset},
 }
+
+_NOT_SIMULATED = {"motor_gain": ("force limit",)}
+"""Effect -> what it changes on the robot beside what is taken from it."""
 
 
 def _com(interval: Interval) -> dict[str, Any]:
-    nothing = (0.0, 0.0)
-    return {"com": tuple(interval(a) or nothing for a in "xyz")}
+    return {"com": _axes(interval, "x", "y", "z")}
 
 
 def _gyro(interval: Interval) -> dict[str, Any]:
-    nothing = (0.0, 0.0)
-    return {"gyro": tuple(interval(f"gyro_{a}") or nothing for a in "xyz")}
+    return {"gyro": _axes(interval, "gyro_x", "gyro_y", "gyro_z")}
+
+
+def _axes(interval: Interval, *names: str) -> tuple[Range, ...] | None:
+    """The three intervals, nothing where one is absent; None where all are: the cause says nothing about them."""
+    found = [interval(name) for name in names]
+    return tuple(bounds or (0.0, 0.0) for bounds in found) if any(found) else None
 
 
 def _sigma(interval: Interval) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from trainer.physics import Physics, WorldParams
+from trainer.physics import Physics, PhysicsConfig, WorldParams
 from trainer.tasks.parkour.config import RandomisationConfig, Range
 from trainer.tasks.parkour.draw import symmetric, uniform
 
@@ -32,20 +32,22 @@ class Known:
     armature: dict[int, Range] = field(default_factory=dict)
     joint_friction: dict[int, Range] = field(default_factory=dict)
     encoder: dict[int, Range] = field(default_factory=dict)
+    servo: frozenset[int] = frozenset()
+    """Joints whose servo reads the offset in `encoder` too, so that they stand elsewhere than they are told."""
     gyro: tuple[Range, Range, Range] | None = None
     depth_latency: Range | None = None
     """Seconds."""
     depth_noise: float | None = None
     """Metres."""
     unused: tuple[str, ...] = ()
-    """Effects of the diagnosis that this task cannot express: reported, not dropped silently."""
+    """Effects of the diagnosis, or parts, that this task cannot express: reported, not dropped silently."""
 
 
 class Randomiser:
     """Draws the parameters of worlds and hands them to the engine."""
 
     def __init__(self, config: RandomisationConfig, known: Known, physics: Physics) -> None:
-        self.config, self.known, self.physics = config, known, physics
+        self.config, self.known, self.physics = config, limited(known, physics.config), physics
         self.timestep = physics.config.timestep
         ranges = self._ranges()
         self._widths = [len(bounds) for bounds in ranges.values()]
@@ -118,6 +120,15 @@ class Randomiser:
 def _mass(physics: Physics) -> float:
     model = physics.robot.robot.spec.copy().compile()
     return float(model.body_subtreemass[0])
+
+
+def limited(known: Known, settings: PhysicsConfig) -> Known:
+    """The same, with a command delay named in `unused` that the engine cannot have in full."""
+    if known.delay is None or all(0 <= round(t / settings.timestep) <= settings.decimation for t in known.delay):
+        return known
+    longest = settings.timestep * settings.decimation
+    part = f"command_delay (outside 0 to {1e3 * longest:g} ms)"
+    return known if part in known.unused else replace(known, unused=(*known.unused, part))
 
 
 def informed(config: RandomisationConfig, known: Known) -> RandomisationConfig:

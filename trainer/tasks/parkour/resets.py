@@ -28,7 +28,9 @@ class Course:
     goal: Tensor
     """(T, 3)."""
     goal_half: Tensor
-    """(T, 2) m, half the goal platform's extent."""
+    """(T, 2) m, half the goal platform's extent along its own axes."""
+    goal_yaw: Tensor
+    """(T,) rad, direction of the goal platform's own x."""
     yaw: Tensor
     """(T,) rad, direction from start to goal."""
     length: Tensor
@@ -50,6 +52,7 @@ class Course:
             start=floats(start),
             goal=floats(goal),
             goal_half=floats(half),
+            goal_yaw=floats(np.array([t.goal.yaw for t in terrains])),
             yaw=floats(np.arctan2(away[:, 1], away[:, 0])),
             length=floats(np.linalg.norm(away, axis=1)),
             ground_fails=torch.tensor([t.ground_fails for t in terrains], device=device),
@@ -65,7 +68,9 @@ class Course:
     def on_goal(self, base_xy: Tensor, feet_xy: Tensor, terrain_ids: Tensor) -> Tensor:
         """(N,) bool: base (N, 2) and all feet (N, F, 2) are over the goal platform."""
         points = torch.cat([base_xy[:, None], feet_xy], 1)
-        off = (points - self.goal[terrain_ids, None, :2]).abs()
+        x, y = (points - self.goal[terrain_ids, None, :2]).unbind(-1)
+        cos, sin = self.goal_yaw[terrain_ids, None].cos(), self.goal_yaw[terrain_ids, None].sin()
+        off = torch.stack([x * cos + y * sin, y * cos - x * sin], -1).abs()
         return (off <= self.goal_half[terrain_ids][:, None]).all(-1).all(-1)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -38,6 +40,8 @@ class Tally:
     def report(self, row: Tensor, overflowed: int, divergence_limit: float) -> dict[str, float]:
         """Means since the last report, which starts the sums anew. The one place that waits for the device.
 
+        Always the same names, as ranks must agree on them: figures of episodes are not-a-number where none ended.
+
         Raises:
             TrainerError: more worlds diverged than `divergence_limit` of all world steps.
         """
@@ -65,14 +69,19 @@ class Tally:
         ended = sum(n for name, n in outcomes.items() if name not in ("running", "diverged"))
         log = {f"reward/{name}": value for name, value in zip(self.terms, rewards, strict=True)}
         log |= {"terrain/level": level, "physics/diverged": diverged, "physics/overflowed": float(overflowed)}
-        if ended:
-            log |= {f"end/{n}": v / ended for n, v in outcomes.items() if n not in ("running", "diverged", "success")}
-            log |= {
-                "success": outcomes["success"] / ended,
-                "episode/covered": covered / (ended + diverged),
-                "episode/seconds": seconds / (ended + diverged),
-            }
+        log |= {
+            f"end/{n}": _ratio(v, ended) for n, v in outcomes.items() if n not in ("running", "diverged", "success")
+        }
+        log |= {
+            "success": _ratio(outcomes["success"], ended),
+            "episode/covered": _ratio(covered, ended and ended + diverged),
+            "episode/seconds": _ratio(seconds, ended and ended + diverged),
+        }
         self.steps = 0
         for tensor in (self._rewards, self._outcomes, self._covered, self._age):
             tensor.zero_()
         return log
+
+
+def _ratio(value: float, count: float) -> float:
+    return value / count if count else math.nan

@@ -59,4 +59,4 @@ def _scaled_pose(T: np.ndarray, ratio: float) -> np.ndarray:
 
 
 def _scaled_platform(platform: Platform, ratio: float) -> Platform:
-    return Platform(platform.centre * ratio, platform.size * ratio)
+    return replace(platform, centre=platform.centre * ratio, size=platform.size * ratio)
