@@ -129,9 +129,10 @@ def refitted(
                 Trial(candidate.effect, candidate.place, candidate.names, stage, gain, outcome="fails to run")
             )
             continue
-        for found in (fit, *_once_more(fitter, fit, target)):
-            trials.append(tried(screen, current, found, stage, gain))
-            fits.append(found)
+        for found in (fit, _once_more(fitter, fit, target)):
+            if found is not None:
+                trials.append(tried(screen, current, found, stage, gain))
+                fits.append(found)
     fits.sort(key=lambda f: f.misfit + complexity(screen, f))
     if fits and _slides(screen, fits[0].causes[-1].candidate):
         again = fitter.fit(slid(fitter, fits[0]).causes, iterations=6, rough=True)
@@ -190,15 +191,14 @@ def _fullest(screen: Screen, candidate: Candidate) -> Candidate | None:
     return max(more, key=lambda c: len(c.names)) if more else None
 
 
-def _once_more(fitter: Fitter, fit: Fit, target: float) -> list[Fit]:
-    """Further searches from other valleys, where the last cause's effect knows of some."""
-    cause, found = fit.causes[-1], []
-    further = lookup(cause.candidate.effect).further_starts
-    for values in further(cause.named) if further is not None else []:
-        if set(values) == set(cause.candidate.names):
-            start = Cause(cause.candidate, tuple(values[n] for n in cause.candidate.names))
-            found.append(fitter.fit([*fit.causes[:-1], start], iterations=8, rough=True, target=target))
-    return [f for f in found if f is not None]
+def _once_more(fitter: Fitter, fit: Fit, target: float) -> Fit | None:
+    """A second search from another valley, where the last cause's effect knows of one."""
+    cause = fit.causes[-1]
+    further = lookup(cause.candidate.effect).further_start
+    if further is None or set(values := further(cause.named)) != set(cause.candidate.names):
+        return None
+    start = Cause(cause.candidate, tuple(values[n] for n in cause.candidate.names))
+    return fitter.fit([*fit.causes[:-1], start], iterations=8, rough=True, target=target)
 
 
 def _extended(screen: Screen, cause: Cause, full: Candidate) -> Cause:

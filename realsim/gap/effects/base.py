@@ -89,8 +89,8 @@ class Effect:
     """Whether its law needs the model's own time step."""
     abrupt: bool = False
     """Whether its slope foretells nothing: a foot slips or lands, a drive saturates, or not."""
-    further_starts: Callable[[dict[str, float]], list[dict[str, float]]] | None = None
-    """From values that were found: others from which a search should begin once more, in other valleys."""
+    further_start: Callable[[dict[str, float]], dict[str, float]] | None = None
+    """From values that were found: others from which a search should begin once more, in another valley."""
     plain: str | None = None
     """A plainer effect that it becomes at the end of a parameter's range, and so always fits as well as."""
     usual: str | None = None

@@ -59,14 +59,11 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         helper.forcerange, helper.forcelimited = np.array([-falling, falling]), 1
 
 
-def _further_starts(values: dict[str, float]) -> list[dict[str, float]]:
-    """Well above the friction in motion: below it, friction at rest does nothing, and no slope leads out of there.
-
-    Once with a wider dip and once with one so narrow that it only shows where the joint breaks away.
-    """
+def _further_start(values: dict[str, float]) -> dict[str, float]:
+    """Well above the friction in motion: below it, friction at rest does nothing, and no slope leads out of there."""
     moving = values.get("coulomb", 0.0) or values["static_friction"]
-    static, speed = max(values["static_friction"], 2.5 * moving), values["stribeck_velocity"]
-    return [{"static_friction": static, "coulomb": moving, "stribeck_velocity": k * speed} for k in (1.7, 0.25)]
+    static = max(values["static_friction"], 2.5 * moving)
+    return {"static_friction": static, "coulomb": moving, "stribeck_velocity": 1.7 * values["stribeck_velocity"]}
 
 
 EFFECT = Effect(
@@ -83,5 +80,5 @@ EFFECT = Effect(
     apply=_apply,
     stiff=True,
     plain="coulomb_friction",
-    further_starts=_further_starts,
+    further_start=_further_start,
 )
