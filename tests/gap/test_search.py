@@ -125,7 +125,7 @@ def test_an_absurd_deviation_wins_no_unseen_run() -> None:
     evidence = SimpleNamespace(A=100 * ones, b=3000 * ones[:, :, 0], c=np.full(2, 90000.0))
     nothing = SimpleNamespace(evidence=evidence, prior=np.array([1.0]))
     gone = SimpleNamespace(A=100 * ones, b=0 * ones[:, :, 0], c=np.zeros(2))
-    cause = SimpleNamespace(evidence=gone, prior=np.array([1.0]))
+    cause = SimpleNamespace(evidence=gone, prior=np.array([0.0]))
     screen: Any = SimpleNamespace(
         runs=[0, 1], nuisances=lambda e, prior, runs: sum(e.b[k] for k in runs) / (sum(e.A[k] for k in runs)[0] + 1)
     )
