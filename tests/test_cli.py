@@ -48,7 +48,7 @@ def test_every_option_that_is_spoken_of_exists(capsys: pytest.CaptureFixture[str
     pytest.importorskip("torch")
     others = {"--head", "--mjcf", "--opset", "--tolerance"}  # of ray, MuJoCo's viewer, tools/export_onnx
     others |= {"--logdir", "--nproc-per-node", "--nnodes", "--rdzv-endpoint"}  # of tensorboard and torchrun
-    others |= {"--row-seconds"}  # of benchmarks/contact.py
+    others |= {"--row-seconds", "--cases"}  # of benchmarks/contact.py and gap_withheld.py
     for name in commands()[0]:
         assert main([name, "--help"]) == 0
     known = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out)) | {"--help", "--json", "--quiet", "--version"}
