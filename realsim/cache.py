@@ -24,6 +24,7 @@ import numpy as np
 from realsim import types
 from realsim.errors import RealsimError
 from realsim.files import digest, write_bytes
+from realsim.progress import note
 
 T = TypeVar("T")
 MAX_BYTES = 4 * 2**30
@@ -58,15 +59,19 @@ class StageCache:
         self.folder = folder
 
     def get_or_make(self, key: str, make: Callable[[], T]) -> tuple[T, bool]:
-        """(result, whether it was reused). A broken or foreign entry counts as absent."""
+        """(result, whether it was reused). A broken or foreign entry is said, and made anew."""
         if self.folder is None:
             return make(), False
         path = self.folder / f"{key}.npz"
-        # Damage shows as anything from zlib.error to NotImplementedError, and none of it is worth a run.
-        with contextlib.suppress(Exception):
-            value = unpack(path.read_bytes())
-            os.utime(path)
-            return value, True
+        if path.is_file():
+            try:
+                value = unpack(path.read_bytes())
+            except Exception as error:  # damage shows as anything from zlib.error to NotImplementedError
+                note(f"the kept result {path} cannot be read and is made anew ({type(error).__name__}: {error})")
+            else:
+                with contextlib.suppress(OSError):  # a read-only cache is as good; its entries only look older
+                    os.utime(path)
+                return value, True
         value = make()
         # A full or read-only disk must not spoil a result that is already there.
         with contextlib.suppress(RealsimError, OSError):

@@ -64,10 +64,13 @@ def test_kept_results_are_reused_and_broken_ones_made_again(tmp_path: Path) -> N
     assert StageCache(None).get_or_make("k", make)[1] is False
 
 
-def test_an_entry_with_damaged_content_is_made_again(tmp_path: Path) -> None:
+def test_an_entry_with_damaged_content_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The archive's directory is whole; what it lists cannot be unpacked, is no JSON, or fits no type."""
+    said: list[str] = []
+    monkeypatch.setattr(cache, "note", said.append)
     store, path = StageCache(tmp_path), tmp_path / "k.npz"
     store.get_or_make("k", solution)
+    assert said == [], "what was never kept is no damage"
     good = path.read_bytes()
     start = good.index(b"tree.npy") + len(b"tree.npy")
     path.write_bytes(good[:start] + bytes(b ^ 0xFF for b in good[start : start + 200]) + good[start + 200 :])
@@ -79,6 +82,8 @@ def test_an_entry_with_damaged_content_is_made_again(tmp_path: Path) -> None:
     fields = np.frombuffer(b'{"type": "Dropped", "fields": {"nobody": 1}}', np.uint8)
     np.savez(path, tree=fields)
     assert store.get_or_make("k", solution)[1] is False
+    assert len(said) == 3
+    assert all(str(path) in text for text in said)
 
 
 def test_the_digest_sees_files_poses_and_intrinsics(tmp_path: Path) -> None:

@@ -354,7 +354,7 @@ def test_effects_that_cannot_act_name_no_first_cause(made, effect: str) -> None:
 )
 def test_settings_that_would_fail_late_are_refused_at_once(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
-        DiagnoseConfig(**wrong)  # type: ignore[arg-type]
+        DiagnoseConfig(**wrong)
 
 
 def test_replicates_are_found(case: Path) -> None:

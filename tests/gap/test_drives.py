@@ -45,7 +45,7 @@ def case_of(folder: Path, actuator: str, joint: str = "", kind: str = "position"
     t = np.arange(200) * 0.01
     asked = (0.8 * np.sin(3 * t) + 0.5 * np.sign(np.sin(7 * t)) * (t > 0.3))[:, None]
     one = {"time": t, "command": gear * asked, "joint_pos": 0.9 * asked, "joint_torque": 2 * asked}
-    np.savez(folder / "runs" / "a.npz", **one)  # type: ignore[arg-type]
+    np.savez(folder / "runs" / "a.npz", **one)
     return folder
 
 
@@ -88,7 +88,7 @@ def test_a_gear_changes_no_figure_of_the_joint(gear: float, tmp_path: Path) -> N
             chosen = [setting] if setting else []
             np.testing.assert_allclose(motion(b, *chosen), motion(a, *chosen), atol=1e-6, err_msg=str(setting))
         runs = plain.runs[0], other.runs[0]
-        steps = [_torque_steps(c, r, [channels]) for c, r in zip((plain, other), runs, strict=True)]  # type: ignore[list-item]
+        steps = [_torque_steps(c, r, [channels]) for c, r in zip((plain, other), runs, strict=True)]
         np.testing.assert_allclose(steps[1], steps[0], atol=1e-9)
         phases = [_phase(c, r, estimate(c, r)) for c, r in zip((plain, other), runs, strict=True)]
         np.testing.assert_allclose(phases[1], phases[0], atol=1e-9)
@@ -164,7 +164,7 @@ def test_a_velocity_servo_s_gain_is_patched_whole(tmp_path: Path) -> None:
 def test_commands_that_come_early_are_not_in_the_file(tmp_path: Path) -> None:
     with Simulator(load_case(geared(tmp_path / "case", 1.0)), DiagnoseConfig(threads=1)) as simulator:
         texts = [
-            patched_xml(simulator, SimpleNamespace(settings=lambda d=d: [("command_delay", (), {"delay": d})]))  # type: ignore[arg-type,misc]
+            patched_xml(simulator, SimpleNamespace(settings=lambda d=d: [("command_delay", (), {"delay": d})]))
             for d in (-0.005, 0.005)
         ]
     assert "not in this file, see patch.wrappers in diagnosis.json: command_delay" in texts[0]

@@ -58,7 +58,7 @@ def simulator_of(folder: Path, xml: str) -> Simulator:
     run = {"time": t, "command": np.zeros((30, model.nu)), "joint_pos": np.zeros((30, len(joints)))}
     if floating:
         run |= {"base_pos": np.ones((30, 1)) * [0, 0, 1]}
-    np.savez(folder / "runs" / "a.npz", **run)  # type: ignore[arg-type]
+    np.savez(folder / "runs" / "a.npz", **run)
     return Simulator(load_case(folder), DiagnoseConfig(threads=1))
 
 

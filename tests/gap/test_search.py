@@ -129,7 +129,7 @@ def test_an_absurd_deviation_wins_no_unseen_run() -> None:
     screen: Any = SimpleNamespace(
         runs=[0, 1], nuisances=lambda e, prior, runs: sum(e.b[k] for k in runs) / (sum(e.A[k] for k in runs)[0] + 1)
     )
-    mean, _, positive = heldout(screen, nothing, cause)  # type: ignore[arg-type]
+    mean, _, positive = heldout(screen, nothing, cause)
     assert mean == pytest.approx(0.5 * (90000 - 2 * 3000 * 3 + 100 * 9))
     assert positive == 1.0
 

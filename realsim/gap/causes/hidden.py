@@ -3,6 +3,9 @@
 The gate asks what stays beside the small deviations. With dozens of them free, each within its usual size, a modest
 cause can be shared out among them until nothing stays. What it costs them to be all off at once is in the misfit, so
 the evidence still tells: here a cause must bring much more than elsewhere, and hold on nearly every run.
+
+On robots of few joints it need only do no harm there: what a robot's own deviations imitate on the fitted runs they
+imitate on the others, so unseen runs decide nothing, and few deviations are known well enough to believe their price.
 """
 
 from __future__ import annotations

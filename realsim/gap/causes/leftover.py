@@ -15,8 +15,12 @@ REASONABLE = 3.0
 
 def deviations(screen: Screen, fit: Fit) -> F64:
     """(atoms,) the most probable everyday deviations beside a fit's causes, none beyond what is reasonable."""
-    x = screen.nuisances(fit.evidence, fit.prior)
-    return np.clip(x, -REASONABLE * fit.prior, REASONABLE * fit.prior)
+    return reasonable(screen.nuisances(fit.evidence, fit.prior), fit.prior)
+
+
+def reasonable(x: F64, prior: F64) -> F64:
+    """(atoms,) deviations, none larger than a few standard deviations `prior`."""
+    return np.clip(x, -REASONABLE * prior, REASONABLE * prior)
 
 
 def nuisance_settings(screen: Screen, fit: Fit, scale: float = 1.0) -> list[Setting]:

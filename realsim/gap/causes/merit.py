@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.gap.causes.fit import Cause, Fit
-from realsim.gap.causes.leftover import REASONABLE
+from realsim.gap.causes.leftover import reasonable
 from realsim.gap.causes.screen import Screen
 from realsim.gap.simulation.simulate import lookup
 from realsim.types import F64
@@ -52,7 +52,7 @@ def deviation(screen: Screen, cause: Cause) -> float:
         p = parameters[name]
         if p.default == 0.0:
             sizes.append(abs(value) / (p.nuisance or 0.1 * abs(p.step)))
-    return float(np.sqrt(np.sum(np.square(sizes)) / 1.0)) if sizes else 0.0
+    return float(np.sqrt(np.sum(np.square(sizes)))) if sizes else 0.0
 
 
 def total_gap(screen: Screen, current: Fit) -> float:
@@ -81,5 +81,5 @@ def _unseen(screen: Screen, fit: Fit, rival: Fit, others: list[int], k: int) -> 
     e = fit.evidence
     x = screen.nuisances(e, fit.prior, others)
     theirs = (fit.prior > 0) & (rival.prior == 0)  # a cause is not a deviation at the same time
-    x = np.where(theirs, np.clip(x, -REASONABLE * fit.prior, REASONABLE * fit.prior), x)
+    x = np.where(theirs, reasonable(x, fit.prior), x)
     return 0.5 * float(e.c[k] - 2 * e.b[k] @ x + x @ e.A[k] @ x)
