@@ -44,7 +44,7 @@ def judge(config: DiagnoseConfig, screen: Screen, selection: Selection, shrunk: 
     reasons = []
     fit = selection.fit
     first, left, unexplained = remains(screen, selection)
-    gains = [min(selection.gains.get(i, 0.0), 30.0) for i in range(len(fit.causes))]
+    gains = [float(np.clip(selection.gains.get(i, 0.0), -30.0, 30.0)) for i in range(len(fit.causes))]
     probabilities = [float(CERTAIN / (1 + np.exp(5 - g))) for g in gains]
     gap = is_gap(left)
     if not fit.causes:
