@@ -37,7 +37,7 @@ DETAIL = {
     "base_pos": (8e-4, 0.005),
     "base_rot": (1.2e-3, 0.005),
     "imu_gyro": (1e-2, 0.01),
-    "imu_acc": (1e-1, 0.03),
+    "imu_acc": (1e-1, 0.05),
 }
 
 

@@ -44,12 +44,14 @@ def equivalents(
         others = [c for j, c in enumerate(fit.causes) if j != i]
         found |= _twins(screen, fitter, cause, others)
         near_by = [r for r in _close_rivals(stages, fit) if deviation(screen, r) >= config.min_deviation]
-        for rival in [*_plain(screen, cause), *_alike(screen, fit, cause), *_elsewhere(screen, cause), *near_by]:
+        plain, at_an_end = _plain(screen, cause), _at_an_end(fit, cause)
+        for rival in [*plain, *_alike(screen, fit, cause), *_elsewhere(screen, cause), *near_by]:
             key = (cause.candidate.key, rival.candidate.effect, rival.candidate.place)
             if key in found or lookup(rival.candidate.effect).plain == cause.candidate.effect:
                 continue
             trial = fitter.fit([*others, rival], iterations=3)
-            if trial is not None and _as_good(screen, config, fit, trial, removed):
+            spared = at_an_end and rival in plain  # a law that is bent to its end stands for something else
+            if trial is not None and (spared or _as_good(screen, config, fit, trial, removed)):
                 found[key] = trial
     return sorted(found.values(), key=lambda f: f.misfit)
 
@@ -64,11 +66,15 @@ def simplest(fit: Fit, rivals: list[Fit]) -> tuple[Fit, list[Fit]]:
         richer = [
             c for c in fit.causes if lookup(c.candidate.effect).plain == law.effect and c.candidate.place == law.place
         ]
-        undetermined = any(p in fit.at_bounds for c in richer for p in c.candidate.names)
+        undetermined = any(_at_an_end(fit, c) for c in richer)
         worse = rival.misfit - fit.misfit
         if richer and len(rival.causes) == len(fit.causes) and (worse < NO_BETTER or undetermined):
             return rival, [r for r in rivals if r is not rival]
     return fit, rivals
+
+
+def _at_an_end(fit: Fit, cause: Cause) -> bool:
+    return any(name in fit.at_bounds for name in cause.candidate.names)
 
 
 def likelier(fit: Fit, rivals: list[Fit]) -> tuple[Fit, list[Fit]]:

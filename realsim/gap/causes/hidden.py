@@ -20,13 +20,11 @@ WORTH_TRYING = 10.0
 """Gain in log-evidence by the linear screen from which on a candidate is simulated."""
 TRIED = 5
 """At most so many effects are simulated, the best place of each."""
-SURE, SURE_A_JOINT = 12.0, 8.0
+SURE, SURE_A_JOINT = 10.0, 2.5
 """Gain in log-likelihood that it must then bring, beside its price: the first, and the second a joint.
 
 A servo's unmodelled form is worth some on every joint, and more joints have more small deviations to bend.
 """
-SUREST, SUREST_A_JOINT = 40.0, 3.0
-"""At most the first, or on robots with many joints the second a joint."""
 FAR = 4.0
 """Everyday deviations of its own kind that it must exceed."""
 NEARLY_ALL = 0.75
@@ -37,7 +35,7 @@ def hidden(screen: Screen, fitter: Fitter, current: Fit, stage: int, trials: lis
     """Fits with one further cause that is far likelier than the small deviations alone, best first."""
     found, seen = [], set[str]()
     joints = len(screen.simulator.case.joint_names)
-    least = min(SURE + SURE_A_JOINT * joints, max(SUREST, SUREST_A_JOINT * joints))
+    least = SURE + SURE_A_JOINT * joints
     for gain, candidate, estimate in ranked(screen, current):
         if gain < WORTH_TRYING or len(seen) == TRIED:
             break

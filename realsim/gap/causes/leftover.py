@@ -25,8 +25,8 @@ def reasonable(x: F64, prior: F64) -> F64:
 
 def nuisance_settings(screen: Screen, fit: Fit, scale: float = 1.0) -> list[Setting]:
     """The most probable everyday deviations, times `scale`, as settings for the simulator; tiny ones are left out."""
-    x = scale * deviations(screen, fit)
-    return screen.settings(np.where(np.abs(x) > 0.02 * fit.prior, x, 0.0))
+    x = deviations(screen, fit)
+    return screen.settings(scale * (fit.evidence.centre + np.where(np.abs(x) > 0.02 * fit.prior, x, 0.0)))
 
 
 def leftover(screen: Screen, fit: Fit) -> F64:
@@ -35,7 +35,7 @@ def leftover(screen: Screen, fit: Fit) -> F64:
     result = []
     for k, run in enumerate(screen.runs):
         simulated = screen.comparison.residual(run, fit.predictions[k])
-        moved = simulated - screen.fitted(k, x - fit.about)
+        moved = simulated - screen.fitted(k, fit.evidence.centre + x - fit.about)
         # Where the linear rest is no good, the simulation itself counts.
         squares = [float(np.nanmean(r**2 / screen.comparison.tolerance(run))) for r in (simulated, moved)]
         result.append(min(squares))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -49,14 +49,17 @@ class Trial:
 
 def ranked(screen: Screen, current: Fit) -> list[tuple[float, Candidate, F64]]:
     """All candidates by the linear evidence they add to `current`, best first."""
-    A, b, _ = marginal(current.evidence, current.prior)
+    about = [marginal(e, current.prior) for e in screen.centred(current.evidence)]
+    least = min(misfit for _, _, misfit in about)
     taken = {(c.candidate.effect, p) for c in current.causes for p in c.candidate.places}
     taken |= {(screen.simulator.twin(effect) or effect, p) for effect, p in taken}
     found = []
     for candidate in screen.candidates:
         if any((candidate.effect, p) in taken for p in candidate.places):
             continue
-        gain, estimate, _ = score(A, b, candidate.directions, slab(candidate, screen))
+        size = slab(candidate, screen)
+        scored = [(*score(A, b, candidate.directions, size)[:2], misfit - least) for A, b, misfit in about]
+        gain, estimate = max(((gain - behind, estimate) for gain, estimate, behind in scored), key=lambda g: g[0])
         found.append((gain, candidate, estimate))
     return sorted(found, key=lambda item: -item[0])
 
@@ -191,14 +194,36 @@ def _fullest(screen: Screen, candidate: Candidate) -> Candidate | None:
     return max(more, key=lambda c: len(c.names)) if more else None
 
 
+def _contains(rich: Candidate, plain: Candidate) -> bool:
+    """Whether one law is a richer form of the other, at the same place."""
+    return lookup(rich.effect).plain == plain.effect and rich.places == plain.places
+
+
+def _enriched(
+    screen: Screen, fitter: Fitter, current: Fit, plain: Cause, candidate: Candidate, target: float
+) -> Fit | None:
+    """The richer law in place of the plain one: beside it, both would be friction twice over."""
+    full = _fullest(screen, candidate) or candidate
+    effect = lookup(full.effect)
+    parameters = effect.parameters(screen.simulator.context, full.place)
+    shared = {p.name: plain.named[p.like[1]] for p in parameters if p.like is not None}
+    values = {p.name: p.default for p in parameters} | shared
+    others = [c for c in current.causes if c is not plain]
+    start = Cause(full, tuple(values[n] for n in full.names))
+    return _once_more(fitter, replace(current, causes=(*others, start)), target)
+
+
 def _once_more(fitter: Fitter, fit: Fit, target: float) -> Fit | None:
-    """A second search from another valley, where the last cause's effect knows of one."""
-    cause = fit.causes[-1]
-    further = lookup(cause.candidate.effect).further_start
-    if further is None or set(values := further(cause.named)) != set(cause.candidate.names):
+    """A second search from another valley, the best of those that the last cause's effect knows of."""
+    cause, others = fit.causes[-1], fit.causes[:-1]
+    further = lookup(cause.candidate.effect).further_starts
+    valleys = further(cause.named) if further else []
+    if not valleys or set(valleys[0]) != set(cause.candidate.names):
         return None
-    start = Cause(cause.candidate, tuple(values[n] for n in cause.candidate.names))
-    return fitter.fit([*fit.causes[:-1], start], iterations=8, rough=True, target=target)
+    first, *more = (tuple(values[n] for n in cause.candidate.names) for values in valleys)
+    done = [v for c in others for v in c.values]
+    starts = [[*done, *values] for values in more]
+    return fitter.fit([*others, Cause(cause.candidate, first)], starts, iterations=8, rough=True, target=target)
 
 
 def _extended(screen: Screen, cause: Cause, full: Candidate) -> Cause:
@@ -227,6 +252,9 @@ def near(gain: float) -> float:
 def refit(
     screen: Screen, fitter: Fitter, current: Fit, candidate: Candidate, estimate: F64, target: float = np.inf
 ) -> Fit | None:
+    plain = next((c for c in current.causes if _contains(candidate, c.candidate)), None)
+    if plain is not None:
+        return _enriched(screen, fitter, current, plain, candidate, target)
     parameters = {p.name: p for p in lookup(candidate.effect).parameters(screen.simulator.context, candidate.place)}
     linear = dict(zip(candidate.linear, estimate, strict=True))
     starts = []

@@ -71,6 +71,15 @@ class Evidence:
     """Of the weights; -1 if they are nobody's."""
     runs: tuple[int, ...] = ()
     """Positions among the screened runs."""
+    centre: F64 | float = 0.0
+    """(p,) what the small deviations scatter about; their coordinates count from there."""
+
+    def moved(self, shift: F64) -> Evidence:
+        """The same with the centre elsewhere: r - G shift takes the place of r."""
+        pairs = list(zip(self.A, self.b, strict=True))
+        b = [b - A @ shift for A, b in pairs]
+        c = [c + float(shift @ A @ shift - 2 * b @ shift) for c, (A, b) in zip(self.c, pairs, strict=True)]
+        return Evidence(self.A, b, c, self.version, self.runs, self.centre + shift)
 
 
 class Screen:
@@ -113,7 +122,7 @@ class Screen:
             self.coarse, base = 1, simulator.simulate(runs=self.runs)
         for k, atom in enumerate(wanted):
             tick("sensitivities", k / len(wanted))
-            change = self._column(atom, base)
+            change = self._column(atom, base, self.nominal)
             if change is None:
                 continue
             self.atoms.append(atom)
@@ -129,6 +138,8 @@ class Screen:
         self.index = {(a.effect, a.place, a.parameter.name): i for i, a in enumerate(self.atoms)}
         self.varied = self._varied()
         self.prior = np.array([a.parameter.nuisance for a in self.atoms])
+        self.usual = np.array([a.parameter.usual for a in self.atoms])
+        """(p,) what the small deviations may scatter about instead of zero."""
         self.simulable = np.array([a.effect != "load_friction" and not a.parameter.fine for a in self.atoms])
         """(p,) False for atoms that cost steps one by one, or many of them: as nuisances they stay linear."""
         self.candidates = self._candidates(chosen)
@@ -141,11 +152,33 @@ class Screen:
         order = np.argsort([float(np.abs(np.diff(c, axis=0)).sum() / len(c)) for c in commands])
         return tuple(sorted(int(order[i]) for i in np.linspace(0, len(order) - 1, count).round().astype(int)))
 
-    def _column(self, atom: Atom, base: list[F64]) -> list[F32] | None:
-        """Change of the prediction by one unit of the parameter, a flat (B * C) array a run; None if it cannot run."""
+    def look_from(self, settings: Sequence[Setting]) -> None:
+        """Take all slopes anew about these causes: a robot that moves otherwise answers otherwise.
+
+        Those of the causes themselves stay; so do those of atoms that cannot be simulated there.
+        """
+        there = self.simulator.simulate(settings, runs=self.runs)
+        base = self.simulator.simulate(settings, runs=self.runs, coarse=self.coarse) if self.coarse > 1 else there
+        if not all(np.isfinite(y).all() for y in (*there, *base)):
+            return
+        for i, atom in enumerate(self.atoms):
+            if any(atom.effect == name and set(atom.place) <= set(place) for name, place, _ in settings):
+                continue
+            change = self._column(atom, base, there, settings)
+            for k, column in enumerate(change or ()):
+                self._columns[k][:, i] = column
+        self.comparison.version += 1
+
+    def _column(
+        self, atom: Atom, base: list[F64], fine: list[F64], settings: Sequence[Setting] = ()
+    ) -> list[F32] | None:
+        """Change of the prediction by one unit of the parameter, a flat (B * C) array a run; None if it cannot run.
+
+        `base`, `fine`: the predictions without it, at the coarse and at the model's own time step.
+        """
         p = atom.parameter
         # Where small deviations are everyday, the slope at the nominal model counts: it must predict them.
-        coarse, base = (1, self.nominal) if p.fine else (self.coarse, base)
+        coarse, base = (1, fine) if p.fine else (self.coarse, base)
         width = np.copysign(min(3 * p.nuisance, abs(p.step)), p.step) if p.nuisance and p.bounds[0] < 0 else p.step
         for scale in (1.0, -1.0, 0.3):  # a payload may only be removable, a gap only be small
             value = p.default + scale * width
@@ -153,7 +186,7 @@ class Screen:
                 continue
             try:
                 moved = self.simulator.simulate(
-                    [(atom.effect, atom.place, {p.name: value})], runs=self.runs, coarse=coarse
+                    [*settings, (atom.effect, atom.place, {p.name: value})], runs=self.runs, coarse=coarse
                 )
             except GapError:
                 continue
@@ -174,7 +207,8 @@ class Screen:
     ) -> Evidence:
         """Normal equations of the residual about these predictions: one a screened run (or one of the `few`).
 
-        `about`: (p,) the small deviations that are in the predictions already; x counts from zero all the same.
+        `about`: (p,) the small deviations that are in the predictions already; x counts from their centre all the same,
+        the likelier one where there are two.
         """
         if self._version != self.comparison.version:
             self._version = self.comparison.version
@@ -194,7 +228,14 @@ class Screen:
             b.append(r.reshape(-1) @ GW)
             c.append(float((W * r * r).sum()))
         A = self._A if few is None else [self._A[k] for k in few]
-        return Evidence(A, b, c, self._version, tuple(which))
+        found = Evidence(A, b, c, self._version, tuple(which))
+        return min(self.centred(found), key=lambda e: self.misfit(e, self.prior))
+
+    def centred(self, evidence: Evidence) -> list[Evidence]:
+        """The evidence about each centre that the small deviations may have, its own first."""
+        if not self.usual.any():
+            return [evidence]
+        return [evidence, evidence.moved(self.usual - 2 * np.asarray(evidence.centre))]
 
     def residual(self, k: int, simulated: F64, about: F64 | None = None) -> F64:
         """(B, C) residual of screened run k as it would be without the small deviations that were simulated."""

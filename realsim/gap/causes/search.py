@@ -251,7 +251,7 @@ class Search:
         for k, y, D in zip(evidence.runs, base, slopes, strict=True):
             run = self.screen.runs[k]
             w = self.screen.comparison.weights[run].reshape(-1)
-            r = np.nan_to_num(self.screen.residual(k, y, about)).reshape(-1)
+            r = np.nan_to_num(self.screen.residual(k, y, about - evidence.centre)).reshape(-1)
             here = self.screen.weighted(k).T @ D
             scores.append(D.T @ (w * r) - here.T @ mean)
             info += D.T @ (w[:, None] * D)

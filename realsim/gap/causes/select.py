@@ -18,6 +18,7 @@ from realsim.gap.causes.rivals import Trial, duel, ranked, refit, refitted
 from realsim.gap.causes.screen import Screen
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.evidence.onsets import find_onsets
+from realsim.gap.simulation.nuisances import MANY_JOINTS
 
 STEADY = 3.0
 """A gain this many times its standard error, on runs left out in turn, counts however small its share."""
@@ -49,17 +50,20 @@ def select(
     trials: list[Trial] = []
     notes: list[str] = []
     stages: list[tuple[Fit, list[Fit]]] = []
+    small = False  # whether small deviations could hide the gap from the first: no large one then drowns smaller causes
     for stage in range(config.max_causes):
         tick(f"selection, cause {stage + 1}", stage / config.max_causes)
         current = fitter.tighten(current)
         if not is_gap(leftover(screen, current)):
-            current = sharpened(screen, fitter, current)
+            small = small or not stage
+            current = current if small else sharpened(screen, fitter, current)
             fits = hidden(screen, fitter, current, stage, trials)
             if not fits:
                 notes.append("what is left is within the floor and the small deviations")
                 break
             stages.append((current, fits))
             current = fits[0]
+            look_anew(screen, current)
             continue
         current = fitter.unbend(current)
         fits = refitted(screen, fitter, config, current, stage, trials)
@@ -77,7 +81,9 @@ def select(
         stages.append((current, fits))
         current = best
         look_for_onsets(screen, current)
-    current = sharpened(screen, fitter, fitter.tighten(current))
+        look_anew(screen, current)
+    current = fitter.tighten(current)
+    current = current if small else sharpened(screen, fitter, current)
     nominal = fitter.remeasure(nominal)
     if current.causes:
         current = fitter.fit(current.causes) or current
@@ -100,6 +106,12 @@ def look_for_onsets(screen: Screen, fit: Fit) -> None:
     simulator = screen.simulator
     if not simulator.onsets:
         simulator.onsets = find_onsets(screen.comparison, simulator.simulate(fit.settings()))
+
+
+def look_anew(screen: Screen, fit: Fit) -> None:
+    """Slopes about these causes, where that is cheap: of few joints."""
+    if len(screen.simulator.context.driven) < MANY_JOINTS:
+        screen.look_from(fit.settings())
 
 
 def without_causes(selection: Selection) -> Selection:

@@ -121,7 +121,7 @@ def _left(screen: Screen, fit: Fit) -> tuple[list[F64], list[F64]]:
     for k, run in enumerate(screen.runs):
         r = screen.comparison.residual(run, fit.predictions[k])
         weights.append(np.where(np.isfinite(r), screen.comparison.weights[run], 0.0))
-        left.append(np.nan_to_num(r) - screen.fitted(k, x - fit.about))
+        left.append(np.nan_to_num(r) - screen.fitted(k, fit.evidence.centre + x - fit.about))
     return left, weights
 
 

@@ -44,6 +44,8 @@ class Parameter:
     """Only whole values can be simulated."""
     fine: bool = False
     """Its slope is taken at the model's own time step, however large the robot, and only the slope: more would cost."""
+    usual: float = 0.0
+    """Value beside zero that is as everyday; either may be the centre of the deviations."""
     none_left: bool = False
     """Whether at the lower bound nothing of its kind is left (no friction at all): a finding like any other."""
     like: tuple[str, str] | None = None
@@ -89,7 +91,7 @@ class Effect:
     """Whether its law needs the model's own time step."""
     abrupt: bool = False
     """Whether its slope foretells nothing: a foot slips or lands, a drive saturates, or not."""
-    further_start: Callable[[dict[str, float]], dict[str, float]] | None = None
+    further_starts: Callable[[dict[str, float]], list[dict[str, float]]] | None = None
     """From values that were found: others from which a search should begin once more, in another valley."""
     plain: str | None = None
     """A plainer effect that it becomes at the end of a parameter's range, and so always fits as well as."""

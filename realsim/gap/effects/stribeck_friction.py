@@ -59,11 +59,21 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         helper.forcerange, helper.forcelimited = np.array([-falling, falling]), 1
 
 
-def _further_start(values: dict[str, float]) -> dict[str, float]:
+HIGHER = ((2.5, 1.7), (3.0, 0.6))
+"""Ratios of friction at rest to friction in motion, and on the Stribeck velocity, to search from."""
+
+
+def _further_starts(values: dict[str, float]) -> list[dict[str, float]]:
     """Well above the friction in motion: below it, friction at rest does nothing, and no slope leads out of there."""
     moving = values.get("coulomb", 0.0) or values["static_friction"]
-    static = max(values["static_friction"], 2.5 * moving)
-    return {"static_friction": static, "coulomb": moving, "stribeck_velocity": 1.7 * values["stribeck_velocity"]}
+    return [
+        {
+            "static_friction": max(values["static_friction"], ratio * moving),
+            "coulomb": moving,
+            "stribeck_velocity": width * values["stribeck_velocity"],
+        }
+        for ratio, width in HIGHER
+    ]
 
 
 EFFECT = Effect(
@@ -80,5 +90,5 @@ EFFECT = Effect(
     apply=_apply,
     stiff=True,
     plain="coulomb_friction",
-    further_start=_further_start,
+    further_starts=_further_starts,
 )

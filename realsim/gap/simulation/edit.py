@@ -42,6 +42,8 @@ class Signals:
     """The same of encoders that only the log uses."""
     gyro_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
     acc_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    imu_delay: float = 0.0
+    """Seconds, of the IMU's signals beside the encoders'."""
     base_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Offset of the logged base position, m."""
     base_turn: tuple[float, float, float] = (0.0, 0.0, 0.0)

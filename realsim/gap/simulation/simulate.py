@@ -265,8 +265,9 @@ class Simulator:
                 turn = rotation_from(sample(raw["base_quat"], now), reference)
                 columns["base_rot"] = nearest_turn(turn, logged_turn(run)) + np.array(s.base_turn)
         if "gyro" in raw:
-            columns["imu_gyro"] = sample(raw["gyro"], now) + np.array(s.gyro_bias)
-            columns["imu_acc"] = sample(raw["acc"], now) + np.array(s.acc_bias)
+            then = now - s.imu_delay / dt
+            columns["imu_gyro"] = sample(raw["gyro"], then) + np.array(s.gyro_bias)
+            columns["imu_acc"] = sample(raw["acc"], then) + np.array(s.acc_bias)
         return np.stack([columns[c.signal][:, c.index] for c in self.channels], axis=1)
 
 
