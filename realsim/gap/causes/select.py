@@ -22,7 +22,7 @@ from realsim.gap.simulation.nuisances import MANY_JOINTS
 
 STEADY = 3.0
 """A gain this many times its standard error, on runs left out in turn, counts however small its share."""
-SHARPEST = 0.1
+SHARPEST = 0.3
 """Least share of the allowance that is left after a cause."""
 LEAST_IMPROVEMENT = 0.08
 """Share of what is left that a further cause must remove."""
@@ -128,7 +128,7 @@ def sharpened(screen: Screen, fitter: Fitter, fit: Fit) -> Fit:
     smaller one would go under in it.
     """
     if fit.causes:
-        left = float(leftover(screen, fit).mean())
+        left = float(np.sqrt(leftover(screen, fit).mean()))  # half way: what stays is in part no noise
         screen.comparison.sharpen(float(np.clip(left, SHARPEST, 1.0)))
         fit = fitter.remeasure(fit)
     return fit

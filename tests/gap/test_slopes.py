@@ -1,0 +1,131 @@
+"""The linear picture of a log: what small deviations scatter about, slopes beside a cause, a law inside a richer one."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from realsim.gap import Case, DiagnoseConfig, load_case
+from realsim.gap.answer.verdict import judge
+from realsim.gap.causes.fit import Cause, Fitter
+from realsim.gap.causes.leftover import leftover
+from realsim.gap.causes.rivals import refit
+from realsim.gap.causes.screen import Evidence, Screen
+from realsim.gap.causes.select import Selection
+from realsim.gap.compare import Comparison
+from realsim.gap.simulation.edit import Edit
+from realsim.gap.simulation.simulate import Simulator
+
+from .test_recovery import logged
+from .truth import Truth
+
+CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
+
+
+@pytest.fixture(scope="module")
+def arm(made) -> Case:
+    return load_case(made("slopes", Truth(), runs=2))
+
+
+def screened(case: Case, effects: tuple[str, ...]) -> Screen:
+    simulator = Simulator(case, CONFIG)
+    comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
+    return Screen(simulator, comparison, range(len(case.runs)), effects)
+
+
+@given(st.integers(0, 10_000))
+def test_evidence_about_another_centre_is_that_of_the_shifted_residual(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    G, r, shift = rng.normal(size=(30, 4)), rng.normal(size=30), rng.normal(size=4)
+    evidence = Evidence([G.T @ G], [G.T @ r], [float(r @ r)])
+    moved, rest = evidence.moved(shift), r - G @ shift
+    assert moved.b[0] == pytest.approx(G.T @ rest)
+    assert moved.c[0] == pytest.approx(float(rest @ rest))
+    assert moved.centre == pytest.approx(shift)
+    back = moved.moved(-shift)
+    assert back.b[0] == pytest.approx(evidence.b[0])
+    assert back.c[0] == pytest.approx(evidence.c[0])
+
+
+@pytest.mark.parametrize(("finer", "centre"), [(0.0, 0.0), (0.75, 1.0)])
+def test_small_robots_live_in_the_simulators_step_or_in_continuous_time(arm: Case, finer: float, centre: float) -> None:
+    screen = screened(logged(arm, [("time_step", (), {"finer": finer})]), ("armature",))
+    nominal = Fitter(screen).nominal()
+    step = screen.index["time_step", (), "finer"]
+    assert np.broadcast_to(nominal.evidence.centre, len(screen.atoms))[step] == centre
+    assert leftover(screen, nominal).mean() < 1.0
+
+
+def test_an_imu_that_is_late_is_read_late(tmp_path) -> None:
+    edit = Edit.__new__(Edit)
+    edit.signals = SimpleNamespace(
+        joint_offset={}, read_offset={}, torque_gain={}, torque_phase=0.0, observation_delay=0.0, imu_delay=0.003,
+        gyro_bias=(0.0,) * 3, acc_bias=(0.0,) * 3,
+    )  # fmt: skip
+    grid = np.arange(200) * 0.001
+    raw = {"settle": np.array([0.0, 0.001]), "pos": grid[:, None], "vel": grid[:, None], "torque": grid[:, None]}
+    raw |= {"gyro": np.tile(grid[:, None], 3), "acc": np.tile(grid[:, None], 3)}
+    channels = [SimpleNamespace(signal=s, index=0) for s in ("joint_pos", "imu_gyro", "imu_acc")]
+    simulator = Simulator.__new__(Simulator)
+    simulator.case = SimpleNamespace(joint_names=["a"])  # type: ignore[assignment]
+    simulator.channels = channels  # type: ignore[assignment]
+    run = SimpleNamespace(time=np.array([0.05, 0.1]), signals={})
+    read = simulator.read(run, raw, edit)  # type: ignore[arg-type]
+    assert read[:, 0] == pytest.approx(run.time)
+    assert read[:, 1] == pytest.approx(run.time - 0.003)
+    assert read[:, 2] == pytest.approx(run.time - 0.003)
+
+
+def test_slopes_are_taken_anew_beside_a_cause(arm: Case) -> None:
+    screen = screened(arm, ("armature", "motor_gain"))
+    cause = ("motor_gain", ("shoulder",), {"ratio": -0.5})
+    i = screen.index["armature", ("elbow",), "armature"]
+    own = screen.index["motor_gain", ("shoulder",), "ratio"]
+    before = [screen.columns(k, [i, own]).copy() for k in range(len(screen.runs))]
+    version = screen.comparison.version
+    screen.look_from([cause])
+    assert screen.comparison.version > version  # what was weighed with the old slopes is weighed again
+    width = 0.05 * screen.atoms[i].parameter.step
+    base, moved = (
+        screen.simulator.simulate([cause, *extra], runs=screen.runs)
+        for extra in ([], [("armature", ("elbow",), {"armature": width})])
+    )
+    for k, run in enumerate(screen.runs):
+        direct = screen.comparison.change(run, moved[k], base[k]).reshape(-1) / width
+        now = screen.columns(k, [i, own])
+        assert np.linalg.norm(now[:, 0] - direct) < 0.1 * np.linalg.norm(direct)
+        assert np.linalg.norm(before[k][:, 0] - direct) > 2 * np.linalg.norm(now[:, 0] - direct)
+        assert (now[:, 1] == before[k][:, 1]).all()
+
+
+def test_a_richer_law_takes_the_place_of_the_plain_one(arm: Case) -> None:
+    truth = {"static_friction": 3.0, "coulomb": 1.0, "stribeck_velocity": 0.1}
+    case = logged(arm, [("stribeck_friction", ("shoulder",), truth)])
+    screen = screened(case, ("coulomb_friction", "stribeck_friction"))
+    fitter = Fitter(screen)
+    of = {(c.effect, c.place, len(c.names)): c for c in screen.candidates}
+    plain = fitter.fit([Cause(of["coulomb_friction", ("shoulder",), 1], (1.0,))])
+    assert plain is not None
+    rich = of["stribeck_friction", ("shoulder",), 2]
+    found = refit(screen, fitter, plain, rich, np.zeros(len(rich.linear)))
+    assert found is not None
+    assert [c.candidate.effect for c in found.causes] == ["stribeck_friction"]
+    assert found.misfit < plain.misfit - 5
+    assert found.causes[0].named["static_friction"] > 1.5 * found.causes[0].named["coulomb"]
+
+
+def test_a_gain_beyond_all_measure_is_a_probability_all_the_same(arm: Case, recwarn) -> None:
+    screen = screened(arm, ("armature",))
+    fitter = Fitter(screen)
+    nominal = fitter.nominal()
+    fit = fitter.fit([Cause(screen.candidates[0], (0.01,))])
+    assert fit is not None
+    for gain in (-1e6, 1e6):
+        shrunk = SimpleNamespace(unseen=False)
+        said = judge(CONFIG, screen, Selection(fit, nominal, [], [], {0: gain}, []), shrunk)  # type: ignore[arg-type]
+        assert 0.0 <= said.probabilities[0] <= 1.0
+    assert not [w for w in recwarn if issubclass(w.category, RuntimeWarning)]
