@@ -1,4 +1,4 @@
-"""The linear picture of a log: what small deviations scatter about, slopes beside a cause, a law inside a richer one."""
+"""The linear picture of a log: centres of small deviations, slopes beside a cause, a law inside a richer one."""
 
 from __future__ import annotations
 
