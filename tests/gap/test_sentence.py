@@ -67,7 +67,13 @@ def test_what_unseen_runs_do_not_confirm_is_not_said_to_be_removed() -> None:
         ),
         ("joint_offset", -0.04, "rad", (-0.05, -0.03), "encoder zero offset −0.04 rad [−0.05, −0.03] is missing"),
         ("torque_limit", 13.0, "N m", (12, 14), "a torque limit of 13 N m [12, 14] is missing"),
-        ("load_friction", 0.15, "ratio", (0.1, 0.2), "load-dependent friction 0.15 times [0.1, 0.2] is missing"),
+        (
+            "load_friction",
+            0.15,
+            "ratio",
+            (0.1, 0.2),
+            "load-dependent friction 15 % of the drive's torque [10, 20] is missing",
+        ),
         ("external_force", -12.0, "N", (-14, -10), "external force −12 N [−14, −10] is missing"),
     ],
 )

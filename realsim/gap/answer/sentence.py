@@ -68,11 +68,13 @@ def phrase(cause: Cause) -> str:
     title = EFFECTS[effect].title if effect in EFFECTS else effect.replace("_", " ")
     names = ", ".join(_plain(n) for n in cause.get("joints") or cause.get("bodies") or [])
     place = f"{names}: " if names else ""
+    if effect == "load_friction":
+        parameters = {n: _of_torque(p) for n, p in parameters.items()}
     size = _size(parameters)
     first = next(iter(parameters.values()))
     if effect in _ABSOLUTE:
         return f"{place}a {title} of {size} is missing"
-    if first["unit"] == "ratio" and len(parameters) == 1 and effect != "load_friction":
+    if first["unit"] == "ratio" and len(parameters) == 1:
         return f"{place}{title} is {size} the model's"
     if effect == "payload":
         where = _at(parameters)
@@ -88,6 +90,16 @@ def phrase(cause: Cause) -> str:
     notes = [p["note"] for p in parameters.values() if p.get("note")]
     note = f" ({'; '.join(notes)})" if notes else ""
     return f"{place}{title} {size} is missing{note}"
+
+
+def _of_torque(parameter: dict[str, Any]) -> dict[str, Any]:
+    """A share of the torque, in percent: beside no friction of this kind, "0.2 times" says nothing."""
+    low, high = parameter["ci90"]
+    return parameter | {
+        "value": 100 * parameter["value"],
+        "ci90": [100 * low, 100 * high],
+        "unit": "% of the drive's torque",
+    }
 
 
 def removed(shrunk: Shrinkage) -> str:
