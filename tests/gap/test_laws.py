@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from realsim.gap import EFFECTS, DiagnoseConfig, apply_patch, diagnose, load_case, run_case
-from realsim.gap.causes.screen import Candidate, posterior, score
+from realsim.gap.causes.linear import posterior, score
+from realsim.gap.causes.screen import Candidate
 from realsim.gap.compare import Comparison
 from realsim.gap.effects.payload import add_point_mass
 from realsim.gap.effects.terrain_tilt import quaternion, rotation

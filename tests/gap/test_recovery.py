@@ -16,10 +16,11 @@ from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
 from realsim.gap.causes.equivalent import _alike
 from realsim.gap.causes.fit import Cause, Fitter
 from realsim.gap.causes.leftover import leftover
+from realsim.gap.causes.linear import marginal, score
 from realsim.gap.causes.merit import is_gap
 from realsim.gap.causes.probes import probed, probed_ground
 from realsim.gap.causes.rivals import outstanding, ranked, refit
-from realsim.gap.causes.screen import Screen, marginal, score, slab
+from realsim.gap.causes.screen import Screen, slab
 from realsim.gap.causes.windows import slid
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.simulate import Simulator

@@ -13,8 +13,9 @@ from realsim.gap import Case, DiagnoseConfig, load_case
 from realsim.gap.answer.verdict import judge
 from realsim.gap.causes.fit import Cause, Fitter
 from realsim.gap.causes.leftover import leftover
+from realsim.gap.causes.linear import Evidence
 from realsim.gap.causes.rivals import refit
-from realsim.gap.causes.screen import Evidence, Screen
+from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import Selection
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.edit import Edit

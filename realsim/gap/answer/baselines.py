@@ -11,7 +11,8 @@ import numpy as np
 from realsim.gap.answer.heldout import errors, mean_square
 from realsim.gap.causes.fit import Fit
 from realsim.gap.causes.leftover import nuisance_settings
-from realsim.gap.causes.screen import Screen, posterior
+from realsim.gap.causes.linear import posterior
+from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import Selection
 from realsim.gap.compare import Comparison
 from realsim.gap.effects import EFFECTS

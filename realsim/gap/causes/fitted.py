@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from realsim.gap.causes.screen import Candidate, Evidence
+from realsim.gap.causes.linear import Evidence
+from realsim.gap.causes.screen import Candidate
 from realsim.gap.effects.base import Parameter
 from realsim.gap.simulation.simulate import Setting, lookup
 from realsim.types import F64

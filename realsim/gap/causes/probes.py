@@ -14,7 +14,8 @@ import numpy as np
 
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import leftover
-from realsim.gap.causes.screen import Candidate, Screen, score, slab
+from realsim.gap.causes.linear import score
+from realsim.gap.causes.screen import Candidate, Screen, slab
 from realsim.gap.effects.base import Place
 from realsim.gap.simulation.simulate import lookup
 from realsim.types import F64

@@ -10,9 +10,10 @@ import numpy as np
 
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import leftover
+from realsim.gap.causes.linear import marginal, score
 from realsim.gap.causes.merit import FAR_ABOVE, complexity, heldout
 from realsim.gap.causes.probes import alone, foretold, probed, probed_ground
-from realsim.gap.causes.screen import Candidate, Screen, marginal, score, slab
+from realsim.gap.causes.screen import Candidate, Screen, slab
 from realsim.gap.causes.windows import slid, window_candidates
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.simulation.simulate import lookup

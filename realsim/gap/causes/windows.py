@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from realsim.gap.causes.fit import Fit, Fitter
+from realsim.gap.causes.leftover import deviations
 from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.effects.external_force import NEAR
 from realsim.types import F64
@@ -115,8 +116,7 @@ def _moved(fitter: Fitter, fit: Fit, edge: str, move: float) -> Fit | None:
 
 
 def _left(screen: Screen, fit: Fit) -> tuple[list[F64], list[F64]]:
-    x = screen.nuisances(fit.evidence, fit.prior)
-    x = np.clip(x, -3 * fit.prior, 3 * fit.prior)
+    x = deviations(screen, fit)
     left, weights = [], []
     for k, run in enumerate(screen.runs):
         r = screen.comparison.residual(run, fit.predictions[k])

@@ -1,0 +1,61 @@
+"""The linear picture: normal equations of a residual, small deviations integrated out, the evidence of a cause."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from realsim.types import F64
+
+
+@dataclass
+class Evidence:
+    """Normal equations over atoms, a run each, of the residual about some simulator."""
+
+    A: list[F64]
+    b: list[F64]
+    c: list[float]
+    version: int = -1
+    """Of the weights; -1 if they are nobody's."""
+    runs: tuple[int, ...] = ()
+    """Positions among the screened runs."""
+    centre: F64 | float = 0.0
+    """(p,) what the small deviations scatter about; their coordinates count from there."""
+
+    def moved(self, shift: F64) -> Evidence:
+        """The same with the centre elsewhere: r - G shift takes the place of r."""
+        pairs = list(zip(self.A, self.b, strict=True))
+        b = [b - A @ shift for A, b in pairs]
+        c = [c + float(shift @ A @ shift - 2 * b @ shift) for c, (A, b) in zip(self.c, pairs, strict=True)]
+        return Evidence(self.A, b, c, self.version, self.runs, self.centre + shift)
+
+
+def posterior(A: F64, b: F64, prior: F64) -> tuple[F64, F64]:
+    """(mean, covariance) of x for r = G x + e with standard deviations `prior` (0: the atom is absent)."""
+    D = prior[:, None]
+    inner = np.eye(len(prior)) + D * A * prior
+    solved = np.linalg.solve(inner, np.concatenate([(prior * b)[:, None], np.diag(prior)], axis=1))
+    return prior * solved[:, 0], D * solved[:, 1:]
+
+
+def marginal(evidence: Evidence, prior: F64, runs: Sequence[int] | None = None) -> tuple[F64, F64, float]:
+    """(A~, b~, J): information and score of any extra direction once the nuisances are marginalised, and the misfit."""
+    which = range(len(evidence.A)) if runs is None else runs
+    A = np.sum([evidence.A[k] for k in which], axis=0)
+    b = np.sum([evidence.b[k] for k in which], axis=0)
+    c = float(sum(evidence.c[k] for k in which))
+    mean, cov = posterior(A, b, prior)
+    AC = A @ cov
+    return A - AC @ A, b - A @ mean, 0.5 * (c - b @ mean)
+
+
+def score(A: F64, b: F64, directions: F64, size: F64) -> tuple[float, F64, F64]:
+    """(log evidence gain, estimate, covariance) of parameters along `directions` with prior sizes `size`."""
+    info = directions.T @ A @ directions
+    s = directions.T @ b
+    full = info + np.diag(1 / size**2)
+    estimate = np.linalg.solve(full, s)
+    occam = 0.5 * np.linalg.slogdet(np.eye(len(size)) + (size[:, None] * info) * size)[1]
+    return float(0.5 * s @ estimate - occam), np.asarray(estimate), np.asarray(np.linalg.inv(full))
