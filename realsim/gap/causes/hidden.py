@@ -10,7 +10,7 @@ imitate on the others, so unseen runs decide nothing, and few deviations are kno
 
 from __future__ import annotations
 
-from realsim.gap.causes.fit import ENOUGH, Fit, Fitter
+from realsim.gap.causes.fit import ENOUGH, Cause, Fit, Fitter
 from realsim.gap.causes.merit import complexity, deviation, heldout, holds
 from realsim.gap.causes.rivals import Trial, ranked, refit
 from realsim.gap.causes.screen import Screen
@@ -35,7 +35,6 @@ def hidden(screen: Screen, fitter: Fitter, current: Fit, stage: int, trials: lis
     """Fits with one further cause that is far likelier than the small deviations alone, best first."""
     found, seen = [], set[str]()
     joints = len(screen.simulator.case.joint_names)
-    least = SURE + SURE_A_JOINT * joints
     for gain, candidate, estimate in ranked(screen, current):
         if gain < WORTH_TRYING or len(seen) == TRIED:
             break
@@ -48,11 +47,11 @@ def hidden(screen: Screen, fitter: Fitter, current: Fit, stage: int, trials: lis
         mean, error, positive = heldout(screen, current, fit)
         cause = fit.causes[-1]
         brings = current.misfit - fit.misfit
-        needed = least + 2.0 * len(cause.values)
-        few = len(screen.runs) < ENOUGH and brings > 2 * needed
+        least = needed(screen, cause)
+        few = len(screen.runs) < ENOUGH and brings > 2 * least
         held = holds(mean, error, positive) and (positive >= NEARLY_ALL or few)
         sure = (
-            brings > needed
+            brings > least
             and deviation(screen, cause) >= FAR
             and fitter.clear(fit)[-1]
             and (held or (joints < MANY_JOINTS and mean > -error))
@@ -63,3 +62,8 @@ def hidden(screen: Screen, fitter: Fitter, current: Fit, stage: int, trials: lis
         if sure:
             found.append(fit)
     return sorted(found, key=lambda f: f.misfit + complexity(screen, f))
+
+
+def needed(screen: Screen, cause: Cause) -> float:
+    """Log-likelihood that a cause must bring to be far likelier than small deviations that do the same."""
+    return SURE + SURE_A_JOINT * len(screen.simulator.case.joint_names) + 2.0 * len(cause.values)

@@ -10,7 +10,7 @@ import numpy as np
 from realsim.gap.causes.equivalent import equivalents, likelier, simplest
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.fitted import Z90
-from realsim.gap.causes.hidden import hidden
+from realsim.gap.causes.hidden import FAR, NEARLY_ALL, hidden, needed
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.merit import complexity, deviation, heldout, holds, is_gap, total_gap
 from realsim.gap.causes.pairs import better_pair
@@ -24,6 +24,8 @@ STEADY = 3.0
 """A gain this many times its standard error, on runs left out in turn, counts however small its share."""
 SHARPEST = 0.3
 """Least share of the allowance that is left after a cause."""
+SLIGHT = 5.0
+"""Mean square in units of the floor below which a gap is hardly one."""
 LEAST_IMPROVEMENT = 0.08
 """Share of what is left that a further cause must remove."""
 
@@ -158,7 +160,10 @@ def _acceptable(
     ):
         reasons.append("leaves as much as before")
     steady = mean > STEADY * error and gain > STEADY * config.min_gain
-    if mean < share * max(total_gap(screen, current), 1e-9) and not steady:
+    # Of a slight gap most is noise, of which no cause takes a share: what would do where there is none does here.
+    far = deviation(screen, cause) >= FAR and positive >= NEARLY_ALL and gain > needed(screen, cause)
+    slight = left[0].mean() < SLIGHT and far
+    if mean < share * max(total_gap(screen, current), 1e-9) and not (steady or slight):
         reasons.append("too small a share of the gap")
     for i in range(len(trials) - 1, -1, -1):
         t = trials[i]
