@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from realsim.gap import Case, DiagnoseConfig, load_case
+from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
 from realsim.gap.answer.verdict import judge
 from realsim.gap.causes.fit import Cause, Fitter
 from realsim.gap.causes.leftover import leftover
@@ -130,3 +130,17 @@ def test_a_gain_beyond_all_measure_is_a_probability_all_the_same(arm: Case, recw
         said = judge(CONFIG, screen, Selection(fit, nominal, [], [], {0: gain}, []), shrunk)  # type: ignore[arg-type]
         assert 0.0 <= said.probabilities[0] <= 1.0
     assert not [w for w in recwarn if issubclass(w.category, RuntimeWarning)]
+
+
+@pytest.mark.parametrize(("name", "values"), [("damping_gain", {"ratio": 0.3}), ("viscous_friction", {"damping": 1.5})])
+def test_braking_by_the_servo_and_by_grease_is_one_motion(arm: Case, name: str, values: dict[str, float]) -> None:
+    with Simulator(arm, CONFIG) as simulator:
+        place = ("shoulder",)
+        ((other, same),) = EFFECTS[name].same_motion(simulator.context, place, values).items()
+        back = EFFECTS[other].same_motion(simulator.context, place, same)
+        assert back == {name: pytest.approx(values)}
+        moves = [c for c, channel in enumerate(simulator.channels) if channel.signal in ("joint_pos", "joint_vel")]
+        one, two, nominal = (simulator.simulate(s) for s in ([(name, place, values)], [(other, place, same)], []))
+    for a, b, n in zip(one, two, nominal, strict=True):
+        assert np.abs(a - n)[:, moves].max() > 1e-3
+        assert np.abs(a - b)[:, moves].max() < 0.05 * np.abs(a - n)[:, moves].max()

@@ -32,7 +32,7 @@ class Shrinkage:
     above_floor: float | None
     """Fraction of the gap above the noise floor that went, None where there is none."""
     with_nuisances: float
-    """Error left when the small everyday deviations are fitted too."""
+    """Error left when the small everyday deviations are fitted too, unless they make it worse."""
     unexplained: float
     """Share of the gap above the floor that then stays."""
     before_over_floor: float
@@ -105,6 +105,8 @@ def shrinkage(
     after = errors(simulator, comparison, fit.settings(), runs) or before
     clean = with_nuisances(screen, comparison, fit, fit.settings(), runs) or after
     e0, e1, e2 = (mean_square(comparison, r, runs) for r in (before, after, clean))
+    if e1 < e2:  # deviations that do not carry over are not held against the causes
+        clean, e2 = after, e1
     rng = np.random.default_rng(seed)
     low, high = _bootstrap(comparison, before, after, runs, resamples, rng)
     baselines = {"nominal": 1.0}

@@ -45,7 +45,8 @@ def equivalents(
         found |= _twins(screen, fitter, cause, others)
         near_by = [r for r in _close_rivals(stages, fit) if deviation(screen, r) >= config.min_deviation]
         plain, at_an_end = _plain(screen, cause), _at_an_end(fit, cause)
-        for rival in [*plain, *_alike(screen, fit, cause), *_elsewhere(screen, cause), *near_by]:
+        natural = [*plain, *_same_motion(screen, cause)]
+        for rival in [*natural, *_alike(screen, fit, cause), *_elsewhere(screen, cause), *near_by]:
             key = (cause.candidate.key, rival.candidate.effect, rival.candidate.place)
             if key in found or lookup(rival.candidate.effect).plain == cause.candidate.effect:
                 continue
@@ -143,6 +144,16 @@ def _twins(screen: Screen, fitter: Fitter, cause: Cause, others: list[Cause]) ->
     same = [x for x in screen.candidates if (x.effect, x.places, x.names) == (twin, c.places, c.names)]
     fits = {(c.key, x.effect, x.place): fitter.fit([*others, Cause(x, cause.values)], iterations=3) for x in same}
     return {key: fit for key, fit in fits.items() if fit is not None}
+
+
+def _same_motion(screen: Screen, cause: Cause) -> list[Cause]:
+    """Effects that move the robot the same way by their nature: beside slipping feet, slopes may not show it."""
+    context, c = screen.simulator.context, cause.candidate
+    if context.case.has("joint_torque"):
+        return []
+    same = lookup(c.effect).same_motion(context, c.place, cause.named)
+    rivals = [x for x in screen.candidates if x.places == c.places and x.effect in same]
+    return [Cause(x, tuple(same[x.effect][n] for n in x.names)) for x in rivals if set(x.names) == set(same[x.effect])]
 
 
 def _plain(screen: Screen, cause: Cause) -> list[Cause]:

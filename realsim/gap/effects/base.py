@@ -100,6 +100,8 @@ class Effect:
     twin: str | None = None
     """Another effect that does exactly the same at the same values, where `twinned` says so of a log."""
     twinned: Callable[[Context], bool] = lambda context: False
+    same_motion: Callable[[Context, Place, dict[str, float]], dict[str, dict[str, float]]] = lambda *_: {}
+    """From values that were found at a place: other effects there, with values that move the robot the same way."""
     elsewhere: Callable[[Context, Place, dict[str, float]], list[tuple[Place, dict[str, float]]]] | None = None
     """From values that were found at a place: other places, with the values there, that do nearly the same."""
 
@@ -110,6 +112,13 @@ def joint_signals_only(context: Context) -> bool:
     A robot that begins at rest knows no clock, so shifting its commands shifts every reading.
     """
     return all(channel.signal.startswith("joint_") for channel in channels(context.case))
+
+
+def servo_damping(context: Context, place: Place) -> float:
+    """N m s/rad with which the servos brake their joints, the mean over a place."""
+    case = context.case
+    found = [-case.gear(j) ** 2 * float(case.model.actuator(context.actuator[j]).biasprm[2]) for j in place]
+    return sum(found) / len(found)
 
 
 def each_joint(context: Context) -> list[Place]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint, servo_damping
 
 
 def _parameters(context, place: Place) -> tuple[Parameter, ...]:
@@ -26,6 +26,11 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         actuator.gainprm, actuator.biasprm = gain, bias
 
 
+def _same_motion(context, place: Place, values: dict[str, float]) -> dict[str, dict[str, float]]:
+    """Viscous friction brakes like the servo; only the drive's torque, or its limit, tells them apart."""
+    return {"viscous_friction": {"damping": values["ratio"] * servo_damping(context, place)}}
+
+
 EFFECT = Effect(
     name="damping_gain",
     title="damping gain (kd)",
@@ -38,5 +43,6 @@ EFFECT = Effect(
     parameters=_parameters,
     excited_by=_excited,
     apply=_apply,
+    same_motion=_same_motion,
     form=EXACT,
 )

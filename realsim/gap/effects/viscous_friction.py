@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint, servo_damping
 
 
 def _parameters(context, place: Place) -> tuple[Parameter, ...]:
@@ -27,6 +27,11 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         target.damping = damping
 
 
+def _same_motion(context, place: Place, values: dict[str, float]) -> dict[str, dict[str, float]]:
+    servo = servo_damping(context, place)
+    return {"damping_gain": {"ratio": values["damping"] / servo}} if servo > 0 else {}
+
+
 EFFECT = Effect(
     name="viscous_friction",
     title="viscous friction",
@@ -38,5 +43,6 @@ EFFECT = Effect(
     parameters=_parameters,
     excited_by=_excited,
     apply=_apply,
+    same_motion=_same_motion,
     form=EXACT,
 )
