@@ -117,7 +117,7 @@ def joint_signals_only(context: Context) -> bool:
 def servo_damping(context: Context, place: Place) -> float:
     """N m s/rad with which the servos brake their joints, the mean over a place."""
     case = context.case
-    found = [-case.gear(j) ** 2 * float(case.model.actuator(context.actuator[j]).biasprm[2]) for j in place]
+    found = [-(case.gear(j) ** 2) * float(case.model.actuator(context.actuator[j]).biasprm[2]) for j in place]
     return sum(found) / len(found)
 
 
