@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+import dataclasses
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.gap_truth.cases import Sensors, write_log
+from benchmarks.gap_truth.plant import Plant
+from benchmarks.gap_truth.robots import ROBOTS
+from benchmarks.gap_truth.truth import Truth as TrueRobot
 from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
+from realsim.gap.answer.heldout import Shrinkage
 from realsim.gap.answer.verdict import judge
 from realsim.gap.causes.fit import Cause, Fitter
 from realsim.gap.causes.leftover import leftover
@@ -62,23 +67,28 @@ def test_small_robots_live_in_the_simulators_step_or_in_continuous_time(arm: Cas
 
 
 def test_an_imu_that_is_late_is_read_late(tmp_path) -> None:
-    edit = Edit.__new__(Edit)
-    edit.signals = SimpleNamespace(
-        joint_offset={}, read_offset={}, torque_gain={}, torque_phase=0.0, observation_delay=0.0, imu_delay=0.003,
-        gyro_bias=(0.0,) * 3, acc_bias=(0.0,) * 3,
-    )  # fmt: skip
-    grid = np.arange(200) * 0.001
-    raw = {"settle": np.array([0.0, 0.001]), "pos": grid[:, None], "vel": grid[:, None], "torque": grid[:, None]}
-    raw |= {"gyro": np.tile(grid[:, None], 3), "acc": np.tile(grid[:, None], 3)}
-    channels = [SimpleNamespace(signal=s, index=0) for s in ("joint_pos", "imu_gyro", "imu_acc")]
-    simulator = Simulator.__new__(Simulator)
-    simulator.case = SimpleNamespace(joint_names=["a"])  # type: ignore[assignment]
-    simulator.channels = channels  # type: ignore[assignment]
-    run = SimpleNamespace(time=np.array([0.05, 0.1]), signals={})
-    read = simulator.read(run, raw, edit)  # type: ignore[arg-type]
-    assert read[:, 0] == pytest.approx(run.time)
-    assert read[:, 1] == pytest.approx(run.time - 0.003)
-    assert read[:, 2] == pytest.approx(run.time - 0.003)
+    robot = ROBOTS["quadruped"](np.random.default_rng(2))
+    times = np.arange(0.0, 1.5, 0.01)
+    command = robot.home + 0.1 * np.sin(6 * times)[:, None]
+    plant = Plant(robot, TrueRobot(len(robot.joints)))
+    trace = plant.drive(times, command)
+    rng = np.random.default_rng(1)
+    sensors = Sensors(100.0, True, "none", 1.0, True, 2e-4, 16)
+    write_log(tmp_path / "case", robot, sensors, TrueRobot(len(robot.joints)), [(times, command)], [trace], rng)
+    late = 0.003
+    with Simulator(load_case(tmp_path / "case"), CONFIG) as simulator:
+        run = simulator.case.runs[0]
+        earlier = dataclasses.replace(run, time=run.time - late)
+        edit = Edit(simulator.context)
+        raw = simulator.nominal_tracks[0]
+        now, then = simulator.read(run, raw, edit), simulator.read(earlier, raw, edit)
+        edit.signals.imu_delay = late
+        read = simulator.read(run, raw, edit)
+        imu = np.array([c.signal.startswith("imu_") for c in simulator.channels])
+    assert imu.any()
+    assert (read[:, ~imu] == now[:, ~imu]).all()
+    assert read[:, imu] == pytest.approx(then[:, imu])
+    assert np.abs(read - now)[:, imu].max() > 0.01
 
 
 def test_slopes_are_taken_anew_beside_a_cause(arm: Case) -> None:
@@ -126,8 +136,8 @@ def test_a_gain_beyond_all_measure_is_a_probability_all_the_same(arm: Case, recw
     fit = fitter.fit([Cause(screen.candidates[0], (0.01,))])
     assert fit is not None
     for gain in (-1e6, 1e6):
-        shrunk = SimpleNamespace(unseen=False)
-        said = judge(CONFIG, screen, Selection(fit, nominal, [], [], {0: gain}, []), shrunk)  # type: ignore[arg-type]
+        shrunk = Shrinkage(("a",), False, 1.0, 0.0, (0.0, 0.0), None, 1.0, 0.0, 1.0, 1.0)
+        said = judge(CONFIG, screen, Selection(fit, nominal, [], [], {0: gain}, []), shrunk)
         assert 0.0 <= said.probabilities[0] <= 1.0
     assert not [w for w in recwarn if issubclass(w.category, RuntimeWarning)]
 

@@ -134,7 +134,7 @@ class Screen:
     def look_from(self, settings: Sequence[Setting]) -> None:
         """Take all slopes anew about these causes: a robot that moves otherwise answers otherwise.
 
-        Those of the causes themselves stay; so do those of atoms that cannot be simulated there.
+        Those of the causes themselves stay; so do those of atoms that cannot be simulated there or do next to nothing.
         """
         there = self.simulator.simulate(settings, runs=self.runs)
         base = self.simulator.simulate(settings, runs=self.runs, coarse=self.coarse) if self.coarse > 1 else there
