@@ -23,6 +23,8 @@ ENOUGH = 4
 """Runs."""
 SETTLED, SWITCHED = 0.6, 0.5
 """Share of the weighted squares that deviations may leave to be simulated at all, and those that have no slope."""
+LIKELIER = 40.0
+"""Log-likelihood that those without a slope must bring beside causes."""
 
 
 class Fitter(Search):
@@ -36,16 +38,18 @@ class Fitter(Search):
         """With the solver's other friction cone and the like, each where it explains most of the gap by itself.
 
         What is one or the other is tried, not sloped: beside slipping feet its slope says little of it, and lower
-        friction imitates it.
+        friction imitates it. Beside causes the gap is theirs, and what stays of it may be the solver's.
         """
         for i, atom in enumerate(self.screen.atoms):
             if not (atom.parameter.whole and fit.prior[i] > 0):
                 continue
-            old, cost = self.about, self._cost(fit)
+            old = self.about
+            cost, share = self._cost(fit), 1.0 if fit.causes else SWITCHED
+            least = LIKELIER if fit.causes else 0.0
             self.about = old.copy()
             self.about[i] = sum(atom.parameter.bounds) - old[i]
             moved = self._or_none(fit)
-            if moved is not None and self._cost(moved) < SWITCHED * cost:
+            if moved is not None and fit.misfit - moved.misfit > least and self._cost(moved) < share * cost:
                 fit = moved
             else:
                 self.about = old
@@ -152,7 +156,10 @@ class Fitter(Search):
             look = Look(look.few)
             if value <= target and self._predict(candidates, z, look) is not None:
                 z, value, slopes = self._descend(candidates, z, slopes, parameters, look, POLISH)
-        return self._measure(causes_of(candidates, z), parameters, slopes, look)
+        try:
+            return self._measure(causes_of(candidates, z), parameters, slopes, look)
+        except GapError:  # on a run that a rough search did not look at
+            return None
 
     def spread(self, fit: Fit) -> Fit:
         """The same fit with its covariance from slopes taken at its very values."""

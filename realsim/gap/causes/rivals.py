@@ -14,7 +14,7 @@ from realsim.gap.causes.linear import marginal, score
 from realsim.gap.causes.merit import FAR_ABOVE, complexity, heldout
 from realsim.gap.causes.probes import alone, foretold, probed, probed_ground
 from realsim.gap.causes.screen import Candidate, Screen, slab
-from realsim.gap.causes.windows import slid, window_candidates
+from realsim.gap.causes.windows import carried, slid, window_candidates
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.simulation.simulate import lookup
 from realsim.types import F64
@@ -139,10 +139,13 @@ def refitted(
                 fits.append(found)
     fits.sort(key=lambda f: f.misfit + complexity(screen, f))
     if fits and _slides(screen, fits[0].causes[-1].candidate):
-        again = fitter.fit(slid(fitter, fits[0]).causes, iterations=6, rough=True)
-        if again is not None:
-            trials.append(tried(screen, current, again, stage, 0.0))
-            fits.insert(0, again)
+        here = slid(fitter, fits[0])
+        for push in (here, *(slid(fitter, f) for f in carried(screen, fitter, here))):
+            again = fitter.fit(push.causes, iterations=6, rough=True)
+            if again is not None:
+                trials.append(tried(screen, current, again, stage, 0.0))
+                fits.insert(0, again)
+        fits.sort(key=lambda f: f.misfit + complexity(screen, f))
     for fit in list(fits[:GROWN]):  # with all its parameters an effect may do what the simple form cannot
         full = _fullest(screen, fit.causes[-1].candidate)
         if full is not None:

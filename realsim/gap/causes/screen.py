@@ -134,7 +134,7 @@ class Screen:
     def look_from(self, settings: Sequence[Setting]) -> None:
         """Take all slopes anew about these causes: a robot that moves otherwise answers otherwise.
 
-        Those of the causes themselves stay; so do those of atoms that cannot be simulated there or do next to nothing.
+        Those of the causes themselves stay. What does next to nothing there, or cannot be simulated, explains nothing.
         """
         there = self.simulator.simulate(settings, runs=self.runs)
         base = self.simulator.simulate(settings, runs=self.runs, coarse=self.coarse) if self.coarse > 1 else there
@@ -144,8 +144,8 @@ class Screen:
             if any(atom.effect == name and set(atom.place) <= set(place) for name, place, _ in settings):
                 continue
             change = self._column(atom, base, there, settings)
-            for k, column in enumerate(change or ()):
-                self._columns[k][:, i] = column
+            for k, columns in enumerate(self._columns):
+                columns[:, i] = change[k] if change else 0.0
         self.comparison.version += 1
 
     def _column(

@@ -18,7 +18,6 @@ from realsim.gap.causes.rivals import Trial, duel, ranked, refit, refitted
 from realsim.gap.causes.screen import Screen
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.evidence.onsets import find_onsets
-from realsim.gap.simulation.nuisances import MANY_JOINTS
 
 STEADY = 3.0
 """A gain this many times its standard error, on runs left out in turn, counts however small its share."""
@@ -26,6 +25,8 @@ SHARPEST = 0.3
 """Least share of the allowance that is left after a cause."""
 SLIGHT = 5.0
 """Mean square in units of the floor below which a gap is hardly one."""
+VERY_MANY_JOINTS = 20
+"""Driven joints from which on slopes are taken once only."""
 LEAST_IMPROVEMENT = 0.08
 """Share of what is left that a further cause must remove."""
 
@@ -65,7 +66,7 @@ def select(
                 break
             stages.append((current, fits))
             current = fits[0]
-            look_anew(screen, current)
+            current = beside(screen, fitter, current)
             continue
         current = fitter.unbend(current)
         fits = refitted(screen, fitter, config, current, stage, trials)
@@ -83,7 +84,7 @@ def select(
         stages.append((current, fits))
         current = best
         look_for_onsets(screen, current)
-        look_anew(screen, current)
+        current = beside(screen, fitter, current)
     current = fitter.tighten(current)
     current = current if small else sharpened(screen, fitter, current)
     nominal = fitter.remeasure(nominal)
@@ -110,10 +111,14 @@ def look_for_onsets(screen: Screen, fit: Fit) -> None:
         simulator.onsets = find_onsets(screen.comparison, simulator.simulate(fit.settings()))
 
 
-def look_anew(screen: Screen, fit: Fit) -> None:
-    """Slopes about these causes, where that is cheap: of few joints."""
-    if len(screen.simulator.context.driven) < MANY_JOINTS:
+def beside(screen: Screen, fitter: Fitter, fit: Fit) -> Fit:
+    """The fit where slopes are taken about its own causes, and the solver is the likelier one beside them.
+
+    Of very many joints that would take as long as all the rest.
+    """
+    if len(screen.simulator.context.driven) < VERY_MANY_JOINTS:
         screen.look_from(fit.settings())
+    return fitter.switched(fitter.remeasure(fit))
 
 
 def without_causes(selection: Selection) -> Selection:

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from realsim.gap.causes.fit import Fit, Fitter
+from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import deviations
 from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.effects.external_force import NEAR
+from realsim.gap.simulation.context import base_body
 from realsim.types import F64
 
 GRID = 0.1
@@ -19,8 +20,9 @@ LEAD = 0.2
 """Seconds before an onset in which its window may begin."""
 SHORTEST = 0.2
 MARGIN = 20.0
+FORCE = ("fx", "fy", "fz")
 SLIDES = 0.3, 0.1, 0.03
-"""Steps in which the edges of a window are moved, s."""
+"""Steps in which the edges of a window are moved, s, and the size of its force, as a share of it."""
 
 
 @dataclass(frozen=True)
@@ -90,16 +92,16 @@ def _by_place(
 
 
 def slid(fitter: Fitter, fit: Fit) -> Fit:
-    """The fit with the window of its last cause moved, edge by edge, to where the simulation agrees best.
+    """The fit with the window and the size of its last cause moved to where the simulation agrees best.
 
-    A push that lifts a foot has no response in proportion to itself, so that a window found on slopes may be off.
+    A push that lifts a foot has no response in proportion to itself, so that what is found on slopes may be off.
     """
     best = fit
     edges = [n for n in ("start", "end", "since", "lasts") if n in fit.causes[-1].candidate.names]
     for size in SLIDES:
-        moves = [(edge, move) for edge in edges for move in (size, -size)]
+        moves = [(name, move) for name in (*edges, "force") for move in (size, -size)]
         while True:
-            moved = [f for edge, move in moves if (f := _moved(fitter, best, edge, move)) is not None]
+            moved = [f for name, move in moves if (f := _moved(fitter, best, name, move)) is not None]
             nearest = min(moved, key=lambda f: f.misfit, default=best)
             if nearest.misfit >= best.misfit:
                 break
@@ -107,11 +109,33 @@ def slid(fitter: Fitter, fit: Fit) -> Fit:
     return best
 
 
-def _moved(fitter: Fitter, fit: Fit, edge: str, move: float) -> Fit | None:
+def carried(screen: Screen, fitter: Fitter, fit: Fit) -> list[Fit]:
+    """The fit with the force of its last cause at other bodies instead: where it does best as it is, and at the base.
+
+    The trunk and the hips on it answer alike to a push, until its window and its size are right.
+    """
+    cause, others = fit.causes[-1], fit.causes[:-1]
+    case = screen.simulator.case
+    base = case.model.body(base_body(case)).name if case.floating else ""
+    fits = []
+    for c in screen.candidates:
+        if c.effect == cause.candidate.effect and c.names == FORCE and c.places != cause.candidate.places:
+            there = replace(c, names=cause.candidate.names)
+            moved = fitter.looked_at(fit, (*others, Cause(there, cause.values)))
+            fits += [moved] if moved is not None else []
+    fits.sort(key=lambda f: f.misfit)
+    return fits[:1] + [f for f in fits[1:] if f.causes[-1].candidate.place == (base,)]
+
+
+def _moved(fitter: Fitter, fit: Fit, name: str, move: float) -> Fit | None:
+    """With an edge moved by so many seconds, or the force by this share; None if that cannot be."""
     cause = fit.causes[-1]
-    if edge == "since" and abs(cause.named[edge] + move) > NEAR:
+    if name == "since" and abs(cause.named[name] + move) > NEAR:
         return None
-    values = tuple(v + move * (n == edge) for n, v in cause.named.items())
+    if name == "force":
+        values = tuple(v * (1 + move) if n in FORCE else v for n, v in cause.named.items())
+    else:
+        values = tuple(v + move * (n == name) for n, v in cause.named.items())
     return fitter.looked_at(fit, (*fit.causes[:-1], replace(cause, values=values)))
 
 

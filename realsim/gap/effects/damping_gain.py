@@ -6,7 +6,7 @@ from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter,
 
 
 def _parameters(context, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("ratio", "ratio", (-0.85, 2.0), 0.25, nuisance=0.03, report=lambda z: 1 + z),)
+    return (Parameter("ratio", "ratio", (-0.85, 5.0), 0.25, nuisance=0.03, report=lambda z: 1 + z),)
 
 
 def _excited(context, place: Place) -> Excitation:
