@@ -21,7 +21,7 @@ from realsim.gap.causes.merit import is_gap
 from realsim.gap.causes.probes import probed, probed_ground
 from realsim.gap.causes.rivals import outstanding, ranked, refit
 from realsim.gap.causes.screen import Screen, slab
-from realsim.gap.causes.windows import slid
+from realsim.gap.causes.windows import carried, slid
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
@@ -195,6 +195,22 @@ def test_a_window_slides_to_where_the_push_was(quadruped: Case) -> None:
         found = slid(fitter, fitter.remeasure(replace(fitter.nominal(), causes=(late,)))).causes[0].named
     assert found["start"] == pytest.approx(0.6, abs=0.05)
     assert found["end"] == pytest.approx(1.3, abs=0.05)
+
+
+@pytest.mark.slow
+def test_a_push_taken_for_one_at_the_hip_is_carried_to_the_trunk(quadruped: Case) -> None:
+    push = {"fx": 0.0, "fy": 15.0, "fz": 0.0}
+    case = logged(logged(quadruped, []), [("external_force", ("trunk",), push | {"start": 0.6, "end": 1.3})])
+    with Simulator(case, CONFIG) as simulator:
+        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
+        screen = Screen(simulator, comparison, range(len(case.runs)), ("external_force",))
+        fitter = Fitter(screen)
+        hip = next(c for c in screen.candidates if c.place[0].endswith("hip_link") and c.names == tuple(push))
+        weaker = Cause(replace(hip, names=(*push, "start", "end")), (0.0, 9.0, 0.0, 0.6, 1.3))
+        wrong = fitter.remeasure(replace(fitter.nominal(), causes=(weaker,)))
+        found = min((slid(fitter, f) for f in carried(screen, fitter, wrong)), key=lambda f: f.misfit).causes[0]
+    assert found.candidate.place == ("trunk",)
+    assert found.named["fy"] == pytest.approx(15.0, rel=0.1)
 
 
 @pytest.mark.slow

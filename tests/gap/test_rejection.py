@@ -130,6 +130,20 @@ def test_the_other_friction_cone_is_no_lower_friction(quadruped: Case) -> None:
             assert fitter.about[screen.index["contact_solver", (), "cone"]] == cone
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("cone", [0.0, 1.0])
+def test_the_other_friction_cone_is_seen_beside_a_cause(quadruped: Case, cone: float) -> None:
+    weak: Setting = ("motor_gain", ("fr_thigh",), {"ratio": -0.45})
+    log = logged(quadruped, [weak, ("contact_solver", (), {"cone": cone})])
+    screen, fitter = screened(log, ("motor_gain", "ground_friction"))
+    with screen.simulator:
+        cause = next(c for c in screen.candidates if c.place == ("fr_thigh",))
+        fit = fitter.looked_at(fitter.nominal(), [Cause(cause, (-0.45,))])
+        assert fit is not None
+        fitter.switched(fit)
+        assert fitter.about[screen.index["contact_solver", (), "cone"]] == cone
+
+
 def test_how_the_solver_treats_friction_is_a_nuisance(made: Callable[..., Path]) -> None:
     """The same robot in a simulator whose dry friction sticks instead of creeping: explained, and no cause."""
     xml = PENDULUM.replace('frictionloss="0.15"', 'frictionloss="0.6"')

@@ -113,6 +113,32 @@ def test_slopes_are_taken_anew_beside_a_cause(arm: Case) -> None:
         assert (now[:, 1] == before[k][:, 1]).all()
 
 
+def test_what_does_nothing_beside_a_cause_explains_nothing_there(arm: Case) -> None:
+    screen = screened(arm, ("stiffness_gain",))
+    dead, other = (screen.index["stiffness_gain", (joint,), "ratio"] for joint in ("elbow", "shoulder"))
+    assert all(np.abs(screen.columns(k, [dead])).max() > 0 for k in range(len(screen.runs)))
+    screen.look_from([("motor_gain", ("elbow",), {"ratio": -1.0})])
+    for k in range(len(screen.runs)):
+        assert (screen.columns(k, [dead]) == 0).all()
+        assert np.abs(screen.columns(k, [other])).max() > 0
+
+
+def test_a_search_that_fails_on_a_run_it_did_not_look_at_finds_nothing(made, monkeypatch) -> None:
+    screen = screened(load_case(made("slopes_four", Truth(), runs=4)), ("armature",))
+    assert screen.varied is not None and len(screen.varied) < len(screen.runs)
+    fitter = Fitter(screen)
+    cause = Cause(screen.candidates[0], (0.01,))
+    assert fitter.fit([cause], rough=True) is not None
+    simulate = screen.simulator.simulate
+
+    def falls(settings=(), runs=None, coarse=1):
+        made = simulate(settings, runs, coarse)
+        return [np.full_like(y, np.nan) for y in made] if settings and len(made) == len(screen.runs) else made
+
+    monkeypatch.setattr(screen.simulator, "simulate", falls)
+    assert Fitter(screen).fit([cause], rough=True) is None
+
+
 def test_a_richer_law_takes_the_place_of_the_plain_one(arm: Case) -> None:
     truth = {"static_friction": 3.0, "coulomb": 1.0, "stribeck_velocity": 0.1}
     case = logged(arm, [("stribeck_friction", ("shoulder",), truth)])
@@ -149,6 +175,8 @@ def test_braking_by_the_servo_and_by_grease_is_one_motion(arm: Case, name: str, 
         ((other, same),) = EFFECTS[name].same_motion(simulator.context, place, values).items()
         back = EFFECTS[other].same_motion(simulator.context, place, same)
         assert back == {name: pytest.approx(values)}
+        (wide,) = EFFECTS[other].parameters(simulator.context, place)
+        assert 15 * next(iter(same.values())) < wide.bounds[1]  # and as far as anyone would go
         moves = [c for c, channel in enumerate(simulator.channels) if channel.signal in ("joint_pos", "joint_vel")]
         one, two, nominal = (simulator.simulate(s) for s in ([(name, place, values)], [(other, place, same)], []))
     for a, b, n in zip(one, two, nominal, strict=True):
