@@ -93,7 +93,7 @@ def make_case(draw: Draw, folder: Path, runs: int = 6) -> dict[str, Any]:
             if draw.stratum in ("none", "outside")
             else causes.equivalents(labels, site, torque_logged=sensors.torque_kind != "none")
         )
-        alike = [a for a in alike if _same_log(a, robot, sensors, site, truths, commands[:2])]
+        alike = [a for a in alike if _same_log(a, robot, sensors, site, truths, commands)]
         if draw.stratum == "confounded" and not alike:
             continue
         seen = visibility(robot, sensors, truths, commands[:2])
@@ -146,7 +146,8 @@ def _same_log(
     truths: list[Truth],
     commands: list[tuple[np.ndarray, np.ndarray]],
 ) -> bool:
-    """Whether the other causes, simulated, would have left the same log: a drive in saturation may tell them apart.
+    """Whether the other causes, simulated, would have left the same log: a drive in saturation may tell them apart, and
+    one run with it is enough.
 
     Late commands and late readings are the same up to a tick of the drive's clock, which is not simulated for both.
     """
@@ -155,7 +156,8 @@ def _same_log(
     other = copy.deepcopy(truths[0])
     for one in label:
         causes.enact(one, other, site)
-    return visibility(robot, sensors, [truths[0], truths[-1], other], commands)[1] < SAME
+    pair = [truths[0], truths[-1], other]
+    return all(visibility(robot, sensors, pair, [command])[1] < SAME for command in commands)
 
 
 def _rms(values: np.ndarray) -> np.ndarray:

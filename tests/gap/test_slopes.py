@@ -24,6 +24,7 @@ from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import Selection
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.edit import Edit
+from realsim.gap.simulation.sampling import either_side
 from realsim.gap.simulation.simulate import Simulator
 
 from .test_recovery import logged
@@ -89,6 +90,35 @@ def test_an_imu_that_is_late_is_read_late(tmp_path) -> None:
     assert (read[:, ~imu] == now[:, ~imu]).all()
     assert read[:, imu] == pytest.approx(then[:, imu])
     assert np.abs(read - now)[:, imu].max() > 0.01
+
+
+@given(st.floats(3.0, 5.9), st.integers(0, 10_000))
+def test_either_side_of_a_step_is_free_of_the_other(position: float, seed: int) -> None:
+    """Two straight lines that meet in the step of a command: before it only the first is seen, after it the second."""
+    a, b, c, d = np.random.default_rng(seed).normal(size=4)
+    row = np.arange(10.0)
+    low = int(position)
+    values = np.where(row < low, a + b * row, c + d * row)
+    values[low] = 100.0  # the row in whose step the command falls is a mean of both
+    before, after = either_side(values[:, None], np.array([position]))
+    assert before[0, 0] == pytest.approx(a + b * position, abs=1e-9)
+    assert after[0, 0] == pytest.approx(c + d * position, abs=1e-9)
+
+
+def test_an_accelerometer_is_read_before_the_command_acts_or_after(arm: Case) -> None:
+    """Steps of the command between two rows of the simulator: the samples at these moments are on one side of it."""
+    time = np.arange(0.0, 1.5, 0.0105)  # never twice in the same place between two rows
+    command = 0.3 * np.sign(np.sin(9 * time))[:, None] * np.array([1.0, -1.0])
+    signals = {"joint_pos": command, "imu_acc": np.zeros((len(time), 3))}
+    run = dataclasses.replace(arm.runs[0], time=time, command=command, signals=signals)
+    with Simulator(dataclasses.replace(arm, imu_site="wrist", runs=(run,)), CONFIG) as simulator:
+        acc = [k for k, channel in enumerate(simulator.channels) if channel.signal == "imu_acc"]
+        before, after = (simulator.simulate([("imu_phase", (), {"phase": p})])[0][:, acc] for p in (0.0, 1.0))
+    steps = np.abs(np.diff(command[:, 0], prepend=command[0, 0])) > 0.1
+    jump = np.linalg.norm(after - before, axis=1)
+    assert jump[steps].min() > 20 * np.median(jump[~steps])
+    gravity = 9.81
+    assert np.linalg.norm(before, axis=1)[steps].max() < gravity + 0.3 * jump[steps].min()
 
 
 def test_slopes_are_taken_anew_beside_a_cause(arm: Case) -> None:

@@ -28,6 +28,18 @@ def sample(values: F64, position: F64) -> F64:
     return values[low] * (1 - w) + values[low + 1] * w
 
 
+def either_side(values: F64, position: F64) -> tuple[F64, F64]:
+    """Rows (N, K) at fractional row numbers: as the rows before each lead up to it, and as those after it lead back.
+
+    Where a new command steps a torque, accelerations jump, and the mean of both sides is neither.
+    """
+    low = np.clip(position.astype(int), 2, len(values) - 3)
+    w = (position - low)[:, None]
+    before = values[low - 1] + (1 + w) * (values[low - 1] - values[low - 2])
+    after = values[low + 1] - (1 - w) * (values[low + 2] - values[low + 1])
+    return before, after
+
+
 def rotation_from(quat: F64, reference: F64) -> F64:
     """(T, 3) rotation vectors, world axes, that turn the reference orientation into each of quat (T, 4) w x y z."""
     q = quat / np.maximum(np.linalg.norm(quat, axis=1, keepdims=True), 1e-12)

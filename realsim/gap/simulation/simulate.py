@@ -17,7 +17,7 @@ from realsim.gap.simulation.channels import channels
 from realsim.gap.simulation.context import Context, build_context, measure
 from realsim.gap.simulation.edit import Edit
 from realsim.gap.simulation.nuisances import NUISANCES
-from realsim.gap.simulation.sampling import continuous_turn, nearest_turn
+from realsim.gap.simulation.sampling import continuous_turn, either_side, nearest_turn
 from realsim.gap.simulation.sampling import held_mean as held_mean
 from realsim.gap.simulation.sampling import quiet_mujoco as quiet_mujoco
 from realsim.gap.simulation.sampling import rotation_from as rotation_from
@@ -243,6 +243,15 @@ class Simulator:
             steps[:, self.case.joint_names.index(joint)] = gain * np.diff(run.command[:, u], prepend=run.command[0, u])
         return steps
 
+    def _acceleration(self, values: F64, position: F64, phase: float) -> F64:
+        """(T, 3) before the command of each sample acts (phase 0) or after (1); among contacts, which jump at any time,
+        between the two.
+        """
+        if self.context.touches:
+            return sample(values, position)
+        before, after = either_side(values, position)
+        return before + phase * (after - before)
+
     def read(self, run: Run, raw: dict[str, F64], edit: Edit) -> F64:
         """(T, C) at the time stamps of the run, through the wrappers."""
         s = edit.signals
@@ -267,7 +276,7 @@ class Simulator:
         if "gyro" in raw:
             then = now - s.imu_delay / dt
             columns["imu_gyro"] = sample(raw["gyro"], then) + np.array(s.gyro_bias)
-            columns["imu_acc"] = sample(raw["acc"], then) + np.array(s.acc_bias)
+            columns["imu_acc"] = self._acceleration(raw["acc"], then, s.imu_phase) + np.array(s.acc_bias)
         return np.stack([columns[c.signal][:, c.index] for c in self.channels], axis=1)
 
 
