@@ -45,7 +45,7 @@ class Signals:
     imu_delay: float = 0.0
     """Seconds, of the IMU's signals beside the encoders'."""
     imu_phase: float = 0.0
-    """Share of a held command's step that the acceleration has seen when it is sampled; nothing among contacts."""
+    """Share of a held command's step that the acceleration has seen when it is sampled."""
     base_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Offset of the logged base position, m."""
     base_turn: tuple[float, float, float] = (0.0, 0.0, 0.0)

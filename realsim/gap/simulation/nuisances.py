@@ -78,10 +78,6 @@ def _imu_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     edit.signals.imu_delay = values["delay"]
 
 
-def _reading_places(context: Any) -> list[Place]:
-    return [()] if context.case.imu_site and not context.touches else []
-
-
 def _reading_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
     """A robot reads its sensors before it commands, or after."""
     return (Parameter("phase", "ratio", (-2.0, 2.0), 0.5, nuisance=0.5),)
@@ -162,7 +158,7 @@ NUISANCES = {
     "imu_delay": _make("imu_delay", _imu_places, _imu_parameters, _imu_apply, "When the IMU is sampled."),
     "imu_phase": _make(
         "imu_phase",
-        _reading_places,
+        _imu_places,
         _reading_parameters,
         _reading_apply,
         "When the acceleration is sampled, beside the command.",

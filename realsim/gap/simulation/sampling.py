@@ -31,13 +31,19 @@ def sample(values: F64, position: F64) -> F64:
 def either_side(values: F64, position: F64) -> tuple[F64, F64]:
     """Rows (N, K) at fractional row numbers: as the rows before each lead up to it, and as those after it lead back.
 
-    Where a new command steps a torque, accelerations jump, and the mean of both sides is neither.
+    Where a new command steps a torque, accelerations jump, and the mean of both sides is neither. Slopes are limited
+    (minmod: the smaller of two neighbours, none where they disagree), so that no impact is carried on.
     """
-    low = np.clip(position.astype(int), 2, len(values) - 3)
+    low = np.clip(position.astype(int), 3, len(values) - 4)
     w = (position - low)[:, None]
-    before = values[low - 1] + (1 + w) * (values[low - 1] - values[low - 2])
-    after = values[low + 1] - (1 - w) * (values[low + 2] - values[low + 1])
+    slope = np.diff(values, axis=0)
+    before = values[low - 1] + (1 + w) * _limited(slope[low - 2], slope[low - 3])
+    after = values[low + 1] - (1 - w) * _limited(slope[low + 1], slope[low + 2])
     return before, after
+
+
+def _limited(a: F64, b: F64) -> F64:
+    return np.where(a * b > 0, np.sign(a) * np.minimum(np.abs(a), np.abs(b)), 0.0)
 
 
 def rotation_from(quat: F64, reference: F64) -> F64:

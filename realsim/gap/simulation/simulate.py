@@ -243,15 +243,6 @@ class Simulator:
             steps[:, self.case.joint_names.index(joint)] = gain * np.diff(run.command[:, u], prepend=run.command[0, u])
         return steps
 
-    def _acceleration(self, values: F64, position: F64, phase: float) -> F64:
-        """(T, 3) before the command of each sample acts (phase 0) or after (1); among contacts, which jump at any time,
-        between the two.
-        """
-        if self.context.touches:
-            return sample(values, position)
-        before, after = either_side(values, position)
-        return before + phase * (after - before)
-
     def read(self, run: Run, raw: dict[str, F64], edit: Edit) -> F64:
         """(T, C) at the time stamps of the run, through the wrappers."""
         s = edit.signals
@@ -276,7 +267,8 @@ class Simulator:
         if "gyro" in raw:
             then = now - s.imu_delay / dt
             columns["imu_gyro"] = sample(raw["gyro"], then) + np.array(s.gyro_bias)
-            columns["imu_acc"] = self._acceleration(raw["acc"], then, s.imu_phase) + np.array(s.acc_bias)
+            before, after = either_side(raw["acc"], then)
+            columns["imu_acc"] = before + s.imu_phase * (after - before) + np.array(s.acc_bias)
         return np.stack([columns[c.signal][:, c.index] for c in self.channels], axis=1)
 
 
