@@ -24,7 +24,7 @@ from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import Selection
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.edit import Edit
-from realsim.gap.simulation.sampling import either_side
+from realsim.gap.simulation.sampling import AT, either_side
 from realsim.gap.simulation.simulate import Simulator
 
 from .test_recovery import logged
@@ -85,24 +85,35 @@ def test_an_imu_that_is_late_is_read_late(tmp_path) -> None:
         now, then = simulator.read(run, raw, edit), simulator.read(earlier, raw, edit)
         edit.signals.imu_delay = late
         read = simulator.read(run, raw, edit)
-        imu = np.array([c.signal.startswith("imu_") for c in simulator.channels])
-    assert imu.any()
-    assert (read[:, ~imu] == now[:, ~imu]).all()
-    assert read[:, imu] == pytest.approx(then[:, imu])
-    assert np.abs(read - now)[:, imu].max() > 0.01
+        gyro, acc = (np.array([c.signal == n for c in simulator.channels]) for n in ("imu_gyro", "imu_acc"))
+    others = ~(gyro | acc)
+    assert (read[:, others] == now[:, others]).all()
+    assert read[:, gyro] == pytest.approx(then[:, gyro])
+    assert np.abs(read - now)[:, gyro].max() > 0.01
+    assert np.abs(read - now)[:, acc].max() > 0.01
 
 
-@given(st.floats(4.0, 5.9), st.integers(0, 10_000))
-def test_either_side_of_a_step_is_free_of_the_other(position: float, seed: int) -> None:
-    """Two straight lines that meet in the step of a command: before it only the first is seen, after it the second."""
+@given(st.floats(4.01, 5.99), st.floats(-2.5, 2.5), st.integers(0, 10_000))
+def test_a_sample_is_on_its_own_side_of_a_jump(position: float, behind: float, seed: int) -> None:
+    """Two straight lines that meet in a jump: a sample before it sees the first only, one after it the second."""
     a, b, c, d = np.random.default_rng(seed).normal(size=4)
-    row = np.arange(10.0)
-    low = int(position)
-    values = np.where(row < low, a + b * row, c + d * row)
-    values[low] = 100.0  # the row in whose step the command falls is a mean of both
-    before, after = either_side(values[:, None], np.array([position]))
-    assert before[0, 0] == pytest.approx(a + b * position, abs=1e-9)
-    assert after[0, 0] == pytest.approx(c + d * position, abs=1e-9)
+    row, jump = np.arange(12.0), position - behind
+    values = np.where(row < jump, a + b * row, c + d * row)
+    values[int(jump)] = 100.0  # the row in whose step it falls is a mean of both
+    before, after = either_side(values[:, None], np.array([position]), np.array([jump]))
+    first, second = a + b * position, c + d * position
+    if abs(behind) < AT / 2:
+        assert (before[0, 0], after[0, 0]) == pytest.approx((first, second), abs=1e-9)
+    elif abs(behind) > 2 * AT:
+        assert before[0, 0] == after[0, 0] == pytest.approx(second if behind > 0 else first, abs=1e-9)
+
+
+@given(st.floats(4.01, 5.99), st.integers(0, 10_000))
+def test_a_sample_at_a_jump_has_both_sides(position: float, seed: int) -> None:
+    a, b = np.random.default_rng(seed).normal(size=2)
+    values = np.where(np.arange(12.0) < position, a, b)
+    before, after = either_side(values[:, None], np.array([position]), np.array([position]))
+    assert (before[0, 0], after[0, 0]) == pytest.approx((a, b))
 
 
 def test_an_accelerometer_is_read_before_the_command_acts_or_after(arm: Case) -> None:

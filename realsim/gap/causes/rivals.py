@@ -11,7 +11,7 @@ import numpy as np
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.linear import marginal, score
-from realsim.gap.causes.merit import FAR_ABOVE, complexity, heldout
+from realsim.gap.causes.merit import complexity, heldout
 from realsim.gap.causes.probes import alone, foretold, probed, probed_ground
 from realsim.gap.causes.screen import Candidate, Screen, slab
 from realsim.gap.causes.windows import carried, slid, window_candidates
@@ -27,6 +27,8 @@ DUELLISTS = 5
 ALONE, MOST_ALONE = 0.3, 2
 """Share of what is left that an effect must explain all by itself to be refitted whatever the screen says, and how many
 such effects are."""
+MORE_THAN_SMALL = 3.0
+"""Mean square in units of the floor from which on they are looked for: less is a matter of small deviations."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ def refitted(
     if not by_slopes:
         known = {(c.effect, c.place) for _, c, _ in chosen}
         chosen += [p for p in probed(screen, fitter, current, everything) if (p[1].effect, p[1].place) not in known]
-    if leftover(screen, current).mean() > FAR_ABOVE:
+    if leftover(screen, current).mean() > MORE_THAN_SMALL:
         taken = [c.effect for _, c, _ in chosen] + [c.candidate.effect for c in current.causes]
         chosen += outstanding(screen, current, taken)
     for gain, candidate, estimate in chosen:

@@ -10,6 +10,9 @@ import numpy as np
 
 from realsim.types import F64
 
+AT = 1e-3
+"""Rows by which a jump may miss a sample and be at it."""
+
 
 def held_mean(time: F64, values: F64, grid: Any) -> F64:
     """Mean over [grid[k], grid[k+1]] of values (T, U) that are held from each time stamp to the next; (N - 1, U)."""
@@ -28,18 +31,30 @@ def sample(values: F64, position: F64) -> F64:
     return values[low] * (1 - w) + values[low + 1] * w
 
 
-def either_side(values: F64, position: F64) -> tuple[F64, F64]:
-    """Rows (N, K) at fractional row numbers: as the rows before each lead up to it, and as those after it lead back.
+def either_side(values: F64, position: F64, jumps: F64) -> tuple[F64, F64]:
+    """Rows (N, K) at fractional row numbers, where they jump at others: (before, after) a jump that is at a sample.
 
-    Where a new command steps a torque, accelerations jump, and the mean of both sides is neither. Slopes are limited
-    (minmod: the smaller of two neighbours, none where they disagree), so that no impact is carried on.
+    A row in whose step a jump falls (of a new command, say) is a mean of both sides and belongs to none. What lies near
+    one is carried on from the rows of its own side, with limited slopes (minmod: the smaller of two neighbours, none
+    where they disagree), so that no impact is carried on with it.
+
+    Args:
+        jumps: in ascending order; one within `AT` rows of a sample is at it.
     """
     low = np.clip(position.astype(int), 3, len(values) - 4)
     w = (position - low)[:, None]
     slope = np.diff(values, axis=0)
-    before = values[low - 1] + (1 + w) * _limited(slope[low - 2], slope[low - 3])
-    after = values[low + 1] - (1 - w) * _limited(slope[low + 1], slope[low + 2])
-    return before, after
+    between = values[low] + w * slope[low]
+    earlier = values[low - 1] + (1 + w) * _limited(slope[low - 2], slope[low - 3])
+    later = values[low + 1] - (1 - w) * _limited(slope[low + 1], slope[low + 2])
+    ahead = values[low] + w * _limited(slope[low - 1], slope[low - 2])
+    nearest = jumps[np.clip(np.searchsorted(jumps, low), 0, len(jumps) - 1)]
+    step = (nearest.astype(int) - low)[:, None]
+    passed = (nearest < position - AT)[:, None]
+    near = np.abs(nearest - position)[:, None] <= AT
+    here = np.where(passed, later, earlier)
+    before = np.where(step == 0, here, np.where(step == 1, ahead, between))
+    return before, np.where(near, later, before)
 
 
 def _limited(a: F64, b: F64) -> F64:

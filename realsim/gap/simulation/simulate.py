@@ -267,7 +267,8 @@ class Simulator:
         if "gyro" in raw:
             then = now - s.imu_delay / dt
             columns["imu_gyro"] = sample(raw["gyro"], then) + np.array(s.gyro_bias)
-            before, after = either_side(raw["acc"], then)
+            commands = (run.time + s.command_delay + settle) / dt
+            before, after = either_side(raw["acc"], then, commands)
             columns["imu_acc"] = before + s.imu_phase * (after - before) + np.array(s.acc_bias)
         return np.stack([columns[c.signal][:, c.index] for c in self.channels], axis=1)
 
