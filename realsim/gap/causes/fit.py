@@ -67,9 +67,10 @@ class Fitter(Search):
     def unbend(self, fit: Fit) -> Fit:
         """Back to robots without deviations (the solver's and the sensors' stay): a gap is left all the same.
 
-        Small deviations that were bent to imitate a cause would hide it from its own rivals.
+        Small deviations that were bent to imitate a cause would hide it from its own rivals: also an IMU's delay, which
+        does what late commands do.
         """
-        pure = np.array([a.effect in NUISANCES for a in self.screen.atoms])
+        pure = np.array([a.effect in NUISANCES and a.effect != "imu_delay" for a in self.screen.atoms])
         if not self.about[~pure].any():
             return fit
         self.about = np.where(pure, self.about, 0.0)
