@@ -93,7 +93,7 @@ def make_case(draw: Draw, folder: Path, runs: int = 6) -> dict[str, Any]:
             if draw.stratum in ("none", "outside")
             else causes.equivalents(labels, site, torque_logged=sensors.torque_kind != "none")
         )
-        alike = [a for a in alike if _same_log(a, robot, sensors, site, truths, commands)]
+        alike = [a for a in alike if same_log(a, robot, sensors, site, truths, commands)]
         if draw.stratum == "confounded" and not alike:
             continue
         seen = visibility(robot, sensors, truths, commands[:2])
@@ -138,7 +138,7 @@ def visibility(
     ]
 
 
-def _same_log(
+def same_log(
     label: list[dict[str, Any]],
     robot: Robot,
     sensors: Sensors,

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.gap_score import score
-from benchmarks.gap_truth.cases import STRATA, VISIBLE, Draw, make_case, plan
+from benchmarks.gap_truth.cases import STRATA, VISIBLE, Draw, Sensors, make_case, plan, same_log, site_of
 from benchmarks.gap_truth.motions import sample_times
 from benchmarks.gap_truth.plant import Plant
 from benchmarks.gap_truth.robots import ROBOTS
@@ -129,3 +129,21 @@ def test_a_case_that_is_refused_counts_as_one_without_an_answer(tmp_path: Path) 
     figures = score({"case_000": label | {"equivalents": [], "visibility": [5.0]}}, found)
     assert figures["single_top1"] == [0, 1]
     assert figures["missed_gaps"] == [0, 1]
+
+
+def test_two_causes_are_alike_only_if_every_run_is() -> None:
+    """More friction and more braking are one motion until the drive saturates: one run in which it does tells them."""
+    robot = ROBOTS["pendulum"](np.random.default_rng(3))
+    site = site_of(robot, mujoco.MjModel.from_xml_string(robot.xml), 1)
+    sensors = Sensors(100.0, True, "none", 1.0, False, 2e-4, 16)
+    gain = -float(site.model.actuator(robot.actuators[0]).biasprm[2])
+    greased = Truth(len(robot.joints))
+    greased.viscous[0] += 0.5 * gain
+    value = {"name": "ratio", "value": 1.5, "unit": "1"}
+    label = [{"effect": "damping_gain", "joints": [robot.joints[0]], "bodies": None, "parameters": [value]}]
+    times = np.arange(0.0, 3.0, 0.01)
+    calm = (times, robot.home + 0.2 * np.sin(3 * times)[:, None])
+    wild = (times, robot.home + 1.5 * np.sign(np.sin(6 * times))[:, None])
+    truths = [Truth(len(robot.joints)), greased]
+    assert same_log(label, robot, sensors, site, truths, [calm])
+    assert not same_log(label, robot, sensors, site, truths, [calm, calm, calm, calm, calm, wild])
