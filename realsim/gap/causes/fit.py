@@ -14,7 +14,7 @@ from realsim.gap.causes.fitted import causes_of, form, significance, spread
 from realsim.gap.causes.leftover import deviations
 from realsim.gap.causes.search import POLISH, WHOLE, Look, Search
 from realsim.gap.effects.base import Parameter
-from realsim.gap.simulation.nuisances import NUISANCES
+from realsim.gap.simulation.nuisances import LIKE_A_CAUSE, NUISANCES
 from realsim.types import F64
 
 SURE_ERRORS = (2.0, 2.0, 3.0)
@@ -67,10 +67,10 @@ class Fitter(Search):
     def unbend(self, fit: Fit) -> Fit:
         """Back to robots without deviations (the solver's and the sensors' stay): a gap is left all the same.
 
-        Small deviations that were bent to imitate a cause would hide it from its own rivals: also an IMU's delay, which
-        does what late commands do.
+        Small deviations that were bent to imitate a cause would hide it from its own rivals.
         """
-        pure = np.array([a.effect in NUISANCES and a.effect != "imu_delay" for a in self.screen.atoms])
+        staying = NUISANCES.keys() - LIKE_A_CAUSE
+        pure = np.array([a.effect in staying for a in self.screen.atoms])
         if not self.about[~pure].any():
             return fit
         self.about = np.where(pure, self.about, 0.0)
