@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
-from realsim.gap.causes.equivalent import _plain, likelier
+from realsim.gap.causes.equivalent import _as_likely, _plain, likelier
 from realsim.gap.causes.fit import Cause, Fitter
 from realsim.gap.causes.rivals import ranked
 from realsim.gap.causes.screen import Screen
@@ -103,3 +103,19 @@ def test_the_more_usual_of_two_that_fit_alike_stands_first() -> None:
     assert likelier(tilt, [offset]) == (offset, [tilt])  # the same with one parameter less
     assert likelier(offset, [tilt]) == (offset, [tilt])
     assert likelier(tilt, [fit("joint_offset", 12.0)])[0] == tilt
+
+
+def test_what_small_deviations_make_up_for_is_no_difference(arm: Case) -> None:
+    """A lighter link and one whose mass sits elsewhere differ by what any robot's links may differ by."""
+    case = logged(arm, [("com_offset", ("upper",), {"z": 0.03})])
+    with Simulator(case, CONFIG) as simulator:
+        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
+        names = ("com_offset", "payload", "link_inertia", "armature")
+        fitter = Fitter(Screen(simulator, comparison, range(3), names))
+        lighter = next(
+            c for c in fitter.screen.candidates if (c.effect, c.place, c.names) == ("payload", ("upper",), ("mass",))
+        )
+        fit = fitter.fit([Cause(lighter, (-0.3,))])
+        assert fit is not None
+        rivals = _as_likely(fitter.screen, fitter, fit, fit.causes[0])
+    assert ("com_offset", ("upper",)) in [(r.candidate.effect, r.candidate.place) for r in rivals]

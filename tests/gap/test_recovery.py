@@ -15,6 +15,7 @@ from benchmarks.gap_truth.truth import Truth as TrueRobot
 from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
 from realsim.gap.causes.equivalent import _alike
 from realsim.gap.causes.fit import Cause, Fitter
+from realsim.gap.causes.hidden import worth_trying
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.linear import marginal, score
 from realsim.gap.causes.merit import is_gap
@@ -176,8 +177,10 @@ def test_a_gross_tilt_promises_most_by_itself_though_small_deviations_imitate_it
         promised = ranked(screen, nominal)[0][0]
         (gain, candidate, estimate), *_ = outstanding(screen, nominal, ())
         assert all(c.effect != "terrain_tilt" for _, c, _ in outstanding(screen, nominal, ("terrain_tilt",)))
+        hidden_too = [c.effect for _, c, _ in worth_trying(screen, nominal)]
     assert gain > 10 * promised
     assert candidate.effect == "terrain_tilt"
+    assert "terrain_tilt" in hidden_too
     assert dict(zip(candidate.linear, estimate, strict=True))["roll"] > 0.02
 
 

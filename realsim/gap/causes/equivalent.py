@@ -9,7 +9,7 @@ from scipy.stats import t as student
 
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.merit import PRICE, complexity, deviation, heldout
-from realsim.gap.causes.rivals import near
+from realsim.gap.causes.rivals import near, ranked
 from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.simulation.simulate import lookup
@@ -17,6 +17,8 @@ from realsim.gap.simulation.simulate import lookup
 ALIKE, MOST_ALIKE = 0.95, 3
 """Squared cosine from which on two footprints count as one, and how many such rivals are refitted."""
 
+TOLD = 0.5
+"""Share of what a cause brings that slopes must foretell, for them to say what else would bring as much."""
 NO_PREFERENCE = 4.0
 """Log-likelihood below which the runs prefer neither."""
 SAME = 0.5
@@ -46,7 +48,8 @@ def equivalents(
         near_by = [r for r in _close_rivals(stages, fit) if deviation(screen, r) >= config.min_deviation]
         plain, at_an_end = _plain(screen, cause), _at_an_end(fit, cause)
         natural = [*plain, *_same_motion(screen, cause)]
-        for rival in [*natural, *_alike(screen, fit, cause), *_elsewhere(screen, cause), *near_by]:
+        by_slopes = [*_alike(screen, fit, cause), *_as_likely(screen, fitter, fit, cause)]
+        for rival in [*natural, *by_slopes, *_elsewhere(screen, cause), *near_by]:
             key = (cause.candidate.key, rival.candidate.effect, rival.candidate.place)
             if key in found or lookup(rival.candidate.effect).plain == cause.candidate.effect:
                 continue
@@ -123,6 +126,22 @@ def _alike(screen: Screen, fit: Fit, cause: Cause) -> list[Cause]:
     for _, rival in found:  # the simplest form of each
         first.setdefault((rival.candidate.effect, rival.candidate.place), rival)
     return list(first.values())[:MOST_ALIKE]
+
+
+def _as_likely(screen: Screen, fitter: Fitter, fit: Fit, cause: Cause) -> list[Cause]:
+    """Rivals that explain as much of what is left without this cause, when small deviations make up for the rest."""
+    without = fitter.looked_at(fit, [c for c in fit.causes if c is not cause])
+    order = ranked(screen, without) if without else []
+    own = next((gain for gain, candidate, _ in order if candidate.key == cause.candidate.key), 0.0)
+    if not without or own < TOLD * (without.misfit - fit.misfit):
+        return []
+    first: dict[tuple, Cause] = {}
+    for gain, c, estimate in order:
+        if gain < own - near(own) or len(first) == MOST_ALIKE:
+            break
+        if c.names == c.linear and not any(_same_thing(c, other.candidate) for other in fit.causes):
+            first.setdefault((c.effect, c.place), Cause(c, tuple(float(x) for x in estimate)))
+    return list(first.values())
 
 
 def _elsewhere(screen: Screen, cause: Cause) -> list[Cause]:

@@ -12,9 +12,10 @@ from __future__ import annotations
 
 from realsim.gap.causes.fit import ENOUGH, Cause, Fit, Fitter
 from realsim.gap.causes.merit import complexity, deviation, heldout, holds
-from realsim.gap.causes.rivals import Trial, ranked, refit
-from realsim.gap.causes.screen import Screen
+from realsim.gap.causes.rivals import Trial, outstanding, ranked, refit
+from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.simulation.nuisances import MANY_JOINTS
+from realsim.types import F64
 
 WORTH_TRYING = 10.0
 """Gain in log-evidence by the linear screen from which on a candidate is simulated."""
@@ -33,14 +34,9 @@ NEARLY_ALL = 0.75
 
 def hidden(screen: Screen, fitter: Fitter, current: Fit, stage: int, trials: list[Trial]) -> list[Fit]:
     """Fits with one further cause that is far likelier than the small deviations alone, best first."""
-    found, seen = [], set[str]()
+    found = []
     joints = len(screen.simulator.case.joint_names)
-    for gain, candidate, estimate in ranked(screen, current):
-        if gain < WORTH_TRYING or len(seen) == TRIED:
-            break
-        if candidate.effect in seen:
-            continue
-        seen.add(candidate.effect)
+    for gain, candidate, estimate in worth_trying(screen, current):
         fit = refit(screen, fitter, current, candidate, estimate)
         if fit is None:
             continue
@@ -62,6 +58,17 @@ def hidden(screen: Screen, fitter: Fitter, current: Fit, stage: int, trials: lis
         if sure:
             found.append(fit)
     return sorted(found, key=lambda f: f.misfit + complexity(screen, f))
+
+
+def worth_trying(screen: Screen, current: Fit) -> list[tuple[float, Candidate, F64]]:
+    """The best place of each effect that the linear screen favours, and of those that explain much by themselves."""
+    best: dict[str, tuple[float, Candidate, F64]] = {}
+    for found in ranked(screen, current):
+        if found[0] < WORTH_TRYING or len(best) == TRIED:
+            break
+        best.setdefault(found[1].effect, found)
+    taken = [*best, *(c.candidate.effect for c in current.causes)]
+    return [*best.values(), *outstanding(screen, current, taken)]
 
 
 def needed(screen: Screen, cause: Cause) -> float:

@@ -13,7 +13,7 @@ from realsim.gap.causes.fitted import Z90
 from realsim.gap.causes.hidden import FAR, NEARLY_ALL, hidden, needed
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.merit import complexity, deviation, heldout, holds, is_gap, total_gap
-from realsim.gap.causes.pairs import better_pair
+from realsim.gap.causes.pairs import better_pair, joint_pair
 from realsim.gap.causes.rivals import Trial, duel, ranked, refit, refitted
 from realsim.gap.causes.screen import Screen
 from realsim.gap.config import DiagnoseConfig
@@ -55,6 +55,8 @@ def select(
     stages: list[tuple[Fit, list[Fit]]] = []
     small = False  # whether small deviations could hide the gap from the first: no large one then drowns smaller causes
     for stage in range(config.max_causes):
+        if len(current.causes) == config.max_causes:
+            break
         tick(f"selection, cause {stage + 1}", stage / config.max_causes)
         current = fitter.tighten(current)
         if not is_gap(leftover(screen, current)):
@@ -65,7 +67,7 @@ def select(
                 notes.append("what is left is within the floor and the small deviations")
                 break
             stages.append((current, fits))
-            current = fits[0]
+            current = straightened(fitter, fits[0])
             current = beside(screen, fitter, current)
             continue
         current = fitter.unbend(current)
@@ -73,12 +75,21 @@ def select(
         if not fits:
             break
         current, fits = duel(screen, fitter, current, fits)
-        if stage == 1 and (pair := better_pair(screen, fitter, nominal, current, stages[0][1], fits, trials)):
+        if stage == len(current.causes) == 1 and (
+            pair := better_pair(screen, fitter, nominal, current, stages[0][1], fits, trials)
+        ):
             notes.append(
                 f"{', '.join(c.candidate.effect for c in pair[1][0].causes)} together beat what was best alone"
             )
             current, fits = pair
         best = next((f for f in fits if _acceptable(screen, fitter, config, current, f, trials)), None)
+        if best is None and not stage and config.max_causes > 1:
+            alone, pairs = joint_pair(screen, fitter, current, fits, trials) or (current, [])
+            good = (f for f in pairs if _acceptable(screen, fitter, config, alone, f, trials))
+            best = next((f for f in good if holds(*heldout(screen, current, f))), None)
+            if best is not None:
+                stages.append((current, fits))
+                current, fits = alone, pairs
         if best is None:
             break
         stages.append((current, fits))
@@ -119,6 +130,12 @@ def beside(screen: Screen, fitter: Fitter, fit: Fit) -> Fit:
     if len(screen.simulator.context.driven) < VERY_MANY_JOINTS:
         screen.look_from(fit.settings())
     return fitter.switched(fitter.remeasure(fit))
+
+
+def straightened(fitter: Fitter, fit: Fit) -> Fit:
+    """The fit without small deviations that were bent to imitate its causes while those were missing."""
+    straight = fitter.unbend(fit)
+    return fit if straight is fit else fitter.fit(straight.causes) or straight
 
 
 def without_causes(selection: Selection) -> Selection:
