@@ -9,9 +9,9 @@ import pytest
 
 from realsim.gap import DiagnoseConfig, diagnose, load_case
 from realsim.gap.causes.fit import Cause, Fitter
+from realsim.gap.causes.forward import sharpened, straightened
 from realsim.gap.causes.pairs import better_pair, joint_pair
 from realsim.gap.causes.screen import Screen
-from realsim.gap.causes.select import sharpened, straightened
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
