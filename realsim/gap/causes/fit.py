@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -69,14 +70,26 @@ class Fitter(Search):
 
         Small deviations that were bent to imitate a cause would hide it from its own rivals.
         """
-        staying = NUISANCES.keys() - LIKE_A_CAUSE
-        pure = np.array([a.effect in staying for a in self.screen.atoms])
-        if not self.about[~pure].any():
+        straight = self._straight()
+        if np.array_equal(straight, self.about):
             return fit
-        self.about = np.where(pure, self.about, 0.0)
+        self.about = straight
         fit = self.remeasure(fit)
         self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal, form(fit))
         return self.remeasure(fit)
+
+    @contextmanager
+    def unbent(self) -> Iterator[None]:
+        """Fits in here are made as after `unbend`, under the present weights."""
+        bent, self.about = self.about, self._straight()
+        try:
+            yield
+        finally:
+            self.about = bent
+
+    def _straight(self) -> F64:
+        staying = NUISANCES.keys() - LIKE_A_CAUSE
+        return np.where([a.effect in staying for a in self.screen.atoms], self.about, 0.0)
 
     def remeasure(self, fit: Fit) -> Fit:
         """The same fit under the present weights and nuisances."""

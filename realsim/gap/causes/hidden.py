@@ -38,6 +38,10 @@ def hidden(screen: Screen, fitter: Fitter, current: Fit, stage: int, trials: lis
     joints = len(screen.simulator.case.joint_names)
     for gain, candidate, estimate in worth_trying(screen, current):
         fit = refit(screen, fitter, current, candidate, estimate)
+        if fit is None or current.misfit - fit.misfit < gain:
+            with fitter.unbent():  # deviations that imitate it would leave it only what they do not
+                straight = refit(screen, fitter, current, candidate, estimate)
+            fit = min((f for f in (fit, straight) if f is not None), key=lambda f: f.misfit, default=None)
         if fit is None:
             continue
         mean, error, positive = heldout(screen, current, fit)
