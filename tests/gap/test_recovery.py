@@ -19,7 +19,7 @@ from realsim.gap.causes.hidden import worth_trying
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.linear import marginal, score
 from realsim.gap.causes.merit import is_gap
-from realsim.gap.causes.probes import probed, probed_ground
+from realsim.gap.causes.probes import probed, probed_footing, probed_ground
 from realsim.gap.causes.rivals import outstanding, ranked, refit
 from realsim.gap.causes.screen import Screen, slab
 from realsim.gap.causes.windows import carried, slid
@@ -110,6 +110,28 @@ def test_the_block_that_is_lower_is_found_though_no_slope_points_there(quadruped
     assert gain > 100
     assert candidate.place == ("block_2",)
     assert start == {"height": pytest.approx(-0.02)}
+
+
+@pytest.mark.slow
+def test_an_encoder_that_sets_a_foot_higher_is_found_though_no_slope_points_there(quadruped: Case) -> None:
+    """Other feet carry the robot then; the ground under one of them may do much the same."""
+    case = logged(logged(quadruped, []), [("joint_offset", ("fl_calf",), {"offset": -0.06})])
+    with Simulator(case, CONFIG) as simulator:
+        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
+        screen = Screen(simulator, comparison, range(len(case.runs)), ("joint_offset", "terrain_height"))
+        fitter = Fitter(screen)
+        (gain, candidate, start), *_ = probed_footing(screen, fitter, fitter.nominal(), screen.candidates)
+    assert gain > 100
+    assert (candidate.effect, candidate.place) == ("joint_offset", ("fl_calf",))
+    assert start == {"offset": pytest.approx(-0.06, rel=0.5)}
+
+
+def test_a_robot_that_does_not_stand_has_no_footing(arm: Case) -> None:
+    with Simulator(arm, CONFIG) as simulator:
+        comparison = Comparison(arm, simulator.channels, simulator.simulate(), CONFIG)
+        screen = Screen(simulator, comparison, range(len(arm.runs)), ("joint_offset",))
+        fitter = Fitter(screen)
+        assert not probed_footing(screen, fitter, fitter.nominal(), screen.candidates)
 
 
 def test_where_slopes_say_little_the_right_body_is_found_by_simulation(arm: Case) -> None:

@@ -28,7 +28,7 @@ SIZES, ABRUPT_SIZES = (1.5, -1.5), (2.0, 0.7, -0.7, -2.0)
 FURTHER = 2.0
 """Factor by which the largest is exceeded where it is the best."""
 MOST_GROUND, KEPT_GROUND = 12, 2
-"""Places on the terrain that are looked at, and those of them that are worth a fit."""
+"""Places of what changes the ground, or the feet on it, that are looked at, and those of them that are worth a fit."""
 MOST, KEPT = 60, 5
 """Candidates of any kind that are looked at, and effects of them that are worth a fit."""
 FORETOLD, SMALL = 0.2, 3.0
@@ -52,13 +52,23 @@ def alone(screen: Screen, current: Fit, candidates: Iterable[Candidate]) -> Iter
 def probed_ground(screen: Screen, fitter: Fitter, current: Fit, order: Iterable[Candidate]) -> list[Probe]:
     """The best places for higher or lower ground. `order`: all candidates, those to look at first before the others."""
     single = (c for c in order if lookup(c.effect).scope == "terrain" and len(c.places) == len(c.names) == 1)
+    return _probed_feet(fitter, current, islice(single, MOST_GROUND))
 
+
+def probed_footing(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:
+    """The best places for what moves the feet of a robot that stands: at a gross size other ones carry it."""
+    if not screen.simulator.context.touches:
+        return []
+    moving = (c for c in candidates if len(c.places) == 1 and c.names == lookup(c.effect).footing)
+    return _probed_feet(fitter, current, islice(moving, MOST_GROUND))
+
+
+def _probed_feet(fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:
     def gain(cause: Cause) -> float:  # a foot may meet the ground in one run only: all of them, at the model's own step
         moved = fitter.looked_at(current, (*current.causes, cause))
         return current.misfit - moved.misfit if moved else float("-inf")
 
-    ground = ((c, np.zeros(len(c.linear))) for c in islice(single, MOST_GROUND))
-    return _probed(screen, gain, ground)[:KEPT_GROUND]
+    return _probed(fitter.screen, gain, ((c, np.zeros(len(c.linear))) for c in candidates))[:KEPT_GROUND]
 
 
 def probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:

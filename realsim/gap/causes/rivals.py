@@ -12,7 +12,7 @@ from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.linear import marginal, score
 from realsim.gap.causes.merit import complexity, heldout
-from realsim.gap.causes.probes import alone, foretold, probed, probed_ground
+from realsim.gap.causes.probes import alone, foretold, probed, probed_footing, probed_ground
 from realsim.gap.causes.screen import Candidate, Screen, slab
 from realsim.gap.causes.windows import carried, slid, window_candidates
 from realsim.gap.config import DiagnoseConfig
@@ -113,7 +113,8 @@ def refitted(
     forces = [(g, c, v) for g, c, v in window_candidates(screen, current) if not _has(current, c)]
     everything = [c for _, c, _ in order]
     ground = [(g, c, v) for g, c, v in probed_ground(screen, fitter, current, everything) if g > least]
-    chosen: list[tuple[float, Candidate, Any]] = [*finalists, *forces, *ground]
+    footing = probed_footing(screen, fitter, current, everything)
+    chosen: list[tuple[float, Candidate, Any]] = [*finalists, *forces, *ground, *footing]
     if not by_slopes:
         known = {(c.effect, c.place) for _, c, _ in chosen}
         chosen += [p for p in probed(screen, fitter, current, everything) if (p[1].effect, p[1].place) not in known]

@@ -91,6 +91,8 @@ class Effect:
     """Whether its law needs the model's own time step."""
     abrupt: bool = False
     """Whether its slope foretells nothing: a foot slips or lands, a drive saturates, or not."""
+    footing: tuple[str, ...] = ()
+    """Parameters that move a robot's feet against the ground: which of them then touch it, no slope foretells."""
     further_starts: Callable[[dict[str, float]], list[dict[str, float]]] | None = None
     """From values that were found: others from which a search should begin once more, in another valley."""
     plain: str | None = None

@@ -38,5 +38,6 @@ EFFECT = Effect(
     apply=_apply,
     form=EXACT,
     patchable=False,
+    footing=("offset",),
     variants=(("offset",), ("reading_offset",)),
 )
