@@ -77,7 +77,7 @@ def describe_cause(simulator: Simulator, cause: Cause, sigmas: np.ndarray, proba
     for name, value, sigma in zip(cause.candidate.names, cause.values, sigmas, strict=True):
         p = parameters[name]
         # The robot's own everyday deviation of this very kind, and the model's imperfection, belong to the interval.
-        relative = MODEL_ERROR * value if p.default == 0 else 0.0
+        relative = MODEL_ERROR * value if p.strength else 0.0
         sigma = float(np.sqrt(sigma**2 + p.nuisance**2 + relative**2))
         low, high = (float(np.clip(value + s * Z90 * sigma, *p.bounds)) for s in (-1, 1))
         ends = sorted((p.report(low), p.report(high)))

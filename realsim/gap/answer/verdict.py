@@ -79,7 +79,7 @@ def at_an_end(screen: Screen, fit: Fit) -> list[str]:
         p.name
         for c in fit.causes
         for p in lookup(c.candidate.effect).parameters(screen.simulator.context, c.candidate.place)
-        if p.default == 0.0
+        if p.strength
     }
     return [name for name in fit.at_bounds if name in strengths]
 

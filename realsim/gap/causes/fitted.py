@@ -90,7 +90,7 @@ def significance(fit: Fit, parameters: Sequence[Parameter]) -> list[float]:
     for cause in fit.causes:
         n = len(cause.values)
         rows = zip(cause.values, errors[i : i + n], parameters[i : i + n], strict=True)
-        found.append(max((abs(v) / e for v, e, p in rows if p.default == 0.0), default=0.0))
+        found.append(max((abs(v) / e for v, e, p in rows if p.strength), default=0.0))
         i += n
     return found
 

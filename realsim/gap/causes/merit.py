@@ -50,7 +50,7 @@ def deviation(screen: Screen, cause: Cause) -> float:
     sizes = []
     for name, value in cause.named.items():
         p = parameters[name]
-        if p.default == 0.0:
+        if p.strength:
             sizes.append(abs(value) / (p.nuisance or 0.1 * abs(p.step)))
     return float(np.sqrt(np.sum(np.square(sizes)))) if sizes else 0.0
 

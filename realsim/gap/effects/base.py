@@ -40,6 +40,8 @@ class Parameter:
     """Coordinate -> value in `unit` as the contract wants it."""
     default: float = 0.0
     """Value of the coordinate when the parameter is not fitted."""
+    shape: bool = False
+    """Whether zero, if that is where it begins, means nothing either: where on a body, not how much."""
     whole: bool = False
     """Only whole values can be simulated."""
     fine: bool = False
@@ -50,6 +52,11 @@ class Parameter:
     """Whether at the lower bound nothing of its kind is left (no friction at all): a finding like any other."""
     like: tuple[str, str] | None = None
     """(effect, parameter) whose slope this one shares to first order, so that none is simulated for it."""
+
+    @property
+    def strength(self) -> bool:
+        """Whether at zero nothing is left of the effect; the others say when, where or how."""
+        return self.default == 0.0 and not self.shape
 
 
 @dataclass(frozen=True)

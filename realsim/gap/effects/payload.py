@@ -30,6 +30,7 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:
             (float(c) - reach, float(c) + reach),
             0.05,
             default=float(c),
+            shape=True,
             like=("com_offset", axis),
         )
         for axis, c in zip("xyz", body.ipos, strict=True)
