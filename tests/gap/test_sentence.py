@@ -185,3 +185,12 @@ def test_a_single_component_says_which_way() -> None:
 def test_a_delay_is_no_vector() -> None:
     late = cause("command_delay", 0.0176, "s", 0.014, 0.0211, name="delay")
     assert phrase(late) == "command delay 17.6 ms [14, 21.1] is missing"
+
+
+def test_what_all_alternatives_share_is_said_once() -> None:
+    damping = cause("damping_gain", 0.67, "ratio", 0.6, 0.73, name="ratio", joints=["axis"])
+    said = say("ambiguous", [LATE, damping], [[damping, SEEN_LATE]])
+    assert said.startswith("axis: damping gain (kd) is 0.67 times")
+    assert said.count("damping gain") == 1
+    assert "Beside that, cannot tell: command delay 12 ms [11, 13.3] is missing, or observation delay" in said
+    assert "Beside that" not in say("ambiguous", [LATE], [[LATE, damping]])

@@ -46,9 +46,15 @@ def sentence(
     if shrunk.ci90[0] <= 0:
         gain = f"does not surely reduce the squared error on {_runs(shrunk)} (by {removed(shrunk)})"
     if verdict == "ambiguous":
-        others = ", or ".join(" with ".join(phrase(c) for c in s) for s in equivalent[:_MOST_ALTERNATIVES])
+        alternatives = [list(s) for s in (causes, *equivalent[:_MOST_ALTERNATIVES])]
+        shared = [c for c in causes if all(any(_same(c, other) for other in s) for s in alternatives)]
+        rest = [[c for c in s if not any(_same(c, known) for known in shared)] for s in alternatives]
+        if not all(rest):
+            shared, rest = [], alternatives
+        sure = f"{'; '.join(phrase(c) for c in shared)}. Beside that, cannot" if shared else "Cannot"
+        either = ", or ".join(" with ".join(phrase(c) for c in s) for s in rest)
         return (
-            f"Cannot tell: {said}, or {others}; each explains these runs as well, and adding the first {gain}; to tell "
+            f"{sure} tell: {either}; each explains these runs as well, and adding the first {gain}; to tell "
             f"them apart, record {_what_tells([causes, *equivalent])}."
         )
     text = f"{said}; {_verb(causes)} {gain}"
@@ -60,6 +66,10 @@ def sentence(
             f"record {_next_for_unknown(where, case)}."
         )
     return f"{text}."
+
+
+def _same(a: Cause, b: Cause) -> bool:
+    return all(a.get(key) == b.get(key) for key in ("effect", "joints", "bodies"))
 
 
 def phrase(cause: Cause) -> str:
