@@ -316,7 +316,7 @@ class Screen:
 
 def _has_slope(p: Parameter) -> bool:
     """Shape parameters (a Stribeck velocity, where a payload sits) do nothing on their own."""
-    return p.default == 0.0 and p.like is None and p.unit != "" and not p.name.startswith("start")
+    return p.strength and p.like is None
 
 
 def _placeless(effect: Effect) -> bool:
