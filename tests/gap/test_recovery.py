@@ -20,7 +20,8 @@ from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.linear import marginal, score
 from realsim.gap.causes.merit import is_gap
 from realsim.gap.causes.probes import probed, probed_footing, probed_ground
-from realsim.gap.causes.rivals import outstanding, ranked, refit
+from realsim.gap.causes.refits import refit
+from realsim.gap.causes.rivals import outstanding, ranked
 from realsim.gap.causes.screen import Screen, slab
 from realsim.gap.causes.windows import carried, slid
 from realsim.gap.compare import Comparison

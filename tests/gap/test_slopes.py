@@ -19,7 +19,7 @@ from realsim.gap.answer.verdict import judge
 from realsim.gap.causes.fit import Cause, Fitter
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.linear import Evidence
-from realsim.gap.causes.rivals import refit
+from realsim.gap.causes.refits import refit
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import Selection
 from realsim.gap.compare import Comparison

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from realsim.gap.causes.fit import Cause, Fit, Fitter
-from realsim.gap.causes.merit import PRICE, complexity, deviation, heldout
+from realsim.gap.causes.merit import PRICE, complexity, deviation, heldout, price
 from realsim.gap.causes.rivals import near, ranked
 from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.config import DiagnoseConfig
@@ -210,7 +210,7 @@ def _same_thing(a: Candidate, b: Candidate) -> bool:
 
 def _as_good(screen: Screen, config: DiagnoseConfig, best: Fit, rival: Fit, removed: float) -> bool:
     """Within a small share of what the best removes, and no run by run preference beyond its scatter."""
-    loss = rival.misfit - best.misfit + complexity(screen, rival) - complexity(screen, best)
+    loss = price(screen, rival) - price(screen, best)
     if loss < NO_PREFERENCE:
         return True
     if complexity(screen, rival) > complexity(screen, best) + PRICE / 2:

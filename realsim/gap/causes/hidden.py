@@ -10,9 +10,12 @@ imitate on the others, so unseen runs decide nothing, and few deviations are kno
 
 from __future__ import annotations
 
+from functools import partial
+
 from realsim.gap.causes.fit import ENOUGH, Cause, Fit, Fitter
-from realsim.gap.causes.merit import complexity, deviation, heldout, holds
-from realsim.gap.causes.rivals import Trial, outstanding, ranked, refit
+from realsim.gap.causes.merit import deviation, heldout, holds, price
+from realsim.gap.causes.refits import refit
+from realsim.gap.causes.rivals import Trial, outstanding, ranked
 from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.simulation.nuisances import MANY_JOINTS
 from realsim.types import F64
@@ -61,7 +64,7 @@ def hidden(screen: Screen, fitter: Fitter, current: Fit, stage: int, trials: lis
         trials.append(Trial(*where, stage, gain, brings, mean, error, cause.named, outcome))
         if sure:
             found.append(fit)
-    return sorted(found, key=lambda f: f.misfit + complexity(screen, f))
+    return sorted(found, key=partial(price, screen))
 
 
 def worth_trying(screen: Screen, current: Fit) -> list[tuple[float, Candidate, F64]]:

@@ -30,6 +30,11 @@ def complexity(screen: Screen, fit: Fit) -> float:
     return PRICE * total
 
 
+def price(screen: Screen, fit: Fit) -> float:
+    """What a fit costs in log-likelihood, its parameters included: of rivals the cheapest is the best."""
+    return fit.misfit + complexity(screen, fit)
+
+
 def holds(mean: float, error: float, positive: float) -> bool:
     """Whether unseen runs gain: most of them, and on balance (runs excite an effect to very different degrees)."""
     return mean > 0.5 * error and positive >= 0.6

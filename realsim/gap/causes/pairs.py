@@ -8,11 +8,13 @@ where no cause by itself explains enough of a gap, two together may.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from functools import partial
 from itertools import islice
 
 from realsim.gap.causes.fit import Fit, Fitter
-from realsim.gap.causes.merit import complexity
-from realsim.gap.causes.rivals import Trial, near, ranked, refit, searched, tried
+from realsim.gap.causes.merit import price
+from realsim.gap.causes.refits import refit
+from realsim.gap.causes.rivals import Trial, near, ranked, searched, tried
 from realsim.gap.causes.screen import Screen
 from realsim.gap.effects.base import Place
 
@@ -32,7 +34,7 @@ def better_pair(
     `first`: the fits of the first stage, best first. `second`: those of two causes, the winner among them.
     """
     nominal, winner = fitter.remeasure(nominal), fitter.remeasure(winner)
-    best = min([winner, *second], key=lambda f: _price(screen, f))
+    best = min([winner, *second], key=partial(price, screen))
     others = [f for f in _of_each_effect(first) if not _holds(winner, *_last(f))]
     least = LEAST_SHARE * (nominal.misfit - winner.misfit)
     worthy = (a for a in map(fitter.remeasure, others) if nominal.misfit - a.misfit > least)
@@ -77,8 +79,8 @@ def _best_of(
             if fit is not None:
                 trials.append(tried(screen, alone, fit, 1, gain))
                 fits.append(fit)
-        fits.sort(key=lambda f: _price(screen, f))
-        if fits and _price(screen, fits[0]) < _price(screen, best) - CLEARLY:
+        fits.sort(key=partial(price, screen))
+        if fits and price(screen, fits[0]) < price(screen, best) - CLEARLY:
             best, found = fits[0], (alone, fits)
     return found
 
@@ -95,10 +97,6 @@ def _of_each_effect(fits: Iterable[Fit]) -> Iterator[Fit]:
 def _last(fit: Fit) -> tuple[str, Place]:
     candidate = fit.causes[-1].candidate
     return candidate.effect, candidate.place
-
-
-def _price(screen: Screen, fit: Fit) -> float:
-    return fit.misfit + complexity(screen, fit)
 
 
 def _holds(fit: Fit, effect: str, place: tuple[str, ...]) -> bool:

@@ -9,8 +9,10 @@ from realsim.gap.causes.equivalent import equivalents, likelier, simplest
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.fitted import Z90
 from realsim.gap.causes.forward import Forward
-from realsim.gap.causes.merit import complexity, deviation, heldout
-from realsim.gap.causes.rivals import Trial, ranked, refit
+from realsim.gap.causes.merit import deviation, heldout, price
+from realsim.gap.causes.pairs import CLEARLY
+from realsim.gap.causes.refits import refit
+from realsim.gap.causes.rivals import Trial, ranked
 from realsim.gap.causes.screen import Screen
 from realsim.gap.config import DiagnoseConfig
 
@@ -84,8 +86,7 @@ def _exchange(screen: Screen, fitter: Fitter, fit: Fit, notes: list[str]) -> Fit
             trial = refit(screen, fitter, beside, candidate, estimate)
             if trial is None:
                 continue
-            better = fit.misfit + complexity(screen, fit) - trial.misfit - complexity(screen, trial)
-            if better > 5.0:
+            if price(screen, fit) - price(screen, trial) > CLEARLY:
                 gone = fit.causes[i].candidate
                 notes.append(f"{gone.effect} {', '.join(gone.place)} gave way to {candidate.effect}")
                 return _exchange(screen, fitter, trial, notes) if len(notes) < 6 else trial
