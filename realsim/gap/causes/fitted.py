@@ -9,7 +9,7 @@ import numpy as np
 
 from realsim.gap.causes.linear import Evidence
 from realsim.gap.causes.screen import Candidate
-from realsim.gap.effects.base import Parameter
+from realsim.gap.effects.base import Parameter, Place
 from realsim.gap.simulation.simulate import Setting, lookup
 from realsim.types import F64
 
@@ -53,6 +53,10 @@ class Fit:
 
     def settings(self) -> list[Setting]:
         return [s for c in self.causes for s in c.settings()]
+
+    def has(self, effect: str, place: Place) -> bool:
+        """Whether this effect at this place is among the causes."""
+        return any((c.candidate.effect, c.candidate.place) == (effect, place) for c in self.causes)
 
 
 def causes_of(candidates: Sequence[Candidate], z: F64) -> tuple[Cause, ...]:

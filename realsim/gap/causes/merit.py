@@ -16,6 +16,8 @@ FAR_ABOVE = 20.0
 """Mean square in units of the floor from which on a rest is no matter of tolerances."""
 PRICE = 4.0
 """Log-likelihood that a parameter must bring: half a log of the data, in round numbers."""
+CLEARLY = 5.0
+"""Difference in price from which on other causes take the place of those that were found first."""
 
 
 def complexity(screen: Screen, fit: Fit) -> float:

@@ -12,7 +12,7 @@ from functools import partial
 from itertools import islice
 
 from realsim.gap.causes.fit import Fit, Fitter
-from realsim.gap.causes.merit import price
+from realsim.gap.causes.merit import CLEARLY, price
 from realsim.gap.causes.refits import refit
 from realsim.gap.causes.rivals import Trial, near, ranked, searched, tried
 from realsim.gap.causes.screen import Screen
@@ -22,8 +22,6 @@ RUNNERS_UP, PARTNERS = 3, 3
 """At most so many other first causes, and so many partners of each."""
 LEAST_SHARE = 0.25
 """A runner-up alone removes at least this share of what the winner removed."""
-CLEARLY = 5.0
-"""Log-likelihood by which a pair must beat the best one that holds the winner."""
 
 
 def better_pair(
@@ -35,7 +33,7 @@ def better_pair(
     """
     nominal, winner = fitter.remeasure(nominal), fitter.remeasure(winner)
     best = min([winner, *second], key=partial(price, screen))
-    others = [f for f in _of_each_effect(first) if not _holds(winner, *_last(f))]
+    others = [f for f in _of_each_effect(first) if not winner.has(*_last(f))]
     least = LEAST_SHARE * (nominal.misfit - winner.misfit)
     worthy = (a for a in map(fitter.remeasure, others) if nominal.misfit - a.misfit > least)
     return _best_of(screen, fitter, islice(worthy, RUNNERS_UP), winner, best, trials)
@@ -71,7 +69,7 @@ def _best_of(
         for gain, candidate, estimate in ranked(screen, alone):
             if len(partners) == PARTNERS or gain <= 0:
                 break
-            if candidate.effect in partners or _holds(known, candidate.effect, candidate.place):
+            if candidate.effect in partners or known.has(candidate.effect, candidate.place):
                 continue
             partners.add(candidate.effect)
             aim = searched(screen, best)
@@ -97,7 +95,3 @@ def _of_each_effect(fits: Iterable[Fit]) -> Iterator[Fit]:
 def _last(fit: Fit) -> tuple[str, Place]:
     candidate = fit.causes[-1].candidate
     return candidate.effect, candidate.place
-
-
-def _holds(fit: Fit, effect: str, place: tuple[str, ...]) -> bool:
-    return any(c.candidate.effect == effect and c.candidate.place == place for c in fit.causes)

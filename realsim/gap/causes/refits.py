@@ -11,6 +11,9 @@ from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.simulation.simulate import lookup
 from realsim.types import F64
 
+LEVER = 0.3
+"""m off a body's centre of mass within which a search for what sits on it begins."""
+
 Guess = F64 | dict[str, float]
 """What a refit starts from: the screen's estimate, or values that were simulated."""
 
@@ -52,12 +55,12 @@ def _starts(screen: Screen, candidate: Candidate, estimate: F64) -> list[list[fl
     for factor in (1.0, 0.4):
         values = []
         for name in candidate.names:
-            p = parameters[name]
-            guess = linear.get(name, 0.0) * (factor if p.default == 0 else 0.0) + p.default
-            if candidate.effect == "payload" and name in "xyz":  # its place shifts the body's centre of mass
-                mass = linear.get("mass", 1.0) or 1.0
+            p, slope = parameters[name], linear.get(name, 0.0)
+            guess = p.default + (slope * factor if p.default == 0 else 0.0)
+            if p.shape:  # the slope is a shift of the body's centre of mass, by what sits there
                 body = screen.simulator.case.model.body(candidate.place[0])
-                guess = p.default + float(np.clip(linear.get(name, 0.0) * body.mass[0] / mass, -0.3, 0.3))
+                lever = slope * body.mass[0] / (linear.get("mass", 1.0) or 1.0)
+                guess = p.default + float(np.clip(lever, -LEVER, LEVER))
             if p.bounds[0] == 0 and guess < 0.1 * p.step:
                 guess = 0.3 * p.step * factor
             values.append(float(guess))

@@ -147,7 +147,7 @@ def _contenders(
     trials += [Trial(c.effect, c.place, c.names, stage, g) for g, c, _ in others[: max(MOST_TRIALS - len(trials), 0)]]
     everything = [c for _, c, _ in order]
     chosen: list[tuple[float, Candidate, Guess]] = [*finalists]
-    chosen += [found for found in window_candidates(screen, current) if not _has(current, found[1])]
+    chosen += [(g, c, v) for g, c, v in window_candidates(screen, current) if not current.has(c.effect, c.place)]
     chosen += [found for found in probed_ground(screen, fitter, current, everything) if found[0] > least]
     chosen += probed_footing(screen, fitter, current, everything)
     if not by_slopes:
@@ -204,10 +204,6 @@ def _slides(screen: Screen, candidate: Candidate) -> bool:
     """Whether slopes may have found a wrong window: what lifts a foot or sets a robot swinging foretells none."""
     names = candidate.names
     return "since" in names or ("start" in names and screen.simulator.context.touches)
-
-
-def _has(fit: Fit, candidate: Candidate) -> bool:
-    return any(c.candidate.effect == candidate.effect and c.candidate.place == candidate.place for c in fit.causes)
 
 
 def searched(screen: Screen, fit: Fit) -> float:

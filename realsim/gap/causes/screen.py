@@ -23,6 +23,9 @@ from realsim.gap.simulation.nuisances import NUISANCES
 from realsim.gap.simulation.simulate import Setting, Simulator, lookup
 from realsim.types import F32, F64
 
+SHIFT = 0.03
+"""m by which a cause that sits on a body may move its centre of mass: the size of what has that shift's slope."""
+
 
 @dataclass(frozen=True)
 class Atom:
@@ -329,8 +332,6 @@ def slab(candidate: Candidate, screen: Screen) -> F64:
     parameters = {p.name: p for p in effect.parameters(screen.simulator.context, candidate.place)}
     sizes = []
     for name in candidate.linear:
-        if candidate.effect == "payload" and name in "xyz":
-            sizes.append(0.03)
-        else:
-            sizes.append(2.0 * abs(parameters[name].step))
+        p = parameters[name]
+        sizes.append(SHIFT if p.shape else 2.0 * abs(p.step))
     return np.array(sizes)

@@ -9,8 +9,7 @@ from realsim.gap.causes.equivalent import equivalents, likelier, simplest
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.fitted import Z90
 from realsim.gap.causes.forward import Forward
-from realsim.gap.causes.merit import deviation, heldout, price
-from realsim.gap.causes.pairs import CLEARLY
+from realsim.gap.causes.merit import CLEARLY, deviation, heldout, price
 from realsim.gap.causes.refits import refit
 from realsim.gap.causes.rivals import Trial, ranked
 from realsim.gap.causes.screen import Screen
