@@ -70,10 +70,9 @@ class Fitter(Search):
 
         Small deviations that were bent to imitate a cause would hide it from its own rivals.
         """
-        straight = self._straight()
-        if np.array_equal(straight, self.about):
+        if not self.bent():
             return fit
-        self.about = straight
+        self.about = self._straight()
         fit = self.remeasure(fit)
         self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal, form(fit))
         return self.remeasure(fit)
@@ -86,6 +85,25 @@ class Fitter(Search):
             yield
         finally:
             self.about = bent
+
+    def bent(self) -> bool:
+        """Whether small deviations are in the simulations that `unbend` would take out."""
+        return not np.array_equal(self._straight(), self.about)
+
+    def settled(self, fit: Fit, rounds: int = 4) -> Fit:
+        """Causes and small deviations where they belong beside each other, found in turn; for this fit alone."""
+        about, best = self.about, fit
+        try:
+            for _ in range(rounds):
+                fit, moved = self._settle(self.remeasure(fit))
+                if moved and fit.causes:
+                    fit = self.fit(fit.causes, iterations=3) or fit
+                best = min(best, fit, key=lambda f: f.misfit)
+                if not moved:
+                    break
+        finally:
+            self.about = about
+        return best
 
     def _straight(self) -> F64:
         staying = NUISANCES.keys() - LIKE_A_CAUSE

@@ -29,8 +29,12 @@ FURTHER = 2.0
 """Factor by which the largest is exceeded where it is the best."""
 MOST_GROUND, KEPT_GROUND = 12, 2
 """Places of what changes the ground, or the feet on it, that are looked at, and those of them that are worth a fit."""
-MOST, KEPT = 60, 5
-"""Candidates of any kind that are looked at, and effects of them that are worth a fit."""
+MOST, MOST_OUT, KEPT = 60, 12, 5
+"""Candidates of any kind that are looked at, those whose deviations stand out, and effects that are worth a fit."""
+OUT = (0.4, 0.8, 1.6)
+"""Steps of the parameters in the sense in which a deviation stands out."""
+STANDS_OUT = 2.5
+"""Everyday deviations from which on one stands out."""
 FORETOLD, SMALL = 0.2, 3.0
 """Share of the misfit that the best candidate must explain by its slopes for the slopes to be believed, and mean square
 in units of the floor below which they are anyway."""
@@ -64,11 +68,19 @@ def probed_footing(screen: Screen, fitter: Fitter, current: Fit, candidates: Ite
 
 
 def _probed_feet(fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:
-    def gain(cause: Cause) -> float:  # a foot may meet the ground in one run only: all of them, at the model's own step
+    screen = fitter.screen
+    forwards = ((c, _along(screen, c, np.zeros(len(c.linear)))) for c in candidates)
+    return _probed(screen, _gain_on_all(fitter, current), forwards)[:KEPT_GROUND]
+
+
+def _gain_on_all(fitter: Fitter, current: Fit) -> Callable[[Cause], float]:
+    """A foot may meet the ground in one run only: all of them, at the model's own step."""
+
+    def gain(cause: Cause) -> float:
         moved = fitter.looked_at(current, (*current.causes, cause))
         return current.misfit - moved.misfit if moved else float("-inf")
 
-    return _probed(fitter.screen, gain, ((c, np.zeros(len(c.linear))) for c in candidates))[:KEPT_GROUND]
+    return gain
 
 
 def probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:
@@ -76,47 +88,86 @@ def probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Ca
 
     To first order many small deviations imitate a gross cause, at a price that is small against a large gap; so the
     order here is by what a candidate explains all by itself. Abrupt effects have no slope to be ordered by. Stiff laws
-    would take too long, and are refitted from several sizes anyway.
+    would take too long, and are refitted from several sizes anyway. Where feet slip and land, a cause may be so far
+    from linear that it explains little by itself: there, its deviation that stands out among the others points at it.
     """
     best: dict[tuple[str, Place], tuple[float, Candidate, F64]] = {}
     for by_itself, c, estimate in alone(screen, current, candidates):
-        effect = lookup(c.effect)
-        if len(c.places) == 1 and effect.scope != "terrain" and not effect.stiff:
-            gain = np.inf if effect.abrupt else by_itself
+        if _worth_a_look(c):
+            gain = np.inf if lookup(c.effect).abrupt else by_itself
             if gain > best.get((c.effect, c.place), (-np.inf,))[0]:
                 best[c.effect, c.place] = gain, c, estimate
     order = sorted(best.values(), key=lambda item: -item[0])[:MOST]
-    found: dict[str, Probe] = {}
     gain_of = partial(fitter.glance, current.causes)
-    for probe in _probed(screen, gain_of, [(c, estimate) for _, c, estimate in order]):
+    probes = _probed(screen, gain_of, [(c, _along(screen, c, estimate)) for _, c, estimate in order])
+    out = standing_out(screen, current)[:MOST_OUT] if screen.simulator.context.touches else []
+    probes += _probed(screen, gain_of, [(c, _along(screen, c, estimate)) for c, estimate in out], OUT)
+    found: dict[str, Probe] = {}
+    for probe in sorted(probes, key=lambda p: -p[0]):
         found.setdefault(probe[1].effect, probe)
     return list(found.values())[:KEPT]
+
+
+def probed_out(screen: Screen, fitter: Fitter, current: Fit) -> list[Probe]:
+    """The best of what stands out, on all runs, at the model's own step."""
+    out = standing_out(screen, current)[:KEPT]
+    known = fitter.remeasure(current)
+    return _probed(screen, _gain_on_all(fitter, known), [(c, _along(screen, c, e)) for c, e in out], OUT)[:KEPT_GROUND]
+
+
+def standing_out(screen: Screen, current: Fit) -> list[tuple[Candidate, F64]]:
+    """(candidate, estimate) of single places by how far their small deviations lie off nothing, the furthest first.
+
+    To first order a gross cause is shared out among many deviations; its own is bent the most.
+    """
+    x = screen.nuisances(current.evidence, current.prior)
+    z = np.divide(x, current.prior, out=np.zeros_like(x), where=current.prior > 0)
+    best: dict[tuple[str, Place], tuple[float, Candidate, F64]] = {}
+    for c in screen.candidates:
+        involved = c.directions.any(axis=1)
+        far = float(np.sum(z[involved] ** 2)) - STANDS_OUT**2 * len(c.linear)
+        if _worth_a_look(c) and far > best.get((c.effect, c.place), (0.0,))[0]:
+            best[c.effect, c.place] = far, c, c.directions.T @ x / np.sum(c.directions**2, axis=0)
+    return [(c, estimate) for _, c, estimate in sorted(best.values(), key=lambda item: -item[0])]
+
+
+def _worth_a_look(c: Candidate) -> bool:
+    effect = lookup(c.effect)
+    return len(c.places) == 1 and effect.scope != "terrain" and not effect.stiff
 
 
 def _probed(
     screen: Screen,
     gain_of: Callable[[Cause], float],
     candidates: Iterable[tuple[Candidate, F64]],
+    sizes: tuple[float, ...] = (),
 ) -> list[Probe]:
-    """Candidates that gain, best first, each at its best size along its estimate."""
-    probes = [_sized(screen, gain_of, c, estimate) for c, estimate in candidates]
+    """Candidates that gain, best first, each at its best size along its direction (m,)."""
+    probes = [_sized(screen, gain_of, c, unit, sizes) for c, unit in candidates]
     return sorted((p for p in probes if p[0] > 0), key=lambda p: -p[0])
+
+
+def _along(screen: Screen, candidate: Candidate, estimate: F64) -> F64:
+    """(m,) the direction of an estimate, a step long; that of the first parameter where it is nothing."""
+    parameters = lookup(candidate.effect).parameters(screen.simulator.context, candidate.place)
+    every = {p.name: abs(p.step) for p in parameters}
+    steps = np.array([every[n] for n in candidate.linear])
+    size = float(np.linalg.norm(estimate / steps))
+    return estimate / size if size else np.eye(len(steps))[0] * steps
 
 
 def _sized(
     screen: Screen,
     gain_of: Callable[[Cause], float],
     candidate: Candidate,
-    estimate: F64,
+    unit: F64,
+    sizes: tuple[float, ...],
 ) -> Probe:
     """The best of some sizes; beyond the largest, as long as that gains."""
     effect = lookup(candidate.effect)
-    sizes = ABRUPT_SIZES if effect.abrupt else SIZES
+    sizes = sizes or (ABRUPT_SIZES if effect.abrupt else SIZES)
     parameters = {p.name: p for p in effect.parameters(screen.simulator.context, candidate.place)}
     start = {n: parameters[n].default for n in candidate.names}
-    steps = np.array([abs(parameters[n].step) for n in candidate.linear])
-    size = float(np.linalg.norm(estimate / steps))
-    unit = estimate / size if size else np.eye(len(steps))[0] * steps
 
     def values(factor: float) -> dict[str, float]:
         return start | {n: float(v) for n, v in zip(candidate.linear, unit * factor, strict=True)}

@@ -17,12 +17,15 @@ from realsim.gap.causes.refits import Guess, extended, fullest, nested, once_mor
 from realsim.gap.causes.screen import Candidate, Screen, slab
 from realsim.gap.causes.windows import carried, slid, window_candidates
 from realsim.gap.config import DiagnoseConfig
+from realsim.gap.simulation.simulate import lookup
 from realsim.types import F64
 
 GROWN = 3
 """The best rivals of a stage are also tried with all their parameters."""
 
 DUELLISTS = 5
+NEIGHBOURS = (0.65, 0.8, 0.9, 1.1, 1.25, 1.5)
+"""Factors on a cause's strength at which a search begins anew, where feet slip and land: misfit is jagged there."""
 
 MORE = 4
 """So many further effects are refitted where slopes foretell what a cause does."""
@@ -182,12 +185,42 @@ def duel(screen: Screen, fitter: Fitter, current: Fit, fits: list[Fit]) -> tuple
     Beside a large gap every tolerance is wide, and rivals look alike that the small rest tells apart.
     """
     best = fits[0]
-    close = [f for f in fits if f.misfit - best.misfit <= near(current.misfit - best.misfit)][:DUELLISTS]
+    jagged = screen.simulator.context.touches
+    behind = (2 if jagged else 1) * near(current.misfit - best.misfit)
+    close = [f for f in fits if f.misfit - best.misfit <= behind][:DUELLISTS]
+    if jagged:
+        return _explored(screen, fitter, current, close)
     if len(close) < 2:
         return current, fits
     fitter.tighten(best)
     again = [fit for f in close if (fit := fitter.fit(f.causes, iterations=6, rough=True)) is not None]
     return fitter.remeasure(current), sorted(again, key=partial(price, screen))
+
+
+def _explored(screen: Screen, fitter: Fitter, current: Fit, close: list[Fit]) -> tuple[Fit, list[Fit]]:
+    """The duel where feet slip and land: no search finds the bottom at once, nor do small deviations.
+
+    So each rival begins anew from its neighbours, and with deviations of its own, not with those that suit the best.
+    """
+    fitter.tighten(close[0])
+    again = []
+    for f in close:
+        with fitter.unbent():
+            fit = fitter.fit(f.causes, _neighbours(screen, f), iterations=6, rough=True)
+            if fit is not None:
+                again.append(fitter.settled(fit, rounds=2))
+    return fitter.remeasure(current), sorted(again, key=partial(price, screen))
+
+
+def _neighbours(screen: Screen, fit: Fit) -> list[list[float]]:
+    """Values of all causes in a row, the last one stronger or weaker."""
+    *others, cause = fit.causes
+    parameters = lookup(cause.candidate.effect).parameters(screen.simulator.context, cause.candidate.place)
+    strength = {p.name for p in parameters if p.strength}
+    done = [v for c in others for v in c.values]
+    return [
+        [*done, *(v * factor if name in strength else v for name, v in cause.named.items())] for factor in NEIGHBOURS
+    ]
 
 
 def tried(screen: Screen, current: Fit, fit: Fit, stage: int, gain: float) -> Trial:

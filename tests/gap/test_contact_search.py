@@ -1,0 +1,89 @@
+"""The search where feet slip and land: slopes say little, the misfit is jagged, small deviations imitate a cause."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from realsim.gap import Case, DiagnoseConfig
+from realsim.gap.causes.fit import Cause, Fit, Fitter
+from realsim.gap.causes.hidden import hidden
+from realsim.gap.causes.probes import probed_out, standing_out
+from realsim.gap.causes.rivals import duel
+from realsim.gap.causes.screen import Candidate, Screen
+from realsim.gap.compare import Comparison
+from realsim.gap.simulation.simulate import Simulator
+
+from .test_recovery import logged, quadruped  # noqa: F401
+
+CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
+pytestmark = pytest.mark.slow
+
+
+@contextmanager
+def fitter_for(case: Case, effects: tuple[str, ...]) -> Iterator[Fitter]:
+    with Simulator(case, CONFIG) as simulator:
+        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
+        yield Fitter(Screen(simulator, comparison, range(len(case.runs)), effects))
+
+
+def candidate(fitter: Fitter, effect: str, *place: str) -> Candidate:
+    return next(c for c in fitter.screen.candidates if c.effect == effect and c.place == place)
+
+
+def at(fitter: Fitter, effect: str, place: str, value: float) -> Fit:
+    fit = fitter.looked_at(fitter.nominal(), [Cause(candidate(fitter, effect, place), (value,))])
+    assert fit is not None
+    return fit
+
+
+def test_a_tilt_stands_out_in_its_sense(quadruped: Case) -> None:  # noqa: F811
+    case = logged(logged(quadruped, []), [("terrain_tilt", (), {"roll": 0.03, "pitch": -0.02})])
+    with fitter_for(case, ("terrain_tilt", "joint_offset")) as fitter:
+        nominal = fitter.nominal()
+        found = {c.effect: (c, estimate) for c, estimate in reversed(standing_out(fitter.screen, nominal))}
+        tilt, estimate = found["terrain_tilt"]
+        truth = {"roll": 0.03, "pitch": -0.02}
+        assert all(np.sign(e) == np.sign(truth[n]) for n, e in zip(tilt.names, estimate, strict=True))
+        assert "terrain_tilt" in [c.effect for _, c, _ in probed_out(fitter.screen, fitter, nominal)]
+
+
+def test_nothing_stands_out_where_nothing_is(quadruped: Case) -> None:  # noqa: F811
+    with fitter_for(logged(quadruped, []), ("terrain_tilt", "joint_offset", "damping_gain")) as fitter:
+        assert standing_out(fitter.screen, fitter.nominal()) == []
+
+
+def test_a_duel_begins_beside_the_values_at_which_a_search_got_stuck(quadruped: Case) -> None:  # noqa: F811
+    case = logged(logged(quadruped, []), [("coulomb_friction", ("fl_calf",), {"friction": 1.0})])
+    with fitter_for(case, ("coulomb_friction", "load_friction")) as fitter:
+        nominal = fitter.nominal()
+        stuck = [at(fitter, "load_friction", "fl_calf", 0.14), at(fitter, "coulomb_friction", "fl_calf", 1.25)]
+        _, fits = duel(fitter.screen, fitter, nominal, sorted(stuck, key=lambda f: f.misfit))
+        cause = fits[0].causes[0]
+        assert cause.candidate.effect == "coulomb_friction"
+        assert abs(cause.values[0] - 1.0) < 0.2
+
+
+def test_causes_and_deviations_are_settled_together_and_nothing_else_moves(quadruped: Case) -> None:  # noqa: F811
+    deviations = [("motor_gain", (j,), {"ratio": 0.04}) for j in ("fl_thigh", "hr_calf")]
+    cause = ("coulomb_friction", ("fl_calf",), {"friction": 1.0})
+    case = logged(logged(quadruped, []), [cause, *deviations])
+    with fitter_for(case, ("coulomb_friction", "motor_gain")) as fitter:
+        before, about = at(fitter, "coulomb_friction", "fl_calf", 0.8), fitter.about.copy()
+        after = fitter.settled(before)
+        assert np.array_equal(fitter.about, about)
+        assert after.misfit < before.misfit
+        assert 0.8 < after.causes[0].values[0] < 1.1
+
+
+def test_an_encoder_that_small_deviations_imitate_is_found_by_its_own(quadruped: Case) -> None:  # noqa: F811
+    case = logged(logged(quadruped, []), [("joint_offset", ("fr_thigh",), {"offset": 0.03})])
+    with fitter_for(case, ("joint_offset", "com_offset", "motor_gain", "link_geometry")) as fitter:
+        bent = fitter.tighten(fitter.nominal())
+        found = hidden(fitter.screen, fitter, bent, 0, [])
+        cause = found[0].causes[0]
+        assert (cause.candidate.effect, cause.candidate.place) == ("joint_offset", ("fr_thigh",))
+        assert cause.values[0] == pytest.approx(0.03, abs=0.008)
