@@ -70,9 +70,10 @@ class Fitter(Search):
 
         Small deviations that were bent to imitate a cause would hide it from its own rivals.
         """
-        if not self.bent():
+        straight = self._straight()
+        if np.array_equal(straight, self.about):
             return fit
-        self.about = self._straight()
+        self.about = straight
         fit = self.remeasure(fit)
         self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal, form(fit))
         return self.remeasure(fit)
@@ -85,10 +86,6 @@ class Fitter(Search):
             yield
         finally:
             self.about = bent
-
-    def bent(self) -> bool:
-        """Whether small deviations are in the simulations that `unbend` would take out."""
-        return not np.array_equal(self._straight(), self.about)
 
     def settled(self, fit: Fit, rounds: int = 4) -> Fit:
         """Causes and small deviations where they belong beside each other, found in turn; for this fit alone."""

@@ -10,15 +10,11 @@ imitate on the others, so unseen runs decide nothing, and few deviations are kno
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import partial
-
-import numpy as np
 
 from realsim.gap.causes.fit import ENOUGH, Cause, Fit, Fitter
 from realsim.gap.causes.merit import deviation, heldout, holds, price
-from realsim.gap.causes.probes import probed_out
-from realsim.gap.causes.refits import refit, refit_from
+from realsim.gap.causes.refits import refit
 from realsim.gap.causes.rivals import Trial, outstanding, ranked
 from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.simulation.nuisances import MANY_JOINTS
@@ -43,10 +39,17 @@ def hidden(screen: Screen, fitter: Fitter, current: Fit, stage: int, trials: lis
     """Fits with one further cause that is far likelier than the small deviations alone, best first."""
     found = []
     joints = len(screen.simulator.case.joint_names)
-    for before, gain, candidate, fit in _refitted(screen, fitter, current):
-        mean, error, positive = heldout(screen, before, fit)
+    for gain, candidate, estimate in worth_trying(screen, current):
+        fit = refit(screen, fitter, current, candidate, estimate)
+        if fit is None or current.misfit - fit.misfit < gain:
+            with fitter.unbent():  # deviations that imitate it would leave it only what they do not
+                straight = refit(screen, fitter, current, candidate, estimate)
+            fit = min((f for f in (fit, straight) if f is not None), key=lambda f: f.misfit, default=None)
+        if fit is None:
+            continue
+        mean, error, positive = heldout(screen, current, fit)
         cause = fit.causes[-1]
-        brings = before.misfit - fit.misfit
+        brings = current.misfit - fit.misfit
         least = needed(screen, cause)
         few = len(screen.runs) < ENOUGH and brings > 2 * least
         held = holds(mean, error, positive) and (positive >= NEARLY_ALL or few)
@@ -62,31 +65,6 @@ def hidden(screen: Screen, fitter: Fitter, current: Fit, stage: int, trials: lis
         if sure:
             found.append(fit)
     return sorted(found, key=partial(price, screen))
-
-
-def _refitted(screen: Screen, fitter: Fitter, current: Fit) -> Iterator[tuple[Fit, float, Candidate, Fit]]:
-    """(what it is set against, gain foretold, candidate, its fit beside the current causes) of all worth trying."""
-    known = set()
-    for gain, candidate, estimate in worth_trying(screen, current):
-        known.add((candidate.effect, candidate.place))
-        fit = refit(screen, fitter, current, candidate, estimate)
-        if fit is None or current.misfit - fit.misfit < gain:
-            with fitter.unbent():  # deviations that imitate it would leave it only what they do not
-                straight = refit(screen, fitter, current, candidate, estimate)
-            fit = min((f for f in (fit, straight) if f is not None), key=lambda f: f.misfit, default=None)
-        if fit is not None:
-            yield current, gain, candidate, fit
-    if not (screen.simulator.context.touches and fitter.bent()):
-        return
-    with fitter.unbent():
-        probes = [p for p in probed_out(screen, fitter, current) if (p[1].effect, p[1].place) not in known]
-    best = fitter.settled(current) if probes else current
-    for gain, candidate, values in probes:
-        with fitter.unbent():
-            fit = refit_from(screen, fitter, current, candidate, values, np.inf)
-            fit = fit and fitter.settled(fit)
-        if fit is not None:
-            yield best, gain, candidate, fit
 
 
 def worth_trying(screen: Screen, current: Fit) -> list[tuple[float, Candidate, F64]]:

@@ -31,7 +31,7 @@ MOST_GROUND, KEPT_GROUND = 12, 2
 """Places of what changes the ground, or the feet on it, that are looked at, and those of them that are worth a fit."""
 MOST, MOST_OUT, KEPT = 60, 12, 5
 """Candidates of any kind that are looked at, those whose deviations stand out, and effects that are worth a fit."""
-OUT = (0.4, 0.8, 1.6)
+OUT = (0.5, 1.5)
 """Steps of the parameters in the sense in which a deviation stands out."""
 STANDS_OUT = 2.5
 """Everyday deviations from which on one stands out."""
@@ -68,19 +68,13 @@ def probed_footing(screen: Screen, fitter: Fitter, current: Fit, candidates: Ite
 
 
 def _probed_feet(fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:
-    screen = fitter.screen
-    forwards = ((c, _along(screen, c, np.zeros(len(c.linear)))) for c in candidates)
-    return _probed(screen, _gain_on_all(fitter, current), forwards)[:KEPT_GROUND]
-
-
-def _gain_on_all(fitter: Fitter, current: Fit) -> Callable[[Cause], float]:
-    """A foot may meet the ground in one run only: all of them, at the model's own step."""
-
-    def gain(cause: Cause) -> float:
+    def gain(cause: Cause) -> float:  # a foot may meet the ground in one run only: all of them, at the model's own step
         moved = fitter.looked_at(current, (*current.causes, cause))
         return current.misfit - moved.misfit if moved else float("-inf")
 
-    return gain
+    screen = fitter.screen
+    forwards = ((c, _along(screen, c, np.zeros(len(c.linear)))) for c in candidates)
+    return _probed(screen, gain, forwards)[:KEPT_GROUND]
 
 
 def probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:
@@ -106,13 +100,6 @@ def probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Ca
     for probe in sorted(probes, key=lambda p: -p[0]):
         found.setdefault(probe[1].effect, probe)
     return list(found.values())[:KEPT]
-
-
-def probed_out(screen: Screen, fitter: Fitter, current: Fit) -> list[Probe]:
-    """The best of what stands out, on all runs, at the model's own step."""
-    out = standing_out(screen, current)[:KEPT]
-    known = fitter.remeasure(current)
-    return _probed(screen, _gain_on_all(fitter, known), [(c, _along(screen, c, e)) for c, e in out], OUT)[:KEPT_GROUND]
 
 
 def standing_out(screen: Screen, current: Fit) -> list[tuple[Candidate, F64]]:

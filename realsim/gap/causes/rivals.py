@@ -25,7 +25,7 @@ GROWN = 3
 
 DUELLISTS = 5
 NEIGHBOURS = (0.65, 0.8, 0.9, 1.1, 1.25, 1.5)
-"""Factors on a cause's strength at which a search begins anew, where feet slip and land: misfit is jagged there."""
+"""Factors on a cause's strength at which a search begins anew, where feet slip and land: the misfit is jagged."""
 
 MORE = 4
 """So many further effects are refitted where slopes foretell what a cause does."""
@@ -188,28 +188,24 @@ def duel(screen: Screen, fitter: Fitter, current: Fit, fits: list[Fit]) -> tuple
     jagged = screen.simulator.context.touches
     behind = (2 if jagged else 1) * near(current.misfit - best.misfit)
     close = [f for f in fits if f.misfit - best.misfit <= behind][:DUELLISTS]
-    if jagged:
-        return _explored(screen, fitter, current, close)
     if len(close) < 2:
-        return current, fits
+        return current, [_anew(screen, fitter, best) or best, *fits[1:]] if jagged else fits
     fitter.tighten(best)
-    again = [fit for f in close if (fit := fitter.fit(f.causes, iterations=6, rough=True)) is not None]
+    again = [fit for f in close if (fit := (_explored if jagged else _anew)(screen, fitter, f)) is not None]
     return fitter.remeasure(current), sorted(again, key=partial(price, screen))
 
 
-def _explored(screen: Screen, fitter: Fitter, current: Fit, close: list[Fit]) -> tuple[Fit, list[Fit]]:
-    """The duel where feet slip and land: no search finds the bottom at once, nor do small deviations.
+def _anew(screen: Screen, fitter: Fitter, fit: Fit) -> Fit | None:
+    """Its causes fitted again; where feet slip and land, from their neighbours too: a search stops in every dent."""
+    starts = _neighbours(screen, fit) if screen.simulator.context.touches else []
+    return fitter.fit(fit.causes, starts, iterations=6, rough=True)
 
-    So each rival begins anew from its neighbours, and with deviations of its own, not with those that suit the best.
-    """
-    fitter.tighten(close[0])
-    again = []
-    for f in close:
-        with fitter.unbent():
-            fit = fitter.fit(f.causes, _neighbours(screen, f), iterations=6, rough=True)
-            if fit is not None:
-                again.append(fitter.settled(fit, rounds=2))
-    return fitter.remeasure(current), sorted(again, key=partial(price, screen))
+
+def _explored(screen: Screen, fitter: Fitter, fit: Fit) -> Fit | None:
+    """The same with small deviations of its own, not with those that suit the best: there, they are jagged too."""
+    with fitter.unbent():
+        again = _anew(screen, fitter, fit)
+        return again and fitter.settled(again, rounds=2)
 
 
 def _neighbours(screen: Screen, fit: Fit) -> list[list[float]]:
