@@ -10,6 +10,7 @@ import pytest
 
 from realsim.gap import Case, DiagnoseConfig
 from realsim.gap.causes.fit import Cause, Fit, Fitter
+from realsim.gap.causes.forward import beside
 from realsim.gap.causes.probes import probed, standing_out
 from realsim.gap.causes.rivals import duel
 from realsim.gap.causes.screen import Candidate, Screen
@@ -76,3 +77,19 @@ def test_causes_and_deviations_are_settled_together_and_nothing_else_moves(quadr
         assert np.array_equal(fitter.about, about)
         assert after.misfit < before.misfit
         assert 0.8 < after.causes[0].values[0] < 1.1
+
+
+def test_slopes_are_not_taken_anew_where_a_law_makes_every_step_much_finer(
+    quadruped: Case,  # noqa: F811
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with fitter_for(logged(quadruped, []), ("coulomb_friction", "stribeck_friction")) as fitter:
+        taken = []
+        monkeypatch.setattr(fitter.screen, "look_from", lambda settings: taken.append(settings[0][0]))
+        dip = next(c for c in fitter.screen.candidates if c.effect == "stribeck_friction" and len(c.names) == 3)
+        values = {"static_friction": 2.0, "coulomb": 0.5, "stribeck_velocity": 0.02}
+        narrow = fitter.looked_at(fitter.nominal(), [Cause(dip, tuple(values[n] for n in dip.names))])
+        assert narrow is not None
+        for fit in (narrow, at(fitter, "coulomb_friction", "fl_calf", 1.0)):
+            beside(fitter.screen, fitter, fit)
+    assert taken == ["coulomb_friction"]

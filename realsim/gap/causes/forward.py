@@ -23,8 +23,8 @@ SHARPEST = 0.3
 """Least share of the allowance that is left after a cause."""
 SLIGHT = 5.0
 """Mean square in units of the floor below which a gap is hardly one."""
-VERY_MANY_JOINTS = 20
-"""Driven joints from which on slopes are taken once only."""
+TOO_LONG = 25
+"""Driven joints, times how much finer a law makes the time step, from which on slopes are taken once only."""
 LEAST_IMPROVEMENT = 0.08
 """Share of what is left that a further cause must remove."""
 
@@ -121,9 +121,11 @@ def look_for_onsets(screen: Screen, fit: Fit) -> None:
 def beside(screen: Screen, fitter: Fitter, fit: Fit) -> Fit:
     """The fit where slopes are taken about its own causes, and the solver is the likelier one beside them.
 
-    Of very many joints that would take as long as all the rest.
+    Of very many joints, or of many at a finer time step, that would take as long as all the rest.
     """
-    if len(screen.simulator.context.driven) < VERY_MANY_JOINTS:
+    context = screen.simulator.context
+    finer = context.timestep / screen.simulator.edited(fit.settings()).spec.option.timestep
+    if len(context.driven) * finer < TOO_LONG:
         screen.look_from(fit.settings())
     return fitter.switched(fitter.remeasure(fit))
 
