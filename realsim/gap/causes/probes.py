@@ -27,7 +27,9 @@ SIZES, ABRUPT_SIZES = (1.5, -1.5), (2.0, 0.7, -0.7, -2.0)
 """Steps of the parameter; more where nothing may show below a threshold."""
 FURTHER = 2.0
 """Factor by which the largest is exceeded where it is the best."""
-MOST_GROUND, KEPT_GROUND = 12, 2
+NEARER = 0.75
+"""Factor on a size that gains, where feet slip and land: a little beyond the right height a foot meets other ground."""
+MOST_GROUND, KEPT_GROUND = 12, 3
 """Places of what changes the ground, or the feet on it, that are looked at, and those of them that are worth a fit."""
 MOST, MOST_OUT, KEPT = 60, 12, 5
 """Candidates of any kind that are looked at, those whose deviations stand out, and effects that are worth a fit."""
@@ -168,4 +170,6 @@ def _sized(
     most, best = max((gain(factor), factor) for factor in sizes)
     while abs(best) >= max(sizes) and (further := gain(FURTHER * best)) > most:
         most, best = further, FURTHER * best
+    while screen.simulator.context.touches and most > 0 and (nearer := gain(NEARER * best)) > most:
+        most, best = nearer, NEARER * best
     return most, candidate, values(best)

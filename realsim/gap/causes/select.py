@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from realsim.gap.causes.equivalent import equivalents, likelier, simplest
+from realsim.gap.causes.exchange import exchanged
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.fitted import Z90
 from realsim.gap.causes.forward import Forward
-from realsim.gap.causes.merit import CLEARLY, deviation, heldout, price
-from realsim.gap.causes.refits import refit
-from realsim.gap.causes.rivals import Trial, ranked
+from realsim.gap.causes.merit import deviation, heldout
+from realsim.gap.causes.rivals import Trial
 from realsim.gap.causes.screen import Screen
 from realsim.gap.config import DiagnoseConfig
 
@@ -40,7 +40,8 @@ def select(
     nominal = fitter.remeasure(nominal)
     if current.causes:
         current = fitter.fit(current.causes) or current
-        current = _exchange(screen, fitter, current, notes)
+        current = exchanged(screen, fitter, current, notes)
+        nominal = fitter.remeasure(nominal)
     current = _prune(screen, fitter, config, current, notes)
     current = fitter.spread(current)
     equivalent = equivalents(screen, fitter, config, current, nominal, forward.stages) if current.causes else []
@@ -64,32 +65,6 @@ def without_causes(selection: Selection) -> Selection:
 def _without(fitter: Fitter, fit: Fit, i: int, nominal: Fit) -> Fit | None:
     rest = [c for j, c in enumerate(fit.causes) if j != i]
     return fitter.fit(rest) if rest else nominal
-
-
-def _exchange(screen: Screen, fitter: Fitter, fit: Fit, notes: list[str]) -> Fit:
-    """Try every cause's rivals once more beside the others: the first choice was made when they were still missing."""
-    if len(fit.causes) < 2:
-        return fit
-    for i in range(len(fit.causes)):
-        others = [c for j, c in enumerate(fit.causes) if j != i]
-        beside = fitter.fit(others, iterations=2)
-        if beside is None:
-            continue
-        tried = 0
-        for gain, candidate, estimate in ranked(screen, beside):
-            if gain <= 0 or tried >= 3:
-                break
-            if candidate.key == fit.causes[i].candidate.key:
-                continue
-            tried += 1
-            trial = refit(screen, fitter, beside, candidate, estimate)
-            if trial is None:
-                continue
-            if price(screen, fit) - price(screen, trial) > CLEARLY:
-                gone = fit.causes[i].candidate
-                notes.append(f"{gone.effect} {', '.join(gone.place)} gave way to {candidate.effect}")
-                return _exchange(screen, fitter, trial, notes) if len(notes) < 6 else trial
-    return fit
 
 
 def _prune(screen: Screen, fitter: Fitter, config: DiagnoseConfig, fit: Fit, notes: list[str]) -> Fit:
