@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from realsim.gap.causes.fit import Cause, Fit, Fitter
-from realsim.gap.causes.merit import PRICE, complexity, deviation, heldout, price
+from realsim.gap.causes.merit import PRICE, complexity, deviation, heldout, no_better, price
 from realsim.gap.causes.rivals import near, ranked
 from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.config import DiagnoseConfig
@@ -27,8 +27,6 @@ NOT_HELD = 4.0
 """A preference that unseen runs do not share may be so many times larger: one lively run is no witness."""
 CLEARLY_BETTER = 0.975
 """Quantile of Student's t, over the runs, that the mean gain on unseen runs must exceed in its standard errors."""
-NO_BETTER = 12.0
-"""Log-likelihood by which the richer law, with its two further parameters, must win to be preferred."""
 
 
 def equivalents(
@@ -54,14 +52,18 @@ def equivalents(
             if key in found or lookup(rival.candidate.effect).plain == cause.candidate.effect:
                 continue
             trial = fitter.fit([*others, rival], iterations=3)
-            spared = at_an_end and rival in plain  # a law that is bent to its end stands for something else
-            if trial is not None and (spared or _as_good(screen, config, fit, trial, removed)):
+            if trial is None:
+                continue
+            worse = trial.misfit - fit.misfit
+            # A law that is bent to its end stands for something else.
+            spared = rival in plain and (at_an_end or worse < no_better(screen, removed))
+            if spared or _as_good(screen, config, fit, trial, removed):
                 found[key] = trial
     return sorted(found.values(), key=lambda f: f.misfit)
 
 
-def simplest(fit: Fit, rivals: list[Fit]) -> tuple[Fit, list[Fit]]:
-    """(fit, rivals) with a law in place of the richer one that contains it, where the richer fits no better.
+def simplest(fit: Fit, rivals: list[Fit], least: float) -> tuple[Fit, list[Fit]]:
+    """(fit, rivals) with a law in place of the richer one that contains it, where the richer wins by less than `least`.
 
     Nor is the richer one believed where it fits as well only at an end of its range.
     """
@@ -72,7 +74,7 @@ def simplest(fit: Fit, rivals: list[Fit]) -> tuple[Fit, list[Fit]]:
         ]
         undetermined = any(_at_an_end(fit, c) for c in richer)
         worse = rival.misfit - fit.misfit
-        if richer and len(rival.causes) == len(fit.causes) and (worse < NO_BETTER or undetermined):
+        if richer and len(rival.causes) == len(fit.causes) and (worse < least or undetermined):
             return rival, [r for r in rivals if r is not rival]
     return fit, rivals
 

@@ -12,9 +12,12 @@ from __future__ import annotations
 
 from functools import partial
 
+import numpy as np
+
 from realsim.gap.causes.fit import ENOUGH, Cause, Fit, Fitter
 from realsim.gap.causes.merit import deviation, heldout, holds, price
-from realsim.gap.causes.refits import refit
+from realsim.gap.causes.probes import Probe, probed_footing
+from realsim.gap.causes.refits import Guess, refit_from
 from realsim.gap.causes.rivals import Trial, outstanding, ranked
 from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.simulation.nuisances import MANY_JOINTS
@@ -39,11 +42,13 @@ def hidden(screen: Screen, fitter: Fitter, current: Fit, stage: int, trials: lis
     """Fits with one further cause that is far likelier than the small deviations alone, best first."""
     found = []
     joints = len(screen.simulator.case.joint_names)
-    for gain, candidate, estimate in worth_trying(screen, current):
-        fit = refit(screen, fitter, current, candidate, estimate)
+    for gain, candidate, start in worth_trying(screen, fitter, current):
+        fit = refit_from(screen, fitter, current, candidate, start, np.inf)
         if fit is None or current.misfit - fit.misfit < gain:
             with fitter.unbent():  # deviations that imitate it would leave it only what they do not
-                straight = refit(screen, fitter, current, candidate, estimate)
+                straight = refit_from(screen, fitter, current, candidate, start, np.inf)
+                if straight is not None and isinstance(start, dict):  # nor do slopes foretell what suits it
+                    straight = fitter.settled(straight, rounds=2)
             fit = min((f for f in (fit, straight) if f is not None), key=lambda f: f.misfit, default=None)
         if fit is None:
             continue
@@ -67,15 +72,25 @@ def hidden(screen: Screen, fitter: Fitter, current: Fit, stage: int, trials: lis
     return sorted(found, key=partial(price, screen))
 
 
-def worth_trying(screen: Screen, current: Fit) -> list[tuple[float, Candidate, F64]]:
-    """The best place of each effect that the linear screen favours, and of those that explain much by themselves."""
+def worth_trying(screen: Screen, fitter: Fitter, current: Fit) -> list[tuple[float, Candidate, Guess]]:
+    """The best place of each effect that the linear screen favours, what explains much by itself, what lifts a foot."""
     best: dict[str, tuple[float, Candidate, F64]] = {}
     for found in ranked(screen, current):
         if found[0] < WORTH_TRYING or len(best) == TRIED:
             break
         best.setdefault(found[1].effect, found)
     taken = [*best, *(c.candidate.effect for c in current.causes)]
-    return [*best.values(), *outstanding(screen, current, taken)]
+    by_slopes = [*best.values(), *outstanding(screen, current, taken)]
+    known = {c.key for _, c, _ in by_slopes}
+    return [*by_slopes, *(f for f in _footing(screen, fitter, current) if f[1].key not in known)]
+
+
+def _footing(screen: Screen, fitter: Fitter, current: Fit) -> list[Probe]:
+    """What slopes do not foretell: an encoder that sets a foot higher, beside deviations that are not bent to it."""
+    with fitter.unbent():
+        straight = fitter.looked_at(current, current.causes)
+        free = [c for c in screen.candidates if not current.has(c.effect, c.place)]
+        return probed_footing(screen, fitter, straight, free) if straight else []
 
 
 def needed(screen: Screen, cause: Cause) -> float:

@@ -16,6 +16,9 @@ FAR_ABOVE = 20.0
 """Mean square in units of the floor from which on a rest is no matter of tolerances."""
 PRICE = 4.0
 """Log-likelihood that a parameter must bring: half a log of the data, in round numbers."""
+NO_BETTER, HARDLY_BETTER = 12.0, 0.2
+"""Log-likelihood by which a law must beat a plainer one that it contains, and share of what that removes by which it
+must do so where feet slip and land: what a law leaves is more than noise there, and a richer one bends to it."""
 CLEARLY = 5.0
 """Difference in price from which on other causes take the place of those that were found first."""
 
@@ -35,6 +38,11 @@ def complexity(screen: Screen, fit: Fit) -> float:
 def price(screen: Screen, fit: Fit) -> float:
     """What a fit costs in log-likelihood, its parameters included: of rivals the cheapest is the best."""
     return fit.misfit + complexity(screen, fit)
+
+
+def no_better(screen: Screen, removed: float) -> float:
+    """Log-likelihood up to which a richer law is no better than a plain one, of `removed` by the better of the two."""
+    return max(NO_BETTER, HARDLY_BETTER * removed if screen.simulator.context.touches else 0.0)
 
 
 def holds(mean: float, error: float, positive: float) -> bool:

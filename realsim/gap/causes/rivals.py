@@ -11,7 +11,7 @@ import numpy as np
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.linear import marginal, score
-from realsim.gap.causes.merit import heldout, price
+from realsim.gap.causes.merit import heldout, no_better, price
 from realsim.gap.causes.probes import alone, foretold, probed, probed_footing, probed_ground
 from realsim.gap.causes.refits import Guess, extended, fullest, nested, once_more, refit_from
 from realsim.gap.causes.screen import Candidate, Screen, slab
@@ -192,7 +192,22 @@ def duel(screen: Screen, fitter: Fitter, current: Fit, fits: list[Fit]) -> tuple
         return current, [_anew(screen, fitter, best) or best, *fits[1:]] if jagged else fits
     fitter.tighten(best)
     again = [fit for f in close if (fit := (_explored if jagged else _anew)(screen, fitter, f)) is not None]
-    return fitter.remeasure(current), sorted(again, key=partial(price, screen))
+    again.sort(key=partial(price, screen))
+    current = fitter.remeasure(current)
+    return current, _plain_first(screen, current, again) if jagged else again
+
+
+def _plain_first(screen: Screen, current: Fit, fits: list[Fit]) -> list[Fit]:
+    """The fits with a plain law before a richer one that is hardly better: it bends to what neither explains."""
+    best = fits[0]
+    richer = best.causes[-1].candidate
+    allowed = no_better(screen, current.misfit - best.misfit)
+    for fit in fits[1:]:
+        law = fit.causes[-1].candidate
+        plain = lookup(richer.effect).plain == law.effect and richer.places == law.places
+        if plain and fit.misfit - best.misfit < allowed:
+            return [fit, *(f for f in fits if f is not fit)]
+    return fits
 
 
 def _anew(screen: Screen, fitter: Fitter, fit: Fit) -> Fit | None:

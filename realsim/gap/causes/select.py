@@ -10,7 +10,7 @@ from realsim.gap.causes.exchange import exchanged
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.fitted import Z90
 from realsim.gap.causes.forward import Forward
-from realsim.gap.causes.merit import deviation, heldout
+from realsim.gap.causes.merit import deviation, heldout, no_better
 from realsim.gap.causes.rivals import Trial
 from realsim.gap.causes.screen import Screen
 from realsim.gap.config import DiagnoseConfig
@@ -45,7 +45,8 @@ def select(
     current = _prune(screen, fitter, config, current, notes)
     current = fitter.spread(current)
     equivalent = equivalents(screen, fitter, config, current, nominal, forward.stages) if current.causes else []
-    current, equivalent = likelier(*simplest(current, equivalent))
+    least = no_better(screen, nominal.misfit - current.misfit)
+    current, equivalent = likelier(*simplest(current, equivalent, least))
     gains = {}
     for i in range(len(current.causes)):
         less = _without(fitter, current, i, nominal)
