@@ -55,8 +55,8 @@ def equivalents(
             if trial is None:
                 continue
             worse = trial.misfit - fit.misfit
-            # A law that is bent to its end stands for something else.
-            spared = rival in plain and (at_an_end or worse < no_better(screen, removed))
+            hardly = screen.simulator.context.touches and worse < no_better(screen, removed)
+            spared = rival in plain and (at_an_end or hardly)  # a law that is bent to its end stands for something else
             if spared or _as_good(screen, config, fit, trial, removed):
                 found[key] = trial
     return sorted(found.values(), key=lambda f: f.misfit)

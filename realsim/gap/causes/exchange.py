@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.forward import beside
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.merit import CLEARLY, price
-from realsim.gap.causes.probes import probed, probed_footing, probed_ground
+from realsim.gap.causes.probes import Probe, probed, probed_footing, probed_ground
 from realsim.gap.causes.refits import refit, refit_from
 from realsim.gap.causes.rivals import near, ranked, searched
 from realsim.gap.causes.screen import Candidate, Screen
@@ -37,14 +37,18 @@ def exchanged(screen: Screen, fitter: Fitter, fit: Fit, notes: list[str]) -> Fit
 def _as_long_as(better: Step, screen: Screen, fitter: Fitter, fit: Fit, notes: list[str]) -> Fit:
     """The fit after exchanges, each of which began the round of its causes anew."""
     i = 0
-    while i < len(fit.causes) and len(notes) < MOST_EXCHANGES:
+    while i < len(fit.causes):
         other = better(screen, fitter, fit, i)
         if other is None:
             i += 1
             continue
         gone, came = fit.causes[i].candidate, other.causes[-1].candidate
         notes.append(f"{_said(gone)} gave way to {_said(came)}")
-        fit, i = fitter.tighten(beside(screen, fitter, other)), 0
+        # On the ground a robot beside another cause hardly answers as before.
+        fit = fitter.tighten(beside(screen, fitter, other)) if screen.simulator.context.touches else other
+        if len(notes) >= MOST_EXCHANGES:
+            break
+        i = 0
     return fit
 
 
@@ -55,10 +59,11 @@ def _said(candidate: Candidate) -> str:
 def _by_slopes(screen: Screen, fitter: Fitter, fit: Fit, i: int) -> Fit | None:
     """A fit that is clearly better with another cause in the place of the i-th, one that slopes name."""
     rest = fitter.fit(_others(fit, i), iterations=2)
-    order = ranked(screen, rest) if rest else []
-    worth = [(c, estimate) for gain, c, estimate in order if gain > 0 and c.key != fit.causes[i].candidate.key]
+    if rest is None:
+        return None
+    own = fit.causes[i].candidate.key
+    worth = [(c, estimate) for gain, c, estimate in ranked(screen, rest) if gain > 0 and c.key != own]
     for candidate, estimate in worth[:TRIED]:
-        assert rest is not None
         trial = refit(screen, fitter, rest, candidate, estimate)
         if trial is not None and price(screen, fit) - price(screen, trial) > CLEARLY:
             return trial
@@ -107,7 +112,7 @@ def _moves_a_foot(candidate: Candidate) -> bool:
     return effect.scope == "terrain" or candidate.names == effect.footing
 
 
-def _once(probes: Iterator[tuple]) -> Iterator[tuple]:
+def _once(probes: Iterable[Probe]) -> Iterator[Probe]:
     seen: set[tuple[str, Place]] = set()
     for probe in probes:
         key = (probe[1].effect, probe[1].place)

@@ -87,6 +87,8 @@ def worth_trying(screen: Screen, fitter: Fitter, current: Fit) -> list[tuple[flo
 
 def _footing(screen: Screen, fitter: Fitter, current: Fit) -> list[Probe]:
     """What slopes do not foretell: an encoder that sets a foot higher, beside deviations that are not bent to it."""
+    if not screen.simulator.context.touches:
+        return []
     with fitter.unbent():
         straight = fitter.looked_at(current, current.causes)
         free = [c for c in screen.candidates if not current.has(c.effect, c.place)]
