@@ -196,11 +196,12 @@ def test_a_gross_tilt_promises_most_by_itself_though_small_deviations_imitate_it
         screen = Screen(
             simulator, comparison, range(len(case.runs)), ("terrain_tilt", "terrain_height", "joint_offset")
         )
-        nominal = Fitter(screen).nominal()
+        fitter = Fitter(screen)
+        nominal = fitter.nominal()
         promised = ranked(screen, nominal)[0][0]
         (gain, candidate, estimate), *_ = outstanding(screen, nominal, ())
         assert all(c.effect != "terrain_tilt" for _, c, _ in outstanding(screen, nominal, ("terrain_tilt",)))
-        hidden_too = [c.effect for _, c, _ in worth_trying(screen, nominal)]
+        hidden_too = [c.effect for _, c, _ in worth_trying(screen, fitter, nominal)]
     assert gain > 10 * promised
     assert candidate.effect == "terrain_tilt"
     assert "terrain_tilt" in hidden_too
