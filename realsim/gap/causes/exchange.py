@@ -74,7 +74,8 @@ def _by_simulation(screen: Screen, fitter: Fitter, fit: Fit, i: int) -> Fit | No
     """The same, of those that simulation names.
 
     Where feet slip and land, slopes foretell little and a search ends in the first dent. Causes that leave more than
-    the floor are then hardly the right ones, and what sets a foot higher is tried in the place of what does the like.
+    the floor are then hardly the right ones: those whose small deviations stand out without the cause are looked at.
+    What sets a foot higher is always tried in the place of what does the like.
     """
     cause = fit.causes[i].candidate
     unclean = leftover(screen, fit).mean() > CLEAN

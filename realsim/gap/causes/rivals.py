@@ -192,7 +192,7 @@ def duel(screen: Screen, fitter: Fitter, current: Fit, fits: list[Fit]) -> tuple
         return current, [_anew(screen, fitter, best) or best, *fits[1:]] if jagged else fits
     fitter.tighten(best)
     again = [fit for f in close if (fit := (_explored if jagged else _anew)(screen, fitter, f)) is not None]
-    again.sort(key=partial(price, screen))
+    again = sorted(again or [fitter.remeasure(best)], key=partial(price, screen))
     current = fitter.remeasure(current)
     return current, _plain_first(screen, current, again) if jagged else again
 
