@@ -16,7 +16,8 @@ from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.effects.base import Place
 from realsim.gap.simulation.simulate import lookup
 
-MOST_EXCHANGES = 6
+MOST_EXCHANGES = 3
+"""By each way of finding a better one; what goes on being exchanged has no right cause among those known."""
 TRIED = 3
 """Rivals of each cause by the linear screen."""
 CLEAN = 1.2
@@ -36,8 +37,8 @@ def exchanged(screen: Screen, fitter: Fitter, fit: Fit, notes: list[str]) -> Fit
 
 def _as_long_as(better: Step, screen: Screen, fitter: Fitter, fit: Fit, notes: list[str]) -> Fit:
     """The fit after exchanges, each of which began the round of its causes anew."""
-    i = 0
-    while i < len(fit.causes):
+    i = exchanges = 0
+    while i < len(fit.causes) and exchanges < MOST_EXCHANGES:
         other = better(screen, fitter, fit, i)
         if other is None:
             i += 1
@@ -46,9 +47,7 @@ def _as_long_as(better: Step, screen: Screen, fitter: Fitter, fit: Fit, notes: l
         notes.append(f"{_said(gone)} gave way to {_said(came)}")
         # On the ground a robot beside another cause hardly answers as before.
         fit = fitter.tighten(beside(screen, fitter, other)) if screen.simulator.context.touches else other
-        if len(notes) >= MOST_EXCHANGES:
-            break
-        i = 0
+        i, exchanges = 0, exchanges + 1
     return fit
 
 
@@ -61,10 +60,11 @@ def _by_slopes(screen: Screen, fitter: Fitter, fit: Fit, i: int) -> Fit | None:
     rest = fitter.fit(_others(fit, i), iterations=2)
     if rest is None:
         return None
+    target = _in_sight(screen, fitter, fit, rest)
     own = fit.causes[i].candidate.key
     worth = [(c, estimate) for gain, c, estimate in ranked(screen, rest) if gain > 0 and c.key != own]
     for candidate, estimate in worth[:TRIED]:
-        trial = refit(screen, fitter, rest, candidate, estimate)
+        trial = refit(screen, fitter, rest, candidate, estimate, target)
         if trial is not None and price(screen, fit) - price(screen, trial) > CLEARLY:
             return trial
     return None
@@ -86,8 +86,7 @@ def _by_simulation(screen: Screen, fitter: Fitter, fit: Fit, i: int) -> Fit | No
         rest = fitter.looked_at(fit, _others(fit, i))
         if rest is None:
             return None
-        aim = searched(screen, fitter.remeasure(fit))
-        target = aim + near(searched(screen, rest) - aim)
+        target = _in_sight(screen, fitter, fit, rest)
         free = [c for c in screen.candidates if c.key != cause.key and not rest.has(c.effect, c.place)]
         found = chain(
             probed_ground(screen, fitter, rest, free),
@@ -102,6 +101,12 @@ def _by_simulation(screen: Screen, fitter: Fitter, fit: Fit, i: int) -> Fit | No
             if trial is not None and (best is None or price(screen, trial) < price(screen, best)):
                 best = trial
     return best if best is not None and price(screen, fit) - price(screen, best) > CLEARLY else None
+
+
+def _in_sight(screen: Screen, fitter: Fitter, fit: Fit, rest: Fit) -> float:
+    """Misfit above which a search for another cause beside the `rest` need not go on."""
+    aim = searched(screen, fitter.remeasure(fit))
+    return aim + near(searched(screen, rest) - aim)
 
 
 def _others(fit: Fit, i: int) -> list[Cause]:

@@ -6,7 +6,7 @@ two share little, every slope is of another motion than the robot's.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import islice
 
@@ -75,8 +75,8 @@ def _probed_feet(fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) 
         return current.misfit - moved.misfit if moved else float("-inf")
 
     screen = fitter.screen
-    forwards = ((c, _along(screen, c, np.zeros(len(c.linear)))) for c in candidates)
-    return _probed(screen, gain, forwards)[:KEPT_GROUND]
+    forwards = [(c, _along(screen, c, np.zeros(len(c.linear)))) for c in candidates]
+    return _probed(fitter, gain, forwards)[:KEPT_GROUND]
 
 
 def probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:
@@ -95,9 +95,9 @@ def probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Ca
                 best[c.effect, c.place] = gain, c, estimate
     order = sorted(best.values(), key=lambda item: -item[0])[:MOST]
     gain_of = partial(fitter.glance, current.causes)
-    probes = _probed(screen, gain_of, [(c, _along(screen, c, estimate)) for _, c, estimate in order])
+    probes = _probed(fitter, gain_of, [(c, _along(screen, c, estimate)) for _, c, estimate in order])
     out = standing_out(screen, current)[:MOST_OUT] if screen.simulator.context.touches else []
-    probes += _probed(screen, gain_of, [(c, _along(screen, c, estimate)) for c, estimate in out], OUT)
+    probes += _probed(fitter, gain_of, [(c, _along(screen, c, estimate)) for c, estimate in out], OUT)
     found: dict[str, Probe] = {}
     for probe in sorted(probes, key=lambda p: -p[0]):
         found.setdefault(probe[1].effect, probe)
@@ -126,13 +126,13 @@ def _worth_a_look(c: Candidate) -> bool:
 
 
 def _probed(
-    screen: Screen,
+    fitter: Fitter,
     gain_of: Callable[[Cause], float],
-    candidates: Iterable[tuple[Candidate, F64]],
+    candidates: Sequence[tuple[Candidate, F64]],
     sizes: tuple[float, ...] = (),
 ) -> list[Probe]:
     """Candidates that gain, best first, each at its best size along its direction (m,)."""
-    probes = [_sized(screen, gain_of, c, unit, sizes) for c, unit in candidates]
+    probes = fitter.each(lambda found: _sized(fitter.screen, gain_of, *found, sizes), candidates)
     return sorted((p for p in probes if p[0] > 0), key=lambda p: -p[0])
 
 

@@ -7,6 +7,7 @@ selection needs is in A = G'WG, b = G'Wr, c = r'Wr of each run.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -78,6 +79,8 @@ class Screen:
         self.simulator, self.comparison, self.runs = simulator, comparison, list(runs)
         self.skipped: dict[str, str] = {}
         self._version = -1
+        self._lock = threading.Lock()
+        """Held where the normal matrices are made anew."""
         self._A: list[F64] = []
         self._weighted: list[F64] = []
         self._covariances: dict[tuple[bytes, tuple[int, ...]], F64] = {}
@@ -102,9 +105,9 @@ class Screen:
         base = simulator.simulate(runs=self.runs, coarse=self.coarse)
         if not all(np.isfinite(y).all() for y in base):  # stiff servos may not bear it
             self.coarse, base = 1, simulator.simulate(runs=self.runs)
-        for k, atom in enumerate(wanted):
+        changes = simulator.cores.each(lambda atom: self._column(atom, base, self.nominal), wanted)
+        for k, (atom, change) in enumerate(zip(wanted, changes, strict=True)):
             tick("sensitivities", k / len(wanted))
-            change = self._column(atom, base, self.nominal)
             if change is None:
                 continue
             self.atoms.append(atom)
@@ -143,10 +146,13 @@ class Screen:
         base = self.simulator.simulate(settings, runs=self.runs, coarse=self.coarse) if self.coarse > 1 else there
         if not all(np.isfinite(y).all() for y in (*there, *base)):
             return
-        for i, atom in enumerate(self.atoms):
-            if any(atom.effect == name and set(atom.place) <= set(place) for name, place, _ in settings):
-                continue
-            change = self._column(atom, base, there, settings)
+        moving = [
+            i
+            for i, atom in enumerate(self.atoms)
+            if not any(atom.effect == name and set(atom.place) <= set(place) for name, place, _ in settings)
+        ]
+        changes = self.simulator.cores.each(lambda i: self._column(self.atoms[i], base, there, settings), moving)
+        for i, change in zip(moving, changes, strict=True):
             for k, columns in enumerate(self._columns):
                 columns[:, i] = change[k] if change else 0.0
         self.comparison.version += 1
@@ -160,7 +166,8 @@ class Screen:
         """
         p = atom.parameter
         # Where small deviations are everyday, the slope at the nominal model counts: it must predict them.
-        coarse, base = (1, fine) if p.fine else (self.coarse, base)
+        # And a stiff law that a finer step bears may blow up at the coarser one, and would then never be a candidate.
+        coarse, base = (1, fine) if p.fine or lookup(atom.effect).stiff else (self.coarse, base)
         width = np.copysign(min(3 * p.nuisance, abs(p.step)), p.step) if p.nuisance and p.bounds[0] < 0 else p.step
         for scale in (1.0, -1.0, 0.3):  # a payload may only be removable, a gap only be small
             value = p.default + scale * width
@@ -192,14 +199,9 @@ class Screen:
         `about`: (p,) the small deviations that are in the predictions already; x counts from their centre all the same,
         the likelier one where there are two.
         """
-        if self._version != self.comparison.version:
-            self._version = self.comparison.version
-            self._covariances.clear()
-            self._A, self._weighted = [], []
-            for run, G in zip(self.runs, self._columns, strict=True):
-                W = self.comparison.weights[run].reshape(-1, 1)
-                self._weighted.append(G * W)
-                self._A.append((G.T @ self._weighted[-1].astype(np.float32)).astype(float))
+        with self._lock:
+            if self._version != self.comparison.version:
+                self._weigh()
         b, c = [], []
         which = range(len(self.runs)) if few is None else few
         for k, y in zip(which, simulated, strict=True):
@@ -212,6 +214,16 @@ class Screen:
         A = self._A if few is None else [self._A[k] for k in few]
         found = Evidence(A, b, c, self._version, tuple(which))
         return min(self.centred(found), key=lambda e: self.misfit(e, self.prior))
+
+    def _weigh(self) -> None:
+        """The atoms' normal matrices under the comparison's present weights."""
+        self._version = self.comparison.version
+        self._covariances.clear()
+        self._A, self._weighted = [], []
+        for run, G in zip(self.runs, self._columns, strict=True):
+            W = self.comparison.weights[run].reshape(-1, 1)
+            self._weighted.append(G * W)
+            self._A.append((G.T @ self._weighted[-1].astype(np.float32)).astype(float))
 
     def centred(self, evidence: Evidence) -> list[Evidence]:
         """The evidence about each centre that the small deviations may have, its own first."""

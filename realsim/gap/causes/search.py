@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.effects.base import Parameter
 from realsim.gap.simulation.simulate import Setting, lookup
 from realsim.types import F64
+
+Item = TypeVar("Item")
+Made = TypeVar("Made")
 
 PACES = 6.0
 """A fit is broken off where so many more steps as good as the last would not reach its target."""
@@ -46,7 +50,13 @@ class Search:
         self.about = np.zeros(len(screen.atoms))
         """(p,) nuisances that every simulation contains, so that the linear rest is small."""
         self._recent: dict[Any, list[F64] | None] = {}
+        self._lock = threading.Lock()
+        """Held where what has been simulated is noted."""
         self._looks: dict[Any, Look] = {}
+
+    def each(self, function: Callable[[Item], Made], items: Sequence[Item]) -> Iterator[Made]:
+        """`function` of every item, in their order, on all cores: looks that do not wait for one another."""
+        return self.screen.simulator.cores.each(function, items)
 
     def _about(self, candidates: Sequence[Candidate]) -> F64:
         """(p,) the simulated nuisances beside these causes."""
@@ -102,15 +112,18 @@ class Search:
         before = causes[:-1]
         candidates, z = [c.candidate for c in before], np.array([v for c in before for v in c.values])
         key = (tuple(c.key for c in candidates), z.tobytes(), few, self.about.tobytes())
-        if key not in self._looks:
+        look = self._looks.get(key)
+        if look is None:
             fine = self._predict(candidates, z, Look(few))
             rude = self._predict(candidates, z, Look(few, self.screen.coarse))
             made = fine is not None and rude is not None  # a stiff servo may not bear it
             offset = tuple(f - r for f, r in zip(fine or (), rude or (), strict=True)) if made else ()
-            self._looks[key] = Look(few, self.screen.coarse, offset) if made else Look(few)
-            if len(self._looks) > 4:
-                self._looks.pop(next(iter(self._looks)))
-        return self._looks[key]
+            look = Look(few, self.screen.coarse, offset) if made else Look(few)
+            with self._lock:
+                self._looks[key] = look
+                if len(self._looks) > 4:
+                    self._looks.pop(next(iter(self._looks)))
+        return look
 
     def _parameters(self, candidates: Sequence[Candidate]) -> list[Parameter]:
         found = []
@@ -127,9 +140,9 @@ class Search:
         look: Look,
     ) -> F64 | None:
         best: tuple[float, F64] | None = None
-        for start in starts:
-            z = self._clip(np.array(start, float), parameters)
-            value = self._misfit(candidates, z, look)
+        begun = [self._clip(np.array(start, float), parameters) for start in starts]
+        values = self.each(lambda z: self._misfit(candidates, z, look), begun)
+        for z, value in zip(begun, values, strict=True):
             if value is not None and (best is None or value < best[0]):
                 best = (value, z)
         return None if best is None else best[1]
@@ -153,9 +166,11 @@ class Search:
         """(T, C) a screened run (of those that are looked at); None if the simulation fails."""
         step = (look.few, look.coarse, look.offset[0].tobytes() if look.offset else b"")
         key = (tuple(c.key for c in candidates), z.tobytes(), step, self.about.tobytes())
-        if key in self._recent:
-            return self._recent[key]
-        self.evaluations += 1
+        with self._lock:
+            if key in self._recent:
+                self._recent[key] = found = self._recent.pop(key)  # the last to be forgotten now
+                return found
+            self.evaluations += 1
         try:
             made = self.screen.simulator.simulate(self._settings(candidates, z), self._runs(look), look.coarse)
             if look.offset:
@@ -163,9 +178,10 @@ class Search:
             found = made if all(np.isfinite(y).all() for y in made) else None
         except GapError:
             found = None
-        self._recent[key] = found
-        if len(self._recent) > 24:  # a line search ends where the next slopes begin: no need to simulate it again
-            self._recent.pop(next(iter(self._recent)))
+        with self._lock:
+            self._recent[key] = found
+            if len(self._recent) > 24:  # a line search ends where the next slopes begin: no need to simulate it again
+                self._recent.pop(next(iter(self._recent)))
         return found
 
     def prior_beside(self, candidates: Sequence[Candidate]) -> F64:
@@ -197,23 +213,23 @@ class Search:
         look: Look = WHOLE,
     ) -> list[F64] | None:
         """(B * C, m) a run: change of the prediction per unit, by differences a tenth of a step wide."""
-        columns: list[list[F64]] = [[] for _ in base]
-        for j, p in enumerate(parameters):
+
+        def slope(j: int) -> list[F64] | None:
+            p = parameters[j]
             width = 0.1 * p.step if abs(z[j]) < abs(p.step) else 0.1 * z[j]
-            moved = None
-            for sign in (1.0, -1.0):
-                if p.bounds[0] <= z[j] + sign * width <= p.bounds[1]:
-                    other = z.copy()
-                    other[j] += sign * width
-                    moved = self._predict(candidates, other, look)
-                    if moved is not None:
-                        width *= sign
-                        break
-            if moved is None:
-                return None
-            for k, (run, m, y) in enumerate(zip(self._runs(look), moved, base, strict=True)):
-                columns[k].append(np.asarray(self.screen.comparison.change(run, m, y).reshape(-1) / width))
-        return [np.stack(c, axis=1) for c in columns]
+            for change in (width, -width):
+                if not p.bounds[0] <= z[j] + change <= p.bounds[1]:
+                    continue
+                moved = self._predict(candidates, z + change * (np.arange(len(z)) == j), look)
+                if moved is not None:
+                    runs = zip(self._runs(look), moved, base, strict=True)
+                    return [self.screen.comparison.change(run, m, y).reshape(-1) / change for run, m, y in runs]
+            return None
+
+        slopes = list(self.each(slope, range(len(parameters))))
+        if any(s is None for s in slopes):
+            return None
+        return [np.stack(columns, axis=1) for columns in zip(*(s for s in slopes if s is not None), strict=True)]
 
     def _secant(
         self,

@@ -39,10 +39,12 @@ def select(
     notes = forward.notes
     nominal = fitter.remeasure(nominal)
     if current.causes:
-        current = fitter.fit(current.causes) or current
-        current = exchanged(screen, fitter, current, notes)
+        # A superfluous cause bends the others, and would be exchanged for what is superfluous too: it goes first.
+        before = _prune(screen, fitter, config, fitter.fit(current.causes) or current, notes)
+        current = exchanged(screen, fitter, before, notes)
+        if current is not before:
+            current = _prune(screen, fitter, config, current, notes)
         nominal = fitter.remeasure(nominal)
-    current = _prune(screen, fitter, config, current, notes)
     current = fitter.spread(current)
     equivalent = equivalents(screen, fitter, config, current, nominal, forward.stages) if current.causes else []
     least = no_better(screen, nominal.misfit - current.misfit)

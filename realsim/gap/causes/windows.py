@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -101,7 +102,7 @@ def slid(fitter: Fitter, fit: Fit) -> Fit:
     for size in SLIDES:
         moves = [(name, move) for name in (*edges, "force") for move in (size, -size)]
         while True:
-            moved = [f for name, move in moves if (f := _moved(fitter, best, name, move)) is not None]
+            moved = [f for f in fitter.each(partial(_moved, fitter, best), moves) if f is not None]
             nearest = min(moved, key=lambda f: f.misfit, default=best)
             if nearest.misfit >= best.misfit:
                 break
@@ -117,18 +118,16 @@ def carried(screen: Screen, fitter: Fitter, fit: Fit) -> list[Fit]:
     cause, others = fit.causes[-1], fit.causes[:-1]
     case = screen.simulator.case
     base = case.model.body(base_body(case)).name if case.floating else ""
-    fits = []
-    for c in screen.candidates:
-        if c.effect == cause.candidate.effect and c.names == FORCE and c.places != cause.candidate.places:
-            there = replace(c, names=cause.candidate.names)
-            moved = fitter.looked_at(fit, (*others, Cause(there, cause.values)))
-            fits += [moved] if moved is not None else []
-    fits.sort(key=lambda f: f.misfit)
+    like = [c for c in screen.candidates if c.effect == cause.candidate.effect and c.names == FORCE]
+    elsewhere = [replace(c, names=cause.candidate.names) for c in like if c.places != cause.candidate.places]
+    moved = fitter.each(lambda c: fitter.looked_at(fit, (*others, Cause(c, cause.values))), elsewhere)
+    fits = sorted((f for f in moved if f is not None), key=lambda f: f.misfit)
     return fits[:1] + [f for f in fits[1:] if f.causes[-1].candidate.place == (base,)]
 
 
-def _moved(fitter: Fitter, fit: Fit, name: str, move: float) -> Fit | None:
+def _moved(fitter: Fitter, fit: Fit, change: tuple[str, float]) -> Fit | None:
     """With an edge moved by so many seconds, or the force by this share; None if that cannot be."""
+    name, move = change
     cause = fit.causes[-1]
     if name == "since" and abs(cause.named[name] + move) > NEAR:
         return None

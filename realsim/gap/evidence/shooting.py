@@ -80,7 +80,7 @@ def shoot(simulator: Simulator, settings: Sequence[Setting] = (), runs: Sequence
             seen.append((run, motion, n))
     if not states:
         return Shots(labels, seconds, (), np.zeros((0, len(seconds), 0)))
-    sensors = simulator.rolled(model, np.stack(states), np.stack(controls), edit)
+    sensors = simulator.rolled(model, states, controls, edit)
     simulator.simulated_seconds += len(states) * count * dt
     names, rows = _names(simulator), []
     for s, (run, motion, n) in zip(sensors, seen, strict=True):

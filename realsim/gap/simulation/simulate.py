@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,7 @@ from realsim.gap.logs.case import Case, Run
 from realsim.gap.simulation.channels import Channel as Channel
 from realsim.gap.simulation.channels import channels
 from realsim.gap.simulation.context import Context, build_context, measure
+from realsim.gap.simulation.cores import Cores
 from realsim.gap.simulation.edit import Edit
 from realsim.gap.simulation.nuisances import NUISANCES
 from realsim.gap.simulation.sampling import continuous_turn, either_side, nearest_turn
@@ -23,7 +26,7 @@ from realsim.gap.simulation.sampling import quiet_mujoco as quiet_mujoco
 from realsim.gap.simulation.sampling import rotation_from as rotation_from
 from realsim.gap.simulation.sampling import sample as sample
 from realsim.gap.simulation.start import Start, find_starts, first_rows, initial_state
-from realsim.gap.simulation.stepping import gears, stepped
+from realsim.gap.simulation.stepping import gears, rolled, stepped
 from realsim.types import F64
 
 Setting = tuple[str, Place, dict[str, float]]
@@ -50,7 +53,8 @@ class Simulator:
         self.context: Context = build_context(case)
         self.channels = channels(case)
         self.simulated_seconds = 0.0
-        self._pool: Any = None
+        self.cores = Cores(config.threads)
+        self._counting = threading.Lock()
         self._raw: list[dict[str, F64]] | None = None
         self._coarse: dict[tuple[int, tuple[int, ...]], list[dict[str, F64]]] = {}
         self.starts: tuple[Start, ...] = tuple(Start() for _ in case.runs)
@@ -64,9 +68,7 @@ class Simulator:
         measure(self.context, [_inside(raw) for raw in self._raw])
 
     def close(self) -> None:
-        if self._pool is not None:
-            self._pool.close()
-            self._pool = None
+        self.cores.close()
 
     def __enter__(self) -> Simulator:
         return self
@@ -150,29 +152,21 @@ class Simulator:
         settle = [self._settle_steps(start, edit, dt) for start in begun]
         lengths = [int(np.ceil((min(run.duration, seconds) + 0.05) / dt)) + 2 for run in runs]
         steps = [lead + length for lead, length in zip(settle, lengths, strict=True)]
-        state = np.stack([initial_state(self.case, model, r, edit, s) for r, s in zip(runs, begun, strict=True)])
-        control = np.zeros((len(runs), max(steps), model.nu))
-        for i, run in enumerate(runs):
-            control[i] = self._control(model, run, edit, max(steps), settle[i], dt)
+        state = [initial_state(self.case, model, r, edit, s) for r, s in zip(runs, begun, strict=True)]
+        control = [self._control(model, run, edit, n, k, dt) for run, n, k in zip(runs, steps, settle, strict=True)]
         sensors = self.rolled(model, state, control, edit)
-        self.simulated_seconds += float(sum(steps)) * dt
-        return [self._tracks(model, s[:n], k, edit) for s, n, k in zip(sensors, steps, settle, strict=True)]
+        with self._counting:
+            self.simulated_seconds += float(sum(steps)) * dt
+        return [self._tracks(model, s, k, edit) for s, k in zip(sensors, settle, strict=True)]
 
-    def rolled(self, model: Any, state: F64, control: F64, edit: Edit) -> F64:
-        """(R, T, S) sensors of R runs, from (R, X) full physics states under (R, T, U) controls."""
-        import mujoco
-        from mujoco import rollout
-
+    def rolled(self, model: Any, states: Sequence[F64], controls: Sequence[F64], edit: Edit) -> list[F64]:
+        """(T, S) sensors a run, from (X,) full physics states under (T, U) controls."""
+        one = partial(rolled, model)
+        if edit.signals.load_friction:
+            drives = {j: (edit.motor_joint(j), a) for j, a in self.context.actuator.items()}
+            one = partial(stepped, model, gears(model, edit.signals.load_friction, drives))
         with quiet_mujoco():
-            if edit.signals.load_friction:
-                drives = {j: (edit.motor_joint(j), a) for j, a in self.context.actuator.items()}
-                laws = gears(model, edit.signals.load_friction, drives)
-                return stepped(model, state, control, laws, self.config.threads)
-            if self._pool is None:
-                self._pool = rollout.Rollout(nthread=self.config.threads if self.config.threads > 1 else 0)
-            datas = [mujoco.MjData(model) for _ in range(self.config.threads)]
-            _, sensors = self._pool.rollout(model, datas, state, control, chunk_size=1)
-        return np.asarray(sensors)
+            return list(self.cores.each(lambda run: one(*run), list(zip(states, controls, strict=True))))
 
     def _settle_steps(self, start: Start, edit: Edit, dt: float) -> int:
         """Steps before the first sample."""

@@ -1,12 +1,10 @@
-"""Roll-outs step by step, for laws that change the model as it moves: friction that goes with the load."""
+"""One run: in one go, or step by step for laws that change the model as it moves (friction that goes with the load)."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -41,22 +39,23 @@ def gears(model: Any, load_friction: Mapping[str, float], drives: Mapping[str, t
     return found
 
 
-def stepped(model: Any, states: F64, controls: F64, laws: Sequence[Gear], threads: int = 1) -> F64:
-    """(R, T, S) sensors of R runs of T steps, as `mujoco.rollout` gives them; NaN from where MuJoCo gives one up.
+def rolled(model: Any, state: F64, control: F64) -> F64:
+    """(T, S) sensors of a run of T steps in one go.
 
     Args:
-        states: (R, X) full physics states to begin in.
-        controls: (R, T, U).
-        laws: the friction of a step goes with the torque of the step before.
+        state: (X,) full physics state to begin in.
+        control: (T, U).
     """
-    one = partial(_one, model, laws)
-    if threads == 1:
-        return np.stack([one(s, c) for s, c in zip(states, controls, strict=True)])
-    with ThreadPoolExecutor(threads) as pool:
-        return np.stack(list(pool.map(one, states, controls)))
+    import mujoco
+    from mujoco import rollout
+
+    with rollout.Rollout(nthread=0) as here:
+        _, sensors = here.rollout(model, [mujoco.MjData(model)], state[None], control[None])
+    return np.asarray(sensors[0])
 
 
-def _one(model: Any, laws: Sequence[Gear], state: F64, control: F64) -> F64:
+def stepped(model: Any, laws: Sequence[Gear], state: F64, control: F64) -> F64:
+    """The same under laws of friction that go with the torque of the step before; NaN from where MuJoCo gives it up."""
     import mujoco
 
     model = copy.copy(model)  # its friction changes on the way, and other threads step it too
