@@ -20,6 +20,9 @@ EXCESS = 1.5
 """Where no cause takes any of it, a rest must be larger than else by this factor to be called a gap."""
 NOT_HELD = 0.3
 """Share of the gap on unseen runs that may stay at most; causes that hold leave a few per cent."""
+STAYS = 15.0
+"""Mean square in units of the floor that may stay, all runs but the worst together, however small a share of the
+gap it is: of large gaps too, the right causes leave hardly anything."""
 
 CERTAIN = 0.86
 """Largest probability: of identified causes 138 of 160 were right on withheld logs. What is clear beyond noise may
@@ -59,6 +62,8 @@ def judge(config: DiagnoseConfig, screen: Screen, selection: Selection, shrunk: 
     doubt = ""
     if gap and unexplained > limit:
         doubt = f"{unexplained:.0%} of the gap stays"
+    elif (stays := _but_the_worst(left)) > STAYS:
+        doubt = f"{stays:.0f} times the floor stays: of large gaps too, the right causes leave hardly anything"
     elif failed:
         doubt, unexplained = f"{failed:.0%} of the gap stays on unseen runs", max(unexplained, failed)
     elif ends:
@@ -71,6 +76,11 @@ def judge(config: DiagnoseConfig, screen: Screen, selection: Selection, shrunk: 
         probabilities = [max(p / count, 0.5) for p in probabilities]
         return Judgement("ambiguous", unexplained, probabilities, tuple(reasons))
     return Judgement("identified", unexplained, probabilities, tuple(reasons))
+
+
+def _but_the_worst(left: F64) -> float:
+    """Mean of what stays, without the run that may have diverged where there are several."""
+    return float(np.sort(left)[: max(len(left) - 1, 1)].mean())
 
 
 def at_an_end(screen: Screen, fit: Fit) -> list[str]:
