@@ -78,6 +78,20 @@ def test_laws_that_need_the_fine_step_keep_it(fitter: Fitter) -> None:
     assert fitter._look([_cause(fitter, "backlash", 0.01)], rough=False, coarse=True).coarse == 1
 
 
+def test_slopes_of_laws_that_need_the_fine_step_are_taken_at_it(fitter: Fitter, monkeypatch) -> None:
+    """At twice the step a spring in a light calf blows up, and would never be thought of."""
+    simulate, steps = fitter.screen.simulator.simulate, {}
+
+    def noted(settings=(), runs=None, coarse=1):
+        steps.update({effect: coarse for effect, _, _ in settings})
+        return simulate(settings, runs, coarse)
+
+    monkeypatch.setattr(fitter.screen.simulator, "simulate", noted)
+    fitter.screen.look_from([])
+    assert steps["backlash"] == 1
+    assert steps["motor_gain"] == 2
+
+
 def test_a_cause_is_clear_of_nothing_only_where_it_acts(fitter: Fitter, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("realsim.gap.causes.fit.ENOUGH", 3)
     fit = fitter.fit([_cause(fitter, "motor_gain", -0.05)])

@@ -223,6 +223,25 @@ def test_a_gain_beyond_all_measure_is_a_probability_all_the_same(arm: Case, recw
     assert not [w for w in recwarn if issubclass(w.category, RuntimeWarning)]
 
 
+@pytest.mark.parametrize(
+    ("left", "verdict"),
+    [((20.0, 20.0), "unexplained"), ((0.5, 90.0), "identified"), ((1.0, 1.0), "identified")],
+    ids=["much in every run", "one run parted", "hardly anything"],
+)
+def test_much_that_stays_of_a_huge_gap_is_unexplained(
+    arm: Case, monkeypatch, left: tuple[float, ...], verdict: str
+) -> None:
+    screen = screened(arm, ("armature",))
+    fitter = Fitter(screen)
+    fit = fitter.fit([Cause(screen.candidates[0], (0.01,))])
+    assert fit is not None
+    monkeypatch.setattr("realsim.gap.answer.verdict.remains", lambda *_: (9000.0, np.array(left), 0.004))
+    shrunk = Shrinkage(("a",), False, 1.0, 0.0, (0.0, 0.0), None, 1.0, 0.0, 1.0, 1.0)
+    said = judge(CONFIG, screen, Selection(fit, fitter.nominal(), [], [], {0: 30.0}, []), shrunk)
+    assert said.verdict == verdict
+    assert any("times the floor stays" in r for r in said.reasons) == (verdict == "unexplained")
+
+
 @pytest.mark.parametrize(("name", "values"), [("damping_gain", {"ratio": 0.3}), ("viscous_friction", {"damping": 1.5})])
 def test_braking_by_the_servo_and_by_grease_is_one_motion(arm: Case, name: str, values: dict[str, float]) -> None:
     with Simulator(arm, CONFIG) as simulator:
