@@ -17,11 +17,12 @@ from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
 from realsim.gap.answer.heldout import Shrinkage
 from realsim.gap.answer.verdict import judge
 from realsim.gap.causes.fit import Cause, Fitter
+from realsim.gap.causes.forward import Forward
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.linear import Evidence
 from realsim.gap.causes.refits import refit
 from realsim.gap.causes.screen import Screen
-from realsim.gap.causes.select import Selection
+from realsim.gap.causes.select import Selection, select
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.edit import Edit
 from realsim.gap.simulation.sampling import AT, either_side
@@ -208,6 +209,26 @@ def test_a_richer_law_takes_the_place_of_the_plain_one(arm: Case) -> None:
     assert [c.candidate.effect for c in found.causes] == ["stribeck_friction"]
     assert found.misfit < plain.misfit - 5
     assert found.causes[0].named["static_friction"] > 1.5 * found.causes[0].named["coulomb"]
+
+
+def test_superfluous_causes_go_before_the_others_are_exchanged(arm: Case, monkeypatch) -> None:
+    case = logged(arm, [("motor_gain", ("elbow",), {"ratio": -0.3})])
+    screen = screened(case, ("motor_gain", "viscous_friction"))
+    of = {(c.effect, c.place): c for c in screen.candidates}
+    real = Cause(of["motor_gain", ("elbow",)], (-0.3,))
+    idle = Cause(of["viscous_friction", ("shoulder",)], (0.01,))
+    seen = []
+
+    def exchanged(screen, fitter, fit, notes):
+        seen.append([c.candidate.effect for c in fit.causes])
+        return fit
+
+    monkeypatch.setattr("realsim.gap.causes.select.exchanged", exchanged)
+    monkeypatch.setattr(Forward, "run", lambda self, current, tick: self.fitter.fit([idle, real]))
+    found = select(screen, Fitter(screen), CONFIG)
+    assert seen == [["motor_gain"]]
+    assert [c.candidate.effect for c in found.fit.causes] == ["motor_gain"]
+    assert any("was taken out again" in note for note in found.notes)
 
 
 def test_a_gain_beyond_all_measure_is_a_probability_all_the_same(arm: Case, recwarn) -> None:
