@@ -20,7 +20,8 @@ from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.windows import SHORTEST, _best_window
 from realsim.gap.compare import Comparison
 from realsim.gap.effects.base import Parameter
-from realsim.gap.simulation.simulate import Simulator
+from realsim.gap.simulation.recent import Recent
+from realsim.gap.simulation.simulate import Setting, Simulator
 
 from .test_recovery import logged
 from .truth import Truth
@@ -87,9 +88,47 @@ def test_slopes_of_laws_that_need_the_fine_step_are_taken_at_it(fitter: Fitter, 
         return simulate(settings, runs, coarse)
 
     monkeypatch.setattr(fitter.screen.simulator, "simulate", noted)
-    fitter.screen.look_from([])
+    fitter.screen.look_from(_damped(fitter))
     assert steps["backlash"] == 1
     assert steps["motor_gain"] == 2
+    fitter.screen.look_from([])
+
+
+def _damped(fitter: Fitter, damping: float = 0.01) -> list[Setting]:
+    return [("viscous_friction", (fitter.screen.simulator.context.driven[0],), {"damping": damping})]
+
+
+def test_slopes_are_taken_anew_only_beside_causes_that_move_the_robot_otherwise(fitter: Fitter, monkeypatch) -> None:
+    screen, looks = fitter.screen, []
+    column = screen._column
+    monkeypatch.setattr(screen, "_column", lambda atom, *more: looks.append(atom) or column(atom, *more))
+    read = ("joint_offset", (screen.simulator.context.driven[0],), {"reading_offset": 0.02})
+    for causes, anew in [([], 0), ([read], 0), (_damped(fitter), 1), ([*_damped(fitter, 0.011), read], 0), ([], 1)]:
+        looks.clear()
+        screen.look_from(causes)
+        assert bool(looks) == bool(anew), causes
+
+
+def test_what_only_reads_otherwise_is_not_simulated_again(fitter: Fitter, monkeypatch) -> None:
+    simulator = fitter.screen.simulator
+    rolls, roll_out = [], simulator.roll_out
+    monkeypatch.setattr(simulator, "roll_out", lambda *all_of: rolls.append(all_of) or roll_out(*all_of))
+    plain = simulator.simulate(_damped(fitter, 0.013))
+    read = ("joint_offset", (simulator.context.driven[0],), {"reading_offset": 0.02})
+    shifted = simulator.simulate([read, *_damped(fitter, 0.013)])
+    assert len(rolls) == 1
+    column = next(i for i, c in enumerate(simulator.channels) if c.signal == "joint_pos" and c.index == 0)
+    np.testing.assert_allclose(shifted[0][:, column], plain[0][:, column] + 0.02, atol=1e-12)
+    simulator.simulate(_damped(fitter, 0.014))
+    assert len(rolls) == 2
+
+
+def test_the_last_results_are_kept_and_no_more() -> None:
+    recent, made = Recent[int](2), []
+    for key in ("a", "b", "a", "c", "a", "b"):
+        assert recent.get(key, lambda key=key: made.append(key) or ord(key)) == ord(key)
+    assert made == ["a", "b", "c", "b"]
+    assert recent.made == 4
 
 
 def test_a_cause_is_clear_of_nothing_only_where_it_acts(fitter: Fitter, monkeypatch: pytest.MonkeyPatch) -> None:

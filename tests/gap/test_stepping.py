@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from mujoco import rollout
 
-from realsim.gap.simulation.stepping import Gear, rolled, stepped
+from realsim.gap.simulation.stepping import Gear, rolled, spare, stepped
 
 SLED = """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody><body>
 <joint name="x" type="slide" axis="1 0 0" solreffriction="0.0022 1"/><geom size="0.1" mass="2"/></body></worldbody>
@@ -60,3 +60,32 @@ def test_rows_after_an_explosion_are_no_numbers() -> None:
     bad = ~np.isfinite(x[:, 0])
     assert bad[-1]
     assert not bad[0]
+
+
+ARM = """<mujoco><worldbody>{floor}<body pos="0 0 0.5"><joint name="a" axis="0 1 0" frictionloss="0.1"/>
+<geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.03" mass="1" {kind}/><body pos="0.4 0 0"><joint axis="0 1 0"/>
+<geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.03" mass="1" {kind}/></body></body>{other}</worldbody>
+<actuator><motor joint="a" gear="5"/></actuator><sensor><jointpos joint="a"/><jointvel joint="a"/></sensor></mujoco>"""
+FLOOR = '<geom type="plane" size="2 2 0.1"/>'
+OTHER = '<body pos="0 2 2"><freejoint/><geom size="0.1"/></body>'
+CONTACT, ISLAND = mujoco.mjtDisableBit.mjDSBL_CONTACT, mujoco.mjtDisableBit.mjDSBL_ISLAND
+
+
+@pytest.mark.parametrize(
+    ("floor", "kind", "other", "spared"),
+    [
+        ("", 'contype="0" conaffinity="1"', "", CONTACT | ISLAND),
+        (FLOOR, 'contype="0" conaffinity="0"', "", CONTACT | ISLAND),
+        (FLOOR, "", "", ISLAND),
+        (FLOOR, "", OTHER, 0),
+    ],
+)
+def test_what_is_spared_changes_no_step(floor: str, kind: str, other: str, spared: int) -> None:
+    model = mujoco.MjModel.from_xml_string(ARM.format(floor=floor, kind=kind, other=other))
+    control = np.random.default_rng(0).normal(size=(STEPS, 1))
+    state = np.zeros(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
+    state[1 : 1 + model.nq] = model.qpos0
+    before = rolled(model, state, control)
+    spare(model)
+    assert model.opt.disableflags == spared
+    np.testing.assert_array_equal(rolled(model, state, control), before)

@@ -79,6 +79,8 @@ class Screen:
         self.simulator, self.comparison, self.runs = simulator, comparison, list(runs)
         self.skipped: dict[str, str] = {}
         self._version = -1
+        self._seen_beside: set[tuple[str, Place]] = set()
+        """(effect, place) of the causes that move the robot otherwise, about which slopes were taken last."""
         self._lock = threading.Lock()
         """Held where the normal matrices are made anew."""
         self._A: list[F64] = []
@@ -141,21 +143,26 @@ class Screen:
         """Take all slopes anew about these causes: a robot that moves otherwise answers otherwise.
 
         Those of the causes themselves stay. What does next to nothing there, or cannot be simulated, explains nothing.
+        A cause that only the sensors have leaves every slope as it was.
         """
+        moving = {(name, place) for name, place, values in settings if self.simulator.moves((name, place, values))}
+        if moving == self._seen_beside:
+            return
         there = self.simulator.simulate(settings, runs=self.runs)
         base = self.simulator.simulate(settings, runs=self.runs, coarse=self.coarse) if self.coarse > 1 else there
         if not all(np.isfinite(y).all() for y in (*there, *base)):
             return
-        moving = [
+        others = [
             i
             for i, atom in enumerate(self.atoms)
             if not any(atom.effect == name and set(atom.place) <= set(place) for name, place, _ in settings)
         ]
-        changes = self.simulator.cores.each(lambda i: self._column(self.atoms[i], base, there, settings), moving)
-        for i, change in zip(moving, changes, strict=True):
+        changes = self.simulator.cores.each(lambda i: self._column(self.atoms[i], base, there, settings), others)
+        for i, change in zip(others, changes, strict=True):
             for k, columns in enumerate(self._columns):
                 columns[:, i] = change[k] if change else 0.0
         self.comparison.version += 1
+        self._seen_beside = moving
 
     def _column(
         self, atom: Atom, base: list[F64], fine: list[F64], settings: Sequence[Setting] = ()

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from realsim.errors import GapError
 from realsim.gap.causes.fitted import Cause
 from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.effects.base import Parameter
+from realsim.gap.simulation.recent import Recent
 from realsim.gap.simulation.simulate import Setting, lookup
 from realsim.types import F64
 
@@ -46,13 +46,16 @@ class Search:
 
     def __init__(self, screen: Screen) -> None:
         self.screen = screen
-        self.evaluations = 0
         self.about = np.zeros(len(screen.atoms))
         """(p,) nuisances that every simulation contains, so that the linear rest is small."""
-        self._recent: dict[Any, list[F64] | None] = {}
-        self._lock = threading.Lock()
-        """Held where what has been simulated is noted."""
-        self._looks: dict[Any, Look] = {}
+        self._recent: Recent[list[F64] | None] = Recent(24)
+        """A line search ends where the next slopes begin: no need to simulate it again."""
+        self._looks: Recent[Look] = Recent(4)
+
+    @property
+    def evaluations(self) -> int:
+        """Predictions that were simulated."""
+        return self._recent.made
 
     def each(self, function: Callable[[Item], Made], items: Sequence[Item]) -> Iterator[Made]:
         """`function` of every item, in their order, on all cores: looks that do not wait for one another."""
@@ -112,18 +115,15 @@ class Search:
         before = causes[:-1]
         candidates, z = [c.candidate for c in before], np.array([v for c in before for v in c.values])
         key = (tuple(c.key for c in candidates), z.tobytes(), few, self.about.tobytes())
-        look = self._looks.get(key)
-        if look is None:
+
+        def made() -> Look:
             fine = self._predict(candidates, z, Look(few))
             rude = self._predict(candidates, z, Look(few, self.screen.coarse))
-            made = fine is not None and rude is not None  # a stiff servo may not bear it
-            offset = tuple(f - r for f, r in zip(fine or (), rude or (), strict=True)) if made else ()
-            look = Look(few, self.screen.coarse, offset) if made else Look(few)
-            with self._lock:
-                self._looks[key] = look
-                if len(self._looks) > 4:
-                    self._looks.pop(next(iter(self._looks)))
-        return look
+            if fine is None or rude is None:  # a stiff servo may not bear it
+                return Look(few)
+            return Look(few, self.screen.coarse, tuple(f - r for f, r in zip(fine, rude, strict=True)))
+
+        return self._looks.get(key, made)
 
     def _parameters(self, candidates: Sequence[Candidate]) -> list[Parameter]:
         found = []
@@ -166,23 +166,16 @@ class Search:
         """(T, C) a screened run (of those that are looked at); None if the simulation fails."""
         step = (look.few, look.coarse, look.offset[0].tobytes() if look.offset else b"")
         key = (tuple(c.key for c in candidates), z.tobytes(), step, self.about.tobytes())
-        with self._lock:
-            if key in self._recent:
-                self._recent[key] = found = self._recent.pop(key)  # the last to be forgotten now
-                return found
-            self.evaluations += 1
+        return self._recent.get(key, lambda: self._simulated(candidates, z, look))
+
+    def _simulated(self, candidates: Sequence[Candidate], z: F64, look: Look) -> list[F64] | None:
         try:
             made = self.screen.simulator.simulate(self._settings(candidates, z), self._runs(look), look.coarse)
-            if look.offset:
-                made = [y + more for y, more in zip(made, look.offset, strict=True)]
-            found = made if all(np.isfinite(y).all() for y in made) else None
         except GapError:
-            found = None
-        with self._lock:
-            self._recent[key] = found
-            if len(self._recent) > 24:  # a line search ends where the next slopes begin: no need to simulate it again
-                self._recent.pop(next(iter(self._recent)))
-        return found
+            return None
+        if look.offset:
+            made = [y + more for y, more in zip(made, look.offset, strict=True)]
+        return made if all(np.isfinite(y).all() for y in made) else None
 
     def prior_beside(self, candidates: Sequence[Candidate]) -> F64:
         """A parameter that is a cause is not a nuisance at the same time, nor is one that does the same."""

@@ -64,7 +64,13 @@ class Signals:
 
     def moves_the_robot(self) -> bool:
         """Whether the simulation itself changes, not only what is read from it."""
-        return bool(self.command_delay or self.joint_offset or self.load_friction or self.pulses)
+        return bool(self.command_delay or any(self.joint_offset.values()) or self.load_friction or self.pulses)
+
+    def motion(self, in_motion: bool) -> str:
+        """All of it that the simulation itself depends on, spelled out; `in_motion`: runs begin as the log reads."""
+        offsets = {joint: offset for joint, offset in self.joint_offset.items() if offset}
+        begun = (self.observation_delay, self.read_offset) if in_motion else ()
+        return repr((self.command_delay, offsets, self.load_friction, self.back_emf, self.pulses, begun))
 
 
 class Edit:
@@ -73,7 +79,15 @@ class Edit:
     def __init__(self, context: Context) -> None:
         self.context = context
         self.signals = Signals()
+        self.bodily: list[Any] = []
+        """Settings of the effects that asked for the spec."""
         self._spec: Any = None
+        self._asked = 0
+
+    @property
+    def asked(self) -> int:
+        """How often the spec was asked for: an effect that does not ask leaves the bodies as they are."""
+        return self._asked
 
     @property
     def touched(self) -> bool:
@@ -82,6 +96,7 @@ class Edit:
 
     @property
     def spec(self) -> Any:
+        self._asked += 1
         if self._spec is None:
             self._spec = self.context.spec.copy()
         return self._spec

@@ -20,13 +20,14 @@ from realsim.gap.simulation.context import Context, build_context, measure
 from realsim.gap.simulation.cores import Cores
 from realsim.gap.simulation.edit import Edit
 from realsim.gap.simulation.nuisances import NUISANCES
+from realsim.gap.simulation.recent import Recent
 from realsim.gap.simulation.sampling import continuous_turn, either_side, nearest_turn
 from realsim.gap.simulation.sampling import held_mean as held_mean
 from realsim.gap.simulation.sampling import quiet_mujoco as quiet_mujoco
 from realsim.gap.simulation.sampling import rotation_from as rotation_from
 from realsim.gap.simulation.sampling import sample as sample
 from realsim.gap.simulation.start import Start, find_starts, first_rows, initial_state
-from realsim.gap.simulation.stepping import gears, rolled, stepped
+from realsim.gap.simulation.stepping import gears, rolled, spare, stepped
 from realsim.types import F64
 
 Setting = tuple[str, Place, dict[str, float]]
@@ -34,6 +35,9 @@ Setting = tuple[str, Place, dict[str, float]]
 
 LIMIT = 1e4
 """A coordinate or speed beyond this (m, rad, /s) means that the simulation has exploded."""
+
+KEPT = 3
+"""Roll-outs that are kept: of the nominal simulator at coarser steps, and of changed ones."""
 
 RESTING = 0.06
 """Seconds that are enough for contacts to take up their load."""
@@ -56,7 +60,8 @@ class Simulator:
         self.cores = Cores(config.threads)
         self._counting = threading.Lock()
         self._raw: list[dict[str, F64]] | None = None
-        self._coarse: dict[tuple[int, tuple[int, ...]], list[dict[str, F64]]] = {}
+        self._coarse: Recent[list[dict[str, F64]]] = Recent(KEPT)
+        self._changed: Recent[list[dict[str, F64]]] = Recent(KEPT)
         self.starts: tuple[Start, ...] = tuple(Start() for _ in case.runs)
         """How each run begins."""
         self.onsets: dict[str, float] = {}
@@ -91,7 +96,10 @@ class Simulator:
             unknown = set(values) - set(full)
             if unknown:
                 raise GapError(f"{name} has no parameter {sorted(unknown)[0]!r}", expected=", ".join(full))
+            asked = edit.asked
             effect.apply(edit, place, full | values)
+            if edit.asked > asked:
+                edit.bodily.append((name, place, values))
         return edit
 
     def simulate(
@@ -100,18 +108,23 @@ class Simulator:
         """(T, C) a run, of the runs with these indices (all if None); `coarse` multiplies the time step."""
         chosen = list(range(len(self.case.runs))) if runs is None else list(runs)
         edit = self.edited(settings)
-        earlier = edit.signals.observation_delay and any(self.starts[i].moving for i in chosen)
-        if edit.touched or edit.signals.moves_the_robot() or earlier:
-            raw = self.roll_out(edit, chosen, coarse)
-        elif coarse == 1:
-            assert self._raw is not None
-            raw = [self._raw[i] for i in chosen]
-        else:
-            key = (coarse, tuple(chosen))
-            if key not in self._coarse:
-                self._coarse[key] = self.roll_out(edit, chosen, coarse)
-            raw = self._coarse[key]
+        raw = self._raw_of(edit, chosen, coarse)
         return [self.read(self.case.runs[i], r, edit) for i, r in zip(chosen, raw, strict=True)]
+
+    def moves(self, setting: Setting) -> bool:
+        """Whether the robot moves otherwise, or is read at other times; if not, only what is read is shifted."""
+        edit = self.edited([setting])
+        return bool(edit.touched or edit.signals.moves_the_robot() or edit.signals.observation_delay)
+
+    def _raw_of(self, edit: Edit, chosen: list[int], coarse: int) -> list[dict[str, F64]]:
+        """Signals on the simulator's own grid; what only reads them otherwise needs no simulation of its own."""
+        moving = any(self.starts[i].moving for i in chosen)
+        moves = edit.touched or edit.signals.moves_the_robot() or (moving and edit.signals.observation_delay)
+        if coarse == 1 and not moves:
+            assert self._raw is not None
+            return [self._raw[i] for i in chosen]
+        motion = repr((edit.bodily, self.onsets)), edit.signals.motion(moving), coarse, tuple(chosen)
+        return (self._changed if moves else self._coarse).get(motion, lambda: self.roll_out(edit, chosen, coarse))
 
     def twin(self, name: str) -> str | None:
         """Name of the effect that does exactly the same in these logs, at the same values, if there is one."""
@@ -147,6 +160,7 @@ class Simulator:
             model = spec.compile()
         except Exception as error:  # the effect's values do not make a body (negative inertia, say)
             raise GapError("the changed model does not compile", found=str(error).splitlines()[0]) from error
+        spare(model)
         model.opt.timestep *= coarse
         dt = model.opt.timestep
         settle = [self._settle_steps(start, edit, dt) for start in begun]

@@ -39,6 +39,26 @@ def gears(model: Any, load_friction: Mapping[str, float], drives: Mapping[str, t
     return found
 
 
+def spare(model: Any) -> None:
+    """Take from the model what costs time at every step and cannot change one: a sixth of an arm's, in place.
+
+    A sweep for contacts where no two shapes may touch, and the sorting into islands of what is one tree anyway.
+    """
+    import mujoco
+
+    idle = mujoco.mjtDisableBit.mjDSBL_CONTACT if not _may_touch(model) else 0
+    idle |= mujoco.mjtDisableBit.mjDSBL_ISLAND if model.ntree == 1 else 0
+    model.opt.disableflags |= int(idle)
+
+
+def _may_touch(model: Any) -> bool:
+    moving = model.body_weldid[model.geom_bodyid] != 0
+    types, affinities = model.geom_contype, model.geom_conaffinity
+    all_of = np.bitwise_or.reduce
+    ours = all_of(types[moving]) & all_of(affinities) | all_of(types) & all_of(affinities[moving])
+    return bool(model.npair or model.nflex or ours)
+
+
 def rolled(model: Any, state: F64, control: F64) -> F64:
     """(T, S) sensors of a run of T steps in one go.
 
