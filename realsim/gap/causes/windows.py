@@ -102,11 +102,15 @@ def slid(fitter: Fitter, fit: Fit) -> Fit:
     for size in SLIDES:
         moves = [(name, move) for name in (*edges, "force") for move in (size, -size)]
         while True:
-            moved = [f for f in fitter.each(partial(_moved, fitter, best), moves) if f is not None]
-            nearest = min(moved, key=lambda f: f.misfit, default=best)
-            if nearest.misfit >= best.misfit:
+            tried = list(fitter.each(partial(_moved, fitter, best), moves))
+            misfits = [np.inf if f is None else f.misfit for f in tried]
+            k = int(np.argmin(misfits))
+            further = tried[k]
+            if misfits[k] >= best.misfit:
                 break
-            best = nearest
+            while further is not None and further.misfit < best.misfit:  # what gained once mostly gains again
+                best = further
+                further = _moved(fitter, best, moves[k])
     return best
 
 
