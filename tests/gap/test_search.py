@@ -15,7 +15,7 @@ from realsim.gap import DiagnoseConfig, load_case
 from realsim.gap.answer.verdict import FAR_ABOVE, NOT_HELD, at_an_end, not_held
 from realsim.gap.causes.fit import Cause, Fitter, _at_bound
 from realsim.gap.causes.fitted import Z90, significance
-from realsim.gap.causes.merit import heldout
+from realsim.gap.causes.merit import heldout, price
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.windows import SHORTEST, _best_window
 from realsim.gap.compare import Comparison
@@ -129,6 +129,16 @@ def test_the_last_results_are_kept_and_no_more() -> None:
         assert recent.get(key, lambda key=key: made.append(key) or ord(key)) == ord(key)
     assert made == ["a", "b", "c", "b"]
     assert recent.made == 4
+
+
+def test_of_causes_that_do_the_same_the_one_at_fewer_places_comes_first(fitter: Fitter) -> None:
+    """A torque limit that one joint reaches explains no more if another joint, which never does, has it too."""
+    single = fitter.fit([_cause(fitter, "motor_gain", -0.2)])
+    assert single is not None
+    group = next(c for c in fitter.screen.candidates if c.effect == "motor_gain" and len(c.places) > 1)
+    shared = replace(single, causes=(Cause(group, single.causes[0].values),), misfit=single.misfit - 0.1)
+    assert price(fitter.screen, single) < price(fitter.screen, shared)
+    assert price(fitter.screen, replace(shared, misfit=single.misfit - 5.0)) < price(fitter.screen, single)
 
 
 def test_a_cause_is_clear_of_nothing_only_where_it_acts(fitter: Fitter, monkeypatch: pytest.MonkeyPatch) -> None:

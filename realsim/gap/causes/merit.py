@@ -16,6 +16,8 @@ FAR_ABOVE = 20.0
 """Mean square in units of the floor from which on a rest is no matter of tolerances."""
 PRICE = 4.0
 """Log-likelihood that a parameter must bring: half a log of the data, in round numbers."""
+SHARED = 0.5
+"""Log-likelihood that a value at several places must bring: where it does nothing at one more, it is no cause there."""
 NO_BETTER, HARDLY_BETTER = 12.0, 0.2
 """Log-likelihood by which a law must beat a plainer one that it contains, and share of what that removes by which it
 must do so where feet slip and land: what a law leaves is more than noise there, and a richer one bends to it."""
@@ -37,7 +39,7 @@ def complexity(screen: Screen, fit: Fit) -> float:
 
 def price(screen: Screen, fit: Fit) -> float:
     """What a fit costs in log-likelihood, its parameters included: of rivals the cheapest is the best."""
-    return fit.misfit + complexity(screen, fit)
+    return fit.misfit + complexity(screen, fit) + SHARED * sum(len(c.candidate.places) > 1 for c in fit.causes)
 
 
 def no_better(screen: Screen, removed: float) -> float:
