@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from realsim.gap.causes.fit import Cause, Fit, Fitter
-from realsim.gap.causes.merit import PRICE, complexity, deviation, heldout, no_better, price
+from realsim.gap.causes.merit import PRICE, complexity, deviation, heldout, holds, no_better, price
 from realsim.gap.causes.rivals import near, ranked
 from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.config import DiagnoseConfig
@@ -51,7 +51,7 @@ def equivalents(
             key = (cause.candidate.key, rival.candidate.effect, rival.candidate.place)
             if key in found or lookup(rival.candidate.effect).plain == cause.candidate.effect:
                 continue
-            trial = fitter.fit([*others, rival], iterations=3)
+            trial = fitter.fit([*others, rival], iterations=8, target=fit.misfit + near(removed))
             if trial is None:
                 continue
             worse = trial.misfit - fit.misfit
@@ -215,8 +215,9 @@ def _as_good(screen: Screen, config: DiagnoseConfig, best: Fit, rival: Fit, remo
     loss = price(screen, rival) - price(screen, best)
     if loss < NO_PREFERENCE:
         return True
-    if complexity(screen, rival) > complexity(screen, best) + PRICE / 2:
-        return False  # a richer effect that is no better only mimics the simpler one
-    mean, error, _ = heldout(screen, rival, best)
+    mean, error, positive = heldout(screen, rival, best)
+    richer = complexity(screen, rival) > complexity(screen, best) + PRICE / 2
+    if richer and not holds(-mean, error, 1 - positive):
+        return False  # a richer effect that is no better only mimics the simpler one, if unseen runs do not gain by it
     allowed = config.equivalent_loss * (NOT_HELD if mean <= 0 else 1.0) * removed
     return loss < max(allowed, 8.0) and mean < float(student.ppf(CLEARLY_BETTER, len(screen.runs) - 1 or 1)) * error

@@ -22,6 +22,11 @@ Made = TypeVar("Made")
 PACES = 6.0
 """A fit is broken off where so many more steps as good as the last would not reach its target."""
 
+PROMISED = 1.0
+"""Log-likelihood that a step must promise by its slopes for slopes to be taken anew where it gains nothing."""
+WIDE, NARROWER, NARROWEST = 0.1, 0.2, 0.01
+"""Share of a step, or of the value, over which slopes are taken; factor on it where a step gains nothing; the end."""
+
 POLISH = 2
 """Steps at the fine time step after a search at the coarse one."""
 
@@ -61,6 +66,11 @@ class Search:
         """`function` of every item, in their order, on all cores: looks that do not wait for one another."""
         return self.screen.simulator.cores.each(function, items)
 
+    @property
+    def _jagged(self) -> bool:
+        """Whether feet slip and land: the nearer one looks, the less a slope says."""
+        return self.screen.simulator.context.touches
+
     def _about(self, candidates: Sequence[Candidate]) -> F64:
         """(p,) the simulated nuisances beside these causes."""
         return np.asarray(np.where(self.prior_beside(candidates) > 0, self.about, 0.0))
@@ -78,15 +88,15 @@ class Search:
         """(values, misfit, slopes) after some damped steps; slopes that are given are taken as good enough."""
         value = self._misfit(candidates, z, look)
         assert value is not None
-        given, fresh, damping = slopes is not None, False, 1e-3
+        given, fresh, damping, width = slopes is not None, False, 1e-3, WIDE
         for k in range(iterations):
             base = self._predict(candidates, z, look)
             assert base is not None
             if slopes is None:
-                slopes, fresh = self._slopes(candidates, z, parameters, base, look), True
+                slopes, fresh = self._slopes(candidates, z, parameters, base, look, width), True
                 if slopes is None:
                     break
-            step = self._newton(candidates, z, parameters, base, slopes, damping, look)
+            step, promised = self._newton(candidates, z, parameters, base, slopes, damping, look)
             on_the_way = bool((np.abs(step) >= _widest(z, parameters)).any())
             before = value
             for shrink in (1.0, 0.4, 0.1):
@@ -102,6 +112,8 @@ class Search:
             gained = before - value
             if gained <= 0 and not fresh and not given:
                 slopes = None  # the secants have gone stale: look anew before giving up
+            elif gained <= 0 and fresh and promised > PROMISED and width > NARROWEST and not self._jagged:
+                slopes, width = None, width * NARROWER  # the valley is narrower than the slopes' differences
             elif gained < 0.02 + 1e-4 * abs(value) or (k and not on_the_way and value - PACES * gained > target):
                 break
         return z, value, slopes
@@ -204,13 +216,14 @@ class Search:
         parameters: list[Parameter],
         base: list[F64],
         look: Look = WHOLE,
+        width: float = WIDE,
     ) -> list[F64] | None:
-        """(B * C, m) a run: change of the prediction per unit, by differences a tenth of a step wide."""
+        """(B * C, m) a run: change of the prediction per unit, by differences this share of a step wide."""
 
         def slope(j: int) -> list[F64] | None:
             p = parameters[j]
-            width = 0.1 * p.step if abs(z[j]) < abs(p.step) else 0.1 * z[j]
-            for change in (width, -width):
+            far = width * (p.step if abs(z[j]) < abs(p.step) else z[j])
+            for change in (far, -far):
                 if not p.bounds[0] <= z[j] + change <= p.bounds[1]:
                     continue
                 moved = self._predict(candidates, z + change * (np.arange(len(z)) == j), look)
@@ -276,7 +289,8 @@ class Search:
         slopes: list[F64],
         damping: float,
         look: Look,
-    ) -> F64:
+    ) -> tuple[F64, float]:
+        """(m,) Levenberg-Marquardt's step, and the log-likelihood that it promises to first order."""
         info, scores = self._local(candidates, base, slopes, look)
         scale = np.array([abs(p.step) for p in parameters])
         ridge = np.diag(damping * np.diag(info) + 0.05 / scale**2)
@@ -290,7 +304,8 @@ class Search:
             sub = np.ix_(free, free)
             step[free] = np.linalg.solve((info + ridge)[sub], gradient[free])
         widest = _widest(z, parameters)
-        return np.clip(step, -widest, widest)
+        step = np.clip(step, -widest, widest)
+        return step, float(step @ gradient - 0.5 * step @ info @ step)
 
 
 def _widest(z: F64, parameters: Sequence[Parameter]) -> F64:
