@@ -17,6 +17,7 @@ from realsim.gap.causes.fit import Cause, Fitter, _at_bound
 from realsim.gap.causes.fitted import Z90, significance
 from realsim.gap.causes.merit import heldout, price
 from realsim.gap.causes.screen import Screen
+from realsim.gap.causes.search import NARROWER, WHOLE, WIDE
 from realsim.gap.causes.windows import SHORTEST, _best_window
 from realsim.gap.compare import Comparison
 from realsim.gap.effects.base import Parameter
@@ -129,6 +130,28 @@ def test_the_last_results_are_kept_and_no_more() -> None:
         assert recent.get(key, lambda key=key: made.append(key) or ord(key)) == ord(key)
     assert made == ["a", "b", "c", "b"]
     assert recent.made == 4
+
+
+def test_slopes_that_promise_what_is_not_gained_are_taken_nearer(fitter: Fitter, monkeypatch) -> None:
+    """Over a wide difference the bent valley of a payload's mass and place has slopes that lead up its walls."""
+    slopes, widths = fitter._slopes, []
+
+    def bent(candidates, z, parameters, base, look=WHOLE, width=WIDE):
+        widths.append(width)
+        return [-D if width == WIDE else D for D in slopes(candidates, z, parameters, base, look, width)]
+
+    right = fitter.fit([_cause(fitter, "motor_gain", -0.05)])
+    monkeypatch.setattr(fitter, "_slopes", bent)
+    found = fitter.fit([_cause(fitter, "motor_gain", -0.05)])
+    assert right is not None
+    assert found is not None
+    assert found.causes[0].values == pytest.approx(right.causes[0].values, abs=2e-3)
+    assert widths[:2] == [WIDE, WIDE * NARROWER]
+    widths.clear()
+    monkeypatch.setattr(type(fitter), "_jagged", True)  # where feet slip and land, nearer slopes say less
+    stays = fitter.fit([_cause(fitter, "motor_gain", -0.05)])
+    assert stays is not None
+    assert set(widths) == {WIDE}
 
 
 def test_of_causes_that_do_the_same_the_one_at_fewer_places_comes_first(fitter: Fitter) -> None:
