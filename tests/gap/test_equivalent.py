@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
-from realsim.gap.causes.equivalent import _as_likely, _plain, likelier
+from realsim.gap.causes.equivalent import NO_PREFERENCE, _as_good, _as_likely, _plain, likelier
 from realsim.gap.causes.fit import Cause, Fitter
+from realsim.gap.causes.merit import price
 from realsim.gap.causes.rivals import ranked
 from realsim.gap.causes.screen import Screen
 from realsim.gap.compare import Comparison
@@ -49,6 +50,26 @@ def test_where_only_joints_are_logged_both_delays_are_named(name: str, arm: Case
     assert found.verdict == "ambiguous"
     named = [found.causes[0]["effect"], *(c["effect"] for s in found.equivalent for c in s)]
     assert sorted(named) == ["command_delay", "observation_delay"]
+
+
+@pytest.mark.parametrize(
+    ("on_unseen_runs", "equivalent"), [((-5.0, 2.0, 0.0), True), ((-5.0, 2.0, 0.5), False), ((0.5, 2.0, 0.6), False)]
+)
+def test_a_richer_rival_counts_if_unseen_runs_gain_by_it(on_unseen_runs, equivalent, arm: Case, monkeypatch) -> None:
+    """(Mean, standard error, share of runs) of what the simpler cause gains on runs left out: less than nothing."""
+    with Simulator(arm, CONFIG) as simulator:
+        comparison = Comparison(arm, simulator.channels, simulator.simulate(), CONFIG)
+        fitter = Fitter(Screen(simulator, comparison, range(3), ("payload", "motor_gain")))
+        by_length = {len(c.names): c for c in fitter.screen.candidates if c.effect == "payload"}
+        weaker = next(c for c in fitter.screen.candidates if c.effect == "motor_gain" and len(c.places) == 1)
+        simple = fitter.fit([Cause(weaker, (-0.1,))])
+        rich = fitter.fit([Cause(by_length[4], (0.1, 0.0, 0.0, 0.1))])
+    assert simple is not None
+    assert rich is not None
+    monkeypatch.setattr("realsim.gap.causes.equivalent.heldout", lambda *_: on_unseen_runs)
+    rich = replace(rich, misfit=simple.misfit - 7.0, covariance=np.zeros((4, 4)))  # all four are known
+    assert price(fitter.screen, rich) - price(fitter.screen, simple) > NO_PREFERENCE
+    assert _as_good(fitter.screen, CONFIG, simple, rich, removed=500.0) == equivalent
 
 
 def test_what_does_the_same_as_a_cause_is_no_further_one(arm: Case) -> None:
