@@ -140,17 +140,18 @@ def test_slopes_that_promise_what_is_not_gained_are_taken_nearer(fitter: Fitter,
         widths.append(width)
         return [-D if width == WIDE else D for D in slopes(candidates, z, parameters, base, look, width)]
 
-    right = fitter.fit([_cause(fitter, "motor_gain", -0.05)])
+    start = [_cause(fitter, "motor_gain", -0.05)]
+    right = fitter.fit(start)
     monkeypatch.setattr(fitter, "_slopes", bent)
-    found = fitter.fit([_cause(fitter, "motor_gain", -0.05)])
+    found = fitter.fit(start, nearer=True)
     assert right is not None
     assert found is not None
     assert found.causes[0].values == pytest.approx(right.causes[0].values, abs=2e-3)
     assert widths[:2] == [WIDE, WIDE * NARROWER]
     widths.clear()
-    monkeypatch.setattr(type(fitter), "_jagged", True)  # where feet slip and land, nearer slopes say less
-    stays = fitter.fit([_cause(fitter, "motor_gain", -0.05)])
+    stays = fitter.fit(start)
     assert stays is not None
+    assert stays.misfit > found.misfit
     assert set(widths) == {WIDE}
 
 

@@ -40,6 +40,7 @@ def equivalents(
     """Sets that explain the runs as well: each cause exchanged for its rivals, everything refitted."""
     found: dict[tuple, Fit] = {}
     removed = nominal.misfit - fit.misfit
+    nearer = not screen.simulator.context.touches  # where feet slip and land, nearer slopes say less
     for i, cause in enumerate(fit.causes):
         others = [c for j, c in enumerate(fit.causes) if j != i]
         found |= _twins(screen, fitter, cause, others)
@@ -51,7 +52,7 @@ def equivalents(
             key = (cause.candidate.key, rival.candidate.effect, rival.candidate.place)
             if key in found or lookup(rival.candidate.effect).plain == cause.candidate.effect:
                 continue
-            trial = fitter.fit([*others, rival], iterations=8, target=fit.misfit + near(removed))
+            trial = fitter.fit([*others, rival], iterations=8, target=fit.misfit + near(removed), nearer=nearer)
             if trial is None:
                 continue
             worse = trial.misfit - fit.misfit

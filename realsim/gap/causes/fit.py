@@ -163,12 +163,14 @@ class Fitter(Search):
         rough: bool = False,
         coarse: bool = False,
         target: float = np.inf,
+        nearer: bool = False,
     ) -> Fit | None:
         """The best values near the causes' own and the further `starts` (all values in a row); None if none runs.
 
         A `rough` fit looks at some of the runs while it searches, and is measured on all of them; it is broken off
         once it would not come down to the misfit `target` (of the runs it looks at) at its present pace. A `coarse`
-        one takes the screen's coarser time step while it searches.
+        one takes the screen's coarser time step while it searches. `nearer`: where a step gains nothing of what slopes
+        promise, they are taken over narrower differences; what sticks and slips has dents that wide ones do not see.
         """
         candidates = [c.candidate for c in causes]
         parameters = self._parameters(candidates)
@@ -180,7 +182,7 @@ class Fitter(Search):
             z = self._best_start(candidates, parameters, first, look)
         if z is None:
             return None
-        z, value, slopes = self._descend(candidates, z, None, parameters, look, iterations, target)
+        z, value, slopes = self._descend(candidates, z, None, parameters, look, iterations, target, nearer)
         if look.coarse > 1:
             look = Look(look.few)
             if value <= target and self._predict(candidates, z, look) is not None:

@@ -66,11 +66,6 @@ class Search:
         """`function` of every item, in their order, on all cores: looks that do not wait for one another."""
         return self.screen.simulator.cores.each(function, items)
 
-    @property
-    def _jagged(self) -> bool:
-        """Whether feet slip and land: the nearer one looks, the less a slope says."""
-        return self.screen.simulator.context.touches
-
     def _about(self, candidates: Sequence[Candidate]) -> F64:
         """(p,) the simulated nuisances beside these causes."""
         return np.asarray(np.where(self.prior_beside(candidates) > 0, self.about, 0.0))
@@ -84,6 +79,7 @@ class Search:
         look: Look,
         iterations: int,
         target: float = np.inf,
+        nearer: bool = False,
     ) -> tuple[F64, float, list[F64] | None]:
         """(values, misfit, slopes) after some damped steps; slopes that are given are taken as good enough."""
         value = self._misfit(candidates, z, look)
@@ -112,7 +108,7 @@ class Search:
             gained = before - value
             if gained <= 0 and not fresh and not given:
                 slopes = None  # the secants have gone stale: look anew before giving up
-            elif gained <= 0 and fresh and promised > PROMISED and width > NARROWEST and not self._jagged:
+            elif nearer and gained <= 0 and fresh and promised > PROMISED and width > NARROWEST:
                 slopes, width = None, width * NARROWER  # the valley is narrower than the slopes' differences
             elif gained < 0.02 + 1e-4 * abs(value) or (k and not on_the_way and value - PACES * gained > target):
                 break
