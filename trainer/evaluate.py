@@ -195,7 +195,13 @@ def trial_config(task: ParkourConfig, config: EvaluationConfig) -> ParkourConfig
     random = replace(task.randomisation, use=config.randomise and task.randomisation.use, terrain_variants=1)
     if not config.pushes:
         random = replace(random, push=0.0)
-    task = replace(task, randomisation=random, reset=replace(task.reset, spread_ages=False), amp=False)
+    task = replace(
+        task,
+        randomisation=random,
+        reset=replace(task.reset, spread_ages=False, along=0.0),
+        floor=replace(task.floor, share=0.0),
+        amp=False,
+    )
     if config.randomise:
         return task
     quiet = replace(task.depth, noise=0.0, dropout=0.0, latency=(0, 0), mount_position=0.0, mount_rotation=0.0)

@@ -56,7 +56,8 @@ class FakePhysics:
     def __init__(self, robot, terrains, worlds: int = 4, motion=None) -> None:
         self.robot, self.terrains, self.num_worlds, self.motion = robot, terrains, worlds, motion
         self.config = PhysicsConfig()
-        self.device, self.policy_dt, self.overflowed = torch.device("cpu"), 0.02, 0
+        self.device, self.policy_dt = torch.device("cpu"), 0.02
+        self.overflowed = self.solver_limited = 0
         self.state = empty_state(robot, worlds, self.device)
         self.targets = None
         self.terrain_ids = torch.zeros(worlds, dtype=torch.long)
@@ -76,7 +77,7 @@ class FakePhysics:
             self.motion(self)
         return self.state
 
-    def reset(self, ids, base_pos, base_quat, joint_pos, terrain_ids):
+    def reset(self, ids, base_pos, base_quat, joint_pos, terrain_ids, floor_z=None):
         s, feet = self.state, len(self.robot.feet)
         s.base_pos[ids], s.base_quat[ids], s.joint_pos[ids] = base_pos, base_quat, joint_pos
         s.torso_pos[ids], s.camera_pos[ids] = base_pos, base_pos
@@ -92,6 +93,7 @@ class FakePhysics:
         for name in ("ground_contact", "other_contact", "diverged"):
             getattr(s, name)[ids] = False
         self.terrain_ids[ids] = terrain_ids
+        self.floor_z = floor_z
 
     def set_velocity(self, ids, base_lin_vel, base_ang_vel):
         self.pushed.append((ids, base_lin_vel))

@@ -7,6 +7,7 @@ torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `tra
 from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped  # noqa: E402
 from trainer.tasks.parkour import ParkourConfig, ParkourEnv  # noqa: E402
 from trainer.tasks.parkour.config import (  # noqa: E402
+    CommandConfig,
     DepthConfig,
     ObservationConfig,
     RandomisationConfig,
@@ -16,6 +17,7 @@ from trainer.tasks.parkour.terminations import OUTCOMES  # noqa: E402
 from trainer.terrain.edges import feature_edges  # noqa: E402
 
 QUIET = ParkourConfig(
+    command=CommandConfig(speed=(0.8, 0.8)),
     observation=ObservationConfig(noise=False),
     depth=DepthConfig(use=False, noise=0.0, dropout=0.0, latency=(0, 0), mount_position=0.0, mount_rotation=0.0),
     randomisation=RandomisationConfig(use=False),

@@ -209,7 +209,9 @@ def test_resume_is_exact_in_the_real_task(tmp_path: Path, monkeypatch: pytest.Mo
     networks = NetworkConfig(channels=(8,), latent=8, actor=(16,), critic=(16,))
     config = TrainConfig(
         robot="quadruped", worlds=6, threads=1, device="cpu", ppo=PPOConfig(steps=8, networks=networks), task=task,
-        loop=LoopConfig(iterations=4, checkpoint_every=2, evaluate_every=0, tensorboard=False),
+        loop=LoopConfig(
+            iterations=4, checkpoint_every=2, evaluate_every=0, tensorboard=False, restart_at_checkpoint=True
+        ),
     )  # fmt: skip
     scene = Scene((generate("boxes", 0.2, 1), generate("boxes", 0.4, 1)), rows=2)
     whole, parts = tmp_path / "whole", tmp_path / "parts"

@@ -10,12 +10,12 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
 
-from tests.trainer.test_ppo import CONFIG, runner
+from tests.trainer.test_ppo import runner
 from trainer.errors import TrainerError
 from trainer.ppo.amp import StylePrior, style_reward
 from trainer.ppo.config import AmpConfig
 from trainer.ppo.loop import LoopConfig, read_rows, train
-from trainer.ppo.symmetry import SymmetryLoss
+from trainer.ppo.symmetry import MirrorSamples, SymmetryLoss
 from trainer.tasks import Observation
 
 AMP = AmpConfig(amp=True, amp_hidden=(16,), amp_learning_rate=3e-3)
@@ -73,7 +73,7 @@ def test_training_with_a_prior_resumes_exactly(tmp_path: Path) -> None:
         r.env = _WithFeatures(r.env)
         return r
 
-    loop = LoopConfig(iterations=2, checkpoint_every=1, tensorboard=False)
+    loop = LoopConfig(iterations=2, checkpoint_every=1, tensorboard=False, restart_at_checkpoint=True)
     whole, first, rest = styled(), styled(), styled(3)
     train(whole, loop, tmp_path / "whole")
     assert "amp_loss" in read_rows(tmp_path / "whole")[0]
@@ -103,12 +103,31 @@ def test_symmetry_loss_is_zero_for_a_symmetric_policy_and_makes_one() -> None:
             )
 
     loss = SymmetryLoss(_Mirror())
-    plain = runner()
+    plain, held = (runner(extra={"symmetry": (weight, loss)}) for weight in (0.0, 10.0))
     plain.iterate()
-    batch = plain.rollout.batch(torch.arange(64))
-    assert loss(Odd(), batch) < 1e-10
-    held = runner(replace(CONFIG, symmetry_weight=10.0), extra={"symmetry": (10.0, loss)})
+    assert loss(Odd(), plain.rollout.batch(torch.arange(64))) < 1e-10
+    without, taught = (sum(r.iterate()["symmetry"] for _ in range(8)) for r in (plain, held))
+    assert taught < 0.3 * without
+
+
+def test_mirror_samples_keep_what_was_worth_and_mirror_what_was_seen_and_done() -> None:
+    r = runner()
+    r.iterate()
+    b = r.rollout.batch(torch.arange(6))
+    both = MirrorSamples(_Mirror())(b)
+    assert torch.equal(both.action[6:], _Mirror().action(b.action))
+    assert torch.equal(both.mean[:6], b.mean)
+    assert torch.equal(both.observation.actor[6:], _Mirror().observation(b.observation).actor)
+    assert torch.equal(both.observation.depth[:6], b.observation.depth)
+    for name in ("log_prob", "value", "returns", "advantage"):
+        assert torch.equal(getattr(both, name), getattr(b, name).repeat(2))
+
+
+def test_learning_from_mirror_samples_makes_a_policy_more_symmetric() -> None:
+    loss = SymmetryLoss(_Mirror())
+    plain, mirrored = runner(), runner(augment=MirrorSamples(_Mirror()))
     for _ in range(8):
         plain.iterate()
-        row = held.iterate()
-    assert row["symmetry"] < 0.3 * loss(plain.policy.actor, batch).item()
+        mirrored.iterate()
+    batch = plain.rollout.batch(torch.arange(64))
+    assert loss(mirrored.policy.actor, batch) < 0.7 * loss(plain.policy.actor, batch)

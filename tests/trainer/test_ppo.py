@@ -3,6 +3,7 @@
 # ruff: noqa: E402 - what needs torch is imported after it is known to be there
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,15 +13,16 @@ torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: tra
 
 from tests.trainer.toy import LAYOUT, PointMass
 from trainer.ppo import policy as policies
-from trainer.ppo.algorithm import PPO, bootstrap, clipped_value_loss, surrogate
+from trainer.ppo.algorithm import PPO, bootstrap, clipped_value_loss, explained_variance, surrogate
 from trainer.ppo.config import NetworkConfig, PPOConfig
 from trainer.ppo.distributed import Rank
-from trainer.ppo.gaussian import BOUNDS
+from trainer.ppo.gaussian import SMALLEST
 from trainer.ppo.loop import LoopConfig, read_rows, train
-from trainer.ppo.normaliser import Normaliser
+from trainer.ppo.normaliser import LARGEST, MEMORY, Normaliser
 from trainer.ppo.runner import Runner
 from trainer.ppo.storage import Rollout, advantages
 
+BOUNDS = (math.log(SMALLEST), math.log(PPOConfig.std_limits[0]))
 CPU = Rank(0, 1, torch.device("cpu"))
 SMALL = NetworkConfig(channels=(8,), latent=16, actor=(32, 32), critic=(32, 32))
 CONFIG = PPOConfig(steps=16, epochs=4, networks=SMALL)
@@ -145,14 +147,62 @@ def test_noise_at_its_bound_can_learn_again(bound: int, weight: float) -> None:
     assert torch.allclose(log_std, torch.tensor(BOUNDS[bound]))
     r.iterate()
     assert ((log_std > BOUNDS[0]) & (log_std < BOUNDS[1])).all()
-    for group in r.ppo.optimiser.param_groups:
-        group["lr"].fill_(100.0)
+    r.ppo.learning_rate.fill_(100.0)
     r.policy.actor.requires_grad_(False)
     log_std.requires_grad_(True)
     r.rollout.advantage.zero_()
     r.ppo.update(r.rollout, r.rng)
     assert (torch.tensor(BOUNDS[0]) <= log_std).all()
     assert (log_std <= torch.tensor(BOUNDS[1])).all()
+
+
+def test_the_largest_noise_falls_and_a_tuned_policy_has_the_last_from_the_start() -> None:
+    config = replace(CONFIG, std_limits=(1.0, 0.5), std_iterations=2)
+    assert [config.std_limit(i, tuned=False) for i in (0, 1, 2, 9)] == [1.0, 0.75, 0.5, 0.5]
+    assert config.std_limit(0, tuned=True) == 0.5
+    r = runner(replace(config, entropy_weight=1.0), groups={"first": (0,), "all": (0, 1)})  # entropy pulls it up
+    rows = [r.iterate() for _ in range(3)]
+    assert [row["std_limit"] for row in rows] == [1.0, 0.75, 0.5]
+    assert rows[2]["std"] == pytest.approx(0.5) == pytest.approx(rows[2]["std/first"])
+    assert set(rows[0]) >= {"explained_variance", "clip_fraction", "gradient/policy", "gradient/critic", "std/all"}
+
+
+def test_the_critic_has_a_rate_of_its_own_that_a_resume_keeps() -> None:
+    r = runner(replace(CONFIG, critic_rate=5e-4))
+    r.iterate()
+    again = runner(replace(CONFIG, critic_rate=2e-4))
+    again.ppo.load_state_dict(r.ppo.state_dict())
+    policy, critic = again.ppo.optimiser.param_groups
+    assert policy["lr"] is again.ppo.learning_rate
+    assert critic["lr"] == 2e-4
+
+
+def test_explained_variance_by_hand() -> None:
+    returns = torch.tensor([1.0, 2.0, 3.0])
+    assert explained_variance(returns, returns).item() == 1.0
+    assert explained_variance(torch.full((3,), 7.0), returns).item() == pytest.approx(0.0)
+    assert explained_variance(-returns, returns).item() == pytest.approx(-3.0)
+
+
+def test_the_normaliser_clips_and_forgets() -> None:
+    n = Normaliser(1)
+    n.update(torch.zeros(10, 1))
+    assert n(torch.tensor([[1e6]])).item() == LARGEST
+    n.count.fill_(MEMORY)
+    for _ in range(3):
+        n.update(torch.ones(10, 1))
+    assert n.count.item() == MEMORY
+    assert n.mean.item() == pytest.approx(3 * 10 / MEMORY, rel=1e-3)
+
+
+@pytest.mark.parametrize("restart", [False, True])
+def test_worlds_go_on_after_a_checkpoint_unless_asked(tmp_path: Path, restart: bool) -> None:
+    r = runner()
+    began = []
+    begin = r.begin
+    r.begin = lambda: (began.append(r.iteration), begin())
+    train(r, LoopConfig(iterations=4, checkpoint_every=2, tensorboard=False, restart_at_checkpoint=restart), tmp_path)
+    assert began == ([0, 2, 4] if restart else [0])
 
 
 @pytest.mark.timeout(900)  # three minutes on one busy core
@@ -165,7 +215,7 @@ def test_point_mass_is_learnt_from_depth() -> None:
 
 
 def test_resume_is_exact(tmp_path: Path) -> None:
-    config = LoopConfig(iterations=4, checkpoint_every=2, tensorboard=False)
+    config = LoopConfig(iterations=4, checkpoint_every=2, tensorboard=False, restart_at_checkpoint=True)
     whole, first, rest = runner(), runner(), runner(seed=5)
     train(whole, config, tmp_path / "whole")
     train(first, replace(config, iterations=2), tmp_path / "parts")

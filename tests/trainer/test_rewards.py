@@ -75,7 +75,7 @@ def test_the_table_is_the_papers():
     ]
     paper += [-0.4, -0.1, 1.0, -5e-5, -0.004, -1.0, -1.0, -0.01, -1.0]
     assert list(WEIGHTS) == list(TERMS)
-    assert list(WEIGHTS.values()) == paper
+    assert list(WEIGHTS.values()) == [*paper, -2.0]  # the last is that of a raised floor, which the paper has not
 
 
 def test_velocity_tracking(s, body):
@@ -171,9 +171,11 @@ def test_uprightness(s, body):
 
 
 def test_safety(s, body):
-    s.state.joint_pos[1] = body.default
-    s.state.joint_pos[1, 0] = body.upper[0] + 0.1
-    s.state.joint_pos[1, 1] = body.lower[1] - 0.2
+    middle, half = (body.upper + body.lower) / 2, (body.upper - body.lower) / 2
+    s.state.joint_pos[1] = middle + 0.89 * half  # within nine tenths of the range: free
+    assert value("position_limits", s, body) == 0.0
+    s.state.joint_pos[1, 0] = middle[0] + 0.9 * half[0] + 0.1
+    s.state.joint_pos[1, 1] = middle[1] - 0.9 * half[1] - 0.2
     assert value("position_limits", s, body) == pytest.approx(0.3, rel=1e-4)
     s.state.joint_vel[1, 2] = -(0.9 * body.velocity[2] + 1.5)
     assert value("velocity_limits", s, body) == pytest.approx(1.5, rel=1e-4)
@@ -181,6 +183,9 @@ def test_safety(s, body):
     assert value("torque_limits", s, body) == pytest.approx(4.0, rel=1e-4)
     s.state.other_contact[1] = True
     assert value("undesired_contact", s, body) == 1
+    assert value("floor_contact", s, body) == 0
+    s.floor_touched = torch.tensor([False, True])
+    assert value("floor_contact", s, body) == 1
 
 
 def test_the_sum_is_weighted_times_the_step_and_spares_broken_worlds(s, body):

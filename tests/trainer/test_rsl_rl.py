@@ -24,7 +24,7 @@ from trainer.ppo.runner import Runner
 from trainer.trainers import find
 from trainer.trainers.rsl_rl import build
 
-ONE = replace(CONFIG, steps=8, epochs=2, minibatches=1, entropy_weight=0.01)
+ONE = replace(CONFIG, steps=8, epochs=2, minibatches=1, entropy_weight=0.01, critic_rate=None, std_limits=(2.0, 2.0))
 
 
 class _Blind(PointMass):
@@ -95,7 +95,7 @@ def test_one_update_is_the_same() -> None:
             assert torch.allclose(linear.weight, block.layer.weight, atol=1e-5)
             assert torch.allclose(linear.bias, block.layer.bias, atol=1e-5)
     assert torch.allclose(
-        other.actor.distribution.log_std_param, gaussian.bounded(runner.policy.actor.log_std), atol=1e-5
+        other.actor.distribution.log_std_param, gaussian.bounded(runner.policy.actor.log_std, 2.0), atol=1e-5
     )
 
 
@@ -106,7 +106,7 @@ def test_it_trains_our_networks_with_depth(capsys: pytest.CaptureFixture[str]) -
     runner = build(env, policy, CONFIG, None)
     policy.actor.log_std.data.fill_(9.0)
     runner.alg.optimizer.step()
-    assert torch.allclose(policy.actor.log_std.exp(), torch.tensor(2.0))
+    assert torch.allclose(policy.actor.log_std.exp(), torch.tensor(1.0))
     policy.actor.log_std.data.copy_(before["log_std"])
     runner.learn(6)
     changed = {k for k, v in policy.actor.state_dict().items() if not torch.equal(v, before[k])}

@@ -9,7 +9,7 @@ from realsim.commands import CommandResult
 from realsim.files import to_json, write_text
 from trainer.commands import common
 from trainer.commands.task_file import load_task
-from trainer.terrain import grid
+from trainer.terrain import CURRICULUM, grid
 from trainer.trainers import Scene, TrainConfig, find
 
 CURRICULUM_ROWS = 10
@@ -19,6 +19,8 @@ def pretrain(
     config: TrainConfig,
     out: Path = Path("pretrained"),
     terrain: str = "grid",
+    families: tuple[str, ...] = (*CURRICULUM, "mixed"),
+    columns: int = 8,
     trainer: str = "ppo",
     task_file: Path | None = None,
 ) -> CommandResult:
@@ -26,14 +28,15 @@ def pretrain(
 
     Args:
         out: gets policy.pt, policy.onnx, history.jsonl, result.json and TensorBoard's events.
-        terrain: `grid` is the curriculum of 20 columns and 10 rows; else one terrain: flat, a test's name, or
-            FAMILY:DIFFICULTY:SEED.
+        terrain: `grid` is the curriculum of 10 rows; else one terrain: flat, a test's name, or FAMILY:DIFFICULTY:SEED.
+        families: of the grid.
+        columns: of the grid for each family: terrains of each difficulty.
         trainer: ppo, rsl_rl, mjlab, or one that an installed package adds.
         task_file: JSON with what differs from the paper's task.
     """
     config = replace(config, task=load_task(task_file))
     if terrain == "grid":
-        scene = Scene(tuple(grid(config.seed)), rows=CURRICULUM_ROWS)
+        scene = Scene(tuple(grid(config.seed, families, columns)), rows=CURRICULUM_ROWS)
     else:
         scene = common.find_scene([terrain])
     result = find(trainer)(scene, None, config, out)

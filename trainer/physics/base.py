@@ -170,13 +170,26 @@ class Physics(Protocol):
     policy_dt: float
     state: State
     overflowed: int
-    """Contacts or constraints dropped so far because a buffer was full: reported, never silent."""
+    """Policy steps of a world in which contacts or constraints were dropped because a buffer was full: reported."""
+    solver_limited: int
+    """Policy steps of a world in which the solver stopped at its iteration limit. Harmless where it is rare."""
 
     def step(self, targets: Tensor) -> State:
         """Hold the joint targets (N, J) in rad for one policy step; servo torques are clipped to the effort limits."""
 
-    def reset(self, ids: Tensor, base_pos: Tensor, base_quat: Tensor, joint_pos: Tensor, terrain_ids: Tensor) -> None:
-        """Put the worlds `ids` (K,) at rest in the given pose (K, 3), (K, 4), (K, J) on terrains (K,)."""
+    def reset(
+        self,
+        ids: Tensor,
+        base_pos: Tensor,
+        base_quat: Tensor,
+        joint_pos: Tensor,
+        terrain_ids: Tensor,
+        floor_z: Tensor | None = None,
+    ) -> None:
+        """Put the worlds `ids` (K,) at rest in the given pose (K, 3), (K, 4), (K, J) on terrains (K,).
+
+        `floor_z` (K,) is the height in metres at which the ground collides; that of the terrain if left out.
+        """
 
     def set_velocity(self, ids: Tensor, base_lin_vel: Tensor, base_ang_vel: Tensor) -> None:
         """Overwrite base velocities (K, 3) world axes and (K, 3) base axes: pushes."""

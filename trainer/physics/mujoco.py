@@ -37,7 +37,7 @@ class MujocoPhysics:
         self.robot, self.terrains, self.num_worlds, self.config = robot, terrains, worlds, config
         self.device = torch.device("cpu")
         self.policy_dt = config.timestep * config.decimation
-        self.overflowed = 0
+        self.overflowed = self.solver_limited = 0
         self._slots = slots_for(terrains)
         self._threads = config.threads or len(os.sched_getaffinity(0))
         self._pool = rollout.Rollout(nthread=self._threads if self._threads > 1 else 0)
@@ -89,7 +89,15 @@ class MujocoPhysics:
         _put(self.state.diverged, diverged)
         return self.state
 
-    def reset(self, ids: Tensor, base_pos: Tensor, base_quat: Tensor, joint_pos: Tensor, terrain_ids: Tensor) -> None:
+    def reset(
+        self,
+        ids: Tensor,
+        base_pos: Tensor,
+        base_quat: Tensor,
+        joint_pos: Tensor,
+        terrain_ids: Tensor,
+        floor_z: Tensor | None = None,
+    ) -> None:
         """See `Physics.reset`."""
         worlds = ids.cpu().numpy()
         self._full[worlds] = 0.0
@@ -98,6 +106,7 @@ class MujocoPhysics:
         self._targets[worlds] = joint_pos.cpu().numpy()
         self._release(worlds)
         self._terrain[worlds] = terrain_ids.cpu().numpy()
+        self._move_floor(worlds, floor_z)
         self._write(worlds)
         for tensor in (self.state.joint_acc, self.state.joint_torque, self.state.foot_force):
             tensor[ids] = 0.0
@@ -118,6 +127,14 @@ class MujocoPhysics:
             if "delay_steps" in edit:
                 self._delay[world] = int(edit.pop("delay_steps"))
             self._edits[world] |= edit
+
+    def _move_floor(self, worlds: NDArray[np.int_], floor_z: Tensor | None) -> None:
+        heights = [None] * len(worlds) if floor_z is None else floor_z.tolist()
+        for world, height in zip(worlds, heights, strict=True):
+            if height is None or abs(height - self.terrains[self._terrain[world]].floor_z) < 1e-6:
+                self._edits[world].pop("floor_z", None)
+            else:
+                self._edits[world]["floor_z"] = np.float64(height)
 
     def _rollout(self, control: F64) -> tuple[F64, F64]:
         """All worlds over one policy step, worlds with models of the same size together (they share the data)."""

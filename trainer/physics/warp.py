@@ -68,7 +68,15 @@ class WarpPhysics:
         self._launch(self._graph, self._policy_step)
         return self.state
 
-    def reset(self, ids: Tensor, base_pos: Tensor, base_quat: Tensor, joint_pos: Tensor, terrain_ids: Tensor) -> None:
+    def reset(
+        self,
+        ids: Tensor,
+        base_pos: Tensor,
+        base_quat: Tensor,
+        joint_pos: Tensor,
+        terrain_ids: Tensor,
+        floor_z: Tensor | None = None,
+    ) -> None:
         """See `Physics.reset`."""
         ids, terrain_ids = ids.to(self.device), terrain_ids.to(self.device)
         qpos = torch.cat([base_pos, base_quat, joint_pos], dim=1).to(self.device, torch.float32)
@@ -77,6 +85,8 @@ class WarpPhysics:
         for tensor in (self._qvel, self._sound_qvel, self._warmstart, *self._zeroed_at_reset):
             tensor[ids] = 0
         self._move_terrain(ids, terrain_ids)
+        if floor_z is not None:
+            wp.to_torch(self._data.geom_xpos)[ids, self._ground_geom, 2] = floor_z.to(self.device)
         self._launch(self._refresh_graph, self._refresh)
 
     def set_velocity(self, ids: Tensor, base_lin_vel: Tensor, base_ang_vel: Tensor) -> None:
@@ -96,7 +106,12 @@ class WarpPhysics:
     @property
     def overflowed(self) -> int:
         """Policy steps of a world so far in which a buffer was too small. Waits for the GPU."""
-        return int(self._overflow_counter.item())
+        return int(self._overflow_counter[0].item())
+
+    @property
+    def solver_limited(self) -> int:
+        """Policy steps of a world so far in which the solver stopped at its limit. Waits for the GPU."""
+        return int(self._overflow_counter[1].item())
 
     def usage(self) -> dict[str, int]:
         """How full the buffers were in the last physics step. Waits for the GPU."""
@@ -135,9 +150,10 @@ class WarpPhysics:
         self._wanted = self._default.repeat(worlds, 1)
         self._previous = self._wanted.clone()
         self._delay = torch.zeros(worlds, dtype=torch.int32, device=self.device)
-        self._overflow_counter = torch.zeros(1, dtype=torch.int32, device=self.device)
+        self._overflow_counter = torch.zeros(2, dtype=torch.int32, device=self.device)
         self._fields = WorldFields(model, self._host, self.robot, self.device)
         self._static = StaticGeoms.of(self._host, self.terrains, self.device)
+        self._ground_geom = self._host.geom(GROUND).id
         self._kind = wp.array(_kinds(self._host, self.robot), dtype=int)
         self._foot_bodies = wp.array([self._host.body(f).id for f in self.robot.feet], dtype=int)
         self._foot_joints = wp.array(_joints_to(self._host, self.robot.feet), dtype=int)

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import warp as wp
+from mujoco_warp import OverflowType
 
 GROUND, TERRAIN, LIMB = -3, -2, -1
 """Kinds of geoms; a foot's geoms have the foot's index, 0 or more."""
 
 _GROUND, _TERRAIN, _LIMB = wp.constant(GROUND), wp.constant(TERRAIN), wp.constant(LIMB)
+
+LIMITS = int(OverflowType.ITERATIONS | OverflowType.LS_ITERATIONS)
+"""Bits of `data.overflow` that say that the solver stopped at its limit: a step that is less exact, nothing lost."""
+_LIMITS = wp.constant(LIMITS)
 
 
 @wp.kernel
@@ -117,7 +122,7 @@ def guard(
     torque: wp.array2d(dtype=float),
     forces: wp.array2d(dtype=wp.vec3),
     diverged: wp.array(dtype=wp.bool),
-    overflowed: wp.array(dtype=int),
+    overflowed: wp.array(dtype=int),  # (2,): worlds with something lost, worlds whose solver stopped at its limit
 ):
     """Put worlds that diverged back to their last sound state, keep the others' as sound; one thread a world."""
     world = wp.tid()
@@ -156,7 +161,10 @@ def guard(
         for i in range(qvel.shape[1]):
             sound_qvel[world, i] = qvel[world, i]
     if overflow[world] != 0:
-        wp.atomic_add(overflowed, 0, 1)
+        if (overflow[world] & ~_LIMITS) != 0:
+            wp.atomic_add(overflowed, 0, 1)
+        if (overflow[world] & _LIMITS) != 0:
+            wp.atomic_add(overflowed, 1, 1)
         overflow[world] = 0
 
 

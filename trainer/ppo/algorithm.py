@@ -19,6 +19,9 @@ from trainer.tasks import Observation
 Loss = Callable[[nn.Module, Batch], Tensor]
 """A further loss () of policy and batch, such as that of symmetry."""
 
+Augment = Callable[[Batch], Batch]
+"""Further samples made from those of a batch, such as their mirror images; the same number."""
+
 
 @dataclass
 class Action:
@@ -37,6 +40,7 @@ class PPO:
         critic: value of an observation.
         config: see `PPOConfig`.
         extra: further losses by name, each with its weight.
+        augment: adds samples to every minibatch.
         tuned: the policy is a base to be fine-tuned: it begins with a smaller learning rate (`PPOConfig.first_rate`).
 
     Nothing here waits for the GPU: the learning rate lives on the device, statistics are read once an iteration.
@@ -49,22 +53,31 @@ class PPO:
         config: PPOConfig,
         extra: Mapping[str, tuple[float, Loss]] | None = None,
         *,
+        augment: Augment | None = None,
         tuned: bool = False,
     ) -> None:
-        self.policy, self.critic, self.config = policy, critic, config
-        gaussian.keep_within(policy.get_parameter("log_std"))
+        self.policy, self.critic, self.config, self.tuned = policy, critic, config, tuned
+        self.augment = augment
+        self.limit_noise(0)
         self.extra = dict(extra or {})
         self.actor_parameters = [p for p in policy.parameters() if p.requires_grad]
         self.critic_parameters = list(critic.parameters())
         device = self.critic_parameters[0].device
         self.learning_rate = torch.tensor(config.first_rate(tuned), device=device)
-        self.optimiser = torch.optim.Adam(
-            [*self.actor_parameters, *self.critic_parameters], lr=self.learning_rate, fused=True
-        )
+        groups: list[dict[str, Any]] = [
+            {"params": self.actor_parameters, "lr": self.learning_rate},
+            {"params": self.critic_parameters, "lr": config.critic_rate or self.learning_rate},
+        ]
+        self.optimiser = torch.optim.Adam(groups, fused=True)
 
     @property
     def log_std(self) -> Tensor:
-        return gaussian.bounded(self.policy.log_std)  # type: ignore[arg-type]
+        return gaussian.bounded(self.policy.log_std, self.std_limit)  # type: ignore[arg-type]
+
+    def limit_noise(self, iteration: int) -> None:
+        """Bound the exploration noise as the schedule has it for this iteration."""
+        self.std_limit = self.config.std_limit(iteration, self.tuned)
+        gaussian.keep_within(self.policy.get_parameter("log_std"), self.std_limit)
 
     @torch.no_grad()
     def act(self, observation: Observation, generator: torch.Generator) -> Action:
@@ -95,24 +108,33 @@ class PPO:
             for batch in rollout.batches(c.minibatches, generator):
                 losses = self._critic_gradients(batch) if critic_only else self._gradients(batch)
                 average_gradients([*self.actor_parameters, *self.critic_parameters])
-                nn.utils.clip_grad_norm_(self.actor_parameters, c.max_gradient)
-                nn.utils.clip_grad_norm_(self.critic_parameters, c.max_gradient)
+                losses["gradient/policy"] = nn.utils.clip_grad_norm_(self.actor_parameters, c.max_gradient)
+                losses["gradient/critic"] = nn.utils.clip_grad_norm_(self.critic_parameters, c.max_gradient)
                 self.optimiser.step()
-                gaussian.keep_within(self.policy.get_parameter("log_std"))
+                gaussian.keep_within(self.policy.get_parameter("log_std"), self.std_limit)
                 for name, value in losses.items():
                     totals[name] = totals.get(name, 0) + value / (c.epochs * c.minibatches)
         # After the update, not before: the policy must be measured against what it was when it acted.
         for network, seen in ((self.policy, rollout.actor), (self.critic, rollout.critic)):
             network.normaliser.update(seen)  # type: ignore[union-attr,operator]
-        return {**totals, "learning_rate": self.learning_rate.clone(), "std": self.log_std.detach().exp().mean()}
+        return {
+            **totals,
+            "learning_rate": self.learning_rate.clone(),
+            "std": self.log_std.detach().exp().mean(),
+            "std_limit": torch.tensor(self.std_limit),
+            "explained_variance": explained_variance(rollout.value, rollout.returns),
+        }
 
     def _gradients(self, batch: Batch) -> dict[str, Tensor]:
         c = self.config
+        own = len(batch.action)  # samples that were acted on; an augmentation adds others after them
+        batch = batch if self.augment is None else self.augment(batch)
         with torch.autocast(batch.action.device.type, torch.bfloat16, enabled=c.bfloat16):
             mean = self.policy(batch.observation.actor, batch.observation.depth)
             value = self.critic.of(batch.observation)
         mean, value, log_std = mean.float(), value.float(), self.log_std
-        kl = all_mean(gaussian.divergence(batch.mean, batch.log_std, mean.detach(), log_std.detach()).mean())
+        kl = gaussian.divergence(batch.mean[:own], batch.log_std, mean[:own].detach(), log_std.detach())
+        kl = all_mean(kl.mean())
         if c.schedule == "adaptive":
             self._adapt(kl)
         ratio = torch.exp(gaussian.log_prob(batch.action, mean, log_std) - batch.log_prob)
@@ -120,7 +142,14 @@ class PPO:
         value_loss = clipped_value_loss(value, batch.value, batch.returns, c.clip)
         entropy = gaussian.entropy(log_std)
         loss = policy_loss + c.value_weight * value_loss - c.entropy_weight * entropy
-        losses = {"policy_loss": policy_loss, "value_loss": value_loss, "entropy": entropy, "kl": kl}
+        clipped = ((ratio.detach() - 1).abs() > c.clip).float().mean()
+        losses = {
+            "policy_loss": policy_loss,
+            "value_loss": value_loss,
+            "entropy": entropy,
+            "kl": kl,
+            "clip_fraction": clipped,
+        }
         for name, (weight, extra) in self.extra.items():
             losses[name] = extra(self.policy, batch)
             loss = loss + weight * losses[name]
@@ -140,7 +169,7 @@ class PPO:
         self.optimiser.zero_grad()
         (c.value_weight * value_loss).backward()
         nothing = torch.zeros_like(value_loss.detach())
-        names = ("policy_loss", "entropy", "kl", *self.extra)
+        names = ("policy_loss", "entropy", "kl", "clip_fraction", *self.extra)
         return {"value_loss": value_loss.detach(), **dict.fromkeys(names, nothing)}
 
     def _adapt(self, kl: Tensor) -> None:
@@ -166,8 +195,9 @@ class PPO:
         # The same command again must go on exactly: the schedule may have moved the rate since.
         kept = asked is None or asked == state.get("asked_rate")
         self.learning_rate.copy_(torch.tensor(state["learning_rate"] if kept else asked))
-        for group in self.optimiser.param_groups:  # loading has put a copy there; the schedule moves ours
-            group["lr"] = self.learning_rate
+        policy, critic = self.optimiser.param_groups
+        policy["lr"] = self.learning_rate  # loading has put a copy there; the schedule moves ours
+        critic["lr"] = self.config.critic_rate or self.learning_rate
 
 
 def surrogate(ratio: Tensor, advantage: Tensor, clip: float) -> Tensor:
@@ -179,6 +209,11 @@ def clipped_value_loss(value: Tensor, old: Tensor, returns: Tensor, clip: float)
     """Squared error of the value, whose change is clipped as the ratio's is."""
     near = old + (value - old).clamp(-clip, clip)
     return torch.max((value - returns).square(), (near - returns).square()).mean()
+
+
+def explained_variance(value: Tensor, returns: Tensor) -> Tensor:
+    """() share of the returns' variance that the critic foresaw; 1 is perfect, 0 no better than their mean."""
+    return 1 - (returns - value).var() / returns.var().clamp_min(1e-8)
 
 
 def bootstrap(reward: Tensor, final_value: Tensor, truncated: Tensor, gamma: float) -> Tensor:

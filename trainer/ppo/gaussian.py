@@ -7,19 +7,19 @@ import math
 import torch
 from torch import Tensor
 
-BOUNDS = (math.log(0.02), math.log(2.0))
-"""An entropy bonus would widen the noise without end, and a sure policy narrow it to nothing."""
+SMALLEST = 0.02
+"""Standard deviation below which a sure policy may not narrow its noise: it would stop learning."""
 
 
-def bounded(log_std: Tensor) -> Tensor:
+def bounded(log_std: Tensor, largest: float) -> Tensor:
     """The logarithm of the standard deviation within bounds; beyond them it gets no gradient, see `keep_within`."""
-    return log_std.clamp(*BOUNDS)
+    return log_std.clamp(math.log(SMALLEST), math.log(largest))
 
 
 @torch.no_grad()
-def keep_within(log_std: Tensor) -> None:
+def keep_within(log_std: Tensor, largest: float) -> None:
     """Put the parameter itself back to its bounds, after a step of its optimiser: beyond it could never learn again."""
-    log_std.clamp_(*BOUNDS)
+    log_std.clamp_(math.log(SMALLEST), math.log(largest))
 
 
 def sample(mean: Tensor, log_std: Tensor, generator: torch.Generator) -> Tensor:

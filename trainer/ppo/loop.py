@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -31,18 +32,24 @@ class LoopConfig:
     iterations: int = 1000
     """Iterations in all, those before a resume included."""
     checkpoint_every: int = 100
-    """Iterations between checkpoints; worlds begin anew after each, so that resuming is exact."""
+    """Iterations between checkpoints."""
+    restart_at_checkpoint: bool = False
+    """Start all worlds anew after every checkpoint, as a resume has to: an interrupted run is then bit for bit the
+    uninterrupted one. It costs samples: for half a second all worlds show the same part of the course."""
     evaluate_every: int = 10
     """Iterations between evaluations on the way; 0 leaves them out."""
     target: float = 0.97
     """Success rate whose first evaluation above it is reported (iterations to 97 percent)."""
     stop_at_target: bool = False
     """Stop there."""
+    minutes: float = 0.0
+    """Stop after this many minutes, at the end of an iteration and with a checkpoint; 0 sets no limit."""
     tensorboard: bool = True
     """Write event files for TensorBoard into the folder."""
 
     def __post_init__(self) -> None:
-        if self.iterations < 1 or self.checkpoint_every < 1 or self.evaluate_every < 0 or not 0 < self.target <= 1:
+        counts = self.iterations >= 1 and self.checkpoint_every >= 1 and self.evaluate_every >= 0
+        if not (counts and 0 < self.target <= 1 and self.minutes >= 0):
             raise TrainerError("iterations and their intervals must be positive, the target in (0, 1]", found=str(self))
 
 
@@ -79,7 +86,8 @@ def train(
     elif evaluate is not None and config.evaluate_every:
         _evaluate(runner, evaluate, history)
     # Whoever asked for the training goes on with its policy.pt, also where nothing is left to train.
-    done = _done(runner, history, config)
+    until = time.monotonic() + 60 * config.minutes if config.minutes else math.inf
+    done = _done(runner, history, config, until)
     if done:
         save(runner, history, folder)
     else:
@@ -93,10 +101,11 @@ def train(
             if evaluate is not None and config.evaluate_every and runner.iteration % config.evaluate_every == 0:
                 write({"iteration": runner.iteration - 1, "success": _evaluate(runner, evaluate, history)})
             show(row, history)
-            done = _done(runner, history, config)
+            done = _done(runner, history, config, until)
             if runner.iteration % config.checkpoint_every == 0 or done:
                 save(runner, history, folder)
-                runner.begin()
+                if config.restart_at_checkpoint:
+                    runner.begin()
     return history
 
 
@@ -153,8 +162,9 @@ def _evaluate(runner: Runner, evaluate: Evaluate, history: History) -> float:
     return rate
 
 
-def _done(runner: Runner, history: History, config: LoopConfig) -> bool:
+def _done(runner: Runner, history: History, config: LoopConfig, until: float) -> bool:
     reached = config.stop_at_target and history.to_target(config.target) is not None
+    reached = reached or time.monotonic() > until
     # Only the first rank evaluates: all must hear of it, or they would wait for each other's gradients.
     return runner.iteration >= config.iterations or any_rank(reached, runner.rank.device)
 

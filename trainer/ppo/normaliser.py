@@ -7,9 +7,14 @@ from torch import Tensor, nn
 
 from trainer.ppo.distributed import all_sum
 
+LARGEST = 10.0
+"""Standard deviations beyond which an input is clipped: a fall must not blind the network for everything else."""
+MEMORY = 2e8
+"""Samples over which moments are averaged: with all of history they would no longer follow a curriculum."""
+
 
 class Normaliser(nn.Module):
-    """(x - mean) / std with the mean and variance of all that was seen, over all ranks.
+    """(x - mean) / std with the mean and variance of what was seen, over all ranks; the latest `MEMORY` samples count.
 
     Moments are kept in float64: after 1e10 samples a float32 sum has no digit left for a new one. What the forward
     pass uses is their float32 image. Frozen, it is a constant: a fine-tuned policy keeps its base's normalisation, or
@@ -31,7 +36,7 @@ class Normaliser(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
 
     def forward(self, x: Tensor) -> Tensor:
-        return (x - self.mean) * self.inverse_std
+        return ((x - self.mean) * self.inverse_std).clamp(-LARGEST, LARGEST)
 
     @torch.no_grad()
     def update(self, x: Tensor) -> None:
@@ -51,6 +56,6 @@ class Normaliser(nn.Module):
         mean = mean + rate * delta
         variance = variance + rate * (batch_variance - variance + delta.square() * (1 - rate))
         self.moments.copy_(torch.stack([mean, variance]))
-        self.count.copy_(total)
+        self.count.copy_(total.clamp_max(MEMORY))
         self.mean.copy_(mean.float())
         self.inverse_std.copy_(1 / (variance.sqrt() + self.eps).float())

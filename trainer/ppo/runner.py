@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from trainer.errors import TrainerError
-from trainer.ppo.algorithm import PPO, Loss, bootstrap
+from trainer.ppo.algorithm import PPO, Augment, Loss, bootstrap
 from trainer.ppo.amp import StylePrior
 from trainer.ppo.config import PPOConfig
 from trainer.ppo.distributed import Rank, all_sum, broadcast, gather
@@ -30,6 +30,8 @@ class Runner:
         seed: of the action noise and the shuffling; each rank draws its own.
         prior: the style prior, if motion is to look like a reference.
         extra: further losses by name, each with its weight.
+        augment: adds samples to every minibatch.
+        groups: joints by part of the body, whose noise is logged by itself.
     """
 
     def __init__(
@@ -42,6 +44,8 @@ class Runner:
         seed: int = 0,
         prior: StylePrior | None = None,
         extra: Mapping[str, tuple[float, Loss]] | None = None,
+        augment: Augment | None = None,
+        groups: Mapping[str, Sequence[int]] | None = None,
     ) -> None:
         check_layout(policy.layout, env.layout)
         config.check_samples(env.num_worlds)
@@ -50,7 +54,8 @@ class Runner:
             torch.set_float32_matmul_precision("high")  # TF32: the noise of PPO is far above its rounding
             torch.backends.cudnn.benchmark = True  # the same few shapes over and over
         broadcast(policy.actor, policy.critic, None if prior is None else prior.layers)
-        self.ppo = PPO(policy.actor, policy.critic, config, extra, tuned=bool(policy.tuned))
+        self.ppo = PPO(policy.actor, policy.critic, config, extra, augment=augment, tuned=bool(policy.tuned))
+        self.groups = dict(groups or {})
         self.rollout = Rollout(config.steps, env.num_worlds, env.layout, rank.device)
         self.rng = torch.Generator(rank.device).manual_seed(seed * 1009 + rank.index)
         self.iteration = 0
@@ -59,7 +64,7 @@ class Runner:
         self.episodes = _Episodes(env.num_worlds, rank.device)
 
     def begin(self) -> None:
-        """Start all worlds anew. At the start, and after every checkpoint, so that going on from it is exact."""
+        """Start all worlds anew: at the start and on a resume."""
         self.observation = self.env.reset()
         self.rollout.restart()
         self.episodes = _Episodes(self.env.num_worlds, self.rank.device)
@@ -69,10 +74,13 @@ class Runner:
         if self.observation is None:
             self.begin()
         began = time.perf_counter()
+        self.ppo.limit_noise(self.iteration)
         log = self._collect()
         self._wait()
         collected = time.perf_counter()
         losses = self.ppo.update(self.rollout, self.rng, critic_only=self.iteration < self.config.critic_first)
+        std = self.ppo.log_std.detach().exp()
+        losses |= {f"std/{name}": std[list(joints)].mean() for name, joints in self.groups.items()}
         if self.prior is not None:
             losses |= self.prior.update(self.rng)
         self.rollout.carry()
@@ -194,7 +202,8 @@ def _read(losses: Mapping[str, Tensor], figures: Mapping[str, Tensor]) -> dict[s
     environment (`env/...`) that no rank has is left out too. A loss that is not a number on one rank is none at all.
     """
     values = {**losses, **figures}
-    stacked = torch.stack([v.detach().float().reshape(()) for v in values.values()])
+    device = next(iter(figures.values())).device
+    stacked = torch.stack([v.detach().to(device, torch.float32).reshape(()) for v in values.values()])
     counted = ~stacked.isnan()
     counted[: len(losses)] = True
     sums, counts = all_sum(torch.stack([torch.where(counted, stacked, 0.0), counted.float()]))

@@ -1,9 +1,11 @@
-"""Left-right symmetry as a loss: what the policy does in the mirror should be the mirror image of what it does."""
+"""Left-right symmetry, taught by a loss or by samples: what the policy does in the mirror is its mirror image."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Protocol
 
+import torch
 from torch import Tensor, nn
 
 from trainer.ppo.storage import Batch
@@ -27,7 +29,38 @@ class SymmetryLoss:
         self.mirror = mirror
 
     def __call__(self, policy: nn.Module, batch: Batch) -> Tensor:
-        o = self.mirror.observation(batch.observation)
+        o, own = batch.observation, len(batch.action)
+        mirrored = self.mirror.observation(o)
+        both = policy(torch.cat([o.actor, mirrored.actor]), _joined(o.depth, mirrored.depth))
         # The target is held fixed: both sides moving would let the loss pull a good action to a bad one's image.
-        target = self.mirror.action(policy(batch.observation.actor, batch.observation.depth).detach())
-        return (policy(o.actor, o.depth) - target).square().mean()
+        return (both[own:] - self.mirror.action(both[:own].detach())).square().mean()
+
+
+class MirrorSamples:
+    """Every sample a second time in the mirror, with the probability, value and advantage that it had (Mittal et al.
+    2024, "Symmetry considerations for learning task symmetric robot policies")."""
+
+    def __init__(self, mirror: Mirror) -> None:
+        self.mirror = mirror
+
+    def __call__(self, b: Batch) -> Batch:
+        o, mirrored = b.observation, self.mirror.observation(b.observation)
+        observation = Observation(
+            torch.cat([o.actor, mirrored.actor]),
+            torch.cat([o.critic, mirrored.critic]),
+            _joined(o.depth, mirrored.depth),
+        )
+        return replace(
+            b,
+            observation=observation,
+            action=torch.cat([b.action, self.mirror.action(b.action)]),
+            mean=torch.cat([b.mean, self.mirror.action(b.mean)]),
+            log_prob=b.log_prob.repeat(2),
+            value=b.value.repeat(2),
+            returns=b.returns.repeat(2),
+            advantage=b.advantage.repeat(2),
+        )
+
+
+def _joined(a: Tensor | None, b: Tensor | None) -> Tensor | None:
+    return None if a is None or b is None else torch.cat([a, b])

@@ -67,6 +67,8 @@ class TrainedRobot:
     """Indices of the joints that the hip deviation term looks at."""
     upper_body: tuple[int, ...]
     """Indices of arms and waist; empty for a quadruped."""
+    groups: dict[str, tuple[int, ...]]
+    """Joints by part of the body (legs, waist, arms), for the log."""
     standing_height: float
     """Metres from the soles to the base in the default pose."""
     camera: DepthMount | None

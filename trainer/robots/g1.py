@@ -12,19 +12,21 @@ from realsim.robots.g1 import g1 as g1_robot
 from trainer.robots.base import DepthMount, TrainedRobot
 from trainer.robots.soles import sole_points
 
+KEYFRAME = "KNEES_BENT_KEYFRAME"
+"""The pose that action 0 asks for. From straight legs a step over a gap takes 1.7 units of action, from here 0.7."""
 FEET = ("left_ankle_roll_link", "right_ankle_roll_link")
 D435I_FOVY_DEG = 58.0
 """Vertical opening of the D435i's depth image in its 16:9 modes (data sheet: 87 x 58 degrees)."""
 
 
 def g1() -> TrainedRobot:
-    """G1 in its table's home pose; kp, kd and 0.25 effort / kp by the rule written there."""
-    robot, figures = g1_robot(), table()
+    """G1 with bent knees; kp, kd and 0.25 effort / kp by the rule written there."""
+    robot, figures = g1_robot(KEYFRAME), table()
     joints = tuple(j["name"] for j in figures["joints"])
     motors = motors_by_joint(figures)
     kp, kd = np.array([pd_gains(motors[j]["armature_kgm2"]) for j in joints]).T
     effort = np.array([motors[j]["effort_limit_Nm"] for j in joints])
-    default = by_pattern(figures["keyframes"]["HOME_KEYFRAME"]["joint_pos"], list(joints))
+    default = by_pattern(figures["keyframes"][KEYFRAME]["joint_pos"], list(joints))
     ranges = np.array([j["range"] for j in figures["joints"]])
     camera = figures["camera"]
     return TrainedRobot(
@@ -45,6 +47,11 @@ def g1() -> TrainedRobot:
         legs=_matching(joints, r".*_(hip|knee|ankle)_.*"),
         hips=_matching(joints, r".*_hip_(roll|yaw)_joint"),
         upper_body=_matching(joints, r"waist_.*|.*_(shoulder|elbow|wrist)_.*"),
+        groups={
+            "legs": _matching(joints, r".*_(hip|knee|ankle)_.*"),
+            "waist": _matching(joints, r"waist_.*"),
+            "arms": _matching(joints, r".*_(shoulder|elbow|wrist)_.*"),
+        },
         standing_height=robot.base_height,
         camera=DepthMount(
             body=camera["body"],

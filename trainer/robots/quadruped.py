@@ -38,6 +38,7 @@ def quadruped() -> TrainedRobot:
         legs=tuple(range(len(JOINTS))),
         hips=tuple(i for i, name in enumerate(JOINTS) if "_hip_" in name),
         upper_body=(),
+        groups={"legs": tuple(range(len(JOINTS)))},
         standing_height=robot.base_height,
         camera=DepthMount(
             body=robot.root,

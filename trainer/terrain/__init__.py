@@ -5,6 +5,7 @@ A family is a function `(difficulty, rng) -> Course` and one line here.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -72,9 +73,14 @@ def generate(family: str, difficulty: float, seed: int) -> Terrain:
     return place(f"{family}_{difficulty:.2f}_{seed}", course, family, difficulty)
 
 
-def grid(seed: int = 0) -> list[Terrain]:
-    """The curriculum, 20 columns x 10 rows, row-major: terrain `row * 20 + column`, difficulty row / 9."""
-    columns = [family for family in CURRICULUM for _ in range(COLUMNS_A_FAMILY)]
+def grid(
+    seed: int = 0, families: Sequence[str] = CURRICULUM, columns_a_family: int = COLUMNS_A_FAMILY
+) -> list[Terrain]:
+    """The curriculum, row-major: terrain `row * columns + column`, difficulty row / 9.
+
+    The defaults are the paper's 20 columns x 10 rows.
+    """
+    columns = [family for family in families for _ in range(columns_a_family)]
     return [
         generate(family, row / (ROWS - 1), seed * 1000 + row * len(columns) + column)
         for row in range(ROWS)

@@ -15,12 +15,12 @@ from trainer.evaluate import EvaluationConfig, Setting, run, trial_env
 from trainer.physics import PhysicsConfig
 from trainer.ppo import checkpoint, export, loop
 from trainer.ppo import policy as policies
-from trainer.ppo.algorithm import Loss
+from trainer.ppo.algorithm import Augment, Loss
 from trainer.ppo.amp import StylePrior
 from trainer.ppo.distributed import Rank, ranks
 from trainer.ppo.policy import Policy
 from trainer.ppo.runner import Runner
-from trainer.ppo.symmetry import SymmetryLoss
+from trainer.ppo.symmetry import MirrorSamples, SymmetryLoss
 from trainer.robots import ROBOTS, named
 from trainer.tasks.parkour import ParkourConfig, ParkourEnv, make
 from trainer.tasks.parkour.terminations import SUCCESS
@@ -121,8 +121,17 @@ def start(scene: Scene, file: Path | None, plan: Plan, rank: Rank) -> Runner:
     else:
         policy = policies.new(env.layout, config.ppo.networks, plan.robot, config.seed)
     policies.check_layout(policy.layout, env.layout, str(config.resume or ""))
+    losses, augment = _symmetry(config, env)
     return Runner(
-        env, policy, config.ppo, rank=rank, seed=config.seed, prior=_prior(plan, env), extra=_symmetry(config, env)
+        env,
+        policy,
+        config.ppo,
+        rank=rank,
+        seed=config.seed,
+        prior=_prior(plan, env),
+        extra=losses,
+        augment=augment,
+        groups=named(plan.robot).groups,
     )
 
 
@@ -210,6 +219,7 @@ def _prior(plan: Plan, env: ParkourEnv) -> StylePrior | None:
     return StylePrior(features, settings, env.policy_dt)
 
 
-def _symmetry(config: TrainConfig, env: ParkourEnv) -> dict[str, tuple[float, Loss]]:
-    weight = config.ppo.symmetry_weight
-    return {"symmetry": (weight, SymmetryLoss(env.mirror))} if weight > 0 else {}
+def _symmetry(config: TrainConfig, env: ParkourEnv) -> tuple[dict[str, tuple[float, Loss]], Augment | None]:
+    kind, weight = config.ppo.symmetry, config.ppo.symmetry_weight
+    losses: dict[str, tuple[float, Loss]] = {"symmetry": (weight, SymmetryLoss(env.mirror))} if kind == "loss" else {}
+    return losses, MirrorSamples(env.mirror) if kind == "augmentation" else None

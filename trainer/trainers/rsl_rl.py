@@ -107,7 +107,7 @@ def algorithm(obs: TensorDict, worlds: int, policy: Policy, config: PPOConfig, d
     """rsl_rl's PPO with our networks and settings."""
     storage = RolloutStorage("rl", worlds, config.steps, obs, [len(policy.layout.actions)], device)
     learner = PPO(
-        Model(policy.actor, "actor"),
+        Model(policy.actor, "actor", config.std_limit(0, bool(policy.tuned))),
         Model(policy.critic, "critic"),
         storage,
         num_learning_epochs=config.epochs,
@@ -124,9 +124,9 @@ def algorithm(obs: TensorDict, worlds: int, policy: Policy, config: PPOConfig, d
         use_mixed_precision=config.bfloat16,
         device=device,
     )
-    noise = policy.actor.get_parameter("log_std")
-    gaussian.keep_within(noise)
-    learner.optimizer.register_step_post_hook(lambda *_: gaussian.keep_within(noise))
+    noise, largest = policy.actor.get_parameter("log_std"), learner.actor.largest
+    gaussian.keep_within(noise, largest)
+    learner.optimizer.register_step_post_hook(lambda *_: gaussian.keep_within(noise, largest))
     return learner
 
 
@@ -161,9 +161,9 @@ class Model(nn.Module):
 
     is_recurrent = False
 
-    def __init__(self, network: nn.Module, group: str) -> None:
+    def __init__(self, network: nn.Module, group: str, largest: float = 1.0) -> None:
         super().__init__()
-        self.network, self.group = network, group
+        self.network, self.group, self.largest = network, group, largest
         self.output: tuple[Tensor, Tensor] | None = None  # mean and logarithm of the standard deviation
 
     def forward(self, obs: TensorDict, *_: Any, stochastic_output: bool = False, **__: Any) -> Tensor:
@@ -171,7 +171,7 @@ class Model(nn.Module):
         out = self.network(obs[self.group], obs.get("depth", None))
         if self.group == "critic":
             return out.unsqueeze(-1)
-        self.output = out, gaussian.bounded(self.network.log_std)  # type: ignore[arg-type]
+        self.output = out, gaussian.bounded(self.network.log_std, self.largest)  # type: ignore[arg-type]
         if not stochastic_output:
             return out
         return out + self.output[1].exp() * torch.randn_like(out)
@@ -224,7 +224,7 @@ def _refuse_what_it_cannot(config: TrainConfig) -> None:
         "several processes (torchrun)": int(os.environ.get("WORLD_SIZE", "1")) > 1,
         "--resume": config.resume is not None,
         "--amp": config.ppo.prior.amp,
-        "--symmetry-weight": config.ppo.symmetry_weight > 0,
+        "--symmetry": config.ppo.symmetry != "none",
         "--critic-first": config.ppo.critic_first > 0,
     }
     asked = [name for name, wanted in cannot.items() if wanted]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from math import isfinite
 
 from trainer.errors import TrainerError
@@ -27,7 +27,7 @@ def _require(config: object, *conditions: tuple[bool, str]) -> None:
 class CommandConfig:
     """The goal as a velocity."""
 
-    speed: Range = (0.8, 0.8)
+    speed: Range = (0.45, 0.8)
     """m/s to which the velocity towards the goal is clipped, drawn for each episode."""
     gain: float = 2.0
     """1/s: wanted velocity = gain * (goal - position), before clipping; brakes within speed / gain metres."""
@@ -64,6 +64,8 @@ class ObservationConfig:
     steered: bool = False
     """Whether the actor is told which way the goal lies (velocity ahead and to the left, yaw rate), as by somebody who
     steers. The paper's is not: straight ahead at a speed, it finds its way with its camera."""
+    scan: bool = True
+    """Whether the critic reads a height scan of the terrain around the base; only where there is a camera."""
 
     def __post_init__(self) -> None:
         _require(self, (self.history >= 1, "history must hold at least one step"))
@@ -150,6 +152,8 @@ class RewardConfig:
     """Metres between left and right foot below which they are too close."""
     contact_force: float = 1.0
     """N from which a foot counts as in contact."""
+    soft_limits: float = 0.9
+    """Share of a joint's range within which its angle costs nothing."""
 
     def __post_init__(self) -> None:
         numbers = all(isinstance(w, int | float) and isfinite(w) for w in self.weights.values())
@@ -170,9 +174,36 @@ class ResetConfig:
     """Radians around the direction to the goal."""
     joints: float = 0.1
     """Radians around the default pose (clipped to the limits)."""
+    along: float = 0.0
+    """Share of episodes that begin somewhere on the course, where both soles are supported, instead of on the start
+    platform. They move no world of a curriculum and do not count in the log."""
     spread_ages: bool = True
     """Whether the first episodes begin at random ages, so that they do not end together. Such an episode that runs out
     of time moves no world of a curriculum and is no failure in the log."""
+
+
+@dataclass(frozen=True)
+class FloorConfig:
+    """A floor that is raised under the course at first: touching it costs and does not end the episode, so that a
+    policy can learn to aim before it can cross (BeamDojo, Wang et al. 2025, first stage). Camera and rewards see the
+    real floor. An episode in which it was touched is no success and moves no world up."""
+
+    share: float = 0.0
+    """Share of episodes on a raised floor, where the ground is a failure; 0 is off."""
+    top: float = 0.06
+    """Metres below the start platform at which the floor lies at first."""
+    difficulty: float = 1.0
+    """Difficulty of generated terrain at which it reaches the real floor; it sinks linearly. 0 ignores difficulty."""
+    seconds: float = 0.0
+    """Simulated seconds of training after which it has sunk to the real floor everywhere; 0 ignores time."""
+
+    def __post_init__(self) -> None:
+        _require(
+            self,
+            (0 <= self.share <= 1, "share must lie between 0 and 1"),
+            (min(self.top, self.difficulty, self.seconds) >= 0, "heights, difficulty and times cannot be negative"),
+            (not self.share or self.difficulty > 0 or self.seconds > 0, "the floor must sink with something"),
+        )
 
 
 @dataclass(frozen=True)
@@ -180,6 +211,8 @@ class RandomisationConfig:
     """What differs between worlds, drawn at each reset. A gap patch replaces ranges by what was identified."""
 
     use: bool = True
+    strength: float = 1.0
+    """Ratio on the width of all ranges below (about what is nominal) and on offsets and pushes."""
     friction: Range = (0.5, 1.25)
     """Sliding friction of soles on terrain."""
     mass: Range = (0.9, 1.1)
@@ -217,6 +250,33 @@ class RandomisationConfig:
             ),
             (self.joint_friction[0] >= 0 and self.delay[0] >= 0, "friction and delay cannot be negative"),
             (self.terrain_scale[0] > 0 and self.terrain_variants >= 0, "the terrain must keep a size"),
+            (0 <= self.strength <= 2, "strength lies between 0 and 2"),
+        )
+
+    def at_strength(self) -> RandomisationConfig:
+        """The same draws as a config of strength 1: ranges of robot, soles and pushes narrowed or widened."""
+        s = self.strength
+        middle = (self.friction[0] + self.friction[1]) / 2
+
+        def about(nominal: float, bounds: Range) -> Range:
+            low, high = (nominal + s * (b - nominal) for b in bounds)
+            return low, high
+
+        return replace(
+            self,
+            strength=1.0,
+            friction=about(middle, self.friction),
+            mass=about(1.0, self.mass),
+            payload=about(0.0, self.payload),
+            com=about(0.0, self.com),
+            kp=about(1.0, self.kp),
+            kd=about(1.0, self.kd),
+            armature=about(1.0, self.armature),
+            joint_friction=about(0.0, self.joint_friction),
+            delay=about(0.0, self.delay),
+            encoder=s * self.encoder,
+            gyro=s * self.gyro,
+            push=s * self.push,
         )
 
 
@@ -230,6 +290,7 @@ class ParkourConfig:
     termination: TerminationConfig = field(default_factory=TerminationConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
     reset: ResetConfig = field(default_factory=ResetConfig)
+    floor: FloorConfig = field(default_factory=FloorConfig)
     randomisation: RandomisationConfig = field(default_factory=RandomisationConfig)
     amp: bool = False
     """Whether transition features for a motion discriminator are made."""

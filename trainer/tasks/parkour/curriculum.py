@@ -44,7 +44,7 @@ class Curriculum:
         return {"row": self.row.clone(), "rows": self.rows, "columns": self.columns}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Rows of as many worlds as there are now: another number (a changed world size) repeats the saved ones."""
+        """Rows of as many worlds as there are now; with another number each world takes one saved for its column."""
         if (state["rows"], state["columns"]) != (self.rows, self.columns):
             raise TrainerError(
                 "the curriculum was saved on another grid of terrains",
@@ -52,4 +52,9 @@ class Curriculum:
                 found=f"{state['rows']} x {state['columns']}",
             )
         saved = state["row"].to(self.row.device)
-        self.row = saved[torch.arange(len(self.row), device=self.row.device) % len(saved)].clone()
+        if len(saved) == len(self.row):
+            self.row.copy_(saved)
+            return
+        for column in range(min(self.columns, len(saved))):
+            rows, worlds = saved[column :: self.columns], self.row[column :: self.columns]
+            worlds.copy_(rows[torch.arange(len(worlds), device=rows.device) % len(rows)])

@@ -20,15 +20,17 @@ from trainer.tasks.parkour.commands import GoalCommand
 from trainer.tasks.parkour.config import ParkourConfig
 from trainer.tasks.parkour.curriculum import Curriculum
 from trainer.tasks.parkour.depth import DepthCamera, DepthWindow
+from trainer.tasks.parkour.floor import RaisedFloor
 from trainer.tasks.parkour.footholds import FootholdProbe
 from trainer.tasks.parkour.observations import Proprioception, critic_view, layout
 from trainer.tasks.parkour.randomise import Known, Randomiser
-from trainer.tasks.parkour.resets import Course, poses
+from trainer.tasks.parkour.resets import Course, Stances, poses
 from trainer.tasks.parkour.rewards import Rewards
-from trainer.tasks.parkour.signals import PhaseClock, Signals, derive
+from trainer.tasks.parkour.scan import HeightScan
+from trainer.tasks.parkour.signals import PhaseClock, Signals, derive, sole_points
 from trainer.tasks.parkour.symmetry import Mirror
 from trainer.tasks.parkour.tally import Tally
-from trainer.tasks.parkour.terminations import RUNNING, SUCCESS, TIMEOUT, Clocks, judge
+from trainer.tasks.parkour.terminations import DIVERGED, RUNNING, SUCCESS, TIMEOUT, Clocks, judge
 
 
 @dataclass(frozen=True)
@@ -102,14 +104,21 @@ class ParkourEnv:
         self.rewards = Rewards(config.reward, self.body, physics.policy_dt, device)
         self.transitions = Transitions(worlds, self.num_actions, len(robot.feet), device) if config.amp else None
         self.phase = PhaseClock(worlds, len(robot.feet), physics.policy_dt, device)
-        self.tally = Tally(self.rewards.names, worlds, device)
-        self.mirror = Mirror(robot, config.observation.history, device)
+        self.tally = Tally(self.rewards.names, [t.family for t in physics.terrains], worlds, device)
+        self.floor = RaisedFloor(config.floor, physics.terrains, worlds, device)
+        self.stances = self._stances(caster, seed) if config.reset.along > 0 else None
+        self.scan = None
+        if config.observation.scan and self.images is not None:
+            self.scan = HeightScan(caster, robot.standing_height, device)
+        self.mirror = Mirror(robot, config.observation.history, device, scan=self.scan is not None)
         depth = None if self.images is None else (config.depth.frames, *self.images.ring.shape[2:])
         self.layout = layout(robot, config.observation, depth, config.depth.stride)
         self.terrain_ids = torch.zeros(worlds, dtype=torch.long, device=device)
         self.age = torch.zeros(worlds, dtype=torch.long, device=device)
         self.shortened = torch.zeros(worlds, dtype=torch.bool, device=device)
         """(N,) whether the episode began at a later age than 0: running out of time says nothing then."""
+        self.elsewhere = torch.zeros(worlds, dtype=torch.bool, device=device)
+        """(N,) whether the episode began on the course: how far it came says nothing then."""
         self.origin = torch.zeros(worlds, 2, device=device)
         self.at_start = torch.zeros(worlds, device=device)
         self.on_goal = torch.zeros(worlds, device=device)
@@ -151,8 +160,11 @@ class ParkourEnv:
         observation = self._observe(signals)
         amp = None if self.transitions is None else self.transitions.advance(signals, self.body)
         covered = self.course.covered(state.base_pos[:, :2].nan_to_num(), self.terrain_ids)
-        cut_off = self.shortened & (outcome == TIMEOUT)
-        self.tally.add(terms, outcome.masked_fill(cut_off, RUNNING), covered, self.age * self.policy_dt)
+        # What counts as a trial: from the start platform, in full time, without help from a raised floor.
+        no_trial = (self.shortened & (outcome == TIMEOUT)) | (self.elsewhere & (outcome > DIVERGED))
+        helped = self.floor.touched & (outcome == SUCCESS)
+        trial = outcome.masked_fill(helped, TIMEOUT).masked_fill(no_trial, RUNNING)
+        self.tally.add(terms, trial, covered, self.age * self.policy_dt, self.terrain_ids)
         terminated = (outcome != RUNNING) & (outcome < TIMEOUT)
         truncated = outcome >= TIMEOUT
         final, self.ends = None, None
@@ -160,8 +172,8 @@ class ParkourEnv:
         if len(ids):
             final = observation
             self.ends = self._ends(ids, outcome, covered)
-            way = covered.masked_fill(cut_off, 1.0)[ids]  # who was cut off stays in its row
-            self.curriculum.update(ids, outcome[ids] == SUCCESS, way, self.generator)
+            way = covered.masked_fill(no_trial, 1.0)[ids]  # what was no trial leaves its world in its row
+            self.curriculum.update(ids, trial[ids] == SUCCESS, way, self.generator)
             observation = self._replaced(observation, ids, self._restart(ids))
         return Step(observation, reward, terminated, truncated, final, amp, self._log())
 
@@ -197,7 +209,9 @@ class ParkourEnv:
         contact = state.foot_force > self.config.reward.contact_force
         phase = self.phase.advance(contact)
         footholds = self.probe(state, self.terrain_ids)
-        return derive(state, self.command(state), footholds, contact, phase, action, self.last_action)
+        signals = derive(state, self.command(state), footholds, contact, phase, action, self.last_action)
+        signals.floor_touched = self.floor.touch(state.ground_contact)
+        return signals
 
     def _judge(self, s: Signals) -> Tensor:
         dt, near = self.policy_dt, self.config.termination.stuck_radius
@@ -206,8 +220,8 @@ class ParkourEnv:
         self.at_start = torch.where(nearby, self.at_start + dt, torch.zeros_like(self.at_start))
         arrived = self.course.on_goal(here, s.state.foot_pos[..., :2], self.terrain_ids)
         self.on_goal = torch.where(arrived, self.on_goal + dt, torch.zeros_like(self.on_goal))
-        allowed = self.course.ground_fails[self.terrain_ids]
-        clocks = Clocks(self.at_start, self.on_goal, allowed, self.command.limit > 0)
+        fails = self.course.ground_fails[self.terrain_ids] & ~self.floor.raised
+        clocks = Clocks(self.at_start, self.on_goal, fails, self.floor.height, self.command.limit > 0)
         return judge(s, clocks, self.age, self.max_steps, self.body, self.config.termination)
 
     def _observe(self, s: Signals) -> Observation:
@@ -226,15 +240,19 @@ class ParkourEnv:
             self.proprioception.encoder_offset[ids], self.proprioception.gyro_offset[ids] = encoder, gyro
             if self.misread is not None:
                 self.misread[ids[:, None], self._servo] = encoder[:, self._servo]
-        pose = poses(terrain, self.course, self.body, self.config.reset, self.generator)
-        self.physics.reset(ids, *pose, terrain)
+        position, quaternion, joints, self.elsewhere[ids] = poses(
+            terrain, self.course, self.body, self.config.reset, self.generator, self.stances
+        )
+        floor = self.floor.reset(ids, terrain, self.count * self.policy_dt, self.generator)
+        own = floor if self.config.floor.share > 0 else None
+        self.physics.reset(ids, position, quaternion, joints, terrain, own)
         self.command.reset(ids, self.course.goal[terrain, :2], self.generator)
         self.phase.reset(ids)
         self.last_action = self.last_action.index_fill(0, ids, 0.0)  # a copy: it may be the caller's tensor
         for clock in (self.age, self.at_start, self.on_goal):
             clock.index_fill_(0, ids, 0)
         self.shortened.index_fill_(0, ids, False)
-        self.origin[ids] = pose[0][:, :2]
+        self.origin[ids] = position[:, :2]
         return self._first_look(ids)
 
     def _first_look(self, ids: Tensor) -> Signals:
@@ -256,12 +274,14 @@ class ParkourEnv:
     def _replaced(self, o: Observation, ids: Tensor, signals: Signals) -> Observation:
         """`o` with the rows of worlds `ids` of their new episodes; `o` itself stays what it was."""
         actor = o.actor.index_copy(0, ids, self.proprioception.read(ids))
-        critic = o.critic.index_copy(0, ids, self._critic_view(signals))
+        critic = o.critic.index_copy(0, ids, self._critic_view(signals, ids))
         depth = None if o.depth is None else o.depth.index_copy(0, ids, self._window(ids))  # type: ignore[arg-type]
         return Observation(actor, critic, depth)
 
-    def _critic_view(self, s: Signals) -> Tensor:
-        return critic_view(s, self.body, self.config.observation.steered)
+    def _critic_view(self, s: Signals, ids: Tensor | None = None) -> Tensor:
+        terrain_ids = self.terrain_ids if ids is None else self.terrain_ids[ids]
+        scan = None if self.scan is None else self.scan(s.state, terrain_ids)
+        return critic_view(s, self.body, self.config.observation.steered, scan)
 
     def _window(self, ids: Tensor | None = None) -> Tensor | None:
         return None if self.images is None else self.images.window(ids)
@@ -273,7 +293,18 @@ class ParkourEnv:
     def _log(self) -> dict[str, float]:
         if self.count % self.config.log_every:
             return {}
-        return self.tally.report(self.curriculum.row, int(self.physics.overflowed), self.config.divergence_limit)
+        counters = {
+            "physics/overflowed": float(self.physics.overflowed),
+            "physics/solver_limited": float(self.physics.solver_limited),
+        }
+        return self.tally.report(self.curriculum.row, self.terrain_ids, counters, self.config.divergence_limit)
+
+    def _stances(self, caster: RayCaster, seed: int) -> Stances:
+        """Where on each course a robot can be put; the engine holds it in its default pose before the first reset."""
+        state = self.physics.state
+        points, _ = sole_points(state, self.body)
+        soles = points[0] - state.base_pos[0] * torch.tensor([1.0, 1.0, 0.0], device=self.device)
+        return Stances.find(self.course, soles, caster, self.floor.real, seed)
 
     def _eyes(self, caster: RayCaster) -> tuple[DepthCamera | None, DepthWindow | None]:
         mount, config = self.physics.robot.camera, self.config.depth

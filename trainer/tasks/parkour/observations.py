@@ -18,6 +18,8 @@ from trainer.tasks.parkour.signals import Signals
 
 STEERED = "steering_command"
 """Name of the command of `ObservationConfig.steered` in layouts: no other is taken for it."""
+SCAN = (17, 11)
+"""Points of the critic's height scan ahead and across, 10 cm apart."""
 FAR_GOAL = 10.0
 """Metres at which the critic's goal vector saturates."""
 
@@ -34,8 +36,9 @@ def proprioception(joints: int, steered: bool = False) -> tuple[tuple[str, int],
     )
 
 
-def privileged(feet: int) -> tuple[tuple[str, int], ...]:
+def privileged(feet: int, scan: bool = False) -> tuple[tuple[str, int], ...]:
     """(term, width) of what only the critic knows."""
+    heights = (("height_scan", SCAN[0] * SCAN[1]),) if scan else ()
     return (
         ("base_lin_vel", 3),
         ("target_velocity", 2),
@@ -44,6 +47,7 @@ def privileged(feet: int) -> tuple[tuple[str, int], ...]:
         ("foot_contact", feet),
         ("foot_clearance", feet),
         ("foot_edge", feet),
+        *heights,
     )
 
 
@@ -54,7 +58,7 @@ def layout(
     terms = proprioception(len(robot.joints), config.steered)
     return ObservationLayout(
         actor=tuple((name, width * config.history) for name, width in terms),
-        critic=terms + privileged(len(robot.feet)),
+        critic=terms + privileged(len(robot.feet), scan=config.scan and depth is not None),
         depth=depth,
         actions=tuple(robot.joints),
         depth_stride=0 if depth is None else stride,
@@ -67,8 +71,8 @@ def measure(s: Signals, body: Body, steered: bool) -> list[Tensor]:
     return [s.ang_vel, s.gravity, s.command.observed(steered), q, s.state.joint_vel, s.action]
 
 
-def critic_view(s: Signals, body: Body, steered: bool = False) -> Tensor:
-    """(N, C) the critic's vector."""
+def critic_view(s: Signals, body: Body, steered: bool = False, scan: Tensor | None = None) -> Tensor:
+    """(N, C) the critic's vector; `scan` (N, S) of `HeightScan` where there is one."""
     goal = s.command.velocity / s.command.speed.clamp_min(1e-6)[:, None]
     terms = [
         *measure(s, body, steered),
@@ -79,6 +83,7 @@ def critic_view(s: Signals, body: Body, steered: bool = False) -> Tensor:
         s.contact.float(),
         s.footholds.clearance.mean(-1).clamp(-0.5, 0.5),
         s.footholds.edge_depth.sum(-1),
+        *([] if scan is None else [scan]),
     ]
     return torch.cat(terms, -1).nan_to_num(0.0, 0.0, 0.0)
 

@@ -47,7 +47,7 @@ class Randomiser:
     """Draws the parameters of worlds and hands them to the engine."""
 
     def __init__(self, config: RandomisationConfig, known: Known, physics: Physics) -> None:
-        self.config, self.known, self.physics = config, limited(known, physics.config), physics
+        self.config, self.known, self.physics = config.at_strength(), limited(known, physics.config), physics
         self.timestep = physics.config.timestep
         ranges = self._ranges()
         self._widths = [len(bounds) for bounds in ranges.values()]

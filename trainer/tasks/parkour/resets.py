@@ -1,4 +1,4 @@
-"""Where an episode begins: standing on the start platform, roughly facing the goal."""
+"""Where an episode begins: standing on the start platform or somewhere on the course, roughly facing the goal."""
 
 from __future__ import annotations
 
@@ -9,12 +9,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from trainer.rays import RayCaster
 from trainer.tasks.parkour.body import Body
 from trainer.tasks.parkour.config import ResetConfig
 from trainer.tasks.parkour.draw import symmetric
 from trainer.tasks.rotations import about_z
 from trainer.terrain import Terrain
+from trainer.terrain.course import PLATFORM
 
+_HIGH = 2.0
+"""Metres above the start platform from which rays look down for places to stand."""
+_UNEVEN, _STEP = 0.04, 0.08
+"""Metres by which the ground under one sole, and under the soles together, may differ where a robot is put."""
 _DROP = 0.02
 """Metres above the platform at which the soles of the default pose begin: other poses reach a little lower."""
 
@@ -74,14 +80,76 @@ class Course:
         return (off <= self.goal_half[terrain_ids][:, None]).all(-1).all(-1)
 
 
+@dataclass(frozen=True)
+class Stances:
+    """Places on each course where a robot in its default pose has both soles supported; rows are terrains."""
+
+    pose: Tensor
+    """(T, M, 4): x, y and z in m of the highest sole point, yaw in rad; the first `count` of a row are valid."""
+    count: Tensor
+    """(T,)."""
+
+    @staticmethod
+    def find(course: Course, soles: Tensor, caster: RayCaster, floor_z: Tensor, seed: int, tries: int = 128) -> Stances:
+        """Try random places on every course.
+
+        Args:
+            soles: (F, P, 3) m, points on the soles of a robot in its default pose at the origin, facing x.
+            floor_z: (T,) m, the real floor.
+        """
+        device, terrains = soles.device, len(course.start)
+        generator = torch.Generator(device).manual_seed(seed)
+        drawn = torch.rand(terrains, tries, 3, generator=generator, device=device)
+        half = 0.5 * PLATFORM[0]
+        along = half + drawn[..., 0] * (course.length[:, None] - 2 * half)
+        aside, yaw = 0.3 * (drawn[..., 1] - 0.5), course.yaw[:, None] + 0.4 * (drawn[..., 2] - 0.5)
+        cos, sin = course.yaw.cos()[:, None], course.yaw.sin()[:, None]
+        xy = course.start[:, None, :2] + torch.stack([along * cos - aside * sin, along * sin + aside * cos], -1)
+        flat = soles.reshape(-1, 3)[:, :2]
+        c, s = yaw.cos()[..., None], yaw.sin()[..., None]
+        points = torch.stack([c * flat[:, 0] - s * flat[:, 1], s * flat[:, 0] + c * flat[:, 1]], -1) + xy[:, :, None]
+        above = torch.full_like(points[..., :1], _HIGH)
+        origins = torch.cat([points, above], -1).reshape(terrains, -1, 3)
+        down = torch.zeros_like(origins)
+        down[..., 2] = -1.0
+        ids = torch.arange(terrains, device=device)
+        z = _HIGH - caster.cast(origins, down, ids, 2 * _HIGH + 2.0).reshape(terrains, tries, *soles.shape[:2])
+        highest = z.amax(-1)
+        level = (highest - z.amin(-1)).amax(-1) < _UNEVEN
+        together = highest.amax(-1) - highest.amin(-1) < _STEP
+        off_floor = highest.amin(-1) > floor_z[:, None] + _STEP
+        good = level & together & off_floor
+        order = good.int().argsort(dim=1, descending=True, stable=True)
+        pose = torch.cat([xy, highest.amax(-1)[..., None], yaw[..., None]], -1)
+        return Stances(torch.gather(pose, 1, order[..., None].expand_as(pose)), good.sum(1))
+
+
 def poses(
-    terrain_ids: Tensor, course: Course, body: Body, config: ResetConfig, generator: torch.Generator
-) -> tuple[Tensor, Tensor, Tensor]:
-    """((K, 3) base position, (K, 4) base quaternion, (K, J) joints) of new episodes on terrains (K,)."""
+    terrain_ids: Tensor,
+    course: Course,
+    body: Body,
+    config: ResetConfig,
+    generator: torch.Generator,
+    stances: Stances | None = None,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Where new episodes on terrains (K,) begin.
+
+    Returns:
+        (K, 3) base position, (K, 4) base quaternion, (K, J) joints, (K,) bool whether on the course instead of at its
+        start.
+    """
     count = len(terrain_ids)
     position = course.start[terrain_ids].clone()
     position[:, :2] += symmetric(config.position, (count, 2), generator)
-    position[:, 2] += body.standing_height + _DROP
     yaw = course.yaw[terrain_ids] + symmetric(config.yaw, (count,), generator)
+    along = torch.zeros(count, dtype=torch.bool, device=position.device)
+    if stances is not None:
+        dice = torch.rand(count, 2, generator=generator, device=position.device)
+        found = stances.count[terrain_ids]
+        along = (dice[:, 0] < config.along) & (found > 0)
+        place = stances.pose[terrain_ids, (dice[:, 1] * found).long()]
+        position = torch.where(along[:, None], place[:, :3], position)
+        yaw = torch.where(along, place[:, 3], yaw)
+    position[:, 2] += body.standing_height + _DROP
     joints = body.default + symmetric(config.joints, (count, len(body.default)), generator)
-    return position, about_z(yaw), torch.minimum(torch.maximum(joints, body.lower), body.upper)
+    return position, about_z(yaw), torch.minimum(torch.maximum(joints, body.lower), body.upper), along

@@ -87,6 +87,8 @@ class Signals:
     """(N, J) of the step before."""
     command: Command
     footholds: Footholds
+    floor_touched: Tensor | None = None
+    """(N,) bool: something touched a raised floor (`FloorConfig`)."""
 
 
 def derive(

@@ -8,6 +8,7 @@ from torch import Tensor
 from trainer.robots import TrainedRobot
 from trainer.tasks.base import Observation
 from trainer.tasks.parkour.observations import privileged, proprioception
+from trainer.tasks.parkour.scan import mirrored
 
 _POLAR = (1.0, -1.0, 1.0)
 _AXIAL = (-1.0, 1.0, -1.0)
@@ -16,7 +17,9 @@ _AXIAL = (-1.0, 1.0, -1.0)
 class Mirror:
     """Reflects observations and actions about the robot's sagittal plane."""
 
-    def __init__(self, robot: TrainedRobot, history: int, device: torch.device | str = "cpu") -> None:
+    def __init__(
+        self, robot: TrainedRobot, history: int, device: torch.device | str = "cpu", *, scan: bool = False
+    ) -> None:
         joints, feet = len(robot.joints), len(robot.feet)
         index, sign = robot.mirror
         swap = tuple(f ^ 1 for f in range(feet))  # feet come in left-right pairs
@@ -35,10 +38,11 @@ class Mirror:
             "foot_contact": (swap, even),
             "foot_clearance": (swap, even),
             "foot_edge": (swap, even),
+            "height_scan": (mirrored(), (1.0,) * len(mirrored())),
         }
         own = proprioception(joints)
         self._actor = self._vector(own, history, device)
-        self._critic = self._vector(own + privileged(feet), 1, device)
+        self._critic = self._vector(own + privileged(feet, scan), 1, device)
         self._action = torch.tensor(index, device=device), torch.tensor(sign, device=device)
 
     def observation(self, o: Observation) -> Observation:

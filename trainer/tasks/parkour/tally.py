@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -15,47 +16,60 @@ _FEW = 10
 
 
 class Tally:
-    """Sums since the last report."""
+    """Sums since the last report, of all worlds and of each family of terrain."""
 
-    def __init__(self, terms: list[str], worlds: int, device: torch.device) -> None:
+    def __init__(self, terms: list[str], families: Sequence[str], worlds: int, device: torch.device) -> None:
+        """`families`: of each terrain (T,)."""
         self.terms, self.worlds = terms, worlds
+        self.families = sorted({f for f in families if f})
+        index = {name: i for i, name in enumerate(self.families)}
+        # What has no family is counted in a last row, which is not reported by itself.
+        self.family = torch.tensor([index.get(f, len(index)) for f in families], device=device)
+        """(T,) number of each terrain's family."""
+        kinds = len(index) + 1
         self._codes = torch.arange(len(OUTCOMES), device=device)
+        self._kinds = torch.arange(kinds, device=device)
         self._rewards = torch.zeros(len(terms), device=device)
-        self._outcomes = torch.zeros(len(OUTCOMES), device=device)
-        self._covered = torch.zeros((), device=device)
+        self._outcomes = torch.zeros(kinds, len(OUTCOMES), device=device)
+        self._covered = torch.zeros(kinds, device=device)
         self._age = torch.zeros((), device=device)
         self.steps = 0
         self.diverged = 0
         """Worlds that diverged in all reports so far."""
 
-    def add(self, rewards: Tensor, outcome: Tensor, covered: Tensor, seconds: Tensor) -> None:
-        """One step: (terms,) mean rewards, and for all worlds (N,) outcome code, share covered and age."""
+    def add(self, rewards: Tensor, outcome: Tensor, covered: Tensor, seconds: Tensor, terrain_ids: Tensor) -> None:
+        """One step: (terms,) mean rewards, and for all worlds (N,) outcome code, share covered, age and terrain."""
         self._rewards += rewards
-        self._outcomes += (outcome[:, None] == self._codes).sum(0)
-        ended = outcome > 0
-        self._covered += (covered * ended).sum()
+        ended = (outcome > 0).float()
+        kind = (self.family[terrain_ids][:, None] == self._kinds).float()
+        self._outcomes += kind.T @ (outcome[:, None] == self._codes).float()
+        self._covered += (covered * ended) @ kind
         self._age += (seconds * ended).sum()
         self.steps += 1
 
-    def report(self, row: Tensor, overflowed: int, divergence_limit: float) -> dict[str, float]:
+    def report(
+        self, row: Tensor, terrain_ids: Tensor, counters: Mapping[str, float], divergence_limit: float
+    ) -> dict[str, float]:
         """Means since the last report, which starts the sums anew. The one place that waits for the device.
 
         Always the same names, as ranks must agree on them: figures of episodes are not-a-number where none ended.
 
+        Args:
+            row: (N,) of the curriculum.
+            terrain_ids: (N,).
+            counters: what else to report.
+
         Raises:
             TrainerError: more worlds diverged than `divergence_limit` of all world steps.
         """
-        parts = [
-            self._rewards / self.steps,
-            self._outcomes,
-            self._covered[None],
-            self._age[None],
-            row.float().mean()[None],
-        ]
+        kind = (self.family[terrain_ids][:, None] == self._kinds).float()
+        rows = (row.float() @ kind) / kind.sum(0)
+        parts = [self._rewards / self.steps, self._age[None], row.float().mean()[None]]
         values = torch.cat(parts).tolist()
-        rewards, values = values[: len(self.terms)], values[len(self.terms) :]
-        outcomes = dict(zip(OUTCOMES, values, strict=False))
-        covered, seconds, level = values[len(OUTCOMES) :]
+        table = torch.cat([self._outcomes, self._covered[:, None], rows[:, None]], 1).tolist()
+        rewards, (seconds, level) = values[: len(self.terms)], values[len(self.terms) :]
+        sums = [sum(column) for column in zip(*table, strict=True)]
+        outcomes = dict(zip(OUTCOMES, sums, strict=False))
         diverged = outcomes["diverged"]
         self.diverged += int(diverged)
         if diverged > max(_FEW, divergence_limit * self.worlds * self.steps):
@@ -65,22 +79,34 @@ class Tally:
                 found=f"{int(diverged)} of {self.worlds * self.steps}",
                 hint="a smaller physics timestep, or softer randomisation of gains and masses",
             )
-        # Worlds that diverged say nothing about the policy.
-        ended = sum(n for name, n in outcomes.items() if name not in ("running", "diverged"))
         log = {f"reward/{name}": value for name, value in zip(self.terms, rewards, strict=True)}
-        log |= {"terrain/level": level, "physics/diverged": diverged, "physics/overflowed": float(overflowed)}
-        log |= {
-            f"end/{n}": _ratio(v, ended) for n, v in outcomes.items() if n not in ("running", "diverged", "success")
-        }
-        log |= {
-            "success": _ratio(outcomes["success"], ended),
-            "episode/covered": _ratio(covered, ended and ended + diverged),
-            "episode/seconds": _ratio(seconds, ended and ended + diverged),
-        }
+        log |= {"terrain/level": level, "physics/diverged": diverged, **counters}
+        log |= _ends(sums)
+        ended = sum(sums[1 : len(OUTCOMES)])
+        log |= {"episode/seconds": _ratio(seconds, ended)}
+        for name, own in zip(self.families, table, strict=False):
+            log |= {f"family/{name}/{key}": value for key, value in _ends(own).items() if key != "episode/covered"}
+            count = sum(own[1 : len(OUTCOMES)])
+            log[f"family/{name}/covered"] = _ratio(own[len(OUTCOMES)], count)
+            log[f"family/{name}/row"] = own[len(OUTCOMES) + 1]
+            log[f"family/{name}/episodes"] = count
         self.steps = 0
         for tensor in (self._rewards, self._outcomes, self._covered, self._age):
             tensor.zero_()
         return log
+
+
+def _ends(sums: Sequence[float]) -> dict[str, float]:
+    """How episodes ended, and how far they came, from sums by outcome and of the share covered."""
+    outcomes = dict(zip(OUTCOMES, sums, strict=False))
+    # Worlds that diverged say nothing about the policy.
+    ended = sum(n for name, n in outcomes.items() if name not in ("running", "diverged"))
+    names = [n for n in outcomes if n not in ("running", "diverged", "success")]
+    return {
+        **{f"end/{n}": _ratio(outcomes[n], ended) for n in names},
+        "success": _ratio(outcomes["success"], ended),
+        "episode/covered": _ratio(sums[len(OUTCOMES)], ended + outcomes["diverged"] if ended else 0),
+    }
 
 
 def _ratio(value: float, count: float) -> float:

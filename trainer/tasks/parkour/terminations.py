@@ -24,6 +24,8 @@ class Clocks:
     """Since when it has stood on the goal platform."""
     ground_fails: Tensor
     """(N,) bool."""
+    floor_z: Tensor
+    """(N,) m, where the ground collides."""
     moving: Tensor
     """(N,) bool, told to go."""
 
@@ -46,7 +48,8 @@ def tilt(s: Signals, clocks: Clocks, body: Body, c: TerminationConfig) -> Tensor
 
 def collapsed(s: Signals, clocks: Clocks, body: Body, c: TerminationConfig) -> Tensor:
     """The base has sunk to its feet, on ground that may be touched (elsewhere touching it is the failure)."""
-    height = s.state.base_pos[:, 2] - s.footholds.terrain_z.amax((-1, -2))
+    support = torch.maximum(s.footholds.terrain_z.amax((-1, -2)), clocks.floor_z)
+    height = s.state.base_pos[:, 2] - support
     return (height < c.collapsed * body.standing_height) & ~clocks.ground_fails
 
 
@@ -66,7 +69,7 @@ CAUSES: dict[str, Callable[[Signals, Clocks, Body, TerminationConfig], Tensor]] 
 
 OUTCOMES = ("running", *CAUSES, "timeout", "success")
 """How an episode stands: code -> name. The last two end it without failure."""
-RUNNING, TIMEOUT, SUCCESS = 0, len(OUTCOMES) - 2, len(OUTCOMES) - 1
+RUNNING, DIVERGED, TIMEOUT, SUCCESS = 0, 1, len(OUTCOMES) - 2, len(OUTCOMES) - 1
 
 
 def judge(s: Signals, clocks: Clocks, age: Tensor, max_steps: int, body: Body, c: TerminationConfig) -> Tensor:

@@ -49,6 +49,7 @@ TERMS = Registry(
         "velocity_limits": f"{_HERE}.safety:velocity_limits",
         "torque_limits": f"{_HERE}.safety:torque_limits",
         "undesired_contact": f"{_HERE}.safety:undesired_contact",
+        "floor_contact": f"{_HERE}.safety:floor_contact",
     },
 )
 
@@ -79,8 +80,10 @@ WEIGHTS = {
     "velocity_limits": -1.0,
     "torque_limits": -0.01,
     "undesired_contact": -1.0,
+    "floor_contact": -2.0,
 }
-"""The paper's weights (appendix, table of reward terms). The AMP term, 0.25, is the learner's."""
+"""The paper's weights (appendix, table of reward terms), but for the last, which only a raised floor has. The AMP term,
+0.25, is the learner's."""
 
 
 class Rewards:
