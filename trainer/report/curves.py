@@ -69,8 +69,7 @@ def binned(values: F64, weights: F64, width: int) -> F64:
     counted = np.where(np.isfinite(values), weights, 0.0)
     sums = np.add.reduceat(np.nan_to_num(values) * counted, starts)
     totals = np.add.reduceat(counted, starts)
-    with np.errstate(invalid="ignore"):
-        return np.where(totals > 0, sums / np.where(totals > 0, totals, 1.0), np.nan)
+    return np.where(totals > 0, sums / np.where(totals > 0, totals, 1.0), np.nan)
 
 
 def ends(runs: Sequence[Run]) -> dict[str, float]:
@@ -100,9 +99,9 @@ def plot(
         legend: whether the curves are named below.
     """
     pictures = []
-    for axis in AXES:
+    for axis in reach:
         drawn = [(c.x[axis], c.y, c) for c in curves if axis in c.x]
-        if axis not in reach or not drawn:
+        if not drawn:
             picture = f'<p class="note">Not known over {axis}.</p>'
         else:
             picture = _axes(title, axis, drawn, reach[axis], scale, legend)
@@ -156,13 +155,14 @@ def _range(y: F64, scale: Scale) -> tuple[svg.Range, list[tuple[float, str]] | N
     if scale == "share":
         top = 1.0 if y.max(initial=0.0) > 0.5 else max(1.15 * float(y.max(initial=0.0)), 0.02)
         steps = svg.ticks(0.0, top, 4)
-        return (0.0, 1.02 * top), [(v, f"{svg.number(100 * v)} %") for v in steps]
+        return (-0.03 * top, 1.03 * top), [(v, f"{svg.number(100 * v)} %") for v in steps]
     if scale == "plain":
         return svg.padded(y), None
     low, high = svg.padded(_log(y), 0.08)
-    for digits in ((1,), (1, 2, 5), range(1, 10)):
-        tens = [(math.log10(m) + k, svg.number(m * 10.0**k)) for k in range(-12, 13) for m in digits]
+    for digits in ((1,), (1, 3), (1, 2, 5)):
+        tens = [(math.log10(m) + k, svg.number(m * 10.0**k, 1)) for k in range(-30, 31) for m in digits]
         inside = [t for t in tens if low <= t[0] <= high]
-        if len(inside) > 2:
-            return (low, high), inside[:: -(-len(inside) // 7)]
-    return (low, high), [(math.log10(v), text) for v, text in svg.labelled(svg.ticks(10.0**low, 10.0**high, 3))]
+        if len(inside) > 1:
+            return (low, high), inside[:: -(-len(inside) // 6)]
+    values = [v for v in svg.ticks(10.0**low, 10.0**high, 3) if v > 0]
+    return (low, high), [(math.log10(v), text) for v, text in svg.labelled(values)]

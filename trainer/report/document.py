@@ -8,7 +8,7 @@ from importlib.resources import files
 from realsim.report import page, svg
 from trainer.report import curves, endings, figures, tables
 from trainer.report.figures import Shown
-from trainer.report.history import AXES, LAST, Run
+from trainer.report.history import LAST, Run
 
 _FIRST_TERMS = 6
 """Reward terms that are shown at once; the rest is folded away."""
@@ -46,7 +46,7 @@ def training_page(runs: Sequence[Run], extra: Sequence[str] = ()) -> str:
 
 def _pick(shown: Shown) -> list[str]:
     """The choice of the axis, which stays in view, with the colours of the runs. No script: the style follows it."""
-    known = [axis for axis in AXES if axis in shown.reach]
+    known = list(shown.reach)
     boxes = [
         f'<input class="choice" type="radio" name="x" id="x-{axis}" aria-label="over {axis}"'
         f"{' checked' if axis == known[0] else ''}/>"

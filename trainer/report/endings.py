@@ -116,7 +116,8 @@ def evaluation_table(shown: Shown) -> str:
             ]
             rows.append([run.name, e.title, e.terrain, *figures])
     drop = 1 if shown.one else 0
-    return page.card("Evaluations", page.table(head[drop:], [r[drop:] for r in rows]), wide=True) if rows else ""
+    table = page.table(head[drop:], [r[drop:] for r in rows])
+    return page.card("Evaluations", f'<div class="lines">{table}</div>', wide=True) if rows else ""
 
 
 def _title(run: Run, e: Evaluated, shown: Shown) -> str:

@@ -78,8 +78,8 @@ def by_family(runs: Sequence[Run]) -> list[Figure]:
 
     return [
         Figure("Success", each("success"), tuple(names), "share"),
-        Figure("Share of the way covered", each("covered"), tuple(names), "share"),
-        Figure("Row of the curriculum", each("row"), tuple(names)),
+        Figure("Way covered", each("covered"), tuple(names), "share"),
+        Figure("Row", each("row"), tuple(names)),
     ]
 
 

@@ -28,6 +28,8 @@ MAX_BYTES = 2**30
 """Of a history; 100,000 iterations have about a quarter of it."""
 MAX_NAMES = 2000
 """Of figures in a history; the built-in trainer has about a hundred."""
+LARGEST = 1e30
+"""Of a figure; more is as good as infinite, and not drawn."""
 LAST = 20
 """Iterations whose mean is the figure of a table. A single one is too noisy: with 4096 worlds some 400 episodes end."""
 
@@ -162,14 +164,15 @@ class _Rows:
             if name != "iteration" and (_is_number(value) or value is None):
                 if name not in self.columns:
                     self.columns[name] = array("d", [math.nan]) * before
-                self.columns[name].append(math.nan if value is None or not math.isfinite(value) else float(value))
+                usable = value is not None and abs(value) < LARGEST
+                self.columns[name].append(float(value) if usable else math.nan)
         for values in self.columns.values():
             if len(values) == before:
                 values.append(math.nan)
 
     def evaluation(self, iteration: float, success: Any) -> None:
         """A row of an evaluation: its number is that of the iteration before it, or 0 before the first."""
-        if _is_number(success) and math.isfinite(success):
+        if _is_number(success) and 0 <= success <= 1:
             self.on_the_way.append((iteration + 1 if len(self.iterations) else 0.0, float(success)))
 
 
@@ -212,16 +215,11 @@ def _row(line: bytes) -> dict[str, Any] | None:
     if not isinstance(row, dict):
         return None
     iteration: Any = row.get("iteration")
-    if not _is_number(iteration) or not math.isfinite(iteration) or iteration < 0:
-        return None
-    return row
+    return row if _is_number(iteration) and 0 <= iteration < LARGEST else None
 
 
 def _is_number(value: Any) -> bool:
-    """Whether it is a number that a float can hold."""
-    if isinstance(value, int) and not isinstance(value, bool):
-        return abs(value) < 2**1000
-    return isinstance(value, float)
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _history_of(folder: Path) -> Path:
@@ -256,7 +254,7 @@ def _names(folders: Sequence[Path]) -> list[str]:
 def _samples(folder: Path, done: F64, columns: Mapping[str, F64]) -> tuple[F64 | None, str]:
     """(M,) samples so far, or None; and what to say about it."""
     logged = columns.get("samples")
-    if logged is not None and np.isfinite(logged).all():
+    if logged is not None and np.isfinite(logged).all() and logged[0] > 0 and (np.diff(logged) >= 0).all():
         return logged, ""
     try:
         from trainer.ppo import checkpoint
@@ -279,7 +277,8 @@ def _samples(folder: Path, done: F64, columns: Mapping[str, F64]) -> tuple[F64 |
 def _minutes(columns: Mapping[str, F64]) -> F64 | None:
     """(M,) minutes so far of collecting and improving; what evaluations took is not logged."""
     parts = [columns[name] for name in ("collect_s", "update_s") if name in columns]
-    return np.cumsum(np.nan_to_num(np.sum(parts, axis=0))) / 60 if parts else None
+    minutes = np.cumsum(np.maximum(np.nan_to_num(np.sum(parts, axis=0)), 0.0)) / 60 if parts else np.zeros(1)
+    return minutes if minutes[-1] > 0 else None
 
 
 def _derived(run: Run) -> dict[str, F64]:

@@ -11,7 +11,7 @@ from realsim.report import page, svg
 from trainer.report import curves
 from trainer.report.curves import said
 from trainer.report.figures import Shown, families
-from trainer.report.history import AXES, LAST, Run
+from trainer.report.history import LAST, Run
 
 
 def percent(value: float) -> str:
@@ -30,7 +30,7 @@ def runs_card(shown: Shown) -> str:
         means = [percent(run.mean("env/success")), percent(run.mean("env/episode/covered"))]
         rows.append([run.name, *progress(run), *means, svg.number(run.mean("env/terrain/level")), last])
     note = f"Success, covered and row are means over the last {LAST} iterations, while exploring."
-    return page.card("Runs", page.table(head, rows), note, wide=True)
+    return page.card("Runs", f'<div class="lines">{page.table(head, rows)}</div>', note, wide=True)
 
 
 def progress(run: Run) -> list[str]:
@@ -46,7 +46,7 @@ def progress(run: Run) -> list[str]:
 
 def budget_card(shown: Shown) -> str:
     """All runs after as much training as the shortest of them had, counted in what the page is drawn over."""
-    tables = "".join(f'<div class="over {axis}">{_at_equal(shown, axis)}</div>' for axis in AXES)
+    tables = "".join(f'<div class="over {axis}">{_at_equal(shown, axis)}</div>' for axis in shown.reach)
     note = (
         "Success of the episodes that ended, share of the way covered, and row of the curriculum: means over the "
         f"{LAST} iterations before as much training as the shortest run had."
