@@ -6,5 +6,6 @@ SUMMARIES = {
     "evaluate": "success rate of a policy on a scene, why and where it fails",
     "play": "one trial of a policy as a video",
     "deploy": "a policy in a 50 Hz loop on a robot, MuJoCo in place of the real one",
+    "training": "`realsim training report RUN ...`: a page with the curves of training runs, over each other",
 }
 """Read by `realsim --help`, which imports nothing else of the trainer."""

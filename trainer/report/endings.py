@@ -1,0 +1,205 @@
+"""How episodes end while training, and where along the course trials of `realsim evaluate` failed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from realsim.report import page, svg
+from trainer.report.curves import WIDTH, said
+from trainer.report.evaluations import Evaluated
+from trainer.report.figures import Figure, Shown, families, multiples
+from trainer.report.history import LAST, Run
+
+CAUSES = ("ground", "tilt", "collapsed", "stuck", "timeout", "diverged")
+"""In the order of their colours; another cause comes after them."""
+SUCCESS = "success"
+_DOTS = 200
+"""Failed trials of an evaluation that are drawn, evenly chosen: more hide each other."""
+
+
+def endings(runs: Sequence[Run]) -> Figure:
+    """Shares of the episodes that ended, by cause."""
+    found = _ordered(n.removeprefix("env/end/") for run in runs for n in run.columns if n.startswith("env/end/"))
+    found = [c for c in found if any(_seen(run, f"env/end/{c}") for run in runs)]
+    names = ("env/success", *(f"env/end/{c}" for c in found))
+    return Figure("Ended by", names, (SUCCESS, *found), "share", tuple(_color(c) for c in (SUCCESS, *found)))
+
+
+def by_family(shown: Shown) -> str:
+    """Bars cut by how the last episodes of a family ended; nothing where families are not told apart."""
+    found = [
+        (family, run.name, shares)
+        for family in families(shown.runs)
+        for run in shown.runs
+        if (shares := _family_shares(run, family))
+    ]
+    if not found:
+        return ""
+    causes = [SUCCESS, *_ordered(c for *_, shares in found for c in shares if c != SUCCESS)]
+    if shown.one:
+        plots = [_bars("By family", [(family, shares) for family, _, shares in found], causes)]
+    else:
+        plots = [
+            _bars(family, [(name, shares) for f, name, shares in found if f == family], causes)
+            for family in dict.fromkeys(f for f, *_ in found)
+        ]
+    note = f'<p class="note absent">By terrain family, mean over the last {LAST} iterations:</p>'
+    return note + multiples(plots) + _legend(causes)
+
+
+def _family_shares(run: Run, family: str) -> dict[str, float]:
+    prefix = f"env/family/{family}/"
+    ends = {n.removeprefix(f"{prefix}end/"): n for n in run.columns if n.startswith(f"{prefix}end/")}
+    shares = {cause: run.mean(name) for cause, name in {SUCCESS: f"{prefix}success", **ends}.items()}
+    return {cause: share for cause, share in shares.items() if math.isfinite(share) and share > 0} if ends else {}
+
+
+def _bars(title: str, rows: Sequence[tuple[str, dict[str, float]]], causes: Sequence[str]) -> str:
+    n = len(rows)
+    axes = svg.Axes((0, 1), (-0.5, n - 0.5), width=WIDTH, height=22 * n + 26, right=22, bottom=24, top=2, grid=False,
+                    x_ticks=[(k / 4, f"{25 * k} %") for k in range(5)],
+                    y_ticks=[(n - 1 - i, _brief(name)) for i, (name, _) in enumerate(rows)])  # fmt: skip
+    for i, (name, shares) in enumerate(rows):
+        at, y = 0.0, n - 1 - i
+        for cause in causes:
+            share = shares.get(cause, 0.0)
+            if share > 0:
+                _rectangle(
+                    axes, (at, at + share), (y - 0.38, y + 0.38), cause, f"{name}: {cause} {said(share, 'share')}"
+                )
+                at += share
+    return f"<figure><h4>{page.esc(title)}</h4>{axes.svg(f'how episodes end, {title}')}</figure>"
+
+
+def _brief(name: str, most: int = 20) -> str:
+    return name if len(name) <= most else f"{name[: most - 1]}…"
+
+
+# ---------------------------------------------------------------- trials
+
+
+def course_card(shown: Shown) -> str:
+    """Where trials failed, terrain by terrain; the same axes for all evaluations of a terrain."""
+    evaluated = [(_title(run, e, shown), e) for run in shown.runs for e in run.evaluations]
+    title, note = "Failures along the course", "Share of all trials that failed there, by distance from the start."
+    if not evaluated:
+        how = "No trials: `realsim evaluate SCENE --policy RUN/policy.pt --out RUN/evaluation_SCENE.json` runs some."
+        return page.card(title, f'<p class="note">{page.esc(how)}</p>', wide=True)
+    along, above = [], []
+    for terrain in dict.fromkeys(e.terrain for _, e in evaluated):
+        group = [(name, e) for name, e in evaluated if e.terrain == terrain]
+        along += _along(group)
+        above += _above(group)
+    causes = _ordered(c for _, e in evaluated for c in e.reasons)
+    body = multiples(along) + (page.fold("from above", multiples(above)) if above else "")
+    return page.card(title, body + (_legend(causes) if causes else ""), note, wide=True)
+
+
+def evaluation_table(shown: Shown) -> str:
+    """Every evaluation with its interval; nothing without any."""
+    head = ["run", "evaluation", "terrain", "success", "95 % interval", "trials", "covered", "seconds", "failed by"]
+    rows = []
+    for run in shown.runs:
+        for e in run.evaluations:
+            low, high = (said(v, "share") for v in e.interval)
+            causes = ", ".join(f"{cause} {count}" for cause, count in e.reasons.items()) or "–"
+            causes += f"; {e.overflowed} contacts dropped or limits reached" if e.overflowed else ""
+            seconds = "–" if e.seconds is None else f"{e.seconds:.1f}"
+            figures = [
+                said(e.rate, "share"),
+                f"{low} to {high}",
+                str(e.trials),
+                said(e.covered, "share"),
+                seconds,
+                causes,
+            ]
+            rows.append([run.name, e.title, e.terrain, *figures])
+    drop = 1 if shown.one else 0
+    table = page.table(head[drop:], [r[drop:] for r in rows])
+    return page.card("Evaluations", f'<div class="lines">{table}</div>', wide=True) if rows else ""
+
+
+def _title(run: Run, e: Evaluated, shown: Shown) -> str:
+    return e.title if shown.one else f"{run.name}, {e.title}"
+
+
+def _along(group: Sequence[tuple[str, Evaluated]]) -> list[str]:
+    bins = [w for _, e in group for w in e.where]
+    if not bins:
+        return [f"<h4>{page.esc(f'{e.terrain}, {name}: no failure in {e.trials} trials')}</h4>" for name, e in group]
+    x = (min(0.0, *(w[0] for w in bins)), max(w[1] for w in bins))
+    top = max(sum(w[2].values()) / e.trials for _, e in group for w in e.where)
+    steps = [(v, f"{svg.number(100 * v)} %") for v in svg.ticks(0, 1.1 * top, 4)]
+    pictures = []
+    for name, e in group:
+        axes = svg.Axes(svg.padded(x, 0.02), (0, 1.1 * top), width=WIDTH, height=150, y_ticks=steps, x_label="along, m")
+        for low, high, counts in e.where:
+            at = 0.0
+            for cause in _ordered(counts):
+                share = counts[cause] / e.trials
+                _rectangle(
+                    axes, (low, high), (at, at + share), cause, f"{low:g} to {high:g} m: {cause} {counts[cause]}"
+                )
+                at += share
+        heading = f"{e.terrain}, {name}: {said(e.rate, 'share')} of {e.trials} succeed"
+        picture = axes.svg(f"failures along {e.terrain}, {name}")
+        pictures.append(f"<figure><h4>{page.esc(heading)}</h4>{picture}</figure>")
+    return pictures
+
+
+def _above(group: Sequence[tuple[str, Evaluated]]) -> list[str]:
+    """Failed trials where the base was."""
+    every = [f for _, e in group for f in e.failures]
+    if not every:
+        return []
+    (x0, x1), (y0, y1) = svg.padded([f[0] for f in every]), svg.padded([f[1] for f in every])
+    middle, half = (y0 + y1) / 2, max(y1 - y0, 0.3 * (x1 - x0)) / 2
+    pictures = []
+    for name, e in group:
+        axes = svg.Axes(
+            (x0, x1), (middle - half, middle + half), width=WIDTH, equal=True, x_label="x, m", y_label="y, m"
+        )
+        chosen = e.failures[:: max(1, -(-len(e.failures) // _DOTS))]
+        for x, y, cause in chosen:
+            axes.dots([(x, y)], _fill(cause), radius=2.2, titles=[cause])
+        some = f", {len(chosen)} shown" if len(chosen) < len(e.failures) else ""
+        title = f"{e.terrain}, {name}: {len(e.failures)} failures{some}"
+        pictures.append(f"<figure><h4>{page.esc(title)}</h4>{axes.svg(f'failures on {e.terrain}, {name}')}</figure>")
+    return pictures
+
+
+# ---------------------------------------------------------------- colours
+
+
+def _rectangle(axes: svg.Axes, x: tuple[float, float], y: tuple[float, float], cause: str, title: str) -> None:
+    ring = [(x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1])]
+    axes.polyline(ring, "var(--card)", width=0.8, fill=_fill(cause), closed=True, title=title)
+
+
+def _ordered(causes: Iterable[str]) -> list[str]:
+    """Each once, those that are known first and in their order."""
+    found = set(causes)
+    return [c for c in CAUSES if c in found] + sorted(found - set(CAUSES))
+
+
+def _color(cause: str) -> int:
+    """Success green, each cause its own; those that are not known share the last."""
+    if cause == SUCCESS:
+        return 2
+    return (1, 3, 4, 5, 0, 6)[CAUSES.index(cause)] if cause in CAUSES else 7
+
+
+def _fill(cause: str) -> str:
+    return svg.color(_color(cause))
+
+
+def _legend(causes: Iterable[str]) -> str:
+    rows = "".join(f'<span><i style="background:{_fill(c)}"></i>{page.esc(c)}</span>' for c in causes)
+    return f'<div class="legend">{rows}</div>'
+
+
+def _seen(run: Run, name: str) -> bool:
+    """Whether it ever happened: a cause that never ends an episode needs no plot."""
+    values = run.column(name)
+    return values is not None and bool((values > 0).any())
