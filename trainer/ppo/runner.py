@@ -95,6 +95,7 @@ class Runner:
                     hint="go on from the last checkpoint with a smaller --learning-rate",
                 )
         result["collect_s"], result["update_s"] = collected - began, ended - collected
+        result["samples"] = float(self.samples)
         return result
 
     def state_dict(self) -> dict[str, Any]:

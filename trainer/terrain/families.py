@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.geometry import make_T
 from trainer.terrain.base import Box
 from trainer.terrain.course import Course
-from trainer.terrain.shapes import block, frustum, leaning
+from trainer.terrain.shapes import block, frustum, leaning, moved
 
 Rng = np.random.Generator
 COURSE = 2.6
@@ -23,12 +24,12 @@ def between(easy: float, hard: float, difficulty: float) -> float:
     return easy + (hard - easy) * difficulty
 
 
-def wedges(difficulty: float, rng: Rng) -> Course:
+def wedges(difficulty: float, rng: Rng, length: float = COURSE) -> Course:
     """Blocks with tilted tops across the whole path, the tilt's direction drawn for each."""
     gap, tilt = between(0.04, 0.22, difficulty), np.radians(between(4, 20, difficulty))
     depth, width = between(0.55, 0.34, difficulty), between(0.8, 0.5, difficulty)
     boxes, x = [], gap
-    while x < COURSE - depth / 2:
+    while x < length - depth / 2:
         long = depth * rng.uniform(0.9, 1.1)
         toward = rng.choice([np.pi / 2, -np.pi / 2, 0.0, np.pi]) + rng.normal(0, 0.1)
         height = rng.uniform(0.24, 0.32)
@@ -37,27 +38,27 @@ def wedges(difficulty: float, rng: Rng) -> Course:
     return Course(boxes, x, {"gap": gap, "tilt": float(tilt), "depth": depth, "width": width})
 
 
-def stakes(difficulty: float, rng: Rng) -> Course:
+def stakes(difficulty: float, rng: Rng, length: float = COURSE) -> Course:
     """Two rows of square stakes, a foothold for each foot."""
     width, pitch = between(0.42, 0.16, difficulty), between(0.44, 0.46, difficulty)
     noise, drop = between(0.0, 0.05, difficulty), between(0.02, 0.12, difficulty)
     side = max(0.13, width / 2 + 0.01)
     boxes = []
-    for i in range(2 * round(COURSE / pitch)):
+    for i in range(2 * round(length / pitch)):
         x = pitch * (i // 2 + 0.5) + rng.normal(0, noise) + (i % 2) * pitch * 0.25 * difficulty
         wide = width * rng.uniform(0.92, 1.08)
         size = (wide, wide * rng.uniform(0.92, 1.08), 0.35 - rng.uniform(0, drop))
         boxes.append(block(x, (-1) ** i * side + rng.normal(0, noise), size, rng.normal(0, 0.3) * difficulty))
-    length = pitch * round(COURSE / pitch) + 0.2 * difficulty
-    return Course(boxes, length, {"width": width, "pitch": pitch, "noise": noise, "gap": pitch - width})
+    whole = pitch * round(length / pitch) + 0.2 * difficulty
+    return Course(boxes, whole, {"width": width, "pitch": pitch, "noise": noise, "gap": pitch - width})
 
 
-def boxes(difficulty: float, rng: Rng) -> Course:
+def boxes(difficulty: float, rng: Rng, length: float = COURSE) -> Course:
     """Boxes of different height across the path, stepped onto and over."""
     gap, depth = between(0.03, 0.28, difficulty), between(0.6, 0.32, difficulty)
     step, width = between(0.02, 0.15, difficulty), between(0.8, 0.5, difficulty)
     out, x = [], gap
-    while x < COURSE - depth / 2:
+    while x < length - depth / 2:
         long = depth * rng.uniform(0.9, 1.15)
         size = (long, width * rng.uniform(0.9, 1.1), 0.35 + rng.uniform(-step, step))
         out.append(block(x + long / 2, rng.normal(0, 0.04), size, rng.normal(0, 0.08) * difficulty))
@@ -65,12 +66,12 @@ def boxes(difficulty: float, rng: Rng) -> Course:
     return Course(out, x, {"gap": gap, "depth": depth, "step": step, "width": width})
 
 
-def trapezoids(difficulty: float, rng: Rng) -> Course:
+def trapezoids(difficulty: float, rng: Rng, length: float = COURSE) -> Course:
     """Ridges across the path with a level top and sloping flanks."""
     top, flank = between(0.45, 0.14, difficulty), np.radians(between(20, 42, difficulty))
     width, valley = between(0.8, 0.55, difficulty), between(0.02, 0.14, difficulty)
     out, x = [], 0.0
-    while x < COURSE - 0.3:
+    while x < length - 0.3:
         height = 0.33 - rng.uniform(0, between(0.02, 0.08, difficulty))
         # Flanks are cut by the neighbours: what stays between two ridges is a V whose bottom lies `valley` below.
         run = top * rng.uniform(0.9, 1.1)
@@ -80,13 +81,14 @@ def trapezoids(difficulty: float, rng: Rng) -> Course:
     return Course(out, x + 0.05, {"top": top, "flank": float(flank), "valley": valley, "width": width})
 
 
-def beams(difficulty: float, rng: Rng) -> Course:
+def beams(difficulty: float, rng: Rng, length: float = COURSE) -> Course:
     """Narrow beams along the path, one after the other."""
     width, gap = between(0.5, 0.13, difficulty), between(0.02, 0.18, difficulty)
     aside, turn = between(0.0, 0.10, difficulty), between(0.0, 0.10, difficulty)
     out, x = [], gap
-    for _ in range(3):
-        long = COURSE / 3 - gap
+    count = round(3 * length / COURSE)
+    for _ in range(count):
+        long = length / count - gap
         size = (long, width * rng.uniform(0.95, 1.1), 0.35 - rng.uniform(0, between(0.0, 0.08, difficulty)))
         out.append(block(x + long / 2, rng.uniform(-aside, aside), size, rng.uniform(-turn, turn)))
         x += long + gap
@@ -94,21 +96,24 @@ def beams(difficulty: float, rng: Rng) -> Course:
 
 
 def mixed(difficulty: float, rng: Rng) -> Course:
-    """A piece of three families drawn at random, joined end to end."""
+    """A short course of three families drawn at random, end to end: each begins with its own gap."""
     out: list[Box] = []
     facts: dict[str, float] = {}
     x = 0.0
     kinds = {"wedges": wedges, "stakes": stakes, "boxes": boxes, "trapezoids": trapezoids, "beams": beams}
     for name in rng.permutation(list(kinds))[:3]:
-        piece = kinds[name](difficulty, rng)
-        part = [b for b in piece.boxes if b.T[0, 3] < COURSE / 3]
-        for b in part:
-            T = b.T.copy()
-            T[0, 3] += x
-            out.append(type(b)(b.size, T))
-        x += COURSE / 3 + between(0.05, 0.12, difficulty)
+        piece = kinds[name](difficulty, rng, COURSE / 3)
+        out += [moved(b, make_T(np.eye(3), np.array([x, 0.0, 0.0]))) for b in piece.boxes]
+        x += max(_far_edge(b) for b in piece.boxes)
         facts |= {f"{name}_{k}": v for k, v in piece.facts.items()}
-    return Course(out, x, facts)
+    return Course(out, x + between(0.03, 0.12, difficulty), facts)
+
+
+def _far_edge(box: Box) -> float:
+    """x in metres at which the box's upper face ends; of the flank of a ridge, where it begins."""
+    steep = box.T[2, 2] < 0.94  # 20 degrees: no foothold beyond the ridge
+    half = 0.0 if steep else np.abs(box.T[0, :2]) @ box.size[:2] / 2
+    return float(box.T[0, 3] + box.T[0, 2] * box.size[2] / 2 + half)
 
 
 def boston(difficulty: float, rng: Rng) -> Course:
