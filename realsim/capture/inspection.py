@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.capture.finish import Finished
+from realsim.capture.finishing import Finished
 from realsim.capture.layout import Recognition
 from realsim.capture.selection import NOT_NEEDED
 from realsim.geometry import angle_deg

@@ -6,7 +6,7 @@ file in `contact/`, one line here.
 
 from __future__ import annotations
 
-from realsim.export.contact_mesh import contact_mesh
+from realsim.export.any_mesh import contact_mesh
 from realsim.export.formats import EXPORTERS, export_scene
 from realsim.export.scene import write_scene
 from realsim.registry import Registry

@@ -12,10 +12,10 @@ from __future__ import annotations
 from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.answer.patch import apply_patch
 from realsim.gap.config import DiagnoseConfig
-from realsim.gap.diagnose import diagnose
 from realsim.gap.effects import EFFECTS
-from realsim.gap.explain import explain
+from realsim.gap.explanation import explain
 from realsim.gap.logs.case import Case, Run, load_case
+from realsim.gap.pipeline import diagnose
 from realsim.gap.run import run_case
 
 __all__ = [

@@ -8,8 +8,8 @@ from typing import Any
 from realsim.files import check_size, inside, output_folder, read_bytes, write_bytes, write_text
 from realsim.gap.answer.patch import asset_files, patched_xml
 from realsim.gap.config import DiagnoseConfig
-from realsim.gap.diagnose import Progress, diagnose
 from realsim.gap.logs.case import load_case
+from realsim.gap.pipeline import Progress, diagnose
 
 
 def run_case(
