@@ -33,7 +33,7 @@ def demo(
         seed: of the terrain, the walk, the sensor's noise and the reconstruction.
         overwrite: replace a folder that realsim wrote before.
     """
-    from realsim.export.config import SceneConfig
+    from realsim.exports.config import SceneConfig
     from realsim.synth.capture import write_capture
     from realsim.synth.config import SynthConfig
     from realsim.synth.errors import compare

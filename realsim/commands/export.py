@@ -9,7 +9,7 @@ import tyro
 
 from realsim.commands import CommandResult
 from realsim.errors import RealsimError
-from realsim.export import EXPORTERS, export_scene
+from realsim.exports import EXPORTERS, export_scene
 
 
 def export(
