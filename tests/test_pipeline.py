@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from realsim import pipeline
+from realsim import exports, pipeline
 from realsim.cli import main
 from realsim.errors import RealsimError
 from realsim.exports.config import SceneConfig
