@@ -17,7 +17,7 @@ from typing import Any
 
 from realsim import __version__
 from realsim.commands import set_arguments
-from realsim.errors import RealsimError
+from realsim.errors import RealsimError, explain_missing_packages
 from realsim.files import to_json
 from realsim.progress import console, set_quiet
 from realsim.registry import Registry
@@ -120,14 +120,15 @@ def usage() -> str:
 def _run(name: str, arguments: list[str]) -> Any:
     import tyro
 
-    command = commands()[0][name]
-    set_arguments(arguments)
-    return tyro.cli(
-        command,
-        prog=f"realsim {name}",
-        args=arguments,
-        config=(tyro.conf.OmitArgPrefixes,),
-    )
+    with explain_missing_packages(f"realsim {name}"):
+        command = commands()[0][name]
+        set_arguments(arguments)
+        return tyro.cli(
+            command,
+            prog=f"realsim {name}",
+            args=arguments,
+            config=(tyro.conf.OmitArgPrefixes,),
+        )
 
 
 def _fail(error: RealsimError, as_json: bool) -> int:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from realsim.errors import EXTRA_OF
+
 ROOT = Path(__file__).resolve().parents[1]
 BASE = {"types", "errors", "registry", "files", "geometry", "meshes", "ordered", "progress"}
 STAGES = {"capture", "feedforward", "scale", "align", "meshing", "exports", "robots", "report", "gap", "synth"}
@@ -61,16 +63,19 @@ def bound(path: Path) -> set[str]:
     return names
 
 
-@pytest.mark.parametrize(
-    "package", ["torch", "onnx", "onnxruntime", "pycolmap", "viser", "ray", "pyrealsense2", "warp", "mujoco_warp"]
-)
+@pytest.mark.parametrize("package", [*EXTRA_OF, "mujoco"])
 def test_core_works_without_heavy_packages(package: str) -> None:
-    """Nothing imports an optional package at module level."""
+    """Nothing imports an optional package, or MuJoCo, at module level (tests/test_api.py runs the core alone)."""
     for path in sorted((ROOT / "realsim").rglob("*.py")):
         for node in ast.parse(path.read_text()).body:
             if isinstance(node, ast.Import | ast.ImportFrom):
                 names = [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
                 assert not any(n.split(".")[0] == package for n in names), f"{path} imports {package} at once"
+
+
+def test_every_module_of_the_table_of_extras_has_one() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert set(EXTRA_OF.values()) <= set(extras)
 
 
 def test_every_extra_that_a_message_names_exists() -> None:

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from realsim.commands import CommandResult
+from realsim.errors import require
 from realsim.exports.config import SceneConfig
 from realsim.files import output_folder
 
@@ -31,6 +32,7 @@ def contact(
         ground_z: height of the ground in metres; found from the mesh if not given.
         overwrite: replace a folder that realsim wrote before.
     """
+    require("recon", "realsim contact")
     from realsim.exports import contact_mesh
 
     with output_folder(out, overwrite=overwrite, source=mesh) as folder:

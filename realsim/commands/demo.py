@@ -8,7 +8,7 @@ from typing import Any
 
 from realsim import pipeline
 from realsim.commands import CommandResult
-from realsim.errors import RealsimError
+from realsim.errors import RealsimError, require
 from realsim.files import read_json
 from realsim.progress import note
 
@@ -33,6 +33,7 @@ def demo(
         seed: of the terrain, the walk, the sensor's noise and the reconstruction.
         overwrite: replace a folder that realsim wrote before.
     """
+    require("recon", "realsim demo")
     from realsim.exports.config import SceneConfig
     from realsim.synth.capture import write_capture
     from realsim.synth.config import SynthConfig

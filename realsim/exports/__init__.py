@@ -7,11 +7,11 @@ file in `contact/`, one line here.
 from __future__ import annotations
 
 from realsim.exports.any_mesh import contact_mesh
-from realsim.exports.formats import EXPORTERS, export_scene
+from realsim.exports.formats import ALL, EXPORTERS, Exported, export_scene
 from realsim.exports.scene import write_scene
 from realsim.registry import Registry
 
-__all__ = ["CONTACT", "EXPORTERS", "contact_mesh", "export_scene", "write_scene"]
+__all__ = ["ALL", "CONTACT", "EXPORTERS", "Exported", "contact_mesh", "export_scene", "write_scene"]
 
 CONTACT = Registry(
     "collision representation",
