@@ -52,12 +52,12 @@ class ReconstructConfig:
     align: AlignConfig = field(default_factory=AlignConfig)
     mesh: MeshConfig = field(default_factory=MeshConfig)
     scene: SceneConfig = field(default_factory=SceneConfig)
+    overwrite: bool = False
+    """Replace an output folder that realsim wrote before (only once the new scene is complete)."""
     seed: int = 0
     """Seed of everything random in every stage."""
     compare: bool = False
     """Also build the mesh from the other sources of points (onnx, onnx+depth, rgbd) and report how they differ."""
-    overwrite: bool = False
-    """Replace an output folder that realsim wrote before (only once the new scene is complete)."""
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Where finished stages are kept (default: REALSIM_CACHE or the user's cache folder)."""
     no_cache: tyro.conf.FlagCreatePairsOff[bool] = False

@@ -16,7 +16,7 @@ def model(
     what: Annotated[Literal["inspect"], tyro.conf.Positional],
     file: Annotated[Path, tyro.conf.Positional],
     provider: str | None = None,
-    trial: bool = True,
+    trial: Annotated[bool, tyro.conf.arg(name="run-on-noise")] = True,
 ) -> CommandResult:
     """Say how a model file fits the contract (docs/models.md): kind, what is read from the file and what is guessed,
     and which numbers of views and sizes really run.

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
 
 
 @dataclass(frozen=True)
 class SceneConfig:
-    contact: str = "auto"
-    """Collision representation; `auto` takes the cheapest that meets `contact_tolerance`."""
+    contact: Annotated[str, tyro.conf.arg(metavar="{auto,boxes,hybrid,convex,hfield,sdf,hull}")] = "auto"
+    """Collision representation; `auto` takes the cheapest that meets --contact-tolerance."""
     contact_tolerance: tuple[float, float] = (0.005, 0.015)
     """Metres that contact may be off the mesh: median and 95th percentile."""
     contact_probes: int = 2000
@@ -19,8 +22,8 @@ class SceneConfig:
     """Metres of concavity that a part of the convex decomposition may have."""
     convex_columns: int = 6000
     """Columns of 1 cm that a convex decomposition may take on; its time grows faster than their number."""
-    robot: str | None = None
-    """Robot to put on the start platform: `g1`, or `menagerie:NAME`."""
+    robot: Annotated[str | None, tyro.conf.arg(metavar="{g1,quadruped,menagerie:NAME}")] = None
+    """Robot to put on the start platform."""
     drop_tolerance: float = 0.030
     """Metres by which an object dropped on a platform may rest beside that platform's height."""
 

@@ -52,7 +52,7 @@ def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progres
     for name in config.effects:
         EFFECTS[name]  # an unknown name is said with the closest ones
     began, cpu = time.perf_counter(), time.process_time()
-    case = _limited(case, config)
+    case = limited(case, config)
     # The matrices are too small for BLAS to gain from threads, and with one the sums have one order everywhere.
     with threadpool_limits(1, user_api="blas"), Simulator(case, config) as simulator:
         health = examine(simulator)
@@ -105,7 +105,7 @@ def _harms(shrunk: Shrinkage) -> bool:
     return shrunk.unseen and shrunk.after_over_floor > shrunk.before_over_floor
 
 
-def _limited(case: Case, config: DiagnoseConfig) -> Case:
+def limited(case: Case, config: DiagnoseConfig) -> Case:
     """At most max_runs runs of at most max_seconds each; what is left out is said."""
     notes = []
     runs = list(case.runs)
