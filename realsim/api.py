@@ -1,5 +1,6 @@
 """The functions of `import realsim as rs`: what the command line does, with paths as text or Path, and typed results.
 
+```python
 import realsim as rs
 
 scene = rs.reconstruct("frames", "scene")
@@ -7,6 +8,7 @@ print(scene.verdict, scene.reasons)
 rs.export(scene, to=["usd", "urdf"])
 found = rs.diagnose("case", "diagnosis")
 print(found.causes)
+```
 """
 
 from __future__ import annotations
