@@ -1,11 +1,11 @@
 # `make demo` and `make test` are all that a fresh machine needs; both make .venv/ first.
 PYTHON ?= python3
 BIN := .venv/bin
-EXTRAS := dev,viewer,colmap,phone,lidar,usd,ray,train,warp,rsl-rl
+EXTRAS := dev,docs,recon,viewer,colmap,phone,lidar,usd,ray,train,warp,rsl-rl
 # MuJoCo renders without a display.
 export MUJOCO_GL ?= osmesa
 
-.PHONY: demo test lint format venv bench clean
+.PHONY: demo test lint format venv bench readme docs wheel clean
 
 demo: venv
 	$(BIN)/realsim demo --out demo_out --overwrite
@@ -25,6 +25,15 @@ format: venv
 bench: venv
 	$(BIN)/python benchmarks/reconstruct.py
 
+readme: venv
+	$(BIN)/python -m benchmarks.tables
+
+docs: venv
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+wheel: venv
+	bash tools/check_wheel.sh $(BIN)/python
+
 venv: .venv/.stamp
 
 .venv/.stamp: pyproject.toml constraints.txt tools/system_packages.sh
@@ -35,4 +44,4 @@ venv: .venv/.stamp
 	touch $@
 
 clean:
-	rm -rf .venv demo_out build *.egg-info
+	rm -rf .venv demo_out build dist site *.egg-info

@@ -6,7 +6,7 @@
 Terrains: the ten of `benchmarks/solids.py`; the true meshes of the captures where they are found; and what `realsim
 reconstruct` makes of those captures, against the truth. Baselines: the naive mesh (`hull`), plain height fields of 2
 and 5 cm, CoACD with its own defaults as obj2mjcf calls it. Errors are measured through contacts with balls of 1 cm
-(`realsim/export/contact/fidelity.py`); cost is the time of a step with G1 standing, against a plane.
+(`realsim/exports/contact/fidelity.py`); cost is the time of a step with G1 standing, against a plane.
 
 Rows are written to benchmarks/results/contact.json as they are done, and those that are there are not done again: a run
 may be cut off, or stopped by --seconds, and goes on where it was. Every row has a process of its own, which is stopped
@@ -35,14 +35,14 @@ import numpy as np
 
 from benchmarks.contact_build import build_table, build_times
 from benchmarks.solids import PLATFORM, TERRAINS, terrain
-from realsim.export import CONTACT
-from realsim.export.config import SceneConfig
-from realsim.export.contact.base import Asset, ContactModel, Geom, floor_plane
-from realsim.export.contact.choose import count_types, fit_contact
-from realsim.export.contact.cost import step_cost
-from realsim.export.contact.fidelity import measure
-from realsim.export.contact.probe import Reference, spec_of
-from realsim.export.contact.shape import Shape
+from realsim.exports import CONTACT
+from realsim.exports.config import SceneConfig
+from realsim.exports.contact.base import Asset, ContactModel, Geom, floor_plane
+from realsim.exports.contact.choose import count_types, fit_contact
+from realsim.exports.contact.cost import step_cost
+from realsim.exports.contact.fidelity import measure
+from realsim.exports.contact.probe import Reference, spec_of
+from realsim.exports.contact.shape import Shape
 from realsim.files import read_json, to_json, write_text
 from realsim.types import MeshQuality, TerrainMesh
 

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.solids import terrain
-from realsim.export.config import SceneConfig
-from realsim.export.contact.choose import fit_contact
+from realsim.exports.config import SceneConfig
+from realsim.exports.contact.choose import fit_contact
 from realsim.types import TerrainMesh
 
 SUBDIVIDED = ("stakes", "wedges", "arch", "stairs")

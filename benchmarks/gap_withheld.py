@@ -5,7 +5,7 @@
 Makes cases with `benchmarks.gap_truth` (which shares no code with the diagnosis), keeps the labels apart, runs the
 diagnosis over the cases in processes of its own, and scores what it wrote. Prints a table and stores the figures.
 Cases that are already diagnosed in --work are kept, so an interrupted run goes on where it stopped. A seed makes the
-same cases everywhere; results/gap_withheld.json says seed and commit of the figures that the README has.
+same cases everywhere; results/diagnosis.json holds the cases of every seed that was scored.
 """
 
 from __future__ import annotations

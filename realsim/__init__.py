@@ -1,6 +1,104 @@
-"""realsim: from a depth camera to a MuJoCo scene, and from a robot's logs to the cause of its sim-to-real gap."""
+"""realsim: from a depth camera to a MuJoCo scene, and from a robot's logs to the cause of its sim-to-real gap.
+
+    import realsim as rs
+
+    scene = rs.reconstruct("frames", "scene")  # or rs.contact("mesh.stl"), rs.load_scene("scene")
+    found = rs.diagnose("case", "diagnosis")
+
+Nothing heavy is imported before a function is called.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from realsim.errors import RealsimError
 
-__version__ = "0.1.0"
-__all__ = ["RealsimError", "__version__"]
+if TYPE_CHECKING:
+    from realsim.api import (
+        apply_patch,
+        contact,
+        diagnose,
+        export,
+        inspect,
+        load_case,
+        load_diagnosis,
+        load_scene,
+        reconstruct,
+    )
+    from realsim.capture.config import CaptureConfig
+    from realsim.capture.inspection import Inspection
+    from realsim.exports.config import SceneConfig
+    from realsim.gap.config import DiagnoseConfig
+    from realsim.gap.logs.case import Case
+    from realsim.pipeline import ReconstructConfig
+    from realsim.results import Cause, Diagnosis, GapVerdict, Interval, Scene, SceneVerdict
+
+__version__ = "0.2.0"
+
+_HOME = {
+    **dict.fromkeys(
+        (
+            "inspect",
+            "reconstruct",
+            "contact",
+            "export",
+            "load_scene",
+            "load_case",
+            "diagnose",
+            "load_diagnosis",
+            "apply_patch",
+        ),
+        "realsim.api",
+    ),
+    **dict.fromkeys(
+        ("Scene", "SceneVerdict", "Diagnosis", "GapVerdict", "Cause", "Interval"),
+        "realsim.results",
+    ),
+    "CaptureConfig": "realsim.capture.config",
+    "Inspection": "realsim.capture.inspection",
+    "SceneConfig": "realsim.exports.config",
+    "DiagnoseConfig": "realsim.gap.config",
+    "Case": "realsim.gap.logs.case",
+    "ReconstructConfig": "realsim.pipeline",
+}
+"""Name -> the module that it is imported from when it is first used (PEP 562)."""
+
+__all__ = [
+    "CaptureConfig",
+    "Case",
+    "Cause",
+    "DiagnoseConfig",
+    "Diagnosis",
+    "GapVerdict",
+    "Inspection",
+    "Interval",
+    "RealsimError",
+    "ReconstructConfig",
+    "Scene",
+    "SceneConfig",
+    "SceneVerdict",
+    "__version__",
+    "apply_patch",
+    "contact",
+    "diagnose",
+    "export",
+    "inspect",
+    "load_case",
+    "load_diagnosis",
+    "load_scene",
+    "reconstruct",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'realsim' has no attribute {name!r}")
+    value = getattr(import_module(_HOME[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOME})

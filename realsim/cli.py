@@ -7,17 +7,20 @@ A command is a function whose parameters (frozen dataclasses among them) become 
 from __future__ import annotations
 
 import contextlib
+import io
 import os
+import re
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from importlib.metadata import entry_points
+from types import ModuleType
 from typing import Any
 
 from realsim import __version__
 from realsim.commands import set_arguments
-from realsim.errors import RealsimError
+from realsim.errors import RealsimError, explain_missing_packages
 from realsim.files import to_json
 from realsim.progress import console, set_quiet
 from realsim.registry import Registry
@@ -49,6 +52,18 @@ SUMMARIES = {
     "synth": "render a synthetic capture with its truth",
     "demo": "render, reconstruct and measure, end to end",
 }
+EXAMPLES = {
+    "reconstruct": "realsim reconstruct my_capture --out scene --robot g1",
+    "inspect": "realsim inspect my_capture",
+    "record": "realsim record my_capture --seconds 30",
+    "view": "realsim view scene",
+    "contact": "realsim contact stairs.stl --unit mm --out stairs",
+    "export": "realsim export scene --to usd,urdf",
+    "model": "realsim model inspect model.onnx",
+    "diagnose": "realsim diagnose my_case --out diagnosis",
+    "synth": "realsim synth --terrain boxes --out synthetic",
+    "demo": "realsim demo --out demo_out",
+}
 
 
 def commands() -> tuple[Registry, dict[str, str]]:
@@ -58,12 +73,16 @@ def commands() -> tuple[Registry, dict[str, str]]:
     module that stands alone.
     """
     added = {point.name: point.value for point in entry_points(group="realsim.commands")}
-    modules = {name: value.partition(":")[0] for name, value in added.items()}
-    places = {name: import_module(module.rpartition(".")[0] or module) for name, module in modules.items()}
-    said = {name: text for place in places.values() for name, text in getattr(place, "SUMMARIES", {}).items()}
+    said = {name: text for place in _places() for name, text in getattr(place, "SUMMARIES", {}).items()}
     # In the order in which a package says them; what it says nothing about comes last.
     more = {name: text for name, text in said.items() if name in added} | {n: "" for n in added if n not in said}
     return COMMANDS.joined(added), SUMMARIES | {name: text for name, text in more.items() if name not in SUMMARIES}
+
+
+def _places() -> list[ModuleType]:
+    """The packages of commands that installed packages add, or the modules themselves where they stand alone."""
+    modules = [point.value.partition(":")[0] for point in entry_points(group="realsim.commands")]
+    return [import_module(module.rpartition(".")[0] or module) for module in modules]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -71,7 +90,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     as_json = _take(arguments, "--json")
     set_quiet(_take(arguments, "--quiet") or as_json or not sys.stderr.isatty())
-    if not arguments or arguments[0] in ("-h", "--help"):
+    if len(arguments) == 2 and arguments[0] == "help":
+        arguments = [arguments[1], "--help"]
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
         print(usage())
         return 0 if arguments else 2
     if arguments[0] == "--version":
@@ -112,22 +133,56 @@ def usage() -> str:
     summaries = commands()[1]
     width = max(map(len, summaries))
     lines = [f"  {name:<{width}}  {text}" for name, text in summaries.items()]
-    head = "usage: realsim COMMAND [options]   (realsim COMMAND --help for its options)"
-    foot = "everywhere: --json for machines, --quiet without progress, --version"
+    head = "usage: realsim COMMAND [options]   (realsim help COMMAND for its options)"
+    foot = f"{EVERYWHERE}, --version"
     return "\n".join([head, "", *lines, "", foot])
 
 
 def _run(name: str, arguments: list[str]) -> Any:
     import tyro
 
-    command = commands()[0][name]
-    set_arguments(arguments)
-    return tyro.cli(
-        command,
-        prog=f"realsim {name}",
-        args=arguments,
-        config=(tyro.conf.OmitArgPrefixes,),
-    )
+    with explain_missing_packages(f"realsim {name}"):
+        command = commands()[0][name]
+        set_arguments(arguments)
+        with _plain_help(name) if {"-h", "--help"} & set(arguments) else contextlib.nullcontext():
+            return tyro.cli(
+                command,
+                prog=f"realsim {name}",
+                args=arguments,
+                config=(tyro.conf.OmitArgPrefixes,),
+            )
+
+
+@contextlib.contextmanager
+def _plain_help(name: str) -> Iterator[None]:
+    """What tyro prints, with the groups of options named for people, an example, and the options of all commands."""
+    shown = io.TextIOWrapper(io.BytesIO(), encoding=sys.stdout.encoding or "utf-8", errors="replace")
+    try:
+        with contextlib.redirect_stdout(shown):
+            yield
+    finally:
+        shown.seek(0)
+        text = GROUP.sub(_group, shown.read())
+        example = _examples().get(name)
+        lines = [text.rstrip(), "", *([f"example: {example}"] if example else []), EVERYWHERE]
+        with contextlib.suppress(BrokenPipeError):
+            print("\n".join(lines), flush=True)
+
+
+GROUP = re.compile(r"config((?:\.\w+)*) options (.)")
+"""The title of a group of options: the path of a field, and the character that fills the line after it."""
+EVERYWHERE = "everywhere: --json for machines, --quiet without progress"
+
+
+def _group(match: re.Match[str]) -> str:
+    """The title of the same length without the names that only the source code knows."""
+    title = f"{match[1].rpartition('.')[2] or 'general'} options "
+    return title + match[2] * (len(match[0]) - len(title))
+
+
+def _examples() -> dict[str, str]:
+    """Command -> how it may be called; packages that add commands have theirs in EXAMPLES, beside SUMMARIES."""
+    return EXAMPLES | {name: text for place in _places() for name, text in getattr(place, "EXAMPLES", {}).items()}
 
 
 def _fail(error: RealsimError, as_json: bool) -> int:

@@ -6,9 +6,10 @@ what to do. The command line prints it without a traceback and exits with code 2
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from difflib import get_close_matches
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,8 @@ class RealsimError(Exception):
 
 def did_you_mean(name: str, known: Iterable[str], cutoff: float = 0.3) -> str | None:
     """A hint with the names most like `name`; None where nothing is (`cutoff` of difflib.get_close_matches)."""
+    from difflib import get_close_matches  # not needed until something is wrong
+
     close = get_close_matches(name, list(known), n=3, cutoff=cutoff)
     return f"did you mean {' or '.join(close)}?" if close else None
 
@@ -93,13 +96,31 @@ class GapError(RealsimError):
     """A robot log cannot support a diagnosis."""
 
 
+EXTRA_OF = {
+    **dict.fromkeys(
+        ("open3d", "cv2", "skimage", "fast_simplification", "manifold3d", "pymeshlab", "coacd", "onnxruntime"), "recon"
+    ),
+    **dict.fromkeys(("torch", "tensorboard", "onnx", "onnxscript", "PIL"), "train"),
+    "pycolmap": "colmap",
+    "viser": "viewer",
+    "pyrealsense2": "realsense",
+    **dict.fromkeys(("OpenEXR", "lzfse"), "phone"),
+    "laspy": "lidar",
+    "pxr": "usd",
+    "ray": "ray",
+    **dict.fromkeys(("warp", "mujoco_warp"), "warp"),
+    "rsl_rl": "rsl-rl",
+    "mjlab": "mjlab",
+    "robot_descriptions": "menagerie",
+}
+"""Modules that a plain `pip install realsim` leaves out -> the extra that brings them."""
+
+
 class MissingExtraError(RealsimError):
     """A package that belongs to an optional extra is not installed."""
 
     def __init__(self, package: str, extra: str, what: str) -> None:
-        super().__init__(
-            f"{what} needs the package {package}", hint=f'pip install -e ".[{extra}]" in the source folder'
-        )
+        super().__init__(f"{what} needs the package {package}", hint=f'pip install "realsim[{extra}]"')
 
 
 def extra(module: str, package_extra: str, what: str) -> Any:
@@ -108,6 +129,33 @@ def extra(module: str, package_extra: str, what: str) -> Any:
         return import_module(module)
     except ImportError as error:
         raise MissingExtraError(module, package_extra, what) from error
+
+
+def require(name: str, what: str) -> None:
+    """Refuse at once, before any work, what needs an extra of which a package is not installed.
+
+    Args:
+        name: the extra.
+        what: what needs it, for the message.
+
+    Raises:
+        MissingExtraError: with the command that installs it.
+    """
+    for module, owner in EXTRA_OF.items():
+        if owner == name and find_spec(module) is None:
+            raise MissingExtraError(module, name, what)
+
+
+@contextmanager
+def explain_missing_packages(what: str) -> Iterator[None]:
+    """Turn an import that fails for want of an extra into the message that says how to install it."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package not in EXTRA_OF:
+            raise
+        raise MissingExtraError(package, EXTRA_OF[package], what) from error
 
 
 class UnknownNameError(RealsimError):

@@ -21,8 +21,9 @@ from realsim.errors import RealsimError
 
 MAX_TEXT_BYTES = 64 * 2**20
 MAX_BINARY_BYTES = 2 * 2**30
-MARKS = ("report.json", "contact.json", "diagnosis.json", "truth/truth.json")
-"""Files of which every output folder holds one: of a scene, of `realsim contact`, a diagnosis, a synthetic capture."""
+MARKS = ("report.json", "contact.json", "diagnosis.json", "truth/truth.json", "export.json")
+"""Files of which every output folder holds one: a scene, `realsim contact`, a diagnosis, a synthetic capture, an
+export."""
 _DAMAGED = (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
 """What reading a damaged, encrypted or exotic archive of arrays raises."""
 
@@ -169,8 +170,7 @@ def output_folder(path: Path, *, overwrite: bool = False, source: Path | None = 
         raise RealsimError("the output is a file", file=path, expected="a folder that does not exist yet")
     if source is not None:
         refuse_within(path, source)
-    if path.is_dir() and any(path.iterdir()):
-        _refuse_existing(path, overwrite)
+    refuse_existing(path, overwrite)
     with explain_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.partial-"))
@@ -196,8 +196,10 @@ def refuse_within(out: Path, source: Path) -> None:
         )
 
 
-def _refuse_existing(path: Path, overwrite: bool) -> None:
+def refuse_existing(path: Path, overwrite: bool) -> None:
     """Refuse to replace a folder that is not empty, unless that was asked for and the folder is ours."""
+    if not path.is_dir() or not any(path.iterdir()):
+        return
     if not overwrite:
         raise RealsimError(
             "the output folder exists and is not empty", file=path, hint="choose another --out, or pass --overwrite"

@@ -15,12 +15,12 @@ from typing import Annotated, Any, TypeVar
 import tyro
 from threadpoolctl import threadpool_limits
 
-from realsim import align, capture, export, feedforward, meshing, modes, report, scale
+from realsim import align, capture, exports, feedforward, meshing, modes, report, scale
 from realsim.align.config import AlignConfig
 from realsim.cache import StageCache, code_digest, default_folder, source_digest
 from realsim.capture.config import CaptureConfig
 from realsim.errors import RealsimError
-from realsim.export.config import SceneConfig
+from realsim.exports.config import SceneConfig
 from realsim.feedforward.config import PointsConfig
 from realsim.files import digest, output_folder
 from realsim.meshing.config import MeshConfig
@@ -52,12 +52,12 @@ class ReconstructConfig:
     align: AlignConfig = field(default_factory=AlignConfig)
     mesh: MeshConfig = field(default_factory=MeshConfig)
     scene: SceneConfig = field(default_factory=SceneConfig)
+    overwrite: bool = False
+    """Replace an output folder that realsim wrote before (only once the new scene is complete)."""
     seed: int = 0
     """Seed of everything random in every stage."""
     compare: bool = False
     """Also build the mesh from the other sources of points (onnx, onnx+depth, rgbd) and report how they differ."""
-    overwrite: bool = False
-    """Replace an output folder that realsim wrote before (only once the new scene is complete)."""
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Where finished stages are kept (default: REALSIM_CACHE or the user's cache folder)."""
     no_cache: tyro.conf.FlagCreatePairsOff[bool] = False
@@ -98,7 +98,7 @@ def reconstruct(source: Path, out: Path, config: ReconstructConfig | None = None
         points, aligned = run.scan(data) if isinstance(data, Scan) else run.frames(data)
         mesh = run.mesh(aligned)
         rivals = run.stage("compare", lambda: run.modes(data, points, aligned, mesh)) if config.compare else ()
-        scene = run.stage("export", lambda: export.write_scene(folder, aligned, mesh, config.scene))
+        scene = run.stage("export", lambda: exports.write_scene(folder, aligned, mesh, config.scene))
         result = Reconstruction(
             data, points, aligned, mesh, scene, tuple(run.stages), config.seed, config_as_dict(config), rivals
         )

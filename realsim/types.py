@@ -102,7 +102,7 @@ class Dropped:
     """False where nothing is wrong with the frame: enough others show the same."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FrameSet:
     """A capture as read: the frames, and everything that was assumed on the way."""
 
@@ -121,6 +121,10 @@ class FrameSet:
 
     def __len__(self) -> int:
         return len(self.frames)
+
+    def __repr__(self) -> str:
+        poses = "with" if self.has_poses else "without"
+        return f"FrameSet({str(self.source)!r}, {self.layout}, {len(self)} frames {poses} poses)"
 
     @property
     def has_poses(self) -> bool:

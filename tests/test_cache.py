@@ -11,7 +11,7 @@ import pytest
 
 from realsim import cache
 from realsim.cache import StageCache, code_digest, pack, source_digest, unpack
-from realsim.capture.finish import InRange
+from realsim.capture.finishing import InRange
 from realsim.capture.images import ConfidenceImage, DepthImage
 from realsim.capture.video import VideoFrame
 from realsim.types import Dropped, Frame, FrameSet, Intrinsics, Solution

@@ -26,6 +26,60 @@ def test_every_command_has_a_summary_and_help(capsys: pytest.CaptureFixture[str]
         assert f"realsim {name}" in capsys.readouterr().out
 
 
+def test_help_ends_with_an_example_and_knows_no_names_of_the_source(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("torch")
+    for name in commands()[0]:
+        assert main(["help", name]) == 0
+        text = capsys.readouterr().out
+        assert f"example: realsim {name} " in text
+        assert "--quiet" in text
+        assert not re.search(r"config[. ]\w*", text), name
+
+
+def test_help_lists_the_choices_there_are(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from realsim.align import SEGMENTERS
+    from realsim.capture import LAYOUTS
+    from realsim.exports import CONTACT, EXPORTERS
+    from realsim.feedforward import BACKENDS
+    from realsim.meshing import METHODS
+    from realsim.scale import ESTIMATORS
+    from realsim.synth import TERRAINS
+
+    monkeypatch.setenv("COLUMNS", "300")
+    choices = {
+        "reconstruct": {
+            "layout": ["auto", *LAYOUTS],
+            "contact": ["auto", *CONTACT],
+            "segmenter": SEGMENTERS,
+            "backend": BACKENDS,
+            "mesh-method": METHODS,
+            "scale-method": ESTIMATORS,
+        },
+        "synth": {"terrain": TERRAINS},
+        "export": {"to": EXPORTERS},
+    }
+    for command, options in choices.items():
+        assert main([command, "--help"]) == 0
+        text = capsys.readouterr().out
+        for option, names in options.items():
+            shown = re.search(rf"--{option} (\S+)", text)
+            assert shown is not None
+            assert sorted(shown[1].strip("{}").removeprefix("all|").split(",")) == sorted(names)
+
+
+def test_a_flag_takes_the_same_kind_of_value_everywhere(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("torch")
+    kinds: dict[str, dict[str, str]] = {}
+    for name in commands()[0]:
+        assert main([name, "--help"]) == 0
+        for flag, value in re.findall(
+            r"^\W*(--[a-z-]+)(?:, --no-[a-z-]+)?(?: ([^ \n]+))?", capsys.readouterr().out, re.M
+        ):
+            # Which choices there are may differ; a text, a number, a file or a switch it is everywhere.
+            kinds.setdefault(flag, {})[name] = re.sub(r"\{.*\}", "STR", value.replace("{None}|", ""))
+    assert {flag: by for flag, by in kinds.items() if len(set(by.values())) > 1} == {}
+
+
 def test_help_that_nobody_reads_to_its_end_is_no_error() -> None:
     reader, writer = os.pipe()
     os.close(reader)

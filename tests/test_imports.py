@@ -9,11 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from realsim.errors import EXTRA_OF
+
 ROOT = Path(__file__).resolve().parents[1]
 BASE = {"types", "errors", "registry", "files", "geometry", "meshes", "ordered", "progress"}
-STAGES = {"capture", "feedforward", "scale", "align", "meshing", "export", "robots", "report", "gap", "synth"}
+STAGES = {"capture", "feedforward", "scale", "align", "meshing", "exports", "robots", "report", "gap", "synth"}
 # Who may know more: results of the gap are shown with the report's parts; scenes can hold robots.
-ALSO = {"gap": {"report", "robots"}, "export": {"robots"}, "report": set(), "synth": set()}
+ALSO = {"gap": {"report", "robots"}, "exports": {"robots"}, "report": set(), "synth": set()}
 
 
 def imported(path: Path) -> set[str]:
@@ -43,24 +45,37 @@ def test_realsim_never_imports_trainer() -> None:
 
 
 @pytest.mark.parametrize("package", ["realsim", "trainer"])
-def test_no_function_of_a_package_has_the_name_of_a_module_in_it(package: str) -> None:
-    """Importing the module would put it in the function's place. (A name imported from that very module is safe.)"""
+def test_no_name_of_a_package_hides_a_module_in_it(package: str) -> None:
+    """`import realsim.a.b as m` would give whatever the package calls `b` instead of the module."""
     for init in sorted((ROOT / package).rglob("__init__.py")):
-        defined = {n.name for n in ast.parse(init.read_text()).body if isinstance(n, ast.FunctionDef | ast.ClassDef)}
         inside = {p.stem for p in init.parent.glob("*.py")} | {p.parent.name for p in init.parent.glob("*/__init__.py")}
-        assert not defined & inside, init
+        assert not bound(init) & inside, init
 
 
-@pytest.mark.parametrize(
-    "package", ["torch", "onnx", "onnxruntime", "pycolmap", "viser", "ray", "pyrealsense2", "warp", "mujoco_warp"]
-)
+def bound(path: Path) -> set[str]:
+    """Names that a file defines or imports at its top level, modules aside."""
+    names: set[str] = set()
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.add(node.name)
+        elif isinstance(node, ast.ImportFrom):
+            names |= {a.asname or a.name for a in node.names if not _is_module(f"{node.module}.{a.name}")}
+    return names
+
+
+@pytest.mark.parametrize("package", [*EXTRA_OF, "mujoco"])
 def test_core_works_without_heavy_packages(package: str) -> None:
-    """Nothing imports an optional package at module level."""
+    """Nothing imports an optional package, or MuJoCo, at module level (tests/test_api.py runs the core alone)."""
     for path in sorted((ROOT / "realsim").rglob("*.py")):
         for node in ast.parse(path.read_text()).body:
             if isinstance(node, ast.Import | ast.ImportFrom):
                 names = [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
                 assert not any(n.split(".")[0] == package for n in names), f"{path} imports {package} at once"
+
+
+def test_every_module_of_the_table_of_extras_has_one() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert set(EXTRA_OF.values()) <= set(extras)
 
 
 def test_every_extra_that_a_message_names_exists() -> None:

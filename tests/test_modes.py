@@ -12,7 +12,7 @@ from realsim import capture
 from realsim.capture.config import CaptureConfig
 from realsim.cli import main
 from realsim.errors import RealsimError
-from realsim.export.config import SceneConfig
+from realsim.exports.config import SceneConfig
 from realsim.feedforward.config import OnnxConfig, PointsConfig
 from realsim.feedforward.onnx.preprocess import make_grid, to_tensor
 from realsim.feedforward.onnx.spec import Port, Spec

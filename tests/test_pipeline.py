@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from realsim import export, pipeline
+from realsim import exports, pipeline
 from realsim.cli import main
 from realsim.errors import RealsimError
-from realsim.export.config import SceneConfig
+from realsim.exports.config import SceneConfig
 from realsim.pipeline import ReconstructConfig, peak_memory_mb, reconstruct
 from realsim.synth.capture import SynthCapture, write_capture
 from realsim.synth.config import SynthConfig
@@ -90,7 +90,7 @@ def test_an_interrupt_leaves_nothing_half_written(
     def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(export, "write_scene", stop)
+    monkeypatch.setattr(exports, "write_scene", stop)
     arguments = ["reconstruct", str(made.capture), "--out", str(tmp_path / "scene"), "--cache", str(config.cache)]
     assert main(arguments) == 130
     assert list(tmp_path.iterdir()) == []

@@ -18,7 +18,7 @@ class AlignConfig:
     """FRAME U V: a pixel of a frame (by name) that shows the start platform's top."""
     goal_pixel: tuple[str, int, int] | None = None
     """FRAME U V of the goal platform's top."""
-    segmenter: str = "geometric"
+    segmenter: Annotated[str, tyro.conf.arg(metavar="{geometric}")] = "geometric"
     """Who labels points ground / platform / obstacle / other."""
     margin: float = 0.5
     """Metres of ground kept around the terrain."""

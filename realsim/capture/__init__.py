@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from realsim.capture.config import CaptureConfig
-from realsim.capture.finish import finish
+from realsim.capture.finishing import finish
 from realsim.capture.inspection import Inspection, inspect_frames, inspect_scan
 from realsim.capture.recognition import recognise
 from realsim.registry import Registry

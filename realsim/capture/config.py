@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 """Name of a unit of scans -> metres."""
+LAYOUTS = (
+    "{auto,open3d,tum,sevenscenes,scannet,pcd,nerfstudio,polycam,record3d,record3d_exr,stray,arkitscenes,scannerapp,"
+    "realsense,scan,plain}"
+)
+"""What --help shows; a test holds it to the registry."""
 
 
 @dataclass(frozen=True)
 class CaptureConfig:
-    layout: str = "auto"
+    layout: Annotated[str, tyro.conf.arg(metavar=LAYOUTS)] = "auto"
     """Capture layout; `auto` recognises it."""
     max_frames: int = 300
     """At most this many frames are used, picked by sharpness and view change; 0 for all."""
@@ -22,8 +30,8 @@ class CaptureConfig:
     """Metres; nearer depth is invalid."""
     max_depth: float = 6.0
     """Metres; farther depth is invalid."""
-    unit: str = "m"
-    """Unit of scans without one: m, cm, mm or inch."""
+    unit: Annotated[str, tyro.conf.arg(metavar="{m,cm,mm,inch}")] = "m"
+    """Unit of scans whose files do not say it."""
     ignore_poses: bool = False
     """Do not read the capture's poses (for captures whose poses are known to be wrong)."""
     metric_poses: bool = True

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from html import escape
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from realsim.capture.finish import Finished
+from realsim.capture.finishing import Finished
 from realsim.capture.layout import Recognition
 from realsim.capture.selection import NOT_NEEDED
 from realsim.geometry import angle_deg
 from realsim.types import F64, Dropped, Scan
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Inspection:
     """What was recognised and why, what was assumed, figures, and what is wrong."""
 
@@ -40,6 +41,13 @@ class Inspection:
         """The same as plain, JSON-able values."""
         return asdict(self)
 
+    def __repr__(self) -> str:
+        wrong = f"{len(self.wrong)} to look at" if self.wrong else "no problems found"
+        return f"Inspection({self.source!r}, layout {self.layout}, {wrong})"
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(self.render())}</pre>"
+
     def render(self) -> str:
         """The same for a person, a few lines a subject."""
         blocks = [
@@ -48,7 +56,7 @@ class Inspection:
             ("depth", _lines(self.depth)),
             ("poses", _lines(self.poses)),
             ("assumed", list(self.assumptions)),
-            ("look at", list(self.wrong) or ["nothing: all is well"]),
+            ("look at", list(self.wrong) or ["no problems found"]),
         ]
         text = []
         for title, lines in blocks:

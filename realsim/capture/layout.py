@@ -2,7 +2,7 @@
 
 A layout only knows names and conventions: it turns a folder into a `FrameSet` whose readers give plain metres.
 What is the same for all of them (range limits, damaged frames, invalid poses, blur, duplicates, the choice among
-too many frames) happens afterwards, once, in `finish.py`.
+too many frames) happens afterwards, once, in `finishing.py`.
 """
 
 from __future__ import annotations

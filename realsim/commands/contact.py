@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 import tyro
 
 from realsim.commands import CommandResult
-from realsim.export.config import SceneConfig
+from realsim.errors import require
+from realsim.exports.config import SceneConfig
 from realsim.files import output_folder
 
 
@@ -31,7 +32,8 @@ def contact(
         ground_z: height of the ground in metres; found from the mesh if not given.
         overwrite: replace a folder that realsim wrote before.
     """
-    from realsim.export import contact_mesh
+    require("recon", "realsim contact")
+    from realsim.exports import contact_mesh
 
     with output_folder(out, overwrite=overwrite, source=mesh) as folder:
         files = contact_mesh(mesh, folder, config, unit=unit, up=up, ground_z=ground_z)

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import tyro
 
 from realsim import pipeline
 from realsim.commands import CommandResult
-from realsim.errors import RealsimError
+from realsim.errors import RealsimError, require
 from realsim.files import read_json
 from realsim.progress import note
 
 
 def demo(
     out: Path = Path("demo_out"),
-    terrain: str = "stakes",
+    terrain: Annotated[str, tyro.conf.arg(metavar="{stakes,beams,wedges,boxes,trapezoids,boston,mixed}")] = "stakes",
     frames: int = 60,
-    poses: bool = False,
+    poses: Annotated[bool, tyro.conf.arg(name="with-poses")] = False,
     robot: str | None = "g1",
     seed: int = 0,
     overwrite: bool = False,
@@ -26,14 +28,15 @@ def demo(
 
     Args:
         out: gets frames/ (capture and truth) and scene/ (what was reconstructed).
-        terrain: stakes, beams, wedges, boxes, trapezoids, boston or mixed.
+        terrain: what lies between the platforms.
         frames: views along the walk.
         poses: give the reconstruction the camera poses as well.
         robot: robot to put on the start platform.
         seed: of the terrain, the walk, the sensor's noise and the reconstruction.
         overwrite: replace a folder that realsim wrote before.
     """
-    from realsim.export.config import SceneConfig
+    require("recon", "realsim demo")
+    from realsim.exports.config import SceneConfig
     from realsim.synth.capture import write_capture
     from realsim.synth.config import SynthConfig
     from realsim.synth.errors import compare

@@ -14,37 +14,82 @@ from realsim.commands.many import run_each
 from realsim.errors import RealsimError
 from realsim.files import refuse_within
 from realsim.gap.config import DiagnoseConfig
+from realsim.progress import steps, track
 
 
 def diagnose(
     cases: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="CASE ...", help_behavior_hint="")],
     config: DiagnoseConfig,
-    out: Path = Path("diagnosis"),
+    out: Path | None = None,
+    overwrite: bool = False,
+    check: bool = False,
+    init: Path | None = None,
     explain: str | None = None,
     jobs: int = 1,
     ray: str | None = None,
-    overwrite: bool = False,
 ) -> CommandResult:
     """Say where a robot's logs differ from its simulator, which unmodelled effect causes it, and how much it matters.
 
     Args:
         cases: a folder with log.json, model.xml and runs/ (.npz or .csv); or several, each gets a folder below --out.
-        out: where diagnosis.json, report.html and the patched model go.
+        out: where diagnosis.json, report.html and the patched model go (default: diagnosis); with --init, the new case
+            (default: case).
+        overwrite: replace an output folder that realsim wrote before.
+        check: say within seconds whether the log can be used, and what is odd about it; nothing is written.
+        init: instead of a case: an MJCF model, for which the folder of a new case is made.
         explain: instead of a case: say what an effect looks like and what excites it (`all` lists them).
         jobs: with several cases: how many at a time on this machine.
         ray: with several cases: the address of a Ray cluster that shares this file system.
-        overwrite: replace an output folder that realsim wrote before.
     """
     if explain is not None:
         text = gap.explain(explain)
         return CommandResult(text, {"effect": explain, "text": text})
+    if init is not None:
+        made = gap.start_case(init, out or Path("case"), overwrite=overwrite)
+        text = f"case    {made}\nnext    {made / 'README.md'} says what is left to do"
+        return CommandResult(text, {"case": str(made)})
     if not cases:
-        raise RealsimError("no case given", expected="realsim diagnose CASE --out DIR, or --explain EFFECT")
+        raise RealsimError(
+            "no case given", expected="realsim diagnose CASE --out DIR, --init MODEL.xml, or --explain EFFECT"
+        )
+    if check:
+        return _checked(cases, config)
+    out = out or Path("diagnosis")
     if len(cases) == 1 and ray is None:
         refuse_within(out, cases[0])
-        result = gap.run_case(cases[0], out, config, overwrite=overwrite)
+        with steps() as tick:
+            result = gap.run_case(cases[0], out, config, tick, overwrite=overwrite)
         return CommandResult(_summary(result, out, config), result)
     return run_each("diagnose", cases, out, shows="sentence", jobs=jobs, ray=ray)
+
+
+def _checked(cases: tuple[Path, ...], config: DiagnoseConfig) -> CommandResult:
+    """The health of every log, or why it cannot be used; exit code 1 if one of several cannot."""
+    if len(cases) == 1:
+        found = gap.check_case(cases[0], config)
+        return CommandResult("\n".join(_health(cases[0], found)), found)
+    lines: list[str] = []
+    items: list[dict[str, Any]] = []
+    for case in track(cases, "cases"):
+        try:
+            found = gap.check_case(case, config)
+        except RealsimError as error:
+            lines.append(f"{case.name}: cannot be used: {error.render()}")
+            items.append({"name": case.name, **error.as_dict()})
+        else:
+            lines += _health(case, found)
+            items.append({"name": case.name, **found})
+    failed = sum("error" in item for item in items)
+    return CommandResult("\n".join(lines), {"items": items, "failed": failed}, 1 if failed else 0)
+
+
+def _health(case: Path, found: Mapping[str, Any]) -> list[str]:
+    warnings = found["health"]["warnings"]
+    first = f"{case.name}: {len(found['runs'])} runs, {found['seconds']:.0f} s of log: "
+    return [
+        first + (f"can be used, with {len(warnings)} notes" if warnings else "can be used, nothing odd"),
+        *(f"note    {warning}" for warning in warnings),
+    ]
 
 
 def _summary(result: Mapping[str, Any], out: Path, config: DiagnoseConfig) -> str:

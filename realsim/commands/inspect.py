@@ -10,6 +10,7 @@ import tyro
 from realsim import capture
 from realsim.capture.config import CaptureConfig
 from realsim.commands import CommandResult
+from realsim.errors import require
 
 
 def inspect(frames: Annotated[Path, tyro.conf.Positional], config: CaptureConfig) -> CommandResult:
@@ -18,5 +19,6 @@ def inspect(frames: Annotated[Path, tyro.conf.Positional], config: CaptureConfig
     Args:
         frames: a capture folder or a scan.
     """
+    require("recon", "realsim inspect")
     found = capture.inspect(frames, config)
     return CommandResult(found.render(), found.as_dict())

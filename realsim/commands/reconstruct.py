@@ -10,7 +10,7 @@ import tyro
 from realsim import pipeline
 from realsim.commands import CommandResult
 from realsim.commands.many import run_each
-from realsim.errors import RealsimError
+from realsim.errors import RealsimError, require
 from realsim.types import Reconstruction
 
 
@@ -34,6 +34,7 @@ def reconstruct(
     if not frames:
         raise RealsimError("no capture given", expected="realsim reconstruct FRAMES --out scene/")
     if len(frames) == 1 and ray is None:
+        require("recon", "realsim reconstruct")
         result = pipeline.reconstruct(frames[0], out, config)
         return CommandResult(_summary(result), _data(result))
     return run_each("reconstruct", frames, out, shows="scene_xml", jobs=jobs, ray=ray)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from realsim.commands import CommandResult
+from realsim.errors import require
 from realsim.synth.config import SynthConfig
 
 
@@ -15,6 +16,7 @@ def synth(config: SynthConfig, out: Path = Path("synth"), overwrite: bool = Fals
         out: gets capture/ (what `realsim reconstruct` reads) and truth/ (what it may not see).
         overwrite: replace a folder that realsim wrote before.
     """
+    require("recon", "realsim synth")
     from realsim.synth.capture import write_capture
 
     made = write_capture(out, config, overwrite=overwrite)

@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from realsim.commands import CommandResult
+from realsim.errors import require
 
 
 def view(
@@ -19,6 +20,7 @@ def view(
         scene: a folder made by `realsim reconstruct`.
         port: where the page is served on this machine.
     """
+    require("viewer", "realsim view")
     from realsim.report.live import view as serve
 
     serve(scene, port)

@@ -37,7 +37,7 @@ class OnnxConfig:
 
 @dataclass(frozen=True)
 class PointsConfig:
-    backend: str = "rgbd"
+    backend: Annotated[str, tyro.conf.arg(metavar="{rgbd,colmap,onnx,onnx+depth}")] = "rgbd"
     """Where points and poses come from."""
     poses: Literal["auto", "given", "estimate"] = "auto"
     """`given` uses the capture's poses and fails without them, `estimate` ignores them, `auto` uses them if there."""

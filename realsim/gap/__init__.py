@@ -4,19 +4,41 @@
     found = diagnose(load_case("case"))
     print(found.sentence)
 
-`apply_patch` changes a plain MuJoCo spec, `explain` says what an effect looks like, `run_case` does it all on disk.
+`apply_patch` changes a plain MuJoCo spec, `explain` says what an effect looks like, `run_case` does it all on disk,
+`check_case` looks at the health of a log alone, `start_case` makes the folder of a new case.
 """
 
 from __future__ import annotations
 
-from realsim.gap.answer.diagnosis import Diagnosis
-from realsim.gap.answer.patch import apply_patch
-from realsim.gap.config import DiagnoseConfig
-from realsim.gap.diagnose import diagnose
-from realsim.gap.effects import EFFECTS
-from realsim.gap.explain import explain
-from realsim.gap.logs.case import Case, Run, load_case
-from realsim.gap.run import run_case
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from realsim.gap.answer.diagnosis import Diagnosis
+    from realsim.gap.answer.patch import apply_patch
+    from realsim.gap.config import DiagnoseConfig
+    from realsim.gap.effects import EFFECTS
+    from realsim.gap.explanation import explain
+    from realsim.gap.logs.case import Case, Run, load_case
+    from realsim.gap.pipeline import diagnose
+    from realsim.gap.run import check_case, run_case
+    from realsim.gap.scaffold import start_case
+
+_HOME = {
+    "Case": "logs.case",
+    "DiagnoseConfig": "config",
+    "Diagnosis": "answer.diagnosis",
+    "EFFECTS": "effects",
+    "Run": "logs.case",
+    "apply_patch": "answer.patch",
+    "check_case": "run",
+    "diagnose": "pipeline",
+    "explain": "explanation",
+    "load_case": "logs.case",
+    "run_case": "run",
+    "start_case": "scaffold",
+}
+"""Name -> its module, imported when the name is first used: the help of a command needs the configuration alone."""
 
 __all__ = [
     "EFFECTS",
@@ -25,8 +47,18 @@ __all__ = [
     "Diagnosis",
     "Run",
     "apply_patch",
+    "check_case",
     "diagnose",
     "explain",
     "load_case",
     "run_case",
+    "start_case",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value

@@ -8,8 +8,10 @@ from typing import Any
 from realsim.files import check_size, inside, output_folder, read_bytes, write_bytes, write_text
 from realsim.gap.answer.patch import asset_files, patched_xml
 from realsim.gap.config import DiagnoseConfig
-from realsim.gap.diagnose import Progress, diagnose
+from realsim.gap.health import examine
 from realsim.gap.logs.case import load_case
+from realsim.gap.pipeline import Progress, diagnose, limited
+from realsim.gap.simulation.simulate import Simulator
 
 
 def run_case(
@@ -43,3 +45,23 @@ def run_case(
 
             write_report(work / "report.html", found)
     return found.as_dict()
+
+
+def check_case(folder: Path, config: DiagnoseConfig | None = None) -> dict[str, Any]:
+    """The health of a log alone, in seconds: clocks, conventions, noise, starts, and what is odd about them.
+
+    Returns:
+        `runs` (their names), `seconds` (of log), and `health` as in diagnosis.json.
+
+    Raises:
+        GapError: where no diagnosis is possible, with the reason.
+    """
+    config = config or DiagnoseConfig()
+    case = limited(load_case(Path(folder)), config)
+    with Simulator(case, config) as simulator:
+        health = examine(simulator)
+    return {
+        "runs": [run.name for run in case.runs],
+        "seconds": round(sum(run.duration for run in case.runs), 2),
+        "health": health,
+    }

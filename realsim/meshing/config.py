@@ -10,12 +10,12 @@ import tyro
 
 @dataclass(frozen=True)
 class MeshConfig:
-    method: Annotated[str, tyro.conf.arg(name="mesh-method")] = "poisson"
+    method: Annotated[str, tyro.conf.arg(name="mesh-method", metavar="{poisson,tsdf}")] = "poisson"
     """Surface reconstruction: `poisson` (screened) or `tsdf`."""
     resolution: float | None = None
     """Metres a cell; chosen from the data's noise if not given."""
     max_triangles: int = 200_000
-    """Decimate to at most this many, as far as `max_error` allows."""
+    """Decimate to at most this many, as far as --max-error allows."""
     max_error: float = 0.002
     """Metres that decimation may move the surface."""
     min_views: int = 1

@@ -10,7 +10,7 @@ import tyro
 
 @dataclass(frozen=True)
 class ScaleConfig:
-    method: Annotated[str, tyro.conf.arg(name="scale-method")] = "median"
+    method: Annotated[str, tyro.conf.arg(name="scale-method", metavar="{median,least_squares,ransac}")] = "median"
     """Estimator; `median` is the paper's rule."""
     warn_spread: float = 0.05
     """Relative spread between frames above which the report warns."""

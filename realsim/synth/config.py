@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
 
 
 @dataclass(frozen=True)
 class SynthConfig:
-    terrain: str = "stakes"
-    """Terrain between the platforms: stakes, beams, wedges, boxes, trapezoids, boston or mixed."""
+    terrain: Annotated[str, tyro.conf.arg(metavar="{stakes,beams,wedges,boxes,trapezoids,boston,mixed}")] = "stakes"
+    """Terrain between the platforms."""
     frames: int = 60
     """Number of views along the walk."""
-    poses: bool = False
+    poses: Annotated[bool, tyro.conf.arg(name="with-poses")] = False
     """Write the true poses into the capture (trajectory.log)."""
     both_sides: bool = False
     """Walk along both sides of the terrain instead of one."""

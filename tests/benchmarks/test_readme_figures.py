@@ -1,22 +1,37 @@
-"""The README's figures are those of benchmarks/results, to the last digit."""
+"""The tables of README and docs are those of benchmarks/results, to the last digit."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 
-from benchmarks import reconstruct
+from benchmarks import reconstruct, tables
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def test_the_table_of_captures_is_the_stored_one() -> None:
-    readme = (ROOT / "README.md").read_text()
-    lines = reconstruct.readme_table(json.loads((ROOT / "benchmarks/results/reconstruct.json").read_text())["rows"])
-    assert len(lines) == 7
-    assert [line for line in lines if line not in readme] == []
+@pytest.mark.parametrize("page", tables.PAGES)
+def test_the_tables_are_the_stored_figures(page: str) -> None:
+    text = (ROOT / page).read_text()
+    assert "<!-- figures: " in text
+    assert tables.filled(text) == text, "make readme"
+
+
+def test_no_measured_set_of_the_diagnosis_is_left_out() -> None:
+    rows = tables.stored("diagnosis")["rows"]
+    table = tables.diagnosis_by_set()
+    assert len({(r["seed"], r["case"]) for r in rows}) == len(rows)
+    for seed, commit in {(r["seed"], r["commit"]) for r in rows}:
+        assert any(line.startswith(f"| {seed}, {commit} |") for line in table)
+    by_robot = [tables.counts([r for r in rows if r["robot"] == robot]) for robot in {r["robot"] for r in rows}]
+    for question, total in tables.counts(rows).items():
+        assert total == tuple(sum(c[question][i] for c in by_robot) for i in (0, 1))
+    assert len(tables.readme()) <= 2 + 8
+
+
+def test_every_file_of_results_is_in_the_index() -> None:
+    assert {name for _, name, _ in tables.INDEX} == {path.stem for path in tables.RESULTS.glob("*.json")}
 
 
 def test_absent_captures_are_named_and_no_figure_is_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.solids import block, terrain, with_floor
-from realsim.export.contact.columns import columns
-from realsim.export.contact.outline import area, convex_parts, hull, outlines
-from realsim.export.contact.planes import heights, segment, spread
-from realsim.export.contact.solids import island_solid
+from realsim.exports.contact.columns import columns
+from realsim.exports.contact.outline import area, convex_parts, hull, outlines
+from realsim.exports.contact.planes import heights, segment, spread
+from realsim.exports.contact.solids import island_solid
 from realsim.types import TerrainMesh
 
 
@@ -110,7 +110,7 @@ def _contains(ring: np.ndarray, point: list[float]) -> bool:
 
 
 def test_solids_are_closed_and_of_the_right_size() -> None:
-    from realsim.export.contact.islands import terrain as islands
+    from realsim.exports.contact.islands import terrain as islands
 
     whole = islands(with_floor(block(0, 0, 0.2, 0.3, 0.15)), 0.0, 0.01)
     vertices, faces = island_solid(whole, whole.islands[0])

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from benchmarks.solids import block, terrain, with_floor
-from realsim.export import CONTACT
-from realsim.export.contact.base import Asset, ContactModel, Geom, floor_plane
-from realsim.export.contact.boxes import boxes
-from realsim.export.contact.cost import standing_place
-from realsim.export.contact.fidelity import Region, g1_foot, measure
-from realsim.export.contact.probe import BALL, Reference, SimTouch, first_touch, spec_of
-from realsim.export.contact.shape import Shape
+from realsim.exports import CONTACT
+from realsim.exports.contact.base import Asset, ContactModel, Geom, floor_plane
+from realsim.exports.contact.boxes import boxes
+from realsim.exports.contact.cost import standing_place
+from realsim.exports.contact.fidelity import Region, g1_foot, measure
+from realsim.exports.contact.probe import BALL, Reference, SimTouch, first_touch, spec_of
+from realsim.exports.contact.shape import Shape
 from realsim.types import TerrainMesh
 from tests.export.measured import CONFIG, FACING_UP, fidelity, reference
 

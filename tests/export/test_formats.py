@@ -14,10 +14,10 @@ import trimesh
 from defusedxml import ElementTree
 
 from realsim.errors import ExportError, UnknownNameError
-from realsim.export import EXPORTERS, export_scene, write_scene
-from realsim.export.config import SceneConfig
-from realsim.export.formats import load_scene
-from realsim.export.heights import Surface
+from realsim.exports import EXPORTERS, export_scene, write_scene
+from realsim.exports.config import SceneConfig
+from realsim.exports.formats import load_scene
+from realsim.exports.heights import Surface
 
 from .terrain import GROUND, two_platforms
 

@@ -10,10 +10,10 @@ import trimesh
 
 from benchmarks.solids import block, terrain, with_floor
 from realsim.errors import ExportError
-from realsim.export import contact_mesh
-from realsim.export.config import SceneConfig
-from realsim.export.mend import ground_height, mend, read_mesh
-from realsim.export.winding import turn_stray
+from realsim.exports import contact_mesh
+from realsim.exports.config import SceneConfig
+from realsim.exports.mend import ground_height, mend, read_mesh
+from realsim.exports.winding import turn_stray
 
 CONFIG = SceneConfig(contact_probes=200)
 

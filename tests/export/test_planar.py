@@ -6,9 +6,9 @@ import tracemalloc
 
 import numpy as np
 
-from realsim.export.contact.columns import Columns
-from realsim.export.contact.islands import Island, Terrain
-from realsim.export.contact.planar import planar
+from realsim.exports.contact.columns import Columns
+from realsim.exports.contact.islands import Island, Terrain
+from realsim.exports.contact.planar import planar
 
 CELL = 0.005
 

@@ -12,7 +12,7 @@ import pytest
 
 from realsim.errors import GapError, RealsimError, UnknownNameError
 from realsim.gap import DiagnoseConfig, diagnose, explain, load_case
-from realsim.gap.diagnose import replicates
+from realsim.gap.pipeline import replicates
 from realsim.gap.run import run_case
 
 from .truth import Truth

@@ -9,3 +9,12 @@ SUMMARIES = {
     "training": "`realsim training report RUN ...`: a page with the curves of training runs, over each other",
 }
 """Read by `realsim --help`, which imports nothing else of the trainer."""
+
+EXAMPLES = {
+    "pretrain": "realsim pretrain --robot g1 --out base",
+    "finetune": "realsim finetune scene --policy base/policy.pt --out tuned",
+    "evaluate": "realsim evaluate scene --policy tuned/policy.pt",
+    "play": "realsim play scene --policy tuned/policy.pt --out trial.mp4",
+    "deploy": "realsim deploy tuned/policy.onnx --scene scene",
+}
+"""Shown at the end of each command's help."""

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.simulation.context import Context
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     nominal = min(context.armature(j) for j in place)
     inertia = min(context.inertia[j] for j in place)
     step = max(0.4 * nominal, 0.1 * inertia, 1e-6)
     return (Parameter("armature", "kg m^2", (-0.9 * nominal, 20 * max(nominal, inertia)), step, 0.03 * nominal + 1e-7),)
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     share = max(context.inertial_share[j] for j in place)
     return Excitation(share > 0.005, f"acceleration takes {share:.1%} of the torque")
 

@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.simulation.context import Context
 from realsim.gap.simulation.edit import STIFFEST
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("gap", "rad", (0.0, 0.3), 0.02),)
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     turns = min(context.load_reversals[j] for j in place)
     return Excitation(turns >= 1, f"the torque through the gear changes sign {turns} times")
 

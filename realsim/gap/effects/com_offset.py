@@ -5,18 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place
+from realsim.gap.simulation.context import Context
 
 
-def _places(context) -> list[Place]:
+def _places(context: Context) -> list[Place]:
     return [(name,) for name in context.heavy(0.015)]
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     reach = context.reach(place[0])
     return tuple(Parameter(axis, "m", (-reach, reach), 0.02, nuisance=0.0015) for axis in "xyz")
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     return Excitation(True, "gravity acts on it")
 
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
+from realsim.gap.simulation.context import Context
 
 
-def _places(context) -> list[Place]:
+def _places(context: Context) -> list[Place]:
     return [()] if context.touches else []
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("time_constant", "s", (-0.006, 0.3), 0.02, nuisance=0.0015),)
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     return Excitation(context.touches, "the robot stands on it" if context.touches else "nothing touches")
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.simulation.context import Context
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     nominal = min(context.friction(j) for j in place)
     scale = min(context.torque_scale(j) for j in place)
     top = max(context.torque_range[j] for j in place)
@@ -14,7 +15,7 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("friction", "N m", (-nominal, top), step, nuisance=price, none_left=True),)
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     turns = min(context.reversals[j] for j in place)
     return Excitation(turns >= 1, f"the velocity changes sign {turns} times")
 

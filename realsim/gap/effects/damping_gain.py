@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint, servo_damping
+from realsim.gap.simulation.context import Context
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("ratio", "ratio", (-0.85, 5.0), 0.25, nuisance=0.03, report=lambda z: 1 + z),)
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     speed = max(context.speed[j] for j in place)
     torque = context.case.command_kind == "torque"
     return Excitation(not torque and speed > 0.02, f"peak speed {speed:.2g} rad/s")
@@ -26,7 +27,7 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         actuator.gainprm, actuator.biasprm = gain, bias
 
 
-def _same_motion(context, place: Place, values: dict[str, float]) -> dict[str, dict[str, float]]:
+def _same_motion(context: Context, place: Place, values: dict[str, float]) -> dict[str, dict[str, float]]:
     """Viscous friction brakes like the servo; only the drive's torque, or its limit, tells them apart."""
     return {"viscous_friction": {"damping": values["ratio"] * servo_damping(context, place)}}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
+from realsim.gap.simulation.context import Context
 from realsim.gap.simulation.edit import Pulse
 
 FOREVER = 1e6
@@ -12,11 +13,11 @@ EVER = 1e5
 """What lasts longer than so many seconds always acts."""
 
 
-def _places(context) -> list[Place]:
+def _places(context: Context) -> list[Place]:
     return [(name,) for name in context.heavy(0.05)]
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     # On a robot that walks, forces that are small beside its own weight imitate what contacts do.
     least = (0.5 if context.case.floating else 0.05) * context.total_mass
     weight = 9.81 * max(context.moved_mass(place[0]), least)
@@ -30,7 +31,7 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     )
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     return Excitation(True, "any force shows")
 
 

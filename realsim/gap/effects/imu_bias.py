@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place
+from realsim.gap.simulation.context import Context
 
 
-def _places(context) -> list[Place]:
+def _places(context: Context) -> list[Place]:
     return [()] if context.case.has_imu else []
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     gyro = [Parameter(f"gyro_{a}", "rad/s", (-1.0, 1.0), 0.05, nuisance=0.004) for a in "xyz"]
     acc = [Parameter(f"acc_{a}", "m/s^2", (-5.0, 5.0), 0.5, nuisance=0.04) for a in "xyz"]
     return (*gyro, *acc)
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     return Excitation(context.case.has_imu, "an IMU is logged")
 
 

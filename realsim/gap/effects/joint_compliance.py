@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.simulation.context import Context
 
 
-def _softest_step(context, place: Place) -> float:
+def _softest_step(context: Context, place: Place) -> float:
     """rad/(N m) below which the explicit spring is not stable at the model's time step."""
     return max(context.timestep**2 / (0.6 * max(context.armature(j), 0.2 * context.inertia[j])) for j in place)
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     scale = 1 / min(max(context.peak_torque[j], 1e-6) for j in place)
     least = _softest_step(context, place)
     step = max(0.02 * scale, 1.5 * least)
@@ -22,7 +23,7 @@ def _stiffness(compliance: float) -> float:
     return 1 / max(compliance, 1e-9)
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     load = context.load(place)
     return Excitation(load > 0.01, f"the gear carries {load:.0%} of the torque range")
 

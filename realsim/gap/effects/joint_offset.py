@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.simulation.context import Context
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     return (
         Parameter("offset", "rad", (-0.4, 0.4), 0.03, nuisance=0.002),
         Parameter("reading_offset", "rad", (-0.4, 0.4), 0.03, nuisance=0.002),
     )
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     return Excitation(True, "gravity, contact or the servo's own reading shows it")
 
 

@@ -5,18 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place
+from realsim.gap.simulation.context import Context
 
 
-def _places(context) -> list[Place]:
+def _places(context: Context) -> list[Place]:
     return [(name,) for name in context.bodies if context.direction(name) is not None]
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     reach = context.reach(place[0])
     return (Parameter("length", "m", (-0.4 * reach, 0.6 * reach), 0.1 * reach, nuisance=0.001),)
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     return Excitation(True, "gravity on what the link carries, or its feet on the ground")
 
 

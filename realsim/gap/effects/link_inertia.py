@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place
+from realsim.gap.simulation.context import Context
 
 
-def _places(context) -> list[Place]:
+def _places(context: Context) -> list[Place]:
     return [(name,) for name in context.heavy(0.015)]
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("ratio", "ratio", (-0.85, 6.0), 0.6, nuisance=0.03, report=lambda z: 1 + z),)
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     return Excitation(True, "angular acceleration shows it")
 
 

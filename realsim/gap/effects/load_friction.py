@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.simulation.context import Context
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("ratio", "ratio", (-0.05, 0.8), 0.1, nuisance=0.01),)
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     load, turns = context.load(place), min(context.reversals[j] for j in place)
     return Excitation(load > 0.02 and turns >= 1, f"load {load:.0%} of the range, {turns} reversals")
 

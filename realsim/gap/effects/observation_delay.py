@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from realsim.gap.effects.base import EXACT, Edit, Effect, Parameter, Place, always, everywhere, joint_signals_only
+from realsim.gap.simulation.context import Context
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("delay", "s", (-0.01, 0.2), 0.01, nuisance=0.0012),)
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place
+from realsim.gap.simulation.context import Context
 
 REACH = 0.2
 """A tool may hang so far from the body that carries it, m, however small that body is."""
@@ -13,11 +13,11 @@ SHARE = 0.3
 """Of the robot's mass: what a light flange may carry at least."""
 
 
-def _places(context) -> list[Place]:
+def _places(context: Context) -> list[Place]:
     return [(name,) for name in context.bodies]
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     body = context.case.model.body(place[0])
     mass, total = float(body.mass[0]), context.moved_mass(place[0])
     reach = max(1.3 * context.reach(place[0]), REACH)
@@ -38,7 +38,7 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("mass", "kg", (-0.7 * mass, most), step, nuisance=0.012 * mass), *where)
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     return Excitation(True, "gravity and acceleration act on it")
 
 
@@ -53,8 +53,10 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         edit.set_inertia(body, *add_point_mass(*edit.inertia_of(body), added, where))
 
 
-def _elsewhere(context, place: Place, values: dict[str, float]) -> list[tuple[Place, dict[str, float]]]:
+def _elsewhere(context: Context, place: Place, values: dict[str, float]) -> list[tuple[Place, dict[str, float]]]:
     """The same mass on the links before and behind: near the joint between them, it does the same on either."""
+    import mujoco
+
     model, data = context.case.model, mujoco.MjData(context.case.model)
     mujoco.mj_kinematics(model, data)
     here = model.body(place[0])
@@ -68,7 +70,9 @@ def _elsewhere(context, place: Place, values: dict[str, float]) -> list[tuple[Pl
     return found
 
 
-def add_point_mass(mass: float, com: np.ndarray, inertia: np.ndarray, added: float, where: np.ndarray):
+def add_point_mass(
+    mass: float, com: np.ndarray, inertia: np.ndarray, added: float, where: np.ndarray
+) -> tuple[float, np.ndarray, np.ndarray]:
     """(mass, com, 3x3 inertia about com) of the body with a point mass added; all in the body's frame."""
     total = mass + added
     center = (mass * com + added * where) / total

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.simulation.context import Context
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("ratio", "ratio", (-0.85, 2.0), 0.15, nuisance=0.015, report=lambda z: 1 + z),)
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     position = context.case.command_kind == "position"
     return Excitation(position, "a position servo" if position else "the servo has no position gain")
 

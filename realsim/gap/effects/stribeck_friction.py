@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.simulation.context import Context
 
 WIDEST = 0.4
 """rad/s, well above what gears show: a friction that falls over a wider range of speeds imitates other things."""
@@ -13,7 +14,7 @@ FINEST = 4
 """A falling friction drives a light joint unstable at a coarse time step, which is divided by up to this."""
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     nominal = min(context.friction(j) for j in place)
     scale = min(context.torque_scale(j) for j in place)
     top = max(context.torque_range[j] for j in place)
@@ -27,7 +28,7 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     )
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     turns = min(context.reversals[j] for j in place)
     return Excitation(turns >= 2, f"the velocity changes sign {turns} times")
 

@@ -5,17 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place
+from realsim.gap.simulation.context import Context
 
 
-def _places(context) -> list[Place]:
+def _places(context: Context) -> list[Place]:
     return [(name,) for name in context.terrain]
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("height", "m", (-0.1, 0.1), 0.01, nuisance=0.0012),)
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     return Excitation(context.touches, "the robot stands on it")
 
 

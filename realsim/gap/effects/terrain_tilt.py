@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, everywhere
+from realsim.gap.simulation.context import Context
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     return tuple(Parameter(name, "rad", (-0.4, 0.4), 0.04, nuisance=0.002) for name in ("roll", "pitch"))
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     return Excitation(True, "gravity shows it")
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
+from realsim.gap.simulation.context import Context
 
 
-def _places(context) -> list[Place]:
+def _places(context: Context) -> list[Place]:
     return [(name,) for name in context.terrain]
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     weight = 9.81 * context.total_mass
     soft, rock = 0.02 / weight, 0.15 / (0.05 * weight)
     return (
@@ -19,7 +20,7 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     )
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     return Excitation(context.touches, "the robot stands on it")
 
 

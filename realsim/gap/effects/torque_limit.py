@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.simulation.context import Context
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     peak = max(context.peak_torque[j] for j in place)
     return (Parameter("limit", "N m", (0.0, 0.97), 0.35, report=lambda z: peak * (1 - z)),)
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     peak = max(context.peak_torque[j] for j in place)
     return Excitation(peak > 0, f"the nominal drive uses up to {peak:.3g} N m: only lower limits would show")
 

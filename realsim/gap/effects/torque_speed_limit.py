@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.simulation.context import Context
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     speed = max(context.speed[j] for j in place)
     return (Parameter("no_load_speed", "rad/s", (0.0, 4.0), 0.7, report=lambda z: speed / max(z, 1e-3)),)
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     share = max(context.load_at_speed[j] for j in place)
     return Excitation(share > 0.08, f"torque and speed together reach {share:.0%} of range times peak speed")
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint, servo_damping
+from realsim.gap.simulation.context import Context
 
 
-def _parameters(context, place: Place) -> tuple[Parameter, ...]:
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     nominal = min(context.damping(j) for j in place)
     scale = min(context.torque_scale(j) / context.speed_scale(j) for j in place)
     step = max(0.5 * nominal, 0.08 * scale, 1e-5)
@@ -14,7 +15,7 @@ def _parameters(context, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("damping", "N m s/rad", bounds, step, nuisance=price, none_left=True),)
 
 
-def _excited(context, place: Place) -> Excitation:
+def _excited(context: Context, place: Place) -> Excitation:
     speed = max(context.speed[j] for j in place)
     return Excitation(speed > 0.02, f"peak speed {speed:.2g} rad/s")
 
@@ -27,7 +28,7 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         target.damping = damping
 
 
-def _same_motion(context, place: Place, values: dict[str, float]) -> dict[str, dict[str, float]]:
+def _same_motion(context: Context, place: Place, values: dict[str, float]) -> dict[str, dict[str, float]]:
     servo = servo_damping(context, place)
     return {"damping_gain": {"ratio": values["damping"] / servo}} if servo > 0 else {}
 

@@ -107,7 +107,7 @@ def load_case(folder: Path) -> Case:
     log = read_json(folder / "log.json")
     if not isinstance(log, dict):
         raise GapError("log.json is not an object", file=folder / "log.json")
-    spec, model, xml = _load_model(folder / "model.xml")
+    spec, model, xml = load_model(folder / "model.xml")
     joints = _names(log, "joint_names", folder)
     actuators = _names(log, "actuator_names", folder)
     _match(joints, [model.joint(i).name for i in range(model.njnt)], "joint", folder)
@@ -192,7 +192,8 @@ def _columns(log: dict[str, Any], folder: Path) -> Any:
     return log.get("columns")
 
 
-def _load_model(path: Path) -> tuple[Any, Any, str]:
+def load_model(path: Path) -> tuple[Any, Any, str]:
+    """(MjSpec resolved, MjModel, text) of an MJCF file that is safe to read. Raises GapError with the reason."""
     import mujoco
 
     text = _harmless(path, path.parent)

@@ -1,0 +1,212 @@
+"""The functions of `import realsim as rs`: what the command line does, with paths as text or Path, and typed results.
+
+```python
+import realsim as rs
+
+scene = rs.reconstruct("frames", "scene")
+print(scene.verdict, scene.reasons)
+rs.export(scene, to=["usd", "urdf"])
+found = rs.diagnose("case", "diagnosis")
+print(found.causes)
+```
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from realsim.errors import require
+from realsim.results import Diagnosis, Scene
+
+if TYPE_CHECKING:
+    from realsim.capture import CaptureConfig, Inspection
+    from realsim.exports import Exported
+    from realsim.exports.config import SceneConfig
+    from realsim.gap import Case, DiagnoseConfig
+    from realsim.pipeline import ReconstructConfig
+
+StrPath = str | os.PathLike[str]
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the share that is done, 0..1."""
+
+
+def inspect(capture: StrPath, config: CaptureConfig | None = None) -> Inspection:
+    """Say what a capture or scan is taken for, every convention assumed, and what is wrong with it.
+
+    `print(found.render())` shows the result as the command line does.
+
+    Args:
+        capture: a folder of frames in any of the layouts, or a scan file.
+        config: how to read it; by default everything is recognised.
+
+    Raises:
+        CaptureError: it is not recognised, or nothing in it can be used.
+    """
+    require("recon", "reading a capture")
+    from realsim.capture import CaptureConfig
+    from realsim.capture import inspect as look
+
+    return look(Path(capture), config or CaptureConfig())
+
+
+def reconstruct(
+    capture: StrPath, out: StrPath = "scene", config: ReconstructConfig | None = None, *, overwrite: bool = False
+) -> Scene:
+    """Turn a capture or scan into a metric, level, collidable MuJoCo scene, checked.
+
+    Look at `verdict` and `reasons` of the result before you use it.
+
+    Args:
+        capture: a folder of frames in any of the layouts, or a scan file.
+        out: the scene's folder; it appears only when everything in it is complete.
+        config: what to do otherwise than by default.
+        overwrite: replace a scene that is there already.
+
+    Returns:
+        The scene; `details` has the arrays of every stage.
+
+    Raises:
+        RealsimError: bad input or an impossible request; nothing is left behind at `out`.
+    """
+    require("recon", "reconstructing a scene")
+    from realsim import pipeline
+
+    config = config or pipeline.ReconstructConfig()
+    if overwrite:
+        config = replace(config, overwrite=True)
+    result = pipeline.reconstruct(Path(capture), Path(out), config)
+    return Scene.read(result.scene.folder, details=result)
+
+
+def contact(
+    mesh: StrPath,
+    out: StrPath = "contact",
+    config: SceneConfig | None = None,
+    *,
+    unit: Literal["m", "cm", "mm", "inch"] | None = None,
+    up: Literal["auto", "z", "y"] = "auto",
+    ground_z: float | None = None,
+    overwrite: bool = False,
+) -> Scene:
+    """Give a mesh collision geometry for MuJoCo, chosen by measured error and cost.
+
+    Args:
+        mesh: .ply, .obj, .stl, .glb or .off.
+        out: the scene's folder.
+        config: tolerance, kind of geometry, robot.
+        unit: of the file; metres if None.
+        up: axis of the file that points up.
+        ground_z: height of the ground, metres; found from the mesh if None.
+        overwrite: replace a folder that realsim wrote before.
+
+    Raises:
+        ExportError: the mesh cannot be used, or the scene does not hold what is dropped on it.
+    """
+    require("recon", "measured contact geometry")
+    from realsim.exports import contact_mesh
+    from realsim.exports.config import SceneConfig
+    from realsim.files import output_folder
+
+    with output_folder(Path(out), overwrite=overwrite, source=Path(mesh)) as folder:
+        contact_mesh(Path(mesh), folder, config or SceneConfig(), unit=unit, up=up, ground_z=ground_z)
+    return Scene.read(Path(out))
+
+
+def export(
+    scene: Scene | StrPath, to: str | Sequence[str] = "all", out: StrPath | None = None, *, overwrite: bool = False
+) -> Exported:
+    """Write a scene in the formats of other tools.
+
+    Args:
+        scene: a result of `reconstruct`, `contact` or `load_scene`, or a scene's folder.
+        to: names of `realsim.exports.EXPORTERS`, or "all" for every one whose packages are installed.
+        out: gets one folder a format; `export` in the scene's folder if None.
+        overwrite: replace formats that are there already.
+
+    Returns:
+        A dictionary {format: files written}; its `skipped` says which of "all" were left out, and why.
+
+    Raises:
+        UnknownNameError: no such format, before anything is written.
+        MissingExtraError: a format asked for by name needs a package that is not installed.
+    """
+    from realsim.exports import export_scene
+
+    folder = scene.folder if isinstance(scene, Scene) else Path(scene)
+    names = [to] if isinstance(to, str) else list(to)
+    return export_scene(folder, names, None if out is None else Path(out), overwrite=overwrite)
+
+
+def load_scene(folder: StrPath) -> Scene:
+    """Read a scene that `reconstruct` or `contact` wrote: verdict, figures, and the model on request."""
+    return Scene.read(Path(folder))
+
+
+def load_case(folder: StrPath) -> Case:
+    """Read a robot's logs with their model: a folder with log.json, model.xml and runs/.
+
+    Raises:
+        GapError: with the file, what was expected and what was found.
+    """
+    from realsim.gap import load_case as load
+
+    return load(Path(folder))
+
+
+def diagnose(
+    case: Case | StrPath,
+    out: StrPath | None = None,
+    config: DiagnoseConfig | None = None,
+    *,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+) -> Diagnosis:
+    """Say where a robot's logs differ from its simulator, which unmodelled effect causes it, and how much it matters.
+
+    Args:
+        case: a folder with log.json, model.xml and runs/; or, where nothing is written, the result of `load_case`.
+        out: gets diagnosis.json, the patched model.xml and report.html; nothing is written if None.
+        config: what to do otherwise than by default.
+        progress: called with what is done and its share, now and then; minutes pass for a robot with many joints.
+        overwrite: replace a diagnosis that is there already.
+
+    Raises:
+        GapError: the log cannot support a diagnosis, with the reason.
+    """
+    from realsim import gap
+
+    if out is not None:
+        folder = case.folder if isinstance(case, gap.Case) else Path(case)
+        data = gap.run_case(folder, Path(out), config, progress, overwrite=overwrite)
+        return Diagnosis.of(data, Path(out))
+    loaded = case if isinstance(case, gap.Case) else gap.load_case(Path(case))
+    return Diagnosis.of(gap.diagnose(loaded, config, progress).as_dict())
+
+
+def load_diagnosis(folder: StrPath) -> Diagnosis:
+    """Read diagnosis.json of a folder that `diagnose` wrote."""
+    from realsim.files import read_json
+
+    return Diagnosis.of(read_json(Path(folder) / "diagnosis.json"), Path(folder))
+
+
+def apply_patch(spec: Any, patch: Diagnosis | Mapping[str, Any]) -> Any:
+    """Change a `mujoco.MjSpec` of the diagnosed model in place; compile it afterwards.
+
+    Args:
+        spec: of the model that was diagnosed; the names must match.
+        patch: a diagnosis, or `patch` of diagnosis.json.
+
+    Returns:
+        What no compiled model can hold (delays, encoder offsets, ...), for the loop that steps it.
+
+    Raises:
+        GapError: a patch of another format, or a model without the named parts.
+    """
+    from realsim.gap import apply_patch as apply
+
+    return apply(spec, dict(patch.patch if isinstance(patch, Diagnosis) else patch))

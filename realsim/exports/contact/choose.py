@@ -1,0 +1,101 @@
+"""Which representation: build, measure, and take the cheapest that is faithful enough."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.errors import UnknownNameError
+from realsim.exports.config import SceneConfig
+from realsim.exports.contact.base import ContactModel
+from realsim.exports.contact.convex import TooManyColumnsError
+from realsim.exports.contact.cost import standing_place, step_cost
+from realsim.exports.contact.fidelity import Fidelity, measure
+from realsim.exports.contact.probe import Reference, spec_of
+from realsim.exports.contact.shape import Shape
+from realsim.types import TerrainMesh
+
+# Cheapest first. `convex` takes a minute to build and is better than none of these, `sdf` costs a hundred planes.
+CANDIDATES = ("boxes", "hybrid", "hfield")
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A representation with what was measured on it."""
+
+    contact: ContactModel
+    fidelity: Fidelity
+    summary: Mapping[str, Any]
+    """JSON-able: `representation`, errors, areas, leaks, cost, geoms, and what else was considered."""
+    warnings: tuple[str, ...] = ()
+
+
+def fit_contact(
+    mesh: TerrainMesh, ground_z: float, config: SceneConfig, place: NDArray[np.float64] | None = None
+) -> Fitted:
+    """Collision geometry of a mesh and how faithful it is; `config.contact` names it, or is `auto`.
+
+    Args:
+        place: (3,) where a robot stands when the cost is measured; the highest level place if None.
+
+    Raises:
+        UnknownNameError: no such representation.
+    """
+    from realsim.exports import CONTACT
+
+    if config.contact != "auto" and config.contact not in CONTACT:
+        raise UnknownNameError("collision representation", config.contact, ["auto", *CONTACT])
+    reference = Reference(mesh.vertices, mesh.triangles)
+    shape = Shape(mesh, ground_z)
+    names = CANDIDATES if config.contact == "auto" else (config.contact,)
+    tried: list[tuple[ContactModel, Fidelity]] = []
+    refused: list[dict[str, Any]] = []
+    for name in names:
+        try:
+            contact = CONTACT[name](shape, config)
+        except TooManyColumnsError as error:
+            if config.contact != "auto":
+                raise
+            refused.append({"representation": name, "refused": error.found})
+            continue
+        fidelity = measure(spec_of(contact), reference, ground_z, probes=config.contact_probes)
+        tried.append((contact, fidelity))
+        if fidelity.meets(*config.contact_tolerance):
+            break
+    contact, fidelity = tried[-1]
+    warnings = contact.warnings
+    if not fidelity.meets(*config.contact_tolerance):
+        contact, fidelity = min(tried, key=lambda t: t[1].shortfall(*config.contact_tolerance))
+        warnings = (*contact.warnings, _unmet(contact, fidelity, config.contact_tolerance, len(names)))
+    if place is None:
+        start, off = fidelity.touches.start, np.nan_to_num(fidelity.touches.error)
+        heights = reference.top(start[:, :2])
+        place = standing_place(np.column_stack([start[:, :2], heights])[np.isfinite(heights) & (np.abs(off) < 0.01)])
+    cost = step_cost(spec_of(contact), place)
+    weighed = ("median_mm", "p95_mm", "phantom_over_gaps_cm2", "leaks")
+    considered = refused + [{"representation": c.representation} | {k: f.figures[k] for k in weighed} for c, f in tried]
+    summary = {"representation": contact.representation} | dict(fidelity.figures) | cost
+    summary |= {"geoms": count_types(contact), "considered": considered} | dict(contact.statistics)
+    return Fitted(contact, fidelity, summary, warnings)
+
+
+def count_types(contact: ContactModel) -> dict[str, int]:
+    """{geom type: how many}."""
+    counts: dict[str, int] = {}
+    for geom in contact.geoms:
+        counts[geom.type] = counts.get(geom.type, 0) + 1
+    return counts
+
+
+def _unmet(contact: ContactModel, fidelity: Fidelity, tolerance: tuple[float, float], among: int) -> str:
+    f = fidelity.figures
+    least = f", the least bad of {among}, leaks first" if among > 1 else ""
+    return (
+        f"collision geometry ({contact.representation}{least}) is off by {f['median_mm']:.1f} mm (median), "
+        f"{f['p95_mm']:.1f} mm (p95), {f['phantom_over_gaps_cm2']:.0f} cm2 phantom over gaps, {f['leaks']} leaks; "
+        f"asked for {tolerance[0] * 1000:g} and {tolerance[1] * 1000:g} mm, none and none"
+    )

@@ -1,0 +1,36 @@
+"""A mesh with its ground, and what several representations make of it: worked out once, when first asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from realsim.exports.contact.islands import Terrain, terrain
+from realsim.exports.contact.planar import PlanarIsland, planar
+from realsim.types import TerrainMesh
+
+COARSE = 0.01  # metres
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """What collision geometry is made of."""
+
+    mesh: TerrainMesh
+    ground_z: float
+    """z of the ground, metres."""
+
+    @cached_property
+    def fine(self) -> Terrain:
+        """Columns of 5 mm: for planes and outlines."""
+        return terrain(self.mesh, self.ground_z)
+
+    @cached_property
+    def coarse(self) -> Terrain:
+        """Columns of 1 cm: for closed solids."""
+        return terrain(self.mesh, self.ground_z, COARSE)
+
+    @cached_property
+    def planar(self) -> tuple[PlanarIsland, ...]:
+        """Prisms of every island of `fine`."""
+        return tuple(planar(self.fine, island) for island in self.fine.islands)

@@ -1,0 +1,91 @@
+"""Other formats of a scene on disk; one small file each, one line in EXPORTERS.
+
+An exporter is a function `(SceneOnDisk, folder) -> files it wrote`. It writes into `folder` only, the same bytes for
+the same scene, metres and z up wherever the format leaves the choice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from realsim import __version__
+from realsim.errors import MissingExtraError, explain_missing_packages
+from realsim.exports.formats.scene import SceneOnDisk, load_scene
+from realsim.files import output_folder, refuse_existing, to_json, write_text
+from realsim.progress import track
+from realsim.registry import Registry
+
+__all__ = ["ALL", "EXPORTERS", "Exported", "SceneOnDisk", "export_scene", "load_scene"]
+
+EXPORTERS = Registry(
+    "format",
+    {
+        "mjcf": "realsim.exports.formats.mjcf:mjcf",
+        "warp": "realsim.exports.formats.mjcf:warp",
+        "usd": "realsim.exports.formats.usd:usd",
+        "urdf": "realsim.exports.formats.urdf:urdf",
+        "sdf": "realsim.exports.formats.sdf:sdf",
+        "terrain": "realsim.exports.formats.terrain:terrain",
+        "glb": "realsim.exports.formats.meshes:glb",
+        "obj": "realsim.exports.formats.meshes:obj",
+        "stl": "realsim.exports.formats.meshes:stl",
+        "ply": "realsim.exports.formats.meshes:ply",
+        "heightmap": "realsim.exports.formats.heightmap:heightmap",
+    },
+)
+
+
+ALL = "all"
+"""In place of a list of names: every format."""
+MARK = "export.json"
+"""In every folder that an export wrote: which format, and of which version."""
+
+
+class Exported(dict[str, list[Path]]):
+    """Format -> the files that were written."""
+
+    skipped: Mapping[str, str]
+    """With "all": format -> why it was left out (a package that is not installed)."""
+
+    def __init__(self, written: Mapping[str, list[Path]], skipped: Mapping[str, str] | None = None) -> None:
+        super().__init__(written)
+        self.skipped = dict(skipped or {})
+
+
+def export_scene(scene: Path, to: Sequence[str], out: Path | None = None, *, overwrite: bool = False) -> Exported:
+    """Write a scene folder in other formats, each of them whole or not at all.
+
+    Args:
+        scene: a folder that `realsim reconstruct` or `realsim contact` wrote.
+        to: names of EXPORTERS; or "all" alone: every format whose packages are installed.
+        out: gets one folder a format; `scene/export` if None.
+        overwrite: replace formats that an export wrote before.
+
+    Raises:
+        UnknownNameError: no such format, before anything is written.
+        MissingExtraError: a format that was asked for by name needs a package that is not installed.
+        RealsimError: no scene there, a format that is there already, or a file cannot be written.
+    """
+    every = list(to) == [ALL]
+    exporters = {name: EXPORTERS[name] for name in (EXPORTERS if every else to)}
+    loaded = load_scene(scene)
+    target = scene / "export" if out is None else out
+    for name in exporters:
+        refuse_existing(target / name, overwrite)
+    written, skipped = {}, {}
+    for name, exporter in track(exporters.items(), "formats"):
+        try:
+            with (
+                explain_missing_packages(f"the format {name}"),
+                output_folder(target / name, overwrite=overwrite) as folder,
+            ):
+                files = exporter(loaded, folder)
+                write_text(folder / MARK, to_json({"format": name, "realsim": __version__}))
+        except MissingExtraError as error:
+            if not every:
+                raise
+            skipped[name] = f"{error.message} ({error.hint})"
+        else:
+            written[name] = [target / name / path.relative_to(folder) for path in files]
+    return Exported(written, skipped)

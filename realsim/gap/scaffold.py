@@ -1,0 +1,105 @@
+"""A new case from a model: log.json filled in as far as the model says, and a place for the runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from realsim.errors import GapError
+from realsim.files import inside, output_folder, read_bytes, to_json, write_bytes, write_text
+from realsim.gap.answer.patch import asset_files
+from realsim.gap.logs.case import load_model
+
+TO_DO = """# What is left to do
+
+1. Check log.json: `command_kind` (position, velocity or torque), `base`, `torque_kind` (none, measured or
+   current_times_constant), `imu_site`, `contact_bodies`. The order of the names is the order of the columns.
+2. Put one file per run into runs/: `.npz` with the arrays below, or `.csv` with a header. Record five runs or more,
+   three to ten seconds each, with slow and fast motion and reversals; one command twice.
+3. `realsim diagnose {folder} --check` says within seconds whether the log can be used.
+4. `realsim diagnose {folder} --out diagnosis`
+
+| array | shape | unit |
+|---|---|---|
+| time | (T,) | s |
+| command | (T, {nu}) | as log.json's command_kind |
+| joint_pos | (T, {nj}) | rad (m for slides) |
+| joint_vel, joint_torque | (T, {nj}) | rad/s, N m; optional |
+{base}| imu_gyro, imu_acc | (T, 3) | rad/s, m/s^2 with gravity; optional, at imu_site |
+
+In .csv files the columns are `time`, `command_ACTUATOR`, `joint_pos_JOINT`, ...: here `{first}`.
+Other names and units go into columns.json. All of it is explained in docs/gap.md of realsim.
+"""
+BASE = "| base_pos, base_quat | (T, 3), (T, 4) | m, w x y z; optional |\n"
+
+
+def start_case(model_xml: Path, out: Path, *, overwrite: bool = False) -> Path:
+    """Make a case folder for a robot's model: model.xml with its files, log.json, runs/ and README.md.
+
+    Args:
+        model_xml: MJCF of the robot as it is simulated, servos and ground included.
+        out: the new folder.
+        overwrite: replace a diagnosis or scene there; a folder with anything else is never replaced.
+
+    Returns:
+        `out`.
+
+    Raises:
+        GapError: the model cannot be read, or has no joint with an actuator.
+    """
+    import mujoco
+
+    if not Path(model_xml).is_file():
+        raise GapError("no such model", file=model_xml, expected="an MJCF file")
+    spec, model, text = load_model(Path(model_xml))
+    if "<include" in text or "<model" in text:  # of several files: as one
+        whole = mujoco.MjSpec.from_file(str(model_xml))
+        whole.compile()
+        text = whole.to_xml()
+    unnamed = [
+        kind
+        for kind, names in (
+            ("joint", [model.joint(i).name for i in range(model.njnt)]),
+            ("actuator", [model.actuator(i).name for i in range(model.nu)]),
+        )
+        if not all(names)
+    ]
+    if unnamed:
+        raise GapError(
+            f"a {unnamed[0]} of the model has no name", file=model_xml, expected="names, by which a log refers to it"
+        )
+    drives = [i for i in range(model.nu) if model.actuator_trntype[i] == int(mujoco.mjtTrn.mjTRN_JOINT)]
+    kinds = [int(kind) for kind in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE)]
+    joints = [i for i in range(model.njnt) if model.jnt_type[i] in kinds]
+    if not drives or not joints:
+        raise GapError(
+            "the model has no driven joint",
+            file=model_xml,
+            expected="hinge or slide joints with actuators",
+            found=f"{model.njnt} joints, {model.nu} actuators",
+        )
+    floating = bool((model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).any())
+    servo = bool((model.actuator_biastype[drives] == int(mujoco.mjtBias.mjBIAS_AFFINE)).all())
+    position = servo and bool((model.actuator_biasprm[drives, 1] != 0).all())
+    joint_names = [model.joint(i).name for i in joints]
+    actuator_names = [model.actuator(i).name for i in range(model.nu)]
+    log = {
+        "joint_names": joint_names,
+        "actuator_names": actuator_names,
+        "command_kind": "position" if position else "velocity" if servo else "torque",
+        "command_hold": "zoh",
+        "base": "floating" if floating else "fixed",
+        "torque_kind": "none",
+        "imu_site": next((model.site(i).name for i in range(model.nsite) if "imu" in model.site(i).name.lower()), None),
+        "contact_bodies": [],
+        "notes": f"made from {Path(model_xml).name}; see README.md",
+    }
+    first = f"time,command_{actuator_names[0]},joint_pos_{joint_names[0]}"
+    with output_folder(out, overwrite=overwrite, source=Path(model_xml)) as folder:
+        write_text(folder / "model.xml", text)
+        for name in asset_files(spec):
+            write_bytes(inside(folder, name), read_bytes(inside(Path(model_xml).parent, name)))
+        write_text(folder / "log.json", to_json(log))
+        table = TO_DO.format(folder=out, nu=model.nu, nj=len(joints), base=BASE if floating else "", first=first)
+        write_text(folder / "README.md", table)
+        (folder / "runs").mkdir()
+    return Path(out)

@@ -1,0 +1,430 @@
+"""What the top-level functions return: small frozen dataclasses and enums, each with a short repr and a notebook view.
+
+A `Scene` and a `Diagnosis` are also read back from disk (`load_scene`, `load_diagnosis`), so that what a script gets
+from a run of its own and what it finds in a folder have one type.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.errors import RealsimError
+from realsim.files import read_json
+
+__all__ = [
+    "Cause",
+    "Contact",
+    "Diagnosis",
+    "GapVerdict",
+    "Interval",
+    "Place",
+    "Scene",
+    "SceneVerdict",
+    "Shrinkage",
+    "Site",
+]
+
+
+class SceneVerdict(StrEnum):
+    """Whether a scene can be used; the worst of the report's checks."""
+
+    GOOD = "good"
+    LOOK = "look"
+    BAD = "bad"
+
+    @property
+    def usable(self) -> bool:
+        """False where the report says not to train or test on the scene."""
+        return self is not SceneVerdict.BAD
+
+
+class GapVerdict(StrEnum):
+    """What a diagnosis concludes."""
+
+    NO_GAP = "no_gap"
+    IDENTIFIED = "identified"
+    AMBIGUOUS = "ambiguous"
+    UNEXPLAINED = "unexplained"
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A value with its 90 percent interval."""
+
+    value: float
+    low: float
+    high: float
+    unit: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.value:.3g} [{self.low:.3g}, {self.high:.3g}] {self.unit}".rstrip()
+
+
+# ---------------------------------------------------------------- scenes
+
+
+@dataclass(frozen=True)
+class Site:
+    """The start or goal platform of a scene, simulation frame."""
+
+    center: tuple[float, float, float]
+    """Centre of the top face, metres."""
+    size: tuple[float, float, float]
+    """Along the long side, across it, and the height above the ground, metres."""
+    yaw: float
+    """Direction of the long side about z, radians."""
+
+
+@dataclass(frozen=True)
+class Contact:
+    """How closely contact in the simulator follows the mesh, as measured."""
+
+    representation: str
+    geoms: int
+    median_mm: float
+    p95_mm: float
+    phantom_cm2: float
+    """Area where something is felt and the mesh has nothing."""
+    missing_cm2: float
+    """Area of the mesh where nothing is felt."""
+    leaks: int
+    """Objects that fall through."""
+
+
+@dataclass(frozen=True, repr=False)
+class Scene:
+    """A scene folder that MuJoCo opens, with what was measured about it."""
+
+    folder: Path
+    contact: Contact
+    verdict: SceneVerdict | None = None
+    """None for a scene of `contact`, of which only the contact geometry is measured."""
+    headline: str = ""
+    """The verdict as a sentence."""
+    reasons: tuple[str, ...] = ()
+    """Why the verdict is not better, the worst first."""
+    next_steps: tuple[str, ...] = ()
+    """What to do about the reasons."""
+    scale: Interval | None = None
+    """Factor from the capture's units to metres; None for a mesh."""
+    start: Site | None = None
+    goal: Site | None = None
+    frames_used: int = 0
+    frames_dropped: Mapping[str, str] = field(default_factory=dict)
+    """Name of a frame -> why it was left out."""
+    warnings: tuple[str, ...] = ()
+    report: Mapping[str, Any] = field(default_factory=dict)
+    """All of report.json (or contact.json)."""
+    details: Any = None
+    """`realsim.types.Reconstruction` of the run that made the scene: arrays of every stage. None if read from disk."""
+
+    @property
+    def scene_xml(self) -> Path:
+        """The MuJoCo model."""
+        return self.folder / "scene.xml"
+
+    @property
+    def page(self) -> Path | None:
+        """The report for a browser, where there is one."""
+        path = self.folder / "report.html"
+        return path if path.is_file() else None
+
+    def spec(self) -> Any:
+        """The scene as a new `mujoco.MjSpec`, to add to."""
+        import mujoco
+
+        return mujoco.MjSpec.from_file(str(self.scene_xml))
+
+    def model(self) -> Any:
+        """The scene as a compiled `mujoco.MjModel`."""
+        import mujoco
+
+        return mujoco.MjModel.from_xml_path(str(self.scene_xml))
+
+    def geometry(self) -> Any:
+        """Mesh, collision geometry and platforms as arrays (`realsim.exports.formats.SceneOnDisk`)."""
+        from realsim.exports.formats import load_scene
+
+        return load_scene(self.folder)
+
+    @classmethod
+    def read(cls, folder: Path, details: Any = None) -> Scene:
+        """Read a folder that `reconstruct` or `contact` wrote. Raises RealsimError where it is none."""
+        folder = Path(folder)
+        names = [name for name in ("report.json", "contact.json") if (folder / name).is_file()]
+        if not names or not (folder / "scene.xml").is_file():
+            raise RealsimError(
+                "not a scene folder",
+                file=folder,
+                expected="scene.xml with report.json or contact.json, as realsim writes them",
+                hint="realsim reconstruct FRAMES --out DIR, or realsim contact MESH --out DIR",
+            )
+        data = read_json(folder / names[0])
+        try:
+            return _scene(cls, folder, data, data["contact"] if names[0] == "report.json" else data, details)
+        except (KeyError, TypeError, ValueError) as error:
+            raise RealsimError(
+                "the report of this scene cannot be read",
+                file=folder / names[0],
+                found=f"{type(error).__name__}: {error}",
+                hint="make the scene again with this version of realsim",
+            ) from error
+
+    def __repr__(self) -> str:
+        verdict = f"verdict={self.verdict.value}, " if self.verdict else ""
+        c = self.contact
+        return f"Scene({str(self.folder)!r}, {verdict}contact={c.representation} {c.median_mm:.1f}/{c.p95_mm:.1f} mm)"
+
+    def _repr_html_(self) -> str:
+        c = self.contact
+        rows = [
+            ("verdict", f"{self.verdict.value}: {self.headline}" if self.verdict else "only contact is measured"),
+            *(("", reason) for reason in self.reasons[:5]),
+            ("scale", str(self.scale) if self.scale else ""),
+            ("goal", "" if self.goal is None else ", ".join(f"{v:.2f}" for v in self.goal.center) + " m"),
+            ("contact", f"{c.representation}, {c.median_mm:.1f} mm median, {c.p95_mm:.1f} mm at the 95th percentile"),
+            ("files", str(self.folder)),
+        ]
+        return f"<div>{_height_picture(self.folder / 'mesh.ply')}{_table(rows)}</div>"
+
+
+def _scene(kind: type[Scene], folder: Path, data: Any, contact: Any, details: Any) -> Scene:
+    verdict = data.get("verdict") or {}
+    scale, frames = data.get("scale"), data.get("frames") or {}
+    level = verdict.get("level")
+    return kind(
+        folder=folder,
+        contact=Contact(
+            str(contact["representation"]),
+            sum(contact["geoms"].values()),
+            float(contact["median_mm"]),
+            float(contact["p95_mm"]),
+            float(contact["phantom_area_cm2"]),
+            float(contact["missing_area_cm2"]),
+            int(contact["leaks"]),
+        ),
+        verdict=SceneVerdict(level) if level else None,
+        headline=str(verdict.get("headline", "")),
+        reasons=tuple(verdict.get("reasons", ())),
+        next_steps=tuple(verdict.get("next", ())),
+        scale=Interval(scale["value"], *scale["ci90"]) if scale else None,
+        start=_site(data.get("start")),
+        goal=_site(data.get("goal")),
+        frames_used=len(frames.get("used", ())),
+        frames_dropped={d["name"]: d["reason"] for d in frames.get("dropped", ())},
+        warnings=tuple(data.get("warnings", ())),
+        report=data,
+        details=details,
+    )
+
+
+def _site(data: Mapping[str, Any] | None) -> Site | None:
+    if data is None:
+        return None
+    (x, y, z), (long, across, height) = data["centroid"], data["size"]
+    return Site((x, y, z), (long, across, height), float(data["yaw"]))
+
+
+def _height_picture(mesh_ply: Path, cells: int = 360) -> str:
+    """The surface from above as an <img>, coloured by height; empty where there is no mesh."""
+    from realsim.report import raster
+
+    if not mesh_ply.is_file():
+        return ""
+    import trimesh
+
+    mesh: Any = trimesh.load(mesh_ply, process=False, force="mesh")
+    corners: NDArray[np.float64] = np.asarray(mesh.vertices, float)[np.asarray(mesh.faces)]
+    heights = height_grid(corners, cells)
+    low, high = (float(v) for v in np.nanpercentile(heights, [0.5, 99.5]))
+    uri = raster.png_uri(raster.colorize(heights[::-1], low, high))
+    return f'<img src="{uri}" alt="height from above, {low:.2f} to {high:.2f} m" style="max-width:540px;width:100%">'
+
+
+def height_grid(corners: NDArray[np.float64], cells: int) -> NDArray[np.float64]:
+    """Highest point of a surface on a grid, by sampling its triangles evenly.
+
+    Args:
+        corners: (K, 3, 3) corners of the triangles, metres.
+        cells: along the longer side.
+
+    Returns:
+        (H, W) heights, row 0 at the lowest y, NaN where there is no surface.
+    """
+    low, high = corners.min((0, 1))[:2], corners.max((0, 1))[:2]
+    step = max(float((high - low).max()) / cells, 1e-9)
+    width, height = (int(n) for n in np.floor((high - low) / step) + 1)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    # Eight samples a cell leave one cell in 3000 empty by chance.
+    many = np.minimum(np.ceil(8 * area / step**2), 100_000).astype(int)
+    triangle = np.repeat(np.arange(len(corners)), many)
+    u, v = np.random.default_rng(0).random((2, len(triangle)))
+    flip = u + v > 1
+    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
+    a, b, c = (corners[triangle, i] for i in range(3))
+    points = a + u[:, None] * (b - a) + v[:, None] * (c - a)
+    column, row = (((points[:, :2] - low) / step).astype(int)).T
+    grid = np.full((height, width), -np.inf)
+    np.maximum.at(grid, (row.clip(0, height - 1), column.clip(0, width - 1)), points[:, 2])
+    return np.where(np.isfinite(grid), grid, np.nan)
+
+
+# ---------------------------------------------------------------- diagnoses
+
+
+@dataclass(frozen=True)
+class Cause:
+    """An unmodelled effect at its place, with its size."""
+
+    effect: str
+    places: tuple[str, ...]
+    """Joints, bodies or pieces of terrain; empty where the effect acts everywhere."""
+    parameters: Mapping[str, Interval]
+    probability: float | None = None
+
+    def __str__(self) -> str:
+        sizes = ", ".join(f"{name} {value}" for name, value in self.parameters.items())
+        return f"{self.effect}{' at ' + ', '.join(self.places) if self.places else ''}: {sizes}"
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the robot and its simulator differ: a share of the squared error."""
+
+    signal: str
+    joint: str | None
+    phase: str | None
+    share: float
+
+
+@dataclass(frozen=True)
+class Shrinkage:
+    """How much of the squared error the causes remove, on the runs named."""
+
+    fraction: float
+    low: float
+    high: float
+    """90 percent interval of `fraction`."""
+    runs: tuple[str, ...]
+    held_out: bool
+    """Whether the causes' values were fitted without these runs."""
+
+
+@dataclass(frozen=True, repr=False)
+class Diagnosis:
+    """Where the sim-to-real gap lies, what causes it, and how far the patch closes it."""
+
+    verdict: GapVerdict
+    sentence: str
+    causes: tuple[Cause, ...]
+    equivalent: tuple[tuple[Cause, ...], ...]
+    """Other sets of causes that explain the runs as well."""
+    where: tuple[Place, ...]
+    shrinkage: Shrinkage
+    unexplained_share: float
+    patch: Mapping[str, Any]
+    """For `apply_patch`."""
+    warnings: tuple[str, ...] = ()
+    data: Mapping[str, Any] = field(default_factory=dict)
+    """All of diagnosis.json."""
+    folder: Path | None = None
+    """Where diagnosis.json, model.xml and report.html are; None if nothing was written."""
+
+    @classmethod
+    def of(cls, data: Mapping[str, Any], folder: Path | None = None) -> Diagnosis:
+        """From the content of diagnosis.json. Raises RealsimError where it has another form."""
+        try:
+            s = data["shrinkage"]
+            low, high = (_number(v) for v in s["ci90"])
+            return cls(
+                verdict=GapVerdict(data["verdict"]),
+                sentence=str(data["sentence"]),
+                causes=tuple(_cause(c) for c in data["causes"]),
+                equivalent=tuple(tuple(_cause(c) for c in group) for group in data["equivalent"]),
+                where=tuple(
+                    Place(w["signal"], w.get("joint"), w.get("phase"), float(w["share"])) for w in data["where"]
+                ),
+                shrinkage=Shrinkage(_number(s["fraction"]), low, high, tuple(s["runs"]), bool(s["unseen"])),
+                unexplained_share=_number(data["unexplained_share"]),
+                patch=data["patch"],
+                warnings=tuple(data["health"]["warnings"]),
+                data=data,
+                folder=folder,
+            )
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise RealsimError(
+                "not a diagnosis of this version",
+                file=folder,
+                found=f"{type(error).__name__}: {error}",
+                hint="run realsim diagnose again",
+            ) from error
+
+    @property
+    def page(self) -> Path | None:
+        """The report for a browser, where one was written."""
+        path = None if self.folder is None else self.folder / "report.html"
+        return path if path is not None and path.is_file() else None
+
+    def __repr__(self) -> str:
+        causes = "; ".join(str(c) for c in self.causes) or "none"
+        return f"Diagnosis({self.verdict.value}, causes: {causes})"
+
+    def _repr_html_(self) -> str:
+        s = self.shrinkage
+        rows = [
+            ("verdict", self.verdict.value),
+            *(("cause" if i == 0 else "", str(cause)) for i, cause in enumerate(self.causes)),
+            ("removes", f"{100 * s.fraction:.0f} % [{100 * s.low:.0f}, {100 * s.high:.0f}] of the squared error"),
+            ("files", str(self.folder) if self.folder else ""),
+        ]
+        bars = [(f"{w.signal} {w.joint or ''} {w.phase or ''}", w.share) for w in self.where[:6]]
+        return f"<div><p>{escape(self.sentence)}</p>{_bars(bars)}{_table(rows)}</div>"
+
+
+def _cause(data: Mapping[str, Any]) -> Cause:
+    parameters = {}
+    for name, p in data["parameters"].items():
+        low, high = (_number(v) for v in p["ci90"])
+        parameters[name] = Interval(_number(p["value"]), low, high, p["unit"])
+    places = (*data.get("joints", ()), *data.get("bodies", ()))
+    return Cause(str(data["effect"]), places, parameters, data.get("probability"))
+
+
+def _number(value: float | None) -> float:
+    """JSON has no NaN: it is null there."""
+    return float("nan") if value is None else float(value)
+
+
+# ---------------------------------------------------------------- notebooks
+
+
+def _table(rows: list[tuple[str, str]]) -> str:
+    body = "".join(
+        f'<tr><th style="text-align:left">{escape(name)}</th><td style="text-align:left">{escape(text)}</td></tr>'
+        for name, text in rows
+        if text
+    )
+    return f"<table>{body}</table>"
+
+
+def _bars(rows: list[tuple[str, float]]) -> str:
+    """Shares as horizontal bars (SVG)."""
+    if not rows:
+        return ""
+    largest = max(share for _, share in rows) or 1.0
+    lines = [
+        f'<text x="0" y="{20 * i + 14}">{escape(name)}</text>'
+        f'<rect x="230" y="{20 * i + 4}" width="{200 * share / largest:.1f}" height="12" fill="#26859a"/>'
+        f'<text x="{236 + 200 * share / largest:.1f}" y="{20 * i + 14}">{100 * share:.0f} %</text>'
+        for i, (name, share) in enumerate(rows)
+    ]
+    size = f'width="500" height="{20 * len(rows) + 6}"'
+    return f'<svg {size} font-size="12" fill="currentColor" role="img">{"".join(lines)}</svg>'

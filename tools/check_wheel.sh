@@ -1,0 +1,33 @@
+#!/usr/bin/env bash
+# Builds a wheel and runs it where the source folder is out of reach: the diagnosis in an environment that holds nothing but
+# the core, the other examples with the packages of the environment that builds it.
+#   bash tools/check_wheel.sh [PYTHON] [--all]    --all also runs examples/finetune.py (minutes)
+set -euo pipefail
+cd "$(dirname "$0")/.."
+python=$(realpath -s "${1:-python3}")
+source=$PWD
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+unset PYTHONPATH
+
+"$python" -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir "$work" .
+wheel=$(echo "$work"/realsim-*.whl)
+
+"$python" -m venv "$work/core"
+"$work/core/bin/python" -m pip install --quiet --disable-pip-version-check --constraint constraints.txt "$wheel"
+cp -r examples "$work/examples"
+cd "$work"
+"$work/core/bin/python" -c 'import realsim; assert "site-packages" in realsim.__file__, realsim.__file__'
+"$work/core/bin/realsim" --help >/dev/null
+"$work/core/bin/python" examples/diagnose.py
+code=0
+"$work/core/bin/realsim" reconstruct nowhere 2>message.txt || code=$?
+[ $code -eq 2 ] && grep -q 'pip install "realsim\[recon\]"' message.txt
+
+# The wheel before whatever the building environment has of realsim.
+"$python" -m pip install --quiet --disable-pip-version-check --no-deps --target "$work/wheel" "$wheel"
+export PYTHONPATH=$work/wheel
+"$python" -c "import realsim, trainer; assert not realsim.__file__.startswith('$source/realsim'), realsim.__file__"
+"$python" examples/reconstruct.py
+[ "${2:-}" = --all ] && "$python" examples/finetune.py
+echo "the wheel works: $(basename "$wheel")"
