@@ -8,6 +8,8 @@ from typing import TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from realsim.errors import printable
+
 T = TypeVar("T")
 console = Console(stderr=True)
 _quiet = False
@@ -27,7 +29,7 @@ def visible() -> bool:
 def note(text: str) -> None:
     """A line for the person who watches."""
     if visible():
-        console.print(text, style="dim", highlight=False)
+        console.print(printable(text), style="dim", highlight=False, markup=False)
 
 
 def track(items: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:

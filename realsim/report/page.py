@@ -12,7 +12,7 @@ from importlib.resources import files
 from typing import Any, Literal
 
 Level = Literal["good", "look", "bad"]
-WORDS: dict[Level, str] = {"good": "Good", "look": "Look here", "bad": "Do not use"}
+WORDS: dict[Level, str] = {"good": "Good", "look": "Check first", "bad": "Do not use"}
 
 
 def esc(value: Any) -> str:
