@@ -42,10 +42,15 @@ def contact_mesh(
         ExportError: the mesh cannot be used, nothing of it rises from the ground, or the scene does not hold.
     """
     if ground_z is not None and not isfinite(ground_z):
-        raise ExportError("the height of the ground is not a number", expected="--ground-z in metres", found=f"{ground_z}")
+        raise ExportError(
+            "the height of the ground is not a number", expected="--ground-z in metres", found=f"{ground_z}"
+        )
     terrain, notes = read_mesh(mesh, unit, up)
-    ground = ground_level(terrain) if ground_z is None else GroundLevel(ground_z, False, "")
-    notes += [ground.said] if ground.said else []
+    ground = (
+        ground_level(terrain)
+        if ground_z is None
+        else GroundLevel(ground_z, False, f"at z = {ground_z:.3f} m, as given")
+    )
     files = write_terrain(folder, terrain, ground.z, config)
     hidden = hidden_cm2(terrain, files.scene_xml, ground)
     if hidden and set(files.contact["geoms"]) == {"plane"}:
@@ -56,7 +61,8 @@ def contact_mesh(
             found=f"{hidden:.0f} cm2 of its surface below",
             hint="choose another --ground-z, or leave it out",
         )
-    contact = dict(files.contact) | {"mesh": mesh.name, "ground_z": ground.z, "hidden_cm2": hidden, "mended": notes}
+    contact = dict(files.contact) | {"mesh": mesh.name, "ground_z": ground.z, "ground": ground.said}
+    contact |= {"hidden_cm2": hidden, "mended": notes}
     contact["missing_area_cm2"] = round(contact["missing_area_cm2"] + hidden, 2)
     contact["verdict"] = contact_verdict(contact, config.contact_tolerance)
     write_text(folder / "contact.json", to_json(contact))
@@ -76,7 +82,9 @@ def contact_verdict(contact: Mapping[str, Any], tolerance: tuple[float, float]) 
     """
     bad, look, todo = [], [], []
     if contact["leaks"]:
-        bad.append(f"{contact['leaks']} of {contact['leak_objects']} balls thrown onto it fell into what should be solid.")
+        bad.append(
+            f"{contact['leaks']} of {contact['leak_objects']} balls thrown onto it fell into what should be solid."
+        )
         todo.append("try another --contact (hybrid, convex, hfield), or close the holes of the mesh")
     if contact["hidden_cm2"]:
         bad.append(f"{contact['hidden_cm2']:.0f} cm2 of the mesh lie below the ground and are not in the scene.")

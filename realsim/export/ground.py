@@ -32,7 +32,7 @@ class GroundLevel:
     slab: bool
     """Whether it is the top of a slab, whose sides then lie below the ground."""
     said: str
-    """One sentence for the user."""
+    """Both for the user, to go after "the ground was taken to be"."""
 
 
 def ground_level(mesh: TerrainMesh) -> GroundLevel:
@@ -46,20 +46,22 @@ def ground_level(mesh: TerrainMesh) -> GroundLevel:
     lowest = float(mesh.vertices[mesh.triangles][..., 2].min())
     level, area = _lowest_level(mesh)
     if level - lowest < LEVEL:
-        return GroundLevel(level, False, f"the ground was taken to be at z = {level:.3f} m, the mesh's lowest level")
+        return GroundLevel(level, False, f"at z = {level:.3f} m, the mesh's lowest level")
     top, bottom, cell = _rim(mesh)
     at, below = np.abs(bottom - level) <= LEVEL, bottom < level - LEVEL
     if at.sum() > below.sum():
-        return GroundLevel(level, False, f"the ground was taken to be at z = {level:.3f} m, the floor of the mesh")
+        return GroundLevel(level, False, f"at z = {level:.3f} m, the floor of the mesh")
     sides = float(np.clip(level - bottom, 0, None).sum()) * cell
     carries = float(mesh.vertices[mesh.triangles][..., 2].max()) > level + LEVEL
     around = carries and bool(np.mean(np.abs(top - level) <= LEVEL) > 0.9)
     if around and sides <= SLAB * area:
         thick = 100 * float(np.median(level - bottom))
-        said = f"the ground was taken to be at z = {level:.3f} m, the top of a slab of {thick:.0f} cm"
+        said = f"at z = {level:.3f} m, the top of a slab of {thick:.0f} cm"
         return GroundLevel(level, True, f"{said}; if the slab itself is terrain, pass --ground-z {lowest:.3f}")
-    said = f"the mesh has no floor of its own: the ground was taken to be at its lowest point, z = {lowest:.3f} m"
-    return GroundLevel(lowest, False, said + f"; if its floor is at {level:.3f} m, pass --ground-z {level:.3f}" * around)
+    said = f"at z = {lowest:.3f} m, the lowest point: the mesh has no floor of its own"
+    return GroundLevel(
+        lowest, False, said + f"; if its floor is at {level:.3f} m, pass --ground-z {level:.3f}" * around
+    )
 
 
 def hidden_cm2(mesh: TerrainMesh, scene_xml: Path, ground: GroundLevel) -> float:
