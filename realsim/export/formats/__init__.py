@@ -6,10 +6,15 @@ the same scene, metres and z up wherever the format leaves the choice.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from realsim.export.formats.scene import SceneOnDisk, load_scene
+from realsim.files import explain_write_errors
 from realsim.registry import Registry
 
 __all__ = ["EXPORTERS", "SceneOnDisk", "export_scene", "load_scene"]
@@ -50,4 +55,24 @@ def export_scene(scene: Path, to: Sequence[str], out: Path | None = None) -> dic
     exporters = {name: EXPORTERS[name] for name in to}
     loaded = load_scene(scene)
     target = scene / "export" if out is None else out
-    return {name: exporter(loaded, target / name) for name, exporter in exporters.items()}
+    return {name: _written(exporter, loaded, target / name) for name, exporter in exporters.items()}
+
+
+def _written(exporter: Callable[[SceneOnDisk, Path], list[Path]], scene: SceneOnDisk, folder: Path) -> list[Path]:
+    """Files of one format: written elsewhere first, so that a failure leaves `folder` as it was."""
+    with explain_write_errors(folder):
+        existed = folder.parent.is_dir()
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        work = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}.partial-"))
+    try:
+        made = [path.relative_to(work) for path in exporter(scene, work)]
+        with explain_write_errors(folder):
+            for name in made:
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                os.replace(work / name, folder / name)
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+        if not existed:
+            with contextlib.suppress(OSError):
+                folder.parent.rmdir()  # only where nothing came into it
+    return [folder / name for name in made]
