@@ -86,7 +86,8 @@ def _places() -> list[ModuleType]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; the exit code is 0, 2 for bad input, 130 after an interrupt, or the command's own."""
+    """Run one command; the exit code is 0, 2 for bad input, 3 for "do not use" with --strict, 130 after an interrupt,
+    or the command's own."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     as_json = _take(arguments, "--json")
     set_quiet(_take(arguments, "--quiet") or as_json or not sys.stderr.isatty())
@@ -122,7 +123,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         return _unread()
     try:
-        print(to_json(result.data) if as_json else result.text, end="" if as_json else "\n", flush=True)
+        text = to_json(result.data) if as_json else result.rendered(color=sys.stdout.isatty()) + "\n"
+        print(text, end="", flush=True)
     except BrokenPipeError:
         _unread()
     return result.exit_code

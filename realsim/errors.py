@@ -12,6 +12,18 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from unicodedata import category
+
+
+def printable(text: str) -> str:
+    """Text that a terminal shows as it is: control and format characters of names in files become escapes.
+
+    An escape code in a file name could otherwise recolour, retitle or overwrite what the user reads; a change of
+    writing direction could show another name than the file has. Line ends and tabs stay.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c in "\n\t" or category(c) not in ("Cc", "Cf", "Cs") else ascii(c)[1:-1] for c in text)
 
 
 class RealsimError(Exception):
@@ -42,7 +54,7 @@ class RealsimError(Exception):
     def render(self) -> str:
         """The whole text, one fact a line."""
         facts = [("file", self.file), ("expected", self.expected), ("found", self.found), ("do", self.hint)]
-        return "\n".join([self.message] + [f"  {name}: {value}" for name, value in facts if value])
+        return printable("\n".join([self.message] + [f"  {name}: {value}" for name, value in facts if value]))
 
     def as_dict(self) -> dict[str, str | None]:
         """The same for machines (`--json`)."""

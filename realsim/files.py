@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import hashlib
 import json
 import os
+import re
 import shutil
 import tempfile
+import time
+import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from glob import escape as glob_escape
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +29,19 @@ MAX_BINARY_BYTES = 2 * 2**30
 MARKS = ("report.json", "contact.json", "diagnosis.json", "truth/truth.json", "export.json")
 """Files of which every output folder holds one: a scene, `realsim contact`, a diagnosis, a synthetic capture, an
 export."""
-_DAMAGED = (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
+STALE = 60.0
+"""Seconds after which an unfinished folder that no process holds is one that a killed run left."""
+_DAMAGED = (
+    OSError,
+    ValueError,
+    KeyError,
+    EOFError,
+    RuntimeError,
+    SyntaxError,
+    zipfile.BadZipFile,
+    zlib.error,
+    tokenize.TokenError,
+)
 """What reading a damaged, encrypted or exotic archive of arrays raises."""
 
 
@@ -32,8 +49,9 @@ def check_size(path: Path, limit: int = MAX_BINARY_BYTES) -> None:
     """Refuse a file that is missing, not a plain file, not ours to read, or larger than `limit` bytes."""
     try:
         size = path.stat().st_size
-    except OSError as error:
-        raise RealsimError("the file cannot be read", file=path, found=error.strerror or str(error)) from error
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        found = getattr(error, "strerror", None) or str(error)
+        raise RealsimError("the file cannot be read", file=path, found=found) from error
     if not path.is_file():
         raise RealsimError("not a plain file", file=path)
     if not os.access(path, os.R_OK):
@@ -75,7 +93,10 @@ def read_json(path: Path) -> Any:
 
 
 def read_npz(path: Path, limit: int = MAX_BINARY_BYTES) -> dict[str, np.ndarray]:
-    """The arrays of an .npz file, none of them pickled; at most `limit` bytes, packed and unpacked."""
+    """The arrays of an .npz file, none of them pickled; at most `limit` bytes, packed and unpacked.
+
+    Members that are no arrays are left out, as nothing asks for them.
+    """
     check_size(path, limit)
     try:
         # A few kilobytes can unpack to any size: what they say of it is asked first, and nothing beyond is read.
@@ -86,7 +107,9 @@ def read_npz(path: Path, limit: int = MAX_BINARY_BYTES) -> dict[str, np.ndarray]
                 "the file is too large", file=path, expected=f"at most {limit} bytes unpacked", found=f"{size} bytes"
             )
         with np.load(path, allow_pickle=False) as store:
-            return {name: store[name] for name in store.files}
+            found = {name: store[name] for name in store.files}
+        # Of a member that is no array, numpy gives the bytes.
+        return {name: value for name, value in found.items() if isinstance(value, np.ndarray)}
     except (*_DAMAGED, MemoryError) as error:
         raise RealsimError(
             "not a readable .npz of plain numbers", file=path, found=str(error) or type(error).__name__
@@ -95,7 +118,9 @@ def read_npz(path: Path, limit: int = MAX_BINARY_BYTES) -> dict[str, np.ndarray]
 
 def to_json(value: Any) -> str:
     """Stable JSON text: sorted nothing, numpy turned into plain numbers, NaN and infinity into null."""
-    return json.dumps(_plain(value), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    text = json.dumps(_plain(value), indent=1, allow_nan=False, ensure_ascii=False)
+    # json escapes the control characters below 32 only; those from 127 to 159 control terminals as well.
+    return re.sub(r"[\x7f-\x9f]", lambda c: f"\\u{ord(c[0]):04x}", text) + "\n"
 
 
 def _plain(value: Any) -> Any:
@@ -173,15 +198,45 @@ def output_folder(path: Path, *, overwrite: bool = False, source: Path | None = 
     refuse_existing(path, overwrite)
     with explain_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
+        _sweep(path)
         work = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.partial-"))
     try:
-        yield work
-        with explain_write_errors(path):
-            os.chmod(work, 0o755)
-            _replace_folder(work, path)
+        with _held(work):
+            yield work
+            with explain_write_errors(path):
+                os.chmod(work, 0o755)
+                place_folder(work, path, overwrite=overwrite)
     except BaseException:
         shutil.rmtree(work, ignore_errors=True)
         raise
+
+
+@contextlib.contextmanager
+def _held(folder: Path) -> Iterator[None]:
+    """Lock a folder as long as this process works on it; the system lets go of it however the process ends."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError):  # a file system without locks: nothing is swept there
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _sweep(path: Path) -> None:
+    """Remove what killed runs left beside `path`: unfinished folders, and replaced ones whose successor is in place."""
+    left = list(path.parent.glob(f".{glob_escape(path.name)}.partial-*"))
+    left += list(path.parent.glob(f".{glob_escape(path.name)}.old-*")) if path.is_dir() else []
+    for folder in left:
+        with contextlib.suppress(OSError):
+            if time.time() - folder.stat().st_mtime < STALE:
+                continue
+            handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(folder, ignore_errors=True)
+            finally:
+                os.close(handle)
 
 
 def refuse_within(out: Path, source: Path) -> None:
@@ -196,7 +251,40 @@ def refuse_within(out: Path, source: Path) -> None:
         )
 
 
-def refuse_existing(path: Path, overwrite: bool) -> None:
+def place_folder(work: Path, target: Path, *, overwrite: bool = False, marks: Sequence[str] = MARKS) -> None:
+    """Give a finished folder its name, in one step that cannot hide or remove what anybody else put there meanwhile.
+
+    Args:
+        work: the folder, on the same file system as `target`.
+        overwrite: whether a folder there that holds one of `marks` may be replaced.
+        marks: files of which every folder of ours holds one.
+
+    Raises:
+        RealsimError: `target` is not empty, and not to be or not ours to be replaced. `work` is as it was.
+    """
+    for _ in range(10):  # another process may put a folder there between two steps
+        try:
+            os.rename(work, target)  # replaces an empty folder, and refuses any other
+            return
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                raise
+        refuse_existing(target, overwrite, marks)
+        old = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}.old-"))
+        with contextlib.suppress(FileNotFoundError):
+            os.rename(target, old / target.name)
+        try:
+            os.rename(work, target)
+        except OSError:
+            # Somebody was faster. Theirs stays; what was there before them is gone either way, as for them.
+            shutil.rmtree(old, ignore_errors=True)
+            continue
+        shutil.rmtree(old, ignore_errors=True)
+        return
+    raise RealsimError("the output folder keeps changing", file=target, hint="choose another --out")
+
+
+def refuse_existing(path: Path, overwrite: bool, marks: Sequence[str] = MARKS) -> None:
     """Refuse to replace a folder that is not empty, unless that was asked for and the folder is ours."""
     if not path.is_dir() or not any(path.iterdir()):
         return
@@ -204,31 +292,26 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
         raise RealsimError(
             "the output folder exists and is not empty", file=path, hint="choose another --out, or pass --overwrite"
         )
-    if not any((path / mark).is_file() for mark in MARKS):
+    if not any((path / mark).is_file() for mark in marks):
         names = sorted(p.name for p in path.iterdir())
         raise RealsimError(
             "the output folder holds what realsim did not write",
             file=path,
-            expected=f"one that realsim wrote (with {', '.join(MARKS[:-1])} or {MARKS[-1]}), or an empty one",
+            expected=f"one that realsim wrote (with {' or '.join(marks)}), or an empty one",
             found=", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else ""),
             hint="choose another --out, or remove the folder yourself",
         )
 
 
-def _replace_folder(new: Path, target: Path) -> None:
-    if not target.exists():
-        os.replace(new, target)
-        return
-    old = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}.old-"))
-    os.replace(target, old / target.name)
-    os.replace(new, target)
-    shutil.rmtree(old, ignore_errors=True)
-
-
 def inside(root: Path, name: str) -> Path:
     """`root / name`, refused if `name` leads out of `root` (for names read from manifests and archives)."""
-    target = (root / name).resolve()
-    if not target.is_relative_to(root.resolve()):
+    try:
+        target, base = (root / name).resolve(), root.resolve()
+    except (OSError, RuntimeError, ValueError) as error:  # links in a circle, a zero byte in the name
+        raise RealsimError(
+            "a name cannot be followed", file=root, expected="a plain file or a link to one", found=f"{name}: {error}"
+        ) from error
+    if not target.is_relative_to(base):
         raise RealsimError(
             "a name leads out of its folder", file=root, found=name, expected="a relative path inside it"
         )

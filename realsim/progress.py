@@ -18,6 +18,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from realsim.errors import printable
+
 T = TypeVar("T")
 console = Console(stderr=True)
 _quiet = False
@@ -37,7 +39,7 @@ def visible() -> bool:
 def note(text: str) -> None:
     """A line for the person who watches."""
     if visible():
-        console.print(text, style="dim", highlight=False)
+        console.print(printable(text), style="dim", highlight=False, markup=False)
 
 
 def track(items: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import io
+import json
 import zipfile
 from pathlib import Path
 
@@ -168,3 +169,68 @@ def test_an_array_that_claims_more_than_it_holds_is_refused(tmp_path: Path) -> N
         archive.writestr("a.npy", header.getvalue())
     with pytest.raises(RealsimError, match="plain numbers"):
         files.read_npz(tmp_path / "a.npz")
+
+
+def test_of_two_runs_into_one_folder_the_later_is_refused(tmp_path: Path) -> None:
+    """Both saw an empty place when they began; what the first put there stays, also what is not ours."""
+    out = tmp_path / "scene"
+    for overwrite, theirs, message in ((False, "report.json", "--overwrite"), (True, "thesis.tex", "did not write")):
+        with pytest.raises(RealsimError, match=message), files.output_folder(out, overwrite=overwrite) as work:
+            (work / "mine").write_text("1")
+            out.mkdir()
+            (out / theirs).write_text("first")
+        assert [p.name for p in out.iterdir()] == [theirs]
+        assert [p.name for p in tmp_path.iterdir()] == ["scene"]
+        (out / theirs).unlink()
+        out.rmdir()
+
+
+def test_what_killed_runs_left_goes_with_the_next_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Old and held by nobody: gone. Young, held by a process, or of another output: left alone."""
+    dead, other = tmp_path / ".scene.partial-dead", tmp_path / ".scene2.partial-dead"
+    for folder in (dead, other):
+        folder.mkdir()
+        (folder / "mesh.ply").write_text("x")
+    with files.output_folder(tmp_path / "scene"):
+        assert dead.exists()
+    (tmp_path / "scene" / "report.json").write_text("{}")
+    monkeypatch.setattr(files, "STALE", -1.0)
+    with files.output_folder(tmp_path / "a") as held, files.output_folder(tmp_path / "a", overwrite=True):
+        assert held.exists()
+    with files.output_folder(tmp_path / "scene", overwrite=True):
+        assert not dead.exists()
+    assert other.exists()
+
+
+@pytest.mark.parametrize("damage", ["no array", "broken header", "zero byte"])
+def test_strange_members_of_an_npz(tmp_path: Path, damage: str) -> None:
+    path = tmp_path / "run.npz"
+    np.savez(path, time=np.arange(3.0))
+    header = b"\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': False, 'shape': (3,), \xfc}"
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("note.txt" if damage == "no array" else "x.npy", b"hello" if damage == "no array" else header)
+    if damage == "no array":
+        assert list(files.read_npz(path)) == ["time"]
+    elif damage == "broken header":
+        with pytest.raises(RealsimError, match="plain numbers"):
+            files.read_npz(path)
+    else:
+        with pytest.raises(RealsimError, match="cannot be read"):
+            files.read_npz(Path(f"{path}\0"))
+
+
+@pytest.mark.parametrize("name", ["loop.png", "zero\0.png"])
+def test_a_name_that_cannot_be_followed_is_said(tmp_path: Path, name: str) -> None:
+    (tmp_path / "loop.png").symlink_to("loop.png")
+    with pytest.raises(RealsimError, match=r"cannot be (followed|read)"):
+        files.check_size(files.inside(tmp_path, name))
+
+
+def test_names_cannot_control_the_terminal() -> None:
+    name = "a\x1b[31mEVIL\x1b]0;title\x07\x9b2J\u202eb\tc"
+    shown = RealsimError("a file", file=name).render()
+    assert "\x1b" not in shown
+    assert shown == "a file\n  file: a\\x1b[31mEVIL\\x1b]0;title\\x07\\x9b2J\\u202eb\tc"
+    text = files.to_json({name: name})
+    assert all(c.isprintable() or c in "\n\u202e" for c in text)
+    assert json.loads(text) == {name: name}

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.align.winding import inside_out
+from realsim.align.winding import inside_out, is_closed, main_direction
 from realsim.errors import AlignError
 from realsim.ordered import in_order
 from realsim.progress import track
@@ -53,6 +53,8 @@ class Cloud:
     voxel: float = VOXEL
     turned: bool = False
     """Whether the source's triangles were wound inside out (the normals here are not)."""
+    closed: bool = False
+    """Whether it is the whole surface of solids: what faces down then lies under something, and is no ground."""
 
     def __len__(self) -> int:
         return len(self.points)
@@ -69,6 +71,7 @@ class Cloud:
             self.held,
             self.voxel,
             self.turned,
+            self.closed,
         )
 
 
@@ -127,11 +130,12 @@ def from_scan(scan: Scan, seed: int, voxel: float | None = None) -> Cloud:
     Raises:
         AlignError: fewer than 100 occupied voxels.
     """
-    points, normals, turned = scan.points, scan.normals, False
+    points, normals, turned, closed = scan.points, scan.normals, False, False
     if scan.triangles is not None and len(scan.triangles):
         points, normals = _sampled(scan.points, scan.triangles, seed)
         turned = inside_out(points, normals, scan.up_world)
         normals = -normals if turned else normals
+        closed = is_closed(normals)
         if scan.up_world is not None:
             # The underside of a closed mesh is level too, and as large as its ground; nothing stands on it.
             upper = normals @ scan.up_world > -0.5
@@ -140,14 +144,19 @@ def from_scan(scan: Scan, seed: int, voxel: float | None = None) -> Cloud:
     points, normals = points[finite], None if normals is None else normals[finite]
     voxel = voxel or _voxel_for(points)
     anchor = points.mean(0) if len(points) else np.zeros(3)
+    # The two faces of a thin slab may share a voxel: of solids, what faces opposite ways is kept apart.
+    side = main_direction(normals) if closed and normals is not None and len(normals) else None
     gathered: list[tuple[NDArray[np.int64], F64]] = [(np.zeros(0, np.int64), np.zeros((0, 7)))]
     for start in range(0, len(points), CHUNK):
         part = slice(start, start + CHUNK)
         rows = np.ones((len(points[part]), 7))
         rows[:, 1:4] = points[part]
         rows[:, 4:7] = 0 if normals is None else normals[part]
-        gathered = [_merged([*gathered, _reduced(_keys(points[part] - anchor, voxel), rows)])]
-    rows = gathered[0][1]
+        keys = _keys(points[part] - anchor, voxel)
+        if side is not None and normals is not None:
+            keys = np.where(normals[part] @ side < 0, ~keys, keys)
+        gathered = [_merged([*gathered, _reduced(keys, rows)])]
+    keys, rows = gathered[0]
     if len(rows) < 100:
         raise AlignError(
             "too few points to align",
@@ -156,7 +165,10 @@ def from_scan(scan: Scan, seed: int, voxel: float | None = None) -> Cloud:
             found=f"{len(rows)}: is the scan in metres?",
         )
     points, given = rows[:, 1:4] / rows[:, :1], rows[:, 4:7]
-    found = _normals(points, voxel)
+    found = np.empty_like(points)
+    for one in (keys < 0, keys >= 0):
+        if one.any():
+            found[one] = _normals(points[one], voxel)
     cameras = np.zeros((0, 4, 4))
     if scan.sensor_position is not None:
         cameras = np.eye(4)[None].copy()
@@ -166,7 +178,7 @@ def from_scan(scan: Scan, seed: int, voxel: float | None = None) -> Cloud:
         found *= np.where(np.einsum("ij,ij->i", found, given) < 0, -1.0, 1.0)[:, None]
     oriented = scan.sensor_position is not None or normals is not None
     ones = np.ones(len(points))
-    return Cloud(points, found, ones, ones.astype(np.int32), oriented, cameras, False, voxel, turned)
+    return Cloud(points, found, ones, ones.astype(np.int32), oriented, cameras, False, voxel, turned, closed)
 
 
 def depth_edges(z: F32, mask: Bool) -> Bool:

@@ -15,6 +15,9 @@ BELOW = 0.04
 """Metres under a plane beyond which a point counts as lying below it."""
 HINT_DEG = 25.0
 """The ground lies within this angle of a direction up that the source gives."""
+LEVEL_COS = float(np.cos(np.radians(HINT_DEG)))
+FITS = 0.25
+"""Share of the best ground's score that a ground level to an axis of the file has for that axis to be believed."""
 SIDEWAYS = 0.35
 """How much less a ground is believed that makes the camera have been held sideways or upside down."""
 DOUBTFUL, IMPLAUSIBLE = 0.2, 0.05
@@ -59,9 +62,10 @@ def find_ground(cloud: Cloud, seed: int, up_world: F64 | None = None) -> Ground:
             hint="capture the floor around the terrain too",
         )
     assumptions: list[str] = []
+    guess: list[str] = []
     hint = up_world
     if hint is None and not cloud.held:
-        hint, said = _scan_up(planes)
+        hint, said, guess = _scan_up(planes, cloud)
         assumptions.append(said)
     scored = sorted(((_score(p, cloud, hint), p) for p in planes), key=lambda s: -s[0]["score"])
     best, plane = scored[0]
@@ -72,7 +76,7 @@ def find_ground(cloud: Cloud, seed: int, up_world: F64 | None = None) -> Ground:
             found="; ".join(_described(figures) for figures, _ in scored[:4]),
             hint="capture the floor around the terrain too, not only from straight above",
         )
-    warnings = _rivals(scored, cloud, up_world is not None)
+    warnings = guess + _rivals(scored, cloud, up_world is not None)
     warnings += _upside_down(plane, cloud)
     if best["plausibility"] < DOUBTFUL:
         warnings.append(f"the ground is doubtful, it might be a wall: {_described(best)}")
@@ -94,18 +98,43 @@ def _sides(plane: Plane, cloud: Cloud) -> list[Plane]:
     return [plane] if cloud.oriented else [plane, flipped]
 
 
-def _scan_up(planes: list[Plane]) -> tuple[F64, str]:
-    """Up for a scan that does not say: the axis of the file, +z before +y, that a large plane is level to."""
-    largest = max(p.area for p in planes)
-    for axis, name in ((2, "z"), (1, "y")):
-        if any(p.area > 0.25 * largest and p.normal[axis] > np.cos(np.radians(HINT_DEG)) for p in planes):
-            return np.eye(3)[axis], f"the scan gives no direction up: the file's +{name} was taken, roughly"
-    normal = max(planes, key=lambda p: p.area).normal
-    return normal, "the scan gives no direction up and no axis of it fits: its largest plane was taken as the ground"
+def _scan_up(planes: list[Plane], cloud: Cloud) -> tuple[F64, str, list[str]]:
+    """(up, what was assumed, warnings) for a scan that does not say: an axis of the file, +z before +y, that fits.
+
+    It fits if a plane that is level to it, roughly, scores nearly as a ground could at best; otherwise the best plane
+    is level.
+    """
+    scores = [_score(p, cloud, None)["score"] for p in planes]
+    best = max(scores)
+    fitting = [
+        (name, np.eye(3)[axis])
+        for axis, name in ((2, "z"), (1, "y"))
+        if any(p.normal[axis] > LEVEL_COS and s >= FITS * best for p, s in zip(planes, scores, strict=True))
+    ]
+    if not fitting:
+        up = planes[int(np.argmax(scores))].normal
+        numbers = " ".join(f"{v + 0.0:.2f}" for v in np.round(up, 2))
+        return (
+            up,
+            "the scan gives no direction up and no axis of it fits: the most likely ground was taken as level",
+            [
+                f"up is a guess: {numbers} of the file was taken. Is that right? If not, turn the file until its z or "
+                "y axis points up"
+            ],
+        )
+    (name, up), *_ = fitting
+    said = f"the scan gives no direction up: the file's +{name} was taken, roughly"
+    level = max(s for p, s in zip(planes, scores, strict=True) if p.normal @ up > LEVEL_COS)
+    if level == best:
+        return up, said, []
+    other = " ".join(f"{v + 0.0:.2f}" for v in np.round(planes[int(np.argmax(scores))].normal, 2))
+    return up, said, [f"the file's +{name} was taken as up, though {other} would suit the scene better: is that right?"]
 
 
 def _score(plane: Plane, cloud: Cloud, up: F64 | None) -> dict[str, float]:
     height = plane.height(cloud.points)
+    if cloud.closed:
+        height = height[cloud.normals @ plane.normal > -0.5]
     above = float(np.mean(height > -BELOW))
     figures = {"area_m2": plane.area, "share_above": above, "rms_m": plane.rms}
     score = plane.area * max(0.0, (above - 0.5) / 0.5) ** 2

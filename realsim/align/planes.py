@@ -59,6 +59,8 @@ def find_planes(cloud: Cloud, seed: int, least_area: float = 0.3, most: int = 8)
         support = plane.inliers[pool].sum()
         # The whole slab goes, whatever its normals: the noisy far end of a floor would be found again and again.
         near = np.abs(plane.height(cloud.points[pool])) < 2 * TOLERANCE
+        if cloud.closed:  # except the other face of a thin slab
+            near &= cloud.normals[pool] @ plane.normal > -0.5
         pool = pool[~near]
         if support < 30:
             if not near.any():

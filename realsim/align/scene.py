@@ -35,6 +35,8 @@ def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
     ground = find_ground(cloud, config.seed, up)
     T_level_cloud = levelling(ground, cloud)
     level = _moved(cloud, T_level_cloud)
+    if level.closed:
+        level = level.take(level.normals[:, 2] > -0.5)  # what lies under the solids is out of sight
     labels = segmented(config.segmenter, level)
     faces = find_faces(level, labels)
     assumptions, warnings = list(ground.assumptions), list(ground.warnings)

@@ -31,7 +31,7 @@ def inside_out(points: F64, normals: F64, up: F64 | None) -> bool:
         normals: (M, 3) unit, of their triangles.
         up: (3,) unit, or None.
     """
-    if np.linalg.norm(normals.mean(0)) < CLOSED:
+    if is_closed(normals):
         return _faces_inward(points, normals)
     if up is not None:
         facing = normals @ up
@@ -40,15 +40,20 @@ def inside_out(points: F64, normals: F64, up: F64 | None) -> bool:
     return _rest_behind(points, normals)
 
 
+def is_closed(normals: F64) -> bool:
+    """Whether unit normals (M, 3), spread evenly over a surface, add up to nothing, as those of solids do."""
+    return bool(np.linalg.norm(normals.mean(0)) < CLOSED)
+
+
 def _faces_inward(points: F64, normals: F64) -> bool:
     """Of a closed surface: a negative volume, and no room. Its thickness is its volume by the area of its shadow."""
     volume = float(np.einsum("ij,ij->i", normals, points - points.mean(0)).mean()) / 3
-    shadow = float(np.abs(normals @ _main_direction(normals)).mean()) / 2
+    shadow = float(np.abs(normals @ main_direction(normals)).mean()) / 2
     return -ROOM < volume / shadow < 0
 
 
 def _rest_behind(points: F64, normals: F64) -> bool:
-    side = _main_direction(normals)
+    side = main_direction(normals)
     side = side if np.mean(normals @ side > ALONG) > np.mean(normals @ side < -ALONG) else -side
     if max(side[2], side[1]) > ALONG:
         return False
@@ -61,6 +66,6 @@ def _rest_behind(points: F64, normals: F64) -> bool:
     return bool(behind > max(CLEARLY * before, 0.01))
 
 
-def _main_direction(normals: F64) -> F64:
+def main_direction(normals: F64) -> F64:
     """(3,) unit: along which most of the area faces, one way or the other."""
     return np.linalg.eigh(normals.T @ normals)[1][:, 2]

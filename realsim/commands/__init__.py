@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from realsim.errors import printable
+
 _arguments: ContextVar[tuple[str, ...]] = ContextVar("arguments", default=())
 
 
@@ -38,3 +40,30 @@ class CommandResult:
     text: str
     data: Mapping[str, Any] = field(default_factory=dict)
     exit_code: int = 0
+    level: str = ""
+    """good, look or bad, of commands that give a verdict: the colour of the first line."""
+
+    def rendered(self, color: bool) -> str:
+        """The text for a terminal: names from files cannot control it, and a verdict comes first, in its colour."""
+        first, end, rest = printable(self.text).partition("\n")
+        code = {"good": "32", "look": "33", "bad": "31"}.get(self.level, "")
+        return (f"\x1b[1;{code}m{first}\x1b[0m" if color and code else first) + end + rest
+
+
+DO_NOT_USE = 3
+"""Exit code of a result that is not to be used, with `--strict`."""
+WORDS = {"good": "Good", "look": "Check first", "bad": "Do not use"}
+
+
+def verdict_lines(verdict: Mapping[str, Any]) -> list[str]:
+    """A verdict (`level`, `headline`, `reasons`, `next`) as the first lines of a command's output."""
+    return [
+        f"{WORDS[verdict['level']]}: {verdict['headline']}",
+        *(f"  because  {reason}" for reason in verdict["reasons"]),
+        *(f"  next     {step}" for step in verdict["next"]),
+    ]
+
+
+def strict_exit(verdict: Mapping[str, Any], strict: bool) -> int:
+    """The exit code of a verdict."""
+    return DO_NOT_USE if strict and verdict["level"] == "bad" else 0

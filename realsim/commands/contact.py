@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from realsim.commands import CommandResult
+from realsim.commands import CommandResult, strict_exit, verdict_lines
 from realsim.errors import require
 from realsim.exports.config import SceneConfig
 from realsim.files import output_folder
@@ -21,6 +21,7 @@ def contact(
     up: Literal["auto", "z", "y"] = "auto",
     ground_z: float | None = None,
     overwrite: bool = False,
+    strict: bool = False,
 ) -> CommandResult:
     """Give a mesh collision geometry for MuJoCo, chosen by measured error and cost, and say how far it is off.
 
@@ -29,8 +30,9 @@ def contact(
         out: gets scene.xml, the mesh, contact.json and contact.png.
         unit: unit of the file; metres if not given, but what is more than 50 m across then is refused.
         up: axis of the file that points up.
-        ground_z: height of the ground in metres; found from the mesh if not given.
+        ground_z: height of the ground in metres; the mesh's own floor or else its lowest point if not given.
         overwrite: replace a folder that realsim wrote before.
+        strict: exit with code 3 if the verdict is "do not use" (the scene is written all the same).
     """
     require("recon", "realsim contact")
     from realsim.exports import contact_mesh
@@ -39,7 +41,9 @@ def contact(
         files = contact_mesh(mesh, folder, config, unit=unit, up=up, ground_z=ground_z)
     c = dict(files.contact)
     lines = [
+        *verdict_lines(c["verdict"]),
         f"scene          {out / 'scene.xml'}",
+        f"ground         {c['ground']}",
         f"representation {c['representation']}, {sum(c['geoms'].values())} geoms",
         f"error          {c['median_mm']:.1f} mm median, {c['p95_mm']:.1f} mm at the 95th percentile",
         f"phantom        {c['phantom_area_cm2']:.0f} cm2, missing {c['missing_area_cm2']:.0f} cm2, {c['leaks']} leaks",
@@ -47,4 +51,6 @@ def contact(
         *(f"mended         {note}" for note in c["mended"]),
         *(f"note           {warning}" for warning in files.warnings),
     ]
-    return CommandResult("\n".join(lines), {"scene_xml": str(out / "scene.xml"), "contact": c})
+    verdict = c["verdict"]
+    data = {"verdict": verdict, "scene_xml": str(out / "scene.xml"), "contact": c, "warnings": list(files.warnings)}
+    return CommandResult("\n".join(lines), data, strict_exit(verdict, strict), verdict["level"])

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import tyro
 
 from realsim import gap
-from realsim.commands import CommandResult
+from realsim.commands import CommandResult, strict_exit
 from realsim.commands.many import run_each
 from realsim.errors import RealsimError
 from realsim.files import refuse_within
@@ -27,6 +27,7 @@ def diagnose(
     explain: str | None = None,
     jobs: int = 1,
     ray: str | None = None,
+    strict: bool = False,
 ) -> CommandResult:
     """Say where a robot's logs differ from its simulator, which unmodelled effect causes it, and how much it matters.
 
@@ -40,6 +41,7 @@ def diagnose(
         explain: instead of a case: say what an effect looks like and what excites it (`all` lists them).
         jobs: with several cases: how many at a time on this machine.
         ray: with several cases: the address of a Ray cluster that shares this file system.
+        strict: exit with code 3 if the gap stays unexplained (the patched model is then not to be used).
     """
     if explain is not None:
         text = gap.explain(explain)
@@ -59,7 +61,8 @@ def diagnose(
         refuse_within(out, cases[0])
         with steps() as tick:
             result = gap.run_case(cases[0], out, config, tick, overwrite=overwrite)
-        return CommandResult(_summary(result, out, config), result)
+        level = LEVELS[str(result["verdict"])]
+        return CommandResult(_summary(result, out, config), result, strict_exit({"level": level}, strict), level)
     return run_each("diagnose", cases, out, shows="sentence", jobs=jobs, ray=ray)
 
 
@@ -93,7 +96,48 @@ def _health(case: Path, found: Mapping[str, Any]) -> list[str]:
 
 
 def _summary(result: Mapping[str, Any], out: Path, config: DiagnoseConfig) -> str:
-    lines = [str(result["sentence"]), f"model   {out / 'model.xml'}"]
-    lines.append(f"report  {out / ('report.html' if config.report else 'diagnosis.json')}")
-    lines += [f"note    {warning}" for warning in result["health"]["warnings"]]
+    """The verdict in a word, then what it rests on, a fact a line; the whole sentence is in diagnosis.json."""
+    from realsim.gap.answer.sentence import phrase
+    from realsim.gap.report.words import WORDS, percent
+
+    verdict, causes = str(result["verdict"]), result["causes"]
+    size = result["shrinkage"]
+    lines = [f"{WORDS[verdict]}: {HEADLINES[verdict]}"]
+    lines += [f"  because  {reason}" for reason in result["statistics"].get("reasons", [])[:2]]
+    where = sorted(result["where"], key=lambda entry: -entry["share"])[: 0 if verdict == "no_gap" else 2]
+    for entry in where:
+        place = entry.get("joint") or entry["signal"]
+        lines.append(f"  where    {place}, phase {entry['phase']}: {percent(entry['share'])} of the gap")
+    lines += [f"  cause    {phrase(cause)} (probability {cause['probability']:.2f})" for cause in causes]
+    if causes:
+        low, high = (percent(share) for share in size["ci90"])
+        unseen = "" if size.get("unseen", True) else ", which the fit has seen"
+        runs = ", ".join(size["runs"])
+        lines.append(
+            f"  size     {percent(size['fraction'])} of the squared error goes [{low}, {high}] on {runs}{unseen}"
+        )
+    lines.append(f"  next     {_next(result, out)}")
+    lines.append(f"model      {out / 'model.xml'}")
+    lines.append(f"report     {out / ('report.html' if config.report else 'diagnosis.json')}")
+    lines += [f"note       {warning}" for warning in result["health"]["warnings"]]
     return "\n".join(lines)
+
+
+def _next(result: Mapping[str, Any], out: Path) -> str:
+    """What to do about the verdict: the recording that would tell, where there is one."""
+    verdict, sentence = str(result["verdict"]), str(result["sentence"])
+    if verdict == "no_gap":
+        return "nothing to change in the model; record livelier runs to look closer"
+    if verdict == "identified":
+        return f"simulate with {out / 'model.xml'}, and check it on a new run"
+    _, record, what = sentence.rpartition("record ")
+    return (record + what).rstrip(".") if record else "record more runs that move what differs"
+
+
+HEADLINES = {
+    "no_gap": "the runs show no gap beyond noise and everyday deviations.",
+    "identified": "the cause is named below.",
+    "ambiguous": "several causes explain these runs as well as each other.",
+    "unexplained": "do not use the patched model: no known effect explains the gap.",
+}
+LEVELS = {"no_gap": "good", "identified": "good", "ambiguous": "look", "unexplained": "bad"}

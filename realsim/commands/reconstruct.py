@@ -8,10 +8,14 @@ from typing import Annotated, Any
 import tyro
 
 from realsim import pipeline
-from realsim.commands import CommandResult
+from realsim.commands import CommandResult, strict_exit, verdict_lines
 from realsim.commands.many import run_each
 from realsim.errors import RealsimError, require
+from realsim.report.verdict import dropped_frames, judge
 from realsim.types import Reconstruction
+
+SHOWN = 4
+"""Reasons for dropped frames, and things cut away, that the terminal lists; the report has all."""
 
 
 def reconstruct(
@@ -20,6 +24,7 @@ def reconstruct(
     ],
     config: pipeline.ReconstructConfig,
     out: Path = Path("scene"),
+    strict: bool = False,
     jobs: int = 1,
     ray: str | None = None,
 ) -> CommandResult:
@@ -28,6 +33,7 @@ def reconstruct(
     Args:
         frames: one capture or scan; or several, each of which gets a folder of its name below --out.
         out: the scene's folder.
+        strict: exit with code 3 if the verdict is "do not use" (the scene is written all the same).
         jobs: with several captures: how many at a time on this machine.
         ray: with several captures: the address of a Ray cluster that shares this file system.
     """
@@ -36,7 +42,10 @@ def reconstruct(
     if len(frames) == 1 and ray is None:
         require("recon", "realsim reconstruct")
         result = pipeline.reconstruct(frames[0], out, config)
-        return CommandResult(_summary(result), _data(result))
+        verdict = judge(result).as_dict()
+        text = "\n".join([*verdict_lines(verdict), *_summary(result)])
+        data = {"verdict": verdict, **_data(result)}
+        return CommandResult(text, data, strict_exit(verdict, strict), verdict["level"])
     return run_each("reconstruct", frames, out, shows="scene_xml", jobs=jobs, ray=ray)
 
 
@@ -47,18 +56,23 @@ def _data(result: Reconstruction) -> dict[str, Any]:
         "report": str(result.scene.folder / "report.html"),
         "seconds": sum(s.seconds for s in result.stages),
         "warnings": list(result.warnings),
+        "dropped": [{"name": n, "stage": s, "reason": r} for n, s, r in dropped_frames(result)],
+        "cropped": list(result.aligned.cropped),
+        "assumptions": [*result.source.assumptions, *result.aligned.assumptions],
     }
 
 
-def _summary(result: Reconstruction) -> str:
+def _summary(result: Reconstruction) -> list[str]:
     lines = [f"scene   {result.scene.scene_xml}", f"report  {result.scene.folder / 'report.html'}"]
     if result.points is not None and result.aligned.metric is not None:
         scale = result.aligned.metric.scale
-        lines.append(
-            f"frames  {len(result.points)} used, {len(result.points.dropped) + len(result.source.dropped)} dropped"
-            if hasattr(result.source, "dropped")
-            else f"frames  {len(result.points)} used"
-        )
+        dropped = dropped_frames(result)
+        lines.append(f"frames  {len(result.aligned.metric)} used, {len(dropped)} dropped")
+        by_reason: dict[str, list[str]] = {}
+        for name, stage, reason in dropped:
+            by_reason.setdefault(f"{reason} ({stage})", []).append(name)
+        said = [(names[0] if len(names) == 1 else f"{len(names)} frames", why) for why, names in by_reason.items()]
+        lines += _first([f"dropped {which}: {why}" for which, why in said], "more reasons")
         lines.append(f"scale   {scale.value:.4f} [{scale.ci90[0]:.4f}, {scale.ci90[1]:.4f}] by {scale.method}")
     gravity = result.aligned.gravity
     lines.append(f"level   to within {gravity.tilt_sigma_deg:.2f} degrees (1 sigma)")
@@ -67,7 +81,16 @@ def _summary(result: Reconstruction) -> str:
         if platform is not None:
             x, y, z = platform.centroid
             lines.append(f"{role:<7} {x:+.3f} {y:+.3f} {z:+.3f} m, {platform.size[0]:.2f} x {platform.size[1]:.2f} m")
+    lines += [f"frame   {said}" for said in result.aligned.assumptions]
+    width, depth, height = (result.aligned.bounds[1] - result.aligned.bounds[0]).tolist()
+    lines.append(f"kept    {width:.2f} x {depth:.2f} x {height:.2f} m of the capture")
+    lines += _first([f"cut     {said}" for said in result.aligned.cropped], "more objects")
     lines.append(f"mesh    {result.mesh.quality.triangles} triangles, {result.mesh.method}")
     lines.append(f"time    {sum(s.seconds for s in result.stages):.1f} s")
-    lines += [f"note    {w}" for w in result.warnings]
-    return "\n".join(lines)
+    return lines + [f"note    {w}" for w in result.warnings]
+
+
+def _first(lines: list[str], what: str) -> list[str]:
+    """The first few, and how many are left out."""
+    left = len(lines) - SHOWN
+    return lines if left <= 0 else [*lines[:SHOWN], f"        and {left} {what}: see the report"]

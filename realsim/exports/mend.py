@@ -138,24 +138,6 @@ def mend(vertices: F64, triangles: NDArray[Any]) -> tuple[TerrainMesh, list[str]
     return terrain, notes
 
 
-def ground_height(mesh: TerrainMesh) -> float:
-    """z of the ground: the lowest level that holds a twentieth of all that is level and faces up, else the lowest
-    point."""
-    corners = mesh.vertices[mesh.triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(normal, axis=1)
-    level = normal[:, 2] > np.cos(np.radians(5)) * area
-    lowest = float(mesh.vertices[:, 2].min())
-    if not level.any():
-        return lowest
-    z = corners[level].mean(1)[:, 2]
-    bins = np.floor((z - lowest) / 0.01).astype(int)
-    sums = np.bincount(bins, area[level])
-    first = int(np.flatnonzero(sums > 0.05 * sums.sum())[0])
-    near = bins == first
-    return float(np.average(z[near], weights=area[level][near]))
-
-
 def _from_above(mesh: TerrainMesh) -> tuple[bool, bool]:
     """(whether most of what is seen from above faces down, whether solids overlap), by a grid of rays.
 

@@ -28,7 +28,7 @@ def reconstruction_page(folder: Path, result: Reconstruction, judgement: Judgeme
     outlined = "Height of the surface; outlined are the level tops that were found, dots and strokes are the cameras."
     scene_view = viewer3d.viewer(scene_layers(folder, result), label="the reconstructed scene in 3D")
     body = [
-        page.verdict(judgement.level, judgement.headline, judgement.reasons),
+        page.verdict(judgement.level, judgement.headline, judgement.reasons, judgement.next_steps),
         page.facts(_facts(result)),
         page.grid(
             page.card("The scene", scene_view, drag, wide=True),
@@ -153,7 +153,7 @@ def _platform_card(result: Reconstruction) -> str:
     body = page.table(["", "centroid x y z (m)", "length width height (m)", "yaw"], rows)
     note = (
         "Origin at the centroid of the start platform's top, z up, x toward the goal. Wrong ones? Run again with "
-        "--start X Y --goal X Y."
+        "--start X Y --goal X Y --overwrite."
     )
     return page.card("Platforms", body, note)
 

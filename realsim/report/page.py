@@ -12,7 +12,7 @@ from importlib.resources import files
 from typing import Any, Literal
 
 Level = Literal["good", "look", "bad"]
-WORDS: dict[Level, str] = {"good": "Good", "look": "Look here", "bad": "Do not use"}
+WORDS: dict[Level, str] = {"good": "Good", "look": "Check first", "bad": "Do not use"}
 
 
 def esc(value: Any) -> str:
@@ -30,12 +30,13 @@ def badge(level: Level, text: str = "") -> str:
     return f'<span class="badge {level}">{esc(text or WORDS[level])}</span>'
 
 
-def verdict(level: Level, headline: str, reasons: Sequence[str]) -> str:
-    """The banner at the top: what to make of this result, and why, one sentence a reason."""
+def verdict(level: Level, headline: str, reasons: Sequence[str], steps: Sequence[str] = ()) -> str:
+    """The banner at the top: what to make of this result, why, one sentence a reason, and what to do next."""
     rows = "".join(f"<li>{esc(r)}</li>" for r in reasons)
+    todo = "".join(f"<li>{esc(s)}</li>" for s in steps)
     return (
         f'<section class="verdict {level}"><div class="word">{WORDS[level]}</div><div><h2>{esc(headline)}</h2>'
-        f"{f'<ul>{rows}</ul>' if rows else ''}</div></section>"
+        f"{f'<ul>{rows}</ul>' if rows else ''}{f'<h4>Next</h4><ul>{todo}</ul>' if todo else ''}</div></section>"
     )
 
 

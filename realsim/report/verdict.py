@@ -25,6 +25,8 @@ class Check:
     level: Level
     reason: str
     """One sentence for the banner if the level is not good."""
+    advice: str = ""
+    """What to do about it then."""
 
 
 @dataclass(frozen=True)
@@ -41,16 +43,29 @@ class Judgement:
         order = {"bad": 0, "look": 1}
         return tuple(c.reason for c in sorted(self.checks, key=lambda c: order.get(c.level, 2)) if c.level != "good")
 
+    @property
+    def next_steps(self) -> tuple[str, ...]:
+        """What to do about the reasons, in their order, each once."""
+        order = {"bad": 0, "look": 1}
+        failed = sorted((c for c in self.checks if c.level != "good"), key=lambda c: order[c.level])
+        return tuple(dict.fromkeys(c.advice for c in failed if c.advice))
+
     def as_dict(self) -> dict[str, Any]:
         """JSON-able."""
         checks = [{"name": c.name, "found": c.found, "limits": c.limits, "level": c.level} for c in self.checks]
-        return {"level": self.level, "headline": self.headline, "reasons": list(self.reasons), "checks": checks}
+        return {
+            "level": self.level,
+            "headline": self.headline,
+            "reasons": list(self.reasons),
+            "next": list(self.next_steps),
+            "checks": checks,
+        }
 
 
 _HEADLINES: dict[Level, str] = {
     "good": "Every check passed: the scene can be used as it is.",
-    "look": "The scene can be used, once a person has looked at what follows.",
-    "bad": "Do not train or test on this scene: something basic is wrong.",
+    "look": "Usable once a person has checked what follows.",
+    "bad": "Do not train or test on this scene.",
 }
 
 
@@ -62,7 +77,14 @@ def judge(result: Reconstruction) -> Judgement:
 
 
 def graded(
-    name: str, value: float, look: float, bad: float, show: Callable[[float], str], *, low_is_bad: bool = False
+    name: str,
+    value: float,
+    look: float,
+    bad: float,
+    show: Callable[[float], str],
+    *,
+    low_is_bad: bool = False,
+    advice: str = "",
 ) -> Check:
     """A check of a number against two limits; what is not finite is bad."""
     sign = -1 if low_is_bad else 1
@@ -72,9 +94,19 @@ def graded(
     elif sign * value > sign * look:
         level = "look"
     word = "below" if low_is_bad else "above"
-    limits = f"look {word} {show(look)}, do not use {word} {show(bad)}"
+    limits = f"check {word} {show(look)}, reject {word} {show(bad)}"
     limit = bad if level == "bad" else look
-    return Check(name, show(value), limits, level, f"{name}: {show(value)}, {word} the limit of {show(limit)}.")
+    return Check(name, show(value), limits, level, f"{name}: {show(value)}, {word} the limit of {show(limit)}.", advice)
+
+
+_SCALE = "record more frames with depth between 0.3 and 3 m, or give metric camera poses"
+_FLOOR = "record at least 1 m² of level floor around the terrain, from less than 2 m away"
+_OVERLAP = "record again more slowly: 15 to 30 cm between views, each sharing half of its picture with the one before"
+_COVER = "record again from closer and from both sides, until every top and the floor between has been in view"
+_ROLES = "name the platforms yourself: --start X Y --goal X Y"
+_POSES = "check the camera poses and the unit of the depth (`realsim inspect`), or try --poses estimate"
+_MESH = "look at the mesh with `realsim view`, or try another --resolution"
+_TOUCH = "look at the collision geometry with `realsim view`, or try another --contact"
 
 
 def percent(value: float) -> str:
@@ -101,16 +133,16 @@ def _scale(result: Reconstruction) -> Iterator[Check]:
     if estimate is None:
         return
     half = (estimate.ci90[1] - estimate.ci90[0]) / 2 / estimate.value
-    yield graded("Scale uncertainty (90 % interval, half width)", half, 0.015, 0.03, percent)
+    yield graded("Scale uncertainty (90 % interval, half width)", half, 0.015, 0.03, percent, advice=_SCALE)
     limits: Mapping[str, Any] = result.config.get("scale", {})
     look, bad = float(limits.get("warn_spread", 0.05)), float(limits.get("max_spread", 0.25))
-    yield graded("Disagreement of scale between frames", estimate.per_frame_spread, look, bad, percent)
+    yield graded("Disagreement of scale between frames", estimate.per_frame_spread, look, bad, percent, advice=_SCALE)
 
 
 def _gravity(result: Reconstruction) -> Iterator[Check]:
     gravity = result.aligned.gravity
-    yield graded("Tilt uncertainty of the ground", gravity.tilt_sigma_deg, 0.3, 1.0, _degrees)
-    yield graded("Roughness of the ground (RMS)", gravity.inlier_rms_m, 0.020, 0.050, millimetres)
+    yield graded("Tilt uncertainty of the ground", gravity.tilt_sigma_deg, 0.3, 1.0, _degrees, advice=_FLOOR)
+    yield graded("Roughness of the ground (RMS)", gravity.inlier_rms_m, 0.020, 0.050, millimetres, advice=_FLOOR)
 
 
 def _frames(result: Reconstruction) -> Iterator[Check]:
@@ -118,7 +150,8 @@ def _frames(result: Reconstruction) -> Iterator[Check]:
     if metric is None:
         return
     used, lost = len(metric), sum(d.lost for _, d in _left_out(result))
-    yield graded("Frames that fit together", used / max(used + lost, 1), 0.8, 0.3, percent, low_is_bad=True)
+    share = used / max(used + lost, 1)
+    yield graded("Frames that fit together", share, 0.8, 0.3, percent, low_is_bad=True, advice=_OVERLAP)
 
 
 def dropped_frames(result: Reconstruction) -> list[tuple[str, str, str]]:
@@ -144,15 +177,16 @@ def _platforms(result: Reconstruction) -> Iterator[Check]:
     missing = [role for role in ("start", "goal") if result.aligned.platform(role) is None]
     found = f"{len(result.aligned.platforms)} found" + (f", no {' and no '.join(missing)}" if missing else "")
     reason = f"No {' and no '.join(missing)} platform was found: the frame rests on assumptions, listed below."
-    yield Check("Start and goal platforms", found, "look if one is missing", "look" if missing else "good", reason)
+    level: Level = "look" if missing else "good"
+    yield Check("Start and goal platforms", found, "check if one is missing", level, reason, _ROLES)
 
 
 def _surface(result: Reconstruction) -> Iterator[Check]:
     mesh = result.mesh
     if mesh.residuals:
         typical = float(np.median([r.median_abs_m for r in mesh.residuals]))
-        yield graded("Distance of the depth from the mesh (median)", typical, 0.006, 0.020, millimetres)
-    yield graded("Ground and tops that no camera saw", unseen_share(result), 0.15, 0.5, percent)
+        yield graded("Distance of the depth from the mesh (median)", typical, 0.006, 0.020, millimetres, advice=_POSES)
+    yield graded("Ground and tops that no camera saw", unseen_share(result), 0.15, 0.5, percent, advice=_COVER)
     q = mesh.quality
     faults = [
         f"{count} {what}"
@@ -165,7 +199,7 @@ def _surface(result: Reconstruction) -> Iterator[Check]:
     ]
     text = ", ".join(faults) or "none"
     level: Level = "look" if faults else "good"
-    yield Check("Faults of the mesh", text, "look if there is one", level, f"The mesh has faults: {text}.")
+    yield Check("Faults of the mesh", text, "check if there is one", level, f"The mesh has faults: {text}.", _MESH)
 
 
 def unseen_share(result: Reconstruction) -> float:
@@ -179,13 +213,15 @@ def unseen_share(result: Reconstruction) -> float:
 def _physics(result: Reconstruction) -> Iterator[Check]:
     errors = [abs(float(d["error_m"])) for d in result.scene.checks.get("drops", ()) if "error_m" in d]
     if errors:
-        yield graded("Resting height of dropped objects (worst error)", max(errors), 0.008, 0.03, millimetres)
+        yield graded(
+            "Resting height of dropped objects (worst error)", max(errors), 0.008, 0.03, millimetres, advice=_TOUCH
+        )
 
 
 def _warnings(result: Reconstruction) -> Iterator[Check]:
     count = len(result.warnings)
     reason = f"{count} warning{'s' if count != 1 else ''}, listed below."
-    yield Check("Warnings", str(count), "look if there is one", "look" if count else "good", reason)
+    yield Check("Warnings", str(count), "check if there is one", "look" if count else "good", reason)
 
 
 _CHECKS = (_scale, _gravity, _frames, _platforms, _surface, _physics, _warnings)

@@ -325,6 +325,27 @@ def test_what_lies_under_a_floor_that_faces_up_in_its_file_is_a_pit(course):
     assert not turned(HEAD_DOWN, V, F[:, ::-1])
 
 
+@pytest.mark.parametrize("thickness", [0.005, 0.02, 0.05, 0.3])
+@pytest.mark.parametrize("T", [np.eye(4), LYING, HEAD_DOWN, ASKEW])
+def test_of_a_slab_under_a_course_the_upper_face_is_the_ground(course, source, thickness, T):
+    """Thinner or thicker than a voxel. Where no axis of the file points up, or the one that is believed points down
+    (a low course hangs under its slab nearly as well as it stands on it), that is a warning and a question."""
+    V, F = plinth(course[:4], 3.0, thickness)
+    aligned = align(Scan(source, "mesh", transform(T, V), F), CONFIG)
+    assert any("?" in w and "up" in w for w in aligned.warnings) == (T is HEAD_DOWN or T is ASKEW)
+    if T is not HEAD_DOWN:
+        assert errors(aligned, T, truth())[0] < 0.05
+        assert aligned.ground_z == pytest.approx(-0.30, abs=0.005)
+
+
+def test_the_axis_of_the_file_is_believed_where_nothing_tells(source):
+    """A bare slab stands on either face."""
+    V, F = plinth([], 2.0, 0.02)
+    aligned = align(Scan(source, "mesh", V, F), CONFIG)
+    assert aligned.T_sim_world[2, 2] == pytest.approx(1, abs=1e-6)
+    assert not aligned.warnings
+
+
 def test_a_scanner_that_knows_where_it_stood_starts_nearest(course, source):
     V, F = mesh_of(course[:4], 3.0)
     aligned = align(Scan(source, "cloud", V, F, sensor_position=np.array([2.9, 1.0, 1.5])), CONFIG)

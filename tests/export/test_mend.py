@@ -12,7 +12,8 @@ from benchmarks.solids import block, terrain, with_floor
 from realsim.errors import ExportError
 from realsim.exports import contact_mesh
 from realsim.exports.config import SceneConfig
-from realsim.exports.mend import ground_height, mend, read_mesh
+from realsim.exports.ground import ground_level
+from realsim.exports.mend import mend, read_mesh
 from realsim.exports.winding import turn_stray
 
 CONFIG = SceneConfig(contact_probes=200)
@@ -101,7 +102,7 @@ def test_inside_out_is_turned_round(tmp_path: Path) -> None:
     mesh, notes = read_mesh(stl(tmp_path / "a.stl", flipped=True))
     assert any("inside out" in n for n in notes)
     right, _ = read_mesh(stl(tmp_path / "b.stl"))
-    assert ground_height(mesh) == pytest.approx(ground_height(right)) == pytest.approx(0.0, abs=1e-6)
+    assert ground_level(mesh).z == pytest.approx(ground_level(right).z) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_nan_and_flat_triangles_are_taken_out() -> None:

@@ -19,6 +19,7 @@ import torch
 from realsim.errors import extra
 from realsim.files import check_size, read_bytes, write_bytes
 from trainer.errors import TrainerError
+from trainer.ppo.metadata import check_graph, read_metadata
 from trainer.ppo.policy import Policy
 from trainer.robots import TrainedRobot
 from trainer.tasks import ObservationLayout
@@ -112,7 +113,8 @@ def load(path: Path) -> tuple[Any, Deployment]:
     """(onnxruntime session, metadata) of an exported policy.
 
     Raises:
-        TrainerError: not ONNX, cut off, not exported by `export`, or of another version.
+        TrainerError: not ONNX, cut off, not exported by `export`, of another version, or with metadata that do not fit
+            each other or the network.
     """
     check_size(path)
     try:
@@ -129,18 +131,8 @@ def load(path: Path) -> tuple[Any, Deployment]:
             expected=f"metadata {KEY!r}, as `realsim finetune` writes it",
             found=f"metadata {sorted(meta)}",
         )
-    facts = json.loads(meta[KEY])
-    if facts.pop("version", None) != VERSION:
-        raise TrainerError("the ONNX policy is of another version", file=path, expected=f"version {VERSION}")
-    o = facts.pop("layout")
-    layout = ObservationLayout(
-        actor=tuple((name, width) for name, width in o["actor"]),
-        critic=tuple((name, width) for name, width in o["critic"]),
-        depth=None if o["depth"] is None else tuple(o["depth"]),
-        actions=tuple(o["actions"]),
-        depth_stride=o["depth_stride"],
-    )
-    rest: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in facts.items()}
+    layout, rest = read_metadata(meta[KEY], VERSION, path)
+    check_graph(runtime, layout, path)
     return runtime, Deployment(layout, **rest)
 
 

@@ -91,6 +91,9 @@ def load_scene(folder: Path) -> SceneOnDisk:
         if not (folder / name).is_file():
             raise ExportError("not a scene folder", file=folder, expected="scene.xml and mesh.ply", found=f"no {name}")
         check_size(folder / name)
+    for path in sorted(folder.iterdir()):  # MuJoCo would wait for ever at a pipe in place of a file that it reads
+        if not path.is_dir() and not path.is_file():
+            raise ExportError("not a plain file", file=path, expected="a scene folder as realsim wrote it")
     try:
         model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
     except ValueError as error:

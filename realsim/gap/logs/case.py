@@ -18,6 +18,11 @@ from realsim.gap.logs.runs import Run as Run
 MAX_INCLUDES = 8
 """Files of a model that include each other in a row."""
 
+LEAST_TIMESTEP = 1e-5
+"""Seconds: below, a log of seconds takes more memory than there is."""
+MOST_GEOMS = 5000
+"""Every candidate cause compiles and steps the model: beyond, a search would not end."""
+
 
 @dataclass(frozen=True)
 class Case:
@@ -203,6 +208,21 @@ def load_model(path: Path) -> tuple[Any, Any, str]:
         model = spec.copy().compile()
     except Exception as error:  # MuJoCo raises ValueError and its own types
         raise GapError("model.xml does not compile", file=path, found=str(error).splitlines()[0]) from error
+    if not LEAST_TIMESTEP <= model.opt.timestep <= 0.1:  # NaN too
+        raise GapError(
+            "the model's time step cannot be simulated",
+            file=path,
+            expected=f"timestep from {LEAST_TIMESTEP:g} to 0.1 s",
+            found=f"{model.opt.timestep:g}",
+        )
+    if model.ngeom > MOST_GEOMS or model.nbody > MOST_GEOMS:
+        raise GapError(
+            "the model is too large for a diagnosis",
+            file=path,
+            expected=f"at most {MOST_GEOMS} bodies and geoms",
+            found=f"{model.nbody} bodies, {model.ngeom} geoms",
+            hint="leave out geoms that nothing touches",
+        )
     if model.nu == 0:
         raise GapError("the model has no actuators", file=path, expected="the robot's servos as actuators")
     return spec, model, text
