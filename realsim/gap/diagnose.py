@@ -117,7 +117,7 @@ def _limited(case: Case, config: DiagnoseConfig) -> Case:
     long = [r.name for r in runs if r.duration > config.max_seconds + 0.5]
     if long:
         notes.append(f"{len(long)} runs are longer than {config.max_seconds:g} s: their beginning is used")
-        cut = [_cut(r, config.max_seconds) for r in runs]
+        cut = [r.where(r.time <= config.max_seconds) for r in runs]
         few = [r.name for r in cut if len(r.time) < LEAST_SAMPLES]
         notes += [f"left out: {name} has less than {LEAST_SAMPLES} samples until then" for name in few]
         runs = [r for r in cut if r.name not in few]
@@ -129,13 +129,6 @@ def _limited(case: Case, config: DiagnoseConfig) -> Case:
             hint="raise max_seconds (--max-seconds)",
         )
     return case.with_runs(tuple(runs), *notes)
-
-
-def _cut(run: Any, seconds: float) -> Any:
-    keep = run.time <= seconds
-    return replace(
-        run, time=run.time[keep], command=run.command[keep], signals={k: v[keep] for k, v in run.signals.items()}
-    )
 
 
 def _assemble(

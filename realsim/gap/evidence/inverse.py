@@ -232,7 +232,12 @@ def _drive(case: Case, model: Any, data: Any, run: Run, when: float) -> F64:
     for u, name in enumerate(case.actuator_names):
         data.ctrl[model.actuator(name).id] = run.command[at, u]
     mujoco.mj_forward(model, data)
-    return np.array(data.qfrc_actuator)
+    force = np.array(data.qfrc_actuator)
+    for joint in case.joint_names:
+        servo = case.actuator_of(joint)
+        if servo is not None and not run.on[at, case.actuator_names.index(servo)]:
+            force[model.joint(joint).dofadr[0]] = 0.0
+    return force
 
 
 def _contact_rows(case: Case, model: Any, data: Any, run: Run, when: float) -> F64 | None:

@@ -67,20 +67,22 @@ def shoot(simulator: Simulator, settings: Sequence[Setting] = (), runs: Sequence
     count = int(np.ceil(seconds[-1] / dt)) + 2
     late = edit.signals.observation_delay
     windows = _windows(simulator, chosen, float(seconds[-1]))
-    states, controls, seen = [], [], []
+    states, controls, offs, seen = [], [], [], []
     for i, motion, starts in windows:
         run = case.runs[i]
         reach = int(np.ceil((run.duration + seconds[-1]) / dt)) + count
         control = simulator._control(model, run, edit, reach, 0, dt)
+        off = simulator._off(model, run, edit, reach, 0, dt)
         for n in starts:
             first = max(round((float(motion.time[n]) - late) / dt), 0)
             here = Start("log", motion.qpos[n], motion.qvel[n])
             states.append(initial_state(case, model, run, edit, here))
             controls.append(control[first : first + count])
+            offs.append(None if off is None else off[first : first + count])
             seen.append((run, motion, n))
     if not states:
         return Shots(labels, seconds, (), np.zeros((0, len(seconds), 0)))
-    sensors = simulator.rolled(model, states, controls, edit)
+    sensors = simulator.rolled(model, states, controls, edit, offs)
     simulator.simulated_seconds += len(states) * count * dt
     names, rows = _names(simulator), []
     for s, (run, motion, n) in zip(sensors, seen, strict=True):

@@ -96,9 +96,11 @@ def disagreement(values: F64, like: F64) -> float:
 
 
 def _asked(case: Case, joint: str, servo: str) -> F64:
-    """(N,) where a position servo's commands want its joint, rad or m."""
+    """(N,) where a position servo's commands want its joint, rad or m; NaN while the drive is off."""
     column = case.actuator_names.index(servo)
-    return np.concatenate([r.command[:, column] for r in case.runs]) / (case.gear(joint) or 1.0)
+    return np.concatenate([np.where(r.on[:, column], r.command[:, column], np.nan) for r in case.runs]) / (
+        case.gear(joint) or 1.0
+    )
 
 
 def _follows(case: Case, joint: str, position: F64) -> bool:

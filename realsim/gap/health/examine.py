@@ -64,7 +64,7 @@ def gathered(warnings: Sequence[str], runs: Sequence[str]) -> list[str]:
 
 
 def _excitation(case: Case) -> list[str]:
-    still = sum(bool((np.ptp(r.command, axis=0) < 1e-6).all()) for r in case.runs)
+    still = sum(bool((np.ptp(r.command, axis=0) < 1e-6).all() and r.enabled is None) for r in case.runs)
     if still == len(case.runs):
         raise GapError(
             "no run excites the robot: all commands are constant",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,8 @@ SIGNAL_SHAPES: dict[str, str | int] = {
     "contact": "F",
 }
 REQUIRED = ("time", "command", "joint_pos")
+OFF_AFTER = 0.1
+"""Seconds without any command from which on a drive is off; shorter gaps are lost messages, and a command holds."""
 MAX_SAMPLES = 5_000_000
 LEAST_SAMPLES = 20
 
@@ -43,6 +45,23 @@ class Run:
     """joint_pos (T, J) and whatever else was logged."""
     init_qpos: F64 | None = None
     init_qvel: F64 | None = None
+    enabled: Any = None
+    """(T, U) bool, whether the drive gives torque from this sample to the next; None if all do throughout."""
+
+    def where(self, keep: Any) -> Run:
+        """The same run, only of the samples that a mask or a slice of (T,) keeps."""
+        return replace(
+            self,
+            time=self.time[keep],
+            command=self.command[keep],
+            signals={name: values[keep] for name, values in self.signals.items()},
+            enabled=None if self.enabled is None else self.enabled[keep],
+        )
+
+    @property
+    def on(self) -> Any:
+        """(T, U) bool: `enabled`, or all True."""
+        return np.ones(self.command.shape, bool) if self.enabled is None else self.enabled
 
     @property
     def duration(self) -> float:
@@ -74,7 +93,8 @@ def layout(
 ) -> Layout:
     """The arrays' columns by name, from what log.json (`file`) says. Raises GapError for units of no array."""
     wide = {"J": tuple(joints), "F": tuple(contact), 3: tuple("xyz"), 4: tuple("wxyz")}
-    names = {"time": ("time",), "command": tuple(actuators)} | {k: wide[v] for k, v in SIGNAL_SHAPES.items()}
+    names = {"time": ("time",), "command": tuple(actuators), "enabled": tuple(actuators)}
+    names |= {k: wide[v] for k, v in SIGNAL_SHAPES.items()}
     units = log.get("units") or {}
     if not isinstance(units, Mapping) or not all(isinstance(u, str) for u in units.values()):
         raise GapError(
@@ -150,7 +170,7 @@ def _checked(path: Path, data: dict[str, F64], want: Layout, warnings: list[str]
     keep = _trusted(time, path, warnings)
     if keep.sum() < LEAST_SAMPLES:
         raise GapError("too few samples have a time stamp", file=path, found=f"{int(keep.sum())} of {count}")
-    command = _fill_forward(data["command"], path, warnings)
+    command, enabled = _commanded(time, data, path, warnings)
     if np.ptp(time[keep]) > 3600:
         raise GapError(
             "the run lasts more than an hour",
@@ -165,7 +185,8 @@ def _checked(path: Path, data: dict[str, F64], want: Layout, warnings: list[str]
                 f"{name} does not fit the model", file=path, expected=f"({size},) finite", found=str(value.shape)
             )
     clock = time[keep] - time[keep][0]
-    return Run(path.stem, clock, command[keep], {k: v[keep] for k, v in signals.items()}, qpos, qvel)
+    on = None if enabled is None else enabled[keep]
+    return Run(path.stem, clock, command[keep], {k: v[keep] for k, v in signals.items()}, qpos, qvel, on)
 
 
 def _unwrapped(positions: F64, path: Path, joints: Sequence[str], warnings: list[str]) -> F64:
@@ -206,17 +227,51 @@ def _check_shape(path: Path, name: str, array: F64, want: tuple[int, int]) -> No
         raise GapError(f"{name} has the wrong shape", file=path, expected=str(want), found=str(array.shape))
 
 
-def _fill_forward(command: F64, path: Path, warnings: list[str]) -> F64:
-    """A missing command is the one before it: that is what a held command does."""
+def _commanded(time: F64, data: Mapping[str, F64], path: Path, warnings: list[str]) -> tuple[F64, Any]:
+    """(commands without holes, (T, U) bool of drives that give torque, or None if all do throughout).
+
+    `enabled` says which drives are on. Without it, a drive is off where it has no command for longer than OFF_AFTER.
+    """
+    command, given = data["command"], data.get("enabled")
     bad = ~np.isfinite(command)
-    if not bad.any():
-        return command
-    if bad.all(axis=0).any() or bad.mean() > 0.5:
-        raise GapError("the command is missing", file=path, found=f"{bad.mean():.0%} of the samples are not finite")
-    warnings.append(f"{path.name}: {int(bad.any(axis=1).sum())} samples without a command hold the one before")
-    filled = command.copy()
-    for column in range(command.shape[1]):
-        good = np.flatnonzero(~bad[:, column])
-        source = good[np.clip(np.searchsorted(good, np.arange(len(command)), side="right") - 1, 0, None)]
-        filled[:, column] = command[source, column]
+    if given is not None:
+        _check_shape(path, "enabled", given, command.shape)
+        if np.isfinite(given).any() and not np.isin(given[np.isfinite(given)], (0, 1)).all():
+            raise GapError("enabled holds other values than 0 and 1", file=path, found=f"{np.nanmax(given):g}")
+        on = _held(given, np.ones(given.shape[1])) > 0.5
+    else:
+        on = np.column_stack([~_long(column, time) for column in bad.T])
+        if bad.all(axis=0).any() or (bad & on).mean() > 0.5:
+            raise GapError(
+                "the command is missing",
+                file=path,
+                found=f"{bad.mean():.0%} of the samples are not finite",
+                hint="where the drives give no torque, say so: an array enabled (T, U) of 0 and 1",
+            )
+    if (lost := bad & on).any():
+        warnings.append(f"{path.name}: {int(lost.any(axis=1).sum())} samples without a command hold the one before")
+    if not on.all() and given is None:
+        warnings.append(f"{path.name}: no command for longer than {OFF_AFTER:g} s: the drive is taken to be off there")
+    return _held(command, np.zeros(command.shape[1])), None if on.all() else on
+
+
+def _long(bad: Any, time: F64) -> Any:
+    """(T,) which samples belong to holes that last longer than OFF_AFTER."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
+    found = np.zeros(len(bad), bool)
+    for begin, end in edges.reshape(-1, 2):
+        found[begin:end] = time[min(end, len(time) - 1)] - time[begin] > OFF_AFTER
+    return found
+
+
+def _held(values: F64, otherwise: F64) -> F64:
+    """Missing values are those before them, or the first there is, or `otherwise` (K,) in an empty column."""
+    filled = values.copy()
+    for column in range(values.shape[1]):
+        good = np.flatnonzero(np.isfinite(values[:, column]))
+        if not len(good):
+            filled[:, column] = otherwise[column]
+            continue
+        source = good[np.clip(np.searchsorted(good, np.arange(len(values)), side="right") - 1, 0, None)]
+        filled[:, column] = values[source, column]
     return filled

@@ -27,7 +27,7 @@ from realsim.gap.simulation.sampling import quiet_mujoco as quiet_mujoco
 from realsim.gap.simulation.sampling import rotation_from as rotation_from
 from realsim.gap.simulation.sampling import sample as sample
 from realsim.gap.simulation.start import Start, find_starts, first_rows, initial_state
-from realsim.gap.simulation.stepping import gears, rolled, spare, stepped
+from realsim.gap.simulation.stepping import Roller, gears, rolled, spare, stepped, switched
 from realsim.types import F64
 
 Setting = tuple[str, Place, dict[str, float]]
@@ -168,19 +168,27 @@ class Simulator:
         steps = [lead + length for lead, length in zip(settle, lengths, strict=True)]
         state = [initial_state(self.case, model, r, edit, s) for r, s in zip(runs, begun, strict=True)]
         control = [self._control(model, run, edit, n, k, dt) for run, n, k in zip(runs, steps, settle, strict=True)]
-        sensors = self.rolled(model, state, control, edit)
+        off = [self._off(model, run, edit, n, k, dt) for run, n, k in zip(runs, steps, settle, strict=True)]
+        sensors = self.rolled(model, state, control, edit, off)
         with self._counting:
             self.simulated_seconds += float(sum(steps)) * dt
         return [self._tracks(model, s, k, edit) for s, k in zip(sensors, settle, strict=True)]
 
-    def rolled(self, model: Any, states: Sequence[F64], controls: Sequence[F64], edit: Edit) -> list[F64]:
-        """(T, S) sensors a run, from (X,) full physics states under (T, U) controls."""
-        one = partial(rolled, model)
+    def rolled(
+        self, model: Any, states: Sequence[F64], controls: Sequence[F64], edit: Edit, off: Sequence[Any] | None = None
+    ) -> list[F64]:
+        """(T, S) sensors a run, from (X,) full physics states under (T, U) controls.
+
+        `off`: (T, U) bool a run of actuators that give no force at a step, or None where all do.
+        """
+        step: Roller = rolled
         if edit.signals.load_friction:
             drives = {j: (edit.motor_joint(j), a) for j, a in self.context.actuator.items()}
-            one = partial(stepped, model, gears(model, edit.signals.load_friction, drives))
+            laws = gears(model, edit.signals.load_friction, drives)
+            step = partial(stepped, laws)
+        jobs = list(zip(states, controls, off or [None] * len(states), strict=True))
         with quiet_mujoco():
-            return list(self.cores.each(lambda run: one(*run), list(zip(states, controls, strict=True))))
+            return list(self.cores.each(lambda run: switched(step, model, *run), jobs))
 
     def _settle_steps(self, start: Start, edit: Edit, dt: float) -> int:
         """Steps before the first sample."""
@@ -210,6 +218,17 @@ class Simulator:
                 since = grid[:-1] - began
                 control[:, model.actuator(pulse.actuator).id] = (since >= pulse.start) & (since < pulse.end)
         return control
+
+    def _off(self, model: Any, run: Run, edit: Edit, steps: int, settle: int, dt: float) -> Any:
+        """(T, U) which actuators are switched off at each step, or None; before the run as at its first sample."""
+        if run.enabled is None:
+            return None
+        grid = (np.arange(steps) - settle + 0.5) * dt - edit.signals.command_delay
+        row = np.clip(np.searchsorted(run.time, grid, side="right") - 1, 0, len(run.time) - 1)
+        off = np.zeros((steps, model.nu), bool)
+        for u, name in enumerate(self.case.actuator_names):
+            off[:, model.actuator(name).id] = ~run.enabled[row, u]
+        return off
 
     def _tracks(self, model: Any, sensors: F64, settle: int, edit: Edit) -> dict[str, F64]:
         """Signals on the simulator's grid, from the first settling step; NaN after a failure."""
@@ -247,8 +266,8 @@ class Simulator:
         steps = np.zeros((len(run.time), len(self.case.joint_names)))
         for joint, name in self.context.actuator.items():
             u = self.case.actuator_names.index(name)
-            gain = self.case.command_torque(joint)
-            steps[:, self.case.joint_names.index(joint)] = gain * np.diff(run.command[:, u], prepend=run.command[0, u])
+            change = np.diff(run.command[:, u], prepend=run.command[0, u]) * run.on[:, u]
+            steps[:, self.case.joint_names.index(joint)] = self.case.command_torque(joint) * change
         return steps
 
     def read(self, run: Run, raw: dict[str, F64], edit: Edit) -> F64:

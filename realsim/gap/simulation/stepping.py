@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -59,8 +60,32 @@ def _may_touch(model: Any) -> bool:
     return bool(model.npair or model.nflex or ours)
 
 
-def rolled(model: Any, state: F64, control: F64) -> F64:
-    """(T, S) sensors of a run of T steps in one go.
+Roller = Callable[[Any, F64, F64], tuple[F64, F64]]
+"""(model, (X,) full physics state to begin in, (T, U) control) -> ((T, S) sensors, (X,) state at the end)."""
+
+
+def switched(step: Roller, model: Any, state: F64, control: F64, off: Any = None) -> F64:
+    """(T, S) sensors of a run whose actuators give no force where `off` (T, U) says so: piece by piece."""
+    if off is None or not off.any():
+        return step(model, state, control)[0]
+    edges = [0, *(np.flatnonzero((np.diff(off, axis=0)).any(axis=1)) + 1), len(off)]
+    parts = []
+    for begin, end in pairwise(edges):
+        piece = model
+        if off[begin].any():
+            piece = copy.copy(model)
+            piece.actuator_gainprm[off[begin]] = 0.0
+            piece.actuator_biasprm[off[begin]] = 0.0
+        sensors, state = step(piece, state, control[begin:end])
+        parts.append(sensors)
+        if not np.isfinite(state).all():
+            parts.append(np.full((len(off) - end, sensors.shape[1]), np.nan))
+            break
+    return np.concatenate(parts)
+
+
+def rolled(model: Any, state: F64, control: F64) -> tuple[F64, F64]:
+    """A run of T steps in one go: a `Roller`.
 
     Args:
         state: (X,) full physics state to begin in.
@@ -70,11 +95,11 @@ def rolled(model: Any, state: F64, control: F64) -> F64:
     from mujoco import rollout
 
     with rollout.Rollout(nthread=0) as here:
-        _, sensors = here.rollout(model, [mujoco.MjData(model)], state[None], control[None])
-    return np.asarray(sensors[0])
+        states, sensors = here.rollout(model, [mujoco.MjData(model)], state[None], control[None])
+    return np.asarray(sensors[0]), np.asarray(states[0, -1])
 
 
-def stepped(model: Any, laws: Sequence[Gear], state: F64, control: F64) -> F64:
+def stepped(laws: Sequence[Gear], model: Any, state: F64, control: F64) -> tuple[F64, F64]:
     """The same under laws of friction that go with the torque of the step before; NaN from where MuJoCo gives it up."""
     import mujoco
 
@@ -99,4 +124,7 @@ def stepped(model: Any, laws: Sequence[Gear], state: F64, control: F64) -> F64:
             rows[k:] = np.nan
             break
         rows[k], last = data.sensordata, data.time
-    return rows
+    end = np.full(len(state), np.nan)
+    if np.isfinite(rows[-1]).all():
+        mujoco.mj_getState(model, data, end, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    return rows, end
