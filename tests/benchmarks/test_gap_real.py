@@ -73,7 +73,7 @@ def test_the_diagnosis_s_own_effect_with_the_label_s_value_mends_every_error(ben
             known = {p.name: p for p in effect.parameters(simulator.context, place)}
             name = value["name"].removeprefix("d") if value["name"] not in known else value["name"]
             ratio = value["unit"] == "ratio" and label["effect"] != "load_friction"
-            z = {name: value["value"] - 1 if ratio else value["value"]}
+            z = {name: np.log(value["value"]) if ratio else value["value"]}
             if label["effect"] == "payload":
                 z |= dict(zip("xyz", case.model.body(place[0]).ipos.tolist(), strict=True))
             mended = simulator.simulate([(label["effect"], place, z)])

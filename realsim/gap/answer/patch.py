@@ -15,7 +15,7 @@ from realsim.gap.simulation.context import Context, build_context
 from realsim.gap.simulation.edit import Edit, Pulse, Signals
 from realsim.gap.simulation.simulate import Setting, Simulator
 
-FORMAT = "realsim.gap.patch/1"
+FORMAT = "realsim.gap.patch/2"
 # What no compiled model holds, and what the loop that steps it must do about it.
 _WRAPPER = {
     "command_delay": "hold back every command by this time before it is written to ctrl (model.xml does it itself, but "
@@ -27,6 +27,8 @@ _WRAPPER = {
     "gyro_bias": "add it to the gyroscope's reading",
     "acc_bias": "add it to the accelerometer's reading",
     "load_friction": "before each step, set dof_frictionloss to the model's plus ratio * |torque of the drive|",
+    "position_torque": "before each step, set the joint's qfrc_applied to constant + cos_1 cos(q) + sin_1 sin(q) + "
+    "cos_2 cos(2 q) + sin_2 sin(2 q); the values stand in this order",
     "external_force": "set ctrl of this actuator to 1 from start to end (of the run, or since its onset), else to 0",
 }
 _IN_XML = ("command_delay", "joint_offset")
@@ -82,6 +84,8 @@ def wrappers(signals: Signals, onsets: dict[str, float] | None = None) -> dict[s
         found["gyro_bias"] = {"value": list(signals.gyro_bias), "unit": "rad/s"}
     if any(signals.acc_bias):
         found["acc_bias"] = {"value": list(signals.acc_bias), "unit": "m/s^2"}
+    if signals.position_torque:
+        found["position_torque"] = {"value": dict(signals.position_torque), "unit": "N m"}
     if signals.load_friction:
         found["load_friction"] = {"value": dict(signals.load_friction), "unit": "ratio"}
     passing = [p for p in signals.pulses if not _always(p)]
@@ -116,7 +120,12 @@ def apply_patch(spec: Any, patch: dict[str, Any]) -> Signals:
         GapError: for a patch of another format, or a model without the named parts.
     """
     if not isinstance(patch, dict) or patch.get("format") != FORMAT:
-        raise GapError("not a patch of this tool", expected=f'"format": "{FORMAT}"', found=repr(patch)[:80])
+        raise GapError(
+            "not a patch of this version",
+            expected=f'"format": "{FORMAT}"',
+            found=repr(patch)[:80],
+            hint="diagnose the case again: a patch is read by the version that wrote it",
+        )
     if not patch.get("settings"):
         return Signals()
     resolve(spec)

@@ -58,19 +58,23 @@ class Signals:
     """Joint -> N m s/rad: what a helper adds to the servo before the joint's limit, and damping takes off after it."""
     load_friction: dict[str, float] = field(default_factory=dict)
     """Joint -> friction as a ratio of the transmitted torque."""
+    position_torque: dict[str, list[float]] = field(default_factory=dict)
+    """Joint -> N m: constant, then cosine and sine of its angle, of twice its angle, ..."""
     pulses: list[Pulse] = field(default_factory=list)
     rotors: dict[str, str] = field(default_factory=dict)
     """Joint -> joint of the motor that drives it through play or a spring."""
 
     def moves_the_robot(self) -> bool:
         """Whether the simulation itself changes, not only what is read from it."""
-        return bool(self.command_delay or any(self.joint_offset.values()) or self.load_friction or self.pulses)
+        stepwise = self.load_friction or self.position_torque
+        return bool(self.command_delay or any(self.joint_offset.values()) or stepwise or self.pulses)
 
     def motion(self, in_motion: bool) -> str:
         """All of it that the simulation itself depends on, spelled out; `in_motion`: runs begin as the log reads."""
         offsets = {joint: offset for joint, offset in self.joint_offset.items() if offset}
         begun = (self.observation_delay, self.read_offset) if in_motion else ()
-        return repr((self.command_delay, offsets, self.load_friction, self.back_emf, self.pulses, begun))
+        laws = (self.load_friction, self.position_torque, self.back_emf)
+        return repr((self.command_delay, offsets, laws, self.pulses, begun))
 
 
 class Edit:

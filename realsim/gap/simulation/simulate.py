@@ -27,7 +27,7 @@ from realsim.gap.simulation.sampling import quiet_mujoco as quiet_mujoco
 from realsim.gap.simulation.sampling import rotation_from as rotation_from
 from realsim.gap.simulation.sampling import sample as sample
 from realsim.gap.simulation.start import Start, find_starts, first_rows, initial_state
-from realsim.gap.simulation.stepping import Roller, gears, rolled, spare, stepped, switched
+from realsim.gap.simulation.stepping import Roller, gears, rolled, spare, stepped, switched, waves
 from realsim.types import F64
 
 Setting = tuple[str, Place, dict[str, float]]
@@ -182,10 +182,10 @@ class Simulator:
         `off`: (T, U) bool a run of actuators that give no force at a step, or None where all do.
         """
         step: Roller = rolled
-        if edit.signals.load_friction:
+        if edit.signals.load_friction or edit.signals.position_torque:
             drives = {j: (edit.motor_joint(j), a) for j, a in self.context.actuator.items()}
             laws = gears(model, edit.signals.load_friction, drives)
-            step = partial(stepped, laws)
+            step = partial(stepped, laws, waves=waves(model, edit.signals.position_torque))
         jobs = list(zip(states, controls, off or [None] * len(states), strict=True))
         with quiet_mujoco():
             return list(self.cores.each(lambda run: switched(step, model, *run), jobs))

@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from realsim.types import F64
 
@@ -38,6 +39,37 @@ def gears(model: Any, load_friction: Mapping[str, float], drives: Mapping[str, t
             limit = (low, high)
         found.append(Gear(int(j.dofadr[0]), int(u.id), ratio * abs(turn), limit))
     return found
+
+
+@dataclass(frozen=True)
+class Waves:
+    """Torques of R joints that go with their positions."""
+
+    address: npt.NDArray[np.int64]
+    """(R,) of the joints' positions."""
+    dof: npt.NDArray[np.int64]
+    """(R,)"""
+    constant: F64
+    """(R,) N m"""
+    cosine: F64
+    """(R, H) N m, of the angle and its multiples."""
+    sine: F64
+    """(R, H)"""
+
+    def at(self, qpos: F64) -> F64:
+        """(R,) N m"""
+        angle = qpos[self.address][:, None] * np.arange(1, self.cosine.shape[1] + 1)
+        return self.constant + (self.cosine * np.cos(angle) + self.sine * np.sin(angle)).sum(axis=1)
+
+
+def waves(model: Any, position_torque: Mapping[str, Sequence[float]]) -> Waves | None:
+    """`position_torque`: joint -> constant, cosine, sine, cosine of twice the angle, ... None of none."""
+    if not position_torque:
+        return None
+    joints = [model.joint(name) for name in position_torque]
+    series = np.array(list(position_torque.values()), float)
+    address, dof = ([int(getattr(j, k)[0]) for j in joints] for k in ("qposadr", "dofadr"))
+    return Waves(np.array(address), np.array(dof), series[:, 0], series[:, 1::2], series[:, 2::2])
 
 
 def spare(model: Any) -> None:
@@ -99,8 +131,11 @@ def rolled(model: Any, state: F64, control: F64) -> tuple[F64, F64]:
     return np.asarray(sensors[0]), np.asarray(states[0, -1])
 
 
-def stepped(laws: Sequence[Gear], model: Any, state: F64, control: F64) -> tuple[F64, F64]:
-    """The same under laws of friction that go with the torque of the step before; NaN from where MuJoCo gives it up."""
+def stepped(laws: Sequence[Gear], model: Any, state: F64, control: F64, waves: Waves | None = None) -> tuple[F64, F64]:
+    """The same under laws of friction that go with the torque of the step before, and torques that go with positions.
+
+    NaN from where MuJoCo gives it up.
+    """
     import mujoco
 
     model = copy.copy(model)  # its friction changes on the way, and other threads step it too
@@ -119,6 +154,8 @@ def stepped(laws: Sequence[Gear], model: Any, state: F64, control: F64) -> tuple
         force = np.clip(data.actuator_force[drives], low, high)
         model.dof_frictionloss[dofs] = np.maximum(least + ratios * np.abs(force), 0.0)
         data.ctrl[:] = ctrl
+        if waves is not None:
+            data.qfrc_applied[waves.dof] = waves.at(data.qpos)
         mujoco.mj_step(model, data)
         if data.time <= last:  # the state was no number, and MuJoCo has begun anew
             rows[k:] = np.nan
