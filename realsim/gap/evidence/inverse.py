@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from realsim.gap.evidence.motion import Motion, blur, estimate
 from realsim.gap.logs.case import Case, Run
+from realsim.gap.simulation.edit import Edit
 from realsim.gap.simulation.simulate import Simulator
 from realsim.types import F64
 
@@ -72,10 +73,12 @@ def torque_residual(simulator: Simulator) -> TorqueResidual | None:
         return None
     import mujoco
 
-    model, data = case.model, mujoco.MjData(case.model)
+    model = case.model
     dofs = [int(model.joint(n).dofadr[0]) for n in case.joint_names]
     velocity, change, residual, logged, phases = [], [], [], [], []
     for run in case.runs:
+        model = Edit(simulator.context).set_up(run.setup).compile()
+        data = mujoco.MjData(model)
         motion = estimate(case, run, blur)
         logged_torque = _torque(case, run)
         torque = blur(motion.time, run.time, logged_torque)[0]

@@ -59,7 +59,8 @@ def shoot(simulator: Simulator, settings: Sequence[Setting] = (), runs: Sequence
     case = simulator.case
     chosen = list(range(len(case.runs))) if runs is None else list(runs)
     edit = simulator.edited(settings)
-    model = edit.spec.compile()
+    models = {setup: edit.set_up(setup).compile() for setup in {case.runs[i].setup for i in chosen}}
+    model = models[case.runs[chosen[0]].setup]
     dt = float(model.opt.timestep)
     step = float(np.median([np.median(np.diff(case.runs[i].time)) for i in chosen]))
     seconds = np.array([step, *(h for h in HORIZONS if h > 1.2 * step)])
@@ -70,6 +71,7 @@ def shoot(simulator: Simulator, settings: Sequence[Setting] = (), runs: Sequence
     states, controls, offs, seen = [], [], [], []
     for i, motion, starts in windows:
         run = case.runs[i]
+        model = models[run.setup]
         reach = int(np.ceil((run.duration + seconds[-1]) / dt)) + count
         control = simulator._control(model, run, edit, reach, 0, dt)
         off = simulator._off(model, run, edit, reach, 0, dt)
@@ -82,11 +84,18 @@ def shoot(simulator: Simulator, settings: Sequence[Setting] = (), runs: Sequence
             seen.append((run, motion, n))
     if not states:
         return Shots(labels, seconds, (), np.zeros((0, len(seconds), 0)))
-    sensors = simulator.rolled(model, states, controls, edit, offs)
+    sensors: list[F64] = [np.zeros(0)] * len(states)
+    for setup, model in models.items():
+        of = [k for k, (run, _, _) in enumerate(seen) if run.setup == setup]
+        rolled = simulator.rolled(
+            model, [states[k] for k in of], [controls[k] for k in of], edit, [offs[k] for k in of]
+        )
+        for k, rows_of in zip(of, rolled, strict=True):
+            sensors[k] = rows_of
     simulator.simulated_seconds += len(states) * count * dt
     names, rows = _names(simulator), []
     for s, (run, motion, n) in zip(sensors, seen, strict=True):
-        track = simulator._tracks(model, s, 0, edit)
+        track = simulator._tracks(models[run.setup], s, 0, edit)
         rows.append(_errors(simulator, run, motion, n, track, seconds, dt, edit))
     return Shots(labels, seconds, tuple(names), np.stack(rows))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from realsim.errors import GapError, did_you_mean
 from realsim.files import check_size, read_npz
 from realsim.gap.logs.csv_runs import read_csv
+from realsim.gap.logs.setups import Setup, read_setups
 from realsim.gap.logs.units import in_si
 from realsim.types import F64
 
@@ -45,6 +46,8 @@ class Run:
     """joint_pos (T, J) and whatever else was logged."""
     init_qpos: F64 | None = None
     init_qvel: F64 | None = None
+    setup: Setup = field(default_factory=Setup)
+    """What is known to differ from model.xml in this run."""
     enabled: Any = None
     """(T, U) bool, whether the drive gives torque from this sample to the next; None if all do throughout."""
 
@@ -79,6 +82,8 @@ class Layout:
     command_kind: str
     columns: Mapping[str, Any] | None
     """Where the arrays stand in .csv files, or None."""
+    setups: Mapping[str, Setup]
+    """Run -> what is known to differ from model.xml in it."""
     units: Mapping[str, str]
     """Array -> the unit that .npz files have it in, where that is not the contract's."""
 
@@ -111,7 +116,8 @@ def layout(
                 expected=f"one of {', '.join(names)}",
                 hint=did_you_mean(array, names),
             )
-    return Layout(names, model.nq, model.nv, str(log["command_kind"]), log.get("columns"), units)
+    setups = read_setups(log.get("runs"), model, file)
+    return Layout(names, model.nq, model.nv, str(log["command_kind"]), log.get("columns"), setups, units)
 
 
 def read_run(path: Path, want: Layout, warnings: list[str]) -> Run:
@@ -186,7 +192,8 @@ def _checked(path: Path, data: dict[str, F64], want: Layout, warnings: list[str]
             )
     clock = time[keep] - time[keep][0]
     on = None if enabled is None else enabled[keep]
-    return Run(path.stem, clock, command[keep], {k: v[keep] for k, v in signals.items()}, qpos, qvel, on)
+    setup = want.setups.get(path.stem, Setup())
+    return Run(path.stem, clock, command[keep], {k: v[keep] for k, v in signals.items()}, qpos, qvel, setup, on)
 
 
 def _unwrapped(positions: F64, path: Path, joints: Sequence[str], warnings: list[str]) -> F64:

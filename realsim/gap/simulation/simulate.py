@@ -155,7 +155,20 @@ class Simulator:
         """Signals on the simulator's own grid, a dict a run; begun as in `starts` (the runs' own if None)."""
         begun = starts or [self.starts[i] for i in (chosen if chosen is not None else range(len(self.starts)))]
         runs = [self.case.runs[i] for i in chosen] if chosen is not None else list(self.case.runs)
-        spec = edit.spec
+        found: list[dict[str, F64]] = [{} for _ in runs]
+        for setup in dict.fromkeys(run.setup for run in runs):
+            members = [i for i, run in enumerate(runs) if run.setup == setup]
+            tracks = self._rolled_out(
+                edit, edit.set_up(setup), [runs[i] for i in members], coarse, [begun[i] for i in members], seconds
+            )
+            for i, track in zip(members, tracks, strict=True):
+                found[i] = track
+        return found
+
+    def _rolled_out(
+        self, edit: Edit, spec: Any, runs: Sequence[Run], coarse: int, begun: Sequence[Start], seconds: float
+    ) -> list[dict[str, F64]]:
+        """The same of runs that share a spec."""
         try:
             model = spec.compile()
         except Exception as error:  # the effect's values do not make a body (negative inertia, say)
