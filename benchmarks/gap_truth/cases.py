@@ -73,9 +73,7 @@ def _shares(shares: dict[str, float], count: int) -> list[str]:
     return [names[int(np.searchsorted(edges, i, side="right"))] for i in range(count)]
 
 
-def make_case(
-    draw: Draw, folder: Path, runs: int = 6, deviations: float = 1.0, noise: float = 1.0
-) -> dict[str, Any]:
+def make_case(draw: Draw, folder: Path, runs: int = 6, deviations: float = 1.0, noise: float = 1.0) -> dict[str, Any]:
     """Write one case below `folder`; its label is returned, not written there.
 
     A draw whose robot falls over or whose cause leaves no trace beyond the nuisances' is drawn again: three times with
