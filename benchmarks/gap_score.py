@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Iterable
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
@@ -38,13 +40,38 @@ def same(found: list[dict[str, Any]], truth: list[Label]) -> bool:
     return len(found) == len(truth) and all(any(hit(f, t) for f in found) for t in truth)
 
 
+class MixedEnginesError(ValueError):
+    """Diagnoses of several engines or settings, which no one figure may pool."""
+
+
+def one_engine(found: dict[str, Diagnosis]) -> dict[str, Any]:
+    """`provenance` that all diagnoses share. Raises MixedEnginesError, naming cases of each, where they do not."""
+    groups: dict[str, list[str]] = {}
+    for name in sorted(found):
+        groups.setdefault(json.dumps(found[name].get("provenance"), sort_keys=True), []).append(name)
+    if len(groups) > 1:
+        kinds = "; ".join(
+            f"{_engine(json.loads(key))}: {len(names)} cases, such as {names[0]}" for key, names in groups.items()
+        )
+        raise MixedEnginesError(f"the diagnoses are not of one engine and one set of settings: {kinds}")
+    key = next(iter(groups), "null")
+    return dict(json.loads(key) or {"engine": "not recorded"})
+
+
+def _engine(provenance: dict[str, Any] | None) -> str:
+    if not provenance:
+        return "engine not recorded"
+    settings = json.dumps(provenance.get("settings"), sort_keys=True)
+    return f"engine {provenance.get('engine')} with settings {sha256(settings.encode()).hexdigest()[:6]}"
+
+
 def score(labels: dict[str, Label], found: dict[str, Diagnosis]) -> dict[str, Any]:
-    """All figures; shares as [hits, of]."""
+    """All figures; shares as [hits, of]. Raises MixedEnginesError for diagnoses of several engines."""
 
     def of(cls: str) -> list[str]:
         return [n for n in sorted(labels) if labels[n]["cls"] == cls and n in found]
 
-    out: dict[str, Any] = {"diagnosed": [len(found), len(labels)]}
+    out: dict[str, Any] = {"provenance": one_engine(found), "diagnosed": [len(found), len(labels)]}
     single = of("single")
     top = [top1(labels[n], found[n]) for n in single]
     out["single_top1"] = _share(t == 2 for t in top)
@@ -242,6 +269,9 @@ def table(figures: dict[str, Any]) -> str:
     """The figures for people."""
     lines = []
     for name, value in figures.items():
+        if name == "provenance":
+            lines.append(f"{name:<30} {_engine(value)}, realsim {value.get('version')}, mujoco {value.get('mujoco')}")
+            continue
         if name in ("cases_detail",):
             continue
         bar = f"   (bar {BARS[name]})" if name in BARS else ""

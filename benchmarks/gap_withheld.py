@@ -5,7 +5,8 @@
 Makes cases with `benchmarks.gap_truth` (which shares no code with the diagnosis), keeps the labels apart, runs the
 diagnosis over the cases in processes of its own, and scores what it wrote. Prints a table and stores the figures.
 Cases that are already diagnosed in --work are kept, so an interrupted run goes on where it stopped. A seed makes the
-same cases everywhere; results/diagnosis.json holds the cases of every seed that was scored.
+same cases everywhere; results/diagnosis.json holds the cases of every seed that was scored. Diagnoses of several
+engines are not scored together: each says which engine gave it.
 """
 
 from __future__ import annotations
@@ -22,9 +23,11 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.gap_score import BARS, score, table
+from benchmarks.gap_score import BARS, MixedEnginesError, one_engine, score, table
 from benchmarks.gap_truth.cases import Draw, make_case, plan
 from benchmarks.store import described_run
+from realsim.gap.config import DiagnoseConfig
+from realsim.gap.provenance import provenance
 
 
 def main() -> int:
@@ -44,6 +47,11 @@ def main() -> int:
     labels = read_labels(args.work) if args.score else make_all(args)
     seconds = 0.0 if args.score else diagnose_all(args, sorted(labels))
     found = read_found(args.work, sorted(labels))
+    try:
+        one_engine(found)
+    except MixedEnginesError as error:
+        print(f"{args.work}: {error}. Diagnose them anew: remove {args.work / 'out'}.", file=sys.stderr)
+        return 2
     if args.score:
         labels = {n: labels[n] for n in found}
     made = {"seconds": seconds, "cases": len(labels), "seed": args.seed, "note": args.note, "run": described_run()}
@@ -90,7 +98,9 @@ def read_found(work: Path, names: list[str]) -> dict[str, dict[str, Any]]:
         if (file := work / "out" / name / "diagnosis.json").is_file():
             found[name] = json.loads(file.read_text())
         elif (work / "refused" / f"{name}.json").is_file():
-            found[name] = {"verdict": "refused", "causes": [], "equivalent": []}
+            refusal = json.loads((work / "refused" / f"{name}.json").read_text())
+            made = {"provenance": refusal.get("provenance")}
+            found[name] = {"verdict": "refused", "causes": [], "equivalent": [], **made}
     return found
 
 
@@ -136,6 +146,7 @@ def _note_refusals(folder: Path, todo: list[str], said: str) -> None:
     for item in items:
         if item.get("exit_code") == 2:
             folder.mkdir(parents=True, exist_ok=True)
+            item["provenance"] = provenance(DiagnoseConfig())
             (folder / f"{item['name']}.json").write_text(json.dumps(item, indent=1) + "\n")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import itertools
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,8 @@ class Sensors:
     """rad, standard deviation of a joint's reading."""
     bits: int
     """Encoder resolution, bits a turn."""
+    louder: float = 1.0
+    """Ratio on the noise of all other sensors."""
 
 
 @dataclass(frozen=True)
@@ -71,11 +73,12 @@ def _shares(shares: dict[str, float], count: int) -> list[str]:
     return [names[int(np.searchsorted(edges, i, side="right"))] for i in range(count)]
 
 
-def make_case(draw: Draw, folder: Path, runs: int = 6) -> dict[str, Any]:
+def make_case(draw: Draw, folder: Path, runs: int = 6, deviations: float = 1.0, noise: float = 1.0) -> dict[str, Any]:
     """Write one case below `folder`; its label is returned, not written there.
 
     A draw whose robot falls over or whose cause leaves no trace beyond the nuisances' is drawn again: three times with
-    the same causes, then with the next ones.
+    the same causes, then with the next ones. `deviations` and `noise` are ratios on the everyday deviations and on the
+    sensors' noise: the draw is judged without them, so that cases of several ratios differ in nothing else.
     """
     for attempt in range(15):
         rng = np.random.default_rng([draw.seed, attempt])
@@ -83,6 +86,7 @@ def make_case(draw: Draw, folder: Path, runs: int = 6) -> dict[str, Any]:
         model = mujoco.MjModel.from_xml_string(robot.xml)
         sensors = _sensors(robot, draw.stratum, rng)
         site = site_of(robot, model, draw.seed + attempt)
+        again = copy.deepcopy(rng)
         truths, labels, strength = _truth(draw, site, sensors, rng, attempt // 3)
         commands = _commands(robot, sensors, runs, rng)
         traces = _drive(robot, truths[-1], commands)
@@ -99,8 +103,16 @@ def make_case(draw: Draw, folder: Path, runs: int = 6) -> dict[str, Any]:
         seen = visibility(robot, sensors, truths, commands[:2])
         if not all(v >= VISIBLE for v in seen):
             continue
-        write_log(folder, robot, sensors, truths[-1], commands, traces, rng)
+        if deviations != 1.0:
+            truths, _, _ = _truth(draw, site, sensors, again, attempt // 3, deviations)
+            traces = _drive(robot, truths[-1], commands)
+            if traces is None:
+                raise RuntimeError(f"{draw.robot} falls over with {deviations:g} times the everyday deviations: {draw}")
+        louder = replace(sensors, noise=sensors.noise * noise, louder=noise)
+        write_log(folder, robot, louder, truths[-1], commands, traces, rng)
         return {
+            "deviations": deviations,
+            "noise": noise,
             "cls": draw.stratum,
             "robot": draw.robot,
             "verdict": {"none": "no_gap", "outside": "unexplained", "confounded": "ambiguous"}.get(
@@ -219,11 +231,11 @@ def site_of(robot: Robot, model: mujoco.MjModel, seed: int) -> causes.Site:
 
 
 def _truth(
-    draw: Draw, site: causes.Site, sensors: Sensors, rng: np.random.Generator, further: int
+    draw: Draw, site: causes.Site, sensors: Sensors, rng: np.random.Generator, further: int, deviations: float = 1.0
 ) -> tuple[list[Truth], list[dict[str, Any]], list[float]]:
     """Truths with 0, 1, ... causes, the labels of the causes and their strengths."""
     truth = Truth(len(site.robot.joints))
-    _nuisances(truth, site, rng)
+    _nuisances(truth, site, rng, deviations)
     known, number = causes.available(site.robot), 1
     if draw.stratum == "none":
         return [truth], [], []
@@ -246,23 +258,23 @@ def _truth(
     return truths, labels, strengths
 
 
-def _nuisances(truth: Truth, site: causes.Site, rng: np.random.Generator) -> None:
-    """A per cent here and there: present in every robot, and no gap."""
+def _nuisances(truth: Truth, site: causes.Site, rng: np.random.Generator, k: float = 1.0) -> None:
+    """A per cent here and there, `k` times: present in every robot, and no gap."""
     model, robot = site.model, site.robot
-    truth.kp *= rng.normal(1, 0.01, truth.joints)
-    truth.kd *= rng.normal(1, 0.02, truth.joints)
-    truth.encoder_zero += rng.normal(0, 0.0008, truth.joints)
+    truth.kp *= rng.normal(1, 0.01 * k, truth.joints)
+    truth.kd *= rng.normal(1, 0.02 * k, truth.joints)
+    truth.encoder_zero += rng.normal(0, 0.0008 * k, truth.joints)
     for name in robot.joints:
         body = model.body(model.joint(name).bodyid[0]).name
-        truth.mass_ratio[body] = float(rng.normal(1, 0.01))
-        truth.inertia_ratio[body] = float(rng.normal(1, 0.01))
-        truth.com[body] = rng.normal(0, 0.001, 3)
+        truth.mass_ratio[body] = float(rng.normal(1, 0.01 * k))
+        truth.inertia_ratio[body] = float(rng.normal(1, 0.01 * k))
+        truth.com[body] = rng.normal(0, 0.001 * k, 3)
     for i, name in enumerate(robot.joints):
         dof = model.joint(name).dofadr[0]
-        truth.viscous[i] += float(model.dof_damping[dof]) * float(rng.normal(0, 0.04))
-        truth.coulomb[i] += abs(float(model.dof_frictionloss[dof]) * float(rng.normal(0, 0.04)))
-        truth.armature[i] += float(model.dof_armature[dof]) * float(rng.normal(0, 0.015))
-    truth.friction_ratio = float(rng.normal(1, 0.05))
+        truth.viscous[i] += float(model.dof_damping[dof]) * float(rng.normal(0, 0.04 * k))
+        truth.coulomb[i] += abs(float(model.dof_frictionloss[dof]) * float(rng.normal(0, 0.04 * k)))
+        truth.armature[i] += float(model.dof_armature[dof]) * float(rng.normal(0, 0.015 * k))
+    truth.friction_ratio = float(rng.normal(1, 0.05 * k))
 
 
 def _commands(
@@ -343,17 +355,17 @@ def _record(
     if sensors.velocity:
         out["joint_vel"] = at(trace.v, late) + rng.normal(0, 25 * sensors.noise, (len(times), n))
     if sensors.torque_kind != "none":
-        level = 0.01 * np.abs(trace.torque).max(0) + 1e-3
+        level = sensors.louder * (0.01 * np.abs(trace.torque).max(0) + 1e-3)
         out["joint_torque"] = sensors.torque_constant * at(trace.torque, late) + rng.normal(0, level, (len(times), n))
     if trace.base is not None and sensors.mocap:
-        out["base_pos"] = at(trace.base[:, :3]) + rng.normal(0, 3e-4, (len(times), 3))
-        quat = at(trace.base[:, 3:]) + rng.normal(0, 4e-4, (len(times), 4))
+        out["base_pos"] = at(trace.base[:, :3]) + rng.normal(0, 3e-4 * sensors.louder, (len(times), 3))
+        quat = at(trace.base[:, 3:]) + rng.normal(0, 4e-4 * sensors.louder, (len(times), 4))
         out["base_quat"] = quat / np.linalg.norm(quat, axis=1, keepdims=True)
     if trace.base is not None:
         out["init_qpos"], out["init_qvel"] = trace.qpos0, np.zeros(len(trace.qpos0) - 1)
     if trace.gyro is not None and trace.acc is not None:
-        out["imu_gyro"] = at(trace.gyro) + truth.gyro_bias + rng.normal(0, 0.004, (len(times), 3))
-        out["imu_acc"] = at(trace.acc) + truth.acc_bias + rng.normal(0, 0.05, (len(times), 3))
+        out["imu_gyro"] = at(trace.gyro) + truth.gyro_bias + rng.normal(0, 0.004 * sensors.louder, (len(times), 3))
+        out["imu_acc"] = at(trace.acc) + truth.acc_bias + rng.normal(0, 0.05 * sensors.louder, (len(times), 3))
     if trace.contact is not None:
         out["contact"] = (at(trace.contact) > 0.5).astype(np.float64)
     lost = rng.random(len(times)) < 0.005

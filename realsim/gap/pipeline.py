@@ -31,6 +31,7 @@ from realsim.gap.logs.case import Case
 from realsim.gap.logs.repeats import replicates as replicates
 from realsim.gap.logs.runs import LEAST_SAMPLES
 from realsim.gap.logs.split import split_runs
+from realsim.gap.provenance import provenance
 from realsim.gap.simulation.simulate import Simulator
 
 Progress = Callable[[str, float], None]
@@ -51,7 +52,7 @@ def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progres
     tick = progress or (lambda what, share: None)
     for name in config.effects:
         EFFECTS[name]  # an unknown name is said with the closest ones
-    began, cpu = time.perf_counter(), time.process_time()
+    began, cpu, made_by = time.perf_counter(), time.process_time(), provenance(config)
     case = limited(case, config)
     # The matrices are too small for BLAS to gain from threads, and with one the sums have one order everywhere.
     with threadpool_limits(1, user_api="blas"), Simulator(case, config) as simulator:
@@ -87,7 +88,7 @@ def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progres
             "fits": fitter.evaluations,
         }
         choices = first_choices(screen, selection) if config.baselines else {}
-    return replace(found, statistics=statistics, cost=cost, baselines=choices)
+    return replace(found, statistics=statistics, cost=cost, baselines=choices, provenance=made_by)
 
 
 def _checked(config: DiagnoseConfig, screen: Screen, selection: Selection, held: list[int]) -> Shrinkage:
@@ -116,7 +117,7 @@ def limited(case: Case, config: DiagnoseConfig) -> Case:
     long = [r.name for r in runs if r.duration > config.max_seconds + 0.5]
     if long:
         notes.append(f"{len(long)} runs are longer than {config.max_seconds:g} s: their beginning is used")
-        cut = [_cut(r, config.max_seconds) for r in runs]
+        cut = [r.where(r.time <= config.max_seconds) for r in runs]
         few = [r.name for r in cut if len(r.time) < LEAST_SAMPLES]
         notes += [f"left out: {name} has less than {LEAST_SAMPLES} samples until then" for name in few]
         runs = [r for r in cut if r.name not in few]
@@ -128,13 +129,6 @@ def limited(case: Case, config: DiagnoseConfig) -> Case:
             hint="raise max_seconds (--max-seconds)",
         )
     return case.with_runs(tuple(runs), *notes)
-
-
-def _cut(run: Any, seconds: float) -> Any:
-    keep = run.time <= seconds
-    return replace(
-        run, time=run.time[keep], command=run.command[keep], signals={k: v[keep] for k, v in run.signals.items()}
-    )
 
 
 def _assemble(

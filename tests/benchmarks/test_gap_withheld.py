@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.gap_score import score
+from benchmarks.gap_score import MixedEnginesError, score
 from benchmarks.gap_truth.cases import STRATA, VISIBLE, Draw, Sensors, make_case, plan, same_log, site_of
 from benchmarks.gap_truth.motions import sample_times
 from benchmarks.gap_truth.plant import Plant
@@ -110,6 +110,18 @@ def test_score_of_hand_made_diagnoses() -> None:
     assert figures["outside_said"] == [1, 1]
     assert figures["parameter_error_median"] == pytest.approx(0.2)
     assert figures["ci90_holds_truth"] == [1, 1]
+
+
+def test_diagnoses_of_several_engines_are_not_pooled() -> None:
+    said = {"verdict": "no_gap", "causes": [], "equivalent": []}
+    label = {"cls": "none", "robot": "arm2", "effects": [], "equivalents": [], "visibility": []}
+    one, other = {"engine": "aaa", "settings": {"seed": 0}}, {"engine": "bbb", "settings": {"seed": 0}}
+    labels = {"case_000": label, "case_001": label}
+    assert score(labels, {n: said | {"provenance": one} for n in labels})["provenance"] == one
+    for second in (other, {"engine": "aaa", "settings": {"seed": 1}}, None):
+        found = {"case_000": said | {"provenance": one}, "case_001": said | {"provenance": second}}
+        with pytest.raises(MixedEnginesError, match="case_001"):
+            score(labels, found)
 
 
 def test_a_baseline_that_was_run_on_some_cases_stands_in_the_table(tmp_path: Path) -> None:

@@ -55,8 +55,8 @@ def servo(logs: Path, folder: Path) -> Path:
     return case
 
 
-def legs(logs: Path, folder: Path) -> Path:
-    """The quadruped without its pictures, its trunk held, its gains as position servos."""
+def legs(logs: Path, folder: Path, contacts: bool = False) -> Path:
+    """The quadruped without its pictures, its trunk held in the air, its gains as position servos."""
     text = (logs / "iit_go2" / "go2.xml").read_text()
     text = re.sub(
         r"<mesh [^>]*/>|<geom [^>]*mesh=[^>]*/>|<freejoint[^>]*/>|<(motor|key|light|camera)\b[^>]*/>", "", text
@@ -65,6 +65,8 @@ def legs(logs: Path, folder: Path) -> Path:
         data = {k: file[k] for k in file.files}
     spec = mujoco.MjSpec.from_string(text)
     spec.option.timestep = 0.002
+    if not contacts:  # a trunk that is fixed to the world would push its own hips away
+        spec.option.disableflags = int(spec.option.disableflags) | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     names = [str(j) for j in data["joints"]]
     for name in names:
         servo = spec.add_actuator(name=f"{name}_servo", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)

@@ -41,6 +41,8 @@ CONTRACT = [
     "depth_noise",
     "external_force",
     "link_geometry",
+    "friction_of_joints",
+    "position_torque",
 ]
 
 INJECTED = {
@@ -98,7 +100,8 @@ def test_parameters_are_well_formed(name: str, simulator: Simulator) -> None:
     effect = EFFECTS[name]
     for place in effect.places(simulator.context):
         for p in effect.parameters(simulator.context, place):
-            assert p.bounds[0] <= p.default <= p.bounds[1] or p.default == 0
+            assert p.bounds[0] <= p.default <= p.bounds[1]
+            assert p.bounds[0] <= max(min(p.default + p.step, p.bounds[1]), p.default - p.step)
             assert p.step != 0
             assert p.unit
             assert np.isfinite(p.report(p.default))

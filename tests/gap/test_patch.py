@@ -39,7 +39,7 @@ STANDING = """
   </actuator>
 </mujoco>"""
 CAMERA = {"camera_delay", "camera_mount", "depth_noise"}
-WRAPPED = {"command_delay", "observation_delay", "joint_offset", "load_friction", "imu_bias"}
+WRAPPED = {"command_delay", "observation_delay", "joint_offset", "load_friction", "imu_bias", "position_torque"}
 
 
 @pytest.fixture(scope="module")
@@ -165,7 +165,7 @@ def test_a_passing_force_stays_a_wrapper(arm: Simulator) -> None:
 def test_an_empty_patch_changes_nothing(arm: Simulator) -> None:
     spec = mujoco.MjSpec.from_file(str(arm.case.folder / "model.xml"))
     before = spec.to_xml()
-    assert empty_patch()["format"] == "realsim.gap.patch/1", "a name in files that people keep"
+    assert empty_patch()["format"] == "realsim.gap.patch/2", "a name in files that people keep"
     apply_patch(spec, empty_patch())
     assert spec.to_xml() == before
 

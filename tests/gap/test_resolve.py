@@ -115,8 +115,8 @@ def edited(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Setting],
         ("armature", ("hip",), {"armature": 0.5}, 1.0),
         ("payload", ("trunk",), {"mass": 3.0}, 1.0),
         ("stiffness_gain", ("hip",), {"ratio": 0.5}, 1.0),
-        ("damping_gain", ("hip",), {"ratio": 0.5}, 1.5),
-        ("motor_gain", ("hip",), {"ratio": 0.5}, 1.5),
+        ("damping_gain", ("hip",), {"ratio": np.log(1.5)}, 1.5),
+        ("motor_gain", ("hip",), {"ratio": np.log(1.5)}, 1.5),
     ],
 )
 def test_a_damping_ratio_is_the_gain_that_it_was(

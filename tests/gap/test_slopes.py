@@ -172,7 +172,7 @@ def test_what_does_nothing_beside_a_cause_explains_nothing_there(arm: Case) -> N
     screen = screened(arm, ("stiffness_gain",))
     dead, other = (screen.index["stiffness_gain", (joint,), "ratio"] for joint in ("elbow", "shoulder"))
     assert all(np.abs(screen.columns(k, [dead])).max() > 0 for k in range(len(screen.runs)))
-    screen.look_from([("motor_gain", ("elbow",), {"ratio": -1.0})])
+    screen.look_from([("motor_gain", ("elbow",), {"ratio": -40.0})])
     for k in range(len(screen.runs)):
         assert (screen.columns(k, [dead]) == 0).all()
         assert np.abs(screen.columns(k, [other])).max() > 0

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import mujoco
 import numpy as np
 import pytest
 from mujoco import rollout
 
-from realsim.gap.simulation.stepping import Gear, rolled, spare, stepped
+from realsim.gap.simulation.stepping import Gear, rolled, spare, stepped, switched
 
 SLED = """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody><body>
 <joint name="x" type="slide" axis="1 0 0" solreffriction="0.0022 1"/><geom size="0.1" mass="2"/></body></worldbody>
@@ -27,28 +29,28 @@ def test_without_a_law_it_is_the_plain_roll_out() -> None:
     model = sled()
     control = np.random.default_rng(0).normal(size=(STEPS, 1))
     _, theirs = rollout.rollout(model, mujoco.MjData(model), rest(model)[None], control[None])
-    np.testing.assert_array_equal(stepped(model, [], rest(model), control), theirs[0])
-    np.testing.assert_array_equal(rolled(model, rest(model), control), theirs[0])
+    np.testing.assert_array_equal(stepped([], model, rest(model), control)[0], theirs[0])
+    np.testing.assert_array_equal(rolled(model, rest(model), control)[0], theirs[0])
 
 
 @pytest.mark.parametrize("gear", [1.0, -3.0])
 def test_what_is_left_of_the_drive_s_force_moves_the_sled(gear: float) -> None:
     model, ratio, force = sled(gear), 0.3, 4.0
     laws = [Gear(0, 0, ratio * abs(gear))]
-    x = stepped(model, laws, rest(model), np.full((STEPS, 1), force))
+    x = stepped(laws, model, rest(model), np.full((STEPS, 1), force))[0]
     time = STEPS * model.opt.timestep
     assert x[-1, 0] == pytest.approx(0.5 * (1 - ratio) * force * gear / 2 * time**2, rel=0.02)
 
 
 def test_a_gear_that_locks_itself_stays() -> None:
     model = sled()
-    x = stepped(model, [Gear(0, 0, 1.2)], rest(model), np.full((STEPS, 1), 4.0))
+    x = stepped([Gear(0, 0, 1.2)], model, rest(model), np.full((STEPS, 1), 4.0))[0]
     assert np.abs(x).max() < 2e-3
 
 
 def test_the_model_keeps_its_own_friction() -> None:
     model = sled()
-    stepped(model, [Gear(0, 0, 0.5)], rest(model), np.full((10, 1), 4.0))
+    stepped([Gear(0, 0, 0.5)], model, rest(model), np.full((10, 1), 4.0))
     assert model.dof_frictionloss[0] == 0
 
 
@@ -56,7 +58,7 @@ def test_rows_after_an_explosion_are_no_numbers() -> None:
     model = sled()
     state = rest(model)
     state[1:3] = 9e9, 5e9  # it soon is beyond what MuJoCo takes for a position
-    x = stepped(model, [], state, np.zeros((STEPS, 1)))
+    x = stepped([], model, state, np.zeros((STEPS, 1)))[0]
     bad = ~np.isfinite(x[:, 0])
     assert bad[-1]
     assert not bad[0]
@@ -85,7 +87,28 @@ def test_what_is_spared_changes_no_step(floor: str, kind: str, other: str, spare
     control = np.random.default_rng(0).normal(size=(STEPS, 1))
     state = np.zeros(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
     state[1 : 1 + model.nq] = model.qpos0
-    before = rolled(model, state, control)
+    before = rolled(model, state, control)[0]
     spare(model)
     assert model.opt.disableflags == spared
-    np.testing.assert_array_equal(rolled(model, state, control), before)
+    np.testing.assert_array_equal(rolled(model, state, control)[0], before)
+
+
+@pytest.mark.parametrize("step", [rolled, partial(stepped, [])])
+def test_a_drive_that_is_switched_off_gives_no_force(step) -> None:
+    """A servo lets go in the middle: before, as with it throughout; after, as one that was never there."""
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body><joint name="j" axis="0 1 0" damping="0.1"/><geom size="0.1" pos="0.3 0 0"/></body>
+        </worldbody><actuator><position joint="j" kp="50" kv="5"/></actuator>
+        <sensor><jointpos joint="j"/><actuatorfrc actuator="a"/></sensor></mujoco>""".replace(
+            "<position", '<position name="a"'
+        )
+    )
+    control, off = np.full((STEPS, 1), 0.5), np.zeros((STEPS, 1), bool)
+    off[STEPS // 2 :] = True
+    x = switched(step, model, rest(model), control, off)
+    on = step(model, rest(model), control)[0]
+    np.testing.assert_array_equal(x[: STEPS // 2], on[: STEPS // 2])
+    assert np.abs(x[STEPS // 2 + 1 :, 1]).max() == 0.0
+    halfway = step(model, rest(model), control[: STEPS // 2])[1]
+    model.actuator_gainprm[:], model.actuator_biasprm[:] = 0.0, 0.0
+    np.testing.assert_allclose(x[STEPS // 2 :], step(model, halfway, control[STEPS // 2 :])[0], atol=1e-9)

@@ -40,6 +40,8 @@ class Diagnosis:
     """`seconds` of wall time, `cpu_seconds`, `simulated_seconds` (of the robot's time, all replays together)."""
     baselines: dict[str, Any] = field(default_factory=dict)
     """Simpler rule -> the cause that it would have named first."""
+    provenance: dict[str, Any] = field(default_factory=dict)
+    """Which engine gave this answer, and its settings; see `realsim.gap.provenance`."""
     evidence: dict[str, Any] = field(default_factory=dict, repr=False)
     """Arrays for the report's plots; not part of the JSON."""
 
@@ -60,6 +62,7 @@ class Diagnosis:
             "statistics": self.statistics,
             "baselines": self.baselines,
             **self.cost,
+            "provenance": self.provenance,
         }
 
     def write(self, folder: Path) -> Path:

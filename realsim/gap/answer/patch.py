@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import log1p
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ from realsim.gap.simulation.context import Context, build_context
 from realsim.gap.simulation.edit import Edit, Pulse, Signals
 from realsim.gap.simulation.simulate import Setting, Simulator
 
-FORMAT = "realsim.gap.patch/1"
+FORMAT, EARLIER = "realsim.gap.patch/2", "realsim.gap.patch/1"
+LOGARITHMIC = ("stiffness_gain", "damping_gain", "motor_gain")
+"""Effects whose ratio was less 1 in the earlier format and is a logarithm now."""
 # What no compiled model holds, and what the loop that steps it must do about it.
 _WRAPPER = {
     "command_delay": "hold back every command by this time before it is written to ctrl (model.xml does it itself, but "
@@ -27,6 +30,8 @@ _WRAPPER = {
     "gyro_bias": "add it to the gyroscope's reading",
     "acc_bias": "add it to the accelerometer's reading",
     "load_friction": "before each step, set dof_frictionloss to the model's plus ratio * |torque of the drive|",
+    "position_torque": "before each step, set the joint's qfrc_applied to constant + cos_1 cos(q) + sin_1 sin(q) + "
+    "cos_2 cos(2 q) + sin_2 sin(2 q); the values stand in this order",
     "external_force": "set ctrl of this actuator to 1 from start to end (of the run, or since its onset), else to 0",
 }
 _IN_XML = ("command_delay", "joint_offset")
@@ -82,6 +87,8 @@ def wrappers(signals: Signals, onsets: dict[str, float] | None = None) -> dict[s
         found["gyro_bias"] = {"value": list(signals.gyro_bias), "unit": "rad/s"}
     if any(signals.acc_bias):
         found["acc_bias"] = {"value": list(signals.acc_bias), "unit": "m/s^2"}
+    if signals.position_torque:
+        found["position_torque"] = {"value": dict(signals.position_torque), "unit": "N m"}
     if signals.load_friction:
         found["load_friction"] = {"value": dict(signals.load_friction), "unit": "ratio"}
     passing = [p for p in signals.pulses if not _always(p)]
@@ -115,8 +122,14 @@ def apply_patch(spec: Any, patch: dict[str, Any]) -> Signals:
     Raises:
         GapError: for a patch of another format, or a model without the named parts.
     """
+    patch = _upgraded(patch)
     if not isinstance(patch, dict) or patch.get("format") != FORMAT:
-        raise GapError("not a patch of this tool", expected=f'"format": "{FORMAT}"', found=repr(patch)[:80])
+        raise GapError(
+            "not a patch of this version",
+            expected=f'"format": "{FORMAT}"',
+            found=repr(patch)[:80],
+            hint="diagnose the case again: a patch is read by the version that wrote it",
+        )
     if not patch.get("settings"):
         return Signals()
     resolve(spec)
@@ -144,6 +157,19 @@ def apply_patch(spec: Any, patch: dict[str, Any]) -> Signals:
         for key in list(spec.keys):
             spec.delete(key)  # a keyframe has the old number of coordinates
     return edit.signals
+
+
+def _upgraded(patch: Any) -> Any:
+    """A patch of the earlier format as one of this; anything else as it is."""
+    if not isinstance(patch, dict) or patch.get("format") != EARLIER:
+        return patch
+    settings = [
+        {**item, "coordinates": {name: log1p(value) for name, value in item["coordinates"].items()}}
+        if item["effect"] in LOGARITHMIC
+        else item
+        for item in patch.get("settings", [])
+    ]
+    return {**patch, "format": FORMAT, "settings": settings}
 
 
 def _belongs(model: Any, patch: dict[str, Any], joints: tuple[str, ...]) -> None:

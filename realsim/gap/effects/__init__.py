@@ -37,6 +37,8 @@ EFFECTS = Registry(
             "depth_noise",
             "external_force",
             "link_geometry",
+            "friction_of_joints",
+            "position_torque",
         )
     },
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -11,6 +12,9 @@ from realsim.gap.simulation.edit import Edit as Edit
 
 if TYPE_CHECKING:
     from realsim.gap.simulation.context import Context
+
+FARTHEST = 100.0
+"""Ratio by which a gain may be off."""
 
 Place = tuple[str, ...]
 """Names of joints or bodies; () for effects that act everywhere."""
@@ -113,6 +117,12 @@ class Effect:
     """From values that were found at a place: other effects there, with values that move the robot the same way."""
     elsewhere: Callable[[Context, Place, dict[str, float]], list[tuple[Place, dict[str, float]]]] | None = None
     """From values that were found at a place: other places, with the values there, that do nearly the same."""
+
+
+def gain(step: float, nuisance: float) -> Parameter:
+    """A ratio whose coordinate is its logarithm: firmware's units make gains wrong by powers of ten, either way."""
+    ends = (-math.log(FARTHEST), math.log(FARTHEST))
+    return Parameter("ratio", "ratio", ends, step, nuisance=nuisance, report=math.exp)
 
 
 def joint_signals_only(context: Context) -> bool:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint, servo_damping
+import math
+
+from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint, gain, servo_damping
 from realsim.gap.simulation.context import Context
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("ratio", "ratio", (-0.85, 5.0), 0.25, nuisance=0.03, report=lambda z: 1 + z),)
+    return (gain(0.25, nuisance=0.03),)
 
 
 def _excited(context: Context, place: Place) -> Excitation:
@@ -17,7 +19,7 @@ def _excited(context: Context, place: Place) -> Excitation:
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
-    ratio = 1 + values["ratio"]
+    ratio = math.exp(values["ratio"])
     for joint in place:
         actuator = edit.spec.actuator(edit.context.actuator[joint])
         gain, bias = actuator.gainprm, actuator.biasprm
@@ -29,7 +31,7 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 def _same_motion(context: Context, place: Place, values: dict[str, float]) -> dict[str, dict[str, float]]:
     """Viscous friction brakes like the servo; only the drive's torque, or its limit, tells them apart."""
-    return {"viscous_friction": {"damping": values["ratio"] * servo_damping(context, place)}}
+    return {"viscous_friction": {"damping": math.expm1(values["ratio"]) * servo_damping(context, place)}}
 
 
 EFFECT = Effect(

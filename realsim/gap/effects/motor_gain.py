@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint
+import math
+
+from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint, gain
 from realsim.gap.simulation.context import Context
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("ratio", "ratio", (-0.85, 2.0), 0.15, nuisance=0.015, report=lambda z: 1 + z),)
+    return (gain(0.15, nuisance=0.015),)
 
 
 def _excited(context: Context, place: Place) -> Excitation:
@@ -16,7 +18,7 @@ def _excited(context: Context, place: Place) -> Excitation:
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
-    ratio = 1 + values["ratio"]
+    ratio = math.exp(values["ratio"])
     for joint in place:
         actuator = edit.spec.actuator(edit.context.actuator[joint])
         actuator.gainprm = actuator.gainprm * ratio

@@ -6,6 +6,7 @@ import numpy as np
 
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place
 from realsim.gap.simulation.context import Context
+from realsim.gap.simulation.edit import add_point_mass
 
 REACH = 0.2
 """A tool may hang so far from the body that carries it, m, however small that body is."""
@@ -68,18 +69,6 @@ def _elsewhere(context: Context, place: Place, values: dict[str, float]) -> list
             local = data.xmat[there.id].reshape(3, 3).T @ (world - data.xpos[there.id])
             found.append(((name,), {"mass": values["mass"], **dict(zip("xyz", local.tolist(), strict=True))}))
     return found
-
-
-def add_point_mass(
-    mass: float, com: np.ndarray, inertia: np.ndarray, added: float, where: np.ndarray
-) -> tuple[float, np.ndarray, np.ndarray]:
-    """(mass, com, 3x3 inertia about com) of the body with a point mass added; all in the body's frame."""
-    total = mass + added
-    center = (mass * com + added * where) / total
-    result = inertia.copy()
-    for m, r in ((mass, com - center), (added, where - center)):
-        result = result + m * (r @ r * np.eye(3) - np.outer(r, r))
-    return total, center, result
 
 
 EFFECT = Effect(

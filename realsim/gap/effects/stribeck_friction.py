@@ -10,6 +10,9 @@ from realsim.gap.simulation.context import Context
 WIDEST = 0.4
 """rad/s, well above what gears show: a friction that falls over a wider range of speeds imitates other things."""
 
+HIGHER_AT_REST = 1.05
+"""Ratio of friction at rest to friction in motion from which on it is no Coulomb friction."""
+
 FINEST = 4
 """A falling friction drives a light joint unstable at a coarse time step, which is divided by up to this."""
 
@@ -23,7 +26,7 @@ def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     widest = min(0.4 * speed, WIDEST)
     return (
         Parameter("static_friction", "N m", (0.0, top), step),
-        Parameter("coulomb", "N m", (0.0, top), step, like=("coulomb_friction", "friction")),
+        Parameter("coulomb", "N m", (0.0, top), 0.5 * step, like=("coulomb_friction", "friction")),
         Parameter("stribeck_velocity", "rad/s", (0.02 * widest, widest), 0.12 * widest, default=0.3 * widest),
     )
 
@@ -36,17 +39,15 @@ def _excited(context: Context, place: Place) -> Excitation:
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     """Dry friction raised by F at rest, of which C stays in motion: the piecewise-linear Stribeck curve.
 
-    That is friction max(F, C) minus clip(c v, -(F - C), F - C) with c = (F - C) / v_s.
+    That is friction F minus clip(c v, -(F - C), F - C) with c = (F - C) / v_s.
     """
     static, moving = values["static_friction"], values["coulomb"]
-    if max(static, moving) <= 0:
-        return
-    falling = max(static - moving, 0.0)
+    if static <= HIGHER_AT_REST * moving:
+        return  # that is Coulomb friction, which has a name of its own; here it would only be its rival
+    falling = static - moving
     for joint in place:
         name = edit.motor_joint(joint)
-        edit.add_friction(joint, max(static, moving))
-        if falling <= 0:
-            continue
+        edit.add_friction(joint, static)
         wanted = falling / values["stribeck_velocity"]
         stable = 0.4 * edit.context.inertia[joint] / edit.context.timestep
         finer = int(np.clip(np.ceil(wanted / stable), 1, FINEST))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint, servo_damping
 from realsim.gap.simulation.context import Context
 
@@ -30,7 +32,8 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 def _same_motion(context: Context, place: Place, values: dict[str, float]) -> dict[str, dict[str, float]]:
     servo = servo_damping(context, place)
-    return {"damping_gain": {"ratio": values["damping"] / servo}} if servo > 0 else {}
+    more = values["damping"] / servo if servo > 0 else -1.0
+    return {"damping_gain": {"ratio": math.log1p(more)}} if more > -1 else {}
 
 
 EFFECT = Effect(

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from realsim.gap.evidence.motion import Motion, blur, estimate
 from realsim.gap.logs.case import Case, Run
+from realsim.gap.simulation.edit import Edit
 from realsim.gap.simulation.simulate import Simulator
 from realsim.types import F64
 
@@ -47,6 +48,8 @@ class TorqueResidual:
     """(J,) of the residual."""
     share: F64
     """(J,) of the logged torque's mean square."""
+    undriven: F64
+    """(J,) share of the torque's variance that the motion does not ask for, friction and a gain allowed."""
     terms: tuple[dict[str, Any], ...]
     """By joint: the term that explains most of the residual, {what, value, unit, explains}."""
 
@@ -66,17 +69,20 @@ class BaseWrench:
 def torque_residual(simulator: Simulator) -> TorqueResidual | None:
     """None for a floating base (its contact forces are unknown), or where no torque was logged away from the stops."""
     case = simulator.case
-    if case.floating or not case.has("joint_torque") or case.torque_kind == "none":
+    if case.floating or not _has_torque(case):
         return None
     import mujoco
 
-    model, data = case.model, mujoco.MjData(case.model)
+    model = case.model
     dofs = [int(model.joint(n).dofadr[0]) for n in case.joint_names]
     velocity, change, residual, logged, phases = [], [], [], [], []
     for run in case.runs:
+        model = Edit(simulator.context).set_up(run.setup).compile()
+        data = mujoco.MjData(model)
         motion = estimate(case, run, blur)
-        torque = blur(motion.time, run.time, run.signals["joint_torque"])[0]
-        torque[:, ~np.isfinite(run.signals["joint_torque"]).any(axis=0)] = np.nan  # a joint without a sensor
+        logged_torque = _torque(case, run)
+        torque = blur(motion.time, run.time, logged_torque)[0]
+        torque[:, ~np.isfinite(logged_torque).any(axis=0)] = np.nan  # a joint without a sensor
         phase = _phase(case, run, motion)
         for n in _picked(motion):
             needed = _needed(model, data, motion, n)[dofs]
@@ -96,7 +102,35 @@ def torque_residual(simulator: Simulator) -> TorqueResidual | None:
     rms = np.sqrt(np.nansum(r**2, axis=0) / count)
     share = rms**2 / np.maximum(np.where(free, t**2, 0.0).sum(axis=0) / count, 1e-12)
     terms = tuple(_term(v[:, j], a[:, j], t[:, j], r[:, j], p[:, j]) for j in range(r.shape[1]))
-    return TorqueResidual(tuple(case.joint_names[j] for j in known), v, r, rms, share, terms)
+    undriven = np.array([_undriven(v[:, j], t[:, j], r[:, j]) for j in range(r.shape[1])])
+    return TorqueResidual(tuple(case.joint_names[j] for j in known), v, r, rms, share, undriven, terms)
+
+
+def _undriven(v: F64, torque: F64, residual: F64) -> float:
+    """Share of the torque's variance that needed torque, Coulomb and viscous friction and a constant leave."""
+    good = np.isfinite(residual)
+    y = torque[good]
+    if good.sum() < 20 or np.var(y) < 1e-12:
+        return 0.0
+    X = np.column_stack([y - residual[good], np.sign(v[good]), v[good], np.ones(len(y))])
+    return _left(X, y)[0] / float(np.sum((y - y.mean()) ** 2))
+
+
+def _has_torque(case: Case) -> bool:
+    return case.command_kind == "torque" or (case.has("joint_torque") and case.torque_kind != "none")
+
+
+def _torque(case: Case, run: Run) -> F64:
+    """(T, J) of the drives, N m: measured, or commanded where no torque is; NaN for joints without a drive."""
+    if case.has("joint_torque") and case.torque_kind != "none":
+        return run.signals["joint_torque"]
+    found = np.full(run.signals["joint_pos"].shape, np.nan)
+    for j, joint in enumerate(case.joint_names):
+        name = case.actuator_of(joint)
+        if name is not None:
+            u = case.actuator_names.index(name)
+            found[:, j] = case.command_torque(joint) * run.command[:, u] * run.on[:, u]
+    return found
 
 
 def _phase(case: Case, run: Run, motion: Motion) -> F64:
@@ -232,7 +266,12 @@ def _drive(case: Case, model: Any, data: Any, run: Run, when: float) -> F64:
     for u, name in enumerate(case.actuator_names):
         data.ctrl[model.actuator(name).id] = run.command[at, u]
     mujoco.mj_forward(model, data)
-    return np.array(data.qfrc_actuator)
+    force = np.array(data.qfrc_actuator)
+    for joint in case.joint_names:
+        servo = case.actuator_of(joint)
+        if servo is not None and not run.on[at, case.actuator_names.index(servo)]:
+            force[model.joint(joint).dofadr[0]] = 0.0
+    return force
 
 
 def _contact_rows(case: Case, model: Any, data: Any, run: Run, when: float) -> F64 | None:

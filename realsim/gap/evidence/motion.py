@@ -21,6 +21,8 @@ HALF_WINDOW = 0.035
 """Seconds to each side that a cubic is fitted over: shorter than a servo's response, longer than encoder noise."""
 BLUR = 0.015
 """Standard deviation of the Gaussian, s."""
+TAILS = 8.0
+"""Standard deviations at which the Gaussian is cut off; see `blur`."""
 Smoother = Callable[[F64, F64, F64], tuple[F64, F64, F64]]
 
 
@@ -86,7 +88,10 @@ def blur(grid: F64, time: F64, values: F64) -> tuple[F64, F64, F64]:
     even = np.stack([_bridge(grid, time, column) for column in values.T], axis=1)
     step = float(grid[1] - grid[0])
     wide = max(BLUR / step, 1.0)
-    return tuple(gaussian_filter1d(even, wide, axis=0, order=d, mode="nearest") / step**d for d in (0, 1, 2))
+    # Cut off at 4 widths (scipy's default), the second derivative's kernel does not sum to 0, and rest accelerates.
+    return tuple(
+        gaussian_filter1d(even, wide, axis=0, order=d, mode="nearest", truncate=TAILS) / step**d for d in (0, 1, 2)
+    )
 
 
 def _bridge(grid: F64, time: F64, column: F64) -> F64:

@@ -59,7 +59,8 @@ def shoot(simulator: Simulator, settings: Sequence[Setting] = (), runs: Sequence
     case = simulator.case
     chosen = list(range(len(case.runs))) if runs is None else list(runs)
     edit = simulator.edited(settings)
-    model = edit.spec.compile()
+    models = {setup: edit.set_up(setup).compile() for setup in {case.runs[i].setup for i in chosen}}
+    model = models[case.runs[chosen[0]].setup]
     dt = float(model.opt.timestep)
     step = float(np.median([np.median(np.diff(case.runs[i].time)) for i in chosen]))
     seconds = np.array([step, *(h for h in HORIZONS if h > 1.2 * step)])
@@ -67,24 +68,34 @@ def shoot(simulator: Simulator, settings: Sequence[Setting] = (), runs: Sequence
     count = int(np.ceil(seconds[-1] / dt)) + 2
     late = edit.signals.observation_delay
     windows = _windows(simulator, chosen, float(seconds[-1]))
-    states, controls, seen = [], [], []
+    states, controls, offs, seen = [], [], [], []
     for i, motion, starts in windows:
         run = case.runs[i]
+        model = models[run.setup]
         reach = int(np.ceil((run.duration + seconds[-1]) / dt)) + count
         control = simulator._control(model, run, edit, reach, 0, dt)
+        off = simulator._off(model, run, edit, reach, 0, dt)
         for n in starts:
             first = max(round((float(motion.time[n]) - late) / dt), 0)
             here = Start("log", motion.qpos[n], motion.qvel[n])
             states.append(initial_state(case, model, run, edit, here))
             controls.append(control[first : first + count])
+            offs.append(None if off is None else off[first : first + count])
             seen.append((run, motion, n))
     if not states:
         return Shots(labels, seconds, (), np.zeros((0, len(seconds), 0)))
-    sensors = simulator.rolled(model, states, controls, edit)
+    sensors: list[F64] = [np.zeros(0)] * len(states)
+    for setup, model in models.items():
+        of = [k for k, (run, _, _) in enumerate(seen) if run.setup == setup]
+        rolled = simulator.rolled(
+            model, [states[k] for k in of], [controls[k] for k in of], edit, [offs[k] for k in of]
+        )
+        for k, rows_of in zip(of, rolled, strict=True):
+            sensors[k] = rows_of
     simulator.simulated_seconds += len(states) * count * dt
     names, rows = _names(simulator), []
     for s, (run, motion, n) in zip(sensors, seen, strict=True):
-        track = simulator._tracks(model, s, 0, edit)
+        track = simulator._tracks(models[run.setup], s, 0, edit)
         rows.append(_errors(simulator, run, motion, n, track, seconds, dt, edit))
     return Shots(labels, seconds, tuple(names), np.stack(rows))
 

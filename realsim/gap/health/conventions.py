@@ -20,6 +20,8 @@ PLAIN = 0.35
 """Relative error up to which a log that is read otherwise agrees."""
 WRONG = 0.8
 """Relative error from which a log as it is read does not agree at all."""
+FEW_JOINTS = 3
+"""Joints that must go astray before the model is refused: one or two may well have the gap that is looked for."""
 LIKE = 0.8
 """Cosine from which two torques have the same course."""
 DEG = 180 / np.pi
@@ -56,6 +58,7 @@ def nominal_conventions(simulator: Simulator, nominal: list[F64]) -> list[str]:
             case, "joint_pos", joint, real[:, j], model[:, j], {"deg": DEG, "-1": -1.0}, "the nominal simulator"
         )
     _refuse_order(case, real, model, follows)
+    _refuse_model(case, real, model, follows)
     found = _likely(names, real, model, follows)
     if case.has("joint_torque"):
         found += _torque_units(simulator, nominal)
@@ -96,9 +99,11 @@ def disagreement(values: F64, like: F64) -> float:
 
 
 def _asked(case: Case, joint: str, servo: str) -> F64:
-    """(N,) where a position servo's commands want its joint, rad or m."""
+    """(N,) where a position servo's commands want its joint, rad or m; NaN while the drive is off."""
     column = case.actuator_names.index(servo)
-    return np.concatenate([r.command[:, column] for r in case.runs]) / (case.gear(joint) or 1.0)
+    return np.concatenate([np.where(r.on[:, column], r.command[:, column], np.nan) for r in case.runs]) / (
+        case.gear(joint) or 1.0
+    )
 
 
 def _follows(case: Case, joint: str, position: F64) -> bool:
@@ -127,6 +132,20 @@ def _refuse_order(case: Case, real: F64, model: F64, follows: Sequence[bool]) ->
             file=case.folder / "log.json",
             found="; ".join(moved[:6]),
             hint="bring joint_names into the order of the columns",
+        )
+
+
+def _refuse_model(case: Case, real: F64, model: F64, follows: Sequence[bool]) -> None:
+    """A model most of whose joints go elsewhere than the robot's, which go where they are told to."""
+    names = case.joint_names
+    astray = [n for j, n in enumerate(names) if follows[j] and disagreement(model[:, j], real[:, j]) > WRONG]
+    if len(astray) >= FEW_JOINTS and len(astray) > 0.5 * len(names):
+        raise GapError(
+            "the robot follows its commands, the nominal simulator does not",
+            file=case.folder / "model.xml",
+            found=f"{len(astray)} of {len(names)} joints: {', '.join(astray[:8])}",
+            hint="mend the model first: servo gains in N m/rad (or per actuator's gear), force ranges, joint axes and "
+            "ranges, what the robot collides with, and whether its base is held",
         )
 
 
@@ -183,12 +202,20 @@ def _torque_units(simulator: Simulator, nominal: list[F64]) -> list[str]:
                     if turned
                     else f'say so: "units": {{"joint_torque": "{unit}"}} in log.json (.npz), or a unit in columns.json',
                 )
-    odd = {name: scale for name, (scale, _) in scales.items() if scale < -0.25 or not 0.25 < abs(scale) < 4}
-    return [
-        f"{name}: torque looks negated" if -4 < scale < -0.25
-        else f"{name}: torque is {scale:.3g} times the simulator's: is it in N m?"
-        for name, scale in odd.items()
-    ]  # fmt: skip
+    odd = {name: found for name, found in scales.items() if found[0] < -0.25 or not 0.25 < abs(found[0]) < 4}
+    return [_odd_torque(name, scale, alike) for name, (scale, alike) in odd.items()]
+
+
+def _odd_torque(name: str, scale: float, alike: float) -> str:
+    """A unit is in question only where the courses agree; else the model's load, friction or damping is another."""
+    if alike < LIKE:
+        return (
+            f"{name}: the logged torque has another course than the nominal simulator's ({scale:.3g} times as large): "
+            "check friction, damping and load of the joint in model.xml"
+        )
+    if -4 < scale < -0.25:
+        return f"{name}: torque looks negated"
+    return f"{name}: torque is {scale:.3g} times the simulator's: is it in N m?"
 
 
 def _scale(values: F64, like: F64) -> tuple[float, float] | None:

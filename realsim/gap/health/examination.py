@@ -9,12 +9,21 @@ from typing import Any
 import numpy as np
 
 from realsim.errors import GapError
+from realsim.gap.evidence.inverse import torque_residual
 from realsim.gap.health.conventions import log_conventions, nominal_conventions
 from realsim.gap.health.signals import clocks, initial_states, missing, noise, quanta, saturation
 from realsim.gap.logs.case import Case
 from realsim.gap.simulation.channels import uncompared
+from realsim.gap.simulation.edit import Edit
 from realsim.gap.simulation.simulate import Simulator
+from realsim.gap.simulation.start import initial_state
 
+UNDRIVEN = 0.5
+"""Share of a torque's variance that may have nothing to do with the motion."""
+OVERLAP = 0.005
+"""m that bodies of a robot may be inside each other: meshes' hulls touch at a joint by some millimetres."""
+RUNAWAY = 100.0
+"""rad/s or m/s that no joint of a robot reaches."""
 SOME_FALLS = 1 / 3
 """Share of the runs in which the nominal simulator may fall over before the log is refused."""
 
@@ -26,6 +35,7 @@ def examine(simulator: Simulator) -> dict[str, Any]:
     clock, said = clocks(case)
     warnings += said
     warnings += log_conventions(case)
+    _overlaps(simulator)
     warnings += _failures(simulator)
     warnings += _excitation(case)
     gone, said = missing(case)
@@ -37,6 +47,7 @@ def examine(simulator: Simulator) -> dict[str, Any]:
     full, said = saturation(simulator)
     warnings += said
     floor, said = noise(simulator, nominal)
+    warnings += _undriven(simulator)
     return {
         "clock": clock,
         "missing": gone,
@@ -46,6 +57,19 @@ def examine(simulator: Simulator) -> dict[str, Any]:
         "saturation": full,
         "warnings": gathered(warnings + said, [r.name for r in case.runs]),
     }
+
+
+def _undriven(simulator: Simulator) -> list[str]:
+    """Torques that are not those of the motion beside them."""
+    found = torque_residual(simulator)
+    if found is None:
+        return []
+    return [
+        f"{joint}: the logged torque cannot drive the logged motion ({share:.0%} of its variance is not what that asks "
+        "for, friction included): is it this joint's, in this order, of the same instant, and not filtered?"
+        for joint, share in zip(found.joints, found.undriven, strict=True)
+        if share > UNDRIVEN
+    ]
 
 
 def gathered(warnings: Sequence[str], runs: Sequence[str]) -> list[str]:
@@ -64,7 +88,7 @@ def gathered(warnings: Sequence[str], runs: Sequence[str]) -> list[str]:
 
 
 def _excitation(case: Case) -> list[str]:
-    still = sum(bool((np.ptp(r.command, axis=0) < 1e-6).all()) for r in case.runs)
+    still = sum(bool((np.ptp(r.command, axis=0) < 1e-6).all() and r.enabled is None) for r in case.runs)
     if still == len(case.runs):
         raise GapError(
             "no run excites the robot: all commands are constant",
@@ -80,6 +104,66 @@ def _excitation(case: Case) -> list[str]:
     return said
 
 
+def _failure(case: Case, run: str, track: dict[str, Any], row: int) -> GapError:
+    """What went wrong before the first row without numbers: no numbers at once, or ever more speed."""
+    settle, dt = track["settle"]
+    when = row * dt - settle
+    where = f"in {run} at {when:.2f} s" if when >= 0 else f"while it settles before {run} begins"
+    fast = np.abs(track["vel"][:row]) > RUNAWAY
+    if fast.any() and (joint := int(np.argmax(fast.sum(axis=0)))) >= 0 and fast[:, joint].sum() * dt > 0.05:
+        return GapError(
+            "the nominal simulator runs away",
+            file=case.folder / "model.xml",
+            found=f"{case.joint_names[joint]} turns faster than {RUNAWAY:g} rad/s {where}",
+            hint="give the joint its range, friction and damping; or shorten the runs (--max-seconds): a robot that "
+            "was kept upright by feedback falls when its torques are only replayed",
+        )
+    return GapError(
+        "the nominal simulator explodes",
+        file=case.folder / "model.xml",
+        found=where,
+        hint="check gains, inertias and the time step of model.xml before looking for a gap",
+    )
+
+
+def _overlaps(simulator: Simulator) -> None:
+    """Refuse a model whose own bodies are inside each other where the robot's runs begin.
+
+    MuJoCo does not let parent and child collide, unless the parent is fixed to the world: a trunk that is held in the
+    air pushes its own hips away. What stands on the ground may press into it; that may be the gap.
+    """
+    import mujoco
+
+    case = simulator.case
+    model, data = case.model, mujoco.MjData(case.model)
+    found: dict[tuple[str, str], float] = {}
+    for run, start in zip(case.runs, simulator.starts, strict=True):
+        state = initial_state(case, model, run, Edit(simulator.context), start)
+        mujoco.mj_setState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        mujoco.mj_forward(model, data)
+        for contact in data.contact:
+            bodies = [int(model.geom_bodyid[g]) for g in contact.geom]
+            if 0 not in bodies and not _terrain(case, bodies) and contact.dist < -OVERLAP:
+                a, b = sorted(model.body(i).name or f"body {i}" for i in bodies)
+                found[a, b] = max(found.get((a, b), 0.0), float(-contact.dist))
+    if found:
+        worst = sorted(found.items(), key=lambda item: -item[1])[:6]
+        raise GapError(
+            "bodies of the robot are inside each other where the runs begin",
+            file=case.folder / "model.xml",
+            expected=f"no contact deeper than {1000 * OVERLAP:g} mm between its own bodies",
+            found="; ".join(f"{a} and {b}: {1000 * depth:.0f} mm" for (a, b), depth in worst),
+            hint="take these pairs out with <contact><exclude body1=... body2=.../></contact> (MuJoCo lets a body that "
+            "is fixed to the world collide with its children), or turn contacts off: "
+            '<option><flag contact="disable"/></option>',
+        )
+
+
+def _terrain(case: Case, bodies: Sequence[int]) -> bool:
+    """Whether one of the two is what a floating robot stands on."""
+    return case.floating and any(case.model.body_weldid[b] == 0 for b in bodies)
+
+
 def _failures(simulator: Simulator) -> list[str]:
     """The nominal simulator must survive the runs: say where and when it does not.
 
@@ -90,13 +174,7 @@ def _failures(simulator: Simulator) -> list[str]:
         settle, dt = track["settle"]
         bad = ~np.isfinite(track["pos"]).all(axis=1)
         if bad.any():
-            when = int(np.argmax(bad)) * dt - settle
-            raise GapError(
-                "the nominal simulator explodes",
-                file=case.folder / "model.xml",
-                found=f"in {run.name} at {when:.2f} s" if when >= 0 else f"while it settles before {run.name} begins",
-                hint="check gains, inertias and the time step of model.xml before looking for a gap",
-            )
+            raise _failure(case, run.name, track, int(np.argmax(bad)))
         if "base_pos" in track and "base_pos" in run.signals:
             real = run.signals["base_pos"][:, 2]
             low = float(np.nanmin(track["base_pos"][:, 2]))

@@ -12,7 +12,7 @@ from realsim.gap.logs.case import Case, Run
 from realsim.gap.logs.kinks import median_size, third_differences
 from realsim.gap.logs.repeats import replicates, spread
 from realsim.gap.simulation.simulate import Simulator
-from realsim.gap.simulation.start import STILL, Start, first_rows
+from realsim.gap.simulation.start import NOISES, STILL, Start, first_fit, first_rows, first_speed_spread
 from realsim.types import F64
 
 Said = list[str]
@@ -184,13 +184,13 @@ def initial_states(simulator: Simulator) -> tuple[dict[str, Any], Said]:
     case = simulator.case
     said, off, fast = [], [0.0], [0.0]
     how = {}
-    for run, track, start, rest in zip(
-        case.runs, simulator.nominal_tracks, simulator.starts, simulator.rests, strict=True
+    for run, track, start, rest, y in zip(
+        case.runs, simulator.nominal_tracks, simulator.starts, simulator.rests, simulator.simulate(), strict=True
     ):
         position = run.signals["joint_pos"]
         first = _first_position(position)
         travel = np.nanmax(position, axis=0) - np.nanmin(position, axis=0)
-        distance, speed = np.abs(first - rest), _first_speed(run.time, position)
+        distance, speed = np.abs(first - rest), _first_speed(run, y[:, : len(first)])
         peak = np.nanmax(np.abs(np.gradient(track["pos"], track["settle"][1], axis=0)), axis=0)
         off.append(float(np.nanmax(distance)))
         fast.append(float(np.nanmax(speed)))
@@ -220,15 +220,17 @@ def _first_position(position: F64) -> F64:
     return first_rows(position)
 
 
-def _first_speed(time: F64, position: F64) -> F64:
-    """(J,) slope of the first tenth of a second, by least squares; 0 where an encoder has no sample in it."""
-    inside = time <= max(0.1, time[4])
-    t = time[inside] - time[inside].mean()
-    early = np.isfinite(position[inside]).any(axis=0)
-    mean = np.zeros(position.shape[1])
-    mean[early] = np.nanmean(position[inside][:, early], axis=0)
-    values = np.nan_to_num(position[inside] - mean)
-    return np.asarray(np.abs(t @ values) / max(float(t @ t), 1e-12))
+def _first_speed(run: Run, predicted: F64) -> F64:
+    """(J,) speed at the first sample that the simulator's start (T, J) does not have; 0 where noise may be all of it.
+
+    A joint that is set going at once moves as fast in the simulator, which begins at rest.
+    """
+    position = run.signals["joint_pos"]
+    speed = np.abs(first_fit(run.time, position, 2)[1])
+    excess = np.abs(first_fit(run.time, position - predicted, 2)[1])
+    known = np.isfinite(position[:5]).any(axis=0)  # an encoder that comes up late says nothing of the first moment
+    sure = excess > np.maximum(0.5 * speed, NOISES * first_speed_spread(run.time, position))
+    return np.where(known & sure, speed, 0.0)
 
 
 def _given_state(case: Case, run: Run, start: Start, first: F64) -> Said:

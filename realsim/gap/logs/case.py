@@ -158,6 +158,14 @@ def load_case(folder: Path) -> Case:
     said = log | {"command_kind": kind, "columns": _columns(log, folder)}
     want = layout(joints, actuators, contact, model, said, folder / "log.json")
     runs, dropped = _read_runs(folder / "runs", want, warnings)
+    unknown = sorted(set(want.setups) - {r.name for r in runs} - {d.partition(".")[0] for d in dropped})
+    if unknown:
+        raise GapError(
+            f"runs of log.json name {unknown[0]!r}, which is no run",
+            file=folder / "log.json",
+            expected=f"one of {', '.join(r.name for r in runs[:20])}",
+            hint=did_you_mean(unknown[0], [r.name for r in runs]),
+        )
     if len(runs) == 1:
         warnings.append("only one run: nothing is left to check the diagnosis on, so it is weaker")
     return Case(

@@ -6,6 +6,7 @@ The map is `columns` of log.json, or columns.json beside it:
      "command": {"columns": ["q1_des", "q2_des"], "unit": "deg"},
      "joint_pos": ["q1", {"column": "q2", "unit": "deg", "sign": -1}]}
 
+A column may hold lists ("[0.1, 0.2]"): its name stands for all items, NAME[0] for the first.
 Without a map, columns are found by exact name: `time`, `command_ACTUATOR`, `joint_pos_JOINT`, `base_pos_x`, ...
 """
 
@@ -42,7 +43,7 @@ def read_csv(
         GapError: for a column that is not in the file (the closest ones are named), or a cell that is no number.
     """
     header, table = _table(path)
-    wanted = _from_map(path, columns, names) if columns is not None else _by_name(header, names)
+    wanted = _from_map(path, columns, names, header) if columns is not None else _by_name(header, names)
     found = {}
     for array, entries in wanted.items():
         parts = []
@@ -63,7 +64,7 @@ def _by_name(header: Sequence[str], names: Mapping[str, Sequence[str]]) -> dict[
 
 
 def _from_map(
-    path: Path, columns: Mapping[str, Any], names: Mapping[str, Sequence[str]]
+    path: Path, columns: Mapping[str, Any], names: Mapping[str, Sequence[str]], header: Sequence[str]
 ) -> dict[str, list[dict[str, Any]]]:
     """Every array of the map as a list of entries {column, unit, sign}."""
     if not isinstance(columns, Mapping):
@@ -79,7 +80,7 @@ def _from_map(
                 expected=f"one of {', '.join(names)}",
                 hint=did_you_mean(array, names),
             )
-        entries = _entries(path, array, said)
+        entries = [item for entry in _entries(path, array, said) for item in _items(entry, header)]
         if len(entries) != len(names[array]):
             raise GapError(
                 f"the column map gives {array} the wrong number of columns",
@@ -112,6 +113,14 @@ def _entries(path: Path, array: str, said: Any) -> list[dict[str, Any]]:
         _check_entry(path, array, entry, _ENTRY)
         entries.append({**shared, **entry})
     return entries
+
+
+def _items(entry: dict[str, Any], header: Sequence[str]) -> list[dict[str, Any]]:
+    """The entry itself; of a column whose cells hold lists, one for each item of these."""
+    name = str(entry["column"])
+    if name in header:
+        return [entry]
+    return [entry | {"column": h} for h in header if h.startswith(f"{name}[") and h.endswith("]")] or [entry]
 
 
 def _check_entry(path: Path, array: str, entry: Mapping[str, Any], known: Sequence[str]) -> None:
@@ -166,7 +175,34 @@ def _table(path: Path) -> tuple[list[str], F64]:
                 found=f"{len(row)} in row {number}",
                 hint="decimal commas? Write decimal points" if len(row) > len(header) else None,
             )
+    header, rows = _unpacked(path, header, rows)
     return header, _numbers(path, header, rows)
+
+
+def _unpacked(path: Path, header: list[str], rows: list[list[str]]) -> tuple[list[str], list[list[str]]]:
+    """Columns whose cells hold lists ("[0.1, 0.2]") as one column an item: NAME[0], NAME[1], ..."""
+    names: list[str] = []
+    columns: list[list[str]] = []
+    for c, name in enumerate(header):
+        cells = [row[c].strip() for row in rows]
+        first = next((cell for cell in cells if cell), "")
+        if not first.startswith(("[", "(")):
+            names.append(name)
+            columns.append(cells)
+            continue
+        lists = [cell.strip("[]()").replace(",", " ").replace(";", " ").split() for cell in cells]
+        count = max(map(len, lists))
+        wrong = next((i for i, items in enumerate(lists) if len(items) not in (0, count)), None)
+        if wrong is not None:
+            raise GapError(
+                f"the lists of column {name!r} differ in length",
+                file=path,
+                expected=f"{count} items in each cell",
+                found=f"{len(lists[wrong])} in row {wrong + 2}",
+            )
+        names += [f"{name}[{k}]" for k in range(count)]
+        columns += [[items[k] if items else "" for items in lists] for k in range(count)]
+    return names, [list(row) for row in zip(*columns, strict=True)]
 
 
 def _cells(path: Path, lines: Sequence[str], delimiter: str, first: int) -> list[list[str]]:

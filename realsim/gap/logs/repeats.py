@@ -16,9 +16,11 @@ def replicates(case: Case) -> list[list[int]]:
         for group in groups:
             other = case.runs[group[0]]
             n = min(len(run.command), len(other.command))
-            if abs(len(run.command) - len(other.command)) <= 2 and np.allclose(
-                run.command[:n], other.command[:n], atol=1e-6
-            ):
+            same = np.allclose(run.command[:n], other.command[:n], atol=1e-6) and np.array_equal(
+                run.on[:n], other.on[:n]
+            )
+            same = same and run.setup == other.setup
+            if abs(len(run.command) - len(other.command)) <= 2 and same:
                 group.append(i)
                 break
         else:

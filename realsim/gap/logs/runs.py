@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from realsim.errors import GapError, did_you_mean
 from realsim.files import check_size, read_npz
 from realsim.gap.logs.csv_runs import read_csv
+from realsim.gap.logs.setups import Setup, read_setups
 from realsim.gap.logs.units import in_si
 from realsim.types import F64
 
@@ -26,6 +27,8 @@ SIGNAL_SHAPES: dict[str, str | int] = {
     "contact": "F",
 }
 REQUIRED = ("time", "command", "joint_pos")
+OFF_AFTER = 0.1
+"""Seconds without any command from which on a drive is off; shorter gaps are lost messages, and a command holds."""
 MAX_SAMPLES = 5_000_000
 LEAST_SAMPLES = 20
 
@@ -43,6 +46,25 @@ class Run:
     """joint_pos (T, J) and whatever else was logged."""
     init_qpos: F64 | None = None
     init_qvel: F64 | None = None
+    setup: Setup = field(default_factory=Setup)
+    """What is known to differ from model.xml in this run."""
+    enabled: Any = None
+    """(T, U) bool, whether the drive gives torque from this sample to the next; None if all do throughout."""
+
+    def where(self, keep: Any) -> Run:
+        """The same run, only of the samples that a mask or a slice of (T,) keeps."""
+        return replace(
+            self,
+            time=self.time[keep],
+            command=self.command[keep],
+            signals={name: values[keep] for name, values in self.signals.items()},
+            enabled=None if self.enabled is None else self.enabled[keep],
+        )
+
+    @property
+    def on(self) -> Any:
+        """(T, U) bool: `enabled`, or all True."""
+        return np.ones(self.command.shape, bool) if self.enabled is None else self.enabled
 
     @property
     def duration(self) -> float:
@@ -60,6 +82,8 @@ class Layout:
     command_kind: str
     columns: Mapping[str, Any] | None
     """Where the arrays stand in .csv files, or None."""
+    setups: Mapping[str, Setup]
+    """Run -> what is known to differ from model.xml in it."""
     units: Mapping[str, str]
     """Array -> the unit that .npz files have it in, where that is not the contract's."""
 
@@ -74,7 +98,8 @@ def layout(
 ) -> Layout:
     """The arrays' columns by name, from what log.json (`file`) says. Raises GapError for units of no array."""
     wide = {"J": tuple(joints), "F": tuple(contact), 3: tuple("xyz"), 4: tuple("wxyz")}
-    names = {"time": ("time",), "command": tuple(actuators)} | {k: wide[v] for k, v in SIGNAL_SHAPES.items()}
+    names = {"time": ("time",), "command": tuple(actuators), "enabled": tuple(actuators)}
+    names |= {k: wide[v] for k, v in SIGNAL_SHAPES.items()}
     units = log.get("units") or {}
     if not isinstance(units, Mapping) or not all(isinstance(u, str) for u in units.values()):
         raise GapError(
@@ -91,7 +116,8 @@ def layout(
                 expected=f"one of {', '.join(names)}",
                 hint=did_you_mean(array, names),
             )
-    return Layout(names, model.nq, model.nv, str(log["command_kind"]), log.get("columns"), units)
+    setups = read_setups(log.get("runs"), model, file)
+    return Layout(names, model.nq, model.nv, str(log["command_kind"]), log.get("columns"), setups, units)
 
 
 def read_run(path: Path, want: Layout, warnings: list[str]) -> Run:
@@ -150,7 +176,7 @@ def _checked(path: Path, data: dict[str, F64], want: Layout, warnings: list[str]
     keep = _trusted(time, path, warnings)
     if keep.sum() < LEAST_SAMPLES:
         raise GapError("too few samples have a time stamp", file=path, found=f"{int(keep.sum())} of {count}")
-    command = _fill_forward(data["command"], path, warnings)
+    command, enabled = _commanded(time, data, path, warnings)
     if np.ptp(time[keep]) > 3600:
         raise GapError(
             "the run lasts more than an hour",
@@ -165,7 +191,9 @@ def _checked(path: Path, data: dict[str, F64], want: Layout, warnings: list[str]
                 f"{name} does not fit the model", file=path, expected=f"({size},) finite", found=str(value.shape)
             )
     clock = time[keep] - time[keep][0]
-    return Run(path.stem, clock, command[keep], {k: v[keep] for k, v in signals.items()}, qpos, qvel)
+    on = None if enabled is None else enabled[keep]
+    setup = want.setups.get(path.stem, Setup())
+    return Run(path.stem, clock, command[keep], {k: v[keep] for k, v in signals.items()}, qpos, qvel, setup, on)
 
 
 def _unwrapped(positions: F64, path: Path, joints: Sequence[str], warnings: list[str]) -> F64:
@@ -206,17 +234,51 @@ def _check_shape(path: Path, name: str, array: F64, want: tuple[int, int]) -> No
         raise GapError(f"{name} has the wrong shape", file=path, expected=str(want), found=str(array.shape))
 
 
-def _fill_forward(command: F64, path: Path, warnings: list[str]) -> F64:
-    """A missing command is the one before it: that is what a held command does."""
+def _commanded(time: F64, data: Mapping[str, F64], path: Path, warnings: list[str]) -> tuple[F64, Any]:
+    """(commands without holes, (T, U) bool of drives that give torque, or None if all do throughout).
+
+    `enabled` says which drives are on. Without it, a drive is off where it has no command for longer than OFF_AFTER.
+    """
+    command, given = data["command"], data.get("enabled")
     bad = ~np.isfinite(command)
-    if not bad.any():
-        return command
-    if bad.all(axis=0).any() or bad.mean() > 0.5:
-        raise GapError("the command is missing", file=path, found=f"{bad.mean():.0%} of the samples are not finite")
-    warnings.append(f"{path.name}: {int(bad.any(axis=1).sum())} samples without a command hold the one before")
-    filled = command.copy()
-    for column in range(command.shape[1]):
-        good = np.flatnonzero(~bad[:, column])
-        source = good[np.clip(np.searchsorted(good, np.arange(len(command)), side="right") - 1, 0, None)]
-        filled[:, column] = command[source, column]
+    if given is not None:
+        _check_shape(path, "enabled", given, command.shape)
+        if np.isfinite(given).any() and not np.isin(given[np.isfinite(given)], (0, 1)).all():
+            raise GapError("enabled holds other values than 0 and 1", file=path, found=f"{np.nanmax(given):g}")
+        on = _held(given, np.ones(given.shape[1])) > 0.5
+    else:
+        on = np.column_stack([~_long(column, time) for column in bad.T])
+        if bad.all(axis=0).any() or (bad & on).mean() > 0.5:
+            raise GapError(
+                "the command is missing",
+                file=path,
+                found=f"{bad.mean():.0%} of the samples are not finite",
+                hint="where the drives give no torque, say so: an array enabled (T, U) of 0 and 1",
+            )
+    if (lost := bad & on).any():
+        warnings.append(f"{path.name}: {int(lost.any(axis=1).sum())} samples without a command hold the one before")
+    if not on.all() and given is None:
+        warnings.append(f"{path.name}: no command for longer than {OFF_AFTER:g} s: the drive is taken to be off there")
+    return _held(command, np.zeros(command.shape[1])), None if on.all() else on
+
+
+def _long(bad: Any, time: F64) -> Any:
+    """(T,) which samples belong to holes that last longer than OFF_AFTER."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
+    found = np.zeros(len(bad), bool)
+    for begin, end in edges.reshape(-1, 2):
+        found[begin:end] = time[min(end, len(time) - 1)] - time[begin] > OFF_AFTER
+    return found
+
+
+def _held(values: F64, otherwise: F64) -> F64:
+    """Missing values are those before them, or the first there is, or `otherwise` (K,) in an empty column."""
+    filled = values.copy()
+    for column in range(values.shape[1]):
+        good = np.flatnonzero(np.isfinite(values[:, column]))
+        if not len(good):
+            filled[:, column] = otherwise[column]
+            continue
+        source = good[np.clip(np.searchsorted(good, np.arange(len(values)), side="right") - 1, 0, None)]
+        filled[:, column] = values[source, column]
     return filled

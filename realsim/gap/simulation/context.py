@@ -94,6 +94,12 @@ class Context:
             if model.body(b).mass[0] >= share * self.total_mass or model.body(b).id not in parents
         ]
 
+    def travel(self, joint: str) -> float:
+        """Range of a joint's positions in the log, rad or m."""
+        column = self.case.joint_names.index(joint)
+        values = np.concatenate([r.signals["joint_pos"][:, column] for r in self.case.runs])
+        return float(np.nanmax(values) - np.nanmin(values))
+
     def reach(self, body: str) -> float:
         """Size of a body: distance to its farthest child or geom end, m."""
         model = self.case.model

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from realsim.gap.logs.setups import Setup
 from realsim.types import F64
 
 if TYPE_CHECKING:
@@ -58,19 +59,23 @@ class Signals:
     """Joint -> N m s/rad: what a helper adds to the servo before the joint's limit, and damping takes off after it."""
     load_friction: dict[str, float] = field(default_factory=dict)
     """Joint -> friction as a ratio of the transmitted torque."""
+    position_torque: dict[str, list[float]] = field(default_factory=dict)
+    """Joint -> N m: constant, then cosine and sine of its angle, of twice its angle, ..."""
     pulses: list[Pulse] = field(default_factory=list)
     rotors: dict[str, str] = field(default_factory=dict)
     """Joint -> joint of the motor that drives it through play or a spring."""
 
     def moves_the_robot(self) -> bool:
         """Whether the simulation itself changes, not only what is read from it."""
-        return bool(self.command_delay or any(self.joint_offset.values()) or self.load_friction or self.pulses)
+        stepwise = self.load_friction or self.position_torque
+        return bool(self.command_delay or any(self.joint_offset.values()) or stepwise or self.pulses)
 
     def motion(self, in_motion: bool) -> str:
         """All of it that the simulation itself depends on, spelled out; `in_motion`: runs begin as the log reads."""
         offsets = {joint: offset for joint, offset in self.joint_offset.items() if offset}
         begun = (self.observation_delay, self.read_offset) if in_motion else ()
-        return repr((self.command_delay, offsets, self.load_friction, self.back_emf, self.pulses, begun))
+        laws = (self.load_friction, self.position_torque, self.back_emf)
+        return repr((self.command_delay, offsets, laws, self.pulses, begun))
 
 
 class Edit:
@@ -227,3 +232,35 @@ class Edit:
         body.mass, body.ipos, body.iquat = mass, com, quat
         body.inertia, body.explicitinertial = np.maximum(values, 1e-12), 1
         body.fullinertia = np.array([np.nan, 0, 0, 0, 0, 0])
+
+    def set_up(self, setup: Setup) -> Any:
+        """The spec as it is in a run that is known to differ from model.xml; a copy where it does.
+
+        Gains are taken as ratios on the model's, so that an effect's ratio counts on top of them.
+        """
+        if setup == Setup():
+            return self.spec
+        here = Edit(self.context)
+        here._spec = self.spec.copy()
+        for name, mass, at in setup.payload:
+            body = here.spec.body(name)
+            here.set_inertia(body, *add_point_mass(*here.inertia_of(body), mass, np.array(at)))
+        for name, which, value in setup.gains:
+            actuator, nominal = here.spec.actuator(name), self.context.case.model.actuator(name)
+            gains, biases = actuator.gainprm, actuator.biasprm
+            column = 1 if which == "kp" else 2
+            ratio = -value / float(nominal.biasprm[column])
+            gains[0] *= ratio if which == "kp" else 1.0
+            biases[column] *= ratio
+            actuator.gainprm, actuator.biasprm = gains, biases
+        return here.spec
+
+
+def add_point_mass(mass: float, com: F64, inertia: F64, added: float, where: F64) -> tuple[float, F64, F64]:
+    """(mass, com, 3x3 inertia about com) of the body with a point mass added; all in the body's frame."""
+    total = mass + added
+    center = (mass * com + added * where) / total
+    result = inertia.copy()
+    for m, r in ((mass, com - center), (added, where - center)):
+        result = result + m * (r @ r * np.eye(3) - np.outer(r, r))
+    return total, center, result

@@ -27,7 +27,7 @@ from realsim.gap.simulation.sampling import quiet_mujoco as quiet_mujoco
 from realsim.gap.simulation.sampling import rotation_from as rotation_from
 from realsim.gap.simulation.sampling import sample as sample
 from realsim.gap.simulation.start import Start, find_starts, first_rows, initial_state
-from realsim.gap.simulation.stepping import gears, rolled, spare, stepped
+from realsim.gap.simulation.stepping import Roller, gears, rolled, spare, stepped, switched, waves
 from realsim.types import F64
 
 Setting = tuple[str, Place, dict[str, float]]
@@ -155,7 +155,20 @@ class Simulator:
         """Signals on the simulator's own grid, a dict a run; begun as in `starts` (the runs' own if None)."""
         begun = starts or [self.starts[i] for i in (chosen if chosen is not None else range(len(self.starts)))]
         runs = [self.case.runs[i] for i in chosen] if chosen is not None else list(self.case.runs)
-        spec = edit.spec
+        found: list[dict[str, F64]] = [{} for _ in runs]
+        for setup in dict.fromkeys(run.setup for run in runs):
+            members = [i for i, run in enumerate(runs) if run.setup == setup]
+            tracks = self._rolled_out(
+                edit, edit.set_up(setup), [runs[i] for i in members], coarse, [begun[i] for i in members], seconds
+            )
+            for i, track in zip(members, tracks, strict=True):
+                found[i] = track
+        return found
+
+    def _rolled_out(
+        self, edit: Edit, spec: Any, runs: Sequence[Run], coarse: int, begun: Sequence[Start], seconds: float
+    ) -> list[dict[str, F64]]:
+        """The same of runs that share a spec."""
         try:
             model = spec.compile()
         except Exception as error:  # the effect's values do not make a body (negative inertia, say)
@@ -168,19 +181,27 @@ class Simulator:
         steps = [lead + length for lead, length in zip(settle, lengths, strict=True)]
         state = [initial_state(self.case, model, r, edit, s) for r, s in zip(runs, begun, strict=True)]
         control = [self._control(model, run, edit, n, k, dt) for run, n, k in zip(runs, steps, settle, strict=True)]
-        sensors = self.rolled(model, state, control, edit)
+        off = [self._off(model, run, edit, n, k, dt) for run, n, k in zip(runs, steps, settle, strict=True)]
+        sensors = self.rolled(model, state, control, edit, off)
         with self._counting:
             self.simulated_seconds += float(sum(steps)) * dt
         return [self._tracks(model, s, k, edit) for s, k in zip(sensors, settle, strict=True)]
 
-    def rolled(self, model: Any, states: Sequence[F64], controls: Sequence[F64], edit: Edit) -> list[F64]:
-        """(T, S) sensors a run, from (X,) full physics states under (T, U) controls."""
-        one = partial(rolled, model)
-        if edit.signals.load_friction:
+    def rolled(
+        self, model: Any, states: Sequence[F64], controls: Sequence[F64], edit: Edit, off: Sequence[Any] | None = None
+    ) -> list[F64]:
+        """(T, S) sensors a run, from (X,) full physics states under (T, U) controls.
+
+        `off`: (T, U) bool a run of actuators that give no force at a step, or None where all do.
+        """
+        step: Roller = rolled
+        if edit.signals.load_friction or edit.signals.position_torque:
             drives = {j: (edit.motor_joint(j), a) for j, a in self.context.actuator.items()}
-            one = partial(stepped, model, gears(model, edit.signals.load_friction, drives))
+            laws = gears(model, edit.signals.load_friction, drives)
+            step = partial(stepped, laws, waves=waves(model, edit.signals.position_torque))
+        jobs = list(zip(states, controls, off or [None] * len(states), strict=True))
         with quiet_mujoco():
-            return list(self.cores.each(lambda run: one(*run), list(zip(states, controls, strict=True))))
+            return list(self.cores.each(lambda run: switched(step, model, *run), jobs))
 
     def _settle_steps(self, start: Start, edit: Edit, dt: float) -> int:
         """Steps before the first sample."""
@@ -210,6 +231,17 @@ class Simulator:
                 since = grid[:-1] - began
                 control[:, model.actuator(pulse.actuator).id] = (since >= pulse.start) & (since < pulse.end)
         return control
+
+    def _off(self, model: Any, run: Run, edit: Edit, steps: int, settle: int, dt: float) -> Any:
+        """(T, U) which actuators are switched off at each step, or None; before the run as at its first sample."""
+        if run.enabled is None:
+            return None
+        grid = (np.arange(steps) - settle + 0.5) * dt - edit.signals.command_delay
+        row = np.clip(np.searchsorted(run.time, grid, side="right") - 1, 0, len(run.time) - 1)
+        off = np.zeros((steps, model.nu), bool)
+        for u, name in enumerate(self.case.actuator_names):
+            off[:, model.actuator(name).id] = ~run.enabled[row, u]
+        return off
 
     def _tracks(self, model: Any, sensors: F64, settle: int, edit: Edit) -> dict[str, F64]:
         """Signals on the simulator's grid, from the first settling step; NaN after a failure."""
@@ -247,8 +279,8 @@ class Simulator:
         steps = np.zeros((len(run.time), len(self.case.joint_names)))
         for joint, name in self.context.actuator.items():
             u = self.case.actuator_names.index(name)
-            gain = self.case.command_torque(joint)
-            steps[:, self.case.joint_names.index(joint)] = gain * np.diff(run.command[:, u], prepend=run.command[0, u])
+            change = np.diff(run.command[:, u], prepend=run.command[0, u]) * run.on[:, u]
+            steps[:, self.case.joint_names.index(joint)] = self.case.command_torque(joint) * change
         return steps
 
     def read(self, run: Run, raw: dict[str, F64], edit: Edit) -> F64:

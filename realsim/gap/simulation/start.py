@@ -303,6 +303,11 @@ def _speed_spread(time: F64) -> float:
     return float(np.sqrt(np.linalg.pinv(rows.T @ rows)[1, 1]))
 
 
+def first_speed_spread(time: F64, values: F64) -> F64:
+    """(K,) standard deviation of the first speed of (T, K) readings, from their noise."""
+    return _speed_spread(time) * _noise(values)
+
+
 def _noise(values: F64) -> F64:
     """(K,) standard deviation of a sample, from third differences."""
     return np.array([1.4826 * median_size(third_differences(column) / np.sqrt(20)) for column in values.T])

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from realsim.types import F64
 
@@ -39,6 +41,37 @@ def gears(model: Any, load_friction: Mapping[str, float], drives: Mapping[str, t
     return found
 
 
+@dataclass(frozen=True)
+class Waves:
+    """Torques of R joints that go with their positions."""
+
+    address: npt.NDArray[np.int64]
+    """(R,) of the joints' positions."""
+    dof: npt.NDArray[np.int64]
+    """(R,)"""
+    constant: F64
+    """(R,) N m"""
+    cosine: F64
+    """(R, H) N m, of the angle and its multiples."""
+    sine: F64
+    """(R, H)"""
+
+    def at(self, qpos: F64) -> F64:
+        """(R,) N m"""
+        angle = qpos[self.address][:, None] * np.arange(1, self.cosine.shape[1] + 1)
+        return self.constant + (self.cosine * np.cos(angle) + self.sine * np.sin(angle)).sum(axis=1)
+
+
+def waves(model: Any, position_torque: Mapping[str, Sequence[float]]) -> Waves | None:
+    """`position_torque`: joint -> constant, cosine, sine, cosine of twice the angle, ... None of none."""
+    if not position_torque:
+        return None
+    joints = [model.joint(name) for name in position_torque]
+    series = np.array(list(position_torque.values()), float)
+    address, dof = ([int(getattr(j, k)[0]) for j in joints] for k in ("qposadr", "dofadr"))
+    return Waves(np.array(address), np.array(dof), series[:, 0], series[:, 1::2], series[:, 2::2])
+
+
 def spare(model: Any) -> None:
     """Take from the model what costs time at every step and cannot change one: a sixth of an arm's, in place.
 
@@ -59,8 +92,32 @@ def _may_touch(model: Any) -> bool:
     return bool(model.npair or model.nflex or ours)
 
 
-def rolled(model: Any, state: F64, control: F64) -> F64:
-    """(T, S) sensors of a run of T steps in one go.
+Roller = Callable[[Any, F64, F64], tuple[F64, F64]]
+"""(model, (X,) full physics state to begin in, (T, U) control) -> ((T, S) sensors, (X,) state at the end)."""
+
+
+def switched(step: Roller, model: Any, state: F64, control: F64, off: Any = None) -> F64:
+    """(T, S) sensors of a run whose actuators give no force where `off` (T, U) says so: piece by piece."""
+    if off is None or not off.any():
+        return step(model, state, control)[0]
+    edges = [0, *(np.flatnonzero((np.diff(off, axis=0)).any(axis=1)) + 1), len(off)]
+    parts = []
+    for begin, end in pairwise(edges):
+        piece = model
+        if off[begin].any():
+            piece = copy.copy(model)
+            piece.actuator_gainprm[off[begin]] = 0.0
+            piece.actuator_biasprm[off[begin]] = 0.0
+        sensors, state = step(piece, state, control[begin:end])
+        parts.append(sensors)
+        if not np.isfinite(state).all():
+            parts.append(np.full((len(off) - end, sensors.shape[1]), np.nan))
+            break
+    return np.concatenate(parts)
+
+
+def rolled(model: Any, state: F64, control: F64) -> tuple[F64, F64]:
+    """A run of T steps in one go: a `Roller`.
 
     Args:
         state: (X,) full physics state to begin in.
@@ -70,12 +127,15 @@ def rolled(model: Any, state: F64, control: F64) -> F64:
     from mujoco import rollout
 
     with rollout.Rollout(nthread=0) as here:
-        _, sensors = here.rollout(model, [mujoco.MjData(model)], state[None], control[None])
-    return np.asarray(sensors[0])
+        states, sensors = here.rollout(model, [mujoco.MjData(model)], state[None], control[None])
+    return np.asarray(sensors[0]), np.asarray(states[0, -1])
 
 
-def stepped(model: Any, laws: Sequence[Gear], state: F64, control: F64) -> F64:
-    """The same under laws of friction that go with the torque of the step before; NaN from where MuJoCo gives it up."""
+def stepped(laws: Sequence[Gear], model: Any, state: F64, control: F64, waves: Waves | None = None) -> tuple[F64, F64]:
+    """The same under laws of friction that go with the torque of the step before, and torques that go with positions.
+
+    NaN from where MuJoCo gives it up.
+    """
     import mujoco
 
     model = copy.copy(model)  # its friction changes on the way, and other threads step it too
@@ -94,9 +154,14 @@ def stepped(model: Any, laws: Sequence[Gear], state: F64, control: F64) -> F64:
         force = np.clip(data.actuator_force[drives], low, high)
         model.dof_frictionloss[dofs] = np.maximum(least + ratios * np.abs(force), 0.0)
         data.ctrl[:] = ctrl
+        if waves is not None:
+            data.qfrc_applied[waves.dof] = waves.at(data.qpos)
         mujoco.mj_step(model, data)
         if data.time <= last:  # the state was no number, and MuJoCo has begun anew
             rows[k:] = np.nan
             break
         rows[k], last = data.sensordata, data.time
-    return rows
+    end = np.full(len(state), np.nan)
+    if np.isfinite(rows[-1]).all():
+        mujoco.mj_getState(model, data, end, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    return rows, end

@@ -1,0 +1,322 @@
+"""A real log on the bench: its model fitted on half of the runs, and what errors of the model do to the other half."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from benchmarks.gap_hardware.errors import Error, Label, Robot, errors
+from realsim.gap import Case, DiagnoseConfig, load_case
+from realsim.gap.simulation.simulate import Simulator, measured
+
+FREE = {
+    "position": (
+        "stiffness_gain", "damping_gain", "coulomb_friction", "viscous_friction", "armature", "joint_offset",
+    ),
+    "torque": ("motor_gain", "coulomb_friction", "viscous_friction", "armature", "joint_offset", "com_offset"),
+}  # fmt: skip
+"""Kinds that a baseline is fitted with; what else is wrong stays in it, as in any real model."""
+PRIOR = 0.02
+"""Weight of a parameter's own size beside residuals in units of the motion: enough to settle what the runs do not."""
+LATEST = 3
+"""Samples by which a baseline's commands may be late."""
+STRIDE = 0.01
+"""Seconds between the residuals of the fit."""
+SAME = 0.1
+"""Share (rms) of an error's change of the motion that another error, with its best size, may leave and be as good."""
+
+BEGINNING = 0.2
+"""Seconds of a run in which its estimated start matters: another error would have given another one."""
+
+Tracks = list[np.ndarray]
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """A model fitted on half of the runs."""
+
+    sizes: dict[str, float]
+    """kind@place -> size."""
+    late: int
+    """Samples by which the commands come late."""
+    left: dict[str, dict[str, float]]
+    """Signal -> rms of `motion`, and of what is left on the runs `fitted` and `unseen`, in the signal's unit."""
+
+
+class Bench:
+    """One log, split: every other window is for the baseline, beginning with the first of the first run."""
+
+    def __init__(self, folder: Path) -> None:
+        self.case = load_case(folder)
+        order: dict[str, int] = {}
+        number = [order.setdefault(r.name.rpartition("_")[0], len(order)) for r in self.case.runs]
+        window = [sum(n == number[i] for n in number[:i]) for i in range(len(number))]
+        even = [(n + w) % 2 == 0 for n, w in zip(number, window, strict=True)]
+        self.fitted = self.case.with_runs(tuple(r for r, e in zip(self.case.runs, even, strict=True) if e))
+        self.others = self.case.with_runs(tuple(r for r, e in zip(self.case.runs, even, strict=True) if not e))
+        if min(len(self.fitted.runs), len(self.others.runs)) < 2:
+            raise ValueError(f"{folder}: too few runs to fit on some and diagnose the others")
+
+    def robot(self, case: Case) -> Robot:
+        """Figures of the nominal simulation of a case."""
+        with Simulator(case, settings()) as simulator:
+            tracks = simulator.nominal_tracks
+        model, names = case.model, list(case.joint_names)
+        drive = {j: a for j in names if (a := case.actuator_of(j)) is not None}
+        vel = np.nan_to_num(np.concatenate([t["vel"] for t in tracks]))
+        torque = np.nan_to_num(np.concatenate([t["torque"] for t in tracks]))
+        effort = dict(zip(names, np.percentile(np.abs(torque), 90, axis=0), strict=True))
+        speed = dict(zip(names, np.percentile(np.abs(vel), 90, axis=0), strict=True))
+        saturated = {}
+        for joint, name in drive.items():
+            actuator, column = model.actuator(name), np.abs(torque[:, names.index(joint)])
+            top = float(np.abs(actuator.forcerange).max()) * abs(case.gear(joint)) if actuator.forcelimited[0] else 0.0
+            saturated[joint] = float(np.mean(column > 0.99 * top)) if top else 0.0
+        sample = float(np.median(np.diff(case.runs[0].time)))
+        return Robot(model, case.command_kind, drive, effort, speed, saturated, sample)
+
+
+def settings() -> DiagnoseConfig:
+    return DiagnoseConfig(threads=1, report=False)
+
+
+def with_error(case: Case, errors: Sequence[tuple[Error, float]]) -> Case:
+    """The case with a wrong model, or wrong times of its commands. Raises ValueError where no such model exists."""
+    spec, shift = case.spec.copy(), 0
+    for error, size in errors:
+        if error.shifts == "command":
+            shift += round(size / float(np.median(np.diff(case.runs[0].time))))
+        else:
+            error.apply(spec, size)
+    model = spec.compile()
+    runs = tuple(_earlier(r, shift) for r in case.runs) if shift else case.runs
+    return replace(case, spec=spec, model=model, runs=runs)
+
+
+def _earlier(run: Any, samples: int) -> Any:
+    """The same run whose commands are logged so many samples earlier: the robot does them late."""
+    index = np.clip(np.arange(len(run.time)) + samples, 0, len(run.time) - 1)
+    return replace(run, command=run.command[index], enabled=None if run.enabled is None else run.enabled[index])
+
+
+def predict(case: Case, errors: Sequence[tuple[Error, float]] = ()) -> Tracks:
+    """(T, C) a run: what the simulator of a case reads, with errors in its model."""
+    changed = with_error(case, [e for e in errors if e[0].shifts != "reading"])
+    with Simulator(changed, settings()) as simulator:
+        tracks = simulator.simulate()
+    for error, size in errors:
+        if error.shifts == "reading":
+            tracks = [_sooner(r.time, y, size) for r, y in zip(case.runs, tracks, strict=True)]
+    return tracks
+
+
+def _sooner(time: np.ndarray, values: np.ndarray, seconds: float) -> np.ndarray:
+    """What a simulator reads that does not know that the robot's readings are late."""
+    return np.column_stack([np.interp(time + seconds, time, column) for column in values.T])
+
+
+def real(case: Case) -> tuple[Tracks, list[str]]:
+    """((T, C) a run that was measured, signal of each column)."""
+    with Simulator(case, settings()) as simulator:
+        channels = simulator.channels
+    return [measured(r, channels) for r in case.runs], [c.signal for c in channels]
+
+
+# ---------------------------------------------------------------- baseline
+
+
+def fit(bench: Bench) -> Baseline:
+    """Bounded least squares over whole runs, for every delay of 0 .. LATEST samples; the best of them."""
+    case = bench.fitted
+    known = errors(bench.robot(case))
+    free = [e for e in known if e.kind in FREE[case.command_kind]]
+    delay = next(e for e in known if e.kind == "command_delay")
+    sample = bench.robot(case).sample
+    log, _ = real(case)
+    scale = _spread(log)
+    step = max(1, round(STRIDE / sample))
+    low = np.array([max(e.least, -2.0) for e in free])
+
+    def residual(x: np.ndarray, late: int) -> np.ndarray:
+        try:
+            tracks = predict(case, [(delay, late * sample), *zip(free, x.tolist(), strict=True)])
+        except Exception:  # no such body: as bad as a simulation that fails
+            tracks = [np.full_like(y, np.nan) for y in log]
+        parts = []
+        for a, b in zip(log, tracks, strict=True):
+            failed = np.where(np.isnan(a), 0.0, 3.0)  # of the simulation; a missing sample counts for nothing
+            parts.append(np.where(np.isnan(a - b), failed, (a - b) / scale)[::step].ravel())
+        rows = np.clip(np.concatenate(parts), -3, 3)
+        return np.concatenate([rows / np.sqrt(len(rows)), PRIOR * x])
+
+    x, best = np.clip(np.zeros(len(free)), low + 1e-3, None), None
+    for late in range(LATEST + 1):
+        found = least_squares(
+            residual, x, bounds=(low - 1e-9, np.full(len(free), 3.0)), diff_step=2e-3, max_nfev=12, args=(late,)
+        )
+        x = np.clip(found.x, low + 1e-6, 2.99)
+        if best is not None and found.cost > 0.995 * best[0].cost:
+            break
+        best = (found, late)
+    assert best is not None
+    found, late = best
+    sizes = {f"{e.kind}@{e.place}": float(v) for e, v in zip(free, found.x, strict=True)}
+    baseline = Baseline(sizes, late, {})
+    return replace(baseline, left=_left(bench, baseline))
+
+
+def applied(bench: Bench, case: Case, baseline: Baseline) -> Case:
+    """A case (of the same robot) with the baseline's model and clock."""
+    robot = bench.robot(bench.fitted)
+    known = {f"{e.kind}@{e.place}": e for e in errors(robot)}
+    late = (known["command_delay@"], -baseline.late * robot.sample)
+    # The baseline's fit moved the commands earlier by `late`; a model has no delay, so the log's commands come late.
+    return with_error(case, [(late[0], -late[1]), *((known[k], v) for k, v in baseline.sizes.items())])
+
+
+def _left(bench: Bench, baseline: Baseline) -> dict[str, dict[str, float]]:
+    found: dict[str, dict[str, float]] = {}
+    for name, case in (("fitted", bench.fitted), ("unseen", bench.others)):
+        changed = applied(bench, case, baseline)
+        log, signals = real(changed)
+        rest = [a - b for a, b in zip(log, predict(changed), strict=True)]
+        for signal in dict.fromkeys(signals):
+            columns = [i for i, s in enumerate(signals) if s == signal]
+            row = found.setdefault(signal, {})
+            row[name] = float(np.sqrt(np.nanmean(np.concatenate([r[:, columns] for r in rest]) ** 2)))
+            row.setdefault("motion", float(np.sqrt(np.mean(_spread(log)[columns] ** 2))))
+    return found
+
+
+def _spread(tracks: Tracks) -> np.ndarray:
+    return np.maximum(np.nanstd(np.concatenate(tracks), axis=0), 1e-6)
+
+
+# ---------------------------------------------------------------- errors and their likes
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Errors that were put in, with what they do."""
+
+    errors: tuple[tuple[Error, float], ...]
+    labels: tuple[Label, ...]
+    visibility: tuple[float, ...]
+    """Of each: rms change over the rms that the baseline leaves, in the channel where it is largest."""
+    equivalents: tuple[tuple[Label, ...], ...]
+    """Of each: labels that change the motion alike."""
+
+
+def draw(case: Case, robot: Robot, kinds: Sequence[str], rng: np.random.Generator) -> Drawn | None:
+    """One error of each of these kinds at a random place; None where none is visible at any size tried."""
+    known = errors(robot)
+    base = predict(case)
+    log, _ = real(case)
+    left = np.sqrt(np.nanmean(np.concatenate([a - b for a, b in zip(log, base, strict=True)]) ** 2, axis=0))
+    chosen: list[tuple[Error, float]] = []
+    seen, likes = [], []
+    for kind in kinds:
+        places = [e for e in known if e.kind == kind and e.drawn]
+        rng.shuffle(places)  # type: ignore[arg-type]
+        found = next((f for e in places if (f := _sized(case, e, base, left, rng)) is not None), None)
+        if found is None:
+            return None
+        error, size, change, visibility = found
+        chosen.append((error, size))
+        seen.append(visibility)
+        likes.append(tuple(_like(case, known, error, base, change, left)))
+    try:
+        if not _runs(predict(case, chosen)):
+            return None
+    except ValueError:
+        return None
+    return Drawn(tuple(chosen), tuple(e.label(s) for e, s in chosen), tuple(seen), tuple(likes))
+
+
+def _sized(
+    case: Case, error: Error, base: Tracks, left: np.ndarray, rng: np.random.Generator
+) -> tuple[Error, float, np.ndarray, float] | None:
+    size = float(np.exp(rng.uniform(np.log(error.low), np.log(error.high))))
+    sign = float(rng.choice([-1.0, 1.0])) if error.either else 1.0
+    if error.shifts:
+        size = max(round(size / error.low), 1) * error.low  # whole samples
+    for factor in (1.0, 1.6, 2.5):
+        for way in (sign, -sign) if error.either else (sign,):
+            amount = way * size * (factor if not error.shifts else round(factor + 0.3))
+            if amount <= error.least:
+                continue
+            try:
+                tracks = predict(case, [(error, amount)])
+            except Exception:  # no such body: another size or sign
+                continue
+            if not _runs(tracks):
+                continue
+            change = change_of(case, base, tracks, left)
+            visibility = float(np.sqrt((change**2).mean(axis=0)).max())
+            if visibility >= 1.0:
+                return error, amount, change, visibility
+    return None
+
+
+def _like(
+    case: Case, known: Sequence[Error], error: Error, base: Tracks, change: np.ndarray, left: np.ndarray
+) -> list[Label]:
+    """Labels of other errors that change the motion as this one does, but for a share SAME of it."""
+    found = []
+    for other in known:
+        if other is error:
+            continue
+        size = 0.3 * other.low
+        best = np.inf
+        for _ in range(4):
+            size = float(np.clip(size, max(other.least, -3.0), 3.0)) if not other.shifts else max(size, 1e-4)
+            try:
+                own = change_of(case, base, predict(case, [(other, size)]), left)
+            except Exception:  # no such body
+                break
+            power = float((own * own).sum())
+            if power < 1e-12:
+                break
+            miss = float(np.sqrt(((change - own) ** 2).sum() / (change**2).sum()))
+            if miss < best:
+                best, at = miss, size
+            step = float((own * change).sum()) / power
+            if not np.isfinite(step) or abs(step - 1) < 0.02:
+                break
+            size *= float(np.clip(step, -4, 4))
+        if best < SAME:
+            found.append(other.label(at))
+    return found
+
+
+def change_of(case: Case, base: Tracks, tracks: Tracks, left: np.ndarray) -> np.ndarray:
+    """(N, C) what differs, in units of what the baseline leaves; without the BEGINNING of each run."""
+    rows = [np.nan_to_num(b - a)[r.time > BEGINNING] for r, a, b in zip(case.runs, base, tracks, strict=True)]
+    return np.concatenate(rows) / left
+
+
+def _runs(tracks: Tracks) -> bool:
+    return all(np.isfinite(t).all() for t in tracks)
+
+
+def write(case: Case, folder: Path) -> None:
+    """The case as a folder of the contract."""
+    import json
+
+    (folder / "runs").mkdir(parents=True)
+    (folder / "model.xml").write_text(case.spec.to_xml())
+    log = {
+        "joint_names": list(case.joint_names), "actuator_names": list(case.actuator_names),
+        "command_kind": case.command_kind, "base": case.base, "torque_kind": case.torque_kind,
+        "imu_site": case.imu_site, "contact_bodies": list(case.contact_bodies),
+    }  # fmt: skip
+    (folder / "log.json").write_text(json.dumps(log, indent=1) + "\n")
+    for run in case.runs:
+        arrays: Mapping[str, Any] = {"time": run.time, "command": run.command, **run.signals}
+        given = {k: v for k in ("init_qpos", "init_qvel", "enabled") if (v := getattr(run, k)) is not None}
+        np.savez_compressed(folder / "runs" / f"{run.name}.npz", allow_pickle=False, **arrays, **given)

@@ -1,0 +1,118 @@
+"""How the diagnosis bears larger everyday deviations and louder sensors than its priors expect.
+
+    python benchmarks/gap_sweep.py make --cases 40 --seed 11 --jobs 16
+    python benchmarks/gap_sweep.py run --jobs 16 --minutes 9      # as often as it takes: what is done stays
+    python benchmarks/gap_sweep.py score
+
+The same cases (same robots, causes, commands) with the generator's everyday deviations x0.5, 1, 2, 4 and its noise x1
+and 3. Only one of the two is changed at a time. All levels are of one engine, or nothing is printed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.gap_pool import Job, diagnose_all, read
+from benchmarks.gap_score import MixedEnginesError, one_engine, score
+from benchmarks.gap_truth.cases import Draw, make_case, plan
+from realsim.files import to_json, write_text
+
+LEVELS = {"deviations_0.5": (0.5, 1.0), "as_drawn": (1.0, 1.0), "deviations_2": (2.0, 1.0), "deviations_4": (4.0, 1.0),
+          "noise_3": (1.0, 3.0)}  # fmt: skip
+"""Name -> (ratio on the everyday deviations, ratio on the noise)."""
+COLUMNS = (
+    "false_alarms", "single_top1", "single_top1_with_equivalents", "double_both_found", "outside_said",
+    "confounded_named", "ci90_holds_truth", "missed_gaps",
+)  # fmt: skip
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("do", choices=["make", "run", "score"])
+    parser.add_argument("--cases", type=int, default=40)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--robots", nargs="*", help="only these robots")
+    parser.add_argument("--levels", nargs="*", choices=list(LEVELS), default=list(LEVELS))
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no case after so many minutes")
+    parser.add_argument("--work", type=Path, default=Path("out/gap_sweep"))
+    parser.add_argument("--store", type=Path, help="file for the figures (default: figures.json in --work)")
+    args = parser.parse_args()
+    if args.do == "make":
+        draws = [(i, d) for i, d in enumerate(plan(args.cases, args.seed)) if not args.robots or d.robot in args.robots]
+        todo = [(i, d, level, args.work) for i, d in draws for level in args.levels]
+        with ProcessPoolExecutor(args.jobs) as pool:
+            for line in pool.map(_make, todo):
+                print(line, flush=True)
+        return 0
+    labels = {level: _labels(args.work / level) for level in args.levels}
+    if args.do == "run":
+        # Case by case over all levels: what is done after some time is a fair sample of each.
+        order = sorted((name, level) for level in args.levels for name in labels[level])
+        diagnose_all([_job(args.work / level, name) for name, level in order], args.jobs, args.minutes)
+        return 0
+    return _score(args, labels)
+
+
+def _make(todo: tuple[int, Draw, str, Path]) -> str:
+    index, draw, level, work = todo
+    name, folder = f"case_{index:03d}", work / level
+    if (folder / "labels" / f"{name}.json").is_file():
+        return f"{level}/{name}: made before"
+    deviations, noise = LEVELS[level]
+    try:
+        label = make_case(draw, folder / "cases" / name, deviations=deviations, noise=noise)
+    except RuntimeError as error:
+        return f"{level}/{name}: {error}"
+    (folder / "labels").mkdir(parents=True, exist_ok=True)
+    write_text(folder / "labels" / f"{name}.json", json.dumps(label, indent=1, default=float) + "\n")
+    return f"{level}/{name}: {draw.stratum} {draw.robot}"
+
+
+def _labels(folder: Path) -> dict[str, dict[str, Any]]:
+    return {f.stem: json.loads(f.read_text()) for f in sorted((folder / "labels").glob("*.json"))}
+
+
+def _job(folder: Path, name: str) -> Job:
+    return Job(folder / "cases" / name, folder / "out" / name)
+
+
+def _score(args: argparse.Namespace, labels: dict[str, dict[str, Any]]) -> int:
+    answers = {v: {n: a for n in labels[v] if (a := read(_job(args.work / v, n))) is not None} for v in args.levels}
+    shared = set.intersection(*(set(found) for found in answers.values())) if answers else set()
+    answers = {v: {n: found[n] for n in sorted(shared)} for v, found in answers.items()}
+    try:
+        made_by = one_engine({f"{v}/{n}": a for v, found in answers.items() for n, a in found.items()})
+    except MixedEnginesError as error:
+        print(f"{args.work}: {error}; `run` again", file=sys.stderr)
+        return 2
+    if not shared:
+        print("no case is answered at all levels yet", file=sys.stderr)
+        return 2
+    figures = {v: score({n: labels[v][n] for n in found}, found) for v, found in answers.items()}
+    for level, found in figures.items():
+        right = found["causes_right_by_verdict"].get("identified", [0, 0])
+        figures[level]["identified_right"] = right
+    print(f"engine {made_by.get('engine')}: {len(shared)} cases at every level")
+    for column in (*COLUMNS, "identified_right"):
+        cells = [f"{v} {_text(found[column])}" for v, found in figures.items()]
+        print(f"{column:<30} {'   '.join(cells)}")
+    store = args.store or args.work / "figures.json"
+    write_text(store, to_json({"provenance": made_by, "seed": args.seed, "levels": figures}))
+    return 0
+
+
+def _text(share: list[int]) -> str:
+    return f"{share[0]}/{share[1]}"
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

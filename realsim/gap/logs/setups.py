@@ -1,0 +1,76 @@
+"""What is known to differ from model.xml in single runs: a mass that was added, another firmware gain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from realsim.errors import GapError, did_you_mean
+
+EXAMPLE = '{"run_03": {"payload": [{"body": "hand", "mass": 0.5, "at": [0, 0, 0.1]}], "gains": {"elbow": {"kp": 40}}}}'
+
+
+@dataclass(frozen=True)
+class Setup:
+    """How one run's robot differs from model.xml, as its operator knows."""
+
+    payload: tuple[tuple[str, float, tuple[float, float, float]], ...] = ()
+    """(body, kg, place in the body's frame, m) of masses that are fixed to it."""
+    gains: tuple[tuple[str, str, float], ...] = ()
+    """(actuator, `kp` or `kd`, its value in N m/rad or N m s/rad of the actuator)."""
+
+
+def read_setups(said: Any, model: Any, file: Path) -> dict[str, Setup]:
+    """Run -> its setup, from `runs` of log.json (`file`). Raises GapError for what is not in the model."""
+    if said is None:
+        return {}
+    if not isinstance(said, Mapping):
+        raise _unreadable(file, said)
+    return {str(name): _setup(entry, model, file) for name, entry in said.items()}
+
+
+def _setup(entry: Any, model: Any, file: Path) -> Setup:
+    if not isinstance(entry, Mapping) or set(entry) - {"payload", "gains"}:
+        raise _unreadable(file, entry)
+    masses, gains = [], []
+    bodies = [model.body(i).name for i in range(model.nbody)]
+    actuators = [model.actuator(i).name for i in range(model.nu)]
+    try:
+        for item in entry.get("payload", []):
+            at = tuple(float(v) for v in item["at"])
+            if len(at) != 3:
+                raise ValueError(at)
+            masses.append((_known(item["body"], bodies, "body", file), float(item["mass"]), (at[0], at[1], at[2])))
+        for actuator, values in entry.get("gains", {}).items():
+            name = _known(actuator, actuators, "actuator", file)
+            for which, value in values.items():
+                if which not in ("kp", "kd"):
+                    raise ValueError(which)
+                column = 1 if which == "kp" else 2
+                if model.actuator(name).biasprm[column] >= 0:
+                    raise GapError(
+                        f"runs of log.json give {name} a {which}, which it has none of in model.xml",
+                        file=file,
+                        expected="a position servo with this gain",
+                    )
+                gains.append((name, which, float(value)))
+    except (TypeError, ValueError, KeyError, AttributeError) as error:
+        raise _unreadable(file, entry) from error
+    return Setup(tuple(masses), tuple(gains))
+
+
+def _known(name: Any, known: list[str], kind: str, file: Path) -> str:
+    if name not in known:
+        raise GapError(
+            f"runs of log.json name the {kind} {name!r}, which is not in model.xml",
+            file=file,
+            expected=f"one of {', '.join(known[:40])}",
+            hint=did_you_mean(str(name), known),
+        )
+    return str(name)
+
+
+def _unreadable(file: Path, found: Any) -> GapError:
+    return GapError("runs of log.json cannot be read", file=file, expected=EXAMPLE, found=repr(found)[:80])

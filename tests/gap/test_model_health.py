@@ -1,0 +1,121 @@
+"""Models that cannot be compared with their robot end the run with what to mend; a good log raises no false alarm."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from realsim.errors import GapError
+from realsim.gap import Case, DiagnoseConfig, load_case
+from realsim.gap.health import examine
+from realsim.gap.health.conventions import _odd_torque
+from realsim.gap.simulation.simulate import Simulator
+
+JOINTS = ["one", "two", "three"]
+
+
+def chain(gain: float = 60.0, damping: float = 2.0, size: float = 0.02, options: str = "") -> str:
+    bodies = "".join(
+        f'<body name="link_{n}" pos="0 0 -{0.2 if i else 0.05}"><joint name="{n}" axis="0 1 0" armature="0.02"/>'
+        f'<geom type="capsule" fromto="0 0 0 0 0 -0.2" size="{size}" mass="0.5"/>'
+        for i, n in enumerate(JOINTS)
+    )
+    servos = "".join(f'<position name="{n}_servo" joint="{n}" kp="{gain}" kv="{damping}"/>' for n in JOINTS)
+    return f"""<mujoco><option timestep="0.002" integrator="implicitfast">{options}</option><worldbody>
+    <body name="trunk" pos="0 0 1"><geom type="box" size="0.1 0.1 0.1" mass="5"/>{bodies}</body></body></body></body>
+    </worldbody><actuator>{servos}</actuator></mujoco>"""
+
+
+def logged(xml: str, commands: np.ndarray, rate: float = 100.0) -> np.ndarray:
+    """(T, J) positions of a robot that is this model, from rest, without noise."""
+    model = mujoco.MjModel.from_xml_string(xml)
+    data, rows = mujoco.MjData(model), []
+    every = round(1 / rate / model.opt.timestep)
+    for row in commands:
+        data.ctrl[:] = row
+        rows.append(data.qpos.copy())
+        for _ in range(every):
+            mujoco.mj_step(model, data)
+    return np.array(rows)
+
+
+def case_of(folder: Path, xml: str, commands: np.ndarray, positions: np.ndarray, **said: Any) -> Case:
+    (folder / "runs").mkdir(parents=True)
+    (folder / "model.xml").write_text(xml)
+    log = {"joint_names": JOINTS, "actuator_names": [f"{n}_servo" for n in JOINTS], "command_kind": "position"}
+    log |= {"base": "fixed", "torque_kind": "none", "imu_site": None, "contact_bodies": []} | said
+    (folder / "log.json").write_text(json.dumps(log))
+    for name in ("a", "b"):
+        np.savez(folder / "runs" / f"{name}.npz", time=np.arange(len(commands)) / 100, command=commands,
+                 joint_pos=positions)  # fmt: skip
+    return load_case(folder)
+
+
+def health(case: Case) -> dict[str, Any]:
+    with Simulator(case, DiagnoseConfig(threads=1)) as simulator:
+        return examine(simulator)
+
+
+def waves(lead: float = 0.0) -> np.ndarray:
+    time = np.arange(0.0, 4.0, 0.01)
+    phase = np.maximum(time - lead, 0.0)[:, None] * np.array([2.0, 3.0, 4.0])
+    return 0.5 * np.sin(phase)
+
+
+APART = '<flag contact="disable"/>'
+
+
+def test_links_inside_a_trunk_that_is_fixed_to_the_world_are_refused(tmp_path: Path) -> None:
+    good = logged(chain(options=APART), waves())
+    with pytest.raises(GapError, match="inside each other") as caught:
+        health(case_of(tmp_path / "touching", chain(), waves(), good))
+    assert "link_one and trunk" in str(caught.value)
+    assert health(case_of(tmp_path / "apart", chain(options=APART), waves(), good))["warnings"]
+
+
+def test_a_model_that_does_not_follow_where_the_robot_does_is_refused(tmp_path: Path) -> None:
+    real = logged(chain(options=APART), waves())
+    with pytest.raises(GapError, match="the nominal simulator does not") as caught:
+        health(case_of(tmp_path / "weak", chain(gain=0.05, damping=5.0, options=APART), waves(), real))
+    assert "3 of 3 joints" in str(caught.value)
+
+
+def test_a_joint_that_leaves_its_rest_fast_begins_at_rest(tmp_path: Path) -> None:
+    commands = waves()
+    commands[0] = 0.0
+    commands[1:] = 1.0  # a step at the second sample
+    xml = chain(gain=300.0, damping=8.0, options=APART)
+    positions = logged(xml, commands) + np.random.default_rng(0).normal(0, 1e-4, (len(commands), 3))
+    assert np.ptp(positions[:10, 2]) > 0.1
+    found = health(case_of(tmp_path / "case", xml, commands, positions))
+    assert not any("begin at rest" in w for w in found["warnings"])
+
+
+def test_a_joint_that_spins_up_runs_away_and_one_without_numbers_explodes(tmp_path: Path) -> None:
+    free = '<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="one" axis="0 0 1"/><geom size="0.1" {mass}/>'
+    free += '</body></worldbody><actuator><motor name="one_servo" joint="one"/></actuator></mujoco>'
+    time = np.arange(0.0, 3.0, 0.01)
+    torque = 40.0 * np.ones((len(time), 1))
+    torque[0] = 0.0
+    for name, mass, word in (("away", 'mass="0.5"', "runs away"),):
+        (tmp_path / name / "runs").mkdir(parents=True)
+        (tmp_path / name / "model.xml").write_text(free.format(mass=mass))
+        log = {"joint_names": ["one"], "actuator_names": ["one_servo"], "command_kind": "torque", "base": "fixed"}
+        log |= {"torque_kind": "none", "imu_site": None, "contact_bodies": []}
+        (tmp_path / name / "log.json").write_text(json.dumps(log))
+        np.savez(tmp_path / name / "runs" / "a.npz", time=time, command=torque, joint_pos=0.1 * time[:, None] ** 2)
+        with pytest.raises(GapError, match=word):
+            health(load_case(tmp_path / name))
+
+
+def test_the_unit_of_a_torque_is_asked_for_only_where_the_courses_agree() -> None:
+    assert "is it in N m?" in _odd_torque("j", 9.8, 0.97)
+    assert "negated" in _odd_torque("j", -1.1, 0.97)
+    damped = _odd_torque("j", 6.0, 0.4)
+    assert "N m?" not in damped
+    assert "friction, damping and load" in damped
