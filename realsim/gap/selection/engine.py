@@ -20,6 +20,7 @@ from realsim.gap.config import DiagnoseConfig
 from realsim.gap.evidence.onsets import find_onsets
 from realsim.gap.logs.case import Case, load_case
 from realsim.gap.logs.split import split_runs
+from realsim.gap.selection.figures import LINEARISATIONS
 from realsim.gap.selection.fitting import Fit, Fitter
 from realsim.gap.selection.likelihood import Likelihood
 from realsim.gap.selection.select import Tick, select
@@ -37,10 +38,17 @@ def answer(case: Case, config: DiagnoseConfig, tick: Tick = lambda what, share: 
         comparison = Comparison(case, simulator.channels, nominal, config, fitted)
         simulator.onsets = find_onsets(comparison, nominal, fitted)
         screen = Screen(simulator, comparison, fitted, config.effects, tick)
-        fitter = Fitter(screen, Likelihood(screen, comparison))
-        few = screen.varied
-        rough = fitter if few is None else Fitter(screen, Likelihood(screen, comparison, few))
-        posterior = select(fitter, rough, config.max_causes, tick)
+        fitter, rough = fitters(screen)
+        posterior = select(fitter, rough, config.max_causes, tick=tick)
+        for _ in range(LINEARISATIONS):
+            best = posterior.fits[0]
+            if not best.causes:
+                break
+            screen.look_from(best.settings())  # a robot that moves otherwise answers otherwise
+            fitter, rough = fitters(screen)
+            posterior = select(fitter, rough, config.max_causes, posterior.fits, tick)
+            if posterior.fits[0].named == best.named:
+                break
         best = posterior.fits[0]
         checks = check(screen, best, held or fitted, nominal)
         judgement = judge(posterior, checks, ends(fitter, best))
@@ -67,6 +75,13 @@ def answer(case: Case, config: DiagnoseConfig, tick: Tick = lambda what, share: 
             "cpu_seconds": round(time.process_time() - began, 2),
             "simulated_seconds": round(simulator.simulated_seconds, 1),
         }
+
+
+def fitters(screen: Screen) -> tuple[Fitter, Fitter]:
+    """On all fitted runs, and on a few of them for rough searches."""
+    fitter = Fitter(screen, Likelihood(screen, screen.comparison))
+    few = screen.varied
+    return fitter, fitter if few is None else Fitter(screen, Likelihood(screen, screen.comparison, few))
 
 
 def check(screen: Screen, fit: Fit, runs: Sequence[int], nominal: Sequence[F64]) -> list[Check]:

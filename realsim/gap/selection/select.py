@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -32,11 +32,16 @@ def log_odds(fitter: Fitter, fit: Fit) -> float:
     return -len(fit.causes) * float(np.log(len(slots)))
 
 
-def select(fitter: Fitter, rough: Fitter, most: int, tick: Tick = lambda what, share: None) -> Posterior:
+def select(
+    fitter: Fitter, rough: Fitter, most: int, known: Sequence[Fit] = (), tick: Tick = lambda what, share: None
+) -> Posterior:
     """Best-first: the best set that was not expanded yet is, as long as it lies in Occam's window."""
     nothing = fitter.fit(())
     assert nothing is not None
     seen: dict[frozenset, Fit] = {nothing.key: nothing}
+    for fit in known[:PROPOSED]:  # of an earlier linearisation
+        if (again := fitter.fit(fit.causes)) is not None:
+            seen[again.key] = again
     expanded: set[frozenset] = set()
     log: list[str] = []
 
@@ -59,12 +64,12 @@ def select(fitter: Fitter, rough: Fitter, most: int, tick: Tick = lambda what, s
         proposals = [p for p in proposals if len(p.causes) <= most and not _known(p, seen) and not _twice(p)]
         for proposal in shortlist(rough, proposals, price):
             target = max(map(worth, seen.values())) - OCCAM_WINDOW + len(proposal.causes) * price
-            fit = fitter.fit(proposal.causes, proposal.starts, target)
-            if fit is None:
+            found = fitter.fit(proposal.causes, proposal.starts, target)
+            if found is None:
                 continue
-            if fit.key not in seen or fit.evidence > seen[fit.key].evidence:
-                seen[fit.key] = fit
-            log.append(f"  {proposal.by} {proposal.foretold:.1f} -> {worth(fit):.1f} {said(fit)}")
+            if found.key not in seen or found.evidence > seen[found.key].evidence:
+                seen[found.key] = found
+            log.append(f"  {proposal.by} {proposal.foretold:.1f} -> {worth(found):.1f} {said(found)}")
     return posterior(fitter, list(seen.values()), nothing, seen, log)
 
 
