@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from realsim.errors import GapError
+from realsim.errors import GapError, RealsimError
 from realsim.gap.answer.diagnosis import describe_cause
 from realsim.gap.causes.screen import Screen
 from realsim.gap.compare import Comparison
@@ -140,7 +140,11 @@ def described(simulator: Simulator, fit: Fit, probabilities: dict[Any, float]) -
 
 def main() -> int:
     for folder in sys.argv[1:]:
-        found = answer(load_case(Path(folder)), DiagnoseConfig(threads=1))
+        try:
+            found = answer(load_case(Path(folder)), DiagnoseConfig(threads=1))
+        except RealsimError as error:
+            print(error, file=sys.stderr)
+            return 2
         print(json.dumps({"case": folder, **found}, indent=1, default=float))
     return 0
 

@@ -1,10 +1,10 @@
 """How likely a residual is when neither the noise nor the model's error is known in advance.
 
 Residuals of every channel go into the frequency domain (orthonormal DCT-II), where a stationary error has independent
-coefficients (Whittle's likelihood). In every channel and octave their variance is unknown: with an inverse-gamma prior
-about the sensors' noise and a small model error it integrates out, which leaves Student's t. Large errors thus weigh
-by their logarithm, and no error has to be assumed small. Everyday deviations are linear, r = G x + e, and integrated
-out by Laplace's method.
+coefficients (Whittle's likelihood). In every channel and octave their variance is estimated with each set of causes
+(profile likelihood), and is never less than the floor: the sensors' noise and a small coloured model error. Large
+errors thus weigh by their logarithm, and none is assumed to be small. Everyday deviations are linear, r = G x + e, and
+integrated out by Laplace's method.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Marginal:
 
 
 class Likelihood:
-    """Student's t over channels and octaves, for the runs at these positions of a screen."""
+    """Profile likelihood over channels and octaves, for the runs at these positions of a screen."""
 
     def __init__(self, screen: Screen, comparison: Comparison, positions: Sequence[int] | None = None) -> None:
         self.screen, self.comparison = screen, comparison
@@ -114,7 +114,7 @@ class Likelihood:
         w = 1.0 / np.maximum(self.floor, m.c / np.maximum(n, 1.0)) if start is None else start
         value, best = -np.inf, None
         for _ in range(rounds):
-            A = np.tensordot(w.astype(np.float32), self._gram, 1).astype(float)
+            A = self.information(w)
             inner = np.eye(F.shape[1]) + F.T @ A @ F
             u = np.linalg.solve(inner, F.T @ (w @ m.b))
             x = F @ u
@@ -130,6 +130,10 @@ class Likelihood:
         _, logdet = np.linalg.slogdet(inner)
         cov = F @ np.linalg.solve(inner, F.T)
         return Marginal(value - 0.5 * float(logdet), x, w, A, cov)
+
+    def information(self, weights: F64) -> F64:
+        """(p, p) of the columns under (cells,) weights."""
+        return np.asarray(np.tensordot(weights.astype(np.float32), self._gram, 1), np.float64)
 
     # ------------------------------------------------------------ inside
 

@@ -45,7 +45,7 @@ def ranked(fitter: Fitter, fit: Fit) -> list[tuple[float, Candidate, F64]]:
     taken = {(c.candidate.effect, p) for c in fit.causes for p in c.candidate.places}
     open_ = [c for c in screen.candidates if not any((c.effect, p) in taken for p in c.places)]
     flat = 1.0 / np.maximum(like.floor, moments.c / np.maximum(like.counts, 1.0))  # as if there were no deviations
-    plain_A, plain_b = _information(like, flat), flat @ moments.b
+    plain_A, plain_b = like.information(flat), flat @ moments.b
     first = {}
     for A_, b_ in ((info, gradient), (plain_A, plain_b)):
         gains = sorted(
@@ -218,10 +218,6 @@ def starts(fitter: Fitter, candidate: Candidate, estimate: F64) -> list[tuple[fl
 
 def _nested(a: Candidate, b: Candidate) -> bool:
     return a.effect == b.effect and a.place == b.place
-
-
-def _information(like: object, weights: F64) -> F64:
-    return np.tensordot(weights.astype(np.float32), like._gram, 1).astype(float)  # type: ignore[attr-defined]
 
 
 PROPOSALS: tuple[Propose, ...] = (by_slopes, by_window, by_dropping, by_widening, by_effect, by_angle)
