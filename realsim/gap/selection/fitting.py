@@ -66,7 +66,7 @@ class At:
 
 
 class Fitter:
-    """Gauss-Newton over simulations, reweighted by the variance that is left; everyday deviations are integrated out."""
+    """Gauss-Newton over simulations, reweighted by the variance that is left; deviations are integrated out."""
 
     def __init__(self, screen: Screen, likelihood: Likelihood) -> None:
         self.screen, self.likelihood = screen, likelihood
