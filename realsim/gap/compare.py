@@ -54,7 +54,15 @@ class Noise:
 class Comparison:
     """Log against simulator on regular bins. Residuals are (B, C) a run, in the units of the channels."""
 
-    def __init__(self, case: Case, channels: Sequence[Channel], nominal: Sequence[F64], config: DiagnoseConfig) -> None:
+    def __init__(
+        self,
+        case: Case,
+        channels: Sequence[Channel],
+        nominal: Sequence[F64],
+        config: DiagnoseConfig,
+        runs: Sequence[int] | None = None,
+    ) -> None:
+        """`runs`: those that the noise floor is read off; all if None."""
         self.case, self.channels, self.config = case, tuple(channels), config
         self._starts, self._counts, self._values, self.times = [], [], [], []
         self._valid, self._phase = [], []
@@ -73,7 +81,7 @@ class Comparison:
         walks = [case.floating and c.signal == "imu_acc" for c in self.channels]
         self._clock = np.where(walks, TOUCH_SIGMA, CLOCK_SIGMA)
         self._rates = [self._rate(i, y) for i, y in enumerate(nominal)]
-        self.noise = self._floor(nominal)
+        self.noise = self._floor(nominal, range(len(nominal)) if runs is None else runs)
         self.parted = self._part(nominal)
         """Run -> seconds from which robot and simulator have parted for good (a fall, a slip); left out from there."""
         self.version = 0
@@ -171,11 +179,12 @@ class Comparison:
         width = np.diff(np.append(self._starts[run], len(rate)))[:, None]
         return np.add.reduceat(rate, self._starts[run], axis=0) / width
 
-    def _floor(self, nominal: Sequence[F64]) -> Noise:
+    def _floor(self, nominal: Sequence[F64], runs: Sequence[int]) -> Noise:
         sensor, detail = [], []
         for c, channel in enumerate(self.channels):
             second, spread = [], []
-            for i, y in enumerate(nominal):
+            for i in runs:
+                y = nominal[i]
                 r = np.where(self._valid[i][:, c], self._values[i][:, c] - y[:, c], np.nan)
                 second.append(second_differences(r))
                 spread.append(self._values[i][self._valid[i][:, c], c])

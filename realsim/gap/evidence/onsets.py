@@ -30,19 +30,23 @@ ALIKE = 0.1
 """Seconds between the quartiles of all runs' onsets below which they are a fixed time of every run."""
 
 
-def find_onsets(comparison: Comparison, nominal: Sequence[F64]) -> dict[str, float]:
+def find_onsets(
+    comparison: Comparison, nominal: Sequence[F64], indices: Sequence[int] | None = None
+) -> dict[str, float]:
     """Run -> seconds at which it suddenly leaves the simulator; empty unless that is what sets the gap apart.
 
     Some runs (two at least) must have such a moment, each its own or some none, and all others must stay quiet.
 
     Args:
         nominal: (T, C) a run, of the nominal simulator.
+        indices: runs that are looked at; all if None.
     """
-    runs = comparison.case.runs
-    levels = [_level(comparison, i, nominal[i]) for i in range(len(runs))]
+    chosen = range(len(comparison.case.runs)) if indices is None else indices
+    runs = [comparison.case.runs[i] for i in chosen]
+    levels = [_level(comparison, i, nominal[i]) for i in chosen]
     usual = max(float(np.quantile([np.median(level) for level in levels], CALM)), 1.0)
     found: dict[str, float] = {}
-    for run, level, times in zip(runs, levels, comparison.times, strict=True):
+    for run, level, times in zip(runs, levels, [comparison.times[i] for i in chosen], strict=True):
         if level.max(initial=0.0) > LOUD * usual:
             at = _onset(level, times, usual)
             if at is None or at < _moves(run) + MOVING:
