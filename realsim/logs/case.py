@@ -87,7 +87,7 @@ def run_arrays(proposal: Proposal, recording: Recording) -> tuple[dict[str, F64]
         found = field_of(recording, assignment.source)
         if found is not None and _fits(assignment, found[1].width):
             stream, field = found
-            time, values = _increasing(times[stream.name].time, assignment.values(field))
+            time, values = _increasing(times[stream.name].time, assignment.values(field), stream.type)
             series[role] = time, values, stream.type
     for role in ("joint_pos", "command"):
         if role not in series:
@@ -125,9 +125,9 @@ def _rows(place: F64, sent: F64, start: float, end: float) -> tuple[F64, list[st
     if len(rows) < 2:
         return rows, []
     inner = sent[(sent > rows[0]) & (sent <= rows[-1])]
-    after = rows[np.clip(np.searchsorted(rows, inner), 0, len(rows) - 1)]
-    late = after - inner
-    if not len(inner) or np.median(late) < SETTLED:
+    after = np.clip(np.searchsorted(rows, inner), 1, len(rows) - 1)
+    late = rows[after] - inner
+    if not len(inner) or np.median(np.minimum(late, inner - rows[after - 1])) < SETTLED:
         return rows, []
     return np.union1d(rows, inner), [
         f"commands come {1e3 * np.median(late):.3g} ms before the next position: they have rows of their own"
@@ -135,21 +135,28 @@ def _rows(place: F64, sent: F64, start: float, end: float) -> tuple[F64, list[st
 
 
 def _commanded(time: F64, values: F64, kind: str, rows: F64) -> F64:
-    """Held; between the points of a trajectory message it is a straight line, as its controller goes on a curve."""
-    if kind.rsplit("/", 1)[-1] != "JointTrajectory":
-        return held(time, values, rows)
+    """Held, from the row on which it nearly falls; between the points of a trajectory message, a straight line."""
+    if not _planned(kind):
+        step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
+        return held(time - min(SETTLED, 0.25 * step), values, rows)
     inner = np.stack([np.interp(rows, time, values[:, k]) for k in range(values.shape[1])], axis=1)
     return np.where((rows >= time[0])[:, None], inner, np.nan)
 
 
-def _increasing(time: F64, values: F64) -> tuple[F64, F64]:
+def _planned(kind: str) -> bool:
+    return kind.rsplit("/", 1)[-1] == "JointTrajectory"
+
+
+def _increasing(time: F64, values: F64, kind: str) -> tuple[F64, F64]:
     """Samples in the order of their time, the newest of equal ones; those without a time are left out.
 
-    A trajectory that replaces another before its end takes the place of what was still to come: its messages come
-    later in the file, and what an earlier message planned for later is dropped.
+    A trajectory that replaces another before its end takes the place of what was still to come.
     """
     good = np.isfinite(time)
     time, values = time[good], values[good]
+    if _planned(kind):
+        later = np.minimum.accumulate(np.append(time, np.inf)[::-1])[::-1][1:]
+        time, values = time[time < later], values[time < later]
     order = np.argsort(time, kind="stable")
     time, values = time[order], values[order]
     keep = np.concatenate([np.diff(time) > 0, [True]]) if len(time) else np.zeros(0, bool)

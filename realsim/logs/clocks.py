@@ -133,7 +133,8 @@ def _laid_on(own: F64, receive: F64) -> tuple[F64, str, str]:
     if abs(base) < SAME_CLOCK and not drifts:
         return own, f"{1e3 * base:.3g} ms before it is received at least{drift}; {wait}", ""
     line = own + base + (slope * (own - own[0]) if drifts else 0.0)
-    return line, f"its clock is off by {base:.6g} s{drift}: laid on the receiver's; {wait}", ""
+    off = f"off by {base:.6g} s" if abs(base) < 1e8 else "counted from its own start"
+    return line, f"its clock is {off}{drift}: laid on the receiver's; {wait}", ""
 
 
 def _least_delay(own: F64, delay: F64) -> tuple[float, float, float]:

@@ -68,7 +68,7 @@ def propose(
     body.gyroscope(evidence)
     body.place(evidence)
     body.contact(evidence)
-    _followed(proposal)
+    _followed(proposal, target)
     _missing(proposal, target)
     used = {a.source.label for a in proposal.assignments.values()}
     proposal.unused = sorted({_label(s, n) for s in main.streams for n in s.fields} - used)
@@ -170,20 +170,24 @@ def _label(stream: Stream, name: str) -> str:
     return f"{stream.name}:{name}" if stream.name else name
 
 
-def _followed(proposal: Proposal) -> None:
+def _followed(proposal: Proposal, target: Target | None) -> None:
     """How the joints follow their position commands, over the runs; a run in which they do not is named."""
     if not proposal.complete or proposal.command_kind != "position":
         return
     rows, idle = [], []
+    asked_of = proposal.assignments["command"].targets
+    joints_of = dict(zip(target.actuators, target.driven, strict=True)) if target is not None else {}
+    driven = [proposal.joints.index(joints_of.get(a, a)) for a in asked_of]
     for recording in proposal.recordings[:MOST_RUNS]:
         try:
             arrays, _ = run_arrays(proposal, recording)
         except GapError:
             continue  # said when it is written
+        asked, done = arrays["command"], arrays["joint_pos"]
         found = [
-            follows(arrays["time"], arrays["command"][:, k], arrays["joint_pos"][:, k])
-            for k in range(min(arrays["command"].shape[1], arrays["joint_pos"].shape[1]))
-            if np.nanstd(arrays["command"][:, k]) > MOVES and np.nanstd(arrays["joint_pos"][:, k]) > MOVES
+            follows(arrays["time"], asked[:, k], done[:, j])
+            for k, j in enumerate(driven)
+            if np.nanstd(asked[:, k]) > MOVES and np.nanstd(done[:, j]) > MOVES
         ]
         if not found:
             continue

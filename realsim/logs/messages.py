@@ -137,9 +137,9 @@ class Topics:
     def streams(self) -> tuple[Stream, ...]:
         return tuple(s for c in self._collectors.values() for s in c.streams())
 
-    def notes(self) -> list[str]:
-        """What could not be decoded."""
-        return [f"{topic}: {n} messages cannot be decoded ({why})" for topic, (n, why) in self._failures.items()]
+    def failures(self) -> dict[str, str]:
+        """Topic -> what could not be decoded of it."""
+        return {topic: f"{n} messages cannot be decoded ({why})" for topic, (n, why) in self._failures.items()}
 
 
 def unfold(kind: str, message: Any) -> list[tuple[float, Any]]:

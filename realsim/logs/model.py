@@ -119,10 +119,13 @@ class Target:
             found["alphabetical"] = sorted(joints)
         elif width == len([j for j in self.driven if j]):
             found["the order of the model's actuators"] = [j for j in self.driven if j]
+        elif width > len(joints):
+            found["the model's order, then idle columns"] = joints
         for name, table in MOTOR_TABLES.items():
             at = match_joints(table, joints)
             if len(at) == len(table) <= width:
-                found[f"the motors of {name}"] = [at[i] for i in range(len(table))]
+                # Where a table and another order are the same, the table's name says more.
+                found = {f"the motors of {name}": [at[i] for i in range(len(table))], **found}
         good = {n: o for n, o in found.items() if len(set(o)) == len(o)}
         unique: dict[tuple[str, ...], str] = {}
         for name, order in good.items():

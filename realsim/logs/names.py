@@ -110,7 +110,10 @@ def meaning(stream: str, kind: str, member: str) -> tuple[str, str, str]:
             role = {"joint_pos": "command.position", "joint_vel": "command.velocity"}.get(role, "command.torque")
             return role, unit, f"{member} of {kind} on a topic named for commands"
         return role, unit, f"{member} of {kind}"
-    text = plain(member)
+    if TYPES.get(last):
+        return "", "", ""  # the type is known, and this member is none of these
+    ending = member.rpartition(".")[2]
+    text = plain(member if ending in ("data", "values", "value") else ending)
     if _NOT.search(text):
         return "", "", ""
     unit = named_unit(member)

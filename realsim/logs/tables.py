@@ -43,42 +43,47 @@ def grouped(scalars: Mapping[str, F64]) -> dict[str, Field]:
     """Columns (T,) as fields: `acc_x acc_y acc_z`, `q_0 q_1`, `FL_hip_pos FL_calf_pos`; others stay alone."""
     left = dict(scalars)
     found: dict[str, Field] = {}
-    for group, labels in (*_by_axis(left), *_by_index(left), *_by_place(left)):
+    for group, labels, stem in (*_by_axis(left), *_by_index(left), *_by_place(left)):
         members = [m for m in group.values() if m in left]
         if len(members) < len(group) or len(members) < 2:
             continue
-        stem = _stem(members)
         name = stem if stem and stem not in found else " ".join(members[:2])
         values = np.stack([left.pop(m) for m in members], axis=1)
         found[name] = Field(values, labels, named_unit(members[0]))
     return found | {n: Field(v[:, None], (), named_unit(n)) for n, v in left.items()}
 
 
-def _by_axis(names: Mapping[str, Any]) -> list[tuple[dict[str, str], tuple[str, ...]]]:
+_Groups = list[tuple[dict[str, str], tuple[str, ...], str]]
+"""(place -> column, places, what the columns have in common) of columns that belong together."""
+
+
+def _by_axis(names: Mapping[str, Any]) -> _Groups:
     stems: dict[str, dict[str, str]] = {}
     for name in names:
         match = _AXIS.match(name)
         if match and match["stem"]:
             stems.setdefault(match["stem"], {})[match["axis"]] = name
     # The order of the columns is kept: it is the order of a quaternion too.
-    return [(axes, tuple(axes)) for axes in stems.values() if {"x", "y", "z"} <= set(axes)]
+    return [(axes, tuple(axes), stem) for stem, axes in stems.items() if {"x", "y", "z"} <= set(axes)]
 
 
-def _by_index(names: Mapping[str, Any]) -> list[tuple[dict[str, str], tuple[str, ...]]]:
+def _by_index(names: Mapping[str, Any]) -> _Groups:
     stems: dict[tuple[str, str], dict[int, str]] = {}
     for name in names:
         match = _INDEX.match(name)
         if match and not match["tail"].strip("._ ").isdigit():
             stems.setdefault((match["head"], match["tail"]), {})[int(match["index"])] = name
     groups = []
-    for found in stems.values():
+    for (head, tail), found in stems.items():
         indices = sorted(found)
         if len(indices) >= 2 and indices == list(range(indices[0], indices[0] + len(indices))):
-            groups.append(({str(i): found[i] for i in indices}, tuple(found[i] for i in indices)))
+            groups.append(
+                ({str(i): found[i] for i in indices}, tuple(found[i] for i in indices), head.rstrip("._ ") + tail)
+            )
     return groups
 
 
-def _by_place(names: Mapping[str, Any]) -> list[tuple[dict[str, str], tuple[str, ...]]]:
+def _by_place(names: Mapping[str, Any]) -> _Groups:
     """Columns of which every name is a place and the same words of a signal: hip_pos, knee_pos."""
     stems: dict[tuple[str, ...], dict[str, str]] = {}
     for name in names:
@@ -87,13 +92,7 @@ def _by_place(names: Mapping[str, Any]) -> list[tuple[dict[str, str], tuple[str,
         place = "_".join(w for w in parts if w not in _SIGNAL)
         if signal and place:
             stems.setdefault(signal, {})[place] = name
-    return [(found, tuple(found)) for found in stems.values() if len(found) >= 2]
-
-
-def _stem(members: Sequence[str]) -> str:
-    """The words that all names share, in order."""
-    shared = [w for w in words(members[0]) if all(w in words(m) for m in members)]
-    return "_".join(shared)
+    return [(found, tuple(found), "_".join(signal)) for signal, found in stems.items() if len(found) >= 2]
 
 
 def cells(path: Path, name: str, values: Sequence[Any]) -> F64 | None:

@@ -53,9 +53,9 @@ def read(path: Path, window: Window) -> list[Recording]:
             if decode is not None and window.holds(received - first):
                 topics.add(topic, name, _call(decode, record.data), received)
     streams = topics.streams()
-    notes += topics.notes()
+    notes += [f"{topic}: {what}" for topic, what in topics.failures().items()]
     if not streams:
-        raise no_samples(path, "topics with joint states, commands, an IMU or a pose", skipped)
+        raise no_samples(path, "topics with joint states, commands, an IMU or a pose", skipped | topics.failures())
     return [Recording(path, path.stem, "mcap", streams, skipped, tuple(notes))]
 
 
@@ -80,9 +80,13 @@ def _records(path: Path, notes: list[str]) -> Iterator[Any]:
                             "a chunk is too large", file=path, expected=f"at most {MAX_RECORD} bytes",
                             found=str(record.uncompressed_size),
                         )  # fmt: skip
-                    for part in breakup_chunk(record):
-                        seen = True
-                        yield part
+                    try:
+                        parts = breakup_chunk(record)
+                    except Exception as error:  # each compression has its own errors; the next chunk may be whole
+                        notes.append(f"{path.name}: a damaged chunk is left out ({_said(error)})")
+                        continue
+                    seen = True
+                    yield from parts
                 else:
                     seen = True
                     yield record

@@ -75,9 +75,9 @@ def read(path: Path, window: Window) -> list[Recording]:
             hint="of a bag that was cut off: `rosbag reindex` (ROS 1) or `ros2 bag reindex`",
         ) from error
     streams = topics.streams()
-    notes += topics.notes()
+    notes += [f"{topic}: {what}" for topic, what in topics.failures().items()]
     if not streams:
-        raise no_samples(path, "topics with joint states, commands, an IMU or a pose", skipped)
+        raise no_samples(path, "topics with joint states, commands, an IMU or a pose", skipped | topics.failures())
     return [Recording(path, path.stem, "rosbag", streams, skipped, tuple(notes))]
 
 
