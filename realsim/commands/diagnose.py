@@ -8,12 +8,13 @@ from typing import Annotated, Any
 
 import tyro
 
-from realsim import gap
+from realsim import gap, logs
 from realsim.commands import CommandResult
 from realsim.commands.many import run_each
 from realsim.errors import RealsimError
 from realsim.files import refuse_within
 from realsim.gap.config import DiagnoseConfig
+from realsim.progress import note
 
 
 def diagnose(
@@ -21,6 +22,7 @@ def diagnose(
     config: DiagnoseConfig,
     out: Path = Path("diagnosis"),
     explain: str | None = None,
+    model: Path | None = None,
     jobs: int = 1,
     ray: str | None = None,
     overwrite: bool = False,
@@ -31,6 +33,7 @@ def diagnose(
         cases: a folder with log.json, model.xml and runs/ (.npz or .csv); or several, each gets a folder below --out.
         out: where diagnosis.json, report.html and the patched model go.
         explain: instead of a case: say what an effect looks like and what excites it (`all` lists them).
+        model: of the robot, where CASE is a recording (MCAP, bag, CSV, ...): the case is written beside --out first.
         jobs: with several cases: how many at a time on this machine.
         ray: with several cases: the address of a Ray cluster that shares this file system.
         overwrite: replace an output folder that realsim wrote before.
@@ -40,11 +43,23 @@ def diagnose(
         return CommandResult(text, {"effect": explain, "text": text})
     if not cases:
         raise RealsimError("no case given", expected="realsim diagnose CASE --out DIR, or --explain EFFECT")
+    if model is not None:
+        cases = tuple(_from_recording(case, model, out, overwrite, len(cases)) for case in cases)
     if len(cases) == 1 and ray is None:
         refuse_within(out, cases[0])
         result = gap.run_case(cases[0], out, config, overwrite=overwrite)
         return CommandResult(_summary(result, out, config), result)
     return run_each("diagnose", cases, out, shows="sentence", jobs=jobs, ray=ray)
+
+
+def _from_recording(recording: Path, model: Path, out: Path, overwrite: bool, count: int) -> Path:
+    """The case of a recording, in a folder beside the output; see `realsim log`."""
+    case = out.with_name(f"{out.name}_case" if count == 1 else f"{out.name}_case_{recording.stem}")
+    target = logs.load_target(model)
+    proposal = logs.propose(logs.read(recording), target)
+    logs.write_case(proposal, target, case, overwrite=overwrite)
+    note(f"{recording} is read as {case}; why: realsim log {recording} --model {model}")
+    return case
 
 
 def _summary(result: Mapping[str, Any], out: Path, config: DiagnoseConfig) -> str:
