@@ -1,6 +1,6 @@
-"""Withheld check of contract errors: a policy deployed wrongly on the simulated quadruped, and what `check` makes of it.
+"""Withheld check of contract errors: a policy deployed wrongly on a simulated quadruped, and what `check` says.
 
-    python benchmarks/gap_contract.py --per-kind 3 --seed 1000 --store
+    python benchmarks/gap_contract.py --out benchmarks/results/gap_contract.json
 
 Every log comes from `trainer.deploy.loop.deploy` on `MujocoRobot`. The mistake is made in the robot's readings and
 targets, in the metadata that the loop believes, or between the loop and the network; nothing of it is shared with
@@ -89,9 +89,10 @@ class LoggedRobot(MujocoRobot):
     def write(self, targets: np.ndarray) -> None:
         sent = self.wrong.send(targets)
         for repeat in range(self.wrong.every):
-            reading, quat = self.now if repeat == 0 else (MujocoRobot.read(self), self.physics.state.base_quat[0].double().numpy())  # fmt: skip
+            state = self.physics.state
+            reading, quat = (MujocoRobot.read(self), state.base_quat[0].double().numpy()) if repeat else self.now
             row = {"command": sent, "pos": reading.joint_pos, "vel": reading.joint_vel, "gyro": reading.ang_vel,
-                   "quat": quat, "told": self.told, "torque": self.physics.state.joint_torque[0].double().numpy()}  # fmt: skip
+                   "quat": quat, "told": self.told, "torque": state.joint_torque[0].double().numpy()}  # fmt: skip
             self.log.rows.append(
                 {
                     k: np.array(v) + (self.rng.normal(0, NOISE[k], np.shape(v)) if k in NOISE else 0)
@@ -359,7 +360,8 @@ def main() -> None:
     alarms = sum(r["verdict"] != "kept" for r in rows if not r["kind"])
     misses = Counter(r["kind"] for r in wrong_rows if r["named"][:1] != [r["kind"]])
     print(
-        f"top-1 {top} of {len(wrong_rows)}, alone {single}; false alarms {alarms} of {len(rows) - len(wrong_rows)}; misses {dict(misses)}"
+        f"top-1 {top} of {len(wrong_rows)}, alone {single}; "
+        f"false alarms {alarms} of {len(rows) - len(wrong_rows)}; misses {dict(misses)}"
     )
     if options.out:
         summary = {

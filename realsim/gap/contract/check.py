@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from realsim.errors import GapError
 from realsim.gap.contract.kinds import KINDS, Hypothesis, residual
 from realsim.gap.contract.policy import Contract
 from realsim.gap.contract.replay import Mistake
@@ -55,7 +56,17 @@ def check(contract: Contract, steps: Steps) -> Found:
 
     All rows are policy steps where the log runs at the policy's rate; of a faster log, those in which the command
     changes, and what was seen is the row before or the same, whichever the contract explains better.
+
+    Raises:
+        GapError: the policy moves joints that the log does not have.
     """
+    other = [j for j in contract.joints if j not in steps.joints]
+    if other:
+        raise GapError(
+            "the policy is of another robot, or its joints have other names",
+            expected=", ".join(steps.joints),
+            found=", ".join(other),
+        )
     steps = _at_policy_rate(contract, steps)
     right = _left(contract, steps, Mistake())
     tried = [h for kind in KINDS.values() for h in kind(contract, steps)]

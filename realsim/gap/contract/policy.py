@@ -23,7 +23,8 @@ from realsim.types import F64
 TERMS = {
     "base_ang_vel": "ang_vel", "ang_vel": "ang_vel", "imu_ang_vel": "ang_vel", "gyro": "ang_vel",
     "gravity": "gravity", "projected_gravity": "gravity", "gravity_vec": "gravity",
-    "command": "command", "velocity_commands": "command", "commands": "command", "steering_command": "command", "twist": "command",
+    "command": "command", "velocity_commands": "command", "commands": "command", "twist": "command",
+    "steering_command": "command",
     "joint_pos": "joint_pos", "joint_pos_rel": "joint_pos", "dof_pos": "joint_pos",
     "joint_vel": "joint_vel", "joint_vel_rel": "joint_vel", "dof_vel": "joint_vel",
     "last_action": "last_action", "actions": "last_action", "prev_actions": "last_action",
