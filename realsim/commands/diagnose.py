@@ -13,6 +13,7 @@ from realsim.commands import CommandResult
 from realsim.commands.many import run_each
 from realsim.errors import RealsimError
 from realsim.files import refuse_within
+from realsim.gap import contract
 from realsim.gap.config import DiagnoseConfig
 from realsim.progress import note
 
@@ -23,6 +24,8 @@ def diagnose(
     out: Path = Path("diagnosis"),
     explain: str | None = None,
     model: Path | None = None,
+    policy: Path | None = None,
+    deploy_yaml: Path | None = None,
     jobs: int = 1,
     ray: str | None = None,
     overwrite: bool = False,
@@ -34,6 +37,8 @@ def diagnose(
         out: where diagnosis.json, report.html and the patched model go.
         explain: instead of a case: say what an effect looks like and what excites it (`all` lists them).
         model: of the robot, where CASE is a recording (MCAP, bag, CSV, ...): the case is written beside --out first.
+        policy: policy.onnx that was run: is it run as it was trained (docs/logs.md)? Said before the diagnosis.
+        deploy_yaml: the contract of a policy whose ONNX file has none (unitree_rl_lab).
         jobs: with several cases: how many at a time on this machine.
         ray: with several cases: the address of a Ray cluster that shares this file system.
         overwrite: replace an output folder that realsim wrote before.
@@ -47,9 +52,20 @@ def diagnose(
         cases = tuple(_from_recording(case, model, out, overwrite, len(cases)) for case in cases)
     if len(cases) == 1 and ray is None:
         refuse_within(out, cases[0])
+        found = None if policy is None else _contract(cases[0], policy, deploy_yaml)
         result = gap.run_case(cases[0], out, config, overwrite=overwrite)
-        return CommandResult(_summary(result, out, config), result)
+        text = _summary(result, out, config)
+        if found is not None:
+            text, result = f"{found.sentence}\n{text}", result | {"contract": found.as_dict()}
+        return CommandResult(text, result)
     return run_each("diagnose", cases, out, shows="sentence", jobs=jobs, ray=ray)
+
+
+def _contract(folder: Path, policy: Path, deploy_yaml: Path | None) -> contract.Found:
+    """Whether the policy was run as it was trained; checked before the search, which takes minutes."""
+    case = gap.load_case(folder)
+    steps = contract.read_steps(case)
+    return contract.check(contract.load_policy(policy, deploy_yaml, case.joint_names), steps)
 
 
 def _from_recording(recording: Path, model: Path, out: Path, overwrite: bool, count: int) -> Path:

@@ -22,7 +22,7 @@ class Mistake:
     see: tuple[int, ...] | None = None
     """Joint of the policy whose place the reading of joint i takes: the order in which joints are seen."""
     send: tuple[int, ...] | None = None
-    """The order in which actions are sent."""
+    """The order in which targets are sent."""
     see_sign: F64 | None = None
     send_sign: F64 | None = None
     see_offset: F64 | None = None
@@ -81,11 +81,11 @@ def _of_run(contract: Contract, steps: Steps, run: Run, m: Mistake) -> F64:
         action = np.clip(action, -limit, limit)
     if m.send_sign is not None:
         action = action * m.send_sign
-    if m.send is not None:
-        action = action[:, list(m.send)]
     wanted = contract.default + m.gain * contract.scale * action
     if m.send_offset is not None:
         wanted = wanted + m.send_offset
+    if m.send is not None:  # targets are handed to the wrong motors, default pose and all
+        wanted = wanted[:, list(m.send)]
     out = np.empty_like(wanted)
     out[:, order] = wanted
     return out
@@ -97,14 +97,14 @@ def _last_action(contract: Contract, sent: F64, m: Mistake) -> F64:
         return np.zeros_like(sent)
     if m.last == "target":
         return np.concatenate([np.zeros_like(sent[:1]), sent[:-1]])
+    if m.send is not None:
+        back = np.empty_like(sent)
+        back[:, list(m.send)] = sent
+        sent = back
     action = sent - contract.default
     if m.send_offset is not None:
         action = action - m.send_offset
     action = action / (m.gain * contract.scale)
-    if m.send is not None:
-        back = np.empty_like(action)
-        back[:, list(m.send)] = action
-        action = back
     if m.send_sign is not None:
         action = action * m.send_sign
     return np.concatenate([np.zeros_like(action[:1]), action[:-1]])
