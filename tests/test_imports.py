@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 BASE = {"types", "errors", "registry", "files", "geometry", "meshes", "ordered", "progress"}
-STAGES = {"capture", "feedforward", "scale", "align", "meshing", "export", "robots", "report", "gap", "synth"}
+STAGES = {"capture", "feedforward", "scale", "align", "meshing", "export", "robots", "report", "gap", "logs", "synth"}
 # Who may know more: results of the gap are shown with the report's parts; scenes can hold robots.
 ALSO = {"gap": {"report", "robots"}, "export": {"robots"}, "report": set(), "synth": set()}
 

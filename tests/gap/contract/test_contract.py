@@ -61,8 +61,9 @@ def loop(
     action, sent = np.zeros(6), []
     for k in range(count):
         old = max(k - late, 0)
+        place, speed = see(pos[old]) - contract.default, see_vel(vel[old])
         now = {"ang_vel": gyro[old], "gravity": gravity * down[old], "command": told[k],
-               "joint_pos": see(pos[old]) - contract.default, "joint_vel": see_vel(vel[old]), "last_action": action}  # fmt: skip
+               "joint_pos": place, "joint_vel": speed, "last_action": action}  # fmt: skip
         vector = []
         for kind, value in now.items():
             past[kind] = [value] * HISTORY if not past[kind] else [*past[kind][1:], value]
