@@ -22,7 +22,7 @@ from realsim.errors import RealsimError
 MAX_TEXT_BYTES = 64 * 2**20
 MAX_BINARY_BYTES = 2 * 2**30
 MARKS = ("report.json", "contact.json", "diagnosis.json", "proposal.json", "truth/truth.json")
-"""Files of which every output folder holds one: of a scene, of `realsim contact`, a diagnosis, a case, a synthetic capture."""
+"""Files of which every output folder holds one: a scene, a contact, a diagnosis, a case, a synthetic capture."""
 _DAMAGED = (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
 """What reading a damaged, encrypted or exotic archive of arrays raises."""
 
