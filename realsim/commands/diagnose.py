@@ -8,13 +8,14 @@ from typing import Annotated, Any
 
 import tyro
 
-from realsim import gap
+from realsim import gap, logs
 from realsim.commands import CommandResult, strict_exit
 from realsim.commands.many import run_each
 from realsim.errors import RealsimError
 from realsim.files import refuse_within
+from realsim.gap import contract
 from realsim.gap.config import DiagnoseConfig
-from realsim.progress import steps, track
+from realsim.progress import note, steps, track
 
 
 def diagnose(
@@ -25,6 +26,9 @@ def diagnose(
     check: bool = False,
     init: Path | None = None,
     explain: str | None = None,
+    model: Path | None = None,
+    policy: Path | None = None,
+    deploy_yaml: Path | None = None,
     jobs: int = 1,
     ray: str | None = None,
     strict: bool = False,
@@ -39,6 +43,9 @@ def diagnose(
         check: say within seconds whether the log can be used, and what is odd about it; nothing is written.
         init: instead of a case: an MJCF model, for which the folder of a new case is made.
         explain: instead of a case: say what an effect looks like and what excites it (`all` lists them).
+        model: of the robot, where CASE is a recording (MCAP, bag, CSV, ...): the case is written beside --out first.
+        policy: policy.onnx that was run: is it run as it was trained (docs/logs.md)? Said before the diagnosis.
+        deploy_yaml: the contract of a policy whose ONNX file has none (unitree_rl_lab).
         jobs: with several cases: how many at a time on this machine.
         ray: with several cases: the address of a Ray cluster that shares this file system.
         strict: exit with code 3 if the gap stays unexplained (the patched model is then not to be used).
@@ -57,12 +64,18 @@ def diagnose(
     if check:
         return _checked(cases, config)
     out = out or Path("diagnosis")
+    if model is not None:
+        cases = tuple(_from_recording(case, model, out, overwrite, len(cases)) for case in cases)
     if len(cases) == 1 and ray is None:
         refuse_within(out, cases[0])
+        found = None if policy is None else _contract(cases[0], policy, deploy_yaml)
         with steps() as tick:
             result = gap.run_case(cases[0], out, config, tick, overwrite=overwrite)
         level = LEVELS[str(result["verdict"])]
-        return CommandResult(_summary(result, out, config), result, strict_exit({"level": level}, strict), level)
+        text = _summary(result, out, config)
+        if found is not None:
+            text, result = f"{found.sentence}\n{text}", result | {"contract": found.as_dict()}
+        return CommandResult(text, result, strict_exit({"level": level}, strict), level)
     return run_each("diagnose", cases, out, shows="sentence", jobs=jobs, ray=ray)
 
 
@@ -93,6 +106,23 @@ def _health(case: Path, found: Mapping[str, Any]) -> list[str]:
         first + (f"can be used, with {len(warnings)} notes" if warnings else "can be used, nothing odd"),
         *(f"note    {warning}" for warning in warnings),
     ]
+
+
+def _contract(folder: Path, policy: Path, deploy_yaml: Path | None) -> contract.Found:
+    """Whether the policy was run as it was trained; checked before the search, which takes minutes."""
+    case = gap.load_case(folder)
+    steps = contract.read_steps(case)
+    return contract.check(contract.load_policy(policy, deploy_yaml, case.joint_names), steps)
+
+
+def _from_recording(recording: Path, model: Path, out: Path, overwrite: bool, count: int) -> Path:
+    """The case of a recording, in a folder beside the output; see `realsim log`."""
+    case = out.with_name(f"{out.name}_case" if count == 1 else f"{out.name}_case_{recording.stem}")
+    target = logs.load_target(model)
+    proposal = logs.propose(logs.read(recording), target)
+    logs.write_case(proposal, target, case, overwrite=overwrite)
+    note(f"{recording} is read as {case}; why: realsim log {recording} --model {model}")
+    return case
 
 
 def _summary(result: Mapping[str, Any], out: Path, config: DiagnoseConfig) -> str:

@@ -1,0 +1,49 @@
+"""`realsim log`: what a recording holds, and the case that it becomes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from realsim import gap, logs
+from realsim.commands import CommandResult
+from realsim.errors import GapError
+from realsim.logs.recording import Window
+
+
+def log(
+    recording: Annotated[Path, tyro.conf.Positional],
+    model: Path | None = None,
+    out: Path | None = None,
+    use: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ROLE=STREAM:FIELD")] = (),
+    only: str = "",
+    start: float = 0.0,
+    seconds: float = float("inf"),
+    overwrite: bool = False,
+) -> CommandResult:
+    """Say what a robot's recording holds: which topic or column is what, with the evidence; and write it as a case.
+
+    Args:
+        recording: a file or a folder: MCAP, ROS bag, LeRobot, parquet, CSV, JSON, ULog, npz; a folder of files is runs.
+        model: MJCF (or URDF) of the robot; order, units and signs of the joints are tested against it.
+        out: where the case for `realsim diagnose` goes; without it nothing is written.
+        use: what you know better: ROLE=STREAM:FIELD, or ROLE=none; ROLE is command, joint_pos, joint_vel, ...
+        only: topics that begin so, where a recording holds several robots.
+        start: seconds after the first message from which the recording is read.
+        seconds: how many seconds of it are read.
+        overwrite: replace a case that realsim wrote before.
+    """
+    if out is not None and model is None:
+        raise GapError("a case needs a model", expected="realsim log RECORDING --model robot.xml --out case")
+    target = logs.load_target(model) if model is not None else None
+    proposal = logs.propose(logs.read(recording, Window(start, seconds)), target, use=use, only=only)
+    text, data = proposal.render(), proposal.as_dict()
+    if out is not None and target is not None:
+        said = logs.write_case(proposal, target, out, overwrite=overwrite)
+        case = gap.load_case(out)
+        said += list(case.warnings)
+        text += "\n".join(["", "", f"case    {out} ({len(case.runs)} runs)", *(f"note    {s}" for s in said)])
+        data |= {"case": str(out), "notes": said}
+    return CommandResult(text, data)

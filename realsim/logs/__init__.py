@@ -1,0 +1,23 @@
+"""Robot logs as people have them: any recording read, taken apart, and written as a case for `realsim diagnose`.
+
+    from realsim.logs import load_target, propose, read, write_case
+    proposal = propose(read("walk.mcap"), target := load_target("robot.xml"))
+    print(proposal.render())
+    write_case(proposal, target, "case")
+
+readers/      one file a format            recording.py  what they all return
+infer.py      which field is what          joints.py, commands.py, body.py  the evidence for it
+clocks.py     one time for all streams     case.py       the folder of the contract
+"""
+
+from __future__ import annotations
+
+from realsim.logs.case import write_case
+from realsim.logs.infer import propose
+from realsim.logs.model import Target, load_target
+from realsim.logs.proposal import Proposal
+from realsim.logs.read import read
+from realsim.logs.readers import READERS
+from realsim.logs.recording import Recording, Window
+
+__all__ = ["READERS", "Proposal", "Recording", "Target", "Window", "load_target", "propose", "read", "write_case"]

@@ -1,0 +1,237 @@
+"""A proposal as a case folder (docs/gap.md): log.json, model.xml with its files, runs/*.npz, and why."""
+
+from __future__ import annotations
+
+import io
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from realsim.errors import GapError, RealsimError
+from realsim.files import (
+    check_size,
+    explain_write_errors,
+    inside,
+    output_folder,
+    read_bytes,
+    to_json,
+    write_bytes,
+    write_text,
+)
+from realsim.logs.clocks import clocked
+from realsim.logs.model import Target
+from realsim.logs.names import plain
+from realsim.logs.proposal import Assignment, Proposal, field_of
+from realsim.logs.recording import Recording
+from realsim.logs.signals import at, held
+from realsim.types import F64
+
+LEAST_SAMPLES = 20
+MAX_ASSET_BYTES = 512 * 2**20
+SETTLED = 1e-3
+"""s of difference up to which commands and positions count as sampled together."""
+
+
+def write_case(proposal: Proposal, target: Target, out: Path, *, overwrite: bool = False) -> list[str]:
+    """Write the case; returns what is to be said about its runs.
+
+    Raises:
+        GapError: no command or no positions, or no run that has them.
+    """
+    if not proposal.complete:
+        raise GapError(
+            "the case is not complete",
+            file=proposal.recordings[0].path,
+            expected="a command and joint positions",
+            found="; ".join(proposal.missing[:2]),
+            hint="see `realsim log` without --out; --use ROLE=STREAM:FIELD names a field",
+        )
+    said: list[str] = []
+    with output_folder(out, overwrite=overwrite, source=proposal.recordings[0].path) as work:
+        (work / "runs").mkdir()
+        written: dict[str, int] = {}
+        for recording in proposal.recordings:
+            try:
+                arrays, notes = run_arrays(proposal, recording)
+            except GapError as error:
+                said.append(f"{recording.name} is left out: {error.message}")
+                continue
+            name = _unique(plain(recording.name) or "run", written)
+            buffer = io.BytesIO()
+            np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
+            write_bytes(work / "runs" / f"{name}.npz", buffer.getvalue())
+            said += [f"{name}: {n}" for n in notes]
+        if not written:
+            raise GapError("no run can be written", file=proposal.recordings[0].path, found="; ".join(said[:4]))
+        write_text(work / "log.json", to_json(_log(proposal, said)))
+        write_text(work / "proposal.json", to_json(proposal.as_dict() | {"runs_said": said}))
+        _write_model(target, work)
+    return said
+
+
+def run_arrays(proposal: Proposal, recording: Recording) -> tuple[dict[str, F64], list[str]]:
+    """The arrays of one run in the contract's names, order and units, on the times of its joint positions.
+
+    Where commands were sent at other moments, these are rows too, so that no command is late by up to a sample: joint
+    signals are missing (NaN) in such rows. Commands are held; all else is interpolated between its own samples.
+
+    Raises:
+        GapError: the run lacks the command or the positions, or they do not overlap in time.
+    """
+    times = clocked(recording)
+    series: dict[str, tuple[F64, F64, str]] = {}
+    for role, assignment in proposal.assignments.items():
+        found = field_of(recording, assignment.source)
+        if found is not None and _fits(assignment, found[1].width):
+            stream, field = found
+            time, values = _increasing(times[stream.name].time, assignment.values(field), stream.type)
+            series[role] = time, values, stream.type
+    for role in ("joint_pos", "command"):
+        if role not in series:
+            raise GapError(
+                f"{role} is not in the run", file=recording.path, expected=proposal.assignments[role].source.label
+            )
+    place, sent = series["joint_pos"][0], series["command"][0]
+    start, end = max(place[0], sent[0]), place[-1]
+    rows, notes = _rows(place, sent, start, end)
+    if len(rows) < LEAST_SAMPLES:
+        raise GapError(
+            "commands and positions hardly overlap in time", file=recording.path,
+            expected=f"at least {LEAST_SAMPLES} samples of both", found=str(len(rows)),
+        )  # fmt: skip
+    arrays: dict[str, F64] = {"time": rows - rows[0]}
+    own = np.isin(rows, place)
+    for role, (time, values, kind) in series.items():
+        if role == "command":
+            arrays[role] = _commanded(time, values, kind, rows)
+        elif role == "contact":
+            arrays[role] = held(time, values, rows)
+        elif role in ("joint_pos", "joint_vel", "joint_torque"):
+            arrays[role] = np.where(own[:, None], at(time, values, rows), np.nan)
+        elif role == "base_quat":
+            arrays[role] = _normalised(at(time, _continuous(values), rows))
+        else:
+            arrays[role] = at(time, values, rows)
+    if proposal.torque_kind == "none":
+        arrays.pop("joint_torque", None)
+    return arrays, notes
+
+
+def _rows(place: F64, sent: F64, start: float, end: float) -> tuple[F64, list[str]]:
+    rows = place[(place >= start) & (place <= end)]
+    if len(rows) < 2:
+        return rows, []
+    inner = sent[(sent > rows[0]) & (sent <= rows[-1])]
+    after = np.clip(np.searchsorted(rows, inner), 1, len(rows) - 1)
+    late = rows[after] - inner
+    if not len(inner) or np.median(np.minimum(late, inner - rows[after - 1])) < SETTLED:
+        return rows, []
+    return np.union1d(rows, inner), [
+        f"commands come {1e3 * np.median(late):.3g} ms before the next position: they have rows of their own"
+    ]
+
+
+def _commanded(time: F64, values: F64, kind: str, rows: F64) -> F64:
+    """Held, from the row on which it nearly falls; between the points of a trajectory message, a straight line."""
+    if not _planned(kind):
+        step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
+        return held(time - min(SETTLED, 0.25 * step), values, rows)
+    inner = np.stack([np.interp(rows, time, values[:, k]) for k in range(values.shape[1])], axis=1)
+    return np.where((rows >= time[0])[:, None], inner, np.nan)
+
+
+def _planned(kind: str) -> bool:
+    return kind.rsplit("/", 1)[-1] == "JointTrajectory"
+
+
+def _increasing(time: F64, values: F64, kind: str) -> tuple[F64, F64]:
+    """Samples in the order of their time, the newest of equal ones; those without a time are left out.
+
+    A trajectory that replaces another before its end takes the place of what was still to come.
+    """
+    good = np.isfinite(time)
+    time, values = time[good], values[good]
+    if _planned(kind):
+        later = np.minimum.accumulate(np.append(time, np.inf)[::-1])[::-1][1:]
+        time, values = time[time < later], values[time < later]
+    order = np.argsort(time, kind="stable")
+    time, values = time[order], values[order]
+    keep = np.concatenate([np.diff(time) > 0, [True]]) if len(time) else np.zeros(0, bool)
+    return time[keep], values[keep]
+
+
+def _fits(assignment: Assignment, width: int) -> bool:
+    return max(assignment.columns, default=-1) < width
+
+
+def _continuous(quat: F64) -> F64:
+    """Quaternions without changes of sign from one sample to the next, so that between two lies neither."""
+    flips = np.ones(len(quat))
+    dots = (quat[1:] * quat[:-1]).sum(axis=1)
+    flips[1:] = np.where(dots < 0, -1.0, 1.0)
+    return quat * np.cumprod(flips)[:, None]
+
+
+def _normalised(quat: F64) -> F64:
+    return quat / np.maximum(np.linalg.norm(quat, axis=1, keepdims=True), 1e-9)
+
+
+def _log(proposal: Proposal, said: list[str]) -> Mapping[str, Any]:
+    sources = ", ".join(f"{r}: {a.source.label}" for r, a in proposal.assignments.items())
+    return {
+        "joint_names": list(proposal.assignments["joint_pos"].targets),
+        "actuator_names": list(proposal.assignments["command"].targets),
+        "command_kind": proposal.command_kind,
+        "command_hold": "zoh",
+        "base": proposal.base,
+        "torque_kind": proposal.torque_kind,
+        "imu_site": proposal.imu_site,
+        "contact_bodies": list(proposal.assignments["contact"].targets) if "contact" in proposal.assignments else [],
+        "notes": f"written by realsim log from {proposal.recordings[0].path.name} ({sources}); see proposal.json",
+    }
+
+
+def _unique(name: str, taken: dict[str, int]) -> str:
+    taken[name] = taken.get(name, 0) + 1
+    return name if taken[name] == 1 else f"{name}_{taken[name]}"
+
+
+def _write_model(target: Target, work: Path) -> None:
+    """model.xml as it is, where its files lie below it; else with its files beside it, under names of their own."""
+    spec, home = target.spec, target.path.parent
+    named = [(e, e.file, d) for e, d in _assets(spec) if e.file]
+    plain_text = target.path.suffix.lower() == ".xml" and b"<include" not in (text := read_bytes(target.path))
+    if plain_text and not named and b"<mujoco" in text:
+        write_bytes(work / "model.xml", text)
+        return
+    total = 0
+    for number, (element, file, folder) in enumerate(named):
+        source = (home / folder / file).resolve()
+        try:
+            check_size(source, MAX_ASSET_BYTES)
+        except RealsimError as error:
+            raise GapError(
+                "a file of the model cannot be read", file=target.path, found=f"{file}: {error.message}"
+            ) from error
+        total += source.stat().st_size
+        if total > MAX_ASSET_BYTES:
+            raise GapError(
+                "the model's files are too large", file=target.path, expected=f"{MAX_ASSET_BYTES} bytes in all"
+            )
+        name = f"assets/{number:03d}_{plain(source.stem)[:40]}{source.suffix.lower()}"
+        place = inside(work, name)
+        with explain_write_errors(place):
+            place.parent.mkdir(exist_ok=True)
+            shutil.copyfile(source, place)
+        element.file = name
+    spec.meshdir = spec.texturedir = ""
+    write_text(work / "model.xml", spec.to_xml())
+
+
+def _assets(spec: Any) -> list[tuple[Any, str]]:
+    """Meshes, height fields and textures with the folder that their names are relative to."""
+    found = [(m, spec.meshdir) for m in (*spec.meshes, *spec.hfields)]
+    return found + [(t, spec.texturedir) for t in spec.textures]

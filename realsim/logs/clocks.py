@@ -1,0 +1,162 @@
+"""Which time a sample has: the clocks of a stream compared, their offset and drift, and one time for all streams.
+
+The stamp nearest to the measurement is used: the message's own, else a counter of the device, else the time at which
+the message was received. Where a stamp runs on another clock than the receiver, it is laid on the receiver's by a
+straight line through the messages of least delay; what a message took on its way only adds to that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from realsim.errors import GapError
+from realsim.logs.names import clock_unit
+from realsim.logs.recording import Recording, Stream
+from realsim.types import F64
+
+SAME_CLOCK = 0.5
+"""s of offset up to which two clocks may be one and the offset the time on the way."""
+JUMP = 0.1
+"""s by which a clock steps aside from the receiver's."""
+UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+RATES = (5.0, 5000.0)
+"""Hz that a log of a robot is likely to have."""
+
+
+@dataclass(frozen=True)
+class Clocked:
+    """The time of a stream's samples, s, and how it was found."""
+
+    time: F64
+    clock: str
+    said: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+
+
+def clocked(recording: Recording) -> dict[str, Clocked]:
+    """Stream -> the time of its samples on the recording's common clock.
+
+    Raises:
+        GapError: streams without any clock beside streams with one.
+    """
+    return {stream.name: _of_stream(recording, stream) for stream in recording.streams}
+
+
+def _of_stream(recording: Recording, stream: Stream) -> Clocked:
+    said: list[str] = []
+    warnings: list[str] = []
+    receive = stream.clocks.get("receive")
+    if receive is not None and not np.isfinite(receive).any():
+        receive = None
+    for name in ("header", *(n for n in stream.clocks if n not in ("header", "receive"))):
+        if name not in stream.clocks:
+            continue
+        raw = stream.clocks[name]
+        why = _unfit(raw)
+        if why:
+            said.append(f"clock {name!r} is not used: {why}")
+            continue
+        if receive is None:
+            seconds, how = (raw, "s") if name == "header" else seconds_of(name, raw)
+            return Clocked(seconds, name, (*said, f"time is {name!r}{'' if how == 's' else f', in {how}'}"))
+        seconds, how = (raw, "s") if name == "header" else _unit_by(raw, receive)
+        aligned, report, bad = _laid_on(seconds, receive)
+        if bad:
+            warnings.append(f"clock {name!r} of {stream.name} is not used: {bad}")
+            continue
+        return Clocked(aligned, name, (*said, f"time is {name!r}{'' if how == 's' else f' in {how}'}: {report}"),
+                       tuple(warnings))  # fmt: skip
+    if receive is not None:
+        return Clocked(receive, "receive", (*said, "time is when messages were received"), tuple(warnings))
+    rate = recording.facts.get("fps") or recording.facts.get("rate")
+    if isinstance(rate, (int, float)) and rate > 0:
+        return Clocked(
+            np.arange(stream.count) / float(rate), "rows", (f"no clock: {rate:g} samples a second are said",)
+        )
+    raise GapError(
+        f"{stream.name or recording.name} has no time",
+        file=recording.path,
+        expected="a column named time, timestamp, stamp or t",
+        found=", ".join(stream.fields)[:200],
+    )
+
+
+def seconds_of(name: str, raw: F64) -> tuple[F64, str]:
+    """(a clock in s, its unit): as its name says, else as gives a likely rate, s before ms, us, ns."""
+    factor = clock_unit(name)
+    if factor is None:
+        step = float(np.median(np.abs(np.diff(raw)))) if len(raw) > 1 else 1.0
+        fits = [f for f in UNITS.values() if RATES[0] <= 1 / max(step * f, 1e-12) <= RATES[1]]
+        factor = fits[0] if fits else 1.0
+    unit = next(u for u, f in UNITS.items() if f == factor)
+    return raw * factor, unit
+
+
+def _unit_by(raw: F64, receive: F64) -> tuple[F64, str]:
+    """A counter in s by the receiver's clock: the unit whose seconds are the receiver's."""
+    span, own = float(np.ptp(receive)), float(np.ptp(raw))
+    ratio = own / span if span > 0 else 1.0
+    unit = min(UNITS, key=lambda u: abs(np.log(max(ratio, 1e-12) * UNITS[u])))
+    return raw * UNITS[unit], unit
+
+
+def _unfit(raw: F64) -> str:
+    """Why a clock tells nothing, or an empty text."""
+    good = raw[np.isfinite(raw)]
+    if len(good) < max(2, 0.9 * len(raw)):
+        return "most samples have no stamp"
+    steps = np.diff(good)
+    if not (good != 0).any() or not (steps != 0).any():
+        return "it stands still"
+    if (steps == 0).mean() > 0.5:
+        return "most stamps repeat the one before"
+    if (steps < 0).mean() > 0.05:
+        return "it runs backwards"
+    return ""
+
+
+def _laid_on(own: F64, receive: F64) -> tuple[F64, str, str]:
+    """(own clock on the receiver's, what was found, why it cannot be used)."""
+    delay = receive - own
+    base, slope, scatter = _least_delay(own, delay)
+    rest = delay - base - slope * (own - own[0])
+    jumps = int((np.abs(np.diff(rest)) > JUMP).sum())
+    if np.percentile(rest, 99) - np.percentile(rest, 1) > 5 * JUMP and jumps:
+        return own, "", f"it jumps against the receiver's clock ({jumps} times by more than {JUMP:g} s)"
+    wait = f"messages wait {1e3 * np.median(rest):.3g} ms (p99 {1e3 * np.percentile(rest, 99):.3g}) beyond the least"
+    span = float(np.ptp(own))
+    drifts = abs(slope) * span > max(3 * scatter, 1e-3)
+    drift = f", drifts by {1e6 * slope:.3g} ppm" if drifts else ", no drift seen"
+    if abs(base) < SAME_CLOCK and not drifts:
+        return own, f"{1e3 * base:.3g} ms before it is received at least{drift}; {wait}", ""
+    line = own + base + (slope * (own - own[0]) if drifts else 0.0)
+    off = f"off by {base:.6g} s" if abs(base) < 1e8 else "counted from its own start"
+    return line, f"its clock is {off}{drift}: laid on the receiver's; {wait}", ""
+
+
+def _least_delay(own: F64, delay: F64) -> tuple[float, float, float]:
+    """(s, s per s, s of scatter) of the line along the least delays, from the least of each of fifty stretches."""
+    parts = np.array_split(np.arange(len(own)), min(50, max(len(own) // 10, 1)))
+    lowest = np.array([p[np.argmin(delay[p])] for p in parts if len(p)])
+    t, d = own[lowest] - own[0], delay[lowest]
+    if len(lowest) < 3 or np.ptp(t) <= 0:
+        return float(delay.min()), 0.0, float(np.std(d))
+    slope, base = _theil_sen(t, d)
+    scatter = float(np.median(np.abs(d - base - slope * t)))
+    return base + float(np.min(d - base - slope * t)), slope, scatter
+
+
+def _theil_sen(t: F64, d: F64) -> tuple[float, float]:
+    """Slope and intercept by the median of all pairs' slopes (Theil 1950, Sen 1968): late messages do not matter."""
+    i, j = np.triu_indices(len(t), 1)
+    apart = np.abs(t[j] - t[i]) > 0
+    slope = float(np.median((d[j] - d[i])[apart] / (t[j] - t[i])[apart]))
+    return slope, float(np.median(d - slope * t))
+
+
+def common_start(times: Sequence[F64]) -> tuple[float, float]:
+    """(start, end) s of the stretch in which all of these streams run."""
+    return max(float(t[0]) for t in times), min(float(t[-1]) for t in times)

@@ -1,0 +1,124 @@
+"""A file or a folder -> its recordings, one a run."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from realsim.errors import GapError, RealsimError
+from realsim.files import check_size
+from realsim.logs.readers import READERS
+from realsim.logs.recording import Reader, Recording, Window
+from realsim.progress import track
+
+MAX_RUNS = 400
+MAX_BYTES = 64 * 2**30
+_HALF = re.compile(
+    r"(^|[_\-. ])(measured|actual|state|states|feedback|desired|reference|commands?|cmd|targets?|goals?)(?=$|[_\-. ])"
+)
+
+
+def read(path: Path, window: Window | None = None) -> list[Recording]:
+    """The recordings in a file or a folder, one a run.
+
+    A folder is one recording where a reader knows it as such (a ROS 2 bag, a LeRobot dataset); otherwise each file in
+    it that a reader knows is a run. Two tables named alike but for `measured` and `desired` are one run.
+
+    Raises:
+        GapError: nothing that any reader knows, or a file that its reader cannot read.
+        MissingExtraError: the reader's package is not installed.
+    """
+    path = Path(path)
+    window = window or Window()
+    if not path.exists():
+        raise GapError("no such recording", file=path, expected="a file or a folder of recordings")
+    reader = reader_of(path)
+    if reader is not None:
+        return _read(reader, path, window)
+    if path.is_dir():
+        return _folder(path, window)
+    raise unknown(path)
+
+
+def reader_of(path: Path) -> Reader | None:
+    """The first reader that knows this file or folder."""
+    return next((READERS[name] for name in READERS if READERS[name].recognise(path)), None)
+
+
+def unknown(path: Path) -> GapError:
+    """The error for what no reader knows."""
+    return GapError(
+        "not a recording that realsim can read",
+        file=path,
+        expected="; ".join(READERS[name].looks_for for name in READERS),
+        found=path.suffix or "no file ending",
+    )
+
+
+def _read(reader: Reader, path: Path, window: Window) -> list[Recording]:
+    if path.is_file():
+        check_size(path, MAX_BYTES)
+        if path.stat().st_size == 0:
+            raise GapError("the file is empty", file=path, expected=reader.looks_for)
+    return reader.read(path, window)
+
+
+def _folder(folder: Path, window: Window) -> list[Recording]:
+    files = sorted(p for p in folder.iterdir() if not p.name.startswith("."))
+    known = [(p, r) for p in files if (r := reader_of(p)) is not None]
+    if not known:
+        raise GapError(
+            "no recording in the folder",
+            file=folder,
+            expected="; ".join(READERS[name].looks_for for name in READERS),
+            found=", ".join(p.name for p in files[:8]) or "an empty folder",
+        )
+    if len(known) > MAX_RUNS:
+        raise GapError("too many recordings", file=folder, expected=f"at most {MAX_RUNS}", found=str(len(known)))
+    found: list[Recording] = []
+    lost: list[str] = []
+    first: RealsimError | None = None
+    for path, reader in track(known, "reading", len(known)):
+        try:
+            found += _read(reader, path, window)
+        except GapError as error:
+            first = first or error
+            lost.append(f"{path.name}: {error.message}")
+    if not found:
+        assert first is not None
+        raise first
+    merged = _halves(found)
+    return [replace(r, notes=r.notes + tuple(lost)) if i == 0 else r for i, r in enumerate(merged)]
+
+
+def _halves(recordings: Sequence[Recording]) -> list[Recording]:
+    """Recordings with those joined that are the measured and the desired half of one run."""
+    groups: dict[str, list[Recording]] = {}
+    for recording in recordings:
+        groups.setdefault(_HALF.sub("", recording.name).strip("_-. "), []).append(recording)
+    result = []
+    for name, parts in groups.items():
+        if len(parts) == 2 and all(len(p.streams) == 1 for p in parts) and _one_clock(parts):
+            streams = tuple(replace(p.streams[0], name=p.name) for p in parts)
+            notes = (*parts[0].notes, *parts[1].notes, f"{parts[0].name} and {parts[1].name} are taken as one run")
+            result.append(replace(parts[0], name=name or parts[0].name, streams=streams, notes=notes))
+        else:
+            result += parts
+    return result
+
+
+def _one_clock(parts: Sequence[Recording]) -> bool:
+    """Whether the two halves run over the same seconds, and only one of them is named for what was desired."""
+    named = [_HALF.search(p.name) is not None for p in parts]
+    spans = []
+    for part in parts:
+        clock = next(iter(part.streams[0].clocks.values()), None)
+        if clock is None or not len(clock):
+            return False
+        spans.append((float(clock[0]), float(clock[-1])))
+    length = max(b - a for a, b in spans)
+    return (
+        any(named) and abs(spans[0][0] - spans[1][0]) < 0.1 * length and abs(spans[0][1] - spans[1][1]) < 0.1 * length
+    )

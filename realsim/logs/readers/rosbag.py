@@ -1,0 +1,102 @@
+"""ROS 1 bags (.bag) and ROS 2 bags (a folder with metadata.yaml, or a lone .db3), without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from realsim.errors import GapError, extra
+from realsim.logs.definitions import register
+from realsim.logs.messages import Topics, signal_type
+from realsim.logs.recording import Reader, Recording, Window, no_samples
+
+
+class Types:
+    """Message definitions, as they come with recordings; the common ones of ROS where a recording has none."""
+
+    def __init__(self) -> None:
+        typesys = extra("rosbags.typesys", "logs", "reading ROS messages")
+        self._typesys = typesys
+        self._common = register(typesys.get_typestore(typesys.Stores.LATEST), typesys.get_types_from_msg)
+
+    def decoder(self, name: str, encoding: str, definition: str) -> tuple[Callable[[bytes], Any] | None, str]:
+        """(decoder of messages of a type, or None; why not). `encoding` is ros1msg, ros2msg or ros2idl."""
+        full = name if name.count("/") == 2 else name.replace("/", "/msg/", 1)
+        try:
+            store = self._common
+            if definition.strip():
+                store = self._typesys.get_typestore(self._typesys.Stores.EMPTY)
+                parse = self._typesys.get_types_from_idl if encoding == "ros2idl" else None
+                store.register(parse(definition) if parse else self._typesys.get_types_from_msg(definition, full))
+            elif full not in store.fielddefs:
+                return None, "its definition is not in the recording"
+        except Exception as error:  # a definition of any other dialect; rosbags raises several types
+            return None, f"unknown definition ({type(error).__name__}: {str(error)[:80]})"
+        read = store.deserialize_ros1 if encoding == "ros1msg" else store.deserialize_cdr
+        return lambda data: read(data, full), ""
+
+
+def recognise(path: Path) -> bool:
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file()
+    return path.is_file() and path.suffix.lower() in (".bag", ".db3")
+
+
+def read(path: Path, window: Window) -> list[Recording]:
+    highlevel = extra("rosbags.highlevel", "logs", "reading ROS bags")
+    typesys = extra("rosbags.typesys", "logs", "reading ROS bags")
+    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC if path.suffix == ".bag" else typesys.Stores.LATEST)
+    register(store, typesys.get_types_from_msg)
+    topics = Topics(path)
+    skipped: dict[str, str] = {}
+    notes: list[str] = []
+    try:
+        with highlevel.AnyReader([path], default_typestore=store) as bag:
+            wanted = []
+            for connection in bag.connections:
+                if not signal_type(connection.msgtype):
+                    skipped[connection.topic] = f"{connection.msgtype}: holds no signals"
+                elif connection.msgtype not in bag.typestore.fielddefs:
+                    skipped[connection.topic] = f"{connection.msgtype}: its definition is not in the bag"
+                else:
+                    wanted.append(connection)
+            first = 1e-9 * bag.start_time
+            if wanted:
+                _messages(bag, wanted, first, window, topics, notes)
+    except GapError:
+        raise
+    except Exception as error:  # rosbags, sqlite and YAML each have their own; all mean a bag that cannot be read
+        raise GapError(
+            "not a readable ROS bag",
+            file=path,
+            expected=".bag, or a folder with metadata.yaml and its .db3 or .mcap",
+            found=f"{type(error).__name__}: {error}"[:200],
+            hint="of a bag that was cut off: `rosbag reindex` (ROS 1) or `ros2 bag reindex`",
+        ) from error
+    streams = topics.streams()
+    notes += [f"{topic}: {what}" for topic, what in topics.failures().items()]
+    if not streams:
+        raise no_samples(path, "topics with joint states, commands, an IMU or a pose", skipped | topics.failures())
+    return [Recording(path, path.stem, "rosbag", streams, skipped, tuple(notes))]
+
+
+def _messages(bag: Any, wanted: Any, first: float, window: Window, topics: Topics, notes: list[str]) -> None:
+    try:
+        for connection, received, data in bag.messages(connections=wanted):
+            since = 1e-9 * received - first
+            if window.holds(since):
+                topics.add(connection.topic, connection.msgtype, _call(bag, connection, data), 1e-9 * received)
+    except GapError:
+        raise
+    except Exception as error:  # damage in the middle: what came before it is good
+        if not topics.streams():
+            raise
+        notes.append(f"{bag.paths[0].name} is damaged: read as far as it goes ({type(error).__name__}: {error})"[:200])
+
+
+def _call(bag: Any, connection: Any, data: bytes) -> Callable[[], Any]:
+    return lambda: bag.deserialize(data, connection.msgtype)
+
+
+READER = Reader("rosbag", "a .bag file, a .db3 file, or a ROS 2 bag's folder (metadata.yaml)", recognise, read)

@@ -1,0 +1,51 @@
+"""PX4's ULog: every message of the log by its name; time stamps in us since the autopilot's start."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from realsim.errors import GapError, extra
+from realsim.files import check_size
+from realsim.logs.recording import Field, Reader, Recording, Stream, Window, first_line, in_window, no_samples
+from realsim.logs.tables import grouped
+
+MAX_BYTES = 2**30
+MAGIC = b"ULog\x01\x12\x35"
+
+
+def recognise(path: Path) -> bool:
+    return path.is_file() and (path.suffix.lower() == ".ulg" or first_line(path, 8).startswith(MAGIC))
+
+
+def read(path: Path, window: Window) -> list[Recording]:
+    pyulog = extra("pyulog", "logs", "reading .ulg")
+    check_size(path, MAX_BYTES)
+    try:
+        log = pyulog.ULog(str(path))
+    except Exception as error:  # the library raises what the damage leads to
+        raise GapError("not a readable ULog file", file=path, found=f"{type(error).__name__}: {error}"[:160]) from error
+    streams = []
+    for entry in log.data_list:
+        stamps = np.asarray(entry.data["timestamp"], dtype=np.float64) * 1e-6
+        keep = in_window(stamps, window)
+        columns = {
+            n: np.asarray(v, dtype=np.float64)[keep]
+            for n, v in entry.data.items()
+            if n != "timestamp" and np.asarray(v).dtype.kind in "fiub"
+        }
+        if keep.any() and columns:
+            clocks = {"header": stamps[keep]}  # the autopilot stamps when it samples; nothing is received
+            name = entry.name + (f"[{entry.multi_id}]" if entry.multi_id else "")
+            fields = {n: Field(f.values, f.labels, f.unit) for n, f in grouped(columns).items()}
+            streams.append(Stream(name, entry.name, clocks, fields))
+    if not streams:
+        raise no_samples(path, "logged messages")
+    notes: tuple[str, ...] = (f"{len(log.dropouts)} dropouts in the log",) if log.dropouts else ()
+    if getattr(log, "file_corruption", False):
+        notes += (f"{path.name} is damaged: read as far as it goes",)
+    return [Recording(path, path.stem, "ulog", tuple(streams), notes=notes)]
+
+
+READER = Reader("ulog", "a PX4 .ulg file", recognise, read)

@@ -1,0 +1,148 @@
+"""Bad input ends in a message that names the file, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from realsim.cli import main
+from realsim.errors import GapError, RealsimError
+from realsim.logs import load_target, propose, read, write_case
+
+from . import writers
+from .robots import ARM, Log, save
+
+JOINTS = ["shoulder_joint", "elbow_joint"]
+
+
+@pytest.fixture
+def mcap(arm: Log, tmp_path: Path) -> Path:
+    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed: pip install -e '.[dev]'")
+    messages = writers.joint_states(arm, JOINTS) + writers.float_commands(arm)
+    return writers.mcap_ros2(tmp_path / "run.mcap", sorted(messages, key=lambda m: m[3]))
+
+
+def test_a_file_that_is_cut_off_is_read_as_far_as_it_goes(mcap: Path, tmp_path: Path) -> None:
+    short = tmp_path / "short.mcap"
+    short.write_bytes(mcap.read_bytes()[: int(0.7 * mcap.stat().st_size)])
+    whole, (part,) = read(mcap)[0].streams[0].count, read(short)
+    assert 0 < part.streams[0].count < whole
+    assert any("cut off" in n for n in part.notes)
+
+
+@pytest.mark.parametrize(
+    "name", ["a.mcap", "a.bag", "a.db3", "a.parquet", "a.ulg", "a.npz", "a.csv", "a.jsonl", "a.pt"]
+)
+@pytest.mark.parametrize(
+    "content", [b"", b"\0" * 64, b"\x89MCAP0\r\n" + bytes(range(256)) * 8], ids=["empty", "zeros", "noise"]
+)
+def test_damaged_files_of_every_kind(name: str, content: bytes, tmp_path: Path) -> None:
+    for package in ("mcap", "rosbags", "pyarrow", "pyulog"):
+        pytest.importorskip(package, reason=f"{package} is not installed: pip install -e '.[logs]'")
+    if name.endswith(".pt"):
+        pytest.importorskip("torch", reason="torch is not installed: pip install -e '.[train]'")
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(RealsimError) as error:
+        read(path)
+    assert str(path) in str(error.value)
+
+
+def test_damage_anywhere_is_no_traceback(mcap: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    data = bytearray(mcap.read_bytes())
+    for trial in range(12):
+        spoiled = data.copy()
+        for at in rng.integers(0, len(spoiled), 5):
+            spoiled[at] ^= 0xFF
+        path = tmp_path / f"{trial}.mcap"
+        path.write_bytes(spoiled)
+        with contextlib.suppress(RealsimError):
+            propose(read(path))
+
+
+def test_unknown_definitions_and_topics_are_listed(arm: Log, tmp_path: Path) -> None:
+    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed: pip install -e '.[dev]'")
+    from mcap.writer import Writer
+
+    path = tmp_path / "odd.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        odd = writer.register_schema("my_pkg/msg/Odd", "ros2msg", b"this is % no definition")
+        proto = writer.register_schema("Pose", "protobuf", b"\1\2")
+        for topic, schema, encoding in (("/odd", odd, "cdr"), ("/pose", proto, "protobuf"), ("/raw", 0, "x")):
+            channel = writer.register_channel(topic, encoding, schema)
+            writer.add_message(channel, log_time=1, publish_time=1, data=b"1234")
+        writer.finish()
+    with pytest.raises(GapError, match="no samples") as error:
+        read(path)
+    for text in ("/odd", "/pose", "/raw", "cannot be decoded", "protobuf"):
+        assert text in str(error.value)
+
+
+def test_messages_of_a_strange_type_are_read(arm: Log, tmp_path: Path) -> None:
+    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed: pip install -e '.[dev]'")
+    messages = [
+        ("/wheels", "my_pkg/msg/Wheels", writers.STRANGE, writers.EPOCH + t,
+         {"header": writers.header(writers.EPOCH + t), "wheels": [{"speed": 1.0}, {"speed": 2.0}]})
+        for t in arm.time[:50]
+    ]  # fmt: skip
+    (recording,) = read(writers.mcap_ros2(tmp_path / "strange.mcap", messages))
+    np.testing.assert_array_equal(recording.streams[0].fields["wheels.speed"].values[0], [1.0, 2.0])
+
+
+def test_a_case_without_a_command_is_never_written(arm: Log, tmp_path: Path) -> None:
+    target = load_target(save(tmp_path, ARM))
+    np.savez(tmp_path / "run.npz", time=arm.time, q=arm.pos)
+    proposal = propose(read(tmp_path / "run.npz"), target)
+    with pytest.raises(GapError, match="not complete"):
+        write_case(proposal, target, tmp_path / "case")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["robot.xml", "run.npz"]
+
+
+def test_command_line(arm: Log, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = save(tmp_path, ARM)
+    np.savez(tmp_path / "run.npz", time=arm.time, q=arm.pos, q_des=arm.command)
+    run = str(tmp_path / "run.npz")
+    assert main(["log", run, "--model", str(model), "--out", str(tmp_path / "case")]) == 0
+    assert "joint_pos" in capsys.readouterr().out
+    assert (tmp_path / "case" / "proposal.json").is_file()
+    assert main(["log", run, "--model", str(model), "--out", str(tmp_path / "case")]) == 2  # not without --overwrite
+    assert main(["log", run, "--model", str(model), "--out", str(tmp_path / "case"), "--overwrite"]) == 0
+    capsys.readouterr()
+    assert main(["log", run, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["arrays"]["joint_pos"]["field"] == "q"
+    for arguments in (
+        ["log", str(tmp_path / "nothing")],
+        ["log", str(model)],
+        ["log", run, "--out", str(tmp_path / "x")],
+    ):
+        assert main(arguments) == 2
+    assert main(["log", run, "--model", run]) == 2
+
+
+def test_lists_of_different_lengths_and_broken_rows(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text('time,q\n0,"[1, 2]"\n1,"[1, 2, 3]"\n')
+    with pytest.raises(GapError, match="different lengths"):
+        read(tmp_path / "a.csv")
+    (tmp_path / "b.csv").write_text("time,q\n0,1\n1,1,2\n")
+    with pytest.raises(GapError, match="wrong number of cells"):
+        read(tmp_path / "b.csv")
+    (tmp_path / "c.csv").write_text("0,1\n1,2\n")
+    with pytest.raises(GapError, match="no header"):
+        read(tmp_path / "c.csv")
+
+
+def test_an_empty_folder_and_prose_are_no_recordings(tmp_path: Path) -> None:
+    with pytest.raises(GapError, match=r"no recording|no samples"):
+        read(tmp_path)
+    (tmp_path / "notes.txt").write_text(
+        "It was recorded on a Tuesday, with the light on and the windows open, and then we went\n"
+    )
+    with pytest.raises(GapError, match=r"no recording|no samples"):
+        read(tmp_path)
