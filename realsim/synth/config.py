@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 
 @dataclass(frozen=True)
 class SynthConfig:
     terrain: str = "stakes"
-    """Terrain between the platforms: stakes, beams, wedges, boxes, trapezoids, boston or mixed."""
+    """Terrain between the platforms (stakes, beams, wedges, boxes, trapezoids, boston or mixed), or a place that
+    repeats (corridor, ring, stairwell or stake_row)."""
     frames: int = 60
     """Number of views along the walk."""
     poses: bool = False
     """Write the true poses into the capture (trajectory.log)."""
     both_sides: bool = False
     """Walk along both sides of the terrain instead of one."""
+    sensor: Literal["d435i", "kinect"] = "d435i"
+    """`d435i`: depth aligned to colour, written as an Open3D dataset. `kinect`: written in the layout of 7-Scenes, whose
+    colour is not registered to depth: another focal length, principal point and place, which the capture does not say.
+    """
+    width: int = 640
+    """Width of the images, pixels; their height is three quarters of it."""
+    pose_error: float = 0.0
+    """Metres, RMS, by which the written poses drift smoothly from the truth (and 0.3 degrees per centimetre), as those
+    of a tracker do."""
     depth_scale: float | None = None
     """Measured over true depth; drawn from 0.99 to 1.01 if not given."""
     noise: bool = True
@@ -25,5 +36,9 @@ class SynthConfig:
     def __post_init__(self) -> None:
         if not 1 <= self.frames <= 100_000:
             raise ValueError("frames must lie between 1 and 100000")
+        if not (80 <= self.width <= 1920 and self.width % 4 == 0):
+            raise ValueError("width must be a multiple of 4 from 80 to 1920")
+        if not 0 <= self.pose_error <= 1:
+            raise ValueError("pose_error must lie between 0 and 1 m")
         if self.depth_scale is not None and not 0.5 <= self.depth_scale <= 2:
             raise ValueError("depth_scale must lie between 0.5 and 2")
