@@ -54,7 +54,7 @@ def drift(count: int, metres: float, rng: np.random.Generator) -> F64:
 
 
 def follow_route(eyes: F64, aims: F64, count: int, rng: np.random.Generator) -> F64:
-    """(count, 4, 4) poses, evenly spread along a way (K, 3) with the points (K, 3) looked at; the hand sways a little."""
+    """(count, 4, 4) poses along a way (K, 3) with the points (K, 3) looked at; the hand sways a little."""
     from scipy.interpolate import PchipInterpolator
 
     at = np.r_[0, np.cumsum(np.linalg.norm(np.diff(eyes, axis=0), axis=1))]

@@ -18,9 +18,8 @@ class SynthConfig:
     both_sides: bool = False
     """Walk along both sides of the terrain instead of one."""
     sensor: Literal["d435i", "kinect"] = "d435i"
-    """`d435i`: depth aligned to colour, written as an Open3D dataset. `kinect`: written in the layout of 7-Scenes, whose
-    colour is not registered to depth: another focal length, principal point and place, which the capture does not say.
-    """
+    """`d435i`: depth aligned to colour, written as an Open3D dataset. `kinect`: written in the layout of 7-Scenes, and
+    like there colour is not registered to depth: its focal length, centre and place differ, and no file says so."""
     width: int = 640
     """Width of the images, pixels; their height is three quarters of it."""
     pose_error: float = 0.0

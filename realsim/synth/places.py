@@ -92,9 +92,9 @@ def ring(rng: np.random.Generator) -> Place:
             solids += [_copy(s, at, yaw) for s in _bay(pitch, width, 2.5)]
         corner = box("floor", (width, width, 0.1), "floor", "floor").moved(np.eye(3), (0, 0, -0.1))
         solids.append(_copy(corner, rz(yaw) @ [middle, -middle, 0], yaw))
-        for at, along in (((middle, -outer - 0.05, 0), 0.0), ((outer + 0.05, -middle, 0), np.pi / 2)):
+        for place, along in (((middle, -outer - 0.05, 0), 0.0), ((outer + 0.05, -middle, 0), np.pi / 2)):
             wall = box("wall", (width, 0.1, 2.5), "wall", "scenery")
-            solids.append(_copy(wall, rz(yaw) @ at, yaw + along))
+            solids.append(_copy(wall, rz(yaw) @ place, yaw + along))
     solids += _ends((-inner, -middle, 0), (inner, middle, 0))
     corners = middle * np.array([[-0.6, -1], [1, -1], [1, 1], [-1, 1], [-1, -1], [0.7, -1]])
     eyes, aims = [], []
@@ -104,9 +104,9 @@ def ring(rng: np.random.Generator) -> Place:
         for s in np.arange(0.9, length - 0.2, 0.7):
             ahead = a + along * s
             look = min(s + 1.6, length) - s
-            turn = np.array([-along[1], along[0]]) * (1.6 - look)  # into the next side, in good time
+            into = np.array([-along[1], along[0]]) * (1.6 - look)  # the next side, in good time
             eyes.append([*ahead, EYE])
-            aims.append([*(ahead + along * look + turn), 0.75])
+            aims.append([*(ahead + along * look + into), 0.75])
     lamps = [[*(rz(t * np.pi / 2) @ [x, -middle, 2.4])] for t in range(4) for x in (-pitch, 0.0, pitch, middle)]
     return Place(tuple(solids), np.array(eyes), np.array(aims), np.array(lamps))
 

@@ -32,9 +32,7 @@ def raycaster(vertices: F64, triangles: NDArray[Any]) -> Any:
 class Renderer:
     """Casts rays (Embree, through Open3D) at solids in the simulation frame."""
 
-    def __init__(
-        self, solids: tuple[Solid, ...], intrinsics: Intrinsics, seed: int, lamps: F64 | None = None
-    ) -> None:
+    def __init__(self, solids: tuple[Solid, ...], intrinsics: Intrinsics, seed: int, lamps: F64 | None = None) -> None:
         """
         Args:
             lamps: (L, 3) middles of the ceiling lights, of which the nearest two light a point; None: two above the

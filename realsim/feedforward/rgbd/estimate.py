@@ -53,6 +53,7 @@ class Estimate:
     lost: dict[int, str]
     """Index -> why it is not used."""
     statistics: dict[str, Any]
+    warnings: tuple[str, ...] = ()
 
 
 def estimate(views: Sequence[View], seed: int) -> Estimate:
