@@ -144,13 +144,14 @@ def stairwell(rng: np.random.Generator) -> Place:
 
 
 def stake_row(rng: np.random.Generator) -> Place:
-    """A row of equal stakes on a floor of equal tiles. The camera passes them sideways, there, back and there again."""
+    """A row of equal stakes. The camera passes them sideways, there, back and there again."""
     pitch, count = rng.uniform(0.36, 0.46), 22
+    length = count * pitch
     stake = box("stake", (0.2, 0.2, rng.uniform(0.25, 0.35)), "wood", "obstacle")
-    tile = box("floor", (pitch, 5.0, 0.1), "floor", "floor").moved(np.eye(3), (0, 0, -0.1))
-    solids = [_copy(s, (k * pitch, 0, 0)) for k in range(count) for s in (stake, tile)]
-    wall = box("wall", (pitch, 0.1, 2.5), "wall", "scenery").moved(np.eye(3), (0, 1.8, 0))
-    solids += [_copy(wall, (k * pitch, 0, 0)) for k in range(count)]
+    solids = [box("floor", (length + 4, 6.0, 0.1), "floor", "floor").moved(np.eye(3), (length / 2, 0, -0.1))]
+    solids += [_copy(stake, (k * pitch, 0, 0)) for k in range(count)]
+    wall = box("wall", (length + 4, 0.1, 2.5), "wall", "scenery")
+    solids.append(wall.moved(np.eye(3), (length / 2, 1.8, 0)))
     solids += _ends((-0.6, 0, 0), ((count - 0.2) * pitch, 0, 0))
     x = _through(np.array([0.0, 0.7, 0.15, 1.0]) * (count - 4) * pitch, 0.35)
     eyes = np.column_stack([x, np.full(len(x), -1.2), np.full(len(x), EYE)])
