@@ -140,12 +140,13 @@ def _registered(frames: Sequence[Frame], evidence: Evidence) -> tuple[list[Frame
 
     chosen, applied = list(frames), []
     statistics: dict[str, Any] = {}
-    for _ in range(2):  # right rays match more, which makes them righter
+    for _ in range(3):  # right rays match more, which makes them righter
         found = seek(evidence.views, evidence.matches(neighbours(len(chosen))))
         if found is None:
             break
-        statistics.setdefault("registration", []).append(found.summary())
-        if not found.clear:
+        use = found.clear or (bool(applied) and found.after < found.before)
+        statistics.setdefault("registration", []).append({**found.summary(), "applied": use})
+        if not use:
             break
         applied.append(found.registration.row)
         chosen = [found.registration.applied(f) for f in chosen]
@@ -154,7 +155,7 @@ def _registered(frames: Sequence[Frame], evidence: Evidence) -> tuple[list[Frame
 
 
 def _told(noted: Mapping[str, Any]) -> tuple[str, ...]:
-    clear = [r for r in noted.get("registration", ()) if r["clear"]]
+    clear = [r for r in noted.get("registration", ()) if r["applied"]]
     if not clear:
         return ()
     zoom = float(np.prod([r["zoom"] for r in clear]))

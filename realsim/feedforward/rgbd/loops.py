@@ -102,11 +102,19 @@ def join(views: Sequence[View], edges: Sequence[Edge]) -> Joined:
     chains, kept = _chains(n, edges)
     links = [e for e in edges if e.j - e.i > 1 and not any(e is k for k in kept)]
     believed: list[Edge] = []
-    honest = {far: _mostly_true(chains, edges, far) for far in (False, True)}
-    trusted = [e for e in links if honest[e.j - e.i > WINDOW]]
-    open_ = [e for e in links if chains.piece[e.i] != chains.piece[e.j]]
-    refused = [e for e in open_ if not honest[e.j - e.i > WINDOW]]
-    for loop in _between(views, chains, trusted):
+    honest = {far: _honest(chains, edges, far) for far in (False, True)}
+    # Where no such link can be checked, a sequence in order is not broken for likeness; one without order has no more.
+    ordered = 2 * sum(e.j - e.i == 1 for e in edges) > n - 1
+
+    def trusted(e: Edge) -> bool:
+        told = honest[e.j - e.i > WINDOW]
+        return told if told is not None else not ordered
+
+    between = [e for e in links if chains.piece[e.i] != chains.piece[e.j]]
+    refused = [e for e in between if not trusted(e)]
+    inside = [e for e in links if chains.piece[e.i] == chains.piece[e.j]]
+    links = inside + [e for e in between if trusted(e)]
+    for loop in _between(views, chains, links):
         believed += loop.edges
     for loop, good in _within(views, chains, links):
         (believed if good else refused).extend(loop.edges)
@@ -159,15 +167,14 @@ def _chains(n: int, edges: Sequence[Edge]) -> tuple[Chains, list[Edge]]:
     return chains, kept
 
 
-def _mostly_true(chains: Chains, edges: Sequence[Edge], far: bool) -> bool:
+def _honest(chains: Chains, edges: Sequence[Edge], far: bool) -> bool | None:
     """Whether links of a kind (near in the sequence or far) that the chains can check are true more often than not.
 
-    Where most things that look alike are not the same, another likeness proves nothing. Without any that can be checked
-    they are believed.
+    Where most things that look alike are not the same, another likeness proves nothing. None: none can be checked.
     """
     inside = [e for e in edges if chains.piece[e.i] == chains.piece[e.j] and e.j - e.i > 1]
     true = [_drifted(chains, e) for e in inside if (e.j - e.i > WINDOW) == far]
-    return 2 * sum(true) >= len(true)
+    return 2 * sum(true) >= len(true) if true else None
 
 
 def _chained(n: int, edges: list[Edge]) -> Chains:
