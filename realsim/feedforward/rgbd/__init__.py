@@ -138,7 +138,8 @@ def _registered(frames: Sequence[Frame], evidence: Evidence) -> tuple[list[Frame
     (K, 5) corrections in their order, and statistics."""
     from realsim.feedforward.rgbd.registration import neighbours, seek
 
-    chosen, applied = list(frames), []
+    chosen: list[Frame] = list(frames)
+    applied: list[F64] = []
     statistics: dict[str, Any] = {}
     for _ in range(3):  # right rays match more, which makes them righter
         found = seek(evidence.views, evidence.matches(neighbours(len(chosen))))

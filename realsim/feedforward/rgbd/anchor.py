@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from realsim.feedforward.rgbd.settle import two_metres
 from realsim.geometry import make_T
 from realsim.types import F64, Frame, FrameSet
 
@@ -56,6 +57,7 @@ def anchored(found: dict[str, Any], used: Sequence[Frame], capture: FrameSet, co
         "world_is_capture": True,
         "depth_gain": scale,
         "depth_gain_sigma": float(sigma) if apply else None,
+        "warnings": (*found["warnings"], *two_metres(scale)),
     }
 
 

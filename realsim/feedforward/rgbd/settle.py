@@ -19,6 +19,8 @@ from realsim.feedforward.rgbd.refine import RefineResult, refine
 from realsim.feedforward.rgbd.tracks import Evidence
 from realsim.types import F64, Frame
 
+WORTH_TELLING = 0.02
+"""Relative difference between the metres of poses and depth from which it is said."""
 UNUSUAL = 3.0
 """Standard deviations of the sensor's own scale beyond which surfaces without colour must confirm a gain."""
 
@@ -86,7 +88,7 @@ def settle(
         tried.append({"proposal": name, **asdict(judged)})
         if not judged.grew:
             fields = found.fields(frames)
-            fields["warnings"] = (*said, *fields["warnings"])
+            fields["warnings"] = (*said, *two_metres(fields["depth_gain"]), *fields["warnings"])
             fields["statistics"] |= {"poses": f"given, {name}", "held_out": tried}
             return fields
         said.append(
@@ -100,6 +102,16 @@ def settle(
         "warnings": tuple(said),
         "statistics": {"poses": "given", "held_out": tried},
     }
+
+
+def two_metres(gain: float) -> tuple[str, ...]:
+    """What is said where poses and depth differ in scale."""
+    if abs(gain - 1) < WORTH_TELLING:
+        return ()
+    return (
+        f"depth and poses differ in scale by {abs(1 / gain - 1):.1%}: depth was multiplied by {gain:.3f}, so that "
+        "lengths are those of the poses; which of the two errs is not known, and the scale's interval says so",
+    )
 
 
 def _proposals(
