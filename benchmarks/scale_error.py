@@ -247,11 +247,12 @@ def _coverage_as_drawn(rows: list[Row]) -> float | None:
     where there is no interval, and where metric poses corrected the sensor (half widths below the default's own part).
     """
     from benchmarks.scale_sources import SENSOR_SCALE
+    from realsim.capture.layout import CAMERA
     from realsim.scale.config import ScaleConfig
 
     rows = [r for r in rows if "interval" in r]
     halves = np.array([[1 - r["interval"][0], r["interval"][1] - 1] for r in rows]).reshape(-1, 2)
-    assumed, drawn = 1.645 * ScaleConfig().sensor_sigma, 1.645 * SENSOR_SCALE
+    assumed, drawn = 1.645 * (ScaleConfig().sensor_sigma or CAMERA), 1.645 * SENSOR_SCALE
     if not len(rows) or halves.max() < assumed:
         return None
     halves = np.sqrt(np.maximum(halves**2 - assumed**2, 0) + drawn**2)

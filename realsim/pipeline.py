@@ -138,7 +138,7 @@ class _Run:
 
     def metric(self, frames: FrameSet, points: Pointmaps) -> MetricScene:
         self.key = digest(self.key, code_digest("scale"), self.config.scale)
-        return scale.to_metric(points, self.config.scale, frames.up_world)
+        return scale.to_metric(points, self.config.scale, frames.up_world, frames.sensor_sigma)
 
     def align(self, source: MetricScene | Scan) -> AlignedScene:
         if isinstance(source, Scan):

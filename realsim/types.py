@@ -69,7 +69,7 @@ class Frame:
     read_color: Callable[[], U8] | None = None
     """() -> (h, w, 3) uint8 RGB, or None for a capture without colour. May be of another size than the depth."""
     color_intrinsics: Intrinsics | None = None
-    """Camera of the colour image (same pose and viewing direction); `intrinsics` if None."""
+    """Camera of the colour image (same viewing direction); `intrinsics` if None."""
     read_confidence: Callable[[], F32] | None = None
     """() -> (H, W) float32 in 0..1, the sensor's own confidence, or None."""
     T_world_camera: F64 | None = None
@@ -78,6 +78,8 @@ class Frame:
     """Seconds, or None."""
     files: tuple[Path, ...] = ()
     """Files that this frame is read from; their content identifies it."""
+    color_shift: tuple[float, float] = (0.0, 0.0)
+    """Metres that the colour camera stands right of and below the depth camera."""
 
     def depth(self) -> F32:
         """(H, W) float32 metres, 0 where invalid."""
@@ -118,6 +120,8 @@ class FrameSet:
     """Every convention that was assumed, one sentence each."""
     warnings: tuple[str, ...] = ()
     dropped: tuple[Dropped, ...] = ()
+    sensor_sigma: float = 0.006
+    """Relative standard error of the depth sensor's own scale, before anything was seen."""
 
     def __len__(self) -> int:
         return len(self.frames)

@@ -6,11 +6,13 @@ print(inspect(Path("my_capture"), CaptureConfig()).render())
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from realsim.capture.config import CaptureConfig
 from realsim.capture.finishing import finish
 from realsim.capture.inspection import Inspection, inspect_frames, inspect_scan
+from realsim.capture.layout import Layout
 from realsim.capture.recognition import recognise
 from realsim.registry import Registry
 from realsim.types import FrameSet, Scan
@@ -49,15 +51,20 @@ def read(path: Path, config: CaptureConfig) -> FrameSet | Scan:
     """
     path = Path(path)
     layout, _ = recognise(path, config.layout, LAYOUTS)
-    raw = layout.read(path, config)
+    raw = _read(layout, path, config)
     return raw if isinstance(raw, Scan) else finish(raw, config).capture
+
+
+def _read(layout: Layout, path: Path, config: CaptureConfig) -> FrameSet | Scan:
+    raw = layout.read(path, config)
+    return raw if isinstance(raw, Scan) else replace(raw, sensor_sigma=layout.sensor_sigma)
 
 
 def inspect(path: Path, config: CaptureConfig) -> Inspection:
     """What `read` makes of a capture and why, with figures (`realsim inspect`). Raises what `read` raises."""
     path = Path(path)
     layout, recognition = recognise(path, config.layout, LAYOUTS)
-    raw = layout.read(path, config)
+    raw = _read(layout, path, config)
     if isinstance(raw, Scan):
         return inspect_scan(raw, recognition)
     return inspect_frames(finish(raw, config), recognition)

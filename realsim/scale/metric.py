@@ -20,7 +20,9 @@ NAMED = 5
 """At most so many frames are named in a message."""
 
 
-def to_metric(points: Pointmaps, config: ScaleConfig, up_world: F64 | None = None) -> MetricScene:
+def to_metric(
+    points: Pointmaps, config: ScaleConfig, up_world: F64 | None = None, sensor_sigma: float = 0.006
+) -> MetricScene:
     """Give pointmaps their metres.
 
     Views are read once for the estimate, one in memory at a time, and scaled when they are loaded again.
@@ -30,6 +32,7 @@ def to_metric(points: Pointmaps, config: ScaleConfig, up_world: F64 | None = Non
         up_world: (3,) direction against gravity in the capture's world, where the source knows it. It tells which
             half of an image is the lower one when the camera was held sideways or upside down; without it the lower
             half is that of the rows as stored. Of poses in a world that the backend chose it says nothing.
+        sensor_sigma: relative standard error of the depth sensor's own scale, where `config` does not say.
 
     Raises:
         ScaleError: no frame has sensor depth to compare with, or frames disagree beyond `config.max_spread`.
@@ -45,7 +48,9 @@ def to_metric(points: Pointmaps, config: ScaleConfig, up_world: F64 | None = Non
 
     ratios = list(track(in_order(of_frame, len(points)), "scale", len(points)))
     scale = estimate(np.array(ratios), [f.name for f in points.frames], config)
-    scale = with_sensor(scale, _sensor_sigma(points, config))
+    scale = with_sensor(
+        scale, _sensor_sigma(points, config.sensor_sigma if config.sensor_sigma is not None else sensor_sigma)
+    )
     scale = with_claim(scale, points.metric_claim)
 
     poses = points.T_world_camera.copy()
@@ -142,10 +147,17 @@ def with_claim(scale: ScaleEstimate, claim: float | None) -> ScaleEstimate:
     return replace(scale, warnings=(*scale.warnings, f"{text}: the sensor is believed"))
 
 
-def _sensor_sigma(points: Pointmaps, config: ScaleConfig) -> float:
-    """Relative standard error of the corrected sensor's scale: the gain's where metric poses gave one."""
+def _sensor_sigma(points: Pointmaps, own: float) -> float:
+    """Relative standard error of the metres, `own` being that of the depth sensor's calibration.
+
+    Where poses corrected the depth there are two sources of metres, which differ by the gain. How much they differ may
+    be known well; which of them errs is not: half of it is the standard error of their mean (the external consistency
+    of two measurements, Birge 1932).
+    """
     known = points.depth_gain_sigma
-    return config.sensor_sigma if known is None or not np.isfinite(known) else min(float(known), config.sensor_sigma)
+    if known is None or not np.isfinite(known) or known >= own:
+        return own
+    return float(np.hypot(known, np.log(points.depth_gain) / 2))
 
 
 def bootstrap_median(values: F64, resamples: int, seed: int) -> tuple[float, float]:

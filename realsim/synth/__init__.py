@@ -19,6 +19,17 @@ TERRAINS = Registry(
 )
 """Name -> (rng) -> list of obstacle solids and the length of the course; see `realsim.synth.courses`."""
 
+PLACES = Registry(
+    "place",
+    {
+        "corridor": "realsim.synth.places:corridor",
+        "ring": "realsim.synth.places:ring",
+        "stairwell": "realsim.synth.places:stairwell",
+        "stake_row": "realsim.synth.places:stake_row",
+    },
+)
+"""Name -> (rng) -> `realsim.synth.places.Place`: places that repeat."""
+
 
 def __getattr__(name: str) -> object:
     """`write_capture`, `SynthCapture`, `SynthConfig` and `compare`, loaded when they are first used."""

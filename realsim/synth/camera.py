@@ -16,6 +16,53 @@ INTRINSICS = Intrinsics(640, 480, 615.0, 615.0, 318.5, 241.5)
 STEREO_F_B = 19.25
 """Focal length times baseline of that sensor, pixels x metres."""
 
+KINECT_DEPTH = Intrinsics(640, 480, 585.0, 585.0, 319.5, 239.5)
+"""The depth camera of 7-Scenes, which is the only one that its page names."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A depth and a colour camera that look the same way."""
+
+    depth: Intrinsics
+    color: Intrinsics
+    T_depth_color: F64
+    """(4, 4) where the colour camera stands, depth camera's axes."""
+
+
+def rig(sensor: str, width: int, rng: np.random.Generator) -> Rig:
+    """The cameras of a sensor of `SynthConfig`, with images `width` pixels wide."""
+    size = (width, width * 3 // 4)
+    if sensor == "d435i":
+        camera = INTRINSICS.resized(*size)
+        return Rig(camera, camera, np.eye(4))
+    # Of one Kinect to the next: focal length about 525, centre off by some pixels, 25 mm beside the depth camera.
+    f, (cx, cy) = 525 * rng.uniform(0.99, 1.01), np.array([319.5, 239.5]) + rng.uniform(-8, 8, 2)
+    color = Intrinsics(640, 480, f, f, cx, cy)
+    T = make_T(exp_so3(rng.normal(0, 0.003, 3)), [rng.uniform(0.02, 0.028), rng.normal(0, 0.002), 0.0])
+    return Rig(KINECT_DEPTH.resized(*size), color.resized(*size), T)
+
+
+def drift(count: int, metres: float, rng: np.random.Generator) -> F64:
+    """(count, 4, 4) motions by which a tracker's poses are off, camera's axes: smooth, `metres` and 0.3 degrees a
+    centimetre RMS."""
+    s = np.linspace(0, 1, count)
+    wander = np.stack([_sway(rng, s, 1.0) for _ in range(6)], 1)
+    wander /= np.maximum(np.sqrt((wander**2).sum(1).mean() / 2), 1e-9)
+    turn = np.radians(30 * metres)
+    return np.stack([make_T(exp_so3(turn * w[3:]), metres * w[:3]) for w in wander])
+
+
+def follow_route(eyes: F64, aims: F64, count: int, rng: np.random.Generator) -> F64:
+    """(count, 4, 4) poses along a way (K, 3) with the points (K, 3) looked at; the hand sways a little."""
+    from scipy.interpolate import PchipInterpolator
+
+    at = np.r_[0, np.cumsum(np.linalg.norm(np.diff(eyes, axis=0), axis=1))]
+    s = np.linspace(0, 1, count)
+    eye, aim = (PchipInterpolator(at / at[-1], points)(s) for points in (eyes, aims))
+    sway = np.stack([_sway(rng, s, a) for a in (0.03, 0.03, 0.03, 0.05, 0.05, 0.04, 0.04)], 1)
+    return np.stack([look_at(eye[i] + sway[i, :3], aim[i] + sway[i, 3:6], sway[i, 6]) for i in range(count)])
+
 
 def look_at(eye: F64, target: F64, roll: float = 0.0) -> F64:
     """(4, 4) pose of a camera at `eye` (3,) that looks at `target` (3,), OpenCV axes, world z up, roll in radians."""

@@ -1,10 +1,11 @@
-"""Writes a synthetic capture in the layout of an Open3D dataset, and its truth beside it."""
+"""Writes a synthetic capture in the layout of its sensor, and its truth beside it."""
 
 from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,12 @@ import numpy as np
 from realsim.files import output_folder, to_json, write_bytes, write_text
 from realsim.geometry import make_T
 from realsim.progress import track
-from realsim.synth.camera import INTRINSICS, DepthSensor, walk
+from realsim.synth.camera import DepthSensor, Rig, drift, follow_route, rig, walk
 from realsim.synth.config import SynthConfig
 from realsim.synth.render import Renderer
-from realsim.synth.terrain import make_terrain
+from realsim.synth.terrain import Terrain, make_terrain
 from realsim.synth.truth import sample_truth, write_truth
-from realsim.types import F64, U8
+from realsim.types import F64, U8, Intrinsics
 
 
 @dataclass(frozen=True)
@@ -25,13 +26,13 @@ class SynthCapture:
     """Where a synthetic capture and its truth lie."""
 
     capture: Path
-    """color/, depth/, camera_intrinsic.json and, if asked for, trajectory.log."""
+    """An Open3D dataset (color/, depth/, camera_intrinsic.json, trajectory.log), or frames as 7-Scenes has them."""
     truth: Path
     """truth.json, mesh.ply and samples.npz, simulation frame."""
 
 
 def write_capture(folder: Path, config: SynthConfig | None = None, *, overwrite: bool = False) -> SynthCapture:
-    """Render `folder/capture` (colour JPEG, depth PNG in mm, aligned, 640x480) and `folder/truth`.
+    """Render `folder/capture` (colour JPEG, depth PNG in mm) and `folder/truth`.
 
     Same config, same bytes. The world of the poses is turned at random: nothing in the capture tells where up is.
 
@@ -43,39 +44,68 @@ def write_capture(folder: Path, config: SynthConfig | None = None, *, overwrite:
     rng = np.random.default_rng([config.seed, 4])
     drawn = float(rng.uniform(0.99, 1.01))
     T_world_sim = _random_world(rng)
-    poses = walk(terrain.bounds, config.frames, rng, both_sides=config.both_sides)
+    poses = _poses(terrain, config, rng)
     scale = drawn if config.depth_scale is None else config.depth_scale
     sensor = DepthSensor(scale)
-    renderer = Renderer(terrain.solids, INTRINSICS, config.seed)
+    cameras = rig(config.sensor, config.width, np.random.default_rng([config.seed, 7]))
+    depth, color = (Renderer(terrain.solids, k, config.seed, terrain.lamps) for k in (cameras.depth, cameras.color))
     with output_folder(folder, overwrite=overwrite) as work:
         capture = work / "capture"
+        frame = partial(_write_frame, capture, cameras, depth, color, sensor, config)
         # Arrays of this size release the interpreter lock, so threads share the work; every frame has its own seed.
         with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
-            jobs = pool.map(lambda i: _write_frame(capture, i, poses[i], renderer, sensor, config), range(len(poses)))
-            for _ in track(jobs, "rendering", total=len(poses)):
+            for _ in track(pool.map(frame, range(len(poses)), poses), "rendering", total=len(poses)):
                 pass
-        write_text(capture / "camera_intrinsic.json", _intrinsics_text())
-        if config.poses:
-            write_text(capture / "trajectory.log", _trajectory_text(T_world_sim @ poses))
-        truth = {"config": asdict(config), "depth_scale": scale, "sensor": asdict(sensor)}
-        write_truth(work / "truth", terrain, sample_truth(terrain, renderer, poses), T_world_sim, poses, truth)
+        off = drift(len(poses), config.pose_error, np.random.default_rng([config.seed, 8]))
+        _write_cameras(capture, cameras, T_world_sim @ poses @ off, config)
+        about = {"depth": asdict(cameras.depth), "color": asdict(cameras.color), "T_depth_color": cameras.T_depth_color}
+        truth = {"config": asdict(config), "depth_scale": scale, "sensor": asdict(sensor), "cameras": about}
+        write_truth(work / "truth", terrain, sample_truth(terrain, depth, poses), T_world_sim, poses, truth)
     return SynthCapture(folder / "capture", folder / "truth")
 
 
+def _poses(terrain: Terrain, config: SynthConfig, rng: np.random.Generator) -> F64:
+    if terrain.eyes is None or terrain.aims is None:
+        return walk(terrain.bounds, config.frames, rng, both_sides=config.both_sides)
+    return follow_route(terrain.eyes, terrain.aims, config.frames, rng)
+
+
 def _write_frame(
-    folder: Path, i: int, T: F64, renderer: Renderer, sensor: DepthSensor, config: SynthConfig
-) -> None:  # fmt: skip
+    folder: Path,
+    cameras: Rig,
+    of_depth: Renderer,
+    of_color: Renderer,
+    sensor: DepthSensor,
+    config: SynthConfig,
+    i: int,
+    T: F64,
+) -> None:
     import cv2
 
     rng = np.random.default_rng([config.seed, 5, i])
-    color = renderer.color(T)
+    color = of_color.color(T @ cameras.T_depth_color)
     if config.noise:
         color = _expose(color, i, rng, config)
     _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(color, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 92])
-    depth = renderer.depth(T)
+    depth = of_depth.depth(T)
     _, png = cv2.imencode(".png", sensor.measure(depth, rng) if config.noise else sensor.exact(depth))
-    write_bytes(folder / "color" / f"{i:06d}.jpg", jpeg.tobytes())
-    write_bytes(folder / "depth" / f"{i:06d}.png", png.tobytes())
+    kinect = config.sensor == "kinect"
+    names = (f"frame-{i:06d}.color.jpg", f"frame-{i:06d}.depth.png") if kinect else (f"{i:06d}.jpg", f"{i:06d}.png")
+    write_bytes(folder / ("." if kinect else "color") / names[0], jpeg.tobytes())
+    write_bytes(folder / ("." if kinect else "depth") / names[1], png.tobytes())
+
+
+def _write_cameras(folder: Path, cameras: Rig, T_world_camera: F64, config: SynthConfig) -> None:
+    """Intrinsics and, if asked for, poses, each in the sensor's layout."""
+    if config.sensor == "d435i":
+        write_text(folder / "camera_intrinsic.json", _intrinsics_text(cameras.depth))
+        if config.poses:
+            write_text(folder / "trajectory.log", _trajectory_text(T_world_camera))
+        return
+    # As people have it: the depth camera's figures alone.
+    write_text(folder / "camera-intrinsics.txt", _matrix_text(cameras.depth.K))
+    for i, T in enumerate(T_world_camera if config.poses else ()):
+        write_text(folder / f"frame-{i:06d}.pose.txt", _matrix_text(T))
 
 
 def _expose(color: U8, i: int, rng: np.random.Generator, config: SynthConfig) -> U8:
@@ -94,8 +124,11 @@ def _random_world(rng: np.random.Generator) -> F64:
     return make_T(Q * np.sign(np.linalg.det(Q)), rng.uniform(-1, 1, 3))
 
 
-def _intrinsics_text() -> str:
-    k = INTRINSICS
+def _matrix_text(M: F64) -> str:
+    return "\n".join(" ".join(f"{v:.10f}" for v in row) for row in M) + "\n"
+
+
+def _intrinsics_text(k: Intrinsics) -> str:
     # Open3D writes the 3x3 matrix column by column.
     return to_json({"width": k.width, "height": k.height, "intrinsic_matrix": k.K.T.ravel().tolist()})
 
@@ -103,6 +136,5 @@ def _intrinsics_text() -> str:
 def _trajectory_text(T_world_camera: F64) -> str:
     blocks = []
     for i, T in enumerate(T_world_camera):
-        rows = "\n".join(" ".join(f"{v:.10f}" for v in row) for row in T)
-        blocks.append(f"{i} {i} {i + 1}\n{rows}\n")
+        blocks.append(f"{i} {i} {i + 1}\n{_matrix_text(T)}")
     return "".join(blocks)

@@ -3,21 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
 
 @dataclass(frozen=True)
 class SynthConfig:
-    terrain: Annotated[str, tyro.conf.arg(metavar="{stakes,beams,wedges,boxes,trapezoids,boston,mixed}")] = "stakes"
-    """Terrain between the platforms."""
+    terrain: Annotated[
+        str,
+        tyro.conf.arg(metavar="{stakes,beams,wedges,boxes,trapezoids,boston,mixed,corridor,ring,stairwell,stake_row}"),
+    ] = "stakes"
+    """Terrain between the platforms, or a place that repeats (the last four)."""
     frames: int = 60
     """Number of views along the walk."""
     poses: Annotated[bool, tyro.conf.arg(name="with-poses")] = False
     """Write the true poses into the capture (trajectory.log)."""
     both_sides: bool = False
     """Walk along both sides of the terrain instead of one."""
+    sensor: Literal["d435i", "kinect"] = "d435i"
+    """`d435i`: depth aligned to colour, written as an Open3D dataset. `kinect`: written in the layout of 7-Scenes, and
+    like there colour is not registered to depth: its focal length, centre and place differ, and no file says so."""
+    width: int = 640
+    """Width of the images, pixels; their height is three quarters of it."""
+    pose_error: float = 0.0
+    """Metres, RMS, by which the written poses drift smoothly from the truth (and 0.3 degrees per centimetre), as those
+    of a tracker do."""
     depth_scale: float | None = None
     """Measured over true depth; drawn from 0.99 to 1.01 if not given."""
     noise: bool = True
@@ -28,5 +39,9 @@ class SynthConfig:
     def __post_init__(self) -> None:
         if not 1 <= self.frames <= 100_000:
             raise ValueError("frames must lie between 1 and 100000")
+        if not (80 <= self.width <= 1920 and self.width % 4 == 0):
+            raise ValueError("width must be a multiple of 4 from 80 to 1920")
+        if not 0 <= self.pose_error <= 1:
+            raise ValueError("pose_error must lie between 0 and 1 m")
         if self.depth_scale is not None and not 0.5 <= self.depth_scale <= 2:
             raise ValueError("depth_scale must lie between 0.5 and 2")

@@ -32,7 +32,12 @@ def raycaster(vertices: F64, triangles: NDArray[Any]) -> Any:
 class Renderer:
     """Casts rays (Embree, through Open3D) at solids in the simulation frame."""
 
-    def __init__(self, solids: tuple[Solid, ...], intrinsics: Intrinsics, seed: int) -> None:
+    def __init__(self, solids: tuple[Solid, ...], intrinsics: Intrinsics, seed: int, lamps: F64 | None = None) -> None:
+        """
+        Args:
+            lamps: (L, 3) middles of the ceiling lights, of which the nearest two light a point; None: two above the
+                first solid.
+        """
         import open3d as o3d
 
         self._tensor: Any = o3d.core.Tensor
@@ -46,7 +51,7 @@ class Renderer:
         self._owner = np.repeat(np.arange(len(solids)), [len(s.triangles) for s in solids])
         self._normals = np.vstack([s.normals() for s in solids]).astype(np.float32)
         centre = V[F[self._owner == 0]].reshape(-1, 3).mean(0)
-        self._lamps = [centre + np.array([1.2, 1.0, 2.5]), centre + np.array([3.2, -1.4, 2.5])]
+        self._lamps = centre + np.array([[1.2, 1.0, 2.5], [3.2, -1.4, 2.5]]) if lamps is None else lamps
         rng = np.random.default_rng([seed, 3])
         self._offsets = rng.uniform(0, 5, (len(solids), 2)).astype(np.float32)
 
@@ -104,13 +109,18 @@ class Renderer:
         for i in np.unique(owner):
             solid, here = self.solids[i], np.flatnonzero(owner == i)
             R = solid.R.astype(np.float32)
-            p, n = points[here] @ R, np.abs(normals[here] @ R)
+            origin, offset = solid.texture_origin, self._offsets[i]
+            if origin is None:
+                p = points[here] @ R
+            else:
+                p, offset = (points[here] - origin.astype(np.float32)) @ R, np.zeros(2, np.float32)
+            n = np.abs(normals[here] @ R)
             axis = n.argmax(1)
             uv = np.where(
                 (axis == 0)[:, None], p[:, [1, 2]], np.where((axis == 1)[:, None], p[:, [0, 2]], p[:, [0, 1]])
             )
             picture = tile(solid.material, self.seed)
-            at = ((uv + self._offsets[i] + 0.37 * axis[:, None]) / tile_size(solid.material) % 1) * len(picture)
+            at = ((uv + offset + 0.37 * axis[:, None]) / tile_size(solid.material) % 1) * len(picture)
             width = 4096
             pad = np.zeros((-len(at) % width, 2), np.float32)
             grid = np.vstack([at.astype(np.float32), pad]).reshape(-1, width, 2)
@@ -123,8 +133,8 @@ class Renderer:
         total = 0.42 + 0.16 * normals[..., 2]
         h, w = points.shape[:2]
         place = ((np.arange(h) % 2)[:, None] * 2 + (np.arange(w) + np.arange(h)[:, None]) % 2 + i) % 4
-        for lamp in self._lamps:
-            source = (lamp + _LAMP)[place].astype(np.float32)
+        for lamp in self._nearest_lamps(points):
+            source = lamp + _LAMP[place].astype(np.float32)
             start = points + 0.002 * normals
             ray = source - start
             distance = np.linalg.norm(ray, axis=-1)
@@ -133,3 +143,12 @@ class Renderer:
             lit = ~self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=0.98).numpy()
             total = total + 3.0 * facing * lit / (1 + distance**2 / 2)
         return total.astype(np.float32)
+
+    def _nearest_lamps(self, points: F32) -> list[F32]:
+        """The two lamps nearest to each point (H, W, 3), each (H, W, 3) or (3,)."""
+        lamps = self._lamps.astype(np.float32)
+        if len(lamps) <= 2:
+            return list(lamps)
+        away = np.stack([((points - lamp) ** 2).sum(-1) for lamp in lamps])
+        order = np.argpartition(away, 1, axis=0)
+        return [lamps[order[k]] for k in range(2)]

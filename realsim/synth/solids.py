@@ -33,6 +33,8 @@ class Solid:
     role: str = "obstacle"
     R: F64 = field(default_factory=lambda: np.eye(3))
     """(3, 3) axes of the solid in the scene: texture lies along them."""
+    texture_origin: F64 | None = None
+    """(3,) where the texture begins, so that copies look alike; None: every solid has its own piece of the tile."""
 
     def normals(self) -> F64:
         """(K, 3) unit normals of the triangles."""
@@ -42,7 +44,9 @@ class Solid:
 
     def moved(self, R: F64, t: ArrayLike) -> Solid:
         """The solid rotated by `R` (3, 3) and then moved by `t` (3,)."""
-        return replace(self, vertices=self.vertices @ R.T + np.asarray(t, float), R=R @ self.R)
+        t = np.asarray(t, float)
+        origin = None if self.texture_origin is None else R @ self.texture_origin + t
+        return replace(self, vertices=self.vertices @ R.T + t, R=R @ self.R, texture_origin=origin)
 
     def top_height(self) -> float:
         """The largest z."""

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.geometry import make_T, transform
-from realsim.synth import TERRAINS
+from realsim.synth import PLACES, TERRAINS
+from realsim.synth.places import Place
 from realsim.synth.solids import Solid, box, cylinder, hexahedron, rz
 
 F64 = NDArray[np.float64]
@@ -29,6 +30,12 @@ class Terrain:
     floor_z: float
     bounds: F64
     """(2, 3) of platforms and obstacles."""
+    eyes: F64 | None = None
+    """(K, 3) points of the camera's way where the place prescribes it, else None."""
+    aims: F64 | None = None
+    """(K, 3) what it looks at there, or None."""
+    lamps: F64 | None = None
+    """(L, 3), or None for two above the floor."""
 
     def of(self, *roles: str) -> list[Solid]:
         """The solids with one of these roles."""
@@ -36,12 +43,14 @@ class Terrain:
 
 
 def make_terrain(name: str, seed: int) -> Terrain:
-    """The terrain `name` of `TERRAINS` with everything random drawn from `seed`.
+    """The terrain `name` of `TERRAINS` or `PLACES` with everything random drawn from `seed`.
 
     Raises:
         UnknownNameError: no such terrain; the message lists those that are.
     """
     rng = np.random.default_rng([seed, 1])
+    if name in PLACES:
+        return _placed(name, PLACES[name](rng))
     obstacles, length = TERRAINS[name](rng)
     sx, sy, sz = np.asarray(PLATFORM) + rng.uniform(-0.01, 0.01, 3)
     start = box("start_platform", (sx, sy, sz), "wood", "start").moved(rz(rng.uniform(-0.02, 0.02)), (-sx / 2, 0, 0))
@@ -56,6 +65,16 @@ def make_terrain(name: str, seed: int) -> Terrain:
     moved = [s.moved(T[:3, :3], T[:3, 3]) for s in measured + scenery]
     placed = np.vstack([s.vertices for s in moved[: len(measured)]])
     return Terrain(name, tuple(moved), float(T[2, 3]), np.array([placed.min(0), placed.max(0)]))
+
+
+def _placed(name: str, place: Place) -> Terrain:
+    """A place in the simulation frame."""
+    start, goal = (next(s for s in place.solids if s.role == role) for role in ("start", "goal"))
+    T = _to_sim(start, goal)
+    moved = tuple(s.moved(T[:3, :3], T[:3, 3]) for s in place.solids)
+    V = np.vstack([s.vertices for s in moved if s.role in ("start", "goal", "obstacle")])
+    way = [transform(T, p) for p in (place.eyes, place.aims, place.lamps)]
+    return Terrain(name, moved, float(T[2, 3]), np.array([V.min(0), V.max(0)]), *way)
 
 
 def top_centroid(platform: Solid) -> F64:

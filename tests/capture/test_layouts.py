@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -430,3 +431,19 @@ def test_numpy_depth_in_metres(tmp_path):
         np.save(tmp_path / f"depth/{i:06d}.npy", depth)
     frame = frames_of(tmp_path).frames[1]
     np.testing.assert_allclose(frame.depth(), views[1].depth, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["rgbd_dataset_freiburg2_desk", "fr2_xyz"])
+def test_the_cameras_of_tums_dataset_are_known_by_the_folders_name(tmp_path: Path, name: str) -> None:
+    from realsim.capture.layouts.tum import published_camera, recognise
+
+    folder = tmp_path / name
+    folder.mkdir()
+    camera = published_camera(folder)
+    assert camera is not None
+    assert (camera.fx, camera.cy, camera.width) == (520.9, 249.7, 640)
+    assert published_camera(tmp_path / "frame_12") is None
+    assert published_camera(tmp_path / "fr12") is None
+    for file in ("rgb.txt", "depth.txt"):
+        (folder / file).write_text("")
+    assert recognise(folder).complete

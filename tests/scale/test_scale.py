@@ -96,10 +96,18 @@ def test_the_interval_knows_what_is_not_known_of_the_sensor():
     """Frames that agree do not make the sensor true; metric poses that gave its gain do."""
     points = capture(units=1.0, noise=0.0)
     unknown = to_metric(points, FAST).scale
+    phone = to_metric(points, FAST, sensor_sigma=0.04).scale
     corrected = to_metric(replace(points, depth_gain_sigma=0.0005), FAST).scale
-    assert unknown.ci90[1] - unknown.ci90[0] == pytest.approx(2 * 1.645 * FAST.sensor_sigma, rel=0.01)
+    assert unknown.ci90[1] - unknown.ci90[0] == pytest.approx(2 * 1.645 * 0.006, rel=0.01)
+    assert phone.ci90[1] - phone.ci90[0] == pytest.approx(2 * 1.645 * 0.04, rel=0.01)
     assert corrected.ci90[1] - corrected.ci90[0] == pytest.approx(2 * 1.645 * 0.0005, rel=0.05)
     assert corrected.sensor_sigma == 0.0005
+
+
+def test_two_sources_of_metres_that_differ_are_not_known_better_than_that():
+    points = capture(units=1.0, noise=0.0)
+    scale = to_metric(replace(points, depth_gain=0.96, depth_gain_sigma=0.002), FAST, sensor_sigma=0.04).scale
+    assert scale.sensor_sigma == pytest.approx(0.02, rel=0.05)
 
 
 @settings(max_examples=20, deadline=None)

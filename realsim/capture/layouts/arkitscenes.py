@@ -18,7 +18,7 @@ from realsim.capture.association import associate, interpolate_poses, nearest
 from realsim.capture.config import CaptureConfig
 from realsim.capture.images import ConfidenceImage, DepthImage, common_size
 from realsim.capture.intrinsics import Camera, no_intrinsics
-from realsim.capture.layout import Layout, Recognition
+from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.listing import Pair, list_files
 from realsim.errors import CaptureError, PoseError
 from realsim.files import read_text
@@ -183,5 +183,5 @@ def _read_pincam(path: Path) -> Intrinsics:
 
 
 LAYOUT = Layout(
-    "arkitscenes", "lowres_depth/, lowres_wide/ and lowres_wide_intrinsics/ of ARKitScenes", recognise, read
+    "arkitscenes", "lowres_depth/, lowres_wide/ and lowres_wide_intrinsics/ of ARKitScenes", recognise, read, PHONE
 )

@@ -17,7 +17,7 @@ from realsim.capture.assemble import View, capture, depth_unit, frames_with, on_
 from realsim.capture.config import CaptureConfig
 from realsim.capture.images import COLOR_SUFFIXES, ConfidenceImage, DepthImage, common_size
 from realsim.capture.intrinsics import camera_from_mapping, no_intrinsics
-from realsim.capture.layout import Layout, Recognition
+from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.listing import Pair, list_files, pair_by_stem
 from realsim.errors import CaptureError, PoseError
 from realsim.files import read_json
@@ -114,4 +114,5 @@ LAYOUT = Layout(
     "keyframes/ with cameras/ (or corrected_cameras/), images/ and depth/: Polycam's raw data",
     recognise,
     read,
+    PHONE,
 )

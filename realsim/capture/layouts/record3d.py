@@ -22,7 +22,7 @@ from realsim.capture.assemble import capture, on_two_grids, one_line
 from realsim.capture.config import CaptureConfig
 from realsim.capture.images import MAX_IMAGE_BYTES, MAX_PIXELS, confidence, decode_color, metres
 from realsim.capture.intrinsics import camera_from_mapping, check
-from realsim.capture.layout import Layout, Recognition
+from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.listing import single_file
 from realsim.errors import CaptureError, PoseError, RealsimError
 from realsim.files import MAX_TEXT_BYTES
@@ -299,4 +299,4 @@ def _unpack(member: Member, size: int) -> bytes:
         raise CaptureError("corrupt or truncated depth", file=member.name, found=str(error)) from error
 
 
-LAYOUT = Layout("record3d", "a .r3d file of Record3D, or a folder that holds one", recognise, read)
+LAYOUT = Layout("record3d", "a .r3d file of Record3D, or a folder that holds one", recognise, read, PHONE)

@@ -13,7 +13,7 @@ import numpy as np
 from realsim.capture.config import CaptureConfig
 from realsim.capture.images import COLOR_SUFFIXES, MAX_IMAGE_BYTES, MAX_PIXELS, ColorImage, common_size, metres
 from realsim.capture.intrinsics import no_intrinsics
-from realsim.capture.layout import Layout, Recognition
+from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.layouts.record3d import Pictures, frame_set, read_metadata
 from realsim.capture.listing import list_files
 from realsim.errors import CaptureError, RealsimError, extra
@@ -98,4 +98,4 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     return frame_set(folder, LAYOUT.name, sorted(depth.keys() | color.keys()), meta, depth_size, pictures)
 
 
-LAYOUT = Layout("record3d_exr", "depth/*.exr, rgb/ and metadata.json: Record3D's EXR export", recognise, read)
+LAYOUT = Layout("record3d_exr", "depth/*.exr, rgb/ and metadata.json: Record3D's EXR export", recognise, read, PHONE)

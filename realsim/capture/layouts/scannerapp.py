@@ -16,7 +16,7 @@ from realsim.capture.assemble import View, capture, depth_unit, frames_with, on_
 from realsim.capture.config import CaptureConfig
 from realsim.capture.images import COLOR_SUFFIXES, ColorImage, ConfidenceImage, DepthImage, common_size
 from realsim.capture.intrinsics import camera_from_mapping, no_intrinsics
-from realsim.capture.layout import Layout, Recognition
+from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.listing import Pair, list_files, natural_key
 from realsim.errors import CaptureError, PoseError
 from realsim.files import read_json
@@ -96,5 +96,5 @@ def _time(data: dict[str, Any]) -> float | None:
 
 
 LAYOUT = Layout(
-    "scannerapp", 'frame_*.json, frame_*.jpg and depth_*.png: "All Data" of 3D Scanner App', recognise, read
+    "scannerapp", 'frame_*.json, frame_*.jpg and depth_*.png: "All Data" of 3D Scanner App', recognise, read, PHONE
 )

@@ -79,7 +79,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         *assumed,
         unit.note,
         "depth 0 and 65535 are invalid",
-        "depth is registered to colour",
+        "depth is taken to be registered to colour, until the frames show otherwise (7-Scenes itself is not)",
     ]
     if posed:
         assumptions.append("poses are camera to world in metres, OpenCV camera axes, one file a frame")

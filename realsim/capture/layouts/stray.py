@@ -17,7 +17,7 @@ from realsim.capture.assemble import DepthUnit, capture, on_two_grids, one_line
 from realsim.capture.config import CaptureConfig
 from realsim.capture.images import ConfidenceImage, DepthImage, common_size
 from realsim.capture.intrinsics import Camera, no_intrinsics, read_camera
-from realsim.capture.layout import Layout, Recognition
+from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.listing import last_number, list_files
 from realsim.capture.video import VideoFrame, open_video
 from realsim.errors import CaptureError, PoseError, RealsimError
@@ -191,4 +191,4 @@ def _pose(row: Row | None) -> F64:
     return pose_xyzw(numbers)
 
 
-LAYOUT = Layout("stray", "rgb.mp4, depth/, odometry.csv and camera_matrix.csv of Stray Scanner", recognise, read)
+LAYOUT = Layout("stray", "rgb.mp4, depth/, odometry.csv and camera_matrix.csv of Stray Scanner", recognise, read, PHONE)

@@ -6,6 +6,7 @@ camera to world. Colour, depth and poses each run on their own clock ticks and a
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from realsim.capture.assemble import cameras, capture, depth_unit, frames_of
 from realsim.capture.association import associate, interpolate_poses
 from realsim.capture.config import CaptureConfig
-from realsim.capture.intrinsics import no_intrinsics, read_camera
+from realsim.capture.intrinsics import Camera, no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
 from realsim.capture.listing import Pair
 from realsim.errors import CaptureError, PoseError
@@ -25,13 +26,32 @@ INTRINSICS = ("calibration.txt", "camera.txt", "intrinsics.txt", "intrinsics.jso
 POSES = "groundtruth.txt"
 
 
+PUBLISHED = {
+    "1": (517.3, 516.5, 318.6, 255.3),
+    "2": (520.9, 521.0, 325.1, 249.7),
+    "3": (535.4, 539.2, 320.1, 247.6),
+}
+"""fx fy cx cy of the three cameras of the dataset (freiburg1, 2 and 3) by its page; downloads come without them."""
+
+
+def published_camera(folder: Path) -> Camera | None:
+    """The dataset's own camera, by the folder's name (rgbd_dataset_freiburg1_desk, fr1_desk)."""
+    found = re.search(r"(?:freiburg|fr)([123])(?![0-9])", folder.resolve().name)
+    if found is None:
+        return None
+    note = (
+        f"the camera is the one published for freiburg{found[1]}, by the folder's name; lens distortion is not undone"
+    )
+    return Camera(*PUBLISHED[found[1]], 640, 480, folder, (note,))
+
+
 def recognise(folder: Path) -> Recognition:
     lists = [name for name in ("rgb.txt", "depth.txt") if (folder / name).is_file()]
     if not lists:
         return Recognition()
     missing = [f"{what} ({n})" for n, what in (("rgb.txt", "colour"), ("depth.txt", "depth")) if n not in lists]
     camera = intrinsics_file(folder)
-    if camera is None:
+    if camera is None and published_camera(folder) is None:
         missing.append(f"intrinsics ({', '.join(INTRINSICS)})")
     evidence = lists + [name for name in (camera.name if camera else "", POSES) if name and (folder / name).is_file()]
     return Recognition(tuple(evidence), tuple(missing), score=30)
@@ -43,15 +63,18 @@ def intrinsics_file(folder: Path) -> Path | None:
 
 def read(folder: Path, config: CaptureConfig) -> FrameSet:
     source = intrinsics_file(folder)
-    if source is None:
-        raise no_intrinsics(folder, INTRINSICS)
+    camera = published_camera(folder) if source is None else read_camera(source)
+    if camera is None:
+        hint = (
+            "write `fx fy cx cy width height` into calibration.txt, or keep the dataset's folder name (freiburg1 ...)"
+        )
+        raise no_intrinsics(folder, INTRINSICS, hint)
     for name, what in (("depth.txt", "colour without depth"), ("rgb.txt", "depth without colour")):
         if not (folder / name).is_file():
             raise CaptureError(what, file=folder, expected=name)
     color_times, color, warnings = read_list(folder, "rgb.txt")
     depth_times, depth, more = read_list(folder, "depth.txt")
     warnings += more
-    camera = read_camera(source)
     of_depth, of_color, assumed = cameras(camera, color, depth)
     unit = depth_unit(1 / 5000, "TUM's convention", config, camera)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def solve(frames: FrameSet, config: PointsConfig) -> Solution:
-    """Poses in metres by the sensor's depth, in the capture's world if poses are given, else in the first camera's.
+    """Poses in metres by the sensor's depth, in the capture's world if its poses can be used, else the first camera's.
 
     Frames that do not fit are left out and named. With metric poses given, the depth sensor's gain comes with it.
 
@@ -29,9 +30,12 @@ def solve(frames: FrameSet, config: PointsConfig) -> Solution:
 
 def pointmaps(frames: FrameSet, solution: Solution, config: PointsConfig) -> Pointmaps:
     """Views from corrected sensor depth (`solution.depth_gain` times what the sensor said), camera frame, metres."""
+    from realsim.feedforward.rgbd.registration import Registration
     from realsim.feedforward.rgbd.views import point_view
 
     used = tuple(frames.frames[i] for i in solution.used)
+    for row in solution.arrays.get("registration", ()):
+        used = tuple(Registration.of(row).applied(f) for f in used)
     return Pointmaps(
         frames=used,
         T_world_camera=solution.T_world_camera,
@@ -62,87 +66,105 @@ def _posed(frames: FrameSet, config: PointsConfig) -> list[int] | None:
 
 def _given(frames: FrameSet, posed: list[int], config: PointsConfig) -> Solution:
     from realsim.feedforward.rgbd.refine_check import check_poses, scale_by_depth
+    from realsim.feedforward.rgbd.settle import settle
     from realsim.feedforward.rgbd.tracks import Evidence
 
     chosen = [frames.frames[i] for i in posed]
     T = np.stack([f.T_world_camera for f in chosen if f.T_world_camera is not None])
-    evidence = Evidence.of(chosen, config.seed)
-    scaled: tuple[str, ...] = ()
+    said: tuple[str, ...] = ()
+    chosen, evidence, registration, noted = _registered(chosen, Evidence.of(chosen, config.seed))
     if not frames.poses_metric:
         factor, error = scale_by_depth(evidence, T)
         T[:, :3, 3] *= factor
-        scaled = (
+        said = (
             f"the given poses are not in metres: their positions, and with them their world, were multiplied by "
             f"{factor:.4g} (± {error:.1%}), as the depth says",
         )
-    check = check_poses(chosen, T, evidence=evidence, seed=config.seed)
+    check = check_poses(chosen, T, evidence=evidence, seed=config.seed, sensor_sigma=frames.sensor_sigma)
     keep = check.kept(chosen)
     found: dict[str, Any] = {"T_world_camera": T[keep], "statistics": {"poses": "given"}, "warnings": ()}
     if config.refine:
-        gain = config.correct_depth_bias and frames.poses_metric
-        options = {"estimate_gain": gain, "trust": "metric", "seed": config.seed}
-        found = _refined([chosen[k] for k in keep], T[keep], evidence.subset(keep), **options)
-        found["statistics"]["poses"] = "given, refined"
-    found["statistics"]["check"] = dict(check.statistics)
-    found["warnings"] = scaled + check.warnings + found["warnings"]
+        found = settle(
+            [chosen[k] for k in keep],
+            T[keep],
+            evidence.subset(keep),
+            estimate_gain=config.correct_depth_bias and frames.poses_metric,
+            sensor_sigma=frames.sensor_sigma,
+            seed=config.seed,
+        )
+    found["statistics"] |= {"check": dict(check.statistics), **noted}
+    found["warnings"] = said + _told(noted) + check.warnings + found["warnings"]
     unposed = tuple(Dropped(f.name, "has no pose") for f in frames.frames if f.T_world_camera is None)
     return Solution(
-        used=tuple(posed[k] for k in keep), world_is_capture=True, dropped=unposed + check.contradicting, **found
+        used=tuple(posed[k] for k in keep),
+        world_is_capture=True,
+        dropped=unposed + check.contradicting,
+        arrays={"registration": registration},
+        **found,
     )
 
 
 def _estimated(frames: FrameSet, config: PointsConfig) -> Solution:
+    from realsim.feedforward.rgbd.anchor import anchored
     from realsim.feedforward.rgbd.estimate import estimate
+    from realsim.feedforward.rgbd.settle import refine_all
     from realsim.feedforward.rgbd.tracks import Evidence
 
     if len(frames) == 1:
         return Solution((0,), np.eye(4)[None], world_is_capture=False, statistics={"poses": "one frame"})
-    evidence = Evidence.of(frames.frames, config.seed)
+    chosen, evidence, registration, noted = _registered(frames.frames, Evidence.of(frames.frames, config.seed))
     result = estimate(evidence.views, config.seed)
-    found: dict[str, Any] = {"T_world_camera": result.T_world_camera, "statistics": {}}
+    found: dict[str, Any] = {"T_world_camera": result.T_world_camera, "statistics": {}, "warnings": ()}
     if result.statistics.get("by_shape"):  # without features nothing has looked at all views at once yet
-        found = _refined(
-            [frames.frames[i] for i in result.used],
+        used = [chosen[i] for i in result.used]
+        refined = refine_all(
+            used,
             result.T_world_camera,
             evidence.subset(result.used),
             estimate_gain=False,
             trust="estimated",
             seed=config.seed,
         )
-    found["statistics"] = {**found["statistics"], "poses": "estimated", **result.statistics}
+        found = refined.fields(used)
+    found["statistics"] = {**found["statistics"], "poses": "estimated", **result.statistics, **noted}
+    found["warnings"] = _told(noted) + result.warnings + found["warnings"]
     dropped = tuple(Dropped(frames.frames[i].name, why) for i, why in sorted(result.lost.items()))
-    return Solution(used=result.used, world_is_capture=False, dropped=dropped, **found)
+    found = anchored(found, [frames.frames[i] for i in result.used], frames, config.correct_depth_bias)
+    return Solution(used=result.used, dropped=dropped, arrays={"registration": registration}, **found)
 
 
-def _refined(frames: list[Frame], T: F64, evidence: Evidence, **options: Any) -> dict[str, Any]:
-    """Fields of a `Solution` from a refinement against the depth. Of a dense capture keyframes are refined together."""
-    from realsim.feedforward.rgbd.follow import follow
-    from realsim.feedforward.rgbd.keyframes import by_poses
-    from realsim.feedforward.rgbd.refine import refine
+def _registered(frames: Sequence[Frame], evidence: Evidence) -> tuple[list[Frame], Evidence, F64, dict[str, Any]]:
+    """Frames with their colour camera put right where matches say that it is another one, the evidence read anew, the
+    (K, 5) corrections in their order, and statistics."""
+    from realsim.feedforward.rgbd.registration import neighbours, seek
 
-    keys, followers = by_poses(evidence.views, T)
-    result = refine([frames[k] for k in keys], T[keys], evidence=evidence.subset(keys), **options)
-    poses, residual = T.copy(), np.full(len(T), np.nan)
-    poses[keys], residual[keys] = result.T_world_camera, result.per_frame_residual_m
-    statistics = dict(result.statistics)
-    if followers:
-        rest = list(followers)
-        starts = np.stack([poses[key] @ motion for key, motion in followers.values()])
-        position, degrees = statistics.get("given_position_sigma_m"), statistics.get("given_angle_sigma_deg")
-        prior = None if position is None or degrees is None else (float(position), float(np.radians(degrees)))
-        poses[rest], residual[rest] = follow([evidence.views[k] for k in rest], starts, result.landmarks, prior)
-        statistics["keyframes"] = len(keys)
-    return {
-        "T_world_camera": poses,
-        "depth_gain": result.depth_gain,
-        "depth_gain_sigma": result.depth_gain_sigma if options["estimate_gain"] else None,
-        "pose_sigma_m": result.residual_m,
-        "warnings": tuple(result.warnings),
-        "statistics": {
-            **statistics,
-            "residual_m": {f.name: float(r) for f, r in zip(frames, residual, strict=True)},
-        },
-    }
+    chosen: list[Frame] = list(frames)
+    applied: list[F64] = []
+    statistics: dict[str, Any] = {}
+    for _ in range(3):  # right rays match more, which makes them righter
+        found = seek(evidence.views, evidence.matches(neighbours(len(chosen))))
+        if found is None:
+            break
+        use = found.clear or (bool(applied) and found.after < found.before)
+        statistics.setdefault("registration", []).append({**found.summary(), "applied": use})
+        if not use:
+            break
+        applied.append(found.registration.row)
+        chosen = [found.registration.applied(f) for f in chosen]
+        evidence = evidence.of(chosen, evidence.seed)
+    return chosen, evidence, np.array(applied).reshape(-1, 5), statistics
+
+
+def _told(noted: Mapping[str, Any]) -> tuple[str, ...]:
+    clear = [r for r in noted.get("registration", ()) if r["applied"]]
+    if not clear:
+        return ()
+    zoom = float(np.prod([r["zoom"] for r in clear]))
+    shift = 1e3 * np.sum([r["shift_m"] for r in clear], axis=0)
+    return (
+        f"colour is not registered to depth as the capture has it: its focal length is {1 / zoom - 1:+.1%} of what was "
+        f"read, and its camera {shift[0]:.0f} mm to the side; estimated from the frames and corrected",
+    )
 
 
 BACKEND = Backend(solve, pointmaps)

@@ -20,8 +20,6 @@ from realsim.feedforward.rgbd.refine_pairs import Surface
 from realsim.feedforward.rgbd.tracks import Tracks
 from realsim.types import F64
 
-USABLE_SIGMA = 0.01
-"""A gain that is not known to 1 percent is no better than the sensor's own calibration and is not applied."""
 SYSTEMATIC = 5e-4
 """Relative error that no regrouping of the residuals shows: focal length, sub-pixel offsets of features, a disparity
 that is off by a constant. Set by hand: with exact poses of three rendered captures the gain was off by up to this from
@@ -38,9 +36,14 @@ class GainEstimate:
     statistics: Mapping[str, Any] = field(default_factory=dict)
 
 
-def judge_gain(step: Step, tracks: Tracks, surface: Surface, n_frames: int, asked: bool) -> GainEstimate:
-    """The gain with an honest standard error, or 1 where it is not observable."""
-    if not asked:
+def judge_gain(step: Step, tracks: Tracks, surface: Surface, n_frames: int, sensor_sigma: float | None) -> GainEstimate:
+    """The gain with an honest standard error, or 1 where it is not observable.
+
+    What the capture says and what is known of the sensor (1 with the relative standard error `sensor_sigma`) are two
+    measurements of one gain, weighted by their variances. A gain that the capture tells no better than the sensor's own
+    calibration is not applied. `sensor_sigma` None: not asked for.
+    """
+    if sensor_sigma is None:
         return GainEstimate(1.0, float("inf"))
     errors = {
         f"blocks_of_{length}_frames": grouped_error(step.influence, step.owner // length)
@@ -60,14 +63,15 @@ def judge_gain(step: Step, tracks: Tracks, surface: Surface, n_frames: int, aske
         "residual_vs_depth": residual_vs_depth(step, tracks),
         "pull_by_kind": {name: float(np.abs(step.influence[step.kind == k]).sum()) for k, name in enumerate(KINDS)},
     }
-    if sigma > USABLE_SIGMA:
+    if sigma > sensor_sigma:
         sigma = max(sigma, min(step.gain_sigma, GAIN_PRIOR))
         text = (
             f"the depth scale cannot be told from this capture (gain {found:.4f} ± {sigma:.4f}): "
             "too little baseline, or too few shared features; depth is used as the sensor gave it"
         )
         return GainEstimate(1.0, sigma, (text,), statistics)
-    return GainEstimate(found, sigma * found, (), statistics)
+    weight = 1 / (1 + (sigma / sensor_sigma) ** 2)
+    return GainEstimate(1 + weight * (found - 1), float(np.sqrt(weight)) * sigma * found, (), statistics)
 
 
 def _block_lengths(n: int) -> list[int]:

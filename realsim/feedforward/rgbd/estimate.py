@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import PoseError
 from realsim.feedforward.rgbd.bundle import Adjusted, Observations, adjust
 from realsim.feedforward.rgbd.follow import SIGMA_INVERSE, SIGMA_PX, Landmarks, follow
-from realsim.feedforward.rgbd.graph import Edge, components, optimise, spanning_poses
+from realsim.feedforward.rgbd.graph import Edge, components, optimise
 from realsim.feedforward.rgbd.keyframes import by_matching
+from realsim.feedforward.rgbd.loops import Joined, join
 from realsim.feedforward.rgbd.overlap import FINE, overlap
 from realsim.feedforward.rgbd.pairs import (
     MIN_AGREEMENT,
@@ -30,8 +30,8 @@ from realsim.geometry import invert_T
 from realsim.progress import track
 from realsim.types import F64
 
-EDGE_LIMIT = 6.0
-"""Standard deviations beyond which a pair contradicts the graph and is left out."""
+WORTH_TELLING = 3
+"""Frames from which a piece that is left out is named as one."""
 SUSPICIOUS = 20
 """Features that match although the depth contradicts them: from so many on it is worth telling."""
 SHAPE_WINDOW = 2
@@ -53,6 +53,7 @@ class Estimate:
     lost: dict[int, str]
     """Index -> why it is not used."""
     statistics: dict[str, Any]
+    warnings: tuple[str, ...] = ()
 
 
 def estimate(views: Sequence[View], seed: int) -> Estimate:
@@ -75,15 +76,18 @@ def estimate(views: Sequence[View], seed: int) -> Estimate:
     used = sorted(T)
     poses = np.stack([T[k] for k in used])
     statistics = found.statistics | ({"keyframes": len(keys)} if followers else {})
-    return Estimate(tuple(used), invert_T(poses[0]) @ poses, lost, statistics)
+    return Estimate(tuple(used), invert_T(poses[0]) @ poses, lost, statistics, found.warnings)
 
 
 def _estimate_together(views: Sequence[View], seed: int) -> tuple[Estimate, Landmarks | None]:
     """All views in one adjustment, in the first one's camera; what it stands on, if these are features."""
     net = connect(views, seed)
-    used, T, edges = _place(views, net.edges)
-    lost = _lost(views, net, used)
-    chosen, statistics = [views[i] for i in used], {"pairs": len(edges)}
+    joined = join(views, net.edges)
+    used, T, edges = joined.used, joined.T, joined.edges
+    lost = _lost(views, net, joined)
+    chosen = [views[i] for i in used]
+    statistics: dict[str, Any] = {"pairs": len(edges), "refused_links": len(joined.refused)}
+    statistics["parts"] = [len(p) for p in joined.parts if len(p) > 1]
     local = {int(v): k for k, v in enumerate(used)}
     first = [Match(local[m.i], local[m.j], m.a, m.b, m.T_i_j) for m in net.matches if _fits(m, T, local)]
     landmarks = None
@@ -98,7 +102,7 @@ def _estimate_together(views: Sequence[View], seed: int) -> tuple[Estimate, Land
         here = [Edge(local[e.i], local[e.j], e.T_i_j, e.weight, e.root) for e in edges]
         T, closed = close_loops(chosen, T, here)
         statistics |= {"pairs": len(closed), "by_shape": True}
-    return Estimate(tuple(int(i) for i in used), T, lost, statistics), landmarks
+    return Estimate(tuple(int(i) for i in used), T, lost, statistics, _said(views, joined)), landmarks
 
 
 @dataclass(frozen=True)
@@ -161,27 +165,6 @@ def close_loops(views: Sequence[View], T: F64, edges: list[Edge]) -> tuple[F64, 
     return T, edges
 
 
-def _place(views: Sequence[View], edges: list[Edge]) -> tuple[np.ndarray, F64, list[Edge]]:
-    """The largest connected part: its nodes, their poses, and the edges that do not contradict the rest."""
-    while True:
-        used = components(len(views), edges)[0]
-        if len(used) < 2:
-            raise PoseError(
-                "the frames cannot be connected",
-                expected="neighbouring frames that see the same surfaces, with texture or shape in common",
-                found=f"no two of {len(views)} frames that fit together",
-                hint="move the camera by less than a third of the picture between frames, or give poses",
-            )
-        local = {int(v): k for k, v in enumerate(used)}
-        inner = [e for e in edges if e.i in local]
-        here = [Edge(local[e.i], local[e.j], e.T_i_j, e.weight, e.root) for e in inner]
-        T, chi = optimise(spanning_poses(len(used), here), here)
-        wrong = chi > max(EDGE_LIMIT, 4 * float(np.median(chi)))
-        if not wrong.any():
-            return used, T, inner
-        edges = [e for e, bad in zip(inner, wrong, strict=True) if not bad]
-
-
 def _fits(m: Match, T: F64, local: dict[int, int]) -> bool:
     """Whether a pair is in the graph, with a motion that a later adjustment can mend."""
     if m.i not in local or m.j not in local:
@@ -190,11 +173,11 @@ def _fits(m: Match, T: F64, local: dict[int, int]) -> bool:
     return bool(np.linalg.norm(E[:3, 3]) < 0.15 and np.trace(E[:3, :3]) > 1 + 2 * np.cos(0.1))
 
 
-def _lost(views: Sequence[View], net: Net, used: np.ndarray) -> dict[int, str]:
+def _lost(views: Sequence[View], net: Net, joined: Joined) -> dict[int, str]:
     """Index -> why, of the views that are not used."""
     out = {}
-    for part in components(len(views), net.edges):
-        for i in (int(i) for i in part if i not in used):
+    for part in joined.parts[1:]:
+        for i in map(int, part):
             others = [views[k].name for k in part if k != i]
             only = f" (only to {', '.join(others[:3])}{' ...' if len(others) > 3 else ''})" if others else ""
             doubt = next(
@@ -202,6 +185,18 @@ def _lost(views: Sequence[View], net: Net, used: np.ndarray) -> dict[int, str]:
             )
             out[i] = f"does not fit to any frame that is used{only}" + (f"; {doubt}" if doubt else "")
     return out
+
+
+def _said(views: Sequence[View], joined: Joined) -> tuple[str, ...]:
+    """Pieces that could not be joined, in words."""
+    pieces = [p for p in joined.parts[1:] if len(p) >= WORTH_TELLING]
+    if not pieces:
+        return ()
+    named = ", ".join(f"{views[p[0]].name} to {views[p[-1]].name} ({len(p)} frames)" for p in pieces[:4])
+    return (
+        f"the capture falls into {len(pieces) + 1} pieces that nothing joins for certain; the largest of "
+        f"{len(joined.used)} frames is used, not {named}",
+    )
 
 
 # ---------------------------------------------------------------- adjustment over all frames

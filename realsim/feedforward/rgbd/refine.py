@@ -19,6 +19,7 @@ import numpy as np
 from realsim.errors import PoseError
 from realsim.feedforward.rgbd.bias import GainEstimate, judge_gain
 from realsim.feedforward.rgbd.follow import Landmarks
+from realsim.feedforward.rgbd.heldout import hold_out
 from realsim.feedforward.rgbd.refine_adjust import Sigmas, State, Step, initial_state, solve_step
 from realsim.feedforward.rgbd.refine_pairs import Surface, associate, choose_pairs, sample_surface
 from realsim.feedforward.rgbd.tracks import Evidence, Match, Tracks, View, build_tracks
@@ -52,6 +53,8 @@ class RefineResult:
     statistics: Mapping[str, Any] = field(default_factory=dict)
     """JSON-able; `sigma_z_over_z2` (1/m) is the sensor's depth noise a in sigma = a * depth^2, as it remains after a
     fit over 5x5 pixels: noise that neighbouring pixels share, which no local smoothing removes."""
+    held_out: tuple[tuple[int, int], ...] = ()
+    """Pairs of frames that see the same and took no part."""
 
 
 def refine(
@@ -62,6 +65,7 @@ def refine(
     trust: Literal["metric", "estimated"],
     seed: int = 0,
     evidence: Evidence | None = None,
+    sensor_sigma: float = 0.006,
 ) -> RefineResult:
     """Refine poses by features with depth and by surfaces; see the module's text.
 
@@ -73,6 +77,7 @@ def refine(
             `estimated`: the poses were found from the depth, so the depth gives the scale.
         seed: of the choice of samples.
         evidence: `Evidence.of(frames)`, if it is there already (of exactly these frames).
+        sensor_sigma: relative standard error of the depth sensor's own scale before anything was seen.
 
     Raises:
         PoseError: poses of wrong number, not finite, or not rigid; a gain asked for without metric poses.
@@ -82,12 +87,12 @@ def refine(
         raise PoseError("a depth gain cannot be told from poses that were found from the same depth")
     evidence = evidence or Evidence.of(frames, seed)
     views = evidence.views
-    pairs = choose_pairs(views, T)
+    pairs, held_out = hold_out(choose_pairs(views, T))
     matches = evidence.matches(pairs)
     tracks = build_tracks(views, matches)
     step, surface, given = _solve(views, T, pairs, tracks, estimate_gain, trust, seed)
     per_frame = _per_frame(step, tracks, surface, len(views))
-    gain = judge_gain(step, tracks, surface, len(views), estimate_gain)
+    gain = judge_gain(step, tracks, surface, len(views), sensor_sigma if estimate_gain else None)
     return RefineResult(
         step.state.T,
         gain.value,
@@ -97,6 +102,7 @@ def refine(
         Landmarks(views, step.state.T, tracks, step.state.X, step.state.gain),
         gain.warnings + _warnings(views, tracks, per_frame),
         _statistics(step, given, matches, pairs, tracks, surface, gain, trust),
+        tuple(held_out),
     )
 
 

@@ -25,7 +25,8 @@ TOLERANCE = (0.05, 0.12)
 """Metres: an edge contradicts beyond four times the median edge, but within these. Handheld trackers are off by 1 to
 2 cm and half a degree, which is 3 cm at 2 m."""
 SCALE_LIMIT = 0.05
-"""Relative difference of scale between poses and depth that no depth camera explains."""
+"""Relative difference of scale between poses and depth that no depth camera explains, at the least: three standard
+errors of the sensor's own scale are allowed."""
 MANY = 0.3
 """Share of contradicting frames from which the poses as a whole are in question."""
 
@@ -64,7 +65,12 @@ class PoseCheck:
 
 
 def check_poses(
-    frames: Sequence[Frame], T_world_camera: F64, *, evidence: Evidence | None = None, seed: int = 0
+    frames: Sequence[Frame],
+    T_world_camera: F64,
+    *,
+    evidence: Evidence | None = None,
+    seed: int = 0,
+    sensor_sigma: float = 0.006,
 ) -> PoseCheck:
     """Compare poses (N, 4, 4), camera to world, OpenCV axes, metres, with the frames.
 
@@ -101,14 +107,21 @@ def check_poses(
         "contradicting_edges": float((error[seen] > limit).mean()),
         "pose_scale": None if scale is None else 1 / scale,
     }
-    whole = bad.sum() > MANY * n or (scale is not None and abs(scale - 1) > max(SCALE_LIMIT, 3 * spread))
+    allowed = max(SCALE_LIMIT, 3 * sensor_sigma, 3 * spread)
     certain = found is not None and typical > TOLERANCE[0] and found[1] < 0.35 * typical
-    if whole or certain or typical >= TOLERANCE[1]:
+    reasons = []
+    if bad.sum() > MANY * n:
+        reasons.append(f"{bad.sum()} of {n} frames contradict most of the others")
+    if scale is not None and abs(scale - 1) > allowed:
+        off = scale - 1
+        reasons.append(f"baselines by depth are {off:+.1%} of those by the poses; this sensor allows {allowed:.0%}")
+    if certain or typical >= TOLERANCE[1]:
+        reasons.append(f"points misplaced by {100 * typical:.1f} cm (median)")
+    if reasons:
         raise PoseError(
             "the given poses contradict the depth" + (f": they look like {found[0]}" if found else ""),
             expected="camera to world, OpenCV camera axes (x right, y down, z forward), metres",
-            found=f"{bad.sum()} of {n} frames contradicted; points misplaced by {100 * typical:.1f} cm (median)"
-            + (f", {100 * found[1]:.1f} cm with {found[0]} undone" if found else ""),
+            found="; ".join(reasons) + (f"; {100 * found[1]:.1f} cm with {found[0]} undone" if found else ""),
             hint=found[2] if found else "estimate the poses from the frames instead (poses: estimate)",
         )
     warnings = []

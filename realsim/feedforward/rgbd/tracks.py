@@ -86,12 +86,24 @@ def _view(frame: Frame) -> View:
     if color is not None:
         uv, descriptors = _features(color)
         c = frame.color_intrinsics or frame.intrinsics
-        xy = (uv - (c.cx, c.cy)) / (c.fx, c.fy)
-        z = _depth_at(inverse, xy, frame.intrinsics)
+        xy, z = _in_depth_camera((uv - (c.cx, c.cy)) / (c.fx, c.fy), inverse, frame)
         keep = z > 0
         xy, z, descriptors = xy[keep], z[keep], descriptors[keep]
     f = 0.5 * (frame.intrinsics.fx + frame.intrinsics.fy)
     return View(frame.name, camera, f, small, normal, xy, z, descriptors, color is not None)
+
+
+def _in_depth_camera(rays: F64, inverse: F32, frame: Frame) -> tuple[F64, F64]:
+    """Positions (K, 2) on the plane z = 1 of the depth camera, and depths (K,), of rays (K, 2) of the colour camera."""
+    z = _depth_at(inverse, rays, frame.intrinsics)
+    if frame.color_shift == (0.0, 0.0):
+        return rays, z
+    xy = rays
+    for _ in range(3):  # where a ray lands depends on the depth that it meets there
+        typical = np.median(z[z > 0]) if (z > 0).any() else 1.0
+        xy = rays + np.asarray(frame.color_shift) / np.where(z > 0, z, typical)[:, None]
+        z = _depth_at(inverse, xy, frame.intrinsics)
+    return xy, z
 
 
 def _features(color: NDArray[np.uint8]) -> tuple[F64, F32]:
@@ -303,6 +315,15 @@ class Evidence:
         for i, j in track([p for p in pairs if p not in self._matches], "matches"):
             self._matches[i, j] = match(self.views, i, j, self.seed)
         return [m for p in pairs if (m := self._matches[p]) is not None]
+
+    @property
+    def has_features(self) -> bool:
+        return any(len(v.z) for v in self.views)
+
+    def without_color(self) -> Evidence:
+        """The same views without their features: surfaces alone."""
+        xy, z, none = np.zeros((0, 2)), np.zeros(0), np.zeros((0, 128), np.float32)
+        return Evidence([replace(v, xy=xy, z=z, descriptors=none) for v in self.views], self.seed)
 
     def subset(self, keep: Sequence[int]) -> Evidence:
         """The same for some of the views, renumbered; their matches are kept."""

@@ -32,7 +32,7 @@ def point_view(frame: Frame, gain: float) -> PointView:
         confidence = confidence * frame.read_confidence()
     color = frame.color()
     if color is not None:
-        color = resample(color, frame.color_intrinsics or frame.intrinsics, frame.intrinsics)
+        color = resample(color, frame.color_intrinsics or frame.intrinsics, frame.intrinsics, depth, frame.color_shift)
     points = _rays(frame.intrinsics)[0] * depth[..., None]
     return PointView(points, np.where(mask, confidence, 0).astype(np.float32), mask, color)
 
@@ -92,15 +92,31 @@ def _grown(mask: Bool) -> Bool:
     return cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
 
 
-def resample(color: U8, source: Intrinsics, target: Intrinsics) -> U8:
-    """Colour on another camera's pixel grid; both look the same way from the same place. Black outside."""
+def resample(
+    color: U8,
+    source: Intrinsics,
+    target: Intrinsics,
+    depth: F32 | None = None,
+    shift: tuple[float, float] = (0.0, 0.0),
+) -> U8:
+    """Colour on another camera's pixel grid; both look the same way. Black outside.
+
+    Args:
+        depth: (H, W) metres of the target, 0 where unknown; needed where the cameras do not stand in the same place.
+        shift: metres that the source stands right of and below the target.
+    """
     import cv2
 
-    if source == target and color.shape[:2] == (target.height, target.width):
+    if source == target and shift == (0.0, 0.0) and color.shape[:2] == (target.height, target.width):
         return color
     u = ((np.arange(target.width) - target.cx) / target.fx * source.fx + source.cx).astype(np.float32)
     v = ((np.arange(target.height) - target.cy) / target.fy * source.fy + source.cy).astype(np.float32)
     shrinks = source.fx > 1.5 * target.fx
     if shrinks:  # average over what a target pixel covers, or fine texture turns into noise
         color = np.asarray(cv2.blur(color, (round(source.fx / target.fx),) * 2), np.uint8)
-    return np.asarray(cv2.remap(color, *np.meshgrid(u, v), interpolation=cv2.INTER_LINEAR), np.uint8)
+    columns, rows = np.meshgrid(u, v)
+    if depth is not None and shift != (0.0, 0.0):
+        near = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
+        columns = (columns - source.fx * shift[0] * near).astype(np.float32)
+        rows = (rows - source.fy * shift[1] * near).astype(np.float32)
+    return np.asarray(cv2.remap(color, columns, rows, interpolation=cv2.INTER_LINEAR), np.uint8)

@@ -1,0 +1,220 @@
+"""Is colour registered to depth? The camera of the colour images, as matched features with depth have it.
+
+A feature's ray comes from the colour camera and its depth from the depth image. Under a wrong focal length, centre or
+place of the colour camera the points of two frames are not related by a rigid motion. So five figures are sought that
+make them so, whatever the frames' poses:
+
+    ray seen from the depth camera = zoom * ray as read + centre + shift / depth
+
+(The shift is the metres by which the colour camera stands right of and below the depth camera.) Each pair of frames
+keeps its own best rigid motion (variable projection, Golub and Pereyra 1973); the five are found by Gauss-Newton steps
+on what remains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from realsim.feedforward.rgbd.tracks import Match, View
+from realsim.types import F64, Frame, Intrinsics
+
+PRIOR = np.array([0.1, 0.03, 0.03, 0.03, 0.03])
+"""Standard deviations of zoom, centre (2, on the plane z = 1) and shift (2, metres): colour and depth cameras of one
+housing. Kinect: 0.11, 0.01, 0.025 m."""
+LEAST = 2000
+"""Matched points below which nothing is concluded."""
+PAIRS, POINTS = 160, 80
+"""Most pairs of frames, and most matches of a pair, that take part."""
+STEPS = 8
+DELTA = PRIOR / 5
+"""Steps of the numerical derivatives: about a cell of the thinned depth, so that its noise is no slope."""
+SCALE = 0.004
+"""Relative distance of two points of one place beyond which a match loses its weight (Cauchy)."""
+
+
+@dataclass(frozen=True)
+class Registration:
+    """The colour camera relative to how it was read."""
+
+    zoom: float = 1.0
+    """Factor on rays: true rays are wider than read ones where it is above 1 (the true focal length is shorter)."""
+    centre: tuple[float, float] = (0.0, 0.0)
+    """On the plane z = 1."""
+    shift: tuple[float, float] = (0.0, 0.0)
+    """Metres that the colour camera stands right of and below the depth camera."""
+
+    @classmethod
+    def of(cls, row: F64) -> Registration:
+        """From zoom - 1, centre and shift (5,)."""
+        zoom, u, v, x, y = map(float, row)
+        return cls(1 + zoom, (u, v), (x, y))
+
+    @property
+    def row(self) -> F64:
+        """(5,) zoom - 1, centre, shift: all zero where colour is as it was read."""
+        return np.array([self.zoom - 1, *self.centre, *self.shift])
+
+    def applied(self, frame: Frame) -> Frame:
+        """The frame with its colour camera put right."""
+        k = frame.color_intrinsics or frame.intrinsics
+        f = Intrinsics(
+            k.width,
+            k.height,
+            k.fx / self.zoom,
+            k.fy / self.zoom,
+            k.cx - self.centre[0] * k.fx / self.zoom,
+            k.cy - self.centre[1] * k.fy / self.zoom,
+        )
+        shift = (frame.color_shift[0] + self.shift[0], frame.color_shift[1] + self.shift[1])
+        return replace(frame, color_intrinsics=f, color_shift=shift)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the matches say."""
+
+    registration: Registration
+    sigma: F64
+    """(5,) standard errors of zoom, centre and shift; pairs of frames are what varies (sandwich estimator)."""
+    before: float
+    after: float
+    """Median relative distance of matched points on pairs that took no part in the estimate."""
+    points: int
+
+    @property
+    def clear(self) -> bool:
+        """Whether colour is certainly not as it was read: pairs that took no part fit better by a tenth, and the camera
+        differs by more than three standard errors and by more than a pixel in 500."""
+        theta = self.registration.row
+        matters = abs(theta[0]) > 0.002 or np.abs(theta[1:3]).max() > 0.002 or np.abs(theta[3:]).max() > 0.005
+        return bool(self.after < 0.9 * self.before and matters and (np.abs(theta) > 3 * self.sigma).any())
+
+    def summary(self) -> dict[str, Any]:
+        """JSON-able."""
+        r = self.registration
+        return {
+            "zoom": r.zoom,
+            "centre": r.centre,
+            "shift_m": r.shift,
+            "sigma": self.sigma.tolist(),
+            "held_out_before": self.before,
+            "held_out_after": self.after,
+            "points": self.points,
+            "clear": self.clear,
+        }
+
+
+def neighbours(count: int) -> list[tuple[int, int]]:
+    """Pairs i < j near in the sequence, at most about twice as many as take part."""
+    every = max(1, 2 * count // PAIRS)
+    return [(i, i + step) for step in (1, 3) for i in range(0, count - step, every)]
+
+
+def seek(views: Sequence[View], matches: Sequence[Match]) -> Found | None:
+    """The registration that matched features have, or None if there are too few."""
+    far = [_thinned(m) for m in matches if len(m.a) >= 20]
+    far = [far[k] for k in np.unique(np.linspace(0, len(far) - 1, PAIRS).astype(int))] if far else []
+    held, used = far[::4], [m for k, m in enumerate(far) if k % 4]
+    if sum(len(m.a) for m in used) < LEAST or not held:
+        return None
+    theta = np.zeros(5)
+    for _ in range(STEPS):
+        r, J, group = _linearised(views, used, theta)
+        w = 1 / (1 + (r / SCALE) ** 2) / SCALE**2
+        H = (J * w[:, None]).T @ J + np.diag(PRIOR**-2.0)
+        step = -np.linalg.solve(H, (J * w[:, None]).T @ r + theta / PRIOR**2)
+        # Noise in the slopes of depth makes steps too short: the best of some multiples is taken.
+        tries = [theta + k * step for k in (1, 3, 6, 10)]
+        theta = min(tries, key=lambda t: _cost(views, used, t))
+        if np.abs(step / PRIOR).max() < 0.01:
+            break
+    scores = np.zeros((len(used), 5))
+    np.add.at(scores, group, J * (w * r)[:, None])
+    inverse = np.linalg.inv(H)
+    sigma = np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse))
+    before, after = (float(np.median(_lengths(views, held, t))) for t in (np.zeros(5), theta))
+    return Found(Registration.of(theta), sigma, before, after, sum(len(m.a) for m in used))
+
+
+def _cost(views: Sequence[View], matches: Sequence[Match], theta: F64) -> float:
+    return float(np.log1p((_lengths(views, matches, theta) / SCALE) ** 2).mean() + 1e-3 * ((theta / PRIOR) ** 2).sum())
+
+
+def _thinned(m: Match) -> Match:
+    keep = np.unique(np.linspace(0, len(m.a) - 1, POINTS).astype(int))
+    return replace(m, a=m.a[keep], b=m.b[keep])
+
+
+def _lengths(views: Sequence[View], matches: Sequence[Match], theta: F64) -> F64:
+    length = np.concatenate([np.linalg.norm(_residual(views[m.i], views[m.j], m, theta), axis=1) for m in matches])
+    return length[np.isfinite(length)]
+
+
+def _linearised(views: Sequence[View], matches: Sequence[Match], theta: F64) -> tuple[F64, F64, np.ndarray]:
+    """Residuals (K,), their derivatives by the five figures (K, 5), and the pair of each (K,)."""
+    rs, Js, groups = [], [], []
+    for pair, m in enumerate(matches):
+        A, B = views[m.i], views[m.j]
+        around = [_residual(A, B, m, theta + d) for d in (np.zeros(5), *np.diag(DELTA), *np.diag(-DELTA))]
+        # A point that falls off a surface at any of these is not a derivative but a loss.
+        known = np.isfinite(around).all((0, 2))
+        J = np.stack([(around[1 + k] - around[6 + k])[known].ravel() / (2 * DELTA[k]) for k in range(5)], 1)
+        rs.append(around[0][known].ravel())
+        Js.append(J)
+        groups.append(np.full(len(J), pair))
+    return np.concatenate(rs), np.concatenate(Js), np.concatenate(groups)
+
+
+def _residual(A: View, B: View, m: Match, theta: F64) -> F64:
+    """(M, 3) what is left between the points of a pair after their best rigid motion, over depth; NaN where unknown."""
+    P, Q = _points(A, m.a, theta), _points(B, m.b, theta)
+    known = np.isfinite(P).all(1) & np.isfinite(Q).all(1)
+    out = np.full((len(P), 3), np.nan)
+    p, q = P[known], Q[known]
+    if len(p) < 6:
+        return out
+    z = np.minimum(p[:, 2], q[:, 2])
+    w = 1 / z**2
+    for _ in range(3):
+        pc, qc = (w[:, None] * p).sum(0) / w.sum(), (w[:, None] * q).sum(0) / w.sum()
+        U, _, Vt = np.linalg.svd((w[:, None] * (p - pc)).T @ (q - qc))
+        R = U @ np.diag([1, 1, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+        r = (p - pc - (q - qc) @ R.T) / z[:, None]
+        w = 1 / z**2 / (1 + (r**2).sum(1) / SCALE**2)
+    # Rays that are wider by the zoom have wider errors too; without this the best fit would be a world of no width.
+    r[:, :2] /= 1 + theta[0]
+    out[known] = r
+    return out
+
+
+def _points(view: View, index: np.ndarray, theta: F64) -> F64:
+    """(M, 3) points of features in the depth camera under a registration; NaN where the depth there is unknown."""
+    rays, z = view.xy[index], view.z[index]
+    for _ in range(3):
+        xy = (1 + theta[0]) * rays + theta[1:3] + theta[3:] / z[:, None]
+        found = _inverse_depth(view, xy)
+        z = np.where(np.isfinite(found), 1 / found, z)
+    z = 1 / found
+    return np.column_stack([xy, np.ones(len(xy))]) * z[:, None]
+
+
+def _inverse_depth(view: View, xy: F64) -> F64:
+    """(M,) bilinear inverse depth of the thinned grid, NaN at borders and holes."""
+    c = view.camera
+    u, v = xy[:, 0] * c.fx + c.cx, xy[:, 1] * c.fy + c.cy
+    u0, v0 = np.floor(u).astype(int), np.floor(v).astype(int)
+    ok = (u0 >= 0) & (v0 >= 0) & (u0 < c.width - 1) & (v0 < c.height - 1)
+    u0, v0 = np.where(ok, u0, 0), np.where(ok, v0, 0)
+    du, dv = u - u0, v - v0
+    total = np.zeros(len(xy))
+    low, high = np.full(len(xy), np.inf), np.zeros(len(xy))
+    for a, b, w in ((0, 0, (1 - du) * (1 - dv)), (1, 0, du * (1 - dv)), (0, 1, (1 - du) * dv), (1, 1, du * dv)):
+        d = view.depth[v0 + b, u0 + a].astype(float)
+        low, high = np.minimum(low, d), np.maximum(high, d)
+        total += w / np.maximum(d, 1e-6)
+    ok &= (low > 0) & (high < 1.05 * low)
+    return np.where(ok, total, np.nan)
