@@ -18,6 +18,7 @@ CONTACT = Registry(
     {
         "boxes": "realsim.export.contact.boxes:boxes",
         "hybrid": "realsim.export.contact.hybrid:hybrid",
+        "sheets": "realsim.export.contact.sheets:sheets",
         "convex": "realsim.export.contact.convex:convex",
         "hfield": "realsim.export.contact.hfield:hfield",
         "sdf": "realsim.export.contact.sdf:sdf",
