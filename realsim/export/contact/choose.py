@@ -20,7 +20,7 @@ from realsim.export.contact.shape import Shape
 from realsim.types import TerrainMesh
 
 # Cheapest first. `convex` takes a minute to build and is better than none of these, `sdf` costs a hundred planes.
-CANDIDATES = ("boxes", "hybrid", "hfield")
+CANDIDATES = ("boxes", "hybrid", "sheets", "hfield")
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def fit_contact(
 
     if config.contact != "auto" and config.contact not in CONTACT:
         raise UnknownNameError("collision representation", config.contact, ["auto", *CONTACT])
-    reference = Reference(mesh.vertices, mesh.triangles)
+    reference = Reference(mesh.vertices, mesh.triangles, mesh.invented)
     shape = Shape(mesh, ground_z)
     names = CANDIDATES if config.contact == "auto" else (config.contact,)
     tried: list[tuple[ContactModel, Fidelity]] = []
@@ -73,7 +73,7 @@ def fit_contact(
         warnings = (*contact.warnings, _unmet(contact, fidelity, config.contact_tolerance, len(names)))
     if place is None:
         start, off = fidelity.touches.start, np.nan_to_num(fidelity.touches.error)
-        heights = reference.top(start[:, :2])
+        heights = reference.top(start[:, :2], start[:, 2])
         place = standing_place(np.column_stack([start[:, :2], heights])[np.isfinite(heights) & (np.abs(off) < 0.01)])
     cost = step_cost(spec_of(contact), place)
     weighed = ("median_mm", "p95_mm", "phantom_over_gaps_cm2", "leaks")
