@@ -199,10 +199,10 @@ class _Compare:
 
 
 def _on_the_reference(touches: Touches, reference: Reference, ground_z: float) -> Touches:
-    """Without the balls that came to rest on the floor beyond the reference's rim or in its holes: nothing is known
-    there, and a floor is no phantom."""
+    """Without the balls that came to rest on the floor where nothing was measured below: a floor is no phantom there,
+    whatever ground the mesh was closed with."""
     on_floor = np.abs(touches.at[:, 2] - BALL_RADIUS - ground_z) < 0.001
-    beyond = on_floor & np.isnan(reference.top(touches.start[:, :2], touches.start[:, 2]))
+    beyond = on_floor & np.isnan(reference.seen_only().top(touches.start[:, :2], touches.start[:, 2]))
     return replace(
         touches, error=np.where(beyond, np.nan, touches.error), along=np.where(beyond, np.nan, touches.along)
     )

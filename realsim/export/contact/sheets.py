@@ -26,9 +26,9 @@ F64 = NDArray[np.float64]
 FELT = 0.012  # metres: surface that lies farther from every solid is not carried by it
 FRONT = 0.03  # metres before a seen face where there is air
 INSIDE = 0.01  # metres inside a solid: less is an edge that is off
-SEEN, AIR = 0.5, 0.05  # of a solid's outside: least that was seen, and most that has seen air inside
+SEEN = 0.5  # share of a solid's outside
 THICK = 0.04  # metres of a sheet that holds things up: what falls fast sinks centimetres into a soft contact
-WALL = 0.02  # metres of one that is upright: its rim is seen from above
+WALL = 0.015  # metres of one that is upright: its rim is seen from above
 THIN = 0.006  # metres of a sheet that has air behind it
 PLANE = 0.008  # metres that a sheet may lie off its surface
 EDGE, BULGE = 1.0, 1.0  # cells by which outlines are simplified, and by which convex parts may bulge over them
@@ -75,7 +75,7 @@ def _add(geoms: list[Geom], assets: list[Asset], made: tuple[Geom, Asset | None]
 
 
 def _is_solid(prism: Prism, samples: Samples) -> bool:
-    """Whether at least half of a solid's outside (top and sides) was seen, and hardly any air inside it.
+    """Whether at least SEEN of a solid's outside (top and sides) was seen, less what shows air inside it.
 
     A box passes; the block that columns make of a table top, or of half a table, does not.
     """
@@ -84,7 +84,7 @@ def _is_solid(prism: Prism, samples: Samples) -> bool:
     around = samples.where(((samples.points > low) & (samples.points < high)).all(1))
     on = np.abs(_depth_in(prism, around.points)) < FELT
     air = _depth_in(prism, around.points + FRONT * around.normals) > INSIDE
-    return bool(around.area[on].sum() > SEEN * outside and around.area[air].sum() < AIR * outside)
+    return bool(around.area[on].sum() - around.area[air].sum() > SEEN * outside)
 
 
 def _depth_in(prism: Prism, points: F64) -> F64:

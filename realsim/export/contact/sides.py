@@ -37,9 +37,11 @@ def side_figures(spec: Any, reference: Reference, lower: F64, upper: F64, ground
     Args:
         lower, upper: (2,) rectangle in which places lie, metres.
 
+    A ray that passes an edge by millimetres and meets what lies far behind it may be stopped at that edge: early is what
+    stops it more than WITHIN from any seen surface. Through is what lets it go on for more than WITHIN.
+
     Returns:
-        JSON-able: `rays`, shares that `stopped` (within WITHIN of the surface), went `through`, and were stopped
-        `early`; the same `by_height_m`; `balls` and the share of them that went through. Shares are None where fewer
+        JSON-able: `rays`, shares that `stopped`, went `through`, and were stopped `early`; the same `by_height_m`; `balls` and the share of them that went through. Shares are None where fewer
         than ENOUGH rays met anything.
     """
     rng = np.random.default_rng(seed)
@@ -52,9 +54,12 @@ def side_figures(spec: Any, reference: Reference, lower: F64, upper: F64, ground
     if len(hit) < ENOUGH:
         return out | {"by_height_m": {}, "balls": 0, "balls_through": None}
     touch = SimTouch(spec, BALL)
-    stop = _stops(spec, touch, starts, ways)
-    out |= _shares(stop - hit)
-    by_height = {f"{h:g}": _shares((stop - hit)[height == h]) for h in HEIGHTS if (height == h).sum() >= ENOUGH}
+    off = _stops(spec, touch, starts, ways) - hit
+    early = np.flatnonzero(off < -WITHIN)
+    near = surface.distance(starts[early] + (hit + off)[early, None] * ways[early]) <= WITHIN
+    off[early[near]] = 0.0
+    out |= _shares(off)
+    by_height = {f"{h:g}": _shares(off[height == h]) for h in HEIGHTS if (height == h).sum() >= ENOUGH}
     return out | {"by_height_m": by_height} | _balls(touch, surface, starts, ways, hit)
 
 
