@@ -44,7 +44,7 @@ def _rows(result: Reconstruction) -> list[tuple[str, str]]:
         rows.insert(4, ("heights off by more than 2 cm", f"{off:.1%}"))
     if c.get("sides", {}).get("stopped") is not None:
         sides = c["sides"]
-        said = f"{sides['stopped']:.1%} of {sides['rays']}; {sides['through']:.1%} go through, {sides['early']:.1%} too early"
+        said = f"{sides['stopped']:.1%} of {sides['rays']}; {sides['through']:.1%} through, {sides['early']:.1%} early"
         rows.append(("rays from the side that stop where they should", said))
     if "phantom_over_gaps_cm2" in c:
         rows.append(("phantom surface over gaps wider than a foot", f"{c['phantom_over_gaps_cm2']:.0f} cm²"))

@@ -30,6 +30,6 @@ def test_a_scan_tells_its_own_standpoint() -> None:
 def test_nobody_stands_beside_or_below_a_terrain() -> None:
     rng = np.random.default_rng(0)
     floor = np.column_stack([rng.uniform(-2, 2, (20_000, 2)), np.zeros(20_000)])
-    assert not stood_at(floor + [0, 0, 1.0], np.zeros(3))
-    assert not stood_at(floor + [0, 0, -1.0], np.zeros(3))
+    assert not stood_at(floor + np.array([0, 0, 1.0]), np.zeros(3))
+    assert not stood_at(floor + np.array([0, 0, -1.0]), np.zeros(3))
     assert not stood_at(floor[:100], np.zeros(3))

@@ -77,7 +77,9 @@ def fit_contact(
         place = standing_place(np.column_stack([start[:, :2], heights])[np.isfinite(heights) & (np.abs(off) < 0.01)])
     cost = step_cost(spec_of(contact), place)
     weighed = ("median_mm", "p95_mm", "phantom_over_gaps_cm2", "leaks")
-    considered = refused + [{"representation": c.representation} | {k: f.figures[k] for k in weighed} | _shares(f) for c, f in tried]
+    considered = refused + [
+        {"representation": c.representation} | {k: f.figures[k] for k in weighed} | _shares(f) for c, f in tried
+    ]
     summary = {"representation": contact.representation} | dict(fidelity.figures) | cost
     summary |= {"geoms": count_types(contact), "considered": considered} | dict(contact.statistics)
     return Fitted(contact, fidelity, summary, warnings)

@@ -146,9 +146,7 @@ def triangles_of(spec: Any) -> tuple[F64, NDArray[np.int32]]:
 class Reference:
     """The exact surface: distances, and what lies above a point."""
 
-    def __init__(
-        self, vertices: F64, triangles: NDArray[np.int32], invented: NDArray[np.bool_] | None = None
-    ) -> None:
+    def __init__(self, vertices: F64, triangles: NDArray[np.int32], invented: NDArray[np.bool_] | None = None) -> None:
         import open3d
 
         self._o3d: Any = open3d

@@ -166,7 +166,7 @@ class _Caster:
             object.__setattr__(self, name, value)
 
     def cast(self, origins: F64, direction: F64) -> tuple[F64, F64]:
-        """((M,) metres to the first hit, inf for none; (M,) cosine between direction and the normal of what was hit)."""
+        """((M,) metres to the first hit, inf for none; (M,) cosine of the direction and the normal of what was hit)."""
         rays = np.concatenate([origins - self.centre, np.broadcast_to(direction, origins.shape)], 1)  # type: ignore[attr-defined]
         hit = self.scene.cast_rays(self.o3d.core.Tensor(rays.astype(np.float32)))  # type: ignore[attr-defined]
         t = hit["t_hit"].numpy().astype(np.float64)

@@ -34,11 +34,11 @@ def side_figures(spec: Any, reference: Reference, lower: F64, upper: F64, ground
     front of a seen side face within REACH count. Whether a ray passes seen air or unseen space on its way does not
     matter: what it met was seen, and most likely through there.
 
+    A ray that misses an edge by millimetres may be stopped at it: early is what stops it more than WITHIN from any
+    seen surface. Through is what lets it go on for more than WITHIN.
+
     Args:
         lower, upper: (2,) rectangle in which places lie, metres.
-
-    A ray that passes an edge by millimetres and meets what lies far behind it may be stopped at that edge: early is what
-    stops it more than WITHIN from any seen surface. Through is what lets it go on for more than WITHIN.
 
     Returns:
         JSON-able: `rays`, shares that `stopped`, went `through`, and were stopped `early`; the same `by_height_m`; `balls` and the share of them that went through. Shares are None where fewer
