@@ -1,4 +1,4 @@
-"""Small indoor meshes as a camera leaves them: walls with one side, furniture without undersides. Metres, floor at 0."""
+"""Small rooms as a camera leaves them: walls with one side, furniture without undersides. Metres, floor at 0."""
 
 from __future__ import annotations
 

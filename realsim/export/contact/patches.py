@@ -66,7 +66,7 @@ def sampled(vertices: F64, triangles: NDArray[np.int32], spacing: float, seed: i
     size = cell.max(0) + 1
     key = ((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]) * 6 + facing
     _, first, many = np.unique(key, return_index=True, return_counts=True)
-    return Samples(points[first], normals[first], many * (total / count), spacing)
+    return Samples(points[first], normals[first], np.asarray(many * (total / count), np.float64), spacing)
 
 
 def patches(samples: Samples, tolerance: float) -> list[Patch]:

@@ -208,9 +208,9 @@ class Reference:
 
     def top(self, xy: F64, below: F64 | None = None) -> F64:
         """(M,) z of the highest surface at x y (M, 2), of those `below` z (M,); NaN where there is none."""
-        above = float(self.vertices[:, 2].max()) + 1.0
+        above = np.full(len(xy), float(self.vertices[:, 2].max()) + 1.0)
         above = above if below is None else np.minimum(below, above)
-        start = np.column_stack([xy, np.broadcast_to(above, len(xy))]) - self.centre
+        start = np.column_stack([xy, above]) - self.centre
         rays = np.concatenate([start, np.broadcast_to([0, 0, -1.0], start.shape)], 1).astype(np.float32)
         t = self._scene.cast_rays(self._o3d.core.Tensor(rays))["t_hit"].numpy().astype(np.float64)
         return np.where(np.isfinite(t), above - t, np.nan)

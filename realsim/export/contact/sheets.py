@@ -46,7 +46,8 @@ def sheets(shape: Shape, config: SceneConfig) -> ContactModel:
     kept = [prism for prism in solids if _is_solid(prism, samples)]
     lost = samples.where(~_felt(samples.points, kept, whole.floor))
     caster = _Caster(vertices, seen)
-    geoms, assets = list(whole.floor), []
+    geoms: list[Geom] = list(whole.floor)
+    assets: list[Asset] = []
     count = 0
     for prism in kept:
         _add(geoms, assets, as_geom(f"part_{len(geoms)}", prism))

@@ -41,8 +41,8 @@ def side_figures(spec: Any, reference: Reference, lower: F64, upper: F64, ground
         lower, upper: (2,) rectangle in which places lie, metres.
 
     Returns:
-        JSON-able: `rays`, shares that `stopped`, went `through`, and were stopped `early`; the same `by_height_m`; `balls` and the share of them that went through. Shares are None where fewer
-        than ENOUGH rays met anything.
+        JSON-able: `rays`, shares that `stopped`, went `through`, and were stopped `early`; the same `by_height_m`;
+        `balls` and the share of them that went through. Shares are None where fewer than ENOUGH rays met anything.
     """
     rng = np.random.default_rng(seed)
     surface = reference.seen_only()
