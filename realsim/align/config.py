@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -22,6 +22,9 @@ class AlignConfig:
     """Who labels points ground / platform / obstacle / other."""
     margin: float = 0.5
     """Metres of ground kept around the terrain."""
+    keep: Literal["terrain", "all"] = "terrain"
+    """`terrain` cuts away what is out of reach of start and goal; `all` keeps everything that was seen, walls and
+    ceiling too."""
     seed: Annotated[int, tyro.conf.Suppress] = 0
 
     def __post_init__(self) -> None:

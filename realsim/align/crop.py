@@ -57,6 +57,12 @@ def crop(
     return bounds, _said(cloud, labels, bounds, left, margin)
 
 
+def everything(cloud: Cloud) -> F64:
+    """Bounds (2, 3) of all that was seen, a few voxels wider."""
+    slack = 3 * cloud.voxel
+    return np.stack([cloud.points.min(0) - slack, cloud.points.max(0) + slack])
+
+
 def _grown(low: F64, high: F64, clusters: list[F64]) -> tuple[F64, F64, list[F64]]:
     """The box grown by near clusters, and the clusters that stay outside."""
     left = clusters

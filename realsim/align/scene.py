@@ -8,7 +8,7 @@ import numpy as np
 
 from realsim.align.cloud import Cloud, from_scan, from_views
 from realsim.align.config import AlignConfig
-from realsim.align.crop import crop
+from realsim.align.crop import crop, everything
 from realsim.align.ground import Ground, find_ground
 from realsim.align.platforms import find_faces, to_platform
 from realsim.align.rim import refined
@@ -54,7 +54,11 @@ def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
         to_platform(face, T_sim_level, {roles[0]: "start", roles[1]: "goal"}.get(i, "platform"))
         for i, face in enumerate(faces)
     )
-    bounds, cropped = crop(_moved(level, T_sim_level), labels, platforms, float(T_sim_level[2, 3]), config.margin)
+    cropped: list[str] = []
+    if config.keep == "all":
+        bounds = everything(_moved(level, T_sim_level))
+    else:
+        bounds, cropped = crop(_moved(level, T_sim_level), labels, platforms, float(T_sim_level[2, 3]), config.margin)
 
     platforms, outside = _kept(platforms, bounds)
     cropped += outside

@@ -40,6 +40,10 @@ def contact(
     with output_folder(out, overwrite=overwrite, source=mesh) as folder:
         files = contact_mesh(mesh, folder, config, unit=unit, up=up, ground_z=ground_z)
     c = dict(files.contact)
+    sides, drop = c["sides"], c["drop"]
+    beside = "too few side faces to measure"
+    if sides["stopped"] is not None:
+        beside = f"{sides['stopped']:.1%} of rays from the side stop within 3 cm, {sides['through']:.1%} go through"
     lines = [
         *verdict_lines(c["verdict"]),
         f"scene          {out / 'scene.xml'}",
@@ -47,6 +51,8 @@ def contact(
         f"representation {c['representation']}, {sum(c['geoms'].values())} geoms",
         f"error          {c['median_mm']:.1f} mm median, {c['p95_mm']:.1f} mm at the 95th percentile",
         f"phantom        {c['phantom_area_cm2']:.0f} cm2, missing {c['missing_area_cm2']:.0f} cm2, {c['leaks']} leaks",
+        f"heights        {drop['phantom_share'] + drop['missing_share']:.1%} off by more than 2 cm",
+        f"sides          {beside}",
         f"step cost      {c['step_cost_vs_plane']:.2f} times a plane's",
         *(f"mended         {note}" for note in c["mended"]),
         *(f"note           {warning}" for warning in files.warnings),

@@ -19,6 +19,7 @@ CONTACT = Registry(
         "boxes": "realsim.exports.contact.boxes:boxes",
         "hybrid": "realsim.exports.contact.hybrid:hybrid",
         "convex": "realsim.exports.contact.convex:convex",
+        "sheets": "realsim.exports.contact.sheets:sheets",
         "hfield": "realsim.exports.contact.hfield:hfield",
         "sdf": "realsim.exports.contact.sdf:sdf",
         "hull": "realsim.exports.contact.hull:hull",

@@ -39,8 +39,15 @@ def _rows(result: Reconstruction) -> list[tuple[str, str]]:
         ("missing surface", f"{c['missing_area_cm2']:.0f} cm²"),
         ("leaks", f"{c['leaks']}"),
     ]
+    if "drop" in c:
+        off = c["drop"]["phantom_share"] + c["drop"]["missing_share"]
+        rows.insert(4, ("heights off by more than 2 cm", f"{off:.1%}"))
+    if c.get("sides", {}).get("stopped") is not None:
+        sides = c["sides"]
+        said = f"{sides['stopped']:.1%} of {sides['rays']}; {sides['through']:.1%} through, {sides['early']:.1%} early"
+        rows.append(("rays from the side that stop where they should", said))
     if "phantom_over_gaps_cm2" in c:
-        rows.insert(5, ("phantom surface over gaps wider than a foot", f"{c['phantom_over_gaps_cm2']:.0f} cm²"))
+        rows.append(("phantom surface over gaps wider than a foot", f"{c['phantom_over_gaps_cm2']:.0f} cm²"))
     follow, kept = (c.get(f"unseen_undersides_{k}_cm2", 0.0) for k in ("at_side_faces", "as_filled"))
     if follow or kept:
         rows.append(("undersides that no camera saw", f"{follow + kept:.0f} cm²"))

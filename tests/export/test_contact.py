@@ -212,14 +212,15 @@ def test_the_least_bad_is_the_one_that_leaks_least() -> None:
 
     def shortfall(leaks: int, p95: float) -> tuple[int, float]:
         figures = {"leaks": leaks, "leak_objects": 150, "median_mm": 1.0, "p95_mm": p95, "phantom_over_gaps_cm2": 0.0}
+        figures |= {"drop": {"phantom_share": 0.0, "missing_share": 0.0}, "sides": {"stopped": None, "rays": 0}}
         return Fidelity(figures, touches=None).shortfall(0.005, 0.015)  # type: ignore[arg-type]
 
     assert shortfall(0, 40) < shortfall(1, 16) < shortfall(120, 1)
     assert shortfall(40, 16) < shortfall(38, 30)
     fitted = fit_contact(terrain("stakes"), 0.0, SceneConfig(contact_tolerance=(1e-9, 1e-9), contact_probes=300))
-    assert "least bad of 3, leaks first" in fitted.warnings[-1]
+    assert "least bad of 4, leaks first" in fitted.warnings[-1]
     assert fitted.summary["leaks"] == 0
-    assert len(fitted.summary["considered"]) == 3
+    assert len(fitted.summary["considered"]) == 4
 
 
 def test_unknown_representation() -> None:

@@ -11,6 +11,7 @@ from realsim.capture.layout import Layout, Recognition
 from realsim.capture.listing import list_files, single_file
 from realsim.capture.recognition import LAST_RESORT
 from realsim.capture.scanfile import READERS, RawScan, read_scan
+from realsim.capture.standpoint import stood_at
 from realsim.errors import CaptureError
 from realsim.types import F64, Bool, Scan
 
@@ -48,6 +49,9 @@ def read(path: Path, config: CaptureConfig) -> Scan:
     ]
     if raw.up is None:
         assumptions.append("the file does not say which way is up")
+    sensor = np.zeros(3) if raw.triangles is None and stood_at(points, np.zeros(3)) else None
+    if sensor is not None:
+        assumptions.append("the scanner stood at the origin: from there no point hides behind another")
     return Scan(
         path,
         LAYOUT.name,
@@ -55,6 +59,7 @@ def read(path: Path, config: CaptureConfig) -> Scan:
         raw.triangles,
         raw.normals,
         raw.colors,
+        sensor_position=sensor,
         up_world=None if raw.up is None else np.array(raw.up),
         assumptions=tuple(assumptions),
         warnings=(*raw.warnings, *warnings, *([unusual] if unusual else [])),

@@ -14,13 +14,13 @@ from realsim.exports.config import SceneConfig
 from realsim.exports.contact.base import ContactModel
 from realsim.exports.contact.convex import TooManyColumnsError
 from realsim.exports.contact.cost import standing_place, step_cost
-from realsim.exports.contact.fidelity import Fidelity, measure
+from realsim.exports.contact.fidelity import OFF, Fidelity, measure
 from realsim.exports.contact.probe import Reference, spec_of
 from realsim.exports.contact.shape import Shape
 from realsim.types import TerrainMesh
 
 # Cheapest first. `convex` takes a minute to build and is better than none of these, `sdf` costs a hundred planes.
-CANDIDATES = ("boxes", "hybrid", "hfield")
+CANDIDATES = ("boxes", "hybrid", "sheets", "hfield")
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def fit_contact(
 
     if config.contact != "auto" and config.contact not in CONTACT:
         raise UnknownNameError("collision representation", config.contact, ["auto", *CONTACT])
-    reference = Reference(mesh.vertices, mesh.triangles)
+    reference = Reference(mesh.vertices, mesh.triangles, mesh.invented)
     shape = Shape(mesh, ground_z)
     names = CANDIDATES if config.contact == "auto" else (config.contact,)
     tried: list[tuple[ContactModel, Fidelity]] = []
@@ -73,14 +73,21 @@ def fit_contact(
         warnings = (*contact.warnings, _unmet(contact, fidelity, config.contact_tolerance, len(names)))
     if place is None:
         start, off = fidelity.touches.start, np.nan_to_num(fidelity.touches.error)
-        heights = reference.top(start[:, :2])
+        heights = reference.top(start[:, :2], start[:, 2])
         place = standing_place(np.column_stack([start[:, :2], heights])[np.isfinite(heights) & (np.abs(off) < 0.01)])
     cost = step_cost(spec_of(contact), place)
     weighed = ("median_mm", "p95_mm", "phantom_over_gaps_cm2", "leaks")
-    considered = refused + [{"representation": c.representation} | {k: f.figures[k] for k in weighed} for c, f in tried]
+    considered = refused + [
+        {"representation": c.representation} | {k: f.figures[k] for k in weighed} | _shares(f) for c, f in tried
+    ]
     summary = {"representation": contact.representation} | dict(fidelity.figures) | cost
     summary |= {"geoms": count_types(contact), "considered": considered} | dict(contact.statistics)
     return Fitted(contact, fidelity, summary, warnings)
+
+
+def _shares(fidelity: Fidelity) -> dict[str, float | None]:
+    sides = fidelity.figures["sides"]
+    return {"heights_off": round(fidelity.off[0], 4), "sides_stopped": sides["stopped"]}
 
 
 def count_types(contact: ContactModel) -> dict[str, int]:
@@ -96,6 +103,16 @@ def _unmet(contact: ContactModel, fidelity: Fidelity, tolerance: tuple[float, fl
     least = f", the least bad of {among}, leaks first" if among > 1 else ""
     return (
         f"collision geometry ({contact.representation}{least}) is off by {f['median_mm']:.1f} mm (median), "
-        f"{f['p95_mm']:.1f} mm (p95), {f['phantom_over_gaps_cm2']:.0f} cm2 phantom over gaps, {f['leaks']} leaks; "
-        f"asked for {tolerance[0] * 1000:g} and {tolerance[1] * 1000:g} mm, none and none"
+        f"{f['p95_mm']:.1f} mm (p95), {f['phantom_over_gaps_cm2']:.0f} cm2 phantom over gaps, {f['leaks']} leaks, "
+        f"{said_of_shares(fidelity)}; asked for {tolerance[0] * 1000:g} and {tolerance[1] * 1000:g} mm, none and none, "
+        f"{OFF:.0%} and {OFF:.0%}"
     )
+
+
+def said_of_shares(fidelity: Fidelity) -> str:
+    """What of the heights and of the rays from the side is off, in words."""
+    heights, sides = fidelity.off
+    rays = fidelity.figures["sides"]
+    beside = "too few side faces to measure" if rays["stopped"] is None else f"{sides:.1%} of rays from the side"
+    through = f" ({rays['through']:.1%} through)" if rays["stopped"] is not None else ""
+    return f"{heights:.1%} of heights by more than 2 cm, {beside}{through}"

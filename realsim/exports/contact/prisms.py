@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from realsim.exports.contact.base import Asset, ContactModel, Geom
-from realsim.geometry import R_to_quat
+from realsim.geometry import R_to_quat, quat_to_R
 
 F64 = NDArray[np.float64]
 
@@ -34,14 +34,24 @@ class Prism:
 
 def as_contact(name: str, prisms: list[Prism], floor: tuple[Geom, ...], statistics: Mapping[str, Any]) -> ContactModel:
     """Geoms of prisms: a box where that is within 5 mm of it, else a convex mesh of its corners."""
-    geoms, assets = list(floor), []
-    for k, prism in enumerate(prisms):
-        box = _as_box(f"part_{k}", prism)
-        if box is None:
-            assets.append(Asset.of_points(f"part_{k}", prism.corners))
-            box = Geom(f"part_{k}", "mesh", asset=f"part_{k}")
-        geoms.append(box)
-    return ContactModel(name, tuple(geoms), tuple(assets), dict(statistics) | {"parts": len(prisms)})
+    made = [as_geom(f"part_{k}", prism) for k, prism in enumerate(prisms)]
+    geoms, assets = (*floor, *(geom for geom, _ in made)), tuple(asset for _, asset in made if asset is not None)
+    return ContactModel(name, geoms, assets, dict(statistics) | {"parts": len(prisms)})
+
+
+def as_geom(name: str, prism: Prism, R: F64 | None = None, origin: F64 | None = None) -> tuple[Geom, Asset | None]:
+    """The box of a prism, or the convex mesh of its corners with its asset.
+
+    Args:
+        R, origin: (3, 3) and (3,) where the prism is given in a frame of its own: rotation and place of that frame.
+    """
+    R, origin = np.eye(3) if R is None else R, np.zeros(3) if origin is None else origin
+    box = _as_box(name, prism)
+    if box is None:
+        return Geom(name, "mesh", asset=name), Asset.of_points(name, prism.corners @ R.T + origin)
+    x, y, z = (float(v) for v in R @ box.pos + origin)
+    a, b, c, d = (float(v) for v in R_to_quat(R @ quat_to_R(box.quat)))
+    return replace(box, pos=(x, y, z), quat=(a, b, c, d)), None
 
 
 def _as_box(name: str, prism: Prism, tolerance: float = 0.005) -> Geom | None:

@@ -19,6 +19,7 @@ from realsim.exports.mjcf import contact_elements
 F64 = NDArray[np.float64]
 MARGIN = 0.03  # metres within which MuJoCo is asked to report distances
 BALL_RADIUS = 0.01
+CEILING = 1.8  # metres above the ground: what faces down up there is not stepped on
 
 
 @dataclass(frozen=True)
@@ -126,14 +127,32 @@ def terrain_only(spec: Any) -> Any:
     return spec
 
 
+def triangles_of(spec: Any) -> tuple[F64, NDArray[np.int32]]:
+    """(V, 3) and (K, 3) of what the world's geoms collide as: hulls of meshes, and a floor of 100 m.
+
+    Raises:
+        ExportError: a geom is neither plane, box, height field nor mesh.
+    """
+    import mujoco
+
+    from realsim.exports.formats.scene import collision_triangles
+
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return collision_triangles(model, data)
+
+
 class Reference:
     """The exact surface: distances, and what lies above a point."""
 
-    def __init__(self, vertices: F64, triangles: NDArray[np.int32]) -> None:
+    def __init__(self, vertices: F64, triangles: NDArray[np.int32], invented: NDArray[np.bool_] | None = None) -> None:
         import open3d
 
         self._o3d: Any = open3d
         self.vertices, self.triangles = vertices, triangles
+        self.invented = np.zeros(len(triangles), bool) if invented is None else invented
+        """(K,) triangles that were not measured."""
         self.centre = (vertices.min(0) + vertices.max(0)) / 2  # Open3D computes in float32: stay near its origin
         corners = vertices[triangles]
         self.up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0
@@ -142,6 +161,38 @@ class Reference:
             self._o3d.core.Tensor((vertices - self.centre).astype(np.float32)),
             self._o3d.core.Tensor(np.ascontiguousarray(triangles, np.uint32)),
         )
+
+    def seen_only(self) -> Reference:
+        """The measured part of it."""
+        if not self.invented.any():
+            return self
+        return Reference(self.vertices, np.ascontiguousarray(self.triangles[~self.invented]))
+
+    def cast(self, origins: F64, ways: F64) -> tuple[F64, F64, F64]:
+        """First hits of rays (N, 3), (N, 3) unit: ((N,) metres, inf for none; (N,) cosine of the way and the normal of
+        what was hit, negative at its front; (N, 3) that normal)."""
+        rays = np.concatenate([origins - self.centre, ways], 1).astype(np.float32)
+        hit = self._scene.cast_rays(self._o3d.core.Tensor(rays))
+        t = hit["t_hit"].numpy().astype(np.float64)
+        corners = self.vertices[self.triangles[np.where(np.isfinite(t), hit["primitive_ids"].numpy(), 0).astype(int)]]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-15)
+        return t, (normal * ways).sum(1), normal
+
+    def start_above(self, xy: F64, ground_z: float) -> F64:
+        """(M,) z from which a thing falls onto the terrain at x y (M, 2): inf where all is open above, else just below
+        the lowest face over CEILING above the ground that faces down with a face that faces up under it."""
+        start = np.full(len(xy), np.inf)
+        left = np.arange(len(xy))
+        down = np.array([0.0, 0.0, -1.0])
+        while len(left):
+            top = np.minimum(start[left], float(self.vertices[:, 2].max()) + 1.0)
+            t, cosine, _ = self.cast(np.column_stack([xy[left], top]), np.broadcast_to(down, (len(left), 3)))
+            z = top - t
+            ceiling = np.isfinite(t) & (cosine > 0) & (z > ground_z + CEILING)
+            left = left[ceiling]
+            start[left] = z[ceiling] - 1e-4
+        return start
 
     def distance(self, points: F64) -> F64:
         """(...) unsigned distance of points (..., 3) from the surface."""
@@ -155,10 +206,11 @@ class Reference:
         away = points - near
         return away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
 
-    def top(self, xy: F64) -> F64:
-        """(M,) z of the highest surface at x y (M, 2); NaN where there is none."""
-        above = float(self.vertices[:, 2].max()) + 1.0
-        start = np.column_stack([xy, np.full(len(xy), above)]) - self.centre
+    def top(self, xy: F64, below: F64 | None = None) -> F64:
+        """(M,) z of the highest surface at x y (M, 2), of those `below` z (M,); NaN where there is none."""
+        above = np.full(len(xy), float(self.vertices[:, 2].max()) + 1.0)
+        above = above if below is None else np.minimum(below, above)
+        start = np.column_stack([xy, above]) - self.centre
         rays = np.concatenate([start, np.broadcast_to([0, 0, -1.0], start.shape)], 1).astype(np.float32)
         t = self._scene.cast_rays(self._o3d.core.Tensor(rays))["t_hit"].numpy().astype(np.float64)
         return np.where(np.isfinite(t), above - t, np.nan)

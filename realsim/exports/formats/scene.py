@@ -145,6 +145,25 @@ def _collision(model: Any, data: Any) -> tuple[tuple[Box, ...], tuple[Convex, ..
     return tuple(boxes), tuple(convex), tuple(surfaces), floor
 
 
+def collision_triangles(model: Any, data: Any) -> tuple[F64, NDArray[np.int32]]:
+    """(V, 3) and (K, 3) of all that the world collides as; an infinite floor is 100 m wide.
+
+    Raises:
+        ExportError: a geom of a kind that has no triangles.
+    """
+    boxes, convex, surfaces, floor = _collision(model, data)
+    if floor is not None:
+        boxes = (Box("floor", np.array([0.0, 0.0, floor - 1.0]), np.eye(3), np.array([50.0, 50.0, 1.0])), *boxes)
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, -1).T
+    cube = _hull("", signs.astype(float))
+    order = [int(np.flatnonzero((signs == v).all(1))[0]) for v in cube.vertices]
+    parts = [((signs[order] * b.half) @ b.rotation.T + b.position, cube.triangles) for b in boxes]
+    parts += [(part.vertices, part.triangles) for part in (*convex, *surfaces)]
+    counts = np.cumsum([0, *(len(v) for v, _ in parts)])
+    triangles = [faces + start for (_, faces), start in zip(parts, counts, strict=False)]
+    return np.concatenate([v for v, _ in parts]), np.concatenate(triangles).astype(np.int32)
+
+
 def _hull(name: str, points: F64) -> Convex:
     from scipy.spatial import ConvexHull
 

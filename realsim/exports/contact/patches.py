@@ -1,0 +1,158 @@
+"""A surface in patches that are planar: evenly spread points, grown together where one plane fits them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+NEIGHBOURS = 12
+ALIKE = 0.8  # least cosine between a point's normal and its patch's
+LEAST = 5  # points: fewer are no patch
+FITS = 3  # times a plane is fitted to what it took
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Points on a surface, at most one a cell of a grid and facing."""
+
+    points: F64
+    """(M, 3) metres."""
+    normals: F64
+    """(M, 3) unit, out of the surface."""
+    area: F64
+    """(M,) m^2 that each stands for."""
+    spacing: float
+    """Metres."""
+
+    def where(self, keep: NDArray[np.bool_]) -> Samples:
+        """Those points only."""
+        return Samples(self.points[keep], self.normals[keep], self.area[keep], self.spacing)
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Points on one plane, seen from its front."""
+
+    index: I64
+    """(P,) which of the samples."""
+    origin: F64
+    """(3,) a point of the plane."""
+    axes: F64
+    """(3, 3) rows u, v and the normal toward the front; u x v is the normal."""
+
+
+def sampled(vertices: F64, triangles: NDArray[np.int32], spacing: float, seed: int = 0) -> Samples:
+    """Points about `spacing` metres apart on all of a surface."""
+    corners = vertices[triangles]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    twice = np.linalg.norm(cross, axis=1)
+    total = float(twice.sum()) / 2
+    count = max(int(4 * total / spacing**2), 100)
+    rng = np.random.default_rng(seed)
+    steps = (np.arange(count) + rng.random(count)) / count * twice.sum()
+    chosen = np.minimum(np.searchsorted(np.cumsum(twice), steps), len(twice) - 1)
+    a, b = rng.random((2, count))
+    a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
+    c = corners[chosen]
+    points = c[:, 0] + a[:, None] * (c[:, 1] - c[:, 0]) + b[:, None] * (c[:, 2] - c[:, 0])
+    normals = cross[chosen] / np.maximum(twice[chosen, None], 1e-15)
+    cell = np.floor((points - points.min(0)) / spacing).astype(np.int64)
+    axis = np.abs(normals).argmax(1)
+    facing = 2 * axis + (normals[np.arange(count), axis] > 0)
+    size = cell.max(0) + 1
+    key = ((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]) * 6 + facing
+    _, first, many = np.unique(key, return_index=True, return_counts=True)
+    return Samples(points[first], normals[first], np.asarray(many * (total / count), np.float64), spacing)
+
+
+def patches(samples: Samples, tolerance: float) -> list[Patch]:
+    """Grow planes over the samples, the smoothest places first, until every point was tried.
+
+    Args:
+        tolerance: metres that a point may lie off its patch's plane.
+    """
+    from scipy.spatial import cKDTree
+
+    P, N = samples.points, samples.normals
+    if len(P) < LEAST:
+        return []
+    tree = cKDTree(P)
+    reach = 2.5 * samples.spacing
+    links = tree.sparse_distance_matrix(tree, reach, output_type="coo_matrix").tocsr()
+    free = np.ones(len(P), bool)
+    found = []
+    for seed in np.argsort(_roughness(P, N, tree), kind="stable"):
+        if not free[seed]:
+            continue
+        taken, plane = _grown(P, N, free, tree, links, int(seed), reach, tolerance)
+        free[seed] = False
+        if len(taken) < LEAST:
+            continue
+        free[taken] = False
+        found.append(Patch(taken, plane[0], _axes(plane[1], P[taken] - plane[0])))
+    return found
+
+
+def _roughness(P: F64, N: F64, tree: object) -> F64:
+    """(M,) how far from alike the normals around each point are."""
+    _, near = tree.query(P, k=min(NEIGHBOURS, len(P)))  # type: ignore[attr-defined]
+    return 1 - np.einsum("mki,mi->mk", N[near], N).mean(1)
+
+
+def _grown(
+    P: F64, N: F64, free: NDArray[np.bool_], tree: object, links: object, seed: int, reach: float, tolerance: float
+) -> tuple[I64, tuple[F64, F64]]:
+    """(indices, (point, normal)) of the connected free points about a seed that lie on its plane.
+
+    The ball about the seed is doubled until nothing of the patch reaches its rim.
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    radius = 3 * reach
+    plane = (P[seed], N[seed])
+    near = np.array(tree.query_ball_point(P[seed], reach), dtype=np.int64)  # type: ignore[attr-defined]
+    plane = _fitted(P, N, near[free[near] & (N[near] @ N[seed] > ALIKE)], plane)
+    while True:
+        near = np.array(sorted(tree.query_ball_point(P[seed], radius)), dtype=np.int64)  # type: ignore[attr-defined]
+        near = near[free[near]]
+        taken = near[:0]
+        for _ in range(FITS):
+            point, normal = plane
+            on = near[(np.abs((P[near] - point) @ normal) < tolerance) & (N[near] @ normal > ALIKE)]
+            if seed not in on:
+                return taken, plane
+            _, part = connected_components(links[on][:, on], directed=False)  # type: ignore[index]
+            taken = on[part == part[np.searchsorted(on, seed)]]
+            plane = _fitted(P, N, taken, plane)
+        if np.linalg.norm(P[taken] - P[seed], axis=1).max() < radius - reach:
+            return taken, plane
+        radius *= 2
+
+
+def _fitted(P: F64, N: F64, index: I64, before: tuple[F64, F64]) -> tuple[F64, F64]:
+    """(point, normal) of the plane through points; through few, with the normal that they have."""
+    if len(index) < LEAST:
+        return before
+    middle = P[index].mean(0)
+    mean = N[index].mean(0)
+    mean /= np.linalg.norm(mean)
+    _, spread, rows = np.linalg.svd(P[index] - middle, full_matrices=False)
+    # A thread of points has no plane of its own.
+    normal = rows[2] if spread[1] > 0.3 * spread[0] or len(index) > 50 else mean
+    normal = normal if normal @ mean > 0 else -normal
+    return (middle, normal) if normal @ mean > ALIKE else (middle, mean)
+
+
+def _axes(normal: F64, offsets: F64) -> F64:
+    """Rows u, v, normal; u along the longest extent in the plane, level where the patch is upright."""
+    flat = offsets - np.outer(offsets @ normal, normal)
+    u = np.cross([0.0, 0.0, 1.0], normal)
+    if np.linalg.norm(u) < 0.3:
+        u = np.linalg.svd(flat, full_matrices=False)[2][0]
+        u -= (u @ normal) * normal
+    u /= np.linalg.norm(u)
+    return np.stack([u, np.cross(normal, u), normal])

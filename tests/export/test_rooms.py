@@ -1,0 +1,92 @@
+"""Rooms: walls with one side, and what has air below it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.rooms import ROOMS
+from benchmarks.solids import terrain
+from realsim.exports.contact.boxes import boxes
+from realsim.exports.contact.choose import fit_contact
+from realsim.exports.contact.fidelity import OFF, measure
+from realsim.exports.contact.patches import patches, sampled
+from realsim.exports.contact.probe import BALL, Reference, SimTouch, spec_of
+from realsim.exports.contact.shape import Shape
+from realsim.exports.contact.sheets import sheets
+from realsim.types import TerrainMesh
+from tests.export.measured import CONFIG, FACING_UP
+
+
+def measured(make, name: str):
+    mesh = ROOMS[name]()
+    spec = spec_of(make(Shape(mesh, 0.0), CONFIG))
+    return spec, measure(spec, Reference(mesh.vertices, mesh.triangles), 0.0, probes=1000, feet=0)
+
+
+def test_columns_know_no_wall_that_was_seen_from_one_side() -> None:
+    """Why corridors had no walls: a vertical ray does not meet a vertical sheet. The measure says so."""
+    _, found = measured(boxes, "corridor")
+    assert found.figures["p95_mm"] < 1
+    assert found.figures["sides"]["through"] > 0.97
+    assert found.figures["sides"]["balls_through"] > 0.97
+    assert not found.meets(*CONFIG.contact_tolerance)
+
+
+@pytest.mark.parametrize("name", ["corridor", "room", "table", "chair"])
+def test_sheets_stop_what_comes_from_the_side_and_from_above(name: str) -> None:
+    _, found = measured(sheets, name)
+    assert found.sound
+    assert found.figures["sides"]["balls_through"] <= OFF
+    assert found.figures["leaks"] <= 0.02 * found.figures["leak_objects"]
+
+
+@pytest.mark.parametrize(("name", "place"), [("table", [0.0, 0.0, 0.4]), ("chair", [0.0, 0.0, 0.2])])
+def test_the_space_below_stays_free(name: str, place: list[float]) -> None:
+    free = []
+    for make in (boxes, sheets):
+        touch = SimTouch(spec_of(make(Shape(ROOMS[name](), 0.0), CONFIG)), BALL, batch=1)
+        free.append(touch.clearance(np.array([place]), FACING_UP[None])[0] > 0)
+    assert free == [False, True]
+
+
+def test_the_choice_looks_at_the_sides() -> None:
+    fitted = fit_contact(ROOMS["corridor"](), 0.0, CONFIG)
+    assert fitted.contact.representation == "sheets"
+    assert fitted.summary["sides"]["stopped"] > 0.97
+    by_name = {c["representation"]: c for c in fitted.summary["considered"]}
+    assert by_name["boxes"]["sides_stopped"] < 0.03
+
+
+def test_solids_that_were_seen_stay_solids() -> None:
+    mesh = terrain("stakes")
+    found = sheets(Shape(mesh, 0.0), CONFIG)
+    assert found.statistics["solids_left_out"] == 0
+    assert found.statistics["sheets"] == 0
+
+
+def test_what_was_not_measured_is_not_asked_for_from_the_side() -> None:
+    """Rays count against seen faces alone: a wall that was invented stops nothing that should be stopped."""
+    mesh = ROOMS["corridor"]()
+    steep = np.abs(np.cross(*np.swapaxes(np.diff(mesh.vertices[mesh.triangles], axis=1), 0, 1))[:, 2]) < 1e-9
+    mesh = TerrainMesh(mesh.vertices, mesh.triangles, None, steep, mesh.quality, "", 0.0)
+    spec = spec_of(boxes(Shape(mesh, 0.0), CONFIG))
+    reference = Reference(mesh.vertices, mesh.triangles, mesh.invented)
+    sides = measure(spec, reference, 0.0, probes=400, feet=0).figures["sides"]
+    assert sides["rays"] == 0
+    assert sides["stopped"] is None
+
+
+def test_patches_of_a_box_are_its_faces() -> None:
+    import trimesh
+
+    box = trimesh.creation.box([0.4, 0.3, 0.2])
+    samples = sampled(np.asarray(box.vertices), np.asarray(box.faces, np.int32), 0.01)
+    found = patches(samples, 0.005)
+    assert len(found) == 6
+    assert sum(len(p.index) for p in found) == len(samples.points)
+    for patch in found:
+        np.testing.assert_allclose(patch.axes @ patch.axes.T, np.eye(3), atol=1e-9)
+        assert np.linalg.det(patch.axes) > 0
+        assert np.abs((samples.points[patch.index] - patch.origin) @ patch.axes[2]).max() < 0.005
+        assert (samples.normals[patch.index] @ patch.axes[2] > 0.8).all()
