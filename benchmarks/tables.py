@@ -19,7 +19,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks import gap_score, reconstruct
+from benchmarks import base_policy, gap_score, reconstruct
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -143,7 +143,6 @@ def readme() -> list[str]:
     latest = [row for row in stored("diagnosis")["rows"] if row["seed"] == 101]
     every = counts(stored("diagnosis")["rows"])
     fresh = counts(latest)
-    boxes = stored("training_gpu")["finetune"]["boxes"]
     contact = next(line for line in stored("contact")["summary"] if line.startswith("| `auto` | 13 exact")).split("|")
     seconds = [r["seconds"] for rows in scenes.values() for r in rows]
     rows = [
@@ -184,13 +183,23 @@ def readme() -> list[str]:
             f"seed 101; on all cases {of(every['false alarms'])}",
         ),
         (
-            "Fine-tuning: success on an unseen terrain, before / after",
-            " / ".join(f"{100 * boxes[k]['successes'] / boxes[k]['trials']:.0f} %" for k in ("before", "after")),
-            f"G1 on `boxes` in simulation, {boxes['iterations']} iterations, {boxes['seconds'] / 60:.1f} minutes "
-            "on one H200; on stakes 0 % before and after",
+            "Policy: G1 crosses unseen courses of difficulty 0.5 / 0.8, mean and worst of six families",
+            " / ".join(_families(difficulty) for difficulty in ("0.5", "0.8")),
+            "the base that ships, not fine-tuned, in simulation; 23 minutes of training on one H200",
         ),
     ]
     return ["| | figure | measured on |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]
+
+
+def _families(difficulty: str) -> str:
+    groups = base_policy.grouped(stored("base_policy")["rows"])
+    shares = [100 * won / of for name, (won, of) in groups.items() if name.endswith(f":{difficulty}")]
+    return f"{sum(shares) / len(shares):.0f} and {min(shares):.0f} %"
+
+
+def base() -> list[str]:
+    """The base policy on every family, difficulty and test."""
+    return base_policy.table(stored("base_policy")["rows"])
 
 
 def _span(values: list[float], form: str) -> str:
@@ -228,7 +237,12 @@ INDEX = (
     ("Speed of training", "trainer_speed", "python benchmarks/trainer_speed.py"),
     ("Learning on one CPU core", "trainer_cpu", "python benchmarks/trainer_cpu.py"),
     ("First learning rate of fine-tuning", "trainer_tune", "python benchmarks/trainer_tune.py"),
-    ("Pretraining and fine-tuning on one GPU", "training_gpu", "realsim pretrain, realsim finetune (in the file)"),
+    ("The base policy without fine-tuning", "base_policy", "python benchmarks/base_policy.py"),
+    (
+        "Pretraining and fine-tuning on one GPU, an earlier recipe",
+        "training_gpu",
+        "realsim pretrain, realsim finetune (in the file)",
+    ),
 )
 
 
@@ -276,6 +290,7 @@ ADDED = {
     "trainer_cpu": ("2026-11-21", "9a16e8c"),
     "trainer_tune": ("2026-11-21", "4995f3d"),
     "training_gpu": ("2026-11-23", "7434329"),
+    "base_policy": ("2026-11-24", "638c735"),
 }
 """Of files that do not say it themselves: the day on which their figures were added, and the commit that added them."""
 
@@ -286,6 +301,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "diagnosis by set": diagnosis_by_set,
     "diagnosis by robot": diagnosis_by_robot,
     "diagnosis by seed": diagnosis_intervals,
+    "base policy": base,
     "index": index,
 }
 MARKED = re.compile(r"(<!-- figures: ([a-z ]+) -->\n).*?(<!-- end -->)", re.DOTALL)

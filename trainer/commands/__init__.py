@@ -12,9 +12,10 @@ SUMMARIES = {
 
 EXAMPLES = {
     "pretrain": "realsim pretrain --robot g1 --out base",
-    "finetune": "realsim finetune scene --policy base/policy.pt --out tuned",
+    "finetune": "realsim finetune scene --out tuned",
     "evaluate": "realsim evaluate scene --policy tuned/policy.pt",
     "play": "realsim play scene --policy tuned/policy.pt --out trial.mp4",
     "deploy": "realsim deploy tuned/policy.onnx --scene scene",
+    "training": "realsim training report base_a base_b --out report.html",
 }
 """Shown at the end of each command's help."""

@@ -14,6 +14,7 @@ from realsim.progress import note
 from trainer.commands import common
 from trainer.commands.task_file import load_task
 from trainer.evaluate import Evaluation, EvaluationConfig, evaluate
+from trainer.policies import base_of
 from trainer.ppo.distributed import pick_device
 from trainer.trainers import Scene, TrainConfig, find
 
@@ -36,19 +37,23 @@ def finetune(
     Args:
         scenes: folders of `realsim reconstruct`; or names of terrains: a test (boxes, stake1, ...), flat, or
             FAMILY:DIFFICULTY:SEED.
-        policy: the base policy (.pt) of `realsim pretrain` or of an earlier fine-tuning.
+        policy: the base policy (.pt) of `realsim pretrain` or of an earlier fine-tuning; if not given, the one
+            that ships with realsim for the robot (g1).
         from_scratch: train without a base.
         out: folder for the results.
         trainer: ppo, rsl_rl, mjlab, or one that an installed package adds.
         task_file: JSON with what differs from the paper's task.
         final_trials: trials on each terrain before and after; 0 leaves both out.
     """
-    if (policy is None) != from_scratch and config.resume is None:
+    if policy is not None and from_scratch:
         raise common.TrainerError(
             "fine-tuning starts from a policy, or from scratch",
             expected="--policy base.pt, or --from-scratch",
-            found="both" if policy else "neither",
+            found="both",
         )
+    if policy is None and not from_scratch and config.resume is None:
+        policy = base_of(config.robot or "g1")
+        note(f"from the base that ships with realsim: {policy.name}")
     scene = common.find_scene(scenes)
     config = replace(config, task=load_task(task_file))
     train = find(trainer)

@@ -1,0 +1,125 @@
+"""How far a base policy comes without fine-tuning: generated courses of six families, and the thirteen tests.
+
+    python benchmarks/base_policy.py                        the policy that ships, 40 trials a course
+    python benchmarks/base_policy.py --policy base/policy.pt --trials 200
+
+All courses run in one batch of worlds, which takes as long as one of them. Courses have seeds from 900 on: the
+curriculum's grid uses others. Randomisation is that of --task-file, without pushes. Prints a table and stores the
+counts of every course.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import torch
+import tyro
+
+from benchmarks.store import described_run
+from realsim.files import to_json, write_text
+from trainer import terrain as terrains
+from trainer.commands.common import load_policy
+from trainer.commands.task_file import load_task
+from trainer.evaluate import EvaluationConfig, run, trial_config, wilson
+from trainer.physics import PhysicsConfig
+from trainer.policies import base_of
+from trainer.ppo.distributed import pick_device
+from trainer.tasks.parkour import make
+from trainer.tasks.parkour.terminations import OUTCOMES
+
+ROOT = Path(__file__).resolve().parents[1]
+FAMILIES = (*terrains.CURRICULUM, "mixed")
+DIFFICULTIES = (0.5, 0.8)
+FIRST_SEED = 900
+
+
+@dataclass(frozen=True)
+class Options:
+    policy: Path | None = None
+    """The checkpoint; the one that ships if not given."""
+    trials: int = 40
+    """On each course."""
+    courses: int = 5
+    """Of each family and difficulty."""
+    seed: int = 7
+    """Of the trials."""
+    task_file: Path = ROOT / "training" / "g1" / "task.json"
+    """The task as it was trained."""
+    device: str = "auto"
+    """torch device."""
+    out: Path = ROOT / "benchmarks" / "results" / "base_policy.json"
+    """Where the counts go."""
+
+
+def main(options: Options) -> None:
+    """Run all trials, store them, print them."""
+    device = pick_device(options.device)
+    file = options.policy or base_of("g1")
+    policy = load_policy(file).to(device)
+    lands = {
+        f"{family}:{difficulty:g}:{FIRST_SEED + k}": terrains.generate(family, difficulty, FIRST_SEED + k)
+        for family in FAMILIES
+        for difficulty in DIFFICULTIES
+        for k in range(options.courses)
+    }
+    lands |= {name: terrains.named(name) for name in terrains.TESTS}
+    count = options.trials * len(lands)
+    config = EvaluationConfig(trials=count, worlds=count, seed=options.seed)
+    env = make(
+        trial_config(load_task(options.task_file), config),
+        list(lands.values()),
+        robot=policy.robot,
+        worlds=count,
+        engine="warp" if device.type == "cuda" else "mujoco",
+        physics=PhysicsConfig(device=str(device)),
+        seed=options.seed,
+    )
+    outcome = run(policy.act, env, count).outcome.tolist()
+    names = list(lands)  # world k is on course k modulo their number
+    commit = described_run()["commit"]
+    rows = [
+        {
+            "course": name,
+            "trials": options.trials,
+            **Counter(OUTCOMES[o] for o in outcome[i :: len(names)]),
+            "commit": commit,
+        }
+        for i, name in enumerate(names)
+    ]
+    data = {"machine": torch_name(device), "seed": options.seed, "policy": file.name, "rows": rows}
+    write_text(options.out, to_json(data))
+    print("\n".join(table(rows)))
+
+
+def torch_name(device: torch.device) -> str:
+    """What the trials ran on."""
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else "CPU"
+
+
+def grouped(rows: list[dict[str, Any]]) -> dict[str, tuple[int, int]]:
+    """(successes, trials) by family and difficulty, or by test."""
+    sums: dict[str, tuple[int, int]] = {}
+    for row in rows:
+        name = ":".join(row["course"].split(":")[:2])
+        won, count = sums.get(name, (0, 0))
+        sums[name] = won + row.get("success", 0), count + row["trials"]
+    return sums
+
+
+def table(rows: list[dict[str, Any]]) -> list[str]:
+    """A line for each family and difficulty, and for each test, with Wilson's interval."""
+    lines = ["| courses | success | 95 % interval | trials |", "|---|---|---|---|"]
+    for name, (won, count) in grouped(rows).items():
+        low, high = wilson(won, count)
+        lines.append(f"| {name} | {100 * won / count:.1f} % | {100 * low:.0f} to {100 * high:.0f} % | {count} |")
+    return lines
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))

@@ -1,0 +1,48 @@
+"""The policies that ship load, fit the task as it is today, and are what their exported form computes."""
+
+# ruff: noqa: E402 - what needs torch is imported after it is known to be there
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
+pytest.importorskip("onnxruntime", reason="running an exported policy needs onnxruntime")
+
+from trainer.policies import BASES, FOLDER, base_of
+from trainer.ppo import checkpoint, export
+from trainer.ppo.policy import check_layout
+from trainer.robots import ROBOTS
+from trainer.tasks import Observation
+from trainer.tasks.parkour import ParkourConfig
+from trainer.tasks.parkour.observations import layout
+
+MOST_BYTES = 8 * 2**20
+
+
+@pytest.mark.parametrize("robot", BASES)
+def test_a_base_fits_the_task_as_it_is_and_has_no_training_in_it(robot: str) -> None:
+    policy, training = checkpoint.load(base_of(robot))
+    assert policy.robot == robot
+    assert training is None
+    task = ParkourConfig()
+    width, height = ROBOTS[robot]().camera.crop
+    check_layout(
+        policy.layout, layout(ROBOTS[robot](), task.observation, (task.depth.frames, height, width), task.depth.stride)
+    )
+    files = [f for f in FOLDER.iterdir() if f.suffix in (".pt", ".onnx")]
+    assert sum(f.stat().st_size for f in files) < MOST_BYTES
+
+
+@pytest.mark.parametrize("robot", BASES)
+def test_the_exported_policy_is_the_checkpoint(robot: str) -> None:
+    policy, _ = checkpoint.load(base_of(robot))
+    file = base_of(robot).with_suffix(".onnx")
+    session, facts = export.load(file)
+    assert facts.robot == robot
+    rng = np.random.default_rng(0)
+    vector = rng.normal(size=(1, policy.layout.actor_width)).astype(np.float32)
+    depth = rng.uniform(size=(1, *policy.layout.depth)).astype(np.float32)
+    names = [i.name for i in session.get_inputs()]
+    given = dict(zip(names, (vector, depth), strict=True))
+    (action, *_) = session.run(None, given)
+    expected = policy.act(Observation(torch.from_numpy(vector), torch.zeros(1, 1), torch.from_numpy(depth))).numpy()
+    np.testing.assert_allclose(action, expected, atol=1e-4)
