@@ -350,7 +350,8 @@ def _reconstruct(source: Path, out: Path, poses: str, max_frames: int | None = N
 
     config = ReconstructConfig(overwrite=True, no_cache=True)
     config = replace(config, points=replace(config.points, poses=poses))
-    reading = replace(config.capture, every=every)
+    # Poses that are estimated beside given ones still lend their metre: hidden means that nobody reads them.
+    reading = replace(config.capture, every=every, ignore_poses=poses == "estimate")
     if max_frames is not None:
         reading = replace(reading, max_frames=max_frames)
     result = reconstruct(source, out, replace(config, capture=reading))
