@@ -86,7 +86,7 @@ def take_out(name: str) -> None:
     """Replace a function of the engine by one that yields nothing, in every module and table that holds it."""
     module, _, function = name.partition(":")
     wanted = getattr(importlib.import_module(module), function)
-    importlib.import_module("realsim.gap.diagnose")
+    importlib.import_module("realsim.gap.pipeline")
     for holder in [m for n, m in sys.modules.items() if n.startswith("realsim.gap")]:
         for attribute, value in list(vars(holder).items()):
             if value is wanted:

@@ -237,6 +237,8 @@ INDEX = (
     ("Speed of training", "trainer_speed", "python benchmarks/trainer_speed.py"),
     ("Learning on one CPU core", "trainer_cpu", "python benchmarks/trainer_cpu.py"),
     ("First learning rate of fine-tuning", "trainer_tune", "python benchmarks/trainer_tune.py"),
+    ("Places that repeat, and an unregistered Kinect", "captures", "python benchmarks/captures.py"),
+    ("Mistakes between a policy and its robot", "gap_contract", "python benchmarks/gap_contract.py --seed 2000"),
     ("The base policy without fine-tuning", "base_policy", "python benchmarks/base_policy.py"),
     (
         "Pretraining and fine-tuning on one GPU, an earlier recipe",
@@ -291,6 +293,8 @@ ADDED = {
     "trainer_tune": ("2026-11-21", "4995f3d"),
     "training_gpu": ("2026-11-23", "7434329"),
     "base_policy": ("2026-11-24", "638c735"),
+    "captures": ("2026-11-24", "c8828f3"),
+    "gap_contract": ("2026-11-24", "ee76cd6"),
 }
 """Of files that do not say it themselves: the day on which their figures were added, and the commit that added them."""
 

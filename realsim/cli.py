@@ -62,6 +62,7 @@ EXAMPLES = {
     "contact": "realsim contact stairs.stl --unit mm --out stairs",
     "export": "realsim export scene --to usd,urdf",
     "model": "realsim model inspect model.onnx",
+    "log": "realsim log walk.mcap --model robot.xml --out case",
     "diagnose": "realsim diagnose my_case --out diagnosis",
     "synth": "realsim synth --terrain boxes --out synthetic",
     "demo": "realsim demo --out demo_out",

@@ -26,7 +26,7 @@ def diagnose(
     check: bool = False,
     init: Path | None = None,
     explain: str | None = None,
-    model: Path | None = None,
+    model: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     policy: Path | None = None,
     deploy_yaml: Path | None = None,
     jobs: int = 1,

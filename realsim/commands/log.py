@@ -15,11 +15,11 @@ from realsim.logs.recording import Window
 
 def log(
     recording: Annotated[Path, tyro.conf.Positional],
-    model: Path | None = None,
+    model: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     out: Path | None = None,
     use: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ROLE=STREAM:FIELD")] = (),
     only: str = "",
-    start: float = 0.0,
+    skip: float = 0.0,
     seconds: float = float("inf"),
     overwrite: bool = False,
 ) -> CommandResult:
@@ -31,14 +31,14 @@ def log(
         out: where the case for `realsim diagnose` goes; without it nothing is written.
         use: what you know better: ROLE=STREAM:FIELD, or ROLE=none; ROLE is command, joint_pos, joint_vel, ...
         only: topics that begin so, where a recording holds several robots.
-        start: seconds after the first message from which the recording is read.
+        skip: seconds after the first message from which the recording is read.
         seconds: how many seconds of it are read.
         overwrite: replace a case that realsim wrote before.
     """
     if out is not None and model is None:
         raise GapError("a case needs a model", expected="realsim log RECORDING --model robot.xml --out case")
     target = logs.load_target(model) if model is not None else None
-    proposal = logs.propose(logs.read(recording, Window(start, seconds)), target, use=use, only=only)
+    proposal = logs.propose(logs.read(recording, Window(skip, seconds)), target, use=use, only=only)
     text, data = proposal.render(), proposal.as_dict()
     if out is not None and target is not None:
         said = logs.write_case(proposal, target, out, overwrite=overwrite)

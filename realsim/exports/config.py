@@ -10,7 +10,7 @@ import tyro
 
 @dataclass(frozen=True)
 class SceneConfig:
-    contact: Annotated[str, tyro.conf.arg(metavar="{auto,boxes,hybrid,convex,hfield,sdf,hull}")] = "auto"
+    contact: Annotated[str, tyro.conf.arg(metavar="{auto,boxes,hybrid,sheets,convex,hfield,sdf,hull}")] = "auto"
     """Collision representation; `auto` takes the cheapest that meets --contact-tolerance."""
     contact_tolerance: tuple[float, float] = (0.005, 0.015)
     """Metres that contact may be off the mesh: median and 95th percentile."""

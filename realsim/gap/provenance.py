@@ -11,7 +11,7 @@ from typing import Any
 from realsim import __version__
 from realsim.gap.config import DiagnoseConfig
 
-NO_ANSWER = ("report", "explain.py")
+NO_ANSWER = ("report", "explanation.py", "selection")
 """Below realsim/gap: what shows an answer and cannot change it."""
 NO_SETTING = ("threads", "report")
 """Settings that cannot change an answer."""
@@ -34,5 +34,10 @@ def provenance(config: DiagnoseConfig) -> dict[str, Any]:
     """`version` of realsim, `engine` (see above), version of `mujoco`, and the `settings` that can change an answer."""
     import mujoco
 
-    settings = {name: value for name, value in asdict(config).items() if name not in NO_SETTING}
+    # Lists, not tuples: what is written and read again is the same.
+    settings = {
+        name: list(value) if isinstance(value, tuple) else value
+        for name, value in asdict(config).items()
+        if name not in NO_SETTING
+    }
     return {"version": __version__, "engine": engine(), "mujoco": mujoco.__version__, "settings": settings}

@@ -364,7 +364,7 @@ def test_record3d_fewer_poses_than_frames(tmp_path):
 def test_record3d_names_the_extra(tmp_path, monkeypatch):
     write_record3d(tmp_path, walk(2))
     monkeypatch.setitem(__import__("sys").modules, "lzfse", None)
-    with pytest.raises(MissingExtraError, match=r"\.\[phone\]"):
+    with pytest.raises(MissingExtraError, match=r"\[phone\]"):
         read(tmp_path, CONFIG)
 
 

@@ -114,7 +114,7 @@ def test_las(suffix, deep, tmp_path):
 def test_las_names_the_extra(tmp_path, monkeypatch):
     (tmp_path / "a.las").write_bytes(b"LASF")
     monkeypatch.setitem(sys.modules, "laspy", None)
-    with pytest.raises(MissingExtraError, match=r"\.\[lidar\]"):
+    with pytest.raises(MissingExtraError, match=r"\[lidar\]"):
         read(tmp_path / "a.las", CONFIG)
 
 

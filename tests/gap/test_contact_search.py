@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from math import log
 
 import numpy as np
 import pytest
@@ -120,9 +121,9 @@ def test_causes_that_leave_more_than_the_floor_are_exchanged_by_simulation(quadr
 
 
 def test_causes_that_leave_nothing_stay_as_they_are(quadruped: Case) -> None:  # noqa: F811
-    case = logged(logged(quadruped, []), [("motor_gain", ("fr_calf",), {"ratio": 0.5})])
+    case = logged(logged(quadruped, []), [("motor_gain", ("fr_calf",), {"ratio": log(1.5)})])
     with fitter_for(case, ("motor_gain", "coulomb_friction")) as fitter:
-        right, before, notes = at(fitter, "motor_gain", "fr_calf", 0.5), fitter.evaluations, []
+        right, before, notes = at(fitter, "motor_gain", "fr_calf", log(1.5)), fitter.evaluations, []
         assert exchanged(fitter.screen, fitter, right, notes) is right
         assert fitter.evaluations == before
         assert not notes

@@ -98,7 +98,7 @@ def test_unknown_robot_lists_those_that_are() -> None:
 
 def test_menagerie_without_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "robot_descriptions", None)
-    with pytest.raises(MissingExtraError, match=r"\.\[menagerie\]"):
+    with pytest.raises(MissingExtraError, match=r"\[menagerie\]"):
         load("menagerie:unitree_go2")
 
 

@@ -18,7 +18,7 @@ from trainer.errors import TrainerError
 from trainer.ppo.export import Deployment
 from trainer.robots import ROBOTS
 from trainer.tasks.parkour import ParkourConfig, make
-from trainer.tasks.parkour.config import DepthConfig, ObservationConfig, RandomisationConfig, ResetConfig
+from trainer.tasks.parkour.config import CommandConfig, DepthConfig, ObservationConfig, RandomisationConfig, ResetConfig
 from trainer.tasks.parkour.depth import crop
 from trainer.terrain import generate
 
@@ -58,6 +58,7 @@ def test_the_robot_observes_what_the_policy_was_trained_on() -> None:
 def test_a_steered_policy_is_told_the_way_and_only_such_a_one() -> None:
     """The command of the simulated robot's goal is the task's; nobody who steers is an error, not straight ahead."""
     task = replace(TASK, depth=DepthConfig(use=False), observation=ObservationConfig(noise=False, steered=True))
+    task = replace(task, command=CommandConfig(speed=(0.8, 0.8)))
     env = make(task, [generate("boxes", 0.3, 1)], robot="quadruped", worlds=1)
     robot = MujocoRobot(QUADRUPED, env.physics.terrains[0], depth=False)
     robot.physics = env.physics

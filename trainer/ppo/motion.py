@@ -39,7 +39,7 @@ class Gait:
 
 
 TROT = Gait(0.5, 0.5, 0.06, 0.0)
-WALK = Gait(0.7, 0.6, 0.08, 0.06)
+WALK = Gait(0.7, 0.6, 0.08, 0.03)
 
 
 def reference(robot: TrainedRobot, policy_dt: float, speeds: tuple[float, ...] = SPEEDS) -> Tensor:

@@ -6,12 +6,12 @@
 
 policy.py    the contract, from the ONNX file's metadata or deploy.yaml    steps.py   what the policy saw and sent
 replay.py    observations -> actions -> targets, right or wrong            kinds.py   the ways to get it wrong
-check.py     which of them explains the targets that were sent
+compare.py   which of them explains the targets that were sent
 """
 
 from __future__ import annotations
 
-from realsim.gap.contract.check import Found, check
+from realsim.gap.contract.compare import Found, check
 from realsim.gap.contract.policy import Contract, load_policy
 from realsim.gap.contract.steps import Steps, read_steps
 
