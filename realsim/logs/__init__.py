@@ -16,8 +16,8 @@ from realsim.logs.case import write_case
 from realsim.logs.infer import propose
 from realsim.logs.model import Target, load_target
 from realsim.logs.proposal import Proposal
-from realsim.logs.read import read
 from realsim.logs.readers import READERS
+from realsim.logs.reading import read
 from realsim.logs.recording import Recording, Window
 
 __all__ = ["READERS", "Proposal", "Recording", "Target", "Window", "load_target", "propose", "read", "write_case"]

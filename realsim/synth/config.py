@@ -10,9 +10,8 @@ import tyro
 
 @dataclass(frozen=True)
 class SynthConfig:
-    terrain: str = "stakes"
-    """Terrain between the platforms (stakes, beams, wedges, boxes, trapezoids, boston or mixed), or a place that
-    repeats (corridor, ring, stairwell or stake_row)."""
+    terrain: Annotated[str, tyro.conf.arg(metavar="{stakes,beams,wedges,boxes,trapezoids,boston,mixed}")] = "stakes"
+    """Terrain between the platforms; or a place that repeats: corridor, ring, stairwell or stake_row."""
     frames: int = 60
     """Number of views along the walk."""
     poses: Annotated[bool, tyro.conf.arg(name="with-poses")] = False
