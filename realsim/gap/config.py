@@ -12,7 +12,7 @@ SHORTEST_RUN = 0.1
 @dataclass(frozen=True)
 class DiagnoseConfig:
     effects: tuple[str, ...] = ()
-    """Effects to consider; all of the library if empty."""
+    """Effects to consider; if empty, all of the library but friction_of_joints and position_torque."""
     max_causes: int = 3
     """At most this many causes are accepted."""
     threads: int = field(default_factory=lambda: os.cpu_count() or 1)

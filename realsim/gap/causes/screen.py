@@ -17,7 +17,7 @@ import numpy as np
 from realsim.errors import GapError
 from realsim.gap.causes.linear import Evidence, posterior
 from realsim.gap.compare import Comparison
-from realsim.gap.effects import EFFECTS
+from realsim.gap.effects import EFFECTS, ON_REQUEST
 from realsim.gap.effects.base import Effect, Parameter, Place
 from realsim.gap.simulation.groups import like_joints
 from realsim.gap.simulation.nuisances import NUISANCES
@@ -87,7 +87,7 @@ class Screen:
         self._weighted: list[F64] = []
         self._covariances: dict[tuple[bytes, tuple[int, ...]], F64] = {}
         context = simulator.context
-        chosen = [n for n in EFFECTS if not effects or n in effects]
+        chosen = [n for n in EFFECTS if (n in effects if effects else n not in ON_REQUEST)]
         self.atoms: list[Atom] = []
         columns: list[list[F32]] = [[] for _ in self.runs]
         wanted: list[Atom] = []

@@ -42,3 +42,7 @@ EFFECTS = Registry(
         )
     },
 )
+
+ON_REQUEST = ("friction_of_joints", "position_torque")
+"""Effects that are considered only where they are named. They hold simpler ones as special cases: with them in every
+search, dry friction of one joint was no longer told from friction of all (examples/diagnose.py)."""
