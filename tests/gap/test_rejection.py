@@ -16,6 +16,7 @@ from realsim.gap.causes.rivals import ranked
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import select
 from realsim.gap.compare import Comparison
+from realsim.gap.effects import ON_REQUEST
 from realsim.gap.simulation.simulate import Setting, Simulator
 
 from .test_recovery import CONFIG, GROUND, SIZE, UNSEEN, logged, quadruped
@@ -25,7 +26,7 @@ __all__ = ["quadruped"]  # a fixture
 
 FLOATING = (*(n for n in GROUND if n != "terrain_tilt"), "imu_bias")
 """Effects that need a ground or an IMU."""
-FIXED = tuple(n for n in EFFECTS if n not in (*FLOATING, *UNSEEN))
+FIXED = tuple(n for n in EFFECTS if n not in (*FLOATING, *UNSEEN, *ON_REQUEST))
 
 
 def screened(case: Case, effects: Sequence[str] = ()) -> tuple[Screen, Fitter]:
