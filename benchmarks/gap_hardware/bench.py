@@ -11,6 +11,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from benchmarks.gap_hardware.errors import Error, Label, Robot, errors
+from realsim.errors import RealsimError
 from realsim.gap import Case, DiagnoseConfig, load_case
 from realsim.gap.simulation.simulate import Simulator, measured
 
@@ -145,7 +146,7 @@ def fit(bench: Bench) -> Baseline:
     def residual(x: np.ndarray, late: int) -> np.ndarray:
         try:
             tracks = predict(case, [(delay, late * sample), *zip(free, x.tolist(), strict=True)])
-        except Exception:  # no such body: as bad as a simulation that fails
+        except (ValueError, RealsimError):  # no such body: as bad as a simulation that fails
             tracks = [np.full_like(y, np.nan) for y in log]
         parts = []
         for a, b in zip(log, tracks, strict=True):
@@ -252,7 +253,7 @@ def _sized(
                 continue
             try:
                 tracks = predict(case, [(error, amount)])
-            except Exception:  # no such body: another size or sign
+            except (ValueError, RealsimError):  # no such body: another size or sign
                 continue
             if not _runs(tracks):
                 continue
@@ -277,7 +278,7 @@ def _like(
             size = float(np.clip(size, max(other.least, -3.0), 3.0)) if not other.shifts else max(size, 1e-4)
             try:
                 own = change_of(case, base, predict(case, [(other, size)]), left)
-            except Exception:  # no such body
+            except (ValueError, RealsimError):  # no such body
                 break
             power = float((own * own).sum())
             if power < 1e-12:
