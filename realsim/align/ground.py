@@ -18,7 +18,7 @@ HINT_DEG = 25.0
 LEVEL_COS = float(np.cos(np.radians(HINT_DEG)))
 FITS = 0.25
 """Share of the best ground's score that a ground level to an axis of the file has for that axis to be believed. Checked
-on made slabs of 5 to 300 mm in five orientations (70 of 70 upright); a bare slab in a file that lies upside down fails."""
+on made slabs of 5 to 300 mm in five orientations (70 of 70 upright); a bare slab in an upside-down file fails."""
 SIDEWAYS = 0.35
 """How much less a ground is believed that makes the camera have been held sideways or upside down."""
 DOUBTFUL, IMPLAUSIBLE = 0.2, 0.05
