@@ -27,16 +27,6 @@ class DiagnoseConfig:
     """The simulator holds the first command for this long before a run that begins at rest."""
     holdout: int = 1
     """Runs that no fit sees, for the shrinkage; none if the log has no more than one run beside them."""
-    finalists: int = 5
-    """Rivals that are refitted with the full nonlinear simulation at each stage of the selection."""
-    min_gain: float = 8.0
-    """Least gain in log-likelihood, after the nuisances, for an effect to be accepted."""
-    min_share: float = 0.08
-    """Least share of the gap above the nuisances that an effect must remove on unseen runs."""
-    min_deviation: float = 3.0
-    """A cause must exceed the small deviations that are everywhere by this factor (standard deviations)."""
-    equivalent_loss: float = 0.03
-    """Rivals that lose less than this share of the removed gap on unseen runs are called equivalent."""
     unexplained_share: float = 0.20
     """From this share of the gap left over, the verdict is `unexplained`."""
     baselines: bool = True
@@ -49,12 +39,12 @@ class DiagnoseConfig:
     """Write report.html beside diagnosis.json."""
 
     def __post_init__(self) -> None:
-        if self.max_causes < 1 or self.finalists < 1 or self.threads < 1 or self.max_runs < 1:
-            raise ValueError("max_causes, finalists, threads and max_runs must be at least 1")
+        if self.max_causes < 1 or self.threads < 1 or self.max_runs < 1:
+            raise ValueError("max_causes, threads and max_runs must be at least 1")
         if not 0 < self.bin_seconds <= 0.2:
             raise ValueError("bin_seconds must lie in (0, 0.2]")
-        if not 0 <= self.unexplained_share <= 1 or not 0 <= self.min_share < 1:
-            raise ValueError("shares lie in 0..1")
+        if not 0 <= self.unexplained_share <= 1:
+            raise ValueError("unexplained_share lies in 0..1")
         if self.holdout < 0 or not self.settle_seconds >= 0 or self.seed < 0:
             raise ValueError("holdout, settle_seconds and seed must not be negative")
         if not self.max_seconds >= SHORTEST_RUN:

@@ -11,7 +11,7 @@ from typing import Any
 from realsim import __version__
 from realsim.gap.config import DiagnoseConfig
 
-NO_ANSWER = ("report", "explanation.py", "selection")
+NO_ANSWER = ("report", "explanation.py")
 """Below realsim/gap: what shows an answer and cannot change it."""
 NO_SETTING = ("threads", "report")
 """Settings that cannot change an answer."""

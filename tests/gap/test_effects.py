@@ -111,8 +111,8 @@ def test_parameters_are_well_formed(name: str, simulator: Simulator) -> None:
 def test_a_payload_near_a_joint_does_nearly_the_same_on_both_links(simulator: Simulator) -> None:
     payload = EFFECTS["payload"]
     values = {"mass": 0.5, "x": 0.0, "y": 0.0, "z": 0.01}  # 1 cm above the elbow
-    assert payload.elsewhere is not None
-    ((place, moved),) = payload.elsewhere(simulator.context, ("fore",), values)
+    (found,) = payload.suggests(simulator.context, ("fore",), values)
+    place, moved = found.place, found.values
     assert place == ("upper",)
     assert moved == pytest.approx({"mass": 0.5, "x": 0.0, "y": 0.0, "z": -0.39})
     changes = [

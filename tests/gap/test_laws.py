@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from realsim.gap import EFFECTS, DiagnoseConfig, apply_patch, diagnose, load_case, run_case
-from realsim.gap.causes.linear import posterior, score
+from realsim.gap.causes.linear import log_evidence, posterior
 from realsim.gap.causes.screen import Candidate
 from realsim.gap.compare import Comparison
 from realsim.gap.effects.payload import add_point_mass
@@ -104,7 +104,7 @@ def test_score_prefers_the_true_direction() -> None:
     rng = np.random.default_rng(1)
     G = rng.normal(size=(300, 4))
     r = G @ np.array([0, 2.0, 0, 0]) + 0.1 * rng.normal(size=300)
-    gains = [score(G.T @ G, G.T @ r, np.eye(4)[:, [i]], np.ones(1))[0] for i in range(4)]
+    gains = [log_evidence(G.T @ G, G.T @ r, np.eye(4)[:, [i]], np.ones(1))[0] for i in range(4)]
     assert int(np.argmax(gains)) == 1
 
 

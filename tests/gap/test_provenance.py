@@ -34,5 +34,5 @@ def test_the_hash_follows_what_can_change_an_answer_and_nothing_else(tmp_path: P
 def test_settings_that_cannot_change_an_answer_are_left_out() -> None:
     one, other = provenance(DiagnoseConfig(threads=1)), provenance(DiagnoseConfig(threads=7, report=False))
     assert one == other
-    assert one != provenance(DiagnoseConfig(min_gain=9.0))
+    assert one != provenance(DiagnoseConfig(max_causes=2))
     assert json.loads(json.dumps(one))["version"] == realsim.__version__

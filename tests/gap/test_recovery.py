@@ -13,16 +13,13 @@ from benchmarks.gap_truth.plant import Plant
 from benchmarks.gap_truth.robots import ROBOTS
 from benchmarks.gap_truth.truth import Truth as TrueRobot
 from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
-from realsim.gap.causes.equivalent import _alike
 from realsim.gap.causes.fit import Cause, Fitter
-from realsim.gap.causes.hidden import worth_trying
-from realsim.gap.causes.leftover import leftover
-from realsim.gap.causes.linear import marginal, score
-from realsim.gap.causes.merit import is_gap
+from realsim.gap.causes.leftover import is_gap, leftover
+from realsim.gap.causes.linear import log_evidence, marginal
 from realsim.gap.causes.probes import probed, probed_footing, probed_ground
-from realsim.gap.causes.refits import refit
-from realsim.gap.causes.rivals import outstanding, ranked
+from realsim.gap.causes.proposals import by_likeness, by_size, ranked
 from realsim.gap.causes.screen import Screen, slab
+from realsim.gap.causes.starts import starts
 from realsim.gap.causes.windows import carried, slid
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.simulate import Simulator
@@ -154,12 +151,14 @@ def test_a_rival_that_does_nothing_where_errors_count_is_no_rival(arm: Case) -> 
     with Simulator(arm, CONFIG) as simulator:
         comparison = Comparison(arm, simulator.channels, simulator.simulate(), CONFIG)
         screen = Screen(simulator, comparison, range(len(arm.runs)), ("stiffness_gain", "motor_gain"))
-        fit = Fitter(screen).nominal()
+        fitter = Fitter(screen)
+        fit = fitter.nominal()
         ours = next(c for c in screen.candidates if c.effect == "stiffness_gain" and c.place == ("shoulder",))
         idle = [i for i, atom in enumerate(screen.atoms) if atom.effect == "motor_gain"]
         for A in fit.evidence.A:
             A[idle, :] = A[:, idle] = 0.0
-        assert all(r.candidate.effect != "motor_gain" for r in _alike(screen, fit, Cause(ours, (0.1,))))
+        here = replace(fit, causes=(Cause(ours, (0.1,)),))
+        assert all(p.causes[-1].candidate.effect != "motor_gain" for p in by_likeness(fitter, here))
 
 
 @pytest.mark.slow
@@ -199,13 +198,13 @@ def test_a_gross_tilt_promises_most_by_itself_though_small_deviations_imitate_it
         fitter = Fitter(screen)
         nominal = fitter.nominal()
         promised = ranked(screen, nominal)[0][0]
-        (gain, candidate, estimate), *_ = outstanding(screen, nominal, ())
-        assert all(c.effect != "terrain_tilt" for _, c, _ in outstanding(screen, nominal, ("terrain_tilt",)))
-        hidden_too = [c.effect for _, c, _ in worth_trying(screen, fitter, nominal)]
-    assert gain > 10 * promised
-    assert candidate.effect == "terrain_tilt"
-    assert "terrain_tilt" in hidden_too
-    assert dict(zip(candidate.linear, estimate, strict=True))["roll"] > 0.02
+        (proposal, *_) = by_size(fitter, nominal)
+        beside = [p.causes[-1].candidate.effect for p in by_size(fitter, replace(nominal, causes=proposal.causes))]
+    assert "terrain_tilt" not in beside
+    assert proposal.foretold > 10 * promised
+    (cause,) = proposal.causes
+    assert cause.candidate.effect == "terrain_tilt"
+    assert cause.named["roll"] > 0.02
 
 
 @pytest.mark.slow
@@ -268,8 +267,9 @@ def recover(name: str, case: Case) -> None:
         nominal = fitter.nominal()
         candidate = next(c for c in screen.candidates if c.place == place and c.names[0] == first.name)
         A, b, _ = marginal(nominal.evidence, nominal.prior)
-        estimate = score(A, b, candidate.directions, slab(candidate, screen))[1]
-        fit = refit(screen, fitter, nominal, candidate, estimate)
+        estimate = log_evidence(A, b, candidate.directions, slab(candidate, screen))[1]
+        begin, *more = starts(screen, candidate, estimate)
+        fit = fitter.fit([Cause(candidate, tuple(begin))], more, rough=True, coarse=True)
         assert fit is not None
         fit = fitter.fit(fit.causes, iterations=6) or fit
         defaults = {p.name: p.default for p in effect.parameters(simulator.context, place)} | {first.name: value}

@@ -17,12 +17,12 @@ from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
 from realsim.gap.answer.heldout import Shrinkage
 from realsim.gap.answer.verdict import judge
 from realsim.gap.causes.fit import Cause, Fitter
-from realsim.gap.causes.forward import Forward
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.linear import Evidence
-from realsim.gap.causes.refits import refit
+from realsim.gap.causes.proposals import by_widening
 from realsim.gap.causes.screen import Screen
-from realsim.gap.causes.select import Selection, select
+from realsim.gap.causes.search import Search
+from realsim.gap.causes.select import Selection
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.edit import Edit
 from realsim.gap.simulation.sampling import AT, either_side
@@ -203,32 +203,28 @@ def test_a_richer_law_takes_the_place_of_the_plain_one(arm: Case) -> None:
     of = {(c.effect, c.place, len(c.names)): c for c in screen.candidates}
     plain = fitter.fit([Cause(of["coulomb_friction", ("shoulder",), 1], (1.0,))])
     assert plain is not None
-    rich = of["stribeck_friction", ("shoulder",), 2]
-    found = refit(screen, fitter, plain, rich, np.zeros(len(rich.linear)))
+    (proposal,) = by_widening(fitter, plain)
+    found = fitter.fit(proposal.causes, proposal.starts)
     assert found is not None
     assert [c.candidate.effect for c in found.causes] == ["stribeck_friction"]
     assert found.misfit < plain.misfit - 5
     assert found.causes[0].named["static_friction"] > 1.5 * found.causes[0].named["coulomb"]
 
 
-def test_superfluous_causes_go_before_the_others_are_exchanged(arm: Case, monkeypatch) -> None:
+def test_a_superfluous_cause_is_dropped(arm: Case) -> None:
     case = logged(arm, [("motor_gain", ("elbow",), {"ratio": -0.3})])
     screen = screened(case, ("motor_gain", "viscous_friction"))
     of = {(c.effect, c.place): c for c in screen.candidates}
     real = Cause(of["motor_gain", ("elbow",)], (-0.3,))
     idle = Cause(of["viscous_friction", ("shoulder",)], (0.01,))
-    seen = []
-
-    def exchanged(screen, fitter, fit, notes):
-        seen.append([c.candidate.effect for c in fit.causes])
-        return fit
-
-    monkeypatch.setattr("realsim.gap.causes.select.exchanged", exchanged)
-    monkeypatch.setattr(Forward, "run", lambda self, current, tick: self.fitter.fit([idle, real]))
-    found = select(screen, Fitter(screen), CONFIG)
-    assert seen == [["motor_gain"]]
-    assert [c.candidate.effect for c in found.fit.causes] == ["motor_gain"]
-    assert any("was taken out again" in note for note in found.notes)
+    fitter = Fitter(screen)
+    both = fitter.fit([idle, real])
+    assert both is not None
+    search = Search(fitter, 2, both)
+    search.seen[frozenset()] = fitter.nominal()
+    search.run(lambda what, share: None)
+    assert [c.candidate.effect for c in search.best.causes] == ["motor_gain"]
+    assert any("viscous_friction shoulder was taken out again" in note for note in search.notes)
 
 
 def test_a_gain_beyond_all_measure_is_a_probability_all_the_same(arm: Case, recwarn) -> None:
@@ -267,9 +263,10 @@ def test_much_that_stays_of_a_huge_gap_is_unexplained(
 def test_braking_by_the_servo_and_by_grease_is_one_motion(arm: Case, name: str, values: dict[str, float]) -> None:
     with Simulator(arm, CONFIG) as simulator:
         place = ("shoulder",)
-        ((other, same),) = EFFECTS[name].same_motion(simulator.context, place, values).items()
-        back = EFFECTS[other].same_motion(simulator.context, place, same)
-        assert back == {name: pytest.approx(values)}
+        (found,) = EFFECTS[name].suggests(simulator.context, place, values)
+        other, same = found.effect, found.values
+        (back,) = EFFECTS[other].suggests(simulator.context, place, same)
+        assert (back.effect, back.values) == (name, pytest.approx(values))
         (wide,) = EFFECTS[other].parameters(simulator.context, place)
         assert 15 * next(iter(same.values())) < wide.bounds[1]  # and as far as anyone would go
         moves = [c for c, channel in enumerate(simulator.channels) if channel.signal in ("joint_pos", "joint_vel")]

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from realsim.gap.causes.screen import Screen
-from realsim.gap.causes.select import Selection, Trial
+from realsim.gap.causes.select import Selection
+from realsim.gap.causes.trials import Trial
 from realsim.gap.effects import EFFECTS
 
 

@@ -8,14 +8,15 @@ import numpy as np
 
 from realsim.gap.answer.heldout import Shrinkage
 from realsim.gap.causes.fit import Fit
-from realsim.gap.causes.leftover import leftover
-from realsim.gap.causes.merit import FAR_ABOVE, is_gap
+from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import Selection
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.simulation.simulate import lookup
 from realsim.types import F64
 
+FAR_ABOVE = 20.0
+"""Mean square in units of the floor from which on a rest is no matter of tolerances."""
 EXCESS = 1.5
 """Where no cause takes any of it, a rest must be larger than else by this factor to be called a gap."""
 NOT_HELD = 0.3

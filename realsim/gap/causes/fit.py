@@ -9,27 +9,23 @@ from dataclasses import replace
 import numpy as np
 
 from realsim.errors import GapError
+from realsim.gap.causes.figures import LIKELIER, POLISH, SETTLED, SWITCHED
 from realsim.gap.causes.fitted import Cause as Cause
 from realsim.gap.causes.fitted import Fit as Fit
-from realsim.gap.causes.fitted import causes_of, form, significance, spread
-from realsim.gap.causes.leftover import deviations
-from realsim.gap.causes.search import POLISH, WHOLE, Look, Search
+from realsim.gap.causes.fitted import causes_of, form, spread
+from realsim.gap.causes.gauss_newton import WHOLE, GaussNewton, Look, widest
+from realsim.gap.causes.leftover import deviations, reasonable
+from realsim.gap.causes.linear import posterior
 from realsim.gap.effects.base import Parameter
 from realsim.gap.simulation.nuisances import LIKE_A_CAUSE, NUISANCES
 from realsim.types import F64
 
-SURE_ERRORS = (2.0, 2.0, 3.0)
-"""Standard errors off nothing that each of one, two, three causes must reach: many at once are rare."""
-ENOUGH = 4
-"""Runs."""
-SETTLED, SWITCHED = 0.6, 0.5
-"""Share of the weighted squares that deviations may leave to be simulated at all, and those that have no slope."""
-LIKELIER = 40.0
-"""Log-likelihood that those without a slope must bring beside causes."""
 
-
-class Fitter(Search):
+class Fitter(GaussNewton):
     """What the selection asks of a fit: causes at their best values, measured on all runs of a screen."""
+
+    slight = False
+    """Whether small deviations alone could explain the gap."""
 
     def nominal(self) -> Fit:
         """No cause at all."""
@@ -192,23 +188,54 @@ class Fitter(Search):
         except GapError:  # on a run that a rough search did not look at
             return None
 
+    def left_out(self, fit: Fit, beside: F64) -> F64:
+        """(runs,) half the weighted squares of each run, with values and deviations fitted to all the other runs.
+
+        One Gauss-Newton step from the values that suit all runs leads to those that suit the others; the run that is
+        left out is simulated with them.
+
+        Args:
+            beside: (p,) prior of a rival's deviations. What is a cause there is a deviation here, within reason.
+        """
+        screen, runs, m = self.screen, range(len(self.screen.runs)), sum(len(c.values) for c in fit.causes)
+        candidates = [c.candidate for c in fit.causes]
+        z, e = np.array([v for c in fit.causes for v in c.values]), fit.evidence
+        A, b = list(e.A), list(e.b)
+        parameters = self._parameters(candidates)
+        slopes = self._slopes(candidates, z, parameters, list(fit.predictions)) if m else None
+        prior = np.append(fit.prior, [4 * abs(p.step) for p in parameters]) if slopes else fit.prior
+        if slopes:
+            for k, D in enumerate(slopes):
+                run = screen.runs[k]
+                w = screen.comparison.weights[run].reshape(-1)
+                r = np.nan_to_num(screen.residual(k, fit.predictions[k], fit.about - e.centre)).reshape(-1)
+                across = screen.weighted(k).T @ D
+                A[k] = np.block([[e.A[k], across], [across.T, D.T @ (w[:, None] * D)]])
+                b[k] = np.append(e.b[k], D.T @ (w * r))
+        found = []
+        for k in runs:
+            others = [i for i in runs if i != k]
+            x, _ = posterior(np.sum([A[i] for i in others], axis=0), np.sum([b[i] for i in others], axis=0), prior)
+            x, step = x[: len(fit.prior)], x[len(fit.prior) :]
+            x = np.where((fit.prior > 0) & (beside == 0), reasonable(x, fit.prior), x)
+            here = e
+            if slopes:
+                most = widest(z, parameters)
+                moved = self._predict(candidates, self._clip(z + np.clip(step, -most, most), parameters), Look((k,)))
+                if moved is None:
+                    found.append(np.inf)
+                    continue
+                here = screen.evidence(moved, (k,), fit.about)
+                here = here.moved(np.full(len(fit.prior), e.centre) - here.centre)
+            i = 0 if slopes else k
+            found.append(0.5 * float(here.c[i] - 2 * here.b[i] @ x + x @ here.A[i] @ x))
+        return np.array(found)
+
     def spread(self, fit: Fit) -> Fit:
         """The same fit with its covariance from slopes taken at its very values."""
         if not fit.causes:
             return fit
         return self._measure(fit.causes, self._parameters([c.candidate for c in fit.causes]), None)
-
-    def clear(self, fit: Fit, of_few: float = 0.0) -> list[bool]:
-        """Whether each cause lies well off nothing, by slopes at its very values: a search's own may be stale.
-
-        Few runs say too little about their own scatter for a standard error to decide; there, `of_few` errors will do.
-        """
-        enough = len(self.screen.runs) >= ENOUGH
-        least = SURE_ERRORS[min(len(fit.causes), len(SURE_ERRORS)) - 1] if enough else of_few
-        if not least:
-            return [True] * len(fit.causes)
-        parameters = self._parameters([c.candidate for c in fit.causes])
-        return [bool(found >= least) for found in significance(self.spread(fit), parameters)]
 
     # ------------------------------------------------------------ inside
 

@@ -81,24 +81,6 @@ def spread(info: F64, scores: F64, parameters: list[Parameter]) -> F64:
     return np.asarray(inverse * np.outer(ratio, ratio))
 
 
-def significance(fit: Fit, parameters: Sequence[Parameter]) -> list[float]:
-    """How many of its own standard errors each cause lies off nothing, by its best-determined strength.
-
-    Shape parameters (a Stribeck velocity, when a force begins) do not count: none of their values means nothing.
-
-    Args:
-        parameters: of all values in a row.
-    """
-    errors = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-30))
-    found, i = [], 0
-    for cause in fit.causes:
-        n = len(cause.values)
-        rows = zip(cause.values, errors[i : i + n], parameters[i : i + n], strict=True)
-        found.append(max((abs(v) / e for v, e, p in rows if p.strength), default=0.0))
-        i += n
-    return found
-
-
 def form(fit: Fit) -> float:
     """Share of the correction that the laws of these causes may miss: that of the roughest one."""
     return max((lookup(c.candidate.effect).form for c in fit.causes), default=0.0)

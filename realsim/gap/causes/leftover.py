@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.gap.causes.figures import GATE_MEAN, GATE_MEDIAN, REASONABLE
 from realsim.gap.causes.fitted import Fit
 from realsim.gap.causes.screen import Screen
 from realsim.gap.simulation.simulate import Setting
 from realsim.types import F64
-
-REASONABLE = 3.0
-"""Standard deviations that an everyday deviation may take."""
 
 
 def deviations(screen: Screen, fit: Fit) -> F64:
@@ -40,3 +38,9 @@ def leftover(screen: Screen, fit: Fit) -> F64:
         squares = [float(np.nanmean(r**2 / screen.comparison.tolerance(run))) for r in (simulated, moved)]
         result.append(min(squares))
     return np.array(result)
+
+
+def is_gap(left: F64) -> bool:
+    """Whether what stays beside the nuisance parameters (runs,) is more than a floor's worth, in most runs or on the
+    whole; a single run near a resonance blows up small deviations."""
+    return bool(np.median(left) > GATE_MEDIAN or left.mean() > GATE_MEAN)

@@ -51,7 +51,7 @@ def marginal(evidence: Evidence, prior: F64, runs: Sequence[int] | None = None) 
     return A - AC @ A, b - A @ mean, 0.5 * (c - b @ mean)
 
 
-def score(A: F64, b: F64, directions: F64, size: F64) -> tuple[float, F64, F64]:
+def log_evidence(A: F64, b: F64, directions: F64, size: F64) -> tuple[float, F64, F64]:
     """(log evidence gain, estimate, covariance) of parameters along `directions` with prior sizes `size`."""
     info = directions.T @ A @ directions
     s = directions.T @ b

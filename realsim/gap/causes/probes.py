@@ -12,9 +12,9 @@ from itertools import islice
 
 import numpy as np
 
+from realsim.gap.causes.figures import ABRUPT_SIZES, BENT_SIZES, KEPT, PROBED, PROBED_FEET, SIZES, STANDS_OUT
 from realsim.gap.causes.fit import Cause, Fit, Fitter
-from realsim.gap.causes.leftover import leftover
-from realsim.gap.causes.linear import score
+from realsim.gap.causes.linear import log_evidence
 from realsim.gap.causes.screen import Candidate, Screen, slab
 from realsim.gap.effects.base import Place
 from realsim.gap.simulation.simulate import lookup
@@ -23,42 +23,19 @@ from realsim.types import F64
 Probe = tuple[float, Candidate, dict[str, float]]
 """(gain in log-likelihood, candidate, values to start from) beside the current causes."""
 
-SIZES, ABRUPT_SIZES = (1.5, -1.5), (2.0, 0.7, -0.7, -2.0)
-"""Steps of the parameter; more where nothing may show below a threshold."""
-FURTHER = 2.0
-"""Factor by which the largest is exceeded where it is the best."""
-NEARER = 0.75
-"""Factor on a size that gains, where feet slip and land: a little beyond the right height a foot meets other ground."""
-MOST_GROUND, KEPT_GROUND = 12, 3
-"""Places of what changes the ground, or the feet on it, that are looked at, and those of them that are worth a fit."""
-MOST, MOST_OUT, KEPT = 60, 12, 5
-"""Candidates of any kind that are looked at, those whose deviations stand out, and effects that are worth a fit."""
-OUT = (0.5, 1.5)
-"""Steps of the parameters in the sense in which a deviation stands out."""
-STANDS_OUT = 2.5
-"""Everyday deviations from which on one stands out."""
-FORETOLD, SMALL = 0.2, 3.0
-"""Share of the misfit that the best candidate must explain by its slopes for the slopes to be believed, and mean square
-in units of the floor below which they are anyway."""
-
-
-def foretold(screen: Screen, current: Fit, best: float) -> bool:
-    """Whether slopes foretell what a cause would do. `best`: gain of the best candidate by the linear screen."""
-    return best > FORETOLD * current.misfit or leftover(screen, current).mean() < SMALL
-
 
 def alone(screen: Screen, current: Fit, candidates: Iterable[Candidate]) -> Iterator[tuple[float, Candidate, F64]]:
     """(gain, candidate, estimate) of each by the linear screen if there were no small deviations beside it."""
     A, b = np.sum(current.evidence.A, axis=0), np.sum(current.evidence.b, axis=0)
     for c in candidates:
-        gain, estimate, _ = score(A, b, c.directions, slab(c, screen))
+        gain, estimate, _ = log_evidence(A, b, c.directions, slab(c, screen))
         yield gain, c, estimate
 
 
 def probed_ground(screen: Screen, fitter: Fitter, current: Fit, order: Iterable[Candidate]) -> list[Probe]:
     """The best places for higher or lower ground. `order`: all candidates, those to look at first before the others."""
     single = (c for c in order if lookup(c.effect).scope == "terrain" and len(c.places) == len(c.names) == 1)
-    return _probed_feet(fitter, current, islice(single, MOST_GROUND))
+    return _probed_feet(fitter, current, islice(single, PROBED_FEET))
 
 
 def probed_footing(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:
@@ -66,7 +43,7 @@ def probed_footing(screen: Screen, fitter: Fitter, current: Fit, candidates: Ite
     if not screen.simulator.context.touches:
         return []
     moving = (c for c in candidates if len(c.places) == 1 and c.names == lookup(c.effect).footing)
-    return _probed_feet(fitter, current, islice(moving, MOST_GROUND))
+    return _probed_feet(fitter, current, islice(moving, PROBED_FEET))
 
 
 def _probed_feet(fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:
@@ -76,7 +53,7 @@ def _probed_feet(fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) 
 
     screen = fitter.screen
     forwards = [(c, _along(screen, c, np.zeros(len(c.linear)))) for c in candidates]
-    return _probed(fitter, gain, forwards)[:KEPT_GROUND]
+    return _probed(fitter, gain, forwards)[:KEPT]
 
 
 def probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:
@@ -93,11 +70,11 @@ def probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Ca
             gain = np.inf if lookup(c.effect).abrupt else by_itself
             if gain > best.get((c.effect, c.place), (-np.inf,))[0]:
                 best[c.effect, c.place] = gain, c, estimate
-    order = sorted(best.values(), key=lambda item: -item[0])[:MOST]
+    order = sorted(best.values(), key=lambda item: -item[0])[:PROBED]
     gain_of = partial(fitter.glance, current.causes)
     probes = _probed(fitter, gain_of, [(c, _along(screen, c, estimate)) for _, c, estimate in order])
-    out = standing_out(screen, current)[:MOST_OUT] if screen.simulator.context.touches else []
-    probes += _probed(fitter, gain_of, [(c, _along(screen, c, estimate)) for c, estimate in out], OUT)
+    out = standing_out(screen, current)[:PROBED_FEET] if screen.simulator.context.touches else []
+    probes += _probed(fitter, gain_of, [(c, _along(screen, c, estimate)) for c, estimate in out], BENT_SIZES)
     found: dict[str, Probe] = {}
     for probe in sorted(probes, key=lambda p: -p[0]):
         found.setdefault(probe[1].effect, probe)
@@ -168,8 +145,8 @@ def _sized(
         return gain_of(Cause(candidate, tuple(named[n] for n in candidate.names)))
 
     most, best = max((gain(factor), factor) for factor in sizes)
-    while abs(best) >= max(sizes) and (further := gain(FURTHER * best)) > most:
-        most, best = further, FURTHER * best
-    while screen.simulator.context.touches and most > 0 and (nearer := gain(NEARER * best)) > most:
-        most, best = nearer, NEARER * best
+    while abs(best) >= max(sizes) and (further := gain(2 * best)) > most:
+        most, best = further, 2 * best
+    while screen.simulator.context.touches and most > 0 and (nearer := gain(0.75 * best)) > most:
+        most, best = nearer, 0.75 * best  # a little beyond the right height a foot meets other ground
     return most, candidate, values(best)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from realsim.errors import GapError
+from realsim.gap.causes.figures import SHIFT
 from realsim.gap.causes.linear import Evidence, posterior
 from realsim.gap.compare import Comparison
 from realsim.gap.effects import EFFECTS, ON_REQUEST
@@ -23,9 +24,6 @@ from realsim.gap.simulation.groups import like_joints
 from realsim.gap.simulation.nuisances import NUISANCES
 from realsim.gap.simulation.simulate import Setting, Simulator, lookup
 from realsim.types import F32, F64
-
-SHIFT = 0.03
-"""m by which a cause that sits on a body may move its centre of mass: the size of what has that shift's slope."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +125,7 @@ class Screen:
         self.prior = np.array([a.parameter.nuisance for a in self.atoms])
         self.usual = np.array([a.parameter.usual for a in self.atoms])
         """(p,) what the small deviations may scatter about instead of zero."""
-        self.simulable = np.array([a.effect != "load_friction" and not a.parameter.fine for a in self.atoms])
+        self.simulable = np.array([not (lookup(a.effect).stepwise or a.parameter.fine) for a in self.atoms])
         """(p,) False for atoms that cost steps one by one, or many of them: as nuisances they stay linear."""
         self.candidates = self._candidates(chosen)
 

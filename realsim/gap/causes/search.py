@@ -1,309 +1,171 @@
-"""The search for a cause's values: Gauss-Newton over rollouts, with secant slopes and a coarser step on the way."""
+"""Which causes: best-first search over sets of them, by one score and four moves (add, drop, exchange, widen).
+
+The neighbours of the best set are fitted: with one cause less, with one more (or a law that contains one of them), with
+another one in a cause's place. One that has a lower score, and against which nothing speaks, becomes the best set, and
+so on. Where the best set leaves a gap and no neighbour is better, those of the next best sets are fitted as well: what
+looks best alone may imitate two others.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import TypeVar
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from realsim.errors import GapError
-from realsim.gap.causes.fitted import Cause
-from realsim.gap.causes.screen import Candidate, Screen
-from realsim.gap.effects.base import Parameter
-from realsim.gap.simulation.recent import Recent
-from realsim.gap.simulation.simulate import Setting, lookup
-from realsim.types import F64
+from realsim.gap.causes.figures import CLEARLY, EXPANSIONS, RUNNER_SHARE, RUNNERS_UP
+from realsim.gap.causes.fit import Fit, Fitter
+from realsim.gap.causes.leftover import is_gap, leftover
+from realsim.gap.causes.proposals import ADD, EXCHANGE, Propose
+from realsim.gap.causes.refine import prepared, refined
+from realsim.gap.causes.score import alike, doubts, near, score, searched
+from realsim.gap.causes.starts import contains
+from realsim.gap.causes.trials import Trial, trial, with_outcome
 
-Item = TypeVar("Item")
-Made = TypeVar("Made")
-
-PACES = 6.0
-"""A fit is broken off where so many more steps as good as the last would not reach its target."""
-
-PROMISED = 1.0
-"""Log-likelihood that a step must promise by its slopes for slopes to be taken anew where it gains nothing."""
-WIDE, NARROWER, NARROWEST = 0.1, 0.2, 0.01
-"""Share of a step, or of the value, over which slopes are taken; factor on it where a step gains nothing; the end."""
-
-POLISH = 2
-"""Steps at the fine time step after a search at the coarse one."""
+Tick = Callable[[str, float], None]
+Key = frozenset[tuple[str, tuple]]
 
 
-@dataclass(frozen=True, eq=False)
-class Look:
-    """What a fit simulates while it searches."""
-
-    few: tuple[int, ...] | None = None
-    """Positions of the screened runs that are looked at; None: all."""
-    coarse: int = 1
-    """Multiplies the time step."""
-    offset: tuple[F64, ...] = ()
-    """(T, C) a run: what the fine step adds where the search begins."""
-
-
-WHOLE = Look()
-
-
+@dataclass
 class Search:
-    """Values that bring the misfit on the runs of a screen down."""
+    """Best-first over sets of causes."""
 
-    def __init__(self, screen: Screen) -> None:
-        self.screen = screen
-        self.about = np.zeros(len(screen.atoms))
-        """(p,) nuisances that every simulation contains, so that the linear rest is small."""
-        self._recent: Recent[list[F64] | None] = Recent(24)
-        """A line search ends where the next slopes begin: no need to simulate it again."""
-        self._looks: Recent[Look] = Recent(4)
+    fitter: Fitter
+    most: int
+    """Causes of a set."""
+    best: Fit
+    """The set with the lowest score of those that nothing speaks against."""
+    seen: dict[Key, Fit] = field(default_factory=dict)
+    expanded: set[frozenset] = field(default_factory=set)
+    """Forms of the sets whose neighbours were fitted."""
+    trials: list[Trial] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
-    @property
-    def evaluations(self) -> int:
-        """Predictions that were simulated."""
-        return self._recent.made
-
-    def each(self, function: Callable[[Item], Made], items: Sequence[Item]) -> Iterator[Made]:
-        """`function` of every item, in their order, on all cores: looks that do not wait for one another."""
-        return self.screen.simulator.cores.each(function, items)
-
-    def _about(self, candidates: Sequence[Candidate]) -> F64:
-        """(p,) the simulated nuisances beside these causes."""
-        return np.asarray(np.where(self.prior_beside(candidates) > 0, self.about, 0.0))
-
-    def _descend(
-        self,
-        candidates: Sequence[Candidate],
-        z: F64,
-        slopes: list[F64] | None,
-        parameters: list[Parameter],
-        look: Look,
-        iterations: int,
-        target: float = np.inf,
-        nearer: bool = False,
-    ) -> tuple[F64, float, list[F64] | None]:
-        """(values, misfit, slopes) after some damped steps; slopes that are given are taken as good enough."""
-        value = self._misfit(candidates, z, look)
-        assert value is not None
-        given, fresh, damping, width = slopes is not None, False, 1e-3, WIDE
-        for k in range(iterations):
-            base = self._predict(candidates, z, look)
-            assert base is not None
-            if slopes is None:
-                slopes, fresh = self._slopes(candidates, z, parameters, base, look, width), True
-                if slopes is None:
-                    break
-            step, promised = self._newton(candidates, z, parameters, base, slopes, damping, look)
-            on_the_way = bool((np.abs(step) >= _widest(z, parameters)).any())
-            before = value
-            for shrink in (1.0, 0.4, 0.1):
-                trial = self._clip(z + shrink * step, parameters)
-                new = self._misfit(candidates, trial, look)
-                if new is not None and new < value - 1e-3:
-                    moved = self._predict(candidates, trial, look)
-                    assert moved is not None
-                    slopes, fresh = self._secant(slopes, trial - z, parameters, base, moved, look), False
-                    z, value = trial, new
-                    damping = max(damping / 5, 1e-6)
-                    break
-            gained = before - value
-            if gained <= 0 and not fresh and not given:
-                slopes = None  # the secants have gone stale: look anew before giving up
-            elif nearer and gained <= 0 and fresh and promised > PROMISED and width > NARROWEST:
-                slopes, width = None, width * NARROWER  # the valley is narrower than the slopes' differences
-            elif gained < 0.02 + 1e-4 * abs(value) or (k and not on_the_way and value - PACES * gained > target):
+    def run(self, tick: Tick) -> None:
+        self._keep(self.best)
+        in_vain = 0
+        for k in range(EXPANSIONS):
+            tick("search for causes", k / EXPANSIONS)
+            here = self._next()
+            if here is None or in_vain > RUNNERS_UP:
                 break
-        return z, value, slopes
+            self.expanded.add(form(here))
+            in_vain = 0 if self._expand(here) else in_vain + (key(here) != key(self.best))
+        self.best = prepared(self.fitter, self.best)
 
-    def _look(self, causes: Sequence[Cause], rough: bool, coarse: bool) -> Look:
-        """What a search for these causes simulates; it begins beside all but the last of them."""
-        few = self.screen.varied if rough else None
-        stiff = any(lookup(c.candidate.effect).stiff for c in causes)
-        if not coarse or stiff or self.screen.coarse == 1:
-            return Look(few)
-        before = causes[:-1]
-        candidates, z = [c.candidate for c in before], np.array([v for c in before for v in c.values])
-        key = (tuple(c.key for c in candidates), z.tobytes(), few, self.about.tobytes())
-
-        def made() -> Look:
-            fine = self._predict(candidates, z, Look(few))
-            rude = self._predict(candidates, z, Look(few, self.screen.coarse))
-            if fine is None or rude is None:  # a stiff servo may not bear it
-                return Look(few)
-            return Look(few, self.screen.coarse, tuple(f - r for f, r in zip(fine, rude, strict=True)))
-
-        return self._looks.get(key, made)
-
-    def _parameters(self, candidates: Sequence[Candidate]) -> list[Parameter]:
-        found = []
-        for c in candidates:
-            every = {p.name: p for p in lookup(c.effect).parameters(self.screen.simulator.context, c.place)}
-            found += [every[n] for n in c.names]
-        return found
-
-    def _best_start(
-        self,
-        candidates: Sequence[Candidate],
-        parameters: list[Parameter],
-        starts: Sequence[Sequence[float]],
-        look: Look,
-    ) -> F64 | None:
-        best: tuple[float, F64] | None = None
-        begun = [self._clip(np.array(start, float), parameters) for start in starts]
-        values = self.each(lambda z: self._misfit(candidates, z, look), begun)
-        for z, value in zip(begun, values, strict=True):
-            if value is not None and (best is None or value < best[0]):
-                best = (value, z)
-        return None if best is None else best[1]
-
-    def _clip(self, z: F64, parameters: list[Parameter]) -> F64:
-        return np.clip(z, [p.bounds[0] for p in parameters], [p.bounds[1] for p in parameters])
-
-    def _settings(self, candidates: Sequence[Candidate], z: F64) -> list[Setting]:
-        settings = self.screen.settings(self._about(candidates))
-        i = 0
-        for c in candidates:
-            named = {n: float(v) for n, v in zip(c.names, z[i : i + len(c.names)], strict=True)}
-            settings += c.settings(named)
-            i += len(c.names)
-        return settings
-
-    def _runs(self, look: Look) -> list[int]:
-        return self.screen.runs if look.few is None else [self.screen.runs[k] for k in look.few]
-
-    def _predict(self, candidates: Sequence[Candidate], z: F64, look: Look = WHOLE) -> list[F64] | None:
-        """(T, C) a screened run (of those that are looked at); None if the simulation fails."""
-        step = (look.few, look.coarse, look.offset[0].tobytes() if look.offset else b"")
-        key = (tuple(c.key for c in candidates), z.tobytes(), step, self.about.tobytes())
-        return self._recent.get(key, lambda: self._simulated(candidates, z, look))
-
-    def _simulated(self, candidates: Sequence[Candidate], z: F64, look: Look) -> list[F64] | None:
-        try:
-            made = self.screen.simulator.simulate(self._settings(candidates, z), self._runs(look), look.coarse)
-        except GapError:
+    def _next(self) -> Fit | None:
+        """The best set; once its neighbours are known and it leaves a gap, the next best that removes something."""
+        if form(self.best) not in self.expanded:
+            return self.best
+        if not is_gap(leftover(self.fitter.screen, self.fitter.remeasure(self.best))):
             return None
-        if look.offset:
-            made = [y + more for y, more in zip(made, look.offset, strict=True)]
-        return made if all(np.isfinite(y).all() for y in made) else None
+        self.seen = {k: self.fitter.remeasure(f) for k, f in self.seen.items()}
+        nothing = self.seen[frozenset()].misfit
+        least = RUNNER_SHARE * (nothing - min(f.misfit for f in self.seen.values()))
+        worth = [f for f in self.seen.values() if len(f.causes) < self.most and form(f) not in self.expanded]
+        return min((f for f in worth if nothing - f.misfit > least), key=self._score, default=None)
 
-    def prior_beside(self, candidates: Sequence[Candidate]) -> F64:
-        """A parameter that is a cause is not a nuisance at the same time, nor is one that does the same."""
-        prior = self.screen.prior.copy()
-        for c in candidates:
-            like = {p.name: p.like for p in lookup(c.effect).parameters(self.screen.simulator.context, c.place)}
-            for place in c.places:
-                for name in c.names:
-                    for effect, parameter in [(c.effect, name), like[name] or (c.effect, name)]:
-                        i = self.screen.index.get((effect, place, parameter))
-                        if i is not None:
-                            prior[i] = 0.0
-        return prior
+    def _expand(self, here: Fit) -> bool:
+        """Fit a set's neighbours; whether one of them is better than the best set."""
+        best = key(here) == key(self.best)
+        here = prepared(self.fitter, here)
+        if best:
+            self.best = here
+            if self._dropped(here):
+                return True
+        if len(here.causes) < self.most:
+            base, fits = refined(self.fitter, *self._fitted(here, ADD))
+            if self._better(base if best else self.fitter.remeasure(self.best), fits):
+                return True
+        if not best or not here.causes:
+            return False
+        self.best = prepared(self.fitter, here)
+        return self._better(self.best, self._fitted(self.best, EXCHANGE)[1])
 
-    def _misfit(self, candidates: Sequence[Candidate], z: F64, look: Look = WHOLE) -> float | None:
-        predicted = self._predict(candidates, z, look)
-        if predicted is None:
-            return None
-        evidence = self.screen.evidence(predicted, look.few, self._about(candidates))
-        return self.screen.misfit(evidence, self.prior_beside(candidates))
+    def _dropped(self, here: Fit) -> bool:
+        """Whether a cause is superfluous beside the others; the one that brings least is looked at first."""
+        if len(here.causes) < 2:
+            return False
+        fits = [self.fitter.fit(here.causes[:i] + here.causes[i + 1 :]) for i in range(len(here.causes))]
+        for less in sorted((f for f in fits if f is not None), key=self._score):
+            if said := doubts(self.fitter, less, here):
+                self._replace(less, "; ".join(said))
+                return True
+        return False
 
-    def _slopes(
-        self,
-        candidates: Sequence[Candidate],
-        z: F64,
-        parameters: list[Parameter],
-        base: list[F64],
-        look: Look = WHOLE,
-        width: float = WIDE,
-    ) -> list[F64] | None:
-        """(B * C, m) a run: change of the prediction per unit, by differences this share of a step wide."""
-
-        def slope(j: int) -> list[F64] | None:
-            p = parameters[j]
-            far = width * (p.step if abs(z[j]) < abs(p.step) else z[j])
-            for change in (far, -far):
-                if not p.bounds[0] <= z[j] + change <= p.bounds[1]:
+    def _fitted(self, here: Fit, moves: Sequence[Propose]) -> tuple[Fit, list[Fit]]:
+        """(a set, fits of its neighbours by score), beside nuisance parameters that no cause has bent yet."""
+        fitter, screen, fits, known = self.fitter, self.fitter.screen, [], set()
+        with fitter.unbent():
+            base = fitter.looked_at(here, here.causes) or here if moves is ADD else here
+            aim = near(self.seen[frozenset()].misfit - base.misfit)
+            for p in (p for propose in moves for p in propose(fitter, base)):
+                what = tuple(c.candidate.key for c in p.causes)
+                if what in known and not p.starts:
                     continue
-                moved = self._predict(candidates, z + change * (np.arange(len(z)) == j), look)
-                if moved is not None:
-                    runs = zip(self._runs(look), moved, base, strict=True)
-                    return [self.screen.comparison.change(run, m, y).reshape(-1) / change for run, m, y in runs]
-            return None
+                known.add(what)
+                if moves is ADD:
+                    least = min((searched(screen, f) for f in fits), default=np.inf)
+                    target = least + near(searched(screen, base) - least)
+                    fit = fitter.fit(p.causes, p.starts, 8, rough=True, coarse=True, target=target)
+                else:
+                    still = not screen.simulator.context.touches
+                    fit = fitter.fit(p.causes, p.starts, 8, target=base.misfit + aim, nearer=still)
+                if fit is not None:
+                    fits.append(fit)
+                    self._keep(fit)
+                    self.trials += [trial(base, fit, p.foretold)] if moves is ADD else []
+        return base, sorted(fits, key=self._score)
 
-        slopes = list(self.each(slope, range(len(parameters))))
-        if any(s is None for s in slopes):
-            return None
-        return [np.stack(columns, axis=1) for columns in zip(*(s for s in slopes if s is not None), strict=True)]
+    def _better(self, before: Fit, fits: Sequence[Fit]) -> bool:
+        """Whether one of the fits takes the place of the best set."""
+        for fit in fits:
+            if self._score(before) - self._score(fit) < CLEARLY:
+                break
+            said = doubts(self.fitter, before, fit) if len(fit.causes) > len(before.causes) else []
+            self.trials = with_outcome(self.trials, fit, "; ".join(said) or "accepted")
+            if not said:
+                self._replace(fit, "")
+                return True
+        return False
 
-    def _secant(
-        self,
-        slopes: list[F64],
-        step: F64,
-        parameters: list[Parameter],
-        base: list[F64],
-        moved: list[F64],
-        look: Look = WHOLE,
-    ) -> list[F64]:
-        """Broyden's update: slopes that reproduce the last step exactly, without a further simulation."""
-        scaled = step / np.array([p.step**2 for p in parameters])
-        share = scaled / float(step @ scaled)
-        result = []
-        for D, run, m, y in zip(slopes, self._runs(look), moved, base, strict=True):
-            missing = self.screen.comparison.change(run, m, y).reshape(-1) - D @ step
-            result.append(D + np.outer(missing, share))
-        return result
+    def _replace(self, fit: Fit, why: str) -> None:
+        gone = [c.candidate for c in self.best.causes if c.candidate.key not in {o.candidate.key for o in fit.causes}]
+        self.notes += [f"{c.effect} {', '.join(c.place)} was taken out again {why}".strip() for c in gone]
+        self.best = fit
+        self._keep(fit)
 
-    def _local(
-        self,
-        candidates: Sequence[Candidate],
-        base: list[F64],
-        slopes: list[F64],
-        look: Look = WHOLE,
-    ) -> tuple[F64, F64]:
-        """Marginal information (m, m) and the scores (runs, m) where the predictions are `base`."""
-        about = self._about(candidates)
-        evidence = self.screen.evidence(base, look.few, about)
-        prior = self.prior_beside(candidates)
-        cov, mean = self.screen.covariance(evidence, prior), self.screen.nuisances(evidence, prior)
-        m = slopes[0].shape[1]
-        info, cross = np.zeros((m, m)), np.zeros((len(prior), m))
-        scores = []
-        for k, y, D in zip(evidence.runs, base, slopes, strict=True):
-            run = self.screen.runs[k]
-            w = self.screen.comparison.weights[run].reshape(-1)
-            r = np.nan_to_num(self.screen.residual(k, y, about - evidence.centre)).reshape(-1)
-            here = self.screen.weighted(k).T @ D
-            scores.append(D.T @ (w * r) - here.T @ mean)
-            info += D.T @ (w[:, None] * D)
-            cross += here
-        return info - cross.T @ cov @ cross, np.array(scores)
+    def conclude(self, nominal: Fit) -> tuple[Fit, list[Fit]]:
+        """(the set with the lowest score, the others that explain the runs alike), all under the same weights."""
+        best = self.fitter.spread(self.best)
+        if not best.causes:
+            return best, []
+        removed = nominal.misfit - best.misfit
+        others = [f for k, f in self.seen.items() if k != key(best) and len(f.causes) == len(best.causes)]
+        others = [f for f in map(self.fitter.remeasure, others) if f.misfit - best.misfit < near(removed)]
+        found = sorted([best, *(f for f in others if alike(self.fitter, best, f, removed))], key=self._score)
+        best = found[0]
+        return self.fitter.spread(best), [f for f in found[1:] if not _richer(f, best)]
 
-    def _newton(
-        self,
-        candidates: Sequence[Candidate],
-        z: F64,
-        parameters: list[Parameter],
-        base: list[F64],
-        slopes: list[F64],
-        damping: float,
-        look: Look,
-    ) -> tuple[F64, float]:
-        """(m,) Levenberg-Marquardt's step, and the log-likelihood that it promises to first order."""
-        info, scores = self._local(candidates, base, slopes, look)
-        scale = np.array([abs(p.step) for p in parameters])
-        ridge = np.diag(damping * np.diag(info) + 0.05 / scale**2)
-        free = np.ones(len(z), bool)
-        gradient = scores.sum(axis=0)
-        for j, p in enumerate(parameters):  # a value that leans on its bound stays there
-            if (z[j] <= p.bounds[0] and gradient[j] < 0) or (z[j] >= p.bounds[1] and gradient[j] > 0):
-                free[j] = False
-        step = np.zeros(len(z))
-        if free.any():
-            sub = np.ix_(free, free)
-            step[free] = np.linalg.solve((info + ridge)[sub], gradient[free])
-        widest = _widest(z, parameters)
-        step = np.clip(step, -widest, widest)
-        return step, float(step @ gradient - 0.5 * step @ info @ step)
+    def _keep(self, fit: Fit) -> None:
+        old = self.seen.get(key(fit))
+        if old is None or old.evidence.version != fit.evidence.version or self._score(fit) < self._score(old):
+            self.seen[key(fit)] = fit
+
+    def _score(self, fit: Fit) -> float:
+        return score(self.fitter.screen, fit)
 
 
-def _widest(z: F64, parameters: Sequence[Parameter]) -> F64:
-    """(m,) longest step: a gross cause lies many of its own steps off."""
-    return np.maximum(4 * np.array([abs(p.step) for p in parameters]), np.abs(z))
+def key(fit: Fit) -> Key:
+    """A set of causes, whatever their parameters: effects at places."""
+    return frozenset((c.candidate.effect, c.candidate.places) for c in fit.causes)
+
+
+def form(fit: Fit) -> frozenset:
+    """A set of causes with the parameters that are fitted."""
+    return frozenset(c.candidate.key for c in fit.causes)
+
+
+def _richer(fit: Fit, best: Fit) -> bool:
+    """Whether a set has a law that holds one of the best set as a special case, and so always fits as well."""
+    return any(contains(c.candidate, o.candidate) for c in fit.causes for o in best.causes)

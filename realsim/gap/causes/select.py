@@ -1,61 +1,47 @@
-"""Which causes: those that forward selection came to, exchanged, pruned, and set beside their rivals."""
+"""From the linear screen to the causes: the search, and what each cause brings."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from realsim.gap.causes.equivalent import equivalents, likelier, simplest
-from realsim.gap.causes.exchange import exchanged
 from realsim.gap.causes.fit import Fit, Fitter
-from realsim.gap.causes.fitted import Z90
-from realsim.gap.causes.forward import Forward
-from realsim.gap.causes.merit import deviation, heldout, no_better
-from realsim.gap.causes.rivals import Trial
 from realsim.gap.causes.screen import Screen
+from realsim.gap.causes.search import Search, Tick
+from realsim.gap.causes.trials import Trial as Trial
 from realsim.gap.config import DiagnoseConfig
 
 
 @dataclass
 class Selection:
-    """What the selection came to."""
+    """What the search came to."""
 
     fit: Fit
     nominal: Fit
     trials: list[Trial]
     equivalent: list[Fit]
+    """Other sets that explain the runs alike."""
     gains: dict[int, float]
     """Loss in log-likelihood without cause i of the fit."""
     notes: list[str]
 
 
-def select(
-    screen: Screen, fitter: Fitter, config: DiagnoseConfig, tick: Callable[[str, float], None] = lambda w, s: None
-) -> Selection:
+def select(screen: Screen, fitter: Fitter, config: DiagnoseConfig, tick: Tick = lambda what, share: None) -> Selection:
     """Causes of the gap on the screened runs."""
-    nominal = fitter.nominal()
-    forward = Forward(screen, fitter, config, nominal)
-    current = forward.run(fitter.switched(nominal), tick)
-    notes = forward.notes
-    nominal = fitter.remeasure(nominal)
-    if current.causes:
-        # A superfluous cause bends the others, and would be exchanged for what is superfluous too: it goes first.
-        before = _prune(screen, fitter, config, fitter.fit(current.causes) or current, notes)
-        current = exchanged(screen, fitter, before, notes)
-        if current is not before:
-            current = _prune(screen, fitter, config, current, notes)
-        nominal = fitter.remeasure(nominal)
-    current = fitter.spread(current)
-    equivalent = equivalents(screen, fitter, config, current, nominal, forward.stages) if current.causes else []
-    least = no_better(screen, nominal.misfit - current.misfit)
-    current, equivalent = likelier(*simplest(current, equivalent, least))
+    nothing = fitter.switched(fitter.nominal())
+    search = Search(fitter, config.max_causes, nothing)
+    search.run(tick)
+    nominal = fitter.remeasure(nothing)
+    best, equivalent = search.conclude(nominal)
     gains = {}
-    for i in range(len(current.causes)):
-        less = _without(fitter, current, i, nominal)
-        gains[i] = less.misfit - current.misfit if less is not None else 0.0
-    if current.causes:
-        current, nominal = fitter.spread(fitter.tighten(current)), fitter.remeasure(nominal)
-    return Selection(current, nominal, forward.trials, equivalent, gains, notes)
+    for i in range(len(best.causes)):
+        rest = [c for j, c in enumerate(best.causes) if j != i]
+        less = fitter.fit(rest) if rest else nominal
+        gains[i] = less.misfit - best.misfit if less is not None else 0.0
+    if best.causes:
+        best, nominal = fitter.spread(fitter.tighten(best)), fitter.remeasure(nominal)
+    if len(screen.runs) == 1 and best.causes:
+        search.notes.append("a single run: no cause could be held against a run that is left out")
+    return Selection(best, nominal, search.trials, equivalent, gains, search.notes)
 
 
 def without_causes(selection: Selection) -> Selection:
@@ -63,30 +49,3 @@ def without_causes(selection: Selection) -> Selection:
     found = ", ".join(dict.fromkeys(c.candidate.effect for c in selection.fit.causes))
     note = f"{found} fits best, and makes the unseen run worse: no cause"
     return replace(selection, fit=selection.nominal, equivalent=[], gains={}, notes=[*selection.notes, note])
-
-
-def _without(fitter: Fitter, fit: Fit, i: int, nominal: Fit) -> Fit | None:
-    rest = [c for j, c in enumerate(fit.causes) if j != i]
-    return fitter.fit(rest) if rest else nominal
-
-
-def _prune(screen: Screen, fitter: Fitter, config: DiagnoseConfig, fit: Fit, notes: list[str]) -> Fit:
-    """Take out causes that later ones have made superfluous, or that lie too near to nothing beside them."""
-    while len(fit.causes) > 1:
-        losses = []
-        clear = fitter.clear(fit, of_few=Z90)  # no cause is named whose own interval holds nothing
-        for i in range(len(fit.causes)):
-            less = fitter.fit([c for j, c in enumerate(fit.causes) if j != i])
-            if less is not None:
-                mean, _, _ = heldout(screen, less, fit)
-                small = deviation(screen, fit.causes[i]) < config.min_deviation
-                keep = less.misfit - fit.misfit > config.min_gain and mean > 0 and not small and clear[i]
-                losses.append((keep, less.misfit - fit.misfit, i, less))
-        out = [item for item in losses if not item[0]]
-        if not out:
-            return fit
-        _, loss, i, less = min(out, key=lambda item: item[1])
-        gone = fit.causes[i].candidate
-        notes.append(f"{gone.effect} {', '.join(gone.place)} was taken out again (loss {loss:.1f})")
-        fit = less
-    return fit

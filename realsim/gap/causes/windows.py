@@ -8,22 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from realsim.gap.causes.figures import GRID, LEAD, MARGIN, SHORTEST, SLIDES, TIMES
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import deviations
 from realsim.gap.causes.screen import Candidate, Screen
-from realsim.gap.effects.external_force import NEAR
+from realsim.gap.effects.external_force import EFFECT, NEAR
 from realsim.gap.simulation.context import base_body
 from realsim.types import F64
 
-GRID = 0.1
-"""Windows begin and end on a grid of so many seconds at first, then on single bins near the best."""
-LEAD = 0.2
-"""Seconds before an onset in which its window may begin."""
-SHORTEST = 0.2
-MARGIN = 20.0
 FORCE = ("fx", "fy", "fz")
-SLIDES = 0.3, 0.1, 0.03
-"""Steps in which the edges of a window are moved, s, and the size of its force, as a share of it."""
 
 
 @dataclass(frozen=True)
@@ -77,17 +70,17 @@ def _by_place(
     """The best window of each body's force on one clock, where it says much more than a force that acts always."""
     whole_runs = own_time(screen)
     found = []
-    for place in dict.fromkeys(a.place for a in screen.atoms if a.effect == "external_force"):
-        at = {n: screen.index[key] for n in ("fx", "fy", "fz") if (key := ("external_force", place, n)) in screen.index}
+    for place in dict.fromkeys(a.place for a in screen.atoms if a.effect == EFFECT.name):
+        at = {n: screen.index[key] for n in ("fx", "fy", "fz") if (key := (EFFECT.name, place, n)) in screen.index}
         axes, index = tuple(at), list(at.values())  # a planar arm cannot feel a force across its plane
         info, score = _by_time(screen, clock, index, left, weights)
         total = (info, score) if clock == whole_runs else _by_time(screen, whole_runs, index, left, weights)
         scale = np.array([abs(screen.atoms[i].parameter.step) for i in index])
         whole = float(_gain(total[0].sum(axis=0), total[1].sum(axis=0), scale)[0])
         gain, start, end, force = _best_window(info, score, scale, screen.comparison.config.bin_seconds, clock.latest)
-        if gain > 1.5 * whole + MARGIN:
+        if gain > TIMES * whole + MARGIN:
             directions = np.eye(len(screen.atoms))[:, index]
-            candidate = Candidate("external_force", (place,), (*axes, *clock.edges), directions, axes)
+            candidate = Candidate(EFFECT.name, (place,), (*axes, *clock.edges), directions, axes)
             found.append((gain, candidate, dict(zip(axes, force, strict=True)) | clock.values(start, end)))
     return found
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -72,6 +72,16 @@ class Excitation:
 
 
 @dataclass(frozen=True)
+class Suggestion:
+    """What else may explain what an effect was found to do."""
+
+    effect: str
+    place: Place
+    values: dict[str, float]
+    """Coordinates by parameter name, from which a fit begins; of the same effect and place: another valley."""
+
+
+@dataclass(frozen=True)
 class Effect:
     """A way in which a robot can differ from its simulator."""
 
@@ -104,19 +114,14 @@ class Effect:
     """Whether its slope foretells nothing: a foot slips or lands, a drive saturates, or not."""
     footing: tuple[str, ...] = ()
     """Parameters that move a robot's feet against the ground: which of them then touch it, no slope foretells."""
-    further_starts: Callable[[dict[str, float]], list[dict[str, float]]] | None = None
-    """From values that were found: others from which a search should begin once more, in another valley."""
-    plain: str | None = None
-    """A plainer effect that it becomes at the end of a parameter's range, and so always fits as well as."""
+    stepwise: bool = False
+    """Whether it acts on every step anew, so that its runs are stepped one by one."""
+    contains: str | None = None
+    """Another effect that this law holds as a special case, and so always fits as well as."""
     usual: str | None = None
     """A more usual effect that may do the same."""
-    twin: str | None = None
-    """Another effect that does exactly the same at the same values, where `twinned` says so of a log."""
-    twinned: Callable[[Context], bool] = lambda context: False
-    same_motion: Callable[[Context, Place, dict[str, float]], dict[str, dict[str, float]]] = lambda *_: {}
-    """From values that were found at a place: other effects there, with values that move the robot the same way."""
-    elsewhere: Callable[[Context, Place, dict[str, float]], list[tuple[Place, dict[str, float]]]] | None = None
-    """From values that were found at a place: other places, with the values there, that do nearly the same."""
+    suggests: Callable[[Context, Place, dict[str, float]], Sequence[Suggestion]] = lambda *_: ()
+    """From values that were found at a place: what else may explain the same."""
 
 
 def gain(step: float, nuisance: float) -> Parameter:

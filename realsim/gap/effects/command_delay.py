@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
-from realsim.gap.effects.base import EXACT, Edit, Effect, Parameter, Place, always, everywhere, joint_signals_only
+from realsim.gap.effects.base import (
+    EXACT,
+    Edit,
+    Effect,
+    Parameter,
+    Place,
+    Suggestion,
+    always,
+    everywhere,
+    joint_signals_only,
+)
 from realsim.gap.simulation.context import Context
 
 
@@ -12,6 +22,11 @@ def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     edit.signals.command_delay += values["delay"]
+
+
+def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[Suggestion]:
+    """Where only joints are compared, late commands and late readings are one thing."""
+    return [Suggestion("observation_delay", place, values)] if joint_signals_only(context) else []
 
 
 EFFECT = Effect(
@@ -28,6 +43,5 @@ EFFECT = Effect(
     apply=_apply,
     form=EXACT,
     patchable=False,
-    twin="observation_delay",
-    twinned=joint_signals_only,
+    suggests=_suggests,
 )

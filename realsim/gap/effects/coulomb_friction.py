@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, Suggestion, each_joint
+from realsim.gap.effects.stribeck_friction import higher_at_rest
 from realsim.gap.simulation.context import Context
 
 
@@ -25,6 +26,11 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         edit.add_friction(joint, values["friction"])
 
 
+def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[Suggestion]:
+    """The same in motion, and more of it at rest."""
+    return higher_at_rest(context, place, values["friction"]) if values["friction"] > 0 else []
+
+
 EFFECT = Effect(
     name="coulomb_friction",
     title="Coulomb friction",
@@ -36,4 +42,5 @@ EFFECT = Effect(
     parameters=_parameters,
     excited_by=_excited,
     apply=_apply,
+    suggests=_suggests,
 )

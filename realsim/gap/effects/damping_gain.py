@@ -4,7 +4,18 @@ from __future__ import annotations
 
 import math
 
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint, gain, servo_damping
+from realsim.gap.effects.base import (
+    EXACT,
+    Edit,
+    Effect,
+    Excitation,
+    Parameter,
+    Place,
+    Suggestion,
+    each_joint,
+    gain,
+    servo_damping,
+)
 from realsim.gap.simulation.context import Context
 
 
@@ -29,9 +40,12 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         actuator.gainprm, actuator.biasprm = gain, bias
 
 
-def _same_motion(context: Context, place: Place, values: dict[str, float]) -> dict[str, dict[str, float]]:
+def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[Suggestion]:
     """Viscous friction brakes like the servo; only the drive's torque, or its limit, tells them apart."""
-    return {"viscous_friction": {"damping": math.expm1(values["ratio"]) * servo_damping(context, place)}}
+    if context.case.has("joint_torque"):
+        return []
+    damping = math.expm1(values["ratio"]) * servo_damping(context, place)
+    return [Suggestion("viscous_friction", place, {"damping": damping})]
 
 
 EFFECT = Effect(
@@ -46,6 +60,6 @@ EFFECT = Effect(
     parameters=_parameters,
     excited_by=_excited,
     apply=_apply,
-    same_motion=_same_motion,
+    suggests=_suggests,
     form=EXACT,
 )

@@ -36,5 +36,6 @@ EFFECT = Effect(
     parameters=_parameters,
     excited_by=_excited,
     apply=_apply,
+    stepwise=True,
     patchable=False,
 )

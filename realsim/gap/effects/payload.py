@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place
+from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, Suggestion
 from realsim.gap.simulation.context import Context
 from realsim.gap.simulation.edit import add_point_mass
 
@@ -54,20 +54,23 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         edit.set_inertia(body, *add_point_mass(*edit.inertia_of(body), added, where))
 
 
-def _elsewhere(context: Context, place: Place, values: dict[str, float]) -> list[tuple[Place, dict[str, float]]]:
+def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[Suggestion]:
     """The same mass on the links before and behind: near the joint between them, it does the same on either."""
     import mujoco
 
+    if "x" not in values:
+        return []
     model, data = context.case.model, mujoco.MjData(context.case.model)
     mujoco.mj_kinematics(model, data)
     here = model.body(place[0])
     world = data.xpos[here.id] + data.xmat[here.id].reshape(3, 3) @ [values[a] for a in "xyz"]
-    found: list[tuple[Place, dict[str, float]]] = []
+    found = []
     for name in context.bodies:
         there = model.body(name)
         if there.id == int(here.parentid[0]) or here.id == int(there.parentid[0]):
             local = data.xmat[there.id].reshape(3, 3).T @ (world - data.xpos[there.id])
-            found.append(((name,), {"mass": values["mass"], **dict(zip("xyz", local.tolist(), strict=True))}))
+            moved = {"mass": values["mass"], **dict(zip("xyz", local.tolist(), strict=True))}
+            found.append(Suggestion("payload", (name,), moved))
     return found
 
 
@@ -85,5 +88,5 @@ EFFECT = Effect(
     apply=_apply,
     form=EXACT,
     variants=(("mass",), ("mass", "x", "y", "z")),
-    elsewhere=_elsewhere,
+    suggests=_suggests,
 )

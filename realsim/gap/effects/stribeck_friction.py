@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, Suggestion, each_joint
 from realsim.gap.simulation.context import Context
 
 WIDEST = 0.4
@@ -65,17 +65,25 @@ HIGHER = ((2.5, 1.7), (3.0, 0.6))
 """Ratios of friction at rest to friction in motion, and on the Stribeck velocity, to search from."""
 
 
-def _further_starts(values: dict[str, float]) -> list[dict[str, float]]:
+def higher_at_rest(
+    context: Context, place: Place, moving: float, static: float = 0.0, velocity: float | None = None
+) -> list[Suggestion]:
     """Well above the friction in motion: below it, friction at rest does nothing, and no slope leads out of there."""
-    moving = values.get("coulomb", 0.0) or values["static_friction"]
-    return [
-        {
-            "static_friction": max(values["static_friction"], ratio * moving),
-            "coulomb": moving,
-            "stribeck_velocity": width * values["stribeck_velocity"],
-        }
-        for ratio, width in HIGHER
-    ]
+    usual = next(p.default for p in _parameters(context, place) if p.name == "stribeck_velocity")
+    found = []
+    for ratio, width in HIGHER:
+        at_rest, speed = max(static, ratio * moving), width * (usual if velocity is None else velocity)
+        values = {"static_friction": at_rest, "coulomb": moving, "stribeck_velocity": speed}
+        found.append(Suggestion("stribeck_friction", place, values))
+    return found
+
+
+def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[Suggestion]:
+    """Another valley; and Coulomb friction, which is this without a fall."""
+    static = values["static_friction"]
+    moving = values.get("coulomb", 0.0) or static
+    others = higher_at_rest(context, place, moving, static, values["stribeck_velocity"])
+    return [Suggestion("coulomb_friction", place, {"friction": moving}), *others]
 
 
 EFFECT = Effect(
@@ -91,6 +99,6 @@ EFFECT = Effect(
     excited_by=_excited,
     apply=_apply,
     stiff=True,
-    plain="coulomb_friction",
-    further_starts=_further_starts,
+    contains="coulomb_friction",
+    suggests=_suggests,
 )

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import math
 
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint, servo_damping
+from realsim.gap.effects.base import (
+    EXACT,
+    Edit,
+    Effect,
+    Excitation,
+    Parameter,
+    Place,
+    Suggestion,
+    each_joint,
+    servo_damping,
+)
 from realsim.gap.simulation.context import Context
 
 
@@ -30,10 +40,13 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         target.damping = damping
 
 
-def _same_motion(context: Context, place: Place, values: dict[str, float]) -> dict[str, dict[str, float]]:
+def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[Suggestion]:
+    """The servo's damping gain brakes alike; only the drive's torque tells them apart."""
+    if context.case.has("joint_torque"):
+        return []
     servo = servo_damping(context, place)
     more = values["damping"] / servo if servo > 0 else -1.0
-    return {"damping_gain": {"ratio": math.log1p(more)}} if more > -1 else {}
+    return [Suggestion("damping_gain", place, {"ratio": math.log1p(more)})] if more > -1 else []
 
 
 EFFECT = Effect(
@@ -47,6 +60,6 @@ EFFECT = Effect(
     parameters=_parameters,
     excited_by=_excited,
     apply=_apply,
-    same_motion=_same_motion,
+    suggests=_suggests,
     form=EXACT,
 )

@@ -126,11 +126,6 @@ class Simulator:
         motion = repr((edit.bodily, self.onsets)), edit.signals.motion(moving), coarse, tuple(chosen)
         return (self._changed if moves else self._coarse).get(motion, lambda: self.roll_out(edit, chosen, coarse))
 
-    def twin(self, name: str) -> str | None:
-        """Name of the effect that does exactly the same in these logs, at the same values, if there is one."""
-        effect = lookup(name)
-        return effect.twin if effect.twinned(self.context) and not any(s.moving for s in self.starts) else None
-
     # ------------------------------------------------------------ inside
 
     def _start_in_motion(self) -> None:
