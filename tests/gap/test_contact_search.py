@@ -72,7 +72,7 @@ def test_causes_and_deviations_are_settled_together_and_nothing_else_moves(quadr
     case = logged(logged(quadruped, []), [cause, *deviations])
     with fitter_for(case, ("coulomb_friction", "motor_gain")) as fitter:
         before, about = at(fitter, "coulomb_friction", "fl_calf", 0.8), fitter.about.copy()
-        after = fitter.settled(before)
+        after = fitter.with_own_nuisances(before)
         assert np.array_equal(fitter.about, about)
         assert after.misfit < before.misfit
         assert 0.8 < after.causes[0].values[0] < 1.1
@@ -84,7 +84,7 @@ def test_slopes_are_not_taken_anew_where_a_law_makes_every_step_much_finer(
 ) -> None:
     with fitter_for(logged(quadruped, []), ("coulomb_friction", "stribeck_friction")) as fitter:
         taken = []
-        monkeypatch.setattr(fitter.screen, "look_from", lambda settings: taken.append(settings[0][0]))
+        monkeypatch.setattr(fitter.screen, "relinearise", lambda settings: taken.append(settings[0][0]))
         dip = next(c for c in fitter.screen.candidates if c.effect == "stribeck_friction" and len(c.names) == 3)
         values = {"static_friction": 2.0, "coulomb": 0.5, "stribeck_velocity": 0.02}
         narrow = fitter.looked_at(fitter.nominal(), [Cause(dip, tuple(values[n] for n in dip.names))])

@@ -20,7 +20,7 @@ from realsim.gap.causes.probes import probed, probed_footing, probed_ground
 from realsim.gap.causes.proposals import by_likeness, by_size, ranked
 from realsim.gap.causes.screen import Screen, slab
 from realsim.gap.causes.starts import starts
-from realsim.gap.causes.windows import carried, slid
+from realsim.gap.causes.windows import adjusted, at_other_bodies
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
@@ -218,7 +218,7 @@ def test_a_window_slides_to_where_the_push_was(quadruped: Case) -> None:
         names = (*push, "start", "end")
         trunk = next(c for c in screen.candidates if c.place == ("trunk",) and c.names == tuple(push))
         late = Cause(replace(trunk, names=names), (*push.values(), 0.85, 1.5))
-        found = slid(fitter, fitter.remeasure(replace(fitter.nominal(), causes=(late,)))).causes[0].named
+        found = adjusted(fitter, fitter.remeasure(replace(fitter.nominal(), causes=(late,)))).causes[0].named
     assert found["start"] == pytest.approx(0.6, abs=0.05)
     assert found["end"] == pytest.approx(1.3, abs=0.05)
 
@@ -234,7 +234,9 @@ def test_a_push_taken_for_one_at_the_hip_is_carried_to_the_trunk(quadruped: Case
         hip = next(c for c in screen.candidates if c.place[0].endswith("hip_link") and c.names == tuple(push))
         weaker = Cause(replace(hip, names=(*push, "start", "end")), (0.0, 9.0, 0.0, 0.6, 1.3))
         wrong = fitter.remeasure(replace(fitter.nominal(), causes=(weaker,)))
-        found = min((slid(fitter, f) for f in carried(screen, fitter, wrong)), key=lambda f: f.misfit).causes[0]
+        found = min(
+            (adjusted(fitter, f) for f in at_other_bodies(screen, fitter, wrong)), key=lambda f: f.misfit
+        ).causes[0]
     assert found.candidate.place == ("trunk",)
     assert found.named["fy"] == pytest.approx(15.0, rel=0.1)
 

@@ -127,7 +127,7 @@ def test_the_other_friction_cone_is_no_lower_friction(quadruped: Case) -> None:
     for setting, cone in logs:
         screen, fitter = screened(logged(quadruped, [setting]), ("ground_friction",))
         with screen.simulator:
-            fitter.switched(fitter.nominal())
+            fitter.with_likelier_solver(fitter.nominal())
             assert fitter.about[screen.index["contact_solver", (), "cone"]] == cone
 
 
@@ -141,7 +141,7 @@ def test_the_other_friction_cone_is_seen_beside_a_cause(quadruped: Case, cone: f
         cause = next(c for c in screen.candidates if c.place == ("fr_thigh",))
         fit = fitter.looked_at(fitter.nominal(), [Cause(cause, (-0.45,))])
         assert fit is not None
-        fitter.switched(fit)
+        fitter.with_likelier_solver(fit)
         assert fitter.about[screen.index["contact_solver", (), "cone"]] == cone
 
 

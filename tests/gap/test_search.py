@@ -13,7 +13,7 @@ from realsim.gap import DiagnoseConfig, load_case
 from realsim.gap.answer.verdict import FAR_ABOVE, NOT_HELD, at_an_end, not_held
 from realsim.gap.causes.figures import NARROWER, SHORTEST, WIDE
 from realsim.gap.causes.fit import Cause, Fitter, _at_bound
-from realsim.gap.causes.gauss_newton import WHOLE
+from realsim.gap.causes.gauss_newton import FULL
 from realsim.gap.causes.score import score
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.windows import _best_window
@@ -74,8 +74,8 @@ def test_a_coarse_search_ends_where_the_fine_one_does(fitter: Fitter) -> None:
 
 
 def test_laws_that_need_the_fine_step_keep_it(fitter: Fitter) -> None:
-    assert fitter._look([_cause(fitter, "motor_gain", 0.1)], rough=False, coarse=True).coarse == 2
-    assert fitter._look([_cause(fitter, "backlash", 0.01)], rough=False, coarse=True).coarse == 1
+    assert fitter._fidelity([_cause(fitter, "motor_gain", 0.1)], rough=False, coarse=True).coarse == 2
+    assert fitter._fidelity([_cause(fitter, "backlash", 0.01)], rough=False, coarse=True).coarse == 1
 
 
 def test_slopes_of_laws_that_need_the_fine_step_are_taken_at_it(fitter: Fitter, monkeypatch) -> None:
@@ -87,10 +87,10 @@ def test_slopes_of_laws_that_need_the_fine_step_are_taken_at_it(fitter: Fitter, 
         return simulate(settings, runs, coarse)
 
     monkeypatch.setattr(fitter.screen.simulator, "simulate", noted)
-    fitter.screen.look_from(_damped(fitter))
+    fitter.screen.relinearise(_damped(fitter))
     assert steps["backlash"] == 1
     assert steps["motor_gain"] == 2
-    fitter.screen.look_from([])
+    fitter.screen.relinearise([])
 
 
 def _damped(fitter: Fitter, damping: float = 0.01) -> list[Setting]:
@@ -104,7 +104,7 @@ def test_slopes_are_taken_anew_only_beside_causes_that_move_the_robot_otherwise(
     read = ("joint_offset", (screen.simulator.context.driven[0],), {"reading_offset": 0.02})
     for causes, anew in [([], 0), ([read], 0), (_damped(fitter), 1), ([*_damped(fitter, 0.011), read], 0), ([], 1)]:
         looks.clear()
-        screen.look_from(causes)
+        screen.relinearise(causes)
         assert bool(looks) == bool(anew), causes
 
 
@@ -134,7 +134,7 @@ def test_slopes_that_promise_what_is_not_gained_are_taken_nearer(fitter: Fitter,
     """Over a wide difference the bent valley of a payload's mass and place has slopes that lead up its walls."""
     slopes, widths = fitter._slopes, []
 
-    def bent(candidates, z, parameters, base, look=WHOLE, width=WIDE):
+    def bent(candidates, z, parameters, base, look=FULL, width=WIDE):
         widths.append(width)
         return [-D if width == WIDE else D for D in slopes(candidates, z, parameters, base, look, width)]
 

@@ -141,7 +141,7 @@ def test_an_imus_delay_gives_way_to_late_commands(arm: Case) -> None:
     fitter = Fitter(screen)
     delay, phase = screen.index["imu_delay", (), "delay"], screen.index["imu_phase", (), "phase"]
     fitter.about[[delay, phase]] = 0.005, 0.3
-    straight = fitter.unbend(fitter.nominal())
+    straight = fitter.reset_nuisances(fitter.nominal())
     assert straight.about[delay] == 0.0
     assert straight.about[phase] == 0.3
 
@@ -153,7 +153,7 @@ def test_slopes_are_taken_anew_beside_a_cause(arm: Case) -> None:
     own = screen.index["motor_gain", ("shoulder",), "ratio"]
     before = [screen.columns(k, [i, own]).copy() for k in range(len(screen.runs))]
     version = screen.comparison.version
-    screen.look_from([cause])
+    screen.relinearise([cause])
     assert screen.comparison.version > version  # what was weighed with the old slopes is weighed again
     width = 0.05 * screen.atoms[i].parameter.step
     base, moved = (
@@ -172,7 +172,7 @@ def test_what_does_nothing_beside_a_cause_explains_nothing_there(arm: Case) -> N
     screen = screened(arm, ("stiffness_gain",))
     dead, other = (screen.index["stiffness_gain", (joint,), "ratio"] for joint in ("elbow", "shoulder"))
     assert all(np.abs(screen.columns(k, [dead])).max() > 0 for k in range(len(screen.runs)))
-    screen.look_from([("motor_gain", ("elbow",), {"ratio": -40.0})])
+    screen.relinearise([("motor_gain", ("elbow",), {"ratio": -40.0})])
     for k in range(len(screen.runs)):
         assert (screen.columns(k, [dead]) == 0).all()
         assert np.abs(screen.columns(k, [other])).max() > 0

@@ -13,7 +13,7 @@ from realsim.gap.causes.figures import LIKELIER, POLISH, SETTLED, SWITCHED
 from realsim.gap.causes.fitted import Cause as Cause
 from realsim.gap.causes.fitted import Fit as Fit
 from realsim.gap.causes.fitted import causes_of, form, spread
-from realsim.gap.causes.gauss_newton import WHOLE, GaussNewton, Look, widest
+from realsim.gap.causes.gauss_newton import FULL, Fidelity, GaussNewton, widest
 from realsim.gap.causes.leftover import deviations, reasonable
 from realsim.gap.causes.linear import posterior
 from realsim.gap.effects.base import Parameter
@@ -31,7 +31,7 @@ class Fitter(GaussNewton):
         """No cause at all."""
         return self._measure((), None)
 
-    def switched(self, fit: Fit) -> Fit:
+    def with_likelier_solver(self, fit: Fit) -> Fit:
         """With the solver's other friction cone and the like, each where it explains most of the gap by itself.
 
         What is one or the other is tried, not sloped: beside slipping feet its slope says little of it, and lower
@@ -52,21 +52,21 @@ class Fitter(GaussNewton):
                 self.about = old
         return fit
 
-    def tighten(self, fit: Fit) -> Fit:
+    def reweighted(self, fit: Fit) -> Fit:
         """Weigh errors against what this fit leaves, put the nuisances where they belong, and measure it anew."""
         for _ in range(2):
             self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal, form(fit))
-            fit, moved = self._settle(self.remeasure(fit))
+            fit, moved = self._fit_nuisances(self.remeasure(fit))
             if not moved:
                 break
         return fit
 
-    def unbend(self, fit: Fit) -> Fit:
+    def reset_nuisances(self, fit: Fit) -> Fit:
         """Back to robots without deviations (the solver's and the sensors' stay): a gap is left all the same.
 
         Small deviations that were bent to imitate a cause would hide it from its own rivals.
         """
-        straight = self._straight()
+        straight = self._nuisances_of_sensors()
         if np.array_equal(straight, self.about):
             return fit
         self.about = straight
@@ -75,20 +75,20 @@ class Fitter(GaussNewton):
         return self.remeasure(fit)
 
     @contextmanager
-    def unbent(self) -> Iterator[None]:
-        """Fits in here are made as after `unbend`, under the present weights."""
-        bent, self.about = self.about, self._straight()
+    def nuisances_reset(self) -> Iterator[None]:
+        """Fits in here are made as after `reset_nuisances`, under the present weights."""
+        bent, self.about = self.about, self._nuisances_of_sensors()
         try:
             yield
         finally:
             self.about = bent
 
-    def settled(self, fit: Fit, rounds: int = 4) -> Fit:
+    def with_own_nuisances(self, fit: Fit, rounds: int = 4) -> Fit:
         """Causes and small deviations where they belong beside each other, found in turn; for this fit alone."""
         about, best = self.about, fit
         try:
             for _ in range(rounds):
-                fit, moved = self._settle(self.remeasure(fit))
+                fit, moved = self._fit_nuisances(self.remeasure(fit))
                 if moved and fit.causes:
                     fit = self.fit(fit.causes, iterations=3) or fit
                 best = min(best, fit, key=lambda f: f.misfit)
@@ -98,7 +98,7 @@ class Fitter(GaussNewton):
             self.about = about
         return best
 
-    def _straight(self) -> F64:
+    def _nuisances_of_sensors(self) -> F64:
         staying = NUISANCES.keys() - LIKE_A_CAUSE
         return np.where([a.effect in staying for a in self.screen.atoms], self.about, 0.0)
 
@@ -111,15 +111,15 @@ class Fitter(GaussNewton):
         """These causes at their very values, without a search, under the fit's weights; None if the robot falls."""
         return self._or_none(replace(fit, causes=tuple(causes)))
 
-    def glance(self, causes: Sequence[Cause], further: Cause) -> float:
+    def coarse_gain(self, causes: Sequence[Cause], further: Cause) -> float:
         """Gain in log-likelihood by a further cause at its very values, as a rough search sees it."""
-        look = self._look([*causes, further], rough=True, coarse=True)
+        fidelity = self._fidelity([*causes, further], rough=True, coarse=True)
         candidates, z = [c.candidate for c in causes], [v for c in causes for v in c.values]
-        before = self._misfit(candidates, np.array(z), look)
-        after = self._misfit([*candidates, further.candidate], np.array([*z, *further.values]), look)
+        before = self._misfit(candidates, np.array(z), fidelity)
+        after = self._misfit([*candidates, further.candidate], np.array([*z, *further.values]), fidelity)
         return -np.inf if before is None or after is None else before - after
 
-    def _settle(self, fit: Fit) -> tuple[Fit, bool]:
+    def _fit_nuisances(self, fit: Fit) -> tuple[Fit, bool]:
         """Nuisances at their most probable values beside the causes, by simulation; whether they moved.
 
         They only move if that explains most of what is left: beside a large gap, many small deviations would be bent
@@ -170,22 +170,22 @@ class Fitter(GaussNewton):
         """
         candidates = [c.candidate for c in causes]
         parameters = self._parameters(candidates)
-        look = self._look(causes, rough, coarse)
+        fidelity = self._fidelity(causes, rough, coarse)
         first = [[v for c in causes for v in c.values], *starts]
-        z = self._best_start(candidates, parameters, first, look)
-        if z is None and look.coarse > 1:
-            look = Look(look.few)
-            z = self._best_start(candidates, parameters, first, look)
+        z = self._best_start(candidates, parameters, first, fidelity)
+        if z is None and fidelity.coarse > 1:
+            fidelity = Fidelity(fidelity.few)
+            z = self._best_start(candidates, parameters, first, fidelity)
         if z is None:
             return None
-        z, value, slopes = self._descend(candidates, z, None, parameters, look, iterations, target, nearer)
-        if look.coarse > 1:
-            look = Look(look.few)
-            if value <= target and self._predict(candidates, z, look) is not None:
-                z, value, slopes = self._descend(candidates, z, slopes, parameters, look, POLISH)
+        z, value, slopes = self._descend(candidates, z, None, parameters, fidelity, iterations, target, nearer)
+        if fidelity.coarse > 1:
+            fidelity = Fidelity(fidelity.few)
+            if value <= target and self._predict(candidates, z, fidelity) is not None:
+                z, value, slopes = self._descend(candidates, z, slopes, parameters, fidelity, POLISH)
         try:
-            return self._measure(causes_of(candidates, z), parameters, slopes, look)
-        except GapError:  # on a run that a rough search did not look at
+            return self._measure(causes_of(candidates, z), parameters, slopes, fidelity)
+        except GapError:  # on a run that a rough fit did not look at
             return None
 
     def left_out(self, fit: Fit, beside: F64) -> F64:
@@ -221,7 +221,9 @@ class Fitter(GaussNewton):
             here = e
             if slopes:
                 most = widest(z, parameters)
-                moved = self._predict(candidates, self._clip(z + np.clip(step, -most, most), parameters), Look((k,)))
+                moved = self._predict(
+                    candidates, self._clip(z + np.clip(step, -most, most), parameters), Fidelity((k,))
+                )
                 if moved is None:
                     found.append(np.inf)
                     continue
@@ -244,7 +246,7 @@ class Fitter(GaussNewton):
         causes: tuple[Cause, ...],
         parameters: list[Parameter] | None,
         slopes: list[F64] | None = None,
-        look: Look = WHOLE,
+        fidelity: Fidelity = FULL,
     ) -> Fit:
         """The fit with its evidence; `slopes` (of the runs looked at) are taken by differences if there are none."""
         candidates = [c.candidate for c in causes]
@@ -259,10 +261,10 @@ class Fitter(GaussNewton):
         at_bounds: list[str] = []
         if parameters:
             if slopes is None:
-                slopes, look = self._slopes(candidates, z, parameters, predicted), WHOLE
+                slopes, fidelity = self._slopes(candidates, z, parameters, predicted), FULL
             if slopes is not None:
-                seen = predicted if look.few is None else [predicted[k] for k in look.few]
-                covariance = spread(*self._local(candidates, seen, slopes, look), parameters)
+                seen = predicted if fidelity.few is None else [predicted[k] for k in fidelity.few]
+                covariance = spread(*self._local(candidates, seen, slopes, fidelity), parameters)
             at_bounds = [p.name for p, v in zip(parameters, z, strict=True) if _at_bound(p, float(v))]
         misfit = self.screen.misfit(evidence, prior)
         return Fit(causes, misfit, covariance, tuple(predicted), about, evidence, prior, tuple(at_bounds))

@@ -22,7 +22,7 @@ Made = TypeVar("Made")
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class Fidelity:
     """What a fit simulates while it searches."""
 
     few: tuple[int, ...] | None = None
@@ -33,7 +33,7 @@ class Look:
     """(T, C) a run: what the fine step adds where the search begins."""
 
 
-WHOLE = Look()
+FULL = Fidelity()
 
 
 class GaussNewton:
@@ -45,7 +45,7 @@ class GaussNewton:
         """(p,) nuisances that every simulation contains, so that the linear rest is small."""
         self._recent: Recent[list[F64] | None] = Recent(24)
         """A line search ends where the next slopes begin: no need to simulate it again."""
-        self._looks: Recent[Look] = Recent(4)
+        self._fidelities: Recent[Fidelity] = Recent(4)
 
     @property
     def evaluations(self) -> int:
@@ -66,62 +66,62 @@ class GaussNewton:
         z: F64,
         slopes: list[F64] | None,
         parameters: list[Parameter],
-        look: Look,
+        fidelity: Fidelity,
         iterations: int,
         target: float = np.inf,
         nearer: bool = False,
     ) -> tuple[F64, float, list[F64] | None]:
         """(values, misfit, slopes) after some damped steps; slopes that are given are taken as good enough."""
-        value = self._misfit(candidates, z, look)
+        value = self._misfit(candidates, z, fidelity)
         assert value is not None
         given, fresh, damping, width = slopes is not None, False, 1e-3, WIDE
         for k in range(iterations):
-            base = self._predict(candidates, z, look)
+            base = self._predict(candidates, z, fidelity)
             assert base is not None
             if slopes is None:
-                slopes, fresh = self._slopes(candidates, z, parameters, base, look, width), True
+                slopes, fresh = self._slopes(candidates, z, parameters, base, fidelity, width), True
                 if slopes is None:
                     break
-            step, promised = self._newton(candidates, z, parameters, base, slopes, damping, look)
+            step, promised = self._newton(candidates, z, parameters, base, slopes, damping, fidelity)
             on_the_way = bool((np.abs(step) >= widest(z, parameters)).any())
             before = value
             for shrink in (1.0, 0.4, 0.1):
                 trial = self._clip(z + shrink * step, parameters)
-                new = self._misfit(candidates, trial, look)
+                new = self._misfit(candidates, trial, fidelity)
                 if new is not None and new < value - 1e-3:
-                    moved = self._predict(candidates, trial, look)
+                    moved = self._predict(candidates, trial, fidelity)
                     assert moved is not None
-                    slopes, fresh = self._secant(slopes, trial - z, parameters, base, moved, look), False
+                    slopes, fresh = self._secant(slopes, trial - z, parameters, base, moved, fidelity), False
                     z, value = trial, new
                     damping = max(damping / 5, 1e-6)
                     break
             gained = before - value
             if gained <= 0 and not fresh and not given:
-                slopes = None  # the secants have gone stale: look anew before giving up
+                slopes = None  # the secants have gone stale: take slopes again before giving up
             elif nearer and gained <= 0 and fresh and promised > PROMISED and width > NARROWEST:
                 slopes, width = None, width * NARROWER  # the valley is narrower than the slopes' differences
             elif gained < 0.02 + 1e-4 * abs(value) or (k and not on_the_way and value - PACES * gained > target):
                 break
         return z, value, slopes
 
-    def _look(self, causes: Sequence[Cause], rough: bool, coarse: bool) -> Look:
+    def _fidelity(self, causes: Sequence[Cause], rough: bool, coarse: bool) -> Fidelity:
         """What a search for these causes simulates; it begins beside all but the last of them."""
         few = self.screen.varied if rough else None
         stiff = any(lookup(c.candidate.effect).stiff for c in causes)
         if not coarse or stiff or self.screen.coarse == 1:
-            return Look(few)
+            return Fidelity(few)
         before = causes[:-1]
         candidates, z = [c.candidate for c in before], np.array([v for c in before for v in c.values])
         key = (tuple(c.key for c in candidates), z.tobytes(), few, self.about.tobytes())
 
-        def made() -> Look:
-            fine = self._predict(candidates, z, Look(few))
-            rude = self._predict(candidates, z, Look(few, self.screen.coarse))
+        def made() -> Fidelity:
+            fine = self._predict(candidates, z, Fidelity(few))
+            rude = self._predict(candidates, z, Fidelity(few, self.screen.coarse))
             if fine is None or rude is None:  # a stiff servo may not bear it
-                return Look(few)
-            return Look(few, self.screen.coarse, tuple(f - r for f, r in zip(fine, rude, strict=True)))
+                return Fidelity(few)
+            return Fidelity(few, self.screen.coarse, tuple(f - r for f, r in zip(fine, rude, strict=True)))
 
-        return self._looks.get(key, made)
+        return self._fidelities.get(key, made)
 
     def _parameters(self, candidates: Sequence[Candidate]) -> list[Parameter]:
         found = []
@@ -135,11 +135,11 @@ class GaussNewton:
         candidates: Sequence[Candidate],
         parameters: list[Parameter],
         starts: Sequence[Sequence[float]],
-        look: Look,
+        fidelity: Fidelity,
     ) -> F64 | None:
         best: tuple[float, F64] | None = None
         begun = [self._clip(np.array(start, float), parameters) for start in starts]
-        values = self.each(lambda z: self._misfit(candidates, z, look), begun)
+        values = self.each(lambda z: self._misfit(candidates, z, fidelity), begun)
         for z, value in zip(begun, values, strict=True):
             if value is not None and (best is None or value < best[0]):
                 best = (value, z)
@@ -157,22 +157,22 @@ class GaussNewton:
             i += len(c.names)
         return settings
 
-    def _runs(self, look: Look) -> list[int]:
-        return self.screen.runs if look.few is None else [self.screen.runs[k] for k in look.few]
+    def _runs(self, fidelity: Fidelity) -> list[int]:
+        return self.screen.runs if fidelity.few is None else [self.screen.runs[k] for k in fidelity.few]
 
-    def _predict(self, candidates: Sequence[Candidate], z: F64, look: Look = WHOLE) -> list[F64] | None:
+    def _predict(self, candidates: Sequence[Candidate], z: F64, fidelity: Fidelity = FULL) -> list[F64] | None:
         """(T, C) a screened run (of those that are looked at); None if the simulation fails."""
-        step = (look.few, look.coarse, look.offset[0].tobytes() if look.offset else b"")
+        step = (fidelity.few, fidelity.coarse, fidelity.offset[0].tobytes() if fidelity.offset else b"")
         key = (tuple(c.key for c in candidates), z.tobytes(), step, self.about.tobytes())
-        return self._recent.get(key, lambda: self._simulated(candidates, z, look))
+        return self._recent.get(key, lambda: self._simulated(candidates, z, fidelity))
 
-    def _simulated(self, candidates: Sequence[Candidate], z: F64, look: Look) -> list[F64] | None:
+    def _simulated(self, candidates: Sequence[Candidate], z: F64, fidelity: Fidelity) -> list[F64] | None:
         try:
-            made = self.screen.simulator.simulate(self._settings(candidates, z), self._runs(look), look.coarse)
+            made = self.screen.simulator.simulate(self._settings(candidates, z), self._runs(fidelity), fidelity.coarse)
         except GapError:
             return None
-        if look.offset:
-            made = [y + more for y, more in zip(made, look.offset, strict=True)]
+        if fidelity.offset:
+            made = [y + more for y, more in zip(made, fidelity.offset, strict=True)]
         return made if all(np.isfinite(y).all() for y in made) else None
 
     def prior_beside(self, candidates: Sequence[Candidate]) -> F64:
@@ -188,11 +188,11 @@ class GaussNewton:
                             prior[i] = 0.0
         return prior
 
-    def _misfit(self, candidates: Sequence[Candidate], z: F64, look: Look = WHOLE) -> float | None:
-        predicted = self._predict(candidates, z, look)
+    def _misfit(self, candidates: Sequence[Candidate], z: F64, fidelity: Fidelity = FULL) -> float | None:
+        predicted = self._predict(candidates, z, fidelity)
         if predicted is None:
             return None
-        evidence = self.screen.evidence(predicted, look.few, self._about(candidates))
+        evidence = self.screen.evidence(predicted, fidelity.few, self._about(candidates))
         return self.screen.misfit(evidence, self.prior_beside(candidates))
 
     def _slopes(
@@ -201,7 +201,7 @@ class GaussNewton:
         z: F64,
         parameters: list[Parameter],
         base: list[F64],
-        look: Look = WHOLE,
+        fidelity: Fidelity = FULL,
         width: float = WIDE,
     ) -> list[F64] | None:
         """(B * C, m) a run: change of the prediction per unit, by differences this share of a step wide."""
@@ -212,9 +212,9 @@ class GaussNewton:
             for change in (far, -far):
                 if not p.bounds[0] <= z[j] + change <= p.bounds[1]:
                     continue
-                moved = self._predict(candidates, z + change * (np.arange(len(z)) == j), look)
+                moved = self._predict(candidates, z + change * (np.arange(len(z)) == j), fidelity)
                 if moved is not None:
-                    runs = zip(self._runs(look), moved, base, strict=True)
+                    runs = zip(self._runs(fidelity), moved, base, strict=True)
                     return [self.screen.comparison.change(run, m, y).reshape(-1) / change for run, m, y in runs]
             return None
 
@@ -230,13 +230,13 @@ class GaussNewton:
         parameters: list[Parameter],
         base: list[F64],
         moved: list[F64],
-        look: Look = WHOLE,
+        fidelity: Fidelity = FULL,
     ) -> list[F64]:
         """Broyden's update: slopes that reproduce the last step exactly, without a further simulation."""
         scaled = step / np.array([p.step**2 for p in parameters])
         share = scaled / float(step @ scaled)
         result = []
-        for D, run, m, y in zip(slopes, self._runs(look), moved, base, strict=True):
+        for D, run, m, y in zip(slopes, self._runs(fidelity), moved, base, strict=True):
             missing = self.screen.comparison.change(run, m, y).reshape(-1) - D @ step
             result.append(D + np.outer(missing, share))
         return result
@@ -246,11 +246,11 @@ class GaussNewton:
         candidates: Sequence[Candidate],
         base: list[F64],
         slopes: list[F64],
-        look: Look = WHOLE,
+        fidelity: Fidelity = FULL,
     ) -> tuple[F64, F64]:
         """Marginal information (m, m) and the scores (runs, m) where the predictions are `base`."""
         about = self._about(candidates)
-        evidence = self.screen.evidence(base, look.few, about)
+        evidence = self.screen.evidence(base, fidelity.few, about)
         prior = self.prior_beside(candidates)
         cov, mean = self.screen.covariance(evidence, prior), self.screen.nuisances(evidence, prior)
         m = slopes[0].shape[1]
@@ -274,10 +274,10 @@ class GaussNewton:
         base: list[F64],
         slopes: list[F64],
         damping: float,
-        look: Look,
+        fidelity: Fidelity,
     ) -> tuple[F64, float]:
         """(m,) Levenberg-Marquardt's step, and the log-likelihood that it promises to first order."""
-        info, scores = self._local(candidates, base, slopes, look)
+        info, scores = self._local(candidates, base, slopes, fidelity)
         scale = np.array([abs(p.step) for p in parameters])
         ridge = np.diag(damping * np.diag(info) + 0.05 / scale**2)
         free = np.ones(len(z), bool)

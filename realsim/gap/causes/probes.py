@@ -71,7 +71,7 @@ def probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Ca
             if gain > best.get((c.effect, c.place), (-np.inf,))[0]:
                 best[c.effect, c.place] = gain, c, estimate
     order = sorted(best.values(), key=lambda item: -item[0])[:PROBED]
-    gain_of = partial(fitter.glance, current.causes)
+    gain_of = partial(fitter.coarse_gain, current.causes)
     probes = _probed(fitter, gain_of, [(c, _along(screen, c, estimate)) for _, c, estimate in order])
     out = standing_out(screen, current)[:PROBED_FEET] if screen.simulator.context.touches else []
     probes += _probed(fitter, gain_of, [(c, _along(screen, c, estimate)) for c, estimate in out], BENT_SIZES)

@@ -150,7 +150,7 @@ def ranked(screen: Screen, here: Fit) -> list[Scored]:
     found = []
     for candidate in screen.candidates:
         if any(
-            (candidate.effect, p) in taken or (lookup(candidate.effect).contains, p) in taken for p in candidate.places
+            (candidate.effect, p) in taken or (lookup(candidate.effect).plain, p) in taken for p in candidate.places
         ):
             continue  # a law that contains one of the causes takes its place: see `by_widening`
         size = slab(candidate, screen)

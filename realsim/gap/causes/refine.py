@@ -10,7 +10,7 @@ from realsim.gap.causes.figures import FINALISTS, NEIGHBOURS, SHARPEST, TOO_LONG
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.score import near, score
-from realsim.gap.causes.windows import carried, slid
+from realsim.gap.causes.windows import adjusted, at_other_bodies
 from realsim.gap.evidence.onsets import find_onsets
 from realsim.gap.simulation.simulate import lookup
 
@@ -29,12 +29,12 @@ def prepared(fitter: Fitter, fit: Fit) -> Fit:
             simulator.onsets = find_onsets(screen.comparison, simulator.simulate(settings), screen.runs)
         finer = context.timestep / simulator.edited(settings).spec.option.timestep
         if len(context.driven) * finer < TOO_LONG:
-            screen.look_from(settings)
-        fit = fitter.switched(fitter.remeasure(fit))
-    fit = fitter.tighten(fit)
+            screen.relinearise(settings)
+        fit = fitter.with_likelier_solver(fitter.remeasure(fit))
+    fit = fitter.reweighted(fit)
     left = leftover(screen, fit)
     if is_gap(left):
-        return fitter.unbend(fit)
+        return fitter.reset_nuisances(fit)
     if not fit.causes:
         fitter.slight = True  # nuisance parameters could explain it: no large gap drowns a smaller cause
     elif not fitter.slight:
@@ -56,14 +56,14 @@ def refined(fitter: Fitter, base: Fit, fits: list[Fit]) -> tuple[Fit, list[Fit]]
     close = [f for f in fits if f.misfit - fits[0].misfit <= near(base.misfit - fits[0].misfit)][:FINALISTS]
     names = fits[0].causes[-1].candidate.names
     if "since" in names or ("start" in names and jagged):  # what lifts a foot or starts a swing, no slope foretells
-        here = slid(fitter, fits[0])
-        close += [here, *(slid(fitter, f) for f in carried(screen, fitter, here))]
+        here = adjusted(fitter, fits[0])
+        close += [here, *(adjusted(fitter, f) for f in at_other_bodies(screen, fitter, here))]
     if is_gap(leftover(screen, base)):
-        fitter.tighten(fits[0])
+        fitter.reweighted(fits[0])
         again = [fit for f in close if (fit := _anew(fitter, f)) is not None] or [fitter.remeasure(fits[0])]
     else:
-        with fitter.unbent():
-            again = [fitter.settled(f, rounds=2) for f in close]
+        with fitter.nuisances_reset():
+            again = [fitter.with_own_nuisances(f, rounds=2) for f in close]
     return fitter.remeasure(base), sorted(again, key=partial(score, screen))
 
 
@@ -79,6 +79,6 @@ def _anew(fitter: Fitter, fit: Fit) -> Fit | None:
     starts = [
         [*done, *(v * factor if name in strength else v for name, v in cause.named.items())] for factor in NEIGHBOURS
     ]
-    with fitter.unbent():
+    with fitter.nuisances_reset():
         again = fitter.fit(fit.causes, starts, rough=True)
-        return again and fitter.settled(again, rounds=2)
+        return again and fitter.with_own_nuisances(again, rounds=2)

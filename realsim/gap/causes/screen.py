@@ -137,7 +137,7 @@ class Screen:
         order = np.argsort([float(np.abs(np.diff(c, axis=0)).sum() / len(c)) for c in commands])
         return tuple(sorted(int(order[i]) for i in np.linspace(0, len(order) - 1, count).round().astype(int)))
 
-    def look_from(self, settings: Sequence[Setting]) -> None:
+    def relinearise(self, settings: Sequence[Setting]) -> None:
         """Take all slopes anew about these causes: a robot that moves otherwise answers otherwise.
 
         Those of the causes themselves stay. What does next to nothing there, or cannot be simulated, explains nothing.

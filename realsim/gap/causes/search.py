@@ -18,8 +18,7 @@ from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.proposals import ADD, EXCHANGE, Propose
 from realsim.gap.causes.refine import prepared, refined
-from realsim.gap.causes.score import alike, doubts, near, score, searched
-from realsim.gap.causes.starts import contains
+from realsim.gap.causes.score import doubts, near, score, searched
 from realsim.gap.causes.trials import Trial, trial, with_outcome
 
 Tick = Callable[[str, float], None]
@@ -96,7 +95,7 @@ class Search:
     def _fitted(self, here: Fit, moves: Sequence[Propose]) -> tuple[Fit, list[Fit]]:
         """(a set, fits of its neighbours by score), beside nuisance parameters that no cause has bent yet."""
         fitter, screen, fits, known = self.fitter, self.fitter.screen, [], set()
-        with fitter.unbent():
+        with fitter.nuisances_reset():
             base = fitter.looked_at(here, here.causes) or here if moves is ADD else here
             aim = near(self.seen[frozenset()].misfit - base.misfit)
             for p in (p for propose in moves for p in propose(fitter, base)):
@@ -135,18 +134,6 @@ class Search:
         self.best = fit
         self._keep(fit)
 
-    def conclude(self, nominal: Fit) -> tuple[Fit, list[Fit]]:
-        """(the set with the lowest score, the others that explain the runs alike), all under the same weights."""
-        best = self.fitter.spread(self.best)
-        if not best.causes:
-            return best, []
-        removed = nominal.misfit - best.misfit
-        others = [f for k, f in self.seen.items() if k != key(best) and len(f.causes) == len(best.causes)]
-        others = [f for f in map(self.fitter.remeasure, others) if f.misfit - best.misfit < near(removed)]
-        found = sorted([best, *(f for f in others if alike(self.fitter, best, f, removed))], key=self._score)
-        best = found[0]
-        return self.fitter.spread(best), [f for f in found[1:] if not _richer(f, best)]
-
     def _keep(self, fit: Fit) -> None:
         old = self.seen.get(key(fit))
         if old is None or old.evidence.version != fit.evidence.version or self._score(fit) < self._score(old):
@@ -164,8 +151,3 @@ def key(fit: Fit) -> Key:
 def form(fit: Fit) -> frozenset:
     """A set of causes with the parameters that are fitted."""
     return frozenset(c.candidate.key for c in fit.causes)
-
-
-def _richer(fit: Fit, best: Fit) -> bool:
-    """Whether a set has a law that holds one of the best set as a special case, and so always fits as well."""
-    return any(contains(c.candidate, o.candidate) for c in fit.causes for o in best.causes)

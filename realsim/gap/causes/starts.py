@@ -67,7 +67,7 @@ def nested(a: Candidate, b: Candidate) -> bool:
 
 def contains(rich: Candidate, plain: Candidate) -> bool:
     """Whether one law holds the other as a special case, at the same place."""
-    return lookup(rich.effect).contains == plain.effect and rich.places == plain.places
+    return lookup(rich.effect).plain == plain.effect and rich.places == plain.places
 
 
 def extended(screen: Screen, cause: Cause, full: Candidate) -> Cause:

@@ -85,7 +85,7 @@ def _by_place(
     return found
 
 
-def slid(fitter: Fitter, fit: Fit) -> Fit:
+def adjusted(fitter: Fitter, fit: Fit) -> Fit:
     """The fit with the window and the size of its last cause moved to where the simulation agrees best.
 
     A push that lifts a foot has no response in proportion to itself, so that what is found on slopes may be off.
@@ -107,7 +107,7 @@ def slid(fitter: Fitter, fit: Fit) -> Fit:
     return best
 
 
-def carried(screen: Screen, fitter: Fitter, fit: Fit) -> list[Fit]:
+def at_other_bodies(screen: Screen, fitter: Fitter, fit: Fit) -> list[Fit]:
     """The fit with the force of its last cause at other bodies instead: where it does best as it is, and at the base.
 
     The trunk and the hips on it answer alike to a push, until its window and its size are right.

@@ -116,7 +116,7 @@ class Effect:
     """Parameters that move a robot's feet against the ground: which of them then touch it, no slope foretells."""
     stepwise: bool = False
     """Whether it acts on every step anew, so that its runs are stepped one by one."""
-    contains: str | None = None
+    plain: str | None = None
     """Another effect that this law holds as a special case, and so always fits as well as."""
     usual: str | None = None
     """A more usual effect that may do the same."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+import math
+
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, Suggestion, each_joint
 from realsim.gap.simulation.context import Context
 
 
@@ -24,6 +26,12 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
             edit.stiffen_friction(joint, added / (edit.context.friction(joint) + added))
 
 
+def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[Suggestion]:
+    """On a joint that holds or lifts, friction of r times the torque acts as a drive that is weaker by 1 + r."""
+    weaker = {"ratio": -math.log1p(values["ratio"])}
+    return [Suggestion("stiffness_gain", place, weaker), Suggestion("motor_gain", place, weaker)]
+
+
 EFFECT = Effect(
     name="load_friction",
     title="load-dependent friction",
@@ -36,6 +44,7 @@ EFFECT = Effect(
     parameters=_parameters,
     excited_by=_excited,
     apply=_apply,
+    suggests=_suggests,
     stepwise=True,
     patchable=False,
 )

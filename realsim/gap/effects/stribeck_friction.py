@@ -99,6 +99,6 @@ EFFECT = Effect(
     excited_by=_excited,
     apply=_apply,
     stiff=True,
-    contains="coulomb_friction",
+    plain="coulomb_friction",
     suggests=_suggests,
 )
