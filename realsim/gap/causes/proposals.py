@@ -20,7 +20,7 @@ from realsim.gap.causes.figures import (
     WORTH_SHARE,
 )
 from realsim.gap.causes.fit import Cause, Fit, Fitter
-from realsim.gap.causes.leftover import leftover
+from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.linear import log_evidence, marginal
 from realsim.gap.causes.probes import alone, probed, probed_footing, probed_ground
 from realsim.gap.causes.score import near
@@ -114,6 +114,20 @@ def by_likeness(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
             yield Proposal((*others, other))
 
 
+def by_simulation_instead(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
+    """Another cause in the place of each, looked at by simulation: where feet slip and land, slopes foretell little, and
+    what sets a foot higher (the ground, an encoder) looks like the other until it is simulated."""
+    screen = fitter.screen
+    if not screen.simulator.context.touches:
+        return
+    gap = is_gap(leftover(screen, here))
+    for i, cause in enumerate(here.causes):
+        effect = lookup(cause.candidate.effect)
+        rest = fitter.looked_at(here, _others(here, i))
+        if rest is not None and (gap or effect.scope == "terrain" or cause.candidate.names == effect.footing):
+            yield from (p for p in by_simulation(fitter, rest) if p.causes[-1].candidate.key != cause.candidate.key)
+
+
 def by_effect(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     """Another cause in the place of each: what its effect suggests, which is one that does the same by its nature, the
     same at another place, or other values of its own."""
@@ -201,4 +215,4 @@ def _taken(c: Candidate, here: Fit) -> bool:
 
 
 ADD: Sequence[Propose] = (by_slopes, by_size, by_window, by_simulation, by_widening)
-EXCHANGE: Sequence[Propose] = (by_effect, by_likeness)
+EXCHANGE: Sequence[Propose] = (by_effect, by_likeness, by_simulation_instead)
