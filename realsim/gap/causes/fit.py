@@ -94,6 +94,8 @@ class Fitter(GaussNewton):
                 best = min(best, fit, key=lambda f: f.misfit)
                 if not moved:
                     break
+        except GapError:
+            pass  # the robot falls beside other deviations: what was best until then counts
         finally:
             self.about = about
         return best

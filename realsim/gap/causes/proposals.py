@@ -115,8 +115,8 @@ def by_likeness(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
 
 
 def by_simulation_instead(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
-    """Another cause in the place of each, looked at by simulation: where feet slip and land, slopes foretell little, and
-    what sets a foot higher (the ground, an encoder) looks like the other until it is simulated."""
+    """Another cause in the place of each, by simulation: where feet slip and land, slopes foretell little, and what
+    sets a foot higher (the ground, an encoder) looks like the other until it is simulated."""
     screen = fitter.screen
     if not screen.simulator.context.touches:
         return

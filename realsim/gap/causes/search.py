@@ -58,7 +58,7 @@ class Search:
             return self.best
         if not is_gap(leftover(self.fitter.screen, self.fitter.remeasure(self.best))):
             return None
-        self.seen = {k: self.fitter.remeasure(f) for k, f in self.seen.items()}
+        self.seen = {k: self.fitter.looked_at(f, f.causes) or f for k, f in self.seen.items()}
         nothing = self.seen[frozenset()].misfit
         least = RUNNER_SHARE * (nothing - min(f.misfit for f in self.seen.values()))
         worth = [f for f in self.seen.values() if len(f.causes) < self.most and form(f) not in self.expanded]
@@ -94,7 +94,9 @@ class Search:
 
     def _fitted(self, here: Fit, moves: Sequence[Propose]) -> tuple[Fit, list[Fit]]:
         """(a set, fits of its neighbours by score), beside nuisance parameters that no cause has bent yet."""
-        fitter, screen, fits, known = self.fitter, self.fitter.screen, [], set()
+        fitter, screen = self.fitter, self.fitter.screen
+        fits: list[Fit] = []
+        known: set[tuple] = set()
         with fitter.nuisances_reset():
             base = fitter.looked_at(here, here.causes) or here if moves is ADD else here
             aim = near(self.seen[frozenset()].misfit - base.misfit)

@@ -53,7 +53,8 @@ def _alike(search: Search, nominal: Fit) -> tuple[Fit, list[Fit]]:
         return best, []
     removed = nominal.misfit - best.misfit
     others = [f for k, f in search.seen.items() if k != key(best) and len(f.causes) == len(best.causes)]
-    others = [f for f in map(fitter.remeasure, others) if f.misfit - best.misfit < near(removed)]
+    again = (fitter.looked_at(f, f.causes) for f in others)
+    others = [f for f in again if f is not None and f.misfit - best.misfit < near(removed)]
     same = [best, *(f for f in others if alike(fitter, best, f, removed))]
     best, *rest = sorted(same, key=lambda f: score(fitter.screen, f))
     return fitter.spread(best), [f for f in rest if not _richer(f, best)]
