@@ -55,7 +55,7 @@ Budget."""
 FORETOLD, SMALL = 0.2, 3.0
 """Slopes are believed where the best candidate removes this share of the misfit by them, or where less than SMALL
 times the floor stays. Else candidates are simulated. Set on generated quadrupeds."""
-PROBED, PROBED_FEET, KEPT, STANDS_OUT = 60, 12, 5, 2.5
+PROBED, PROBED_FEET, KEPT, KEPT_FEET, STANDS_OUT = 60, 12, 5, 3, 2.5
 """Candidates that are simulated, those of them that move the ground or a foot or whose nuisance parameter is
 STANDS_OUT standard deviations off, and those that are then fitted. Budget."""
 SIZES, ABRUPT_SIZES, BENT_SIZES = (1.5, -1.5), (2.0, 0.7, -0.7, -2.0), (0.5, 1.5)

@@ -220,19 +220,17 @@ class Fitter(GaussNewton):
             x, _ = posterior(np.sum([A[i] for i in others], axis=0), np.sum([b[i] for i in others], axis=0), prior)
             x, step = x[: len(fit.prior)], x[len(fit.prior) :]
             x = np.where((fit.prior > 0) & (beside == 0), reasonable(x, fit.prior), x)
-            here = e
+            here, i = e, k
             if slopes:
                 most = widest(z, parameters)
                 moved = self._predict(
                     candidates, self._clip(z + np.clip(step, -most, most), parameters), Fidelity((k,))
                 )
-                if moved is None:
-                    found.append(np.inf)
-                    continue
-                here = screen.evidence(moved, (k,), fit.about)
-                here = here.moved(np.full(len(fit.prior), e.centre) - here.centre)
-            i = 0 if slopes else k
-            found.append(0.5 * float(here.c[i] - 2 * here.b[i] @ x + x @ here.A[i] @ x))
+                if moved is not None:
+                    here, i = screen.evidence(moved, (k,), fit.about), 0
+                    here = here.moved(np.full(len(fit.prior), e.centre) - here.centre)
+            b_k, A_k = here.b[i], here.A[i]
+            found.append(0.5 * float(here.c[i] - 2 * b_k @ x + x @ A_k @ x))
         return np.array(found)
 
     def spread(self, fit: Fit) -> Fit:

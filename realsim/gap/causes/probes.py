@@ -12,7 +12,7 @@ from itertools import islice
 
 import numpy as np
 
-from realsim.gap.causes.figures import ABRUPT_SIZES, BENT_SIZES, KEPT, PROBED, PROBED_FEET, SIZES, STANDS_OUT
+from realsim.gap.causes.figures import ABRUPT_SIZES, BENT_SIZES, KEPT, KEPT_FEET, PROBED, PROBED_FEET, SIZES, STANDS_OUT
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.linear import log_evidence
 from realsim.gap.causes.screen import Candidate, Screen, slab
@@ -53,7 +53,7 @@ def _probed_feet(fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) 
 
     screen = fitter.screen
     forwards = [(c, _along(screen, c, np.zeros(len(c.linear)))) for c in candidates]
-    return _probed(fitter, gain, forwards)[:KEPT]
+    return _probed(fitter, gain, forwards)[:KEPT_FEET]
 
 
 def probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:

@@ -16,10 +16,10 @@ import numpy as np
 from realsim.gap.causes.figures import CLEARLY, EXPANSIONS, RUNNER_SHARE, RUNNERS_UP
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
-from realsim.gap.causes.proposals import ADD, EXCHANGE, Propose
+from realsim.gap.causes.proposals import ADD, EXCHANGE, Propose, ranked
 from realsim.gap.causes.refine import prepared, refined
 from realsim.gap.causes.score import doubts, near, score, searched
-from realsim.gap.causes.trials import Trial, trial, with_outcome
+from realsim.gap.causes.trials import Trial, screened, trial, with_outcome
 
 Tick = Callable[[str, float], None]
 Key = frozenset[tuple[str, tuple]]
@@ -42,6 +42,7 @@ class Search:
 
     def run(self, tick: Tick) -> None:
         self._keep(self.best)
+        self.trials = screened(ranked(self.fitter.screen, self.best))
         in_vain = 0
         for k in range(EXPANSIONS):
             tick("search for causes", k / EXPANSIONS)
@@ -72,14 +73,17 @@ class Search:
             self.best = here
             if self._dropped(here):
                 return True
-        if len(here.causes) < self.most:
-            base, fits = refined(self.fitter, *self._fitted(here, ADD))
-            if self._better(base if best else self.fitter.remeasure(self.best), fits):
-                return True
-        if not best or not here.causes:
-            return False
-        self.best = prepared(self.fitter, here)
-        return self._better(self.best, self._fitted(self.best, EXCHANGE)[1])
+        # Each of several causes was chosen while another one was missing: they are exchanged before one more is added.
+        for moves in (EXCHANGE, ADD) if len(here.causes) > 1 else (ADD, EXCHANGE):
+            if moves is ADD and len(here.causes) < self.most:
+                base, fits = refined(self.fitter, *self._fitted(here, ADD))
+                if self._better(base if best else self.fitter.remeasure(self.best), fits):
+                    return True
+            elif moves is EXCHANGE and best and here.causes:
+                self.best = here = prepared(self.fitter, here)
+                if self._better(here, self._fitted(here, EXCHANGE)[1]):
+                    return True
+        return False
 
     def _dropped(self, here: Fit) -> bool:
         """Whether a cause is superfluous beside the others; the one that brings least is looked at first."""

@@ -1,4 +1,4 @@
-"""Rows of the ranking table: what was fitted at which stage, and what became of it."""
+"""Rows of the ranking table: what was screened or fitted at which stage, and what became of it."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from realsim.gap.causes.fitted import Fit
+from realsim.gap.causes.screen import Candidate
+from realsim.types import F64
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A further cause that was fitted beside a set."""
+    """A further cause beside a set."""
 
     effect: str
     place: tuple[str, ...]
@@ -24,7 +26,15 @@ class Trial:
     heldout_gain: float | None = None
     heldout_se: float | None = None
     values: dict[str, float] = field(default_factory=dict)
-    outcome: str = "fitted"
+    outcome: str = "refitted"
+
+
+def screened(order: Sequence[tuple[float, Candidate, F64]]) -> list[Trial]:
+    """A row for the best place of every effect, by the linear screen alone."""
+    best: dict[str, Trial] = {}
+    for gain, c, _ in order:
+        best.setdefault(c.effect, Trial(c.effect, c.place, c.names, 0, gain, outcome="screened"))
+    return list(best.values())
 
 
 def trial(before: Fit, fit: Fit, foretold: float) -> Trial:
