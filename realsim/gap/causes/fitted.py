@@ -54,6 +54,16 @@ class Fit:
     def settings(self) -> list[Setting]:
         return [s for c in self.causes for s in c.settings()]
 
+    @property
+    def key(self) -> frozenset:
+        """The set of causes, whatever their parameters: effects at places."""
+        return frozenset((c.candidate.effect, c.candidate.places) for c in self.causes)
+
+    @property
+    def full_key(self) -> frozenset:
+        """The set of causes with the parameters that are fitted."""
+        return frozenset(c.candidate.key for c in self.causes)
+
     def has(self, effect: str, place: Place) -> bool:
         """Whether this effect at this place is among the causes."""
         return any((c.candidate.effect, c.candidate.place) == (effect, place) for c in self.causes)

@@ -22,7 +22,6 @@ from realsim.gap.causes.score import doubts, near, score, searched
 from realsim.gap.causes.trials import Trial, screened, trial, with_outcome
 
 Tick = Callable[[str, float], None]
-Key = frozenset[tuple[str, tuple]]
 
 
 @dataclass
@@ -34,9 +33,9 @@ class Search:
     """Causes of a set."""
     best: Fit
     """The set with the lowest score of those that nothing speaks against."""
-    seen: dict[Key, Fit] = field(default_factory=dict)
+    seen: dict[frozenset, Fit] = field(default_factory=dict)
     expanded: set[frozenset] = field(default_factory=set)
-    """Forms of the sets whose neighbours were fitted."""
+    """Full keys of the sets whose neighbours were fitted."""
     trials: list[Trial] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -49,25 +48,25 @@ class Search:
             here = self._next()
             if here is None or in_vain > RUNNERS_UP:
                 break
-            self.expanded.add(form(here))
-            in_vain = 0 if self._expand(here) else in_vain + (key(here) != key(self.best))
+            self.expanded.add(here.full_key)
+            in_vain = 0 if self._expand(here) else in_vain + (here.key != self.best.key)
         self.best = prepared(self.fitter, self.best)
 
     def _next(self) -> Fit | None:
         """The best set; once its neighbours are known and it leaves a gap, the next best that removes something."""
-        if form(self.best) not in self.expanded:
+        if self.best.full_key not in self.expanded:
             return self.best
         if not is_gap(leftover(self.fitter.screen, self.fitter.remeasure(self.best))):
             return None
         self.seen = {k: self.fitter.looked_at(f, f.causes) or f for k, f in self.seen.items()}
         nothing = self.seen[frozenset()].misfit
         least = RUNNER_SHARE * (nothing - min(f.misfit for f in self.seen.values()))
-        worth = [f for f in self.seen.values() if len(f.causes) < self.most and form(f) not in self.expanded]
+        worth = [f for f in self.seen.values() if len(f.causes) < self.most and f.full_key not in self.expanded]
         return min((f for f in worth if nothing - f.misfit > least), key=self._score, default=None)
 
     def _expand(self, here: Fit) -> bool:
         """Fit a set's neighbours; whether one of them is better than the best set."""
-        best = key(here) == key(self.best)
+        best = here.key == self.best.key
         here = prepared(self.fitter, here)
         if best:
             self.best = here
@@ -141,19 +140,9 @@ class Search:
         self._keep(fit)
 
     def _keep(self, fit: Fit) -> None:
-        old = self.seen.get(key(fit))
+        old = self.seen.get(fit.key)
         if old is None or old.evidence.version != fit.evidence.version or self._score(fit) < self._score(old):
-            self.seen[key(fit)] = fit
+            self.seen[fit.key] = fit
 
     def _score(self, fit: Fit) -> float:
         return score(self.fitter.screen, fit)
-
-
-def key(fit: Fit) -> Key:
-    """A set of causes, whatever their parameters: effects at places."""
-    return frozenset((c.candidate.effect, c.candidate.places) for c in fit.causes)
-
-
-def form(fit: Fit) -> frozenset:
-    """A set of causes with the parameters that are fitted."""
-    return frozenset(c.candidate.key for c in fit.causes)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.score import alike, near, score
 from realsim.gap.causes.screen import Screen
-from realsim.gap.causes.search import Search, Tick, key
+from realsim.gap.causes.search import Search, Tick
 from realsim.gap.causes.starts import contains
 from realsim.gap.causes.trials import Trial as Trial
 from realsim.gap.config import DiagnoseConfig
@@ -52,7 +52,7 @@ def _alike(search: Search, nominal: Fit) -> tuple[Fit, list[Fit]]:
     if not best.causes:
         return best, []
     removed = nominal.misfit - best.misfit
-    others = [f for k, f in search.seen.items() if k != key(best) and len(f.causes) == len(best.causes)]
+    others = [f for k, f in search.seen.items() if k != best.key and len(f.causes) == len(best.causes)]
     again = (fitter.looked_at(f, f.causes) for f in others)
     others = [f for f in again if f is not None and f.misfit - best.misfit < near(removed)]
     same = [best, *(f for f in others if alike(fitter, best, f, removed))]

@@ -51,7 +51,8 @@ def fullest(screen: Screen, candidate: Candidate) -> Candidate | None:
 
 def suggested(screen: Screen, cause: Cause) -> list[tuple[Candidate, list[list[float]]]]:
     """(candidate, values to begin from) of what the cause's effect suggests in its place."""
-    context, found = screen.simulator.context, {}
+    context = screen.simulator.context
+    found: dict[tuple, tuple[Candidate, list[list[float]]]] = {}
     for other in lookup(cause.candidate.effect).suggests(context, cause.candidate.place, cause.named):
         for c in screen.candidates:
             if (c.effect, c.place) == (other.effect, other.place) and set(c.names) == set(other.values):
