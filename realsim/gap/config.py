@@ -26,7 +26,7 @@ class DiagnoseConfig:
     settle_seconds: float = 0.6
     """The simulator holds the first command for this long before a run that begins at rest."""
     holdout: int = 1
-    """Runs that no fit sees, for the shrinkage; none if the log has no more than one run beside them."""
+    """Runs that nothing is fitted to, for the check; none if the log has no more than one run beside them."""
     finalists: int = 5
     """Rivals that are refitted with the full nonlinear simulation at each stage of the selection."""
     min_gain: float = 8.0
@@ -38,9 +38,7 @@ class DiagnoseConfig:
     equivalent_loss: float = 0.03
     """Rivals that lose less than this share of the removed gap on unseen runs are called equivalent."""
     unexplained_share: float = 0.20
-    """From this share of the gap left over, the verdict is `unexplained`."""
-    baselines: bool = True
-    """Also say what simpler rules would have concluded (a few more simulations)."""
+    """From this share of the gap left over, the verdict says that a part stays."""
     bootstrap: int = 400
     """Resamples for intervals."""
     seed: int = 0

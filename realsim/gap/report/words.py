@@ -6,49 +6,17 @@ from collections.abc import Iterable
 from typing import Any
 
 from realsim.gap.answer.diagnosis import Diagnosis
+from realsim.gap.answer.sentence import SIGNALS
 from realsim.gap.effects import EFFECTS
 from realsim.report import page, svg
 
-WORDS = {
-    "no_gap": "No gap",
-    "identified": "Identified",
-    "ambiguous": "Cannot tell apart",
-    "unexplained": "Unexplained",
-}
-LEVELS: dict[str, page.Level] = {"no_gap": "good", "identified": "good", "ambiguous": "look", "unexplained": "bad"}
-SIGNALS = {
-    "joint_pos": "joint position",
-    "joint_vel": "joint velocity",
-    "joint_torque": "joint torque",
-    "base_pos": "base position",
-    "base_rot": "base orientation",
-    "imu_gyro": "gyroscope",
-    "imu_acc": "accelerometer",
-}
-UNITS = {
-    "joint_pos": "rad",
-    "joint_vel": "rad/s",
-    "joint_torque": "N m",
-    "base_pos": "m",
-    "base_rot": "rad",
-    "imu_gyro": "rad/s",
-    "imu_acc": "m/s²",
-}
 HEAT = ((158, 168, 182), (196, 184, 140), (236, 160, 72), (222, 92, 48), (166, 24, 44))
 """Grey for no gap to dark red for the largest."""
-_SLIDE_UNITS = {"joint_pos": "m", "joint_vel": "m/s", "joint_torque": "N"}
 
 
 def signal_name(signal: str) -> str:
     """joint_pos -> joint position."""
     return SIGNALS.get(signal, signal.replace("_", " "))
-
-
-def unit_of(signal: str, label: str, model: Any) -> str:
-    """Unit of a channel; sliding joints have metres."""
-    if signal in _SLIDE_UNITS and int(model.joint(label).type[0]) == 2:
-        return _SLIDE_UNITS[signal]
-    return UNITS.get(signal, "")
 
 
 def title_of(effect: str) -> str:
