@@ -368,9 +368,10 @@ class Diagnosis:
                 patch=data["patch"],
                 stays=tuple(
                     Rest(name, v["unit"], *(_number(v[k]) for k in ("motion", "rms_before", "rms_after")))
-                    for name, v in s["per_signal"].items()
+                    for name, v in s.get("per_signal", {}).items()
+                    if "motion" in v  # 0.1.0 had none
                 ),
-                looks_like=tuple(f"{entry['what']} at {entry['joint']}" for entry in data["looks_like"]),
+                looks_like=tuple(f"{entry['what']} at {entry['joint']}" for entry in data.get("looks_like", ())),
                 warnings=tuple(data["health"]["warnings"]),
                 data=data,
                 folder=folder,

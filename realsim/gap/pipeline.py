@@ -16,7 +16,7 @@ from realsim.gap.answer.conclusion import Conclusion, conclude
 from realsim.gap.answer.diagnosis import Diagnosis, describe_set
 from realsim.gap.answer.patch import empty_patch, make_patch
 from realsim.gap.answer.ranking import ranked_effects
-from realsim.gap.answer.sentence import sentence
+from realsim.gap.answer.sentence import advice, sentence
 from realsim.gap.answer.stays import what_stays
 from realsim.gap.causes.fit import Fitter
 from realsim.gap.causes.screen import Screen
@@ -141,6 +141,7 @@ def _assemble(
     return Diagnosis(
         verdict=judgement.verdict,
         sentence=sentence(judgement, causes, equivalent, checked, where, looks_like, case),
+        advice=advice(judgement, causes, equivalent, where, case),
         causes=tuple(causes),
         equivalent=tuple(equivalent),
         where=tuple(where),

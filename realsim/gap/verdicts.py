@@ -31,7 +31,7 @@ class Said:
 
 SAID = {
     GapVerdict.NO_GAP: Said("No gap", "the runs show no gap beyond noise and everyday deviations", "good"),
-    GapVerdict.IDENTIFIED: Said("Identified", "the cause is named, and an unseen run confirms it", "good"),
+    GapVerdict.IDENTIFIED: Said("Identified", "the cause is named, and it holds on the check", "good"),
     GapVerdict.AMBIGUOUS: Said("Cannot tell apart", "several causes explain these runs equally well", "look"),
     GapVerdict.PARTLY_EXPLAINED: Said("Partly explained", "the cause holds on the check, and part of the gap stays",
                                       "look"),

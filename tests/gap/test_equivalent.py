@@ -106,7 +106,7 @@ def test_an_accelerometer_alone_has_a_bias(arm: Case) -> None:
     case = also(replace(arm, imu_site="wrist"), imu_acc=3)
     assert case.has_imu
     biased = logged(case, [("imu_bias", (), {"acc_y": 0.6})])
-    found = diagnose(biased, replace(CONFIG, effects=("imu_bias", "coulomb_friction"), bootstrap=20, baselines=False))
+    found = diagnose(biased, replace(CONFIG, effects=("imu_bias", "coulomb_friction"), bootstrap=20))
     assert found.causes[0]["effect"] == "imu_bias"
     assert found.causes[0]["parameters"]["acc_y"]["value"] == pytest.approx(0.6, rel=0.1)
 

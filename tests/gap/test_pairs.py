@@ -80,7 +80,7 @@ def test_a_late_command_beside_a_weak_damper_is_found_with_it(made) -> None:
     """Each alone swings otherwise than both, so that neither explains much of the gap by itself."""
     nominal = load_case(made("pairs_pendulum", Truth(), xml=PENDULUM, runs=4))
     case = logged(nominal, [("damping_gain", ("swing",), {"ratio": -0.7}), ("command_delay", (), {"delay": 0.03})])
-    found = diagnose(case, replace(CONFIG, bootstrap=20, report=False, baselines=False))
+    found = diagnose(case, replace(CONFIG, bootstrap=20, report=False))
     sets = [found.causes, *found.equivalent]
     assert any({c["effect"] for c in s} == {"damping_gain", "command_delay"} for s in sets)
 

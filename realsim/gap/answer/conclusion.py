@@ -7,7 +7,7 @@ intervals of values) rests on the fitted runs. The verdict is decided with the c
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -136,7 +136,9 @@ def _beside_imitations(
             theirs = leave_out(screen, fitter, rival)
             gain, error = better(screen.comparison, list(screen.runs), left.residuals, theirs.residuals)
             if gain < -Z90 * error:
-                notes.append(f"{_name(cause)}: {_name(rival.causes[-1])} predicts left-out runs better, and stands for it")
+                notes.append(
+                    f"{_name(cause)}: {_name(rival.causes[-1])} predicts left-out runs better, and stands for it"
+                )
                 fit, left = rival, theirs
                 break
             if gain <= Z90 * error:

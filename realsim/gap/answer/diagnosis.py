@@ -26,6 +26,8 @@ class Diagnosis:
     verdict: GapVerdict
     sentence: str
     """The verdict as one sentence that a person can act on."""
+    advice: str
+    """What to do about it: one thing."""
     causes: tuple[dict[str, Any], ...]
     equivalent: tuple[tuple[dict[str, Any], ...], ...]
     where: tuple[dict[str, Any], ...]
@@ -59,6 +61,7 @@ class Diagnosis:
             "next_experiment": self.next_experiment,
             "patch": self.patch,
             "sentence": self.sentence,
+            "advice": self.advice,
             "ranking": list(self.ranking),
             "health": self.health,
             "statistics": self.statistics,

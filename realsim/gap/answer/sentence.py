@@ -58,10 +58,13 @@ def sentence(
         gain = f"does not surely reduce the squared error on {_runs(checked)} (by {removed(checked)})"
     if verdict is GapVerdict.AMBIGUOUS:
         stays = f" What stays: {errors_of(checked)}." if len(judgement.reasons) > 1 else ""
-        return f"{_either(causes, equivalent)} {gain}; to tell them apart, record {_what_tells([causes, *equivalent])}.{stays}"
+        tells = _what_tells([causes, *equivalent])
+        return f"{_either(causes, equivalent)} {gain}; to tell them apart, record {tells}.{stays}"
     text = f"{said}; {_verb(causes)} {gain}"
     if verdict is GapVerdict.PARTLY_EXPLAINED:
-        return f"{text}. A part stays: {errors_of(checked)}{_looks(looks_like)}; record {_next_for_unknown(where, case)}."
+        return (
+            f"{text}. A part stays: {errors_of(checked)}{_looks(looks_like)}; record {_next_for_unknown(where, case)}."
+        )
     if verdict is GapVerdict.UNEXPLAINED:
         ends = f", with {', '.join(judgement.at_an_end)} as far as this library goes" if judgement.at_an_end else ""
         return (
@@ -89,6 +92,24 @@ def amount(value: float, unit: str) -> str:
     if unit in small and abs(value) < 0.1:
         value, unit = 1000 * value, small[unit]
     return f"{_number(float(f'{value:.2g}'))} {_SPELLED.get(unit, unit)}"
+
+
+def advice(
+    judgement: Judgement,
+    causes: Sequence[Cause],
+    equivalent: Sequence[Sequence[Cause]],
+    where: Sequence[dict[str, Any]],
+    case: Case,
+) -> str:
+    """What to do about a verdict: one thing."""
+    verdict = judgement.verdict
+    if verdict is GapVerdict.NO_GAP:
+        return "change nothing in the model; record livelier runs to look closer"
+    if verdict is GapVerdict.IDENTIFIED:
+        return "simulate with the patched model.xml, and check it on a new run"
+    if verdict is GapVerdict.AMBIGUOUS:
+        return f"to tell them apart, record {_what_tells([causes, *equivalent])}"
+    return f"record {_next_for_unknown(where, case)}"
 
 
 def _looks(found: Sequence[dict[str, Any]]) -> str:
@@ -162,6 +183,11 @@ def removed(checked: Check) -> str:
     values = (checked.fraction, low, high)
     digits = 1 if any(0.985 < v < 1 for v in values) else 0
     return f"{_share(checked.fraction, digits)} % [{_share(low, digits)}, {_share(high, digits)}]"
+
+
+def share(value: float) -> str:
+    """A share in percent; what is nearly all or nothing keeps a decimal."""
+    return f"{_share(value, 1 if 0.985 < value < 1 or 0 < value < 0.0095 else 0)} %"
 
 
 def _share(value: float, digits: int) -> str:
@@ -275,7 +301,7 @@ def _effects(causes: Sequence[Cause]) -> list[str]:
 
 
 def _next_for_unknown(where: Sequence[dict[str, Any]], case: Case) -> str:
-    """One recording: the signal that is not logged and that a robot like this can log, else the motion that tells most."""
+    """One recording: the signal that a robot like this can log and has not, else the motion that tells most."""
     if case.floating and not case.has("base_pos"):
         return "the pose of the base too, which tells the ground from the joints"
     if case.floating and not case.has_imu:

@@ -29,5 +29,8 @@ def what_stays(simulator: Simulator, comparison: Comparison, fit: Fit, runs: Seq
             residuals = [comparison.residual(r, y) for r, y in zip(runs, predicted, strict=True)]
             tracks = [patched.nominal_tracks[r] for r in runs]
             return looks_like(comparison, runs, residuals, tracks, torque_residual(patched))
-    except (GapError, ValueError):  # the patched model does not run on every run of the log: nothing is said of its rest
+    except (
+        GapError,
+        ValueError,
+    ):  # the patched model does not run on every run of the log: nothing is said of its rest
         return []

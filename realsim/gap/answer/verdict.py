@@ -54,7 +54,9 @@ def judge(
         unexplained_share: share of the gap from which on a rest is said to stay.
     """
     ends = tuple(at_an_end)
-    came = f"{fitted.before:.1f} times the noise floor before, {fitted.left.mean():.2f} after (mean square, fitted runs)"
+    came = (
+        f"{fitted.before:.1f} times the noise floor before, {fitted.left.mean():.2f} after (mean square, fitted runs)"
+    )
     if not causes:
         verdict = GapVerdict.UNEXPLAINED if is_gap(fitted.left / EXCESS) else GapVerdict.NO_GAP
         said = f"{fitted.left.mean():.2f} times the noise floor stays beside everyday deviations ({fitted.before:.1f} "

@@ -34,8 +34,8 @@ def looks_like(
 ) -> list[dict[str, Any]]:
     """{joint, what, explains}, the joints with the largest rest first; empty where nothing simple explains enough.
 
-    Where torques were logged, the torque that the patched model lacks is asked; else the error of position servos, which
-    is a torque error over the servo's stiffness while the motion is slow.
+    Where torques were logged, the torque that the patched model lacks is asked; else the error of position servos,
+    which is a torque error over the servo's stiffness while the motion is slow.
 
     Args:
         residuals: (B, C) a run, of the patched simulator.

@@ -8,7 +8,6 @@ from typing import Any
 from realsim.gap.logs.case import Case
 from realsim.gap.simulation.context import base_body
 
-
 UNITS = {
     "joint_pos": "rad",
     "joint_vel": "rad/s",
