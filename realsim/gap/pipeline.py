@@ -63,7 +63,7 @@ def diagnose(
     case = limited(case, config)
     fitted, held = split_runs(case, config)
     # The matrices are too small for BLAS to gain from threads, and with one the sums have one order everywhere.
-    with threadpool_limits(1, user_api="blas"), Simulator(case, config) as simulator:
+    with threadpool_limits(1, user_api="blas"), Simulator(case, config, fitted) as simulator:
         health = examine(simulator)
         nominal = simulator.simulate()
         comparison = Comparison(case, simulator.channels, nominal, config, fitted)
