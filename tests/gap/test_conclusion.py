@@ -94,7 +94,8 @@ def test_values_are_fitted_anew_without_each_run(fitter: Fitter) -> None:
     assert left.values.shape == (3, 1)
     assert len(set(left.values[:, 0])) == 3
     assert left.values[:, 0] == pytest.approx(fit.causes[0].values[0], rel=0.1)
-    assert left.mean < 2.0
+    assert left.after.mean() < 2.0
+    assert left.gain([100.0] * 3) > 3.0
 
 
 def test_a_model_that_stays_wrong_widens_its_intervals(arm: Case, sticky: Case) -> None:

@@ -42,8 +42,10 @@ def test_a_cause_that_removes_nearly_all_of_an_unseen_run_is_not_hidden_by_its_r
     assert verdict(left, checked(0.99, 0.985, beside=stays, before=9000.0)) is GapVerdict.PARTLY_EXPLAINED
 
 
-def test_a_cause_that_removes_less_than_half_beside_a_large_rest_is_not_named() -> None:
-    assert verdict(fitted(40.0), checked(0.3, 0.2, beside=60.0)) is GapVerdict.UNEXPLAINED
+@pytest.mark.parametrize(("fraction", "named"), [(0.18, False), (0.4, True), (0.46, True)])
+def test_beside_a_large_rest_a_cause_must_remove_a_good_part(fraction: float, named: bool) -> None:
+    found = verdict(fitted(40.0), checked(fraction, fraction - 0.04, beside=60.0))
+    assert found is (GapVerdict.PARTLY_EXPLAINED if named else GapVerdict.UNEXPLAINED)
 
 
 def test_a_rest_that_only_the_check_shows_is_said() -> None:

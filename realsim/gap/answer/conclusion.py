@@ -95,9 +95,9 @@ def _lasting(screen: Any, fitter: Any, fit: Any, nominal: Any, notes: list[str])
         left = leave_out(screen, fitter, fit)
         if len(runs) < 2:
             return fit, left
-        before = [comparison.residual(r, y) for r, y in zip(runs, screen.nominal, strict=True)]
         if len(fit.causes) == 1:
-            if left.mean < mean_square(comparison, before, runs):
+            nothing = [comparison.residual(r, y) for r, y in zip(runs, screen.nominal, strict=True)]
+            if left.gain([mean_square(comparison, [r], [run]) for r, run in zip(nothing, runs, strict=True)]) > 0:
                 return fit, left
             notes.append(f"{_name(fit.causes[0])} fits best, and makes left-out runs worse: no cause")
             return nominal, None

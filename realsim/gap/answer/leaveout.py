@@ -39,9 +39,13 @@ class LeftOut:
     sigmas: F64
     """(m,) standard errors under the discrepancy that the fit leaves, or by the jackknife, whichever is larger."""
 
-    @property
-    def mean(self) -> float:
-        return float(self.after.mean())
+    def gain(self, before: Sequence[float]) -> float:
+        """Mean logarithm, over runs, of what they leave nominally over what they leave now: one that diverges is one.
+
+        Args:
+            before: (K,) mean squares of the nominal simulator in units of the floor.
+        """
+        return float(np.mean(np.log(np.maximum(before, 1e-9) / np.maximum(self.after, 1e-9))))
 
 
 def leave_out(screen: Any, fitter: Any, fit: Any) -> LeftOut:
