@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
+from pathlib import Path
 
 SHORTEST_RUN = 0.1
 """Seconds of a run that must be left when it is cut."""
@@ -43,6 +44,8 @@ class DiagnoseConfig:
     """Resamples for intervals."""
     seed: int = 0
     """Seed of everything random."""
+    deviations: Path | None = None
+    """JSON with standard deviations of everyday deviations that are known better than the library's (docs/gap.md)."""
     report: bool = True
     """Write report.html beside diagnosis.json."""
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from realsim.gap.deviations import with_deviations
 from realsim.gap.simulation.channels import channels
 from realsim.gap.simulation.edit import Edit as Edit
 
@@ -117,6 +118,15 @@ class Effect:
     """From values that were found at a place: other effects there, with values that move the robot the same way."""
     elsewhere: Callable[[Context, Place, dict[str, float]], list[tuple[Place, dict[str, float]]]] | None = None
     """From values that were found at a place: other places, with the values there, that do nearly the same."""
+
+    def __post_init__(self) -> None:
+        """Whoever asks for parameters gets the user's sizes of everyday deviations, where the context has any."""
+        own, name = self.parameters, self.name
+
+        def parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
+            return with_deviations(name, own(context, place), place, context.deviations)
+
+        object.__setattr__(self, "parameters", parameters)
 
 
 def gain(step: float, nuisance: float) -> Parameter:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from realsim.gap.deviations import Deviations
 from realsim.gap.logs.case import Case
 from realsim.types import F64
 
@@ -41,6 +42,8 @@ class Context:
     load_at_speed: dict[str, float] = field(default_factory=dict)
     """Peak of |torque| |velocity| over torque range times peak speed."""
     inertial_share: dict[str, float] = field(default_factory=dict)
+    deviations: Deviations = field(default_factory=Deviations)
+    """Sizes that the user knows."""
     travels: dict[str, float] = field(default_factory=dict)
     """Joint -> range of its positions in the log, rad or m."""
     reversals: dict[str, int] = field(default_factory=dict)

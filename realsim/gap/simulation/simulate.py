@@ -11,6 +11,7 @@ import numpy as np
 
 from realsim.errors import GapError
 from realsim.gap.config import DiagnoseConfig
+from realsim.gap.deviations import check_places, read_deviations
 from realsim.gap.effects import EFFECTS
 from realsim.gap.effects.base import Effect, Place
 from realsim.gap.logs.case import Case, Run
@@ -73,7 +74,9 @@ class Simulator:
         """(J,) a run: where the nominal simulator rests under the first command."""
         self._start_in_motion()
         self.context.travels = {n: self._travel(j) for j, n in enumerate(case.joint_names)}
+        self.context.deviations = read_deviations(config.deviations)
         measure(self.context, [_inside(self._raw[i]) for i in self.known])
+        check_places(self.context.deviations, lambda name: lookup(name).places(self.context), self.context)
 
     def close(self) -> None:
         self.cores.close()
