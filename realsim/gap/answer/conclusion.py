@@ -31,6 +31,11 @@ IMITATIONS = {"load_friction": ("stiffness_gain", "motor_gain")}
 friction of r times the torque moves it as a drive that is weaker by 1 + r."""
 RIVALS = 3
 """Single causes that are compared by left-out runs beside a rest: a budget."""
+SIMPLER = 1.0
+"""Standard errors over runs by which left-out runs must gain by a cause beside others: the one-standard-error rule
+(Breiman et al., Classification and Regression Trees, 1984). A push may be in some runs only; more would drop it."""
+WORTH = 0.02
+"""Share of the left-out runs' squared error that it must remove in any case. Not tuned."""
 NOTHING = 0.01
 """Mean square in units of the floor below which two predictions are the same. Not tuned."""
 NO_GAP_THERE = (
@@ -97,7 +102,8 @@ def _lasting(screen: Any, fitter: Any, fit: Any, nominal: Any, notes: list[str])
             return fit, left
         if len(fit.causes) == 1:
             nothing = [comparison.residual(r, y) for r, y in zip(runs, screen.nominal, strict=True)]
-            if left.gain([mean_square(comparison, [r], [run]) for r, run in zip(nothing, runs, strict=True)]) > 0:
+            before = [mean_square(comparison, [r], [run]) for r, run in zip(nothing, runs, strict=True)]
+            if left.gained_over(before)[0] > 0:
                 return fit, left
             notes.append(f"{_name(fit.causes[0])} fits best, and makes left-out runs worse: no cause")
             return nominal, None
@@ -106,8 +112,8 @@ def _lasting(screen: Any, fitter: Any, fit: Any, nominal: Any, notes: list[str])
             less = fitter.fit([c for j, c in enumerate(fit.causes) if j != i])
             if less is None:
                 continue
-            gain, error = better(comparison, runs, left.residuals, leave_out(screen, fitter, less).residuals)
-            if gain <= Z90 * error and (weakest is None or gain < weakest[0]):
+            gain, error = left.gained_over(leave_out(screen, fitter, less).after)
+            if gain <= max(SIMPLER * error, WORTH) and (weakest is None or gain < weakest[0]):
                 weakest = (gain, less, cause)
         if weakest is None:
             return fit, left

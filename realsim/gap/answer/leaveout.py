@@ -39,13 +39,15 @@ class LeftOut:
     sigmas: F64
     """(m,) standard errors under the discrepancy that the fit leaves, or by the jackknife, whichever is larger."""
 
-    def gain(self, before: Sequence[float]) -> float:
-        """Mean logarithm, over runs, of what they leave nominally over what they leave now: one that diverges is one.
+    def gained_over(self, others: Sequence[float] | F64) -> tuple[float, float]:
+        """(mean, standard error) over runs of the logarithm of the ratio of errors: one run that diverges counts once.
 
         Args:
-            before: (K,) mean squares of the nominal simulator in units of the floor.
+            others: (K,) mean squares of another simulator in units of the floor.
         """
-        return float(np.mean(np.log(np.maximum(before, 1e-9) / np.maximum(self.after, 1e-9))))
+        ratios = np.log(np.maximum(others, 1e-9) / np.maximum(self.after, 1e-9))
+        error = float(ratios.std(ddof=1) / np.sqrt(len(ratios))) if len(ratios) > 1 else 0.0
+        return float(ratios.mean()), error
 
 
 def leave_out(screen: Any, fitter: Any, fit: Any) -> LeftOut:

@@ -30,7 +30,7 @@ from realsim.report import page, viewer3d
 
 # Three cards in a row on a screen, one below the other on a phone.
 _TRIO = 'class="grid" style="grid-template-columns:repeat(auto-fit,minmax(min(300px,100%),1fr));align-items:stretch"'
-_PARTS = 'style="display:grid;gap:6px 26px;grid-template-columns:repeat(auto-fit,minmax(min(260px,100%),1fr))"'
+_PARTS = 'style="display:grid;gap:6px 26px;grid-template-columns:repeat(auto-fit,minmax(min(210px,100%),1fr))"'
 
 
 def write_report(path: Path, found: Diagnosis) -> None:
@@ -91,7 +91,10 @@ def _banner(found: Diagnosis) -> str:
 
 
 def _rows(rows: list[Row]) -> str:
-    return "".join(f"<div>{page.esc(text or NOTHING_SAID)}</div>" for _, text in rows)
+    """One line a row; of labels only the word that joins alternatives is kept."""
+    return "".join(
+        f"<div>{'or: ' if label == 'or' else ''}{page.esc(text or NOTHING_SAID)}</div>" for label, text in rows
+    )
 
 
 def _facts(found: Diagnosis) -> list[tuple[str, str, str]]:

@@ -130,7 +130,8 @@ def what_card(found: Diagnosis) -> str:
         value = max(r["heldout_gain"] / best, LEAST_SHOWN)
         bars.append((label, value, value - spread, value + spread, kind, _relative(r["heldout_gain"] / best)))
     end = 1.25 * min(max(b[3] for b in bars), 2.0)
-    ticks = [(k / 4, f"{25 * k} %") for k in range(int(4 * end) + 1)]
+    per = 2 if end > 1.5 else 4
+    ticks = [(k / per, f"{100 * k // per} %") for k in range(int(per * end) + 1)]
     picture = _labelled_bars(bars, (-0.1 * end, end), "", ticks)
     legend = [("in the diagnosis", FOUND)] if here else []
     legend += [("explains the log as well", RIVAL)] if same else []
