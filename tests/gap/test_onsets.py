@@ -11,7 +11,7 @@ from realsim.gap.simulation.simulate import Simulator
 
 from .truth import Truth
 
-PUSHED = {"run_02": 1.9, "run_03": 1.2, "run_06": 2.3}
+PUSHED = {"run_02": 1.9, "run_03": 1.2, "run_05": 2.3, "run_06": 2.3}
 WINDOWS = tuple((at, at + 0.5) if (at := PUSHED.get(f"run_{i:02d}")) else None for i in range(1, 7))
 
 
