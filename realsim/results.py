@@ -341,6 +341,8 @@ class Diagnosis:
     """For `apply_patch`."""
     stays: tuple[Rest, ...] = ()
     """Errors of the patched simulator on the runs of the check, by signal."""
+    advice: str = ""
+    """What to do about it: one thing."""
     looks_like: tuple[str, ...] = ()
     """What stays, in words: `friction-like at left_knee`."""
     warnings: tuple[str, ...] = ()
@@ -371,6 +373,7 @@ class Diagnosis:
                     for name, v in s.get("per_signal", {}).items()
                     if "motion" in v  # 0.1.0 had none
                 ),
+                advice=str(data.get("advice", "")),
                 looks_like=tuple(f"{entry['what']} at {entry['joint']}" for entry in data.get("looks_like", ())),
                 warnings=tuple(data["health"]["warnings"]),
                 data=data,
@@ -399,6 +402,8 @@ class Diagnosis:
         rows = [
             ("verdict", self.verdict.value),
             *(("cause" if i == 0 else "", str(cause)) for i, cause in enumerate(self.causes)),
+            *(("error", f"{r.signal} {r.before:.2g} to {r.after:.2g} {r.unit} rms") for r in self.stays),
+            ("next", self.advice),
             ("removes", f"{100 * s.fraction:.0f} % [{100 * s.low:.0f}, {100 * s.high:.0f}] of the squared error"),
             ("files", str(self.folder) if self.folder else ""),
         ]

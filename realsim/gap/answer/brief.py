@@ -7,7 +7,7 @@ from typing import Any
 
 from realsim.gap.answer.sentence import SIGNALS, amount, phrase, share
 
-MOST_CAUSES, MOST_SIGNALS, MOST_WHERE = 3, 3, 1
+MOST_CAUSES, MOST_SIGNALS, MOST_WHERE = 3, 2, 1
 """Rows of each kind: a terminal's dozen lines hold them all."""
 NOTHING_SAID = "–"
 
@@ -75,7 +75,8 @@ def _evidence(data: Mapping[str, Any]) -> list[Row]:
     if looks:
         rows.append(("rest", "; ".join(f"{e['what']} at {e['joint']}" for e in looks[:2])))
     reasons = data["statistics"].get("reasons", [])
-    rows += [("because", reasons[-1])] if reasons else []
+    if reasons and data["verdict"] in ("no_gap", "unexplained"):
+        rows.append(("because", reasons[-1]))
     return rows
 
 

@@ -29,6 +29,8 @@ SIGNALS = {
 }
 _SPELLED = {"ratio": "times", "kg m^2": "kg m²", "m/s^2": "m/s²"}
 _MOST_ALTERNATIVES = 3
+_MOST_RECORDINGS = 2
+"""More than two recordings at once nobody makes."""
 
 
 def sentence(
@@ -289,7 +291,8 @@ def _what_tells(sets: Sequence[Sequence[Cause]]) -> str:
     clauses = {n: [c.strip(" .") for c in EFFECTS[n].excitation.split(";")] for n in listed}
     tell = {n: [c.split(" tell")[0] for c in parts if " tell" in c] for n, parts in clauses.items()}
     chosen = tell if all(tell.values()) else clauses
-    return "; ".join(dict.fromkeys(_lower(text) for parts in chosen.values() for text in parts))
+    listed_once = list(dict.fromkeys(_lower(text) for parts in chosen.values() for text in parts))
+    return "; ".join(listed_once[:_MOST_RECORDINGS])
 
 
 def _lower(text: str) -> str:
