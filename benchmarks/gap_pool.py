@@ -97,8 +97,15 @@ def take_out(name: str) -> None:
                 setattr(holder, attribute, {k: v for k, v in value.items() if v is not wanted})
 
 
+def _answer(found: Any) -> dict[str, Any]:
+    """diagnosis.json with the rules' choices where the scorers look for them."""
+    data = found.as_dict()
+    return data | {"baselines": data["statistics"].pop("baselines", {})}
+
+
 def _diagnose(job: Job) -> str:
     """Write the answer; return a line of it."""
+    from benchmarks.gap_rules import first_choices
     from realsim.errors import RealsimError
     from realsim.files import to_json, write_text
     from realsim.gap import DiagnoseConfig, diagnose, load_case
@@ -109,7 +116,8 @@ def _diagnose(job: Job) -> str:
     if job.without:
         take_out(job.without)
     try:
-        found = diagnose(load_case(job.case), DiagnoseConfig(threads=1, report=False, **job.settings))
+        config = DiagnoseConfig(threads=1, report=False, **job.settings)
+        found = diagnose(load_case(job.case), config, look=first_choices)
     except RealsimError as error:
         refusal = {"verdict": "refused", "causes": [], "equivalent": [], "said": str(error)}
         write_text(job.out / "refused.json", to_json(refusal | {"provenance": _provenance(job)}))
@@ -118,6 +126,6 @@ def _diagnose(job: Job) -> str:
         refusal = {"verdict": "crashed", "causes": [], "equivalent": [], "said": repr(error)}
         write_text(job.out / "refused.json", to_json(refusal | {"provenance": _provenance(job)}))
         return f"{name} CRASHED: {error!r}"
-    write_text(job.out / "diagnosis.json", to_json(found.as_dict() | {"provenance": _provenance(job)}))
+    write_text(job.out / "diagnosis.json", to_json(_answer(found) | {"provenance": _provenance(job)}))
     said = ", ".join(f"{c['effect']}@{'+'.join(c.get('joints') or c.get('bodies') or [])}" for c in found.causes)
     return f"{name} {found.verdict} {said} ({found.cost['seconds']:.0f} s)"

@@ -104,14 +104,16 @@ def score(labels: dict[str, Label], found: dict[str, Diagnosis]) -> dict[str, An
     out["missed_gaps"] = _share(found[n]["verdict"] == "no_gap" for n in single + both + of("outside"))
     out["outside_said"] = _share(_unexplained(found[n]) for n in of("outside"))
     out["confounded_named"] = _share(_confounded(labels[n], found[n]) for n in of("confounded"))
-    causes = [(n, c) for n in sorted(found) for c in found[n]["causes"] if "probability" in c]
+    out["outside_partly_explained"] = _share(found[n]["verdict"] == "partly_explained" for n in of("outside"))
+    causes = [(n, c) for n in sorted(found) for c in found[n]["causes"]]
     out["causes_right_by_verdict"] = {
         v: _share(any(hit(c, t) for t in labels[n]["effects"]) for n, c in causes if found[n]["verdict"] == v)
         for v in sorted({found[n]["verdict"] for n, _ in causes})
     }
+    stated = [(found[n]["verdict"], c["probability"]) for n, c in causes if c.get("probability") is not None]
     out["causes_probability_stated"] = {
-        v: round(float(np.mean([c["probability"] for n, c in causes if found[n]["verdict"] == v])), 2)
-        for v in out["causes_right_by_verdict"]
+        v: round(float(np.mean([p for verdict, p in stated if verdict == v])), 2)
+        for v in sorted({v for v, _ in stated})
     }
     errors, held = _parameters(labels, found, single + both)
     out["parameter_error_median"] = float(np.median(errors)) if errors else None

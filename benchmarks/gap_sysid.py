@@ -32,7 +32,7 @@ from benchmarks.gap_score import hit, top1
 from benchmarks.gap_withheld import read_labels
 from benchmarks.store import described_run
 from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
-from realsim.gap.answer.heldout import mean_square
+from realsim.gap.answer.check import mean_square
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.edit import Edit
 from realsim.gap.simulation.sampling import held_mean

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from realsim.errors import RealsimError
 from realsim.files import read_json
+from realsim.gap.verdicts import GapVerdict
 
 __all__ = [
     "Cause",
@@ -26,6 +27,7 @@ __all__ = [
     "GapVerdict",
     "Interval",
     "Place",
+    "Rest",
     "Scene",
     "SceneVerdict",
     "Shrinkage",
@@ -44,15 +46,6 @@ class SceneVerdict(StrEnum):
     def usable(self) -> bool:
         """False where the report says not to train or test on the scene."""
         return self is not SceneVerdict.BAD
-
-
-class GapVerdict(StrEnum):
-    """What a diagnosis concludes."""
-
-    NO_GAP = "no_gap"
-    IDENTIFIED = "identified"
-    AMBIGUOUS = "ambiguous"
-    UNEXPLAINED = "unexplained"
 
 
 @dataclass(frozen=True)
@@ -315,7 +308,20 @@ class Shrinkage:
     """90 percent interval of `fraction`."""
     runs: tuple[str, ...]
     held_out: bool
-    """Whether the causes' values were fitted without these runs."""
+    """Whether nothing was fitted to these runs; the verdict is decided with them, so they are a validation."""
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Root mean square errors of a signal, in its unit, beside the size of the motion."""
+
+    signal: str
+    unit: str
+    motion: float
+    before: float
+    """Of the nominal simulator."""
+    after: float
+    """With the causes."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -330,8 +336,15 @@ class Diagnosis:
     where: tuple[Place, ...]
     shrinkage: Shrinkage
     unexplained_share: float
+    """Share of the gap above the noise floor that stays there beside causes and everyday deviations."""
     patch: Mapping[str, Any]
     """For `apply_patch`."""
+    stays: tuple[Rest, ...] = ()
+    """Errors of the patched simulator on the runs of the check, by signal."""
+    advice: str = ""
+    """What to do about it: one thing."""
+    looks_like: tuple[str, ...] = ()
+    """What stays, in words: `friction-like at left_knee`."""
     warnings: tuple[str, ...] = ()
     data: Mapping[str, Any] = field(default_factory=dict)
     """All of diagnosis.json."""
@@ -355,6 +368,13 @@ class Diagnosis:
                 shrinkage=Shrinkage(_number(s["fraction"]), low, high, tuple(s["runs"]), bool(s["unseen"])),
                 unexplained_share=_number(data["unexplained_share"]),
                 patch=data["patch"],
+                stays=tuple(
+                    Rest(name, v["unit"], *(_number(v[k]) for k in ("motion", "rms_before", "rms_after")))
+                    for name, v in s.get("per_signal", {}).items()
+                    if "motion" in v  # 0.1.0 had none
+                ),
+                advice=str(data.get("advice", "")),
+                looks_like=tuple(f"{entry['what']} at {entry['joint']}" for entry in data.get("looks_like", ())),
                 warnings=tuple(data["health"]["warnings"]),
                 data=data,
                 folder=folder,
@@ -382,6 +402,8 @@ class Diagnosis:
         rows = [
             ("verdict", self.verdict.value),
             *(("cause" if i == 0 else "", str(cause)) for i, cause in enumerate(self.causes)),
+            *(("error", f"{r.signal} {r.before:.2g} to {r.after:.2g} {r.unit} rms") for r in self.stays),
+            ("next", self.advice),
             ("removes", f"{100 * s.fraction:.0f} % [{100 * s.low:.0f}, {100 * s.high:.0f}] of the squared error"),
             ("files", str(self.folder) if self.folder else ""),
         ]

@@ -15,6 +15,7 @@ from realsim.errors import RealsimError
 from realsim.files import refuse_within
 from realsim.gap import contract
 from realsim.gap.config import DiagnoseConfig
+from realsim.gap.verdicts import SAID, GapVerdict
 from realsim.progress import note, steps, track
 
 
@@ -48,7 +49,8 @@ def diagnose(
         deploy_yaml: the contract of a policy whose ONNX file has none (unitree_rl_lab).
         jobs: with several cases: how many at a time on this machine.
         ray: with several cases: the address of a Ray cluster that shares this file system.
-        strict: exit with code 3 if the gap stays unexplained (the patched model is then not to be used).
+        strict: exit with code 3 if the gap stays unexplained (the patched model is then not to be used); a gap that is
+            partly explained is no failure.
     """
     if explain is not None:
         text = gap.explain(explain)
@@ -71,7 +73,7 @@ def diagnose(
         found = None if policy is None else _contract(cases[0], policy, deploy_yaml)
         with steps() as tick:
             result = gap.run_case(cases[0], out, config, tick, overwrite=overwrite)
-        level = LEVELS[str(result["verdict"])]
+        level = SAID[GapVerdict(result["verdict"])].level
         text = _summary(result, out, config)
         if found is not None:
             text, result = f"{found.sentence}\n{text}", result | {"contract": found.as_dict()}
@@ -126,48 +128,14 @@ def _from_recording(recording: Path, model: Path, out: Path, overwrite: bool, co
 
 
 def _summary(result: Mapping[str, Any], out: Path, config: DiagnoseConfig) -> str:
-    """The verdict in a word, then what it rests on, a fact a line; the whole sentence is in diagnosis.json."""
-    from realsim.gap.answer.sentence import phrase
-    from realsim.gap.report.words import WORDS, percent
+    """The verdict in a word, then a table of at most a dozen lines; all of it is in diagnosis.json and the report."""
+    from realsim.gap.answer.brief import brief
 
-    verdict, causes = str(result["verdict"]), result["causes"]
-    size = result["shrinkage"]
-    lines = [f"{WORDS[verdict]}: {HEADLINES[verdict]}"]
-    lines += [f"  because  {reason}" for reason in result["statistics"].get("reasons", [])[:2]]
-    where = sorted(result["where"], key=lambda entry: -entry["share"])[: 0 if verdict == "no_gap" else 2]
-    for entry in where:
-        place = entry.get("joint") or entry["signal"]
-        lines.append(f"  where    {place}, phase {entry['phase']}: {percent(entry['share'])} of the gap")
-    lines += [f"  cause    {phrase(cause)} (probability {cause['probability']:.2f})" for cause in causes]
-    if causes:
-        low, high = (percent(share) for share in size["ci90"])
-        unseen = "" if size.get("unseen", True) else ", which the fit has seen"
-        runs = ", ".join(size["runs"])
-        lines.append(
-            f"  size     {percent(size['fraction'])} of the squared error goes [{low}, {high}] on {runs}{unseen}"
-        )
-    lines.append(f"  next     {_next(result, out)}")
-    lines.append(f"model      {out / 'model.xml'}")
-    lines.append(f"report     {out / ('report.html' if config.report else 'diagnosis.json')}")
-    lines += [f"note       {warning}" for warning in result["health"]["warnings"]]
-    return "\n".join(lines)
-
-
-def _next(result: Mapping[str, Any], out: Path) -> str:
-    """What to do about the verdict: the recording that would tell, where there is one."""
-    verdict, sentence = str(result["verdict"]), str(result["sentence"])
-    if verdict == "no_gap":
-        return "nothing to change in the model; record livelier runs to look closer"
-    if verdict == "identified":
-        return f"simulate with {out / 'model.xml'}, and check it on a new run"
-    _, record, what = sentence.rpartition("record ")
-    return (record + what).rstrip(".") if record else "record more runs that move what differs"
-
-
-HEADLINES = {
-    "no_gap": "the runs show no gap beyond noise and everyday deviations.",
-    "identified": "the cause is named below.",
-    "ambiguous": "several causes explain these runs as well as each other.",
-    "unexplained": "do not use the patched model: no known effect explains the gap.",
-}
-LEVELS = {"no_gap": "good", "identified": "good", "ambiguous": "look", "unexplained": "bad"}
+    said = SAID[GapVerdict(result["verdict"])]
+    parts = brief(result)
+    rows = [row for part in parts.values() for row in part]
+    warnings = result["health"]["warnings"]
+    if warnings:
+        rows.append(("notes", f"{len(warnings)} about the log, in the report; the first: {warnings[0]}"))
+    rows.append(("files", f"{out / 'model.xml'}, {out / ('report.html' if config.report else 'diagnosis.json')}"))
+    return "\n".join([f"{said.word}: {said.headline}", *(f"  {label:<9}{text}" for label, text in rows)])

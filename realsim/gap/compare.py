@@ -62,7 +62,7 @@ class Comparison:
         config: DiagnoseConfig,
         runs: Sequence[int] | None = None,
     ) -> None:
-        """`runs`: those that the noise floor is read off; all if None."""
+        """`runs`: those that the noise floor and what parts are judged by; all if None."""
         self.case, self.channels, self.config = case, tuple(channels), config
         self._starts, self._counts, self._values, self.times = [], [], [], []
         self._valid, self._phase = [], []
@@ -81,14 +81,15 @@ class Comparison:
         walks = [case.floating and c.signal == "imu_acc" for c in self.channels]
         self._clock = np.where(walks, TOUCH_SIGMA, CLOCK_SIGMA)
         self._rates = [self._rate(i, y) for i, y in enumerate(nominal)]
-        self.noise = self._floor(nominal, range(len(nominal)) if runs is None else runs)
-        self.parted = self._part(nominal)
+        known = range(len(nominal)) if runs is None else runs
+        self.noise = self._floor(nominal, known)
+        self.parted = self._part(nominal, known)
         """Run -> seconds from which robot and simulator have parted for good (a fall, a slip); left out from there."""
         self.version = 0
         self._form: dict[int, F64] = {}
         self.set_detail([self.noise.detail for _ in case.runs])
 
-    def _part(self, nominal: Sequence[F64]) -> dict[str, float]:
+    def _part(self, nominal: Sequence[F64], known: Sequence[int]) -> dict[str, float]:
         """Where a floating robot's error has grown out of all proportion and never comes back: chaos, not evidence."""
         if not self.case.floating:
             return {}
@@ -97,7 +98,7 @@ class Comparison:
         for run, y in enumerate(nominal):
             square = np.nanmean(self.residual(run, y) ** 2 / self.floor(run), axis=1)
             levels.append(np.convolve(np.nan_to_num(square), np.ones(width) / width, mode="same"))
-        limit = PART_FACTOR * max(float(np.median(np.concatenate(levels))), 8.0)
+        limit = PART_FACTOR * max(float(np.median(np.concatenate([levels[i] for i in known]))), 8.0)
         parted = {}
         for run, level in enumerate(levels):
             fine = np.flatnonzero(level <= limit)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
+from pathlib import Path
 
 SHORTEST_RUN = 0.1
 """Seconds of a run that must be left when it is cut."""
@@ -26,15 +27,15 @@ class DiagnoseConfig:
     settle_seconds: float = 0.6
     """The simulator holds the first command for this long before a run that begins at rest."""
     holdout: int = 1
-    """Runs that no fit sees, for the shrinkage; none if the log has no more than one run beside them."""
+    """Runs that nothing is fitted to, for the check; none if the log has no more than one run beside them."""
     unexplained_share: float = 0.20
-    """From this share of the gap left over, the verdict is `unexplained`."""
-    baselines: bool = True
-    """Also say what simpler rules would have concluded (a few more simulations)."""
+    """From this share of the gap left over, the verdict says that a part stays."""
     bootstrap: int = 400
     """Resamples for intervals."""
     seed: int = 0
     """Seed of everything random."""
+    deviations: Path | None = None
+    """JSON with standard deviations of everyday deviations that are known better than the library's (docs/gap.md)."""
     report: bool = True
     """Write report.html beside diagnosis.json."""
 

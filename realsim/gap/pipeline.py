@@ -1,9 +1,9 @@
-"""From a case to a diagnosis: simulate, gate, select, check on unseen runs, say it."""
+"""From a case to a diagnosis: split, simulate, search on the fitted runs, check on the others, say it."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,21 +11,21 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from realsim.errors import GapError
-from realsim.gap.answer.baselines import first_choices, rival_settings
+from realsim.gap.answer.arrays import collect
+from realsim.gap.answer.conclusion import Conclusion, conclude
 from realsim.gap.answer.diagnosis import Diagnosis, describe_set
-from realsim.gap.answer.heldout import Shrinkage, mean_gaps, shrinkage
 from realsim.gap.answer.patch import empty_patch, make_patch
 from realsim.gap.answer.ranking import ranked_effects
-from realsim.gap.answer.sentence import sentence
-from realsim.gap.answer.verdict import judge
+from realsim.gap.answer.sentence import advice, sentence
+from realsim.gap.answer.stays import what_stays
 from realsim.gap.causes.fit import Fitter
 from realsim.gap.causes.screen import Screen
-from realsim.gap.causes.select import Selection, select, without_causes
+from realsim.gap.causes.select import Selection, select
 from realsim.gap.compare import Comparison
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects import EFFECTS
 from realsim.gap.evidence.onsets import find_onsets
-from realsim.gap.evidence.where import by_signal, change_by_horizon, evidence, localise
+from realsim.gap.evidence.where import by_horizon, by_signal, evidence, localise
 from realsim.gap.health import examine
 from realsim.gap.logs.case import Case
 from realsim.gap.logs.repeats import replicates as replicates
@@ -33,17 +33,24 @@ from realsim.gap.logs.runs import LEAST_SAMPLES
 from realsim.gap.logs.split import split_runs
 from realsim.gap.provenance import provenance
 from realsim.gap.simulation.simulate import Simulator
+from realsim.gap.verdicts import GapVerdict
+from realsim.types import F64
 
+Look = Callable[[Screen, Selection], dict[str, Any]]
+"""Called with the search before the simulator closes; what it returns goes into `statistics`."""
 Progress = Callable[[str, float], None]
 
 
-def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progress | None = None) -> Diagnosis:
-    """Where the gap lies, which effects cause it, and how far it shrinks on runs that no fit has seen.
+def diagnose(
+    case: Case, config: DiagnoseConfig | None = None, progress: Progress | None = None, look: Look | None = None
+) -> Diagnosis:
+    """Where the gap lies, which effects cause it, and how far it shrinks on runs that nothing was fitted to.
 
     Args:
         case: from `load_case`.
         config: see `DiagnoseConfig`.
         progress: called with (what, share done) now and then.
+        look: for benchmarks, see `Look`.
 
     Raises:
         GapError: if the log cannot support a diagnosis, with the reason.
@@ -54,29 +61,22 @@ def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progres
         EFFECTS[name]  # an unknown name is said with the closest ones
     began, cpu, made_by = time.perf_counter(), time.process_time(), provenance(config)
     case = limited(case, config)
+    fitted, held = split_runs(case, config)
     # The matrices are too small for BLAS to gain from threads, and with one the sums have one order everywhere.
-    with threadpool_limits(1, user_api="blas"), Simulator(case, config) as simulator:
+    with threadpool_limits(1, user_api="blas"), Simulator(case, config, fitted) as simulator:
         health = examine(simulator)
         nominal = simulator.simulate()
-        comparison = Comparison(case, simulator.channels, nominal, config)
+        comparison = Comparison(case, simulator.channels, nominal, config, fitted)
         for name, at in comparison.parted.items():
             health["warnings"].append(f"{name}: robot and simulator part for good at {at:.1f} s; the rest is left out")
-        simulator.onsets = find_onsets(comparison, nominal)
-        fitted, held = split_runs(case, config, mean_gaps(comparison, nominal))
+        simulator.onsets = find_onsets(comparison, nominal, fitted)
         tick("sensitivities", 0.0)
         screen = Screen(simulator, comparison, fitted, config.effects, tick)
         fitter = Fitter(screen)
         selection = select(screen, fitter, config, tick)
         tick("unseen runs", 0.9)
-        shrunk = _checked(config, screen, selection, held)
-        if (
-            selection.fit.causes
-            and _harms(shrunk)
-            and judge(config, screen, selection, shrunk).verdict == "unexplained"
-        ):
-            selection = without_causes(selection)
-            shrunk = _checked(config, screen, selection, held)
-        found = _assemble(case, config, simulator, comparison, screen, selection, shrunk, nominal, health)
+        concluded = conclude(config, screen, fitter, selection, held, nominal)
+        found = _assemble(config, screen, selection, concluded, nominal, health)
         cost = {
             "seconds": round(time.perf_counter() - began, 2),
             "cpu_seconds": round(time.process_time() - cpu, 2),
@@ -86,24 +86,9 @@ def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progres
             **cost,
             "logged_seconds": round(sum(r.duration for r in case.runs), 2),
             "fits": fitter.evaluations,
+            **(look(screen, selection) if look else {}),
         }
-        choices = first_choices(screen, selection) if config.baselines else {}
-    return replace(found, statistics=statistics, cost=cost, baselines=choices, provenance=made_by)
-
-
-def _checked(config: DiagnoseConfig, screen: Screen, selection: Selection, held: list[int]) -> Shrinkage:
-    """What becomes of the gap on the runs held out, or on the fitted ones where there is none to spare."""
-    comparison = screen.comparison
-    rivals = rival_settings(screen, comparison, selection) if config.baselines else {}
-    return shrinkage(
-        screen, comparison, selection.nominal, selection.fit, held or screen.runs, bool(held),
-        config.bootstrap, config.seed, rivals,
-    )  # fmt: skip
-
-
-def _harms(shrunk: Shrinkage) -> bool:
-    """Whether the causes make an unseen run worse, with the best small deviations beside them."""
-    return shrunk.unseen and shrunk.after_over_floor > shrunk.before_over_floor
+    return replace(found, statistics=statistics, cost=cost, provenance=made_by)
 
 
 def limited(case: Case, config: DiagnoseConfig) -> Case:
@@ -132,71 +117,63 @@ def limited(case: Case, config: DiagnoseConfig) -> Case:
 
 
 def _assemble(
-    case: Case,
     config: DiagnoseConfig,
-    simulator: Simulator,
-    comparison: Comparison,
     screen: Screen,
     selection: Selection,
-    shrunk: Shrinkage,
-    nominal: list[np.ndarray],
+    concluded: Conclusion,
+    nominal: Sequence[F64],
     health: dict[str, Any],
 ) -> Diagnosis:
+    simulator, comparison, case = screen.simulator, screen.comparison, screen.simulator.case
+    fit, checked, judgement = concluded.fit, concluded.check, concluded.judgement
     runs = list(range(len(case.runs)))
     residuals = [comparison.residual(i, nominal[i]) for i in runs]
     where, shares = localise(comparison, residuals, runs, simulator.nominal_tracks)
-    judgement = judge(config, screen, selection, shrunk)
-    fit = selection.fit
-    order = sorted(range(len(fit.causes)), key=lambda i: -selection.gains.get(i, 0.0))
-    causes = describe_set(simulator, fit, order, judgement.probabilities)
-    if judgement.verdict == "no_gap":
-        causes = []
-    equivalent = []
-    for other in selection.equivalent if causes else []:
-        ranking = list(range(len(other.causes)))
-        equivalent.append(tuple(describe_set(simulator, other, ranking, [0.5] * len(ranking))))
-    if not shrunk.unseen:
-        health["warnings"].append("no run was left unseen: the shrinkage is optimistic and the verdict weaker")
+    gains = selection.gains if fit is selection.fit else {}
+    order = sorted(range(len(fit.causes)), key=lambda i: -gains.get(i, 0.0))
+    gap = judgement.verdict is not GapVerdict.NO_GAP
+    causes = describe_set(simulator, fit, order, concluded.sigmas) if gap else []
+    equivalent = [tuple(describe_set(simulator, other)) for other in (concluded.equivalent if causes else ())]
+    looks_like = what_stays(simulator, comparison, fit, runs) if gap else []
+    health["warnings"] += concluded.warnings
+    of_check = [i for i, run in enumerate(case.runs) if run.name in checked.runs]
+    arrays = collect(simulator, comparison, residuals, shares, of_check, fit)
     return Diagnosis(
         verdict=judgement.verdict,
-        sentence=sentence(judgement, causes, equivalent, shrunk, where, case),
+        sentence=sentence(judgement, causes, equivalent, checked, where, looks_like, case),
+        advice=advice(judgement, causes, equivalent, where, case),
         causes=tuple(causes),
         equivalent=tuple(equivalent),
         where=tuple(where),
         shrinkage={
             "before": 1.0,
-            "after": shrunk.after,
-            "fraction": shrunk.fraction,
-            "ci90": list(shrunk.ci90),
-            "above_floor": shrunk.above_floor,
-            "runs": list(shrunk.runs),
-            "unseen": shrunk.unseen,
-            "per_signal": shrunk.per_signal,
-            "per_horizon": change_by_horizon(simulator, fit.settings(), shrunk.runs),
-            "baselines": shrunk.baselines,
+            "after": 1 - checked.fraction,
+            "fraction": checked.fraction,
+            "ci90": list(checked.ci90),
+            "above_floor": checked.above_floor,
+            "runs": list(checked.runs),
+            "unseen": checked.unseen,
+            "kind": checked.kind,
+            "per_signal": {s.signal: s.as_dict() for s in checked.signals},
+            "per_horizon": by_horizon(arrays.shots),
         },
-        unexplained_share=judgement.unexplained,
+        unexplained_share=checked.unexplained if gap else 0.0,
+        looks_like=tuple(looks_like),
         patch=make_patch(simulator, fit) if causes else empty_patch(),
         ranking=tuple(ranked_effects(selection, screen)),
         health=health,
         statistics={
-            "gap_over_floor": shrunk.before_over_floor,
-            "left_over_floor": shrunk.after_over_floor,
-            "structure_left": shrunk.structure,
+            "gap_over_floor": checked.before,
+            "left_over_floor": checked.beside,
+            "structure_left": checked.structure,
             "by_signal": by_signal(comparison, shares),
             **evidence(simulator, comparison, residuals, config.seed),
             "atoms": len(screen.atoms),
             "candidates": len(screen.candidates),
             "fitted_runs": [case.runs[i].name for i in screen.runs],
+            "left_out_over_floor": None if concluded.left_out is None else concluded.left_out.after.tolist(),
             "reasons": list(judgement.reasons),
-            "notes": selection.notes,
+            "notes": list(concluded.notes),
         },
-        evidence={
-            "shares": shares,
-            "residuals": residuals,
-            "comparison": comparison,
-            "fit": fit,
-            "simulator": simulator,
-            "check": list(shrunk.runs),
-        },
+        evidence=arrays,
     )

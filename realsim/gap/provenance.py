@@ -10,6 +10,7 @@ from typing import Any
 
 from realsim import __version__
 from realsim.gap.config import DiagnoseConfig
+from realsim.gap.deviations import read_deviations
 
 NO_ANSWER = ("report", "explanation.py")
 """Below realsim/gap: what shows an answer and cannot change it."""
@@ -40,4 +41,5 @@ def provenance(config: DiagnoseConfig) -> dict[str, Any]:
         for name, value in asdict(config).items()
         if name not in NO_SETTING
     }
+    settings["deviations"] = read_deviations(config.deviations).sizes  # what they are, not where they stood
     return {"version": __version__, "engine": engine(), "mujoco": mujoco.__version__, "settings": settings}

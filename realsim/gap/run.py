@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from realsim.files import check_size, inside, output_folder, read_bytes, write_bytes, write_text
-from realsim.gap.answer.patch import asset_files, patched_xml
+from realsim.gap.answer.patch import asset_files
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.health import examine
 from realsim.gap.logs.case import load_case
@@ -36,8 +36,8 @@ def run_case(
             check_size(inside(Path(folder), name))
         found = diagnose(case, config, progress)
         found.write(work)
-        fit, simulator = found.evidence["fit"], found.evidence["simulator"]
-        write_text(work / "model.xml", patched_xml(simulator, fit))
+        assert found.evidence is not None  # `diagnose` fills it
+        write_text(work / "model.xml", found.evidence.patched_xml)
         for name in assets:  # so that the patched model loads where it lies
             write_bytes(inside(work, name), read_bytes(inside(Path(folder), name)))
         if config.report:

@@ -332,7 +332,7 @@ def test_long_runs_with_few_samples_at_first_are_left_out_and_said(case: Path) -
         return t + 5.0 * (np.arange(len(t)) > 10)
 
     change(case, "run_02", time=late)
-    config = DiagnoseConfig(effects=("command_delay",), max_seconds=2.0, baselines=False, bootstrap=20)
+    config = DiagnoseConfig(effects=("command_delay",), max_seconds=2.0, bootstrap=20)
     found = diagnose(load_case(case), config)
     assert "left out: run_02 has less than 20 samples until then" in found.health["warnings"]
     for path in (case / "runs").glob("*.npz"):
@@ -346,7 +346,7 @@ def test_effects_that_cannot_act_name_no_first_cause(made, effect: str) -> None:
     folder = made("no_effects", Truth(coulomb={"elbow": 2.0}), runs=3, span=(1.5, 1.6))
     found = diagnose(load_case(folder), DiagnoseConfig(effects=(effect,), bootstrap=20, threads=1))
     assert found.verdict == "unexplained"
-    assert found.baselines == {}
+    assert found.causes == ()
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from realsim.gap.simulation.simulate import Simulator
 
 from .truth import Truth
 
-PUSHED = {"run_02": 1.9, "run_03": 1.2, "run_05": 2.3}
+PUSHED = {"run_02": 1.9, "run_03": 1.2, "run_05": 2.3, "run_06": 2.3}
 WINDOWS = tuple((at, at + 0.5) if (at := PUSHED.get(f"run_{i:02d}")) else None for i in range(1, 7))
 
 
@@ -61,7 +61,9 @@ def test_the_push_is_found_and_checked_on_a_run_that_no_fit_saw(bumped) -> None:
     assert (cause["effect"], cause["bodies"]) == ("external_force", ["fore"])
     assert cause["parameters"]["fx"]["value"] == pytest.approx(14.0, rel=0.15)
     assert cause["parameters"]["lasts"]["value"] == pytest.approx(0.5, abs=0.08)
-    assert set(found.shrinkage["runs"]) <= set(PUSHED)
+    assert found.shrinkage["runs"] == ["run_06"]
+    assert found.shrinkage["kind"] == "validation"
+    assert any("was read off them (run_06 at 2." in w for w in found.health["warnings"])
     assert found.shrinkage["fraction"] > 0.8
     assert "run_03 from 1." in found.sentence
     (force,) = found.patch["wrappers"]["external_force"]["value"]

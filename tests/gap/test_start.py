@@ -151,7 +151,7 @@ def test_health_says_how_each_run_was_started(tmp_path: Path, made: Callable[...
 def test_a_perfect_simulator_of_a_swinging_robot_has_no_gap(given: bool, tmp_path: Path) -> None:
     case = load_case(swinging(tmp_path / "case", PENDULUM, given=given))
     effects = ("coulomb_friction", "viscous_friction", "command_delay", "payload", "armature")
-    found = diagnose(case, DiagnoseConfig(threads=1, effects=effects, bootstrap=50, baselines=False))
+    found = diagnose(case, DiagnoseConfig(threads=1, effects=effects, bootstrap=50))
     assert found.verdict == "no_gap"
     assert found.causes == ()
 

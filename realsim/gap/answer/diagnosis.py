@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from realsim.files import to_json, write_text
+from realsim.gap.answer.arrays import Arrays
 from realsim.gap.causes.fit import Cause, Fit
 from realsim.gap.causes.fitted import Z90
 from realsim.gap.simulation.simulate import Simulator, lookup
+from realsim.gap.verdicts import GapVerdict
 
 MODEL_ERROR = 0.07
 """Relative error of a fitted value that comes from the simplified form of an effect (measured on made cases)."""
@@ -21,15 +23,17 @@ MODEL_ERROR = 0.07
 class Diagnosis:
     """A verdict with its evidence. `as_dict` is the contract's diagnosis.json."""
 
-    verdict: str
-    """`no_gap`, `identified`, `ambiguous` or `unexplained`."""
+    verdict: GapVerdict
     sentence: str
     """The verdict as one sentence that a person can act on."""
+    advice: str
+    """What to do about it: one thing."""
     causes: tuple[dict[str, Any], ...]
     equivalent: tuple[tuple[dict[str, Any], ...], ...]
     where: tuple[dict[str, Any], ...]
     shrinkage: dict[str, Any]
     unexplained_share: float
+    """Share of the check's gap above the floor that stays beside causes and everyday deviations."""
     patch: dict[str, Any]
     next_experiment: dict[str, Any] | None = None
     ranking: tuple[dict[str, Any], ...] = ()
@@ -38,17 +42,17 @@ class Diagnosis:
     statistics: dict[str, Any] = field(default_factory=dict)
     cost: dict[str, float] = field(default_factory=dict)
     """`seconds` of wall time, `cpu_seconds`, `simulated_seconds` (of the robot's time, all replays together)."""
-    baselines: dict[str, Any] = field(default_factory=dict)
-    """Simpler rule -> the cause that it would have named first."""
+    looks_like: tuple[dict[str, Any], ...] = ()
+    """What stays beside the causes, by joint: {joint, what, explains}."""
     provenance: dict[str, Any] = field(default_factory=dict)
     """Which engine gave this answer, and its settings; see `realsim.gap.provenance`."""
-    evidence: dict[str, Any] = field(default_factory=dict, repr=False)
-    """Arrays for the report's plots; not part of the JSON."""
+    evidence: Arrays | None = field(default=None, repr=False)
+    """What the report draws; not part of the JSON."""
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able, the contract's fields first."""
         return {
-            "verdict": self.verdict,
+            "verdict": str(self.verdict),
             "causes": list(self.causes),
             "equivalent": [list(s) for s in self.equivalent],
             "where": list(self.where),
@@ -57,10 +61,11 @@ class Diagnosis:
             "next_experiment": self.next_experiment,
             "patch": self.patch,
             "sentence": self.sentence,
+            "advice": self.advice,
             "ranking": list(self.ranking),
             "health": self.health,
             "statistics": self.statistics,
-            "baselines": self.baselines,
+            "looks_like": list(self.looks_like),
             **self.cost,
             "provenance": self.provenance,
         }
@@ -72,8 +77,13 @@ class Diagnosis:
         return path
 
 
-def describe_cause(simulator: Simulator, cause: Cause, sigmas: np.ndarray, probability: float) -> dict[str, Any]:
-    """A cause in the contract's form: places, values and intervals in reported units."""
+def describe_cause(
+    simulator: Simulator, cause: Cause, sigmas: np.ndarray, probability: float | None = None
+) -> dict[str, Any]:
+    """A cause in the contract's form: places, values and intervals in reported units.
+
+    `probability` is null unless the search has a posterior: none is stated that was not calibrated.
+    """
     effect = lookup(cause.candidate.effect)
     parameters = {p.name: p for p in effect.parameters(simulator.context, cause.candidate.place)}
     reported = {}
@@ -102,10 +112,12 @@ def describe_cause(simulator: Simulator, cause: Cause, sigmas: np.ndarray, proba
     return found
 
 
-def describe_set(simulator: Simulator, fit: Fit, order: list[int], probabilities: list[float]) -> list[dict[str, Any]]:
-    """All causes of a fit, in `order`."""
-    sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)) if fit.causes else np.zeros(0)
+def describe_set(
+    simulator: Simulator, fit: Fit, order: list[int] | None = None, sigmas: np.ndarray | None = None
+) -> list[dict[str, Any]]:
+    """All causes of a fit, in `order`; `sigmas`: (m,) of all values, the fit's own if None."""
+    if sigmas is None:
+        sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)) if fit.causes else np.zeros(0)
     starts = np.cumsum([0, *(len(c.values) for c in fit.causes)])
-    return [
-        describe_cause(simulator, fit.causes[i], sigmas[starts[i] : starts[i + 1]], probabilities[i]) for i in order
-    ]
+    chosen = range(len(fit.causes)) if order is None else order
+    return [describe_cause(simulator, fit.causes[i], sigmas[starts[i] : starts[i + 1]]) for i in chosen]

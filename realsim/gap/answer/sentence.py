@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from realsim.gap.answer.heldout import Shrinkage
+from realsim.gap.answer.check import Check, SignalError
 from realsim.gap.answer.verdict import Judgement
 from realsim.gap.effects import EFFECTS
 from realsim.gap.logs.case import Case
 from realsim.gap.logs.repeats import replicates
+from realsim.gap.verdicts import GapVerdict
 
 Cause = dict[str, Any]
 _ABSOLUTE = {"torque_limit", "torque_speed_limit", "joint_compliance", "terrain_wobble"}
@@ -17,55 +18,121 @@ _SIGNED = {
     "joint_offset", "imu_bias", "com_offset", "terrain_tilt", "terrain_height", "link_geometry", "external_force",
 }  # fmt: skip
 """Quantities whose sign is a direction: they are missing either way, not too large in the model."""
+SIGNALS = {
+    "joint_pos": "joint position",
+    "joint_vel": "joint velocity",
+    "joint_torque": "joint torque",
+    "base_pos": "base position",
+    "base_rot": "base orientation",
+    "imu_gyro": "gyroscope",
+    "imu_acc": "accelerometer",
+}
 _SPELLED = {"ratio": "times", "kg m^2": "kg m²", "m/s^2": "m/s²"}
 _MOST_ALTERNATIVES = 3
+_MOST_RECORDINGS = 2
+"""More than two recordings at once nobody makes."""
 
 
 def sentence(
     judgement: Judgement,
     causes: Sequence[Cause],
     equivalent: Sequence[Sequence[Cause]],
-    shrunk: Shrinkage,
+    checked: Check,
     where: Sequence[dict[str, Any]],
+    looks_like: Sequence[dict[str, Any]],
     case: Case,
 ) -> str:
     """What is wrong, how sure that is, what it brings; or why that cannot be told, and what to record."""
-    verdict, unexplained = judgement.verdict, judgement.unexplained
-    if verdict == "no_gap":
+    verdict = judgement.verdict
+    if verdict is GapVerdict.NO_GAP:
         return (
             "No gap that these runs can show: what differs is within sensor noise and the small deviations that every "
             "robot has."
         )
     if not causes:
         return (
-            f"No cause that this library knows: {_percent(unexplained)} of the gap above the noise floor stays on "
-            f"unseen runs{_mostly(where)}; record {_next_for_unknown(where, case)}."
-        )
-    said = "; ".join(phrase(c) for c in causes)
-    gain = f"removes {removed(shrunk)} of the squared error on {_runs(shrunk)}"
-    if shrunk.ci90[0] <= 0:
-        gain = f"does not surely reduce the squared error on {_runs(shrunk)} (by {removed(shrunk)})"
-    if verdict == "ambiguous":
-        alternatives = [list(s) for s in (causes, *equivalent[:_MOST_ALTERNATIVES])]
-        shared = [c for c in causes if all(any(_same(c, other) for other in s) for s in alternatives)]
-        rest = [[c for c in s if not any(_same(c, known) for known in shared)] for s in alternatives]
-        if not all(rest):
-            shared, rest = [], alternatives
-        sure = f"{'; '.join(phrase(c) for c in shared)}. Beside that, cannot" if shared else "Cannot"
-        either = ", or ".join(" with ".join(phrase(c) for c in s) for s in rest)
-        return (
-            f"{sure} tell: {either}; each explains these runs as well, and adding the first {gain}; to tell "
-            f"them apart, record {_what_tells([causes, *equivalent])}."
-        )
-    text = f"{said}; {_verb(causes)} {gain}"
-    if verdict == "unexplained":
-        ends = f", with {', '.join(judgement.at_an_end)} as far as this library goes" if judgement.at_an_end else ""
-        return (
-            f"Not explained{_mostly(where)}. The nearest is {text}, and {_percent(unexplained)} of the gap "
-            f"stays{ends}: it may only imitate the cause; "
+            f"No cause that this library knows{_mostly(where)}: {errors_of(checked, after=False)}{_looks(looks_like)}; "
             f"record {_next_for_unknown(where, case)}."
         )
+    said = "; ".join(phrase(c) for c in causes)
+    gain = f"removes {removed(checked)} of the squared error on {_runs(checked)}"
+    if checked.ci90[0] <= 0:
+        gain = f"does not surely reduce the squared error on {_runs(checked)} (by {removed(checked)})"
+    if verdict is GapVerdict.AMBIGUOUS:
+        stays = f" What stays: {errors_of(checked)}." if len(judgement.reasons) > 1 else ""
+        tells = _what_tells([causes, *equivalent])
+        return f"{_either(causes, equivalent)} {gain}; to tell them apart, record {tells}.{stays}"
+    text = f"{said}; {_verb(causes)} {gain}"
+    if verdict is GapVerdict.PARTLY_EXPLAINED:
+        return (
+            f"{text}. A part stays: {errors_of(checked)}{_looks(looks_like)}; record {_next_for_unknown(where, case)}."
+        )
+    if verdict is GapVerdict.UNEXPLAINED:
+        ends = f", with {', '.join(judgement.at_an_end)} as far as this library goes" if judgement.at_an_end else ""
+        return (
+            f"Not explained{_mostly(where)}. The nearest is {text}{ends}: it may only imitate the cause. "
+            f"What stays: {errors_of(checked)}{_looks(looks_like)}; record {_next_for_unknown(where, case)}."
+        )
     return f"{text}."
+
+
+def errors_of(checked: Check, after: bool = True) -> str:
+    """Joint position 14 mrad rms of a motion of 0.4 rad (51 mrad before); signals within their floor are left out."""
+    above = [s for s in checked.signals if (s.after if after else s.before) > s.floor] or list(checked.signals)
+    return ", ".join(_error(s, after) for s in above)
+
+
+def _error(s: SignalError, after: bool) -> str:
+    now = amount(s.after if after else s.before, s.unit)
+    before = f" ({amount(s.before, s.unit)} before)" if after else ""
+    return f"{SIGNALS.get(s.signal, s.signal)} {now} rms of a motion of {amount(s.motion, s.unit)} rms{before}"
+
+
+def amount(value: float, unit: str) -> str:
+    """14 mrad, 0.41 rad, 3.1 mm."""
+    small = {"rad": "mrad", "m": "mm", "rad/s": "mrad/s", "m/s": "mm/s"}
+    if unit in small and abs(value) < 0.1:
+        value, unit = 1000 * value, small[unit]
+    return f"{_number(float(f'{value:.2g}'))} {_SPELLED.get(unit, unit)}"
+
+
+def advice(
+    judgement: Judgement,
+    causes: Sequence[Cause],
+    equivalent: Sequence[Sequence[Cause]],
+    where: Sequence[dict[str, Any]],
+    case: Case,
+) -> str:
+    """What to do about a verdict: one thing."""
+    verdict = judgement.verdict
+    if verdict is GapVerdict.NO_GAP:
+        return "change nothing in the model; record livelier runs to look closer"
+    if verdict is GapVerdict.IDENTIFIED:
+        return "simulate with the patched model.xml, and check it on a new run"
+    if verdict is GapVerdict.AMBIGUOUS:
+        return f"to tell them apart, record {_what_tells([causes, *equivalent])}"
+    return f"record {_next_for_unknown(where, case)}"
+
+
+def _looks(found: Sequence[dict[str, Any]]) -> str:
+    """What a rest looks like: `; at left knee it looks friction-like`."""
+    by_what: dict[str, list[str]] = {}
+    for entry in found:
+        by_what.setdefault(entry["what"], []).append(_plain(entry["joint"]))
+    said = " and ".join(f"{what} ({', '.join(joints)})" for what, joints in by_what.items())
+    return f"; it looks {said}" if said else ""
+
+
+def _either(causes: Sequence[Cause], equivalent: Sequence[Sequence[Cause]]) -> str:
+    """What the sets share, once, and what they differ in."""
+    alternatives = [list(s) for s in (causes, *equivalent[:_MOST_ALTERNATIVES])]
+    shared = [c for c in causes if all(any(_same(c, other) for other in s) for s in alternatives)]
+    rest = [[c for c in s if not any(_same(c, known) for known in shared)] for s in alternatives]
+    if not all(rest):
+        shared, rest = [], alternatives
+    sure = f"{'; '.join(phrase(c) for c in shared)}. Beside that, cannot" if shared else "Cannot"
+    either = ", or ".join(" with ".join(phrase(c) for c in s) for s in rest)
+    return f"{sure} tell: {either}; each explains these runs as well, and adding the first"
 
 
 def _same(a: Cause, b: Cause) -> bool:
@@ -112,20 +179,21 @@ def _of_torque(parameter: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def removed(shrunk: Shrinkage) -> str:
+def removed(checked: Check) -> str:
     """83 % [74, 88]; with a decimal where whole numbers would say all or nothing."""
-    low, high = shrunk.ci90
-    values = (shrunk.fraction, low, high)
+    low, high = checked.ci90
+    values = (checked.fraction, low, high)
     digits = 1 if any(0.985 < v < 1 for v in values) else 0
-    return f"{_share(shrunk.fraction, digits)} % [{_share(low, digits)}, {_share(high, digits)}]"
+    return f"{_share(checked.fraction, digits)} % [{_share(low, digits)}, {_share(high, digits)}]"
+
+
+def share(value: float) -> str:
+    """A share in percent; what is nearly all or nothing keeps a decimal."""
+    return f"{_share(value, 1 if 0.985 < value < 1 or 0 < value < 0.0095 else 0)} %"
 
 
 def _share(value: float, digits: int) -> str:
     return ">99.9" if 0.9995 <= value < 1 else f"{100 * value:.{digits}f}".replace("-", "−")
-
-
-def _percent(value: float) -> str:
-    return f"{_share(value, 0)} %"
 
 
 def _size(parameters: dict[str, dict[str, Any]], sign: int = 1) -> str:
@@ -196,8 +264,10 @@ def _verb(causes: Sequence[Cause]) -> str:
     return f"{'adding' if missing else 'correcting'} {'it' if len(causes) == 1 else 'them'}"
 
 
-def _runs(shrunk: Shrinkage) -> str:
-    return "runs it has not seen" if shrunk.unseen else "the runs it was fitted on (no other was left)"
+def _runs(checked: Check) -> str:
+    if checked.kind == "left_out_in_turn":
+        return "the fitted runs, each left out in turn (none was held out)"
+    return "runs it has not seen" if checked.unseen else "the run it was fitted to (no other was left)"
 
 
 def _plain(name: str) -> str:
@@ -221,7 +291,8 @@ def _what_tells(sets: Sequence[Sequence[Cause]]) -> str:
     clauses = {n: [c.strip(" .") for c in EFFECTS[n].excitation.split(";")] for n in listed}
     tell = {n: [c.split(" tell")[0] for c in parts if " tell" in c] for n, parts in clauses.items()}
     chosen = tell if all(tell.values()) else clauses
-    return "; ".join(dict.fromkeys(_lower(text) for parts in chosen.values() for text in parts))
+    listed_once = list(dict.fromkeys(_lower(text) for parts in chosen.values() for text in parts))
+    return "; ".join(listed_once[:_MOST_RECORDINGS])
 
 
 def _lower(text: str) -> str:
@@ -233,13 +304,14 @@ def _effects(causes: Sequence[Cause]) -> list[str]:
 
 
 def _next_for_unknown(where: Sequence[dict[str, Any]], case: Case) -> str:
-    """The signal that is not logged and that would say most; else the motion that would."""
-    if not case.has("joint_torque"):
-        return "the joint torques too, which tell the drives from the mechanism"
+    """One recording: the signal that a robot like this can log and has not, else the motion that tells most."""
     if case.floating and not case.has("base_pos"):
         return "the pose of the base too, which tells the ground from the joints"
     if case.floating and not case.has_imu:
         return "the IMU too, which tells the robot's motion from delays of its readings"
+    if not replicates(case):
+        return "one run twice: a rest that comes back is the model's, one that does not is the robot's"
     joint = next((_plain(w["joint"]) for w in where if "joint" in w), "each joint")
     motion = f"{joint} alone, slowly and fast, over its whole range"
-    return motion if replicates(case) else f"one run twice, to see whether it comes back, and {motion}"
+    logged = case.has("joint_torque") or case.command_kind == "torque"
+    return motion if logged else f"{motion}, with the motor's current where the drive reports it"

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from realsim.gap.deviations import with_deviations
 from realsim.gap.simulation.channels import channels
 from realsim.gap.simulation.edit import Edit as Edit
 
@@ -122,6 +123,15 @@ class Effect:
     """A more usual effect that may do the same."""
     suggests: Callable[[Context, Place, dict[str, float]], Sequence[Suggestion]] = lambda *_: ()
     """From values that were found at a place: what else may explain the same."""
+
+    def __post_init__(self) -> None:
+        """Whoever asks for parameters gets the user's sizes of everyday deviations, where the context has any."""
+        own, name = self.parameters, self.name
+
+        def parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
+            return with_deviations(name, own(context, place), place, context.deviations)
+
+        object.__setattr__(self, "parameters", parameters)
 
 
 def gain(step: float, nuisance: float) -> Parameter:

@@ -12,7 +12,7 @@ from realsim.gap.evidence.inverse import base_wrench, torque_residual
 from realsim.gap.evidence.shooting import Shots, shoot
 from realsim.gap.evidence.standout import excesses, significant, standouts, tail
 from realsim.gap.simulation.channels import named_place
-from realsim.gap.simulation.simulate import Setting, Simulator
+from realsim.gap.simulation.simulate import Simulator
 from realsim.types import F64
 
 PHASES = ("at rest", "reversal", "slow", "fast forward", "fast backward")
@@ -109,12 +109,9 @@ def evidence(simulator: Simulator, comparison: Comparison, residuals: Sequence[F
     return found
 
 
-def change_by_horizon(
-    simulator: Simulator, settings: Sequence[Setting], names: Sequence[str]
-) -> dict[str, dict[str, dict[str, float | None]]]:
-    """By signal and horizon: error of predictions from estimated states in the runs named, before and after."""
-    runs = [i for i, run in enumerate(simulator.case.runs) if run.name in names]
-    before, after = shoot(simulator, runs=runs), shoot(simulator, settings, runs)
+def by_horizon(shots: Sequence[Shots]) -> dict[str, dict[str, dict[str, float | None]]]:
+    """By signal and horizon: error of predictions from estimated states, before and (where there are two) after."""
+    before, after = shots[0], shots[-1]
     return {
         signal: {
             label: {"before": _finite(b), "after": _finite(a)}

@@ -16,19 +16,20 @@ MOST_FITTED = 6
 ENOUGH = 7
 """Different runs from which on a whole regime is held out beside the last runs."""
 FAINT, STANDS_ALONE = 0.1, 5.0
-"""Gap of the run that is held out: at least this part of the others' median, at most so many times their largest."""
+"""Motion that is commanded in the run held out: at least this part of the others' median, at most this many times
+their largest. Not tuned."""
 APART = 1.5
 """A run is of another regime if its speed differs from the usual by this many spreads over runs."""
 
 
-def split_runs(case: Case, config: DiagnoseConfig, gaps: Sequence[float] = ()) -> tuple[list[int], list[int]]:
-    """(runs for fitting, runs that no fit sees). A replicate of a fitted run is no test, so it is not held out.
+def split_runs(case: Case, config: DiagnoseConfig) -> tuple[list[int], list[int]]:
+    """(runs for fitting, runs that nothing is fitted to). Only commands are looked at: no measurement decides.
 
-    Where every run has replicates, whole groups of them take the place of runs; if all repeat one command, none is
-    held out. Nor is one of two runs.
+    A replicate of a fitted run is no test, so it is not held out. Where every run has replicates, whole groups of them
+    take the place of runs; if all repeat one command, none is held out. Nor is one of two runs.
 
-    The last run is held out, unless it shows hardly any of the gap, and so checks nothing, or by far the most of it, so
-    that without it there is nothing to fit: then the run whose gap is of middle size is.
+    The last run is held out, unless it is commanded to move hardly at all, and so checks nothing, or by far the most,
+    so that without it there is nothing to fit: then the run with a middling amount of motion is.
 
     Where there are enough runs, the one whose regime (speed, posture) is farthest from the others' is held out too:
     a cause must hold beyond the motions that it was found in. Of many runs only some carry the sensitivities: the most
@@ -40,23 +41,24 @@ def split_runs(case: Case, config: DiagnoseConfig, gaps: Sequence[float] = ()) -
     groups = [[i] for i in single] or sorted(twins, key=max)
     spare = count > config.holdout + 1 and (bool(single) or len(twins) > config.holdout)
     kept = groups[-config.holdout :] if config.holdout and spare else []
-    if len(kept) == 1 and len(gaps) and not _shows(gaps, kept[0]):
-        kept = [sorted(groups, key=lambda g: np.mean([gaps[i] for i in g]))[len(groups) // 2]]
+    motion = [_liveliness(run) for run in case.runs]
+    if len(kept) == 1 and not _ordinary(motion, kept[0]):
+        kept = [sorted(groups, key=lambda g: np.mean([motion[i] for i in g]))[len(groups) // 2]]
     held = sorted(i for group in kept for i in group)
     if held and len(single) >= ENOUGH:
         held = sorted([*held, *_regime_apart(case, [i for i in single if i not in held])])
     fitted = [i for i in range(count) if i not in held]
     if len(fitted) > MOST_FITTED:
         repeated = {i for g in twins for i in g[1:]}
-        order = sorted(fitted, key=lambda i: (i in repeated, -_liveliness(case.runs[i])))
+        order = sorted(fitted, key=lambda i: (i in repeated, -motion[i]))
         fitted = sorted(order[:MOST_FITTED])
     return fitted, held
 
 
-def _shows(gaps: Sequence[float], runs: Sequence[int]) -> bool:
-    """Whether these runs show a fair part of the gap, and the others do too."""
-    others = np.nan_to_num([g for i, g in enumerate(gaps) if i not in runs])
-    own = np.nan_to_num(np.mean([gaps[i] for i in runs]))
+def _ordinary(motion: Sequence[float], runs: Sequence[int]) -> bool:
+    """Whether these runs are commanded to move neither hardly at all nor far more than all others."""
+    others = np.array([m for i, m in enumerate(motion) if i not in runs])
+    own = float(np.mean([motion[i] for i in runs]))
     return bool(FAINT * np.median(others) <= own <= STANDS_ALONE * others.max())
 
 

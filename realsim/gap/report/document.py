@@ -2,8 +2,7 @@
 
     write_report(folder / "report.html", found)
 
-The page shows what a `Diagnosis` holds. All that it simulates are the runs of the check, before and after, to draw
-them; where they cannot be drawn it says why and leaves the drawing out.
+The page shows what a `Diagnosis` holds and simulates nothing; what it cannot draw is left out, and it says why.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from realsim.files import write_text
+from realsim.gap.answer.brief import NOTHING_SAID, Row, brief
 from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.report.evidence import (
     assumptions_card,
@@ -23,13 +23,14 @@ from realsim.gap.report.health import health_card
 from realsim.gap.report.overlays import overlays_card, path_card
 from realsim.gap.report.plots import how_much_card, what_card, where_card
 from realsim.gap.report.robot import robot_card
-from realsim.gap.report.series import Replay, replay
 from realsim.gap.report.where import evidence_cards
-from realsim.gap.report.words import LEVELS, WORDS, lead, percent, times
+from realsim.gap.report.words import lead, times
+from realsim.gap.verdicts import SAID, GapVerdict
 from realsim.report import page, viewer3d
 
 # Three cards in a row on a screen, one below the other on a phone.
 _TRIO = 'class="grid" style="grid-template-columns:repeat(auto-fit,minmax(min(300px,100%),1fr));align-items:stretch"'
+_PARTS = 'style="display:grid;gap:6px 26px;grid-template-columns:repeat(auto-fit,minmax(min(210px,100%),1fr))"'
 
 
 def write_report(path: Path, found: Diagnosis) -> None:
@@ -39,24 +40,23 @@ def write_report(path: Path, found: Diagnosis) -> None:
 
 def diagnosis_page(found: Diagnosis) -> str:
     """The whole page as text."""
-    shown = replay(found)
-    trio = "".join([where_card(found), what_card(found), how_much_card(found, shown)])
+    first = "".join([where_card(found), what_card(found), how_much_card(found)])
     body = [
         _banner(found),
-        f"<div {_TRIO}>{trio}</div>",
+        f"<div {_TRIO}>{first}</div>",
         page.facts(_facts(found)),
-        page.grid(overlays_card(found, shown)),
-        *_evidence(found, shown),
+        page.grid(overlays_card(found)),
+        *_evidence(found),
     ]
-    return page.document(*_title(found, shown), "".join(body), scripts=[viewer3d.script()])
+    return page.document(*_title(found), "".join(body), scripts=[viewer3d.script()])
 
 
-def _evidence(found: Diagnosis, shown: Replay) -> list[str]:
+def _evidence(found: Diagnosis) -> list[str]:
     """Everything below the plots; without causes, what the data are like moves up to where they would stand."""
     robot = [robot_card(found), *path_card(found)]
     answer = [*causes_card(found), *equivalents_card(found), *patch_card(found)]
-    rests = assumptions_card(found, shown)
-    more = evidence_cards(found, shown)
+    rests = assumptions_card(found)
+    more = evidence_cards(found)
     if not answer:
         return [page.columns([*robot, rests], [*more, health_card(found)]), page.grid(ranking_card(found))]
     left, right = [*answer, health_card(found)], [*robot[:1], *more, *robot[1:]]
@@ -64,46 +64,53 @@ def _evidence(found: Diagnosis, shown: Replay) -> list[str]:
     return [page.columns(left, right), page.grid(ranking_card(found))]
 
 
-def _title(found: Diagnosis, shown: Replay) -> tuple[str, str]:
-    said = found.statistics
+def _title(found: Diagnosis) -> tuple[str, str]:
+    said, case = found.statistics, None if found.evidence is None else found.evidence.case
     parts = [f"{said['logged_seconds']:g} s of log" if "logged_seconds" in said else ""]
-    if shown.case is not None:
-        runs, joints = len(shown.case.runs), len(shown.case.joint_names)
+    if case is not None:
+        runs, joints = len(case.runs), len(case.joint_names)
         parts += [f"{runs} run{'s' * (runs != 1)}", f"{joints} joint{'s' * (joints != 1)}"]
     if "seconds" in said:
         parts.append(f"diagnosed in {said['seconds']:.0f} s with {said.get('simulated_seconds', 0):.0f} simulated")
-    name = "" if shown.case is None or not shown.case.folder.name else f" of {shown.case.folder.name}"
+    name = "" if case is None or not case.folder.name else f" of {case.folder.name}"
     return f"Sim-to-real gap{name}", ", ".join(filter(None, parts))
 
 
 def _banner(found: Diagnosis) -> str:
-    """The verdict in one word and one sentence, and where the gap lies in another."""
-    small = lead(found)
-    note = f"<ul><li>{page.esc(small)}</li></ul>" if small else ""
+    """The verdict in a word and a line; then cause, size and evidence, and what to do."""
+    said = SAID[GapVerdict(found.verdict)]
+    parts = brief(found.as_dict())
+    named = {"cause": "Cause", "size": "Size", "evidence": "Evidence"}
+    cells = [f"<div><h4>{name}</h4>{_rows(parts[key])}</div>" for key, name in named.items() if parts[key]]
+    todo = f"<p><b>Next:</b> {page.esc(found.advice)}.</p>" if found.advice else ""
     return (
-        f'<section class="verdict {LEVELS[found.verdict]}"><div class="word">{WORDS[found.verdict]}</div>'
-        f"<div><h2>{page.esc(found.sentence)}</h2>{note}</div></section>"
+        f'<section class="verdict {said.level}"><div class="word">{said.word}</div>'
+        f"<div><h2>{page.esc(said.headline[:1].upper() + said.headline[1:])}.</h2>"
+        f"<div {_PARTS}>{''.join(cells)}</div>{todo}</div></section>"
+    )
+
+
+def _rows(rows: list[Row]) -> str:
+    """One line a row; of labels only the word that joins alternatives is kept."""
+    return "".join(
+        f"<div>{'or: ' if label == 'or' else ''}{page.esc(text or NOTHING_SAID)}</div>" for label, text in rows
     )
 
 
 def _facts(found: Diagnosis) -> list[tuple[str, str, str]]:
-    shrunk, said = found.shrinkage, found.statistics
-    size = said.get("gap_over_floor")
-    facts = []
+    said = found.statistics
+    size, facts = said.get("gap_over_floor"), []
     if size is not None:
         facts.append(("Error of the simulator", times(size**0.5), "the noise floor (root mean square)"))
         if found.causes:
-            after = max(size * shrunk["after"], 0.0) ** 0.5
+            after = max(size * found.shrinkage["after"], 0.0) ** 0.5
             facts.append(("With the patch", times(after), "the noise floor; causes only"))
-    if found.causes:
-        low, high = (percent(v) for v in shrunk["ci90"])
-        note = f"{low} to {high} (90 %)" if low != high else "90 % interval within rounding"
-        facts.append(("Squared error removed", percent(shrunk["fraction"]), note))
-    if found.verdict != "no_gap":
-        facts.append(("Unexplained", percent(found.unexplained_share), "of the gap, beyond everyday deviations"))
-    unseen = shrunk.get("unseen", True)
-    names = ", ".join(shrunk.get("runs", []))
-    facts.append(("Checked on", names or "no run", "no fit has seen it" if unseen else "also fitted: no run to spare"))
+    runs, unseen = found.shrinkage.get("runs", []), found.shrinkage.get("unseen", True)
+    note = "held out: nothing was fitted to it, the verdict is decided with it" if unseen else "no run was held out"
+    facts.append(("Checked on", ", ".join(runs[:3]) + (" …" if len(runs) > 3 else "") or "no run", note))
     warnings = len(found.health.get("warnings", []))
-    facts.append(("Data health", f"{warnings} warning{'s' * (warnings != 1)}" if warnings else "good", "see below"))
+    facts.append(("Data health", f"{warnings} note{'s' * (warnings != 1)}" if warnings else "good", "see below"))
+    place = lead(found)
+    if place:
+        facts.append(("Most of it", *place))
     return facts

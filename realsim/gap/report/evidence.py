@@ -5,10 +5,9 @@ from __future__ import annotations
 from difflib import unified_diff
 from typing import Any
 
+from realsim.gap.answer.arrays import Arrays
 from realsim.gap.answer.diagnosis import Diagnosis
-from realsim.gap.answer.patch import patched_xml
 from realsim.gap.effects import EFFECTS
-from realsim.gap.report.series import Replay
 from realsim.gap.report.words import after, interval, percent, place_of, places, title_of
 from realsim.report import page, svg
 
@@ -30,20 +29,19 @@ def causes_card(found: Diagnosis) -> list[str]:
     """What to add, with intervals."""
     if not found.causes:
         return []
-    body = _cause_table(found.causes, certain=True) + _explained(found.causes)
+    body = _cause_table(found.causes) + _explained(found.causes)
     note = "Changes against model.xml, with 90 % intervals: × multiplies, a unit adds, limits and delays are absolute."
     return [page.card("Causes and their size", body, note)]
 
 
-def _cause_table(causes: Any, *, certain: bool) -> str:
+def _cause_table(causes: Any) -> str:
     rows = []
     for c in causes:
         named = c["parameters"].items()
         values = "".join(f"<div>{page.esc(_parameter(n, p, len(named)))}</div>" for n, p in named)
         what = f"<b>{page.esc(title_of(c['effect']))}</b><small>{page.esc(places(place_of(c)))}</small>"
-        rows.append([what, values, *([percent(c["probability"])] if certain else [])])
-    head = ["effect", "value [90 % interval]", *(["probability"] if certain else [])]
-    return page.table(head, rows, raw=[0, 1])
+        rows.append([what, values])
+    return page.table(["effect", "value [90 % interval]"], rows, raw=[0, 1])
 
 
 def _parameter(name: str, parameter: dict[str, Any], count: int) -> str:
@@ -63,14 +61,14 @@ def equivalents_card(found: Diagnosis) -> list[str]:
         return []
     parts = []
     for i, other in enumerate(found.equivalent, 1):
-        parts.append(f"<h4>Alternative {i}</h4>" + _cause_table(other, certain=False))
+        parts.append(f"<h4>Alternative {i}</h4>" + _cause_table(other))
     if found.next_experiment is not None:
         rows = [[k.replace("_", " "), _plain(v)] for k, v in found.next_experiment.items()]
         parts.append("<h4>What to record to decide</h4>" + page.table(["", ""], rows))
     else:
         effects = dict.fromkeys(c["effect"] for s in (found.causes, *found.equivalent) for c in s)
         said = [f"{title_of(n)}: {EFFECTS[n].excitation}" for n in effects if n in EFFECTS]
-        parts.append("<h4>No experiment was designed; what shows each of these</h4>" + page.bullets(said))
+        parts.append("<h4>What to record to decide: what shows each of these</h4>" + page.bullets(said))
     note = "These explain the log as well as the causes above. Until a run tells them apart, trust none of them alone."
     return [page.card("Cannot be told apart", "".join(parts), note)]
 
@@ -83,6 +81,7 @@ def ranking_card(found: Diagnosis) -> str:
     here = {c["effect"] for c in found.causes}
     same = {c["effect"] for s in found.equivalent for c in s} - here
     fitted, screened, untried = [], [], []
+    top = _tops(found.ranking)
     for r in found.ranking:
         badge = page.badge("good", "cause") if r["effect"] in here else ""
         badge = page.badge("look", "equivalent") if r["effect"] in same else badge
@@ -91,9 +90,10 @@ def ranking_card(found: Diagnosis) -> str:
         if "linear_gain" not in r:
             untried.append([what, r["outcome"].removeprefix("not tried: ")])
         elif r.get("gain") is None:
-            screened.append([what, where, _gain(r["linear_gain"]), _outcome(r, here, same)])
+            screened.append([what, where, _gain(r, "linear_gain", top), _outcome(r, here, same)])
         else:
-            fitted.append([what, where, _spread(r), _gain(r["gain"]), _gain(r["linear_gain"]), _outcome(r, here, same)])
+            gains = [_spread(r, top), _gain(r, "gain", top), _gain(r, "linear_gain", top)]
+            fitted.append([what, where, *gains, _outcome(r, here, same)])
     head = ["effect", "best place", "left-out run", "all runs", "linear", "outcome"]
     parts = ["<h4>Fitted with the full simulation</h4>", page.table(head, fitted, raw=[0])] if fitted else []
     parts += _by_stage(found)
@@ -106,8 +106,8 @@ def ranking_card(found: Diagnosis) -> str:
     if not parts:
         parts = [page.bullets([], "No effect had to be tried.")]
     note = (
-        "Gains in log-likelihood: on a run left out of the fit (mean and standard error over runs, each left out in "
-        "turn), on all fitted runs together, and as a linear screen foretold."
+        "How much each effect explains, in percent of the best one: on runs left out of its fit (mean and standard "
+        "error), on all fitted runs together, and as a linear screen foretold."
     )
     return page.card("All effects", "".join(parts), note, wide=True)
 
@@ -117,11 +117,11 @@ def _by_stage(found: Diagnosis) -> list[str]:
     stages = sorted({s["stage"] for r in found.ranking for s in r.get("stages", []) if s["gain"] is not None})
     if len(stages) < 2:
         return []
-    rows = []
+    rows, top = [], _tops([s for r in found.ranking for s in r.get("stages", [])])
     for r in found.ranking:
         at = {s["stage"]: s for s in r.get("stages", []) if s["gain"] is not None}
         if at:
-            cells = [f"{_spread(at[s])} ({places(at[s]['place'], 2)})" if s in at else "–" for s in stages]
+            cells = [f"{_spread(at[s], top)} ({places(at[s]['place'], 2)})" if s in at else "–" for s in stages]
             rows.append([title_of(r["effect"]), *cells])
     head = ["effect", *("first cause" if s == 0 else after(s) for s in stages)]
     return [page.fold("Gains on left-out runs, stage by stage", page.table(head, rows))]
@@ -145,14 +145,22 @@ def _effects(count: int) -> str:
     return f"{count} effect{'s' * (count != 1)}"
 
 
-def _gain(value: float) -> str:
-    return svg.number(round(value, 1), 4 if abs(value) < 1e4 else 5)
+def _tops(rows: Any) -> dict[str, float]:
+    """The largest gain of each kind."""
+    kinds = ("heldout_gain", "gain", "linear_gain")
+    return {k: max([r[k] for r in rows if r.get(k) is not None and r[k] > 0], default=1.0) for k in kinds}
 
 
-def _spread(r: dict[str, Any]) -> str:
+def _gain(r: dict[str, Any], kind: str, top: dict[str, float]) -> str:
+    value = r[kind] / top[kind]
+    return percent(value) if value > 0 else "none"
+
+
+def _spread(r: dict[str, Any], top: dict[str, float]) -> str:
     if r.get("heldout_gain") is None:
         return "–"
-    return f"{_gain(r['heldout_gain'])}\u00a0±\u00a0{_gain(r.get('heldout_se') or 0.0)}"
+    error = percent((r.get("heldout_se") or 0.0) / top["heldout_gain"])
+    return f"{_gain(r, 'heldout_gain', top)}\u00a0±\u00a0{error}"
 
 
 # ---------------------------------------------------------------- patch
@@ -162,8 +170,8 @@ def patch_card(found: Diagnosis) -> list[str]:
     """How to use the result, to copy and paste."""
     if not found.causes:
         return []
-    simulator, fit = found.evidence.get("simulator"), found.evidence.get("fit")
-    folder = simulator.case.folder.name if simulator is not None else ""
+    kept = found.evidence
+    folder = kept.case.folder.name if kept is not None else ""
     parts = [page.code(APPLY.format(model=f"{folder}/model.xml" if folder else "model.xml"))]
     wrappers = found.patch.get("wrappers", {})
     if wrappers:
@@ -172,10 +180,8 @@ def patch_card(found: Diagnosis) -> list[str]:
             "<h4>For the loop that steps the simulator</h4>",
             page.table(["wrapper", "value, and what to do"], rows),
         ]
-    if simulator is not None and fit is not None:
-        changed = model_changes(simulator, fit)
-        if changed:
-            parts.append(page.fold("What changes in model.xml", page.code(changed)))
+    if kept is not None and (changed := model_changes(kept)):
+        parts.append(page.fold("What changes in model.xml", page.code(changed)))
     note = (
         "model.xml beside this page has what MJCF can express; the code patches your own copy of the model. "
         f"{'The loop must do the rest, see below.' if wrappers else 'Nothing else is needed.'}"
@@ -183,11 +189,9 @@ def patch_card(found: Diagnosis) -> list[str]:
     return [page.card("Apply the patch", "".join(parts), note)]
 
 
-def model_changes(simulator: Any, fit: Any) -> str:
+def model_changes(kept: Arrays) -> str:
     """Lines of MJCF that differ, nominal (-) and patched (+), both as MuJoCo writes them."""
-    spec = simulator.case.spec.copy()
-    spec.compile()
-    before, after = str(spec.to_xml()).splitlines(), patched_xml(simulator, fit).splitlines()
+    before, after = kept.nominal_xml.splitlines(), kept.patched_xml.splitlines()
     lines = list(unified_diff(before, after, lineterm="", n=0))[2:]
     return "\n".join(line[0] + " " + line[1:].strip() for line in lines if not line.startswith("@@"))
 
@@ -195,19 +199,20 @@ def model_changes(simulator: Any, fit: Any) -> str:
 # ---------------------------------------------------------------- assumptions
 
 
-def assumptions_card(found: Diagnosis, shown: Replay) -> str:
+def assumptions_card(found: Diagnosis) -> str:
     """What the figures rest on."""
     said = found.statistics
-    parts = ["<h4>How the verdict came about</h4>", page.bullets([*said.get("reasons", []), *said.get("notes", [])])]
+    came = [found.sentence, *said.get("reasons", []), *said.get("notes", [])]
+    parts = ["<h4>How the verdict came about</h4>", page.bullets(came)]
     assumed = [
         "Every part of the robot may differ a little from the model; only what is larger than that can be a cause.",
         "Slow errors are taken as correlated over a tenth of a second when intervals are computed.",
     ]
-    if shown.comparison is not None:
-        config = shown.comparison.config
+    kept = found.evidence
+    if kept is not None:
         assumed += [
-            f"Samples are averaged over bins of {1e3 * config.bin_seconds:g} ms before they are compared.",
-            f"A run at rest begins after the first command was held for {config.settle_seconds:g} s; one recorded in "
+            f"Samples are averaged over bins of {1e3 * kept.bin_seconds:g} ms before they are compared.",
+            f"A run at rest begins after the first command was held for {kept.settle_seconds:g} s; one recorded in "
             "motion begins in the state of the log.",
         ]
     parts += ["<h4>Assumed</h4>", page.bullets(assumed)]

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from realsim.gap.answer.diagnosis import Diagnosis
-from realsim.gap.report.words import UNITS, percent, short, signal_name
+from realsim.gap.report.words import percent, short, signal_name
+from realsim.gap.simulation.channels import UNITS
 from realsim.report import page, svg
 
 _SATURATED = {"nominal_drive": "at its force range in the simulator", "logged_torque": "logged torque at its top"}
@@ -60,12 +61,12 @@ def _saturation(health: dict[str, Any]) -> list[list[str]]:
 
 def _signals(found: Diagnosis) -> list[list[str]]:
     """One row a signal."""
-    health, comparison = found.health, found.evidence.get("comparison")
+    health, kept = found.health, found.evidence
     detail: dict[str, float] = {}
-    if comparison is not None:
-        for signal in dict.fromkeys(c.signal for c in comparison.channels):
-            columns = [i for i, c in enumerate(comparison.channels) if c.signal == signal]
-            detail[signal] = float(np.median(comparison.noise.detail[columns]))
+    if kept is not None:
+        for signal in dict.fromkeys(c.signal for c in kept.channels):
+            columns = [i for i, c in enumerate(kept.channels) if c.signal == signal]
+            detail[signal] = float(np.median(kept.detail[columns]))
     rows = []
     for signal in dict.fromkeys([*health.get("noise", {}), *detail]):
         noise = health.get("noise", {}).get(signal, {})

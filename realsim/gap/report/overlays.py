@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.gap.answer.arrays import Arrays
 from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.logs.case import Case
-from realsim.gap.report.series import Replay, worst_windows
+from realsim.gap.report.series import worst_windows
 from realsim.gap.report.shapes import solids
-from realsim.gap.report.words import HEAT, short, signal_name, unit_of
+from realsim.gap.report.words import HEAT, NOT_KEPT, short, signal_name
+from realsim.gap.simulation.channels import unit_of
 from realsim.gap.simulation.simulate import measured
 from realsim.report import page, raster, svg
 from realsim.types import F64
@@ -23,38 +25,36 @@ _BESIDE = 0.6
 """m around the middle that count as near however short the way: what a robot stands on while it sways."""
 
 
-def overlays_card(found: Diagnosis, shown: Replay) -> str:
+def overlays_card(found: Diagnosis) -> str:
     """The worst stretches of the runs of the check, one for each of several signals."""
-    if shown.case is None or shown.comparison is None or not shown.before:
-        return page.card("Before and after", page.bullets([], shown.reason), wide=True)
-    parts = [f"<div>{_overlay(shown, *window)}</div>" for window in worst_windows(shown)]
+    kept = found.evidence
+    if kept is None:
+        return page.card("Before and after", page.bullets([], NOT_KEPT), wide=True)
+    parts = [f"<div>{_overlay(kept, *window)}</div>" for window in worst_windows(kept)]
     keys = [("measured", _MEASURED), ("nominal simulator", _NOMINAL)]
-    keys += [("with the diagnosis", _PATCHED)] if shown.after else []
+    keys += [("with the diagnosis", _PATCHED)] if kept.after else []
     legend = "".join(f'<span><i style="background:{c}"></i>{t}</span>' for t, c in keys)
-    unseen = found.shrinkage.get("unseen", True)
-    said = "runs that no fit has seen" if unseen else "the fitted runs"
+    said = "runs that no fit has seen" if found.shrinkage.get("unseen", True) else "the fitted runs"
     note = (
         f"Stretches of {said} where the nominal simulator is far from the robot; below each, measured minus simulated"
     )
     note += " (in the stripe: within twice the noise floor)."
-    if shown.reason:
-        note = f"{note} {shown.reason}"
+    if kept.reason:
+        note = f"{note} {kept.reason}"
     body = f'<div {_ROW}>{"".join(parts)}</div><div class="legend">{legend}</div>'
     return page.card("Before and after", body, note, wide=True)
 
 
-def _overlay(shown: Replay, k: int, channel: int, start: float, end: float) -> str:
-    assert shown.case is not None
-    assert shown.comparison is not None
-    run, c = shown.case.runs[shown.runs[k]], shown.comparison.channels[channel]
+def _overlay(kept: Arrays, k: int, channel: int, start: float, end: float) -> str:
+    run, c = kept.case.runs[kept.runs[k]], kept.channels[channel]
     inside = np.flatnonzero((run.time >= start) & (run.time <= end))
     inside = inside[:: max(1, -(-len(inside) // _POINTS))]
     t = run.time[inside]
     real = measured(run, [c])[inside, 0]
-    curves = [(shown.before[k][inside, channel], _NOMINAL)]
-    if shown.after:
-        curves.append((shown.after[k][inside, channel], _PATCHED))
-    span, unit = (float(start), float(end)), unit_of(c.signal, c.label, shown.case.model)
+    curves = [(kept.before[k][inside, channel], _NOMINAL)]
+    if kept.after:
+        curves.append((kept.after[k][inside, channel], _PATCHED))
+    span, unit = (float(start), float(end)), unit_of(c.signal, c.label, kept.case.model)
     # A simulator that flies away must not flatten the rest: the range is the robot's, and thrice as much again.
     spread = svg.padded(real, 1.5)
     every = np.concatenate([real, *(np.clip(y, *spread) for y, _ in curves)])
@@ -63,7 +63,7 @@ def _overlay(shown: Replay, k: int, channel: int, start: float, end: float) -> s
     axes.dots(np.column_stack([t, real]), _MEASURED, radius=1.6)
     for y, stroke in curves:
         axes.polyline(np.column_stack([t, y]), stroke, width=1.8, dash="6 3" if stroke == _NOMINAL else "")
-    floor = 2 * float(np.hypot(shown.comparison.noise.sensor[channel], shown.comparison.noise.detail[channel]))
+    floor = 2 * float(np.hypot(kept.sensor[channel], kept.detail[channel]))
     return f"<h4>{page.esc(title)}</h4>" + axes.svg(title) + _errors(t, [(real - y, s) for y, s in curves], floor, span)
 
 
@@ -83,18 +83,18 @@ def _errors(t: F64, curves: list[tuple[F64, str]], floor: float, span: tuple[flo
 
 def path_card(found: Diagnosis) -> list[str]:
     """The way of the base from above, coloured by the error there; only for robots that move about."""
-    comparison, residuals = found.evidence.get("comparison"), found.evidence.get("residuals")
-    if comparison is None or residuals is None or not comparison.case.floating or not comparison.case.has("base_pos"):
+    kept = found.evidence
+    if kept is None or not kept.case.floating or not kept.case.has("base_pos"):
         return []
     where, error = [], []
-    for i, (run, r) in enumerate(zip(comparison.case.runs, residuals, strict=True)):
+    for run, r, times, floor in zip(kept.case.runs, kept.residuals, kept.times, kept.floors, strict=True):
         base = run.signals["base_pos"]
-        where.append(np.column_stack([_at(comparison.times[i], run.time, base[:, a]) for a in (0, 1)]))
-        error.append(np.sqrt(np.nanmean(np.nan_to_num(r) ** 2 / comparison.floor(i), axis=1)))
+        where.append(np.column_stack([_at(times, run.time, base[:, a]) for a in (0, 1)]))
+        error.append(np.sqrt(np.nanmean(np.nan_to_num(r) ** 2 / floor, axis=1)))
     P, e = np.concatenate(where), np.log10(np.maximum(np.concatenate(error), 1.0))
     step = max(1, len(P) // 700)
     P, e = P[::step], e[::step]
-    ground = _footprints(comparison.case)
+    ground = _footprints(kept.case)
     near = max(_NEAR * float(np.ptp(P, axis=0).max()), _BESIDE)
     every = np.vstack([P, *(ring for ring in ground if np.abs(ring - P.mean(axis=0)).max() < near)])
     middle = (every.min(axis=0) + every.max(axis=0)) / 2

@@ -8,11 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from realsim.gap.answer.arrays import Arrays
+from realsim.gap.answer.brief import on_what
 from realsim.gap.answer.diagnosis import Diagnosis
+from realsim.gap.answer.sentence import amount
 from realsim.gap.causes.fitted import Z90
 from realsim.gap.evidence.where import PHASES
-from realsim.gap.report.series import Replay, horizons, place_shares
-from realsim.gap.report.words import after, percent, places, short, signal_name, title_of
+from realsim.gap.report.series import horizons, place_shares
+from realsim.gap.report.words import NOT_KEPT, after, percent, places, short, signal_name, title_of
 from realsim.report import page, svg
 
 WIDTH = 340
@@ -21,6 +24,8 @@ _CHANNELS, _ROWS, _RIVALS = 9, 13, 7
 _LINE = 58
 """Characters that fit above a bar."""
 _PHASE_LABELS = {"at rest": "rest", "reversal": "turns", "fast forward": "fast\u00a0+", "fast backward": "fast\u00a0−"}
+LEAST_SHOWN = -0.08
+"""Of the best gain: bars of effects that make things worse end here."""
 FOUND, RIVAL, OTHER = "var(--good)", "var(--look)", "var(--faint)"
 
 
@@ -29,9 +34,9 @@ FOUND, RIVAL, OTHER = "var(--good)", "var(--look)", "var(--faint)"
 
 def where_card(found: Diagnosis) -> str:
     """A heat map: joint (or signal of the base) by phase of motion, and shares by signal."""
-    if "shares" not in found.evidence:
-        return page.card("Where", page.bullets([], "The shares by place were not kept with this diagnosis."))
-    rows = _rows(found)
+    if found.evidence is None:
+        return page.card("Where", page.bullets([], NOT_KEPT))
+    rows = _rows(found.evidence)
     if len(rows) > _ROWS:
         rest = np.sum([r for _, r in rows[_ROWS - 1 :]], axis=0)
         rows = [*rows[: _ROWS - 1], (f"{len(rows) - _ROWS + 1} others", rest)]
@@ -41,14 +46,13 @@ def where_card(found: Diagnosis) -> str:
     return page.card("Where", _heat(rows, PHASES) + _by_signal(found), note)
 
 
-def _rows(found: Diagnosis) -> list[tuple[str, Any]]:
+def _rows(kept: Arrays) -> list[tuple[str, Any]]:
     """(name, (phases,) shares), largest first: one a channel where that is few, else one a joint."""
-    channels = found.evidence["comparison"].channels
+    channels, shares = kept.channels, kept.shares
     if len(channels) <= _CHANNELS:
         said = [f"{_brief(c.label, 12)} {signal_name(c.signal).removeprefix('joint ')}" for c in channels]
-        shares = np.asarray(found.evidence["shares"])
     else:
-        names, shares = place_shares(found)
+        names, shares = place_shares(kept)
         said = [_brief(name) if kind == "joint" else signal_name(name) for kind, name in names]
     return [(said[i], shares[i]) for i in np.argsort(-shares.sum(axis=1), kind="stable")]
 
@@ -117,23 +121,33 @@ def what_card(found: Diagnosis) -> str:
     others = sorted((r for r in tried if r not in first), key=lambda r: -r["heldout_gain"])
     rows = [*first, *others][:_RIVALS]
     bars = []
+    best = max(max(r["heldout_gain"] for r in rows), 1e-9)
     for r in rows:
         kind = FOUND if r["effect"] in here else RIVAL if r["effect"] in same else OTHER
         mark = {FOUND: "✓ ", RIVAL: "≈ "}.get(kind, "")
         label = rival_label(mark, r)
-        spread = Z90 * (r.get("heldout_se") or 0.0)
-        value = r["heldout_gain"]
-        bars.append((label, value, value - spread, value + spread, kind, svg.number(value, 3)))
-    top = max(max(b[1] for b in bars), 1.0)
-    end = 1.25 * min(max(b[3] for b in bars), 2.5 * top)
-    picture = _labelled_bars(bars, (-0.1 * end, max(end, top)), "gain in log-likelihood a run, runs left out in turn")
+        spread = Z90 * (r.get("heldout_se") or 0.0) / best
+        value = max(r["heldout_gain"] / best, LEAST_SHOWN)
+        bars.append((label, value, value - spread, value + spread, kind, _relative(r["heldout_gain"] / best)))
+    end = 1.25 * min(max(b[3] for b in bars), 2.0)
+    per = 2 if end > 1.5 else 4
+    ticks = [(k / per, f"{100 * k // per} %") for k in range(int(per * end) + 1)]
+    picture = _labelled_bars(bars, (-0.1 * end, end), "", ticks)
     legend = [("in the diagnosis", FOUND)] if here else []
     legend += [("explains the log as well", RIVAL)] if same else []
     keys = "".join(
         f'<span><i style="background:{c}"></i>{page.esc(t)}</span>' for t, c in [*legend, ("other effects", OTHER)]
     )
-    note = "Each effect fitted at its best place, judged on runs its fit left out; whiskers are 90 %."
+    note = (
+        "How well each effect alone, fitted at its best place, predicts runs left out of the fit; 100 % is the best "
+        "one. Whiskers are 90 %."
+    )
     return page.card("What", f'{picture}<div class="legend">{keys}</div>', note)
+
+
+def _relative(value: float) -> str:
+    """Share of the best effect's gain; what makes it worse is none."""
+    return percent(value) if value > 0 else "no better"
 
 
 def rival_label(mark: str, r: dict[str, Any]) -> str:
@@ -168,47 +182,47 @@ def _labelled_bars(
             if high > low:
                 axes.whisker(y - 0.2, max(low, x[0]), min(high, room), "var(--ink)", horizontal=True)
             end = min(max(value, high, 0.0), room)
-        axes.text(end, y - 0.2, text, fill="var(--ink)", anchor="start", dx=6, dy=4, halo=value > room)
+        beyond = max(value, high) > room  # the bar takes the whole width: its figure stands on the line above
+        place = (x[1], y, "end", -3, -6) if beyond else (end, y - 0.2, "start", 6, 4)
+        axes.text(place[0], place[1], text, fill="var(--ink)", anchor=place[2], dx=place[3], dy=place[4])
     return axes.svg(x_label)
 
 
 # ---------------------------------------------------------------- how much
 
 
-def how_much_card(found: Diagnosis, shown: Replay) -> str:
-    """Error left on unseen runs beside the baselines, and before and after for each signal and horizon."""
+def how_much_card(found: Diagnosis) -> str:
+    """Error of the check before and after: all together, and for each signal and horizon."""
     shrunk = found.shrinkage
     rows = [("nominal simulator", 1.0, 1.0, 1.0, OTHER, "100 %")]
     if found.causes:
         low, high = (1 - v for v in reversed(shrunk["ci90"]))
         rows.append(("✓ with this diagnosis", shrunk["after"], low, high, FOUND, percent(shrunk["after"])))
-    for name, value in shrunk.get("baselines", {}).items():
-        if name != "nominal":
-            text = percent(value) if math.isfinite(value) else "does not run"
-            rows.append((_plain(name), value, value, value, OTHER, text))
-    unseen = shrunk.get("unseen", True)
-    note = f"Squared error left on {'runs that no fit has seen' if unseen else 'the fitted runs (none was left over)'}."
+    note = f"Squared error left {on_what(shrunk)}."
     end = 1.22 * max(1.0, *(min(high, 1.4) for _, _, _, high, _, _ in rows if math.isfinite(high)))
     ticks = [(k / 4, f"{25 * k} %") for k in range(int(4 * end) + 1)]
-    if shown.before:
+    if found.evidence is not None:
         note += " Below: before and after, over whole runs, and of joint positions predicted from estimated states."
-    body = _labelled_bars(rows, (-0.02, end), "", ticks) + _before_after(found, shown)
+    body = _labelled_bars(rows, (-0.02, end), "", ticks) + _table(found) + _before_after(found)
     return page.card("How much", body, note)
 
 
-def _plain(baseline: str) -> str:
-    """best wrong effect (joint_offset) -> best wrong effect: encoder offset."""
-    name, _, effect = baseline.partition(" (")
-    return f"{name}: {title_of(effect.rstrip(')'))}" if effect else name
+def _table(found: Diagnosis) -> str:
+    """Before and after in the signals' own units, beside the size of the motion."""
+    rows = []
+    for signal, v in found.shrinkage.get("per_signal", {}).items():
+        after = amount(v["rms_after"], v["unit"]) if found.causes else "–"
+        rows.append([signal_name(signal), amount(v["rms_before"], v["unit"]), after, amount(v["motion"], v["unit"])])
+    return page.table(["rms error", "before", "after", "motion"], rows) if rows else ""
 
 
-def _before_after(found: Diagnosis, shown: Replay) -> str:
+def _before_after(found: Diagnosis) -> str:
     """Root mean square by signal and by horizon, in units of the noise floor, on a logarithmic axis."""
     rows: list[tuple[str, float, float | None]] = []
     for signal, v in found.shrinkage.get("per_signal", {}).items():
         after = v["rms_after"] / v["floor"] if found.causes else None
         rows.append((signal_name(signal), v["rms_before"] / v["floor"], after))
-    rows += [(f"joints, {name} ahead", b, a) for name, b, a in horizons(shown)]
+    rows += [(f"joints, {name} ahead", b, a) for name, b, a in horizons(found.evidence)]
     values = [v for _, b, a in rows for v in (b, a) if v is not None and v > 0]
     if not values:
         return ""

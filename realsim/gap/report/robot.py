@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from realsim.gap.answer.arrays import Arrays
 from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.logs.case import Case, Run
 from realsim.gap.report.series import place_shares
 from realsim.gap.report.shapes import Solid, extent, ring, rod, solids
-from realsim.gap.report.words import HEAT, place_of
+from realsim.gap.report.words import HEAT, NOT_KEPT, place_of
 from realsim.report import page, raster, svg
 from realsim.report.viewer3d import Layer, viewer
 from realsim.types import F64
@@ -20,11 +21,11 @@ _GROUND, _MARK = (196, 202, 210), (124, 58, 237)
 
 def robot_card(found: Diagnosis) -> str:
     """Bodies at the first pose of the log; a joint's share colours the body that it moves."""
-    if "simulator" not in found.evidence or "shares" not in found.evidence:
-        return page.card("On the robot", page.bullets([], "The simulator was not kept with this diagnosis."))
-    case: Case = found.evidence["simulator"].case
+    if found.evidence is None:
+        return page.card("On the robot", page.bullets([], NOT_KEPT))
+    case = found.evidence.case
     data = first_pose(case.model, case.runs[0], case.joint_names)
-    shares = body_shares(found, case)
+    shares = body_shares(found.evidence)
     top = max(shares.max(), 1e-9)
     gap = found.verdict != "no_gap"
     colors = raster.colorize(shares[:, None] / top * gap, 0.0, 1.0, HEAT)[:, 0, :3]
@@ -74,13 +75,13 @@ def _first(column: F64) -> float:
     return float(good[0]) if len(good) else 0.0
 
 
-def body_shares(found: Diagnosis, case: Case) -> F64:
+def body_shares(kept: Arrays) -> F64:
     """(nbody,) share of the gap at each body."""
-    model = case.model
+    case, model = kept.case, kept.case.model
     free = np.flatnonzero(model.jnt_type == 0)
     base = int(model.jnt_bodyid[free[0]]) if len(free) else 0
     result = np.zeros(model.nbody)
-    names, shares = place_shares(found)
+    names, shares = place_shares(kept)
     for (kind, name), share in zip(names, shares.sum(axis=1), strict=True):
         if kind == "joint":
             result[int(model.joint(name).bodyid[0])] += share

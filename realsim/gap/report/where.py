@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import GapError
+from realsim.gap.answer.arrays import Arrays
 from realsim.gap.answer.diagnosis import Diagnosis
-from realsim.gap.evidence.inverse import torque_residual
-from realsim.gap.report.series import Replay, horizons
+from realsim.gap.report.series import horizons
 from realsim.gap.report.words import percent, short, signal_name
 from realsim.report import page, svg
 
@@ -25,9 +24,10 @@ _READING = {
 }
 
 
-def evidence_cards(found: Diagnosis, shown: Replay) -> list[str]:
+def evidence_cards(found: Diagnosis) -> list[str]:
     """The cards that this log can fill."""
-    return [*_standout_card(found), *_growth_card(shown), *_torque_card(found), *_wrench_card(found)]
+    growth = [] if found.evidence is None else _growth_card(found.evidence)
+    return [*_standout_card(found), *growth, *_torque_card(found), *_wrench_card(found)]
 
 
 def _standout_card(found: Diagnosis) -> list[str]:
@@ -51,20 +51,20 @@ def _standout_card(found: Diagnosis) -> list[str]:
     return [page.card("What stands out", body or page.bullets([], "No bin stands out: the error is even."), note)]
 
 
-def _growth_card(shown: Replay) -> list[str]:
+def _growth_card(kept: Arrays) -> list[str]:
     """Error over the horizon on two logarithmic axes, one curve a signal; dashed before, full after."""
-    signals = [s for s in ("joint_pos", "base_pos", "base_rot") if horizons(shown, s)]
+    signals = [s for s in ("joint_pos", "base_pos", "base_rot") if horizons(kept, s)]
     if not signals:
         return []
-    seconds = np.log10(shown.shots[0].seconds)
-    place = dict(zip(shown.shots[0].labels, seconds, strict=True))
-    rows = {s: horizons(shown, s) for s in signals}
+    seconds = np.log10(kept.shots[0].seconds)
+    place = dict(zip(kept.shots[0].labels, seconds, strict=True))
+    rows = {s: horizons(kept, s) for s in signals}
     values = [v for r in rows.values() for _, b, a in r for v in (b, a) if v is not None and v > 0]
     low, high = math.log10(min([0.7, *values])) - 0.1, math.log10(max([3.0, *values])) + 0.1
     steps = (1, 2, 5) if high - low < 2 else (1,)
     tens = [(math.log10(m) + k, svg.number(m * 10.0**k)) for k in range(-2, 7) for m in steps]
     tens = [t for t in tens if low <= t[0] <= high]
-    ticks = [(float(x), label) for x, label in zip(seconds, shown.shots[0].labels, strict=True)]
+    ticks = [(float(x), label) for x, label in zip(seconds, kept.shots[0].labels, strict=True)]
     axes = svg.Axes((float(seconds[0]) - 0.15, float(seconds[-1]) + 0.2), (low, high), height=230, left=44,
                     x_ticks=ticks, y_ticks=tens, x_label="predicted ahead", y_label="error / noise floor")  # fmt: skip
     axes.span(low, 0.0, "var(--good)")
@@ -80,7 +80,7 @@ def _growth_card(shown: Replay) -> list[str]:
                 axes.dots(points, svg.color(i), radius=3)
         axes.legend(signal_name(signal), svg.color(i))
     note = "From states estimated from the log (multiple shooting), nominal dashed"
-    note += ", with the diagnosis full." if len(shown.shots) > 1 else "."
+    note += ", with the diagnosis full." if len(kept.shots) > 1 else "."
     return [page.card("How the error grows", axes.svg("error by horizon") + _reading(rows.get("joint_pos", [])), note)]
 
 
@@ -116,12 +116,8 @@ def _term(entry: dict[str, Any]) -> str:
 
 
 def _scatter(found: Diagnosis, joint: str) -> str:
-    simulator = found.evidence.get("simulator")
-    try:
-        residual = torque_residual(simulator) if simulator is not None else None
-    except GapError:
-        residual = None
-    if residual is None:
+    residual = None if found.evidence is None else found.evidence.torque
+    if residual is None or joint not in residual.joints:
         return ""
     j = residual.joints.index(joint)
     points = np.column_stack([residual.velocity[:, j], residual.residual[:, j]])

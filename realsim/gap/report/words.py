@@ -6,49 +6,18 @@ from collections.abc import Iterable
 from typing import Any
 
 from realsim.gap.answer.diagnosis import Diagnosis
+from realsim.gap.answer.sentence import SIGNALS
 from realsim.gap.effects import EFFECTS
-from realsim.report import page, svg
+from realsim.report import svg
 
-WORDS = {
-    "no_gap": "No gap",
-    "identified": "Identified",
-    "ambiguous": "Cannot tell apart",
-    "unexplained": "Unexplained",
-}
-LEVELS: dict[str, page.Level] = {"no_gap": "good", "identified": "good", "ambiguous": "look", "unexplained": "bad"}
-SIGNALS = {
-    "joint_pos": "joint position",
-    "joint_vel": "joint velocity",
-    "joint_torque": "joint torque",
-    "base_pos": "base position",
-    "base_rot": "base orientation",
-    "imu_gyro": "gyroscope",
-    "imu_acc": "accelerometer",
-}
-UNITS = {
-    "joint_pos": "rad",
-    "joint_vel": "rad/s",
-    "joint_torque": "N m",
-    "base_pos": "m",
-    "base_rot": "rad",
-    "imu_gyro": "rad/s",
-    "imu_acc": "m/s²",
-}
+NOT_KEPT = "The arrays were not kept with this diagnosis."
 HEAT = ((158, 168, 182), (196, 184, 140), (236, 160, 72), (222, 92, 48), (166, 24, 44))
 """Grey for no gap to dark red for the largest."""
-_SLIDE_UNITS = {"joint_pos": "m", "joint_vel": "m/s", "joint_torque": "N"}
 
 
 def signal_name(signal: str) -> str:
     """joint_pos -> joint position."""
     return SIGNALS.get(signal, signal.replace("_", " "))
-
-
-def unit_of(signal: str, label: str, model: Any) -> str:
-    """Unit of a channel; sliding joints have metres."""
-    if signal in _SLIDE_UNITS and int(model.joint(label).type[0]) == 2:
-        return _SLIDE_UNITS[signal]
-    return UNITS.get(signal, "")
 
 
 def title_of(effect: str) -> str:
@@ -106,20 +75,18 @@ def interval(parameter: dict[str, Any]) -> str:
     return f"{value} {'×' if unit == 'ratio' else unit} [{svg.number(low)}, {svg.number(high)}]"
 
 
-def lead(found: Diagnosis) -> str:
-    """Where most of the gap lies, in a sentence; why there is none where there is none."""
+def lead(found: Diagnosis) -> tuple[str, str] | None:
+    """(place, share and phase) where most of the gap lies; None where there is none."""
     if found.verdict == "no_gap" or not found.where:
-        return ". ".join(r[:1].upper() + r[1:] for r in found.statistics.get("reasons", [])[:1])
+        return None
     by_place: dict[str, float] = {}
     for entry in found.where:
         key = entry.get("joint") or signal_name(entry["signal"])
         by_place[key] = by_place.get(key, 0.0) + entry["share"]
     place, share = max(by_place.items(), key=lambda item: item[1])
-    inside = [e for e in found.where if (e.get("joint") or signal_name(e["signal"])) == place]
     by_phase: dict[str, float] = {}
-    for entry in inside:
-        by_phase[entry["phase"]] = by_phase.get(entry["phase"], 0.0) + entry["share"]
+    for entry in found.where:
+        if (entry.get("joint") or signal_name(entry["signal"])) == place:
+            by_phase[entry["phase"]] = by_phase.get(entry["phase"], 0.0) + entry["share"]
     phase = max(by_phase, key=lambda p: by_phase[p])
-    if len(by_place) == 1:
-        return f"{percent(by_phase[phase])} of the gap lies in phase “{phase}”."
-    return f"{percent(share)} of the gap lies in {place.replace('_', ' ')}, most of it in phase “{phase}”."
+    return short(place), f"{percent(share)} of the gap, most of it {phase}"

@@ -3,9 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from realsim.gap.logs.case import Case
 from realsim.gap.simulation.context import base_body
+
+UNITS = {
+    "joint_pos": "rad",
+    "joint_vel": "rad/s",
+    "joint_torque": "N m",
+    "base_pos": "m",
+    "base_rot": "rad",
+    "imu_gyro": "rad/s",
+    "imu_acc": "m/s^2",
+}
+_SLIDE_UNITS = {"joint_pos": "m", "joint_vel": "m/s", "joint_torque": "N"}
+
+
+def unit_of(signal: str, label: str, model: Any) -> str:
+    """Unit of a channel; sliding joints have metres."""
+    if signal in _SLIDE_UNITS and int(model.joint(label).type[0]) == 2:
+        return _SLIDE_UNITS[signal]
+    return UNITS.get(signal, "")
 
 
 @dataclass(frozen=True)

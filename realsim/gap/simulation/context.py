@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from realsim.gap.deviations import Deviations
 from realsim.gap.logs.case import Case
 from realsim.types import F64
 
@@ -41,6 +42,10 @@ class Context:
     load_at_speed: dict[str, float] = field(default_factory=dict)
     """Peak of |torque| |velocity| over torque range times peak speed."""
     inertial_share: dict[str, float] = field(default_factory=dict)
+    deviations: Deviations = field(default_factory=Deviations)
+    """Sizes that the user knows."""
+    travels: dict[str, float] = field(default_factory=dict)
+    """Joint -> range of its positions in the log, rad or m."""
     reversals: dict[str, int] = field(default_factory=dict)
     load_reversals: dict[str, int] = field(default_factory=dict)
 
@@ -96,9 +101,7 @@ class Context:
 
     def travel(self, joint: str) -> float:
         """Range of a joint's positions in the log, rad or m."""
-        column = self.case.joint_names.index(joint)
-        values = np.concatenate([r.signals["joint_pos"][:, column] for r in self.case.runs])
-        return float(np.nanmax(values) - np.nanmin(values))
+        return self.travels[joint]
 
     def reach(self, body: str) -> float:
         """Size of a body: distance to its farthest child or geom end, m."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from realsim.errors import GapError
 from realsim.gap.config import DiagnoseConfig
+from realsim.gap.deviations import check_places, read_deviations
 from realsim.gap.effects import EFFECTS
 from realsim.gap.effects.base import Effect, Place
 from realsim.gap.logs.case import Case, Run
@@ -52,8 +53,10 @@ class Simulator:
     of a step exact in the mean.
     """
 
-    def __init__(self, case: Case, config: DiagnoseConfig) -> None:
+    def __init__(self, case: Case, config: DiagnoseConfig, known: Sequence[int] | None = None) -> None:
+        """`known`: runs that scales of effects (peak torque, travel) are taken from; all if None."""
         self.case, self.config = case, config
+        self.known = tuple(range(len(case.runs)) if known is None else known)
         self.context: Context = build_context(case)
         self.channels = channels(case)
         self.simulated_seconds = 0.0
@@ -70,10 +73,18 @@ class Simulator:
         self.rests = [r["pos"][round(float(r["settle"][0] / r["settle"][1]))] for r in self._raw]
         """(J,) a run: where the nominal simulator rests under the first command."""
         self._start_in_motion()
-        measure(self.context, [_inside(raw) for raw in self._raw])
+        self.context.travels = {n: self._travel(j) for j, n in enumerate(case.joint_names)}
+        self.context.deviations = read_deviations(config.deviations)
+        measure(self.context, [_inside(self._raw[i]) for i in self.known])
+        check_places(self.context.deviations, lambda name: lookup(name).places(self.context), self.context)
 
     def close(self) -> None:
         self.cores.close()
+
+    def _travel(self, column: int) -> float:
+        """Range of a joint's positions in the known runs, rad or m."""
+        values = np.concatenate([self.case.runs[i].signals["joint_pos"][:, column] for i in self.known])
+        return float(np.nanmax(values) - np.nanmin(values)) if np.isfinite(values).any() else 0.0
 
     def __enter__(self) -> Simulator:
         return self

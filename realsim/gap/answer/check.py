@@ -1,0 +1,185 @@
+"""How much: errors of the nominal and of the patched simulator on the runs of the check, signal by signal.
+
+One definition everywhere (sentence, page, JSON): `before` is the nominal simulator, `after` the one with the causes, as
+the patch changes it. Everyday deviations are in neither; they only decide how much of the rest is worth explaining.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from realsim.errors import GapError
+from realsim.gap.compare import Comparison
+from realsim.gap.evidence.blackbox import predict
+from realsim.gap.simulation.channels import unit_of
+from realsim.gap.simulation.simulate import Setting, Simulator, measured
+from realsim.types import F64
+
+BLOCK_SECONDS = 0.5
+"""Blocks of the bootstrap: some correlation times of a servo's error. Not tuned."""
+KINDS = {
+    "validation": "no fit, floor or search saw these runs; the verdict is decided with them",
+    "left_out_in_turn": "no run was spared: each fitted run as predicted by values fitted to the others",
+    "fitted": "no run was spared and there is only one: these runs were fitted",
+}
+"""What the runs of a check are."""
+
+
+@dataclass(frozen=True)
+class SignalError:
+    """One signal on the runs of the check, root mean squares in its own unit."""
+
+    signal: str
+    unit: str
+    motion: float
+    """Of the measurement about its mean: how large the motion is."""
+    before: float
+    after: float
+    floor: float
+    """What sensors and a good simulator's details leave."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """As `shrinkage.per_signal` has it."""
+        return {
+            "unit": self.unit,
+            "motion": self.motion,
+            "rms_before": self.before,
+            "rms_after": self.after,
+            "floor": self.floor,
+        }
+
+
+@dataclass(frozen=True)
+class Check:
+    """Squared normalised errors on the runs of the check."""
+
+    runs: tuple[str, ...]
+    kind: str
+    """A key of KINDS."""
+    before: float
+    """Mean square of the nominal simulator's error in units of the floor."""
+    after: float
+    """The same of the patched one's."""
+    beside: float
+    """The same with the everyday deviations that the fitted runs make most probable."""
+    ci90: tuple[float, float]
+    """Of `fraction`, by a bootstrap over blocks."""
+    signals: tuple[SignalError, ...]
+    structure: float = 0.0
+    """Share of what is left beside causes and deviations that a black box still predicts."""
+
+    @property
+    def fraction(self) -> float:
+        """Share of the squared error that the patch removes."""
+        return 1 - self.after / max(self.before, 1e-12)
+
+    @property
+    def unexplained(self) -> float:
+        """Share of the gap above the floor that stays beside causes and everyday deviations."""
+        return float(np.clip((self.beside - 1) / (self.before - 1), 0, 1)) if self.before > 1 else 0.0
+
+    @property
+    def above_floor(self) -> float | None:
+        """Share of the gap above the floor that the patch removes, None where there is hardly any."""
+        return (self.before - self.after) / (self.before - 1) if self.before > 1.2 else None
+
+    @property
+    def unseen(self) -> bool:
+        return self.kind == "validation"
+
+
+def check(
+    comparison: Comparison,
+    runs: Sequence[int],
+    kind: str,
+    before: Sequence[F64],
+    after: Sequence[F64],
+    beside: Sequence[F64],
+    resamples: int,
+    seed: int,
+    structure: float = 0.0,
+) -> Check:
+    """From (B, C) residuals a run: nominal, patched, and patched with everyday deviations."""
+    x, y = (_blocks(comparison, r, runs) for r in (before, after))
+    pick = np.random.default_rng(seed).integers(0, len(x), (resamples, len(x)))
+    fractions = 1 - y[pick].sum(axis=1) / np.maximum(x[pick].sum(axis=1), 1e-12)
+    return Check(
+        runs=tuple(comparison.case.runs[i].name for i in runs),
+        kind=kind,
+        before=mean_square(comparison, before, runs),
+        after=mean_square(comparison, after, runs),
+        beside=mean_square(comparison, beside, runs),
+        ci90=(float(np.quantile(fractions, 0.05)), float(np.quantile(fractions, 0.95))),
+        signals=_signals(comparison, runs, before, after),
+        structure=structure,
+    )
+
+
+def errors(
+    simulator: Simulator, comparison: Comparison, settings: Sequence[Setting], runs: Sequence[int]
+) -> list[F64] | None:
+    """(B, C) residuals a run, or None where the simulation fails."""
+    try:
+        predicted = simulator.simulate(settings, runs=runs)
+    except GapError:
+        return None
+    if not all(np.isfinite(y).all() for y in predicted):
+        return None
+    return [comparison.residual(r, y) for r, y in zip(runs, predicted, strict=True)]
+
+
+def mean_square(comparison: Comparison, residuals: Sequence[F64], runs: Sequence[int]) -> float:
+    """Mean of squared residuals in units of the floor."""
+    total, count = 0.0, 0
+    for run, r in zip(runs, residuals, strict=True):
+        ratio = r**2 / comparison.floor(run)
+        total += float(np.nansum(ratio))
+        count += int(np.isfinite(ratio).sum())
+    return total / max(count, 1)
+
+
+def predictable(
+    simulator: Simulator,
+    comparison: Comparison,
+    fitted: Sequence[int],
+    left: Sequence[F64],
+    runs: Sequence[int],
+    rest: Sequence[F64],
+) -> float:
+    """Share of `rest` (of `runs`) that ridge regression, learned from `left` (of the fitted runs), still predicts."""
+    further = predict(simulator, comparison, left, fitted, runs)
+    without = mean_square(comparison, [a - p for a, p in zip(rest, further, strict=True)], runs)
+    return float(np.clip(1 - without / max(mean_square(comparison, rest, runs), 1e-12), 0, 1))
+
+
+def _blocks(comparison: Comparison, residuals: Sequence[F64], runs: Sequence[int]) -> F64:
+    """(N,) sums of squares in units of the floor over blocks of half a second."""
+    width = max(int(BLOCK_SECONDS / comparison.config.bin_seconds), 1)
+    found = []
+    for run, r in zip(runs, residuals, strict=True):
+        row = np.nansum(r**2 / comparison.floor(run), axis=1)
+        found.append(np.add.reduceat(row, np.arange(0, len(row), width)))
+    return np.concatenate(found)
+
+
+def _signals(
+    comparison: Comparison, runs: Sequence[int], before: Sequence[F64], after: Sequence[F64]
+) -> tuple[SignalError, ...]:
+    found = []
+    values = [measured(comparison.case.runs[i], comparison.channels) for i in runs]
+    about = [v - np.nanmean(v, axis=0) for v in values]
+    for signal in dict.fromkeys(c.signal for c in comparison.channels):
+        columns = [i for i, c in enumerate(comparison.channels) if c.signal == signal]
+        motion, first, last = (_rms([r[:, columns] for r in rs]) for rs in (about, before, after))
+        floor = float(np.sqrt(np.mean(np.concatenate([comparison.floor(i)[:, columns] for i in runs]))))
+        unit = unit_of(signal, comparison.channels[columns[0]].label, comparison.case.model)
+        found.append(SignalError(signal, unit, motion, first, last, floor))
+    return tuple(found)
+
+
+def _rms(parts: Sequence[F64]) -> float:
+    return float(np.sqrt(np.nanmean(np.concatenate(parts) ** 2)))

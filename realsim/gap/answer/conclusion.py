@@ -1,0 +1,293 @@
+"""From what the search found to what is said: what lasts on left-out runs, what is as good, the check, the verdict.
+
+The held-out runs are first looked at in `_checked`. All before it (which causes last, which rivals are as good, the
+intervals of values) rests on the fitted runs. The verdict is decided with the check, which is therefore a validation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from realsim.errors import GapError
+from realsim.gap.answer.check import Check, check, errors, mean_square, predictable
+from realsim.gap.answer.leaveout import LeftOut, better, leave_out
+from realsim.gap.answer.verdict import Fitted, Judgement, judge
+from realsim.gap.causes.fitted import Z90, Cause
+from realsim.gap.causes.leftover import is_gap, leftover, nuisance_settings
+from realsim.gap.compare import Comparison
+from realsim.gap.config import DiagnoseConfig
+from realsim.gap.evidence.onsets import find_onsets
+from realsim.gap.simulation.simulate import lookup
+from realsim.gap.verdicts import GapVerdict
+from realsim.types import F64
+
+IMITATIONS = {"load_friction": ("stiffness_gain", "motor_gain")}
+"""Effect -> others that are compared with it at the same places whenever it is named: on a joint that holds or lifts,
+friction of r times the torque moves it as a drive that is weaker by 1 + r."""
+RIVALS = 3
+"""Single causes that are compared by left-out runs beside a rest: a budget."""
+SIMPLER = 1.0
+"""Standard errors over runs by which left-out runs must gain by a cause beside others: the one-standard-error rule
+(Breiman et al., Classification and Regression Trees, 1984). A push may be in some runs only; more would drop it."""
+WORTH = 0.02
+"""Share of the left-out runs' squared error that it must remove in any case. Not tuned."""
+NOTHING = 0.01
+"""Mean square in units of the floor below which two predictions are the same. Not tuned."""
+NO_GAP_THERE = (
+    "the run that was held out shows nothing of the gap, so it checks nothing: the fitted runs, each left out in turn, "
+    "take its place"
+)
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """What is said, and what it rests on."""
+
+    fit: Any
+    """The causes with their values."""
+    sigmas: F64
+    """(m,) standard errors of all values in a row."""
+    equivalent: tuple[Any, ...]
+    check: Check
+    judgement: Judgement
+    left_out: LeftOut | None
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def conclude(
+    config: DiagnoseConfig, screen: Any, fitter: Any, selection: Any, held: Sequence[int], nominal: Sequence[F64]
+) -> Conclusion:
+    """The causes that last, sets as good as them, the check, the verdict.
+
+    Args:
+        screen: of the fitted runs.
+        fitter: with `fit` and `prior_beside`.
+        selection: `fit`, `nominal`, `equivalent`, `trials`, `notes` of the search.
+        held: runs that nothing above has looked at.
+        nominal: (T, C) a run, of the nominal simulator, all runs of the case.
+    """
+    notes: list[str] = list(selection.notes)
+    fit, left = _lasting(screen, fitter, selection.fit, selection.nominal, notes)
+    changed = fit is not selection.fit
+    given = [] if changed else [f for f in selection.equivalent if not _again(screen, f, fit)]
+    fit, left, others = _beside_imitations(screen, fitter, fit, left, given, notes)
+    checked, warnings = _checked(config, screen, fit, left, held, nominal)
+    fitted = _fitted(screen, fit, nominal)
+    ends = _at_an_end(screen, fit)
+    judgement = judge(fitted, checked, len(fit.causes), len(others), ends, config.unexplained_share)
+    if judgement.verdict is GapVerdict.PARTLY_EXPLAINED and left is not None:
+        others = _as_good(screen, fitter, selection.trials, fit, left)
+        judgement = judge(fitted, checked, len(fit.causes), len(others), ends, config.unexplained_share)
+    sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)) if fit.causes else np.zeros(0)
+    if left is not None:
+        sigmas = np.maximum(sigmas, left.sigmas)
+    return Conclusion(fit, sigmas, tuple(others), checked, judgement, left, tuple(notes), tuple(warnings))
+
+
+# ---------------------------------------------------------------- on the fitted runs
+
+
+def _lasting(screen: Any, fitter: Any, fit: Any, nominal: Any, notes: list[str]) -> tuple[Any, LeftOut | None]:
+    """The causes without those that do not help to predict left-out runs."""
+    comparison, runs = screen.comparison, list(screen.runs)
+    while fit.causes:
+        left = leave_out(screen, fitter, fit)
+        if len(runs) < 2:
+            return fit, left
+        if len(fit.causes) == 1:
+            nothing = [comparison.residual(r, y) for r, y in zip(runs, screen.nominal, strict=True)]
+            before = [mean_square(comparison, [r], [run]) for r, run in zip(nothing, runs, strict=True)]
+            if left.gained_over(before)[0] > 0:
+                return fit, left
+            notes.append(f"{_name(fit.causes[0])} fits best, and makes left-out runs worse: no cause")
+            return nominal, None
+        weakest: tuple[float, Any, Any] | None = None
+        for i, cause in enumerate(fit.causes):
+            less = fitter.fit([c for j, c in enumerate(fit.causes) if j != i])
+            if less is None:
+                continue
+            gain, error = left.gained_over(leave_out(screen, fitter, less).after)
+            if gain <= max(SIMPLER * error, WORTH) and (weakest is None or gain < weakest[0]):
+                weakest = (gain, less, cause)
+        if weakest is None:
+            return fit, left
+        notes.append(f"{_name(weakest[2])} was taken out again: left-out runs do not need it")
+        fit = weakest[1]
+    return fit, None
+
+
+def _beside_imitations(
+    screen: Any, fitter: Any, fit: Any, left: LeftOut | None, given: Sequence[Any], notes: list[str]
+) -> tuple[Any, LeftOut | None, list[Any]]:
+    """(fit, left-out runs, others) once each cause was compared with what is known to imitate it at the same place."""
+    others = list(given)
+    if left is None or len(screen.runs) < 2:
+        return fit, left, others
+    for cause in list(fit.causes):
+        rest_of = [c for c in fit.causes if c is not cause]
+        for name in IMITATIONS.get(cause.candidate.effect, ()):
+            if any(c.candidate.effect == name for f in others for c in f.causes):
+                continue
+            start = -float(np.log1p(max(cause.values[0], -0.9)))
+            same = [c for c in screen.candidates if (c.effect, c.places) == (name, cause.candidate.places)]
+            rival = fitter.fit([*rest_of, Cause(same[0], (start,))]) if same and len(same[0].names) == 1 else None
+            if rival is None:
+                continue
+            theirs = leave_out(screen, fitter, rival)
+            gain, error = better(screen.comparison, list(screen.runs), left.residuals, theirs.residuals)
+            if gain < -Z90 * error:
+                notes.append(
+                    f"{_name(cause)}: {_name(rival.causes[-1])} predicts left-out runs better, and stands for it"
+                )
+                fit, left = rival, theirs
+                break
+            if gain <= Z90 * error:
+                others.append(rival)
+    return fit, left, others
+
+
+def _as_good(screen: Any, fitter: Any, trials: Sequence[Any], fit: Any, left: LeftOut) -> list[Any]:
+    """Single causes that left-out runs cannot tell from the one named, with what both leave counted as noise."""
+    if len(fit.causes) != 1 or len(screen.runs) < 2:
+        return []
+    own = fit.causes[0].candidate
+    tried = [t for t in trials if t.stage == 0 and t.gain is not None and t.effect != own.effect]
+    found: list[Any] = []
+    for trial in sorted(tried, key=lambda t: -t.gain)[:RIVALS]:
+        same = [c for c in screen.candidates if (c.effect, c.place) == (trial.effect, trial.place)]
+        same = [c for c in same if set(c.names) == set(trial.values)]
+        rival = fitter.fit([Cause(same[0], tuple(trial.values[n] for n in same[0].names))]) if same else None
+        if rival is None or _again(screen, rival, fit):
+            continue
+        theirs = leave_out(screen, fitter, rival)
+        gain, error = better(screen.comparison, list(screen.runs), left.residuals, theirs.residuals)
+        if gain <= Z90 * error:
+            found.append(rival)
+    return found
+
+
+def _again(screen: Any, rival: Any, fit: Any) -> bool:
+    """Whether a rival says nothing new: one of its causes does nothing, or it is the plain law under a richer name."""
+    runs, simulator, comparison = list(screen.runs), screen.simulator, screen.comparison
+    nothing = [screen.comparison.residual(r, y) for r, y in zip(runs, screen.nominal, strict=True)]
+    for cause in rival.causes:
+        alone = errors(simulator, comparison, cause.settings(), runs)
+        if alone is not None and _apart(comparison, runs, alone, nothing) < NOTHING:
+            return True
+    ours = {c.candidate.effect for c in fit.causes}
+    if not any(lookup(c.candidate.effect).plain in ours for c in rival.causes):
+        return False
+    theirs, mine = (errors(simulator, comparison, f.settings(), runs) for f in (rival, fit))
+    return theirs is not None and mine is not None and _apart(comparison, runs, theirs, mine) < NOTHING
+
+
+def _apart(comparison: Comparison, runs: Sequence[int], a: Sequence[F64], b: Sequence[F64]) -> float:
+    """Mean square difference in units of the floor."""
+    return mean_square(comparison, [x - y for x, y in zip(a, b, strict=True)], runs)
+
+
+def _fitted(screen: Any, fit: Any, nominal: Sequence[F64]) -> Fitted:
+    comparison, runs = screen.comparison, list(screen.runs)
+    before = np.array([mean_square(comparison, [comparison.residual(r, nominal[r])], [r]) for r in runs])
+    left = leftover(screen, fit)
+    weight = np.log1p(np.maximum(before - 1, 0))
+    shares = np.clip((left - 1) / np.maximum(before - 1, 1e-9), 0, 1)
+    share = float((weight * shares).sum() / weight.sum()) if weight.sum() > 0 else 0.0
+    return Fitted(float(before.mean()), left, share)
+
+
+def _at_an_end(screen: Any, fit: Any) -> list[str]:
+    """Strengths at an end of their range; a law's shape may be at one, as where dry friction has no dip."""
+    strengths = {
+        p.name
+        for c in fit.causes
+        for p in lookup(c.candidate.effect).parameters(screen.simulator.context, c.candidate.place)
+        if p.strength
+    }
+    return [name for name in fit.at_bounds if name in strengths]
+
+
+# ---------------------------------------------------------------- on the runs of the check
+
+
+def _checked(
+    config: DiagnoseConfig,
+    screen: Any,
+    fit: Any,
+    left: LeftOut | None,
+    held: Sequence[int],
+    nominal: Sequence[F64],
+) -> tuple[Check, list[str]]:
+    """The check on the runs held out; where there is none, or it shows no gap, on the fitted runs left out in turn."""
+    warnings = _read_onsets(screen, fit, held, nominal)
+    if held:
+        found = _check_on(config, screen, fit, held, "validation", nominal, None)
+        if not fit.causes or is_gap(np.array([found.before])):
+            return found, warnings
+        warnings.append(NO_GAP_THERE)
+    runs = list(screen.runs)
+    kind = "left_out_in_turn" if len(runs) > 1 else "fitted"
+    if not held:
+        warnings.append(
+            "no run was held out: the check is on the fitted runs"
+            + (", each predicted by values fitted to the others" if len(runs) > 1 else "")
+        )
+    after = None if left is None else list(left.residuals)
+    return _check_on(config, screen, fit, runs, kind, nominal, after), warnings
+
+
+def _check_on(
+    config: DiagnoseConfig,
+    screen: Any,
+    fit: Any,
+    runs: Sequence[int],
+    kind: str,
+    nominal: Sequence[F64],
+    after: Sequence[F64] | None,
+) -> Check:
+    simulator, comparison = screen.simulator, screen.comparison
+    before = [comparison.residual(r, nominal[r]) for r in runs]
+    if not all(np.isfinite(nominal[r]).all() for r in runs):
+        raise GapError("the nominal simulator explodes on the runs of the check")
+    if after is None:
+        after = errors(simulator, comparison, fit.settings(), runs) if fit.causes else before
+        after = before if after is None else after  # a patch that does not run there is none
+    beside = _beside(screen, fit, runs) or after
+    structure = 0.0
+    if kind == "validation" and (mine := _beside(screen, fit, screen.runs)) is not None:
+        structure = predictable(simulator, comparison, list(screen.runs), mine, runs, beside)
+    return check(comparison, runs, kind, before, after, beside, config.bootstrap, config.seed, structure)
+
+
+def _beside(screen: Any, fit: Any, runs: Sequence[int]) -> list[F64] | None:
+    """Residuals with the causes and the everyday deviations of the fitted runs, which shrink until they can be run."""
+    for scale in (1.0, 0.5):
+        settings = [*fit.settings(), *nuisance_settings(screen, fit, scale)]
+        found = errors(screen.simulator, screen.comparison, settings, list(runs))
+        if found is not None:
+            return found
+    return None
+
+
+def _read_onsets(screen: Any, fit: Any, held: Sequence[int], nominal: Sequence[F64]) -> list[str]:
+    """When a passing force begins in a run held out cannot be foretold: that alone is read off it, and said."""
+    passing = any("lasts" in c.candidate.names for c in fit.causes)
+    if not passing or not held:
+        return []
+    simulator = screen.simulator
+    known = find_onsets(screen.comparison, nominal)
+    names = [simulator.case.runs[i].name for i in held]
+    new = {name: known[name] for name in names if name in known}
+    simulator.onsets = simulator.onsets | new
+    said = ", ".join(f"{run} at {at:.2f} s" for run, at in new.items()) or "in none"
+    return [f"when the force begins in the runs of the check was read off them ({said}); nothing else was"]
+
+
+def _name(cause: Any) -> str:
+    place = ", ".join(cause.candidate.place)
+    return f"{cause.candidate.effect} {place}".strip()

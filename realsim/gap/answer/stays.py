@@ -1,0 +1,36 @@
+"""What the causes leave, in words: asked of the patched simulator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from realsim.errors import GapError
+from realsim.gap.answer.patch import apply_patch, make_patch
+from realsim.gap.causes.fitted import Fit
+from realsim.gap.compare import Comparison
+from realsim.gap.evidence.inverse import torque_residual
+from realsim.gap.evidence.rest import looks_like
+from realsim.gap.simulation.simulate import Simulator
+
+
+def what_stays(simulator: Simulator, comparison: Comparison, fit: Fit, runs: Sequence[int]) -> list[dict[str, Any]]:
+    """{joint, what, explains} of the joints with the largest rest; see `looks_like`.
+
+    What only wrappers hold (delays, readings) is in the simulated positions and not in the torque that is asked for.
+    """
+    case = simulator.case
+    try:
+        predicted = simulator.simulate(fit.settings(), runs=runs)
+        spec = case.spec.copy()
+        apply_patch(spec, make_patch(simulator, fit))
+        with Simulator(replace(case, spec=spec, model=spec.compile()), simulator.config) as patched:
+            residuals = [comparison.residual(r, y) for r, y in zip(runs, predicted, strict=True)]
+            tracks = [patched.nominal_tracks[r] for r in runs]
+            return looks_like(comparison, runs, residuals, tracks, torque_residual(patched))
+    except (
+        GapError,
+        ValueError,
+    ):  # the patched model does not run on every run of the log: nothing is said of its rest
+        return []

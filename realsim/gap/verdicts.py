@@ -1,0 +1,40 @@
+"""What a diagnosis concludes, and how each conclusion is said: one table for terminal, page, JSON and exit code."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
+
+Level = Literal["good", "look", "bad"]
+
+
+class GapVerdict(StrEnum):
+    """What a diagnosis concludes."""
+
+    NO_GAP = "no_gap"
+    IDENTIFIED = "identified"
+    AMBIGUOUS = "ambiguous"
+    PARTLY_EXPLAINED = "partly_explained"
+    UNEXPLAINED = "unexplained"
+
+
+@dataclass(frozen=True)
+class Said:
+    """How a verdict is shown."""
+
+    word: str
+    headline: str
+    level: Level
+    """`good`: act on it; `look`: read on first; `bad`: do not use the patched model."""
+
+
+SAID = {
+    GapVerdict.NO_GAP: Said("No gap", "the runs show no gap beyond noise and everyday deviations", "good"),
+    GapVerdict.IDENTIFIED: Said("Identified", "the cause is named, and it holds on the check", "good"),
+    GapVerdict.AMBIGUOUS: Said("Cannot tell apart", "several causes explain these runs equally well", "look"),
+    GapVerdict.PARTLY_EXPLAINED: Said("Partly explained", "the cause holds on the check, and part of the gap stays",
+                                      "look"),
+    GapVerdict.UNEXPLAINED: Said("Unexplained", "no known effect explains the gap: do not use the patched model",
+                                 "bad"),
+}  # fmt: skip

@@ -1,0 +1,174 @@
+"""What is said rests on the fitted runs; the run that is held out is only checked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
+from realsim.gap.answer.conclusion import _again, _beside_imitations, _lasting
+from realsim.gap.answer.leaveout import better, discrepancy, leave_out
+from realsim.gap.causes.fit import Cause, Fitter
+from realsim.gap.causes.screen import Screen
+from realsim.gap.compare import Comparison
+from realsim.gap.simulation.simulate import Simulator
+
+from .test_recovery import logged
+from .truth import Truth
+
+EFFECTS = ("coulomb_friction", "viscous_friction", "stribeck_friction", "load_friction", "stiffness_gain")
+CONFIG = DiagnoseConfig(threads=1, effects=EFFECTS, bootstrap=50, report=False)
+
+
+@pytest.fixture(scope="module")
+def arm(made: Callable[..., Path]) -> Case:
+    return load_case(made("conclusion", Truth(), runs=4, span=(2.2, 2.6)))
+
+
+@pytest.fixture(scope="module")
+def sticky(arm: Case) -> Case:
+    return logged(arm, [("coulomb_friction", ("shoulder",), {"friction": 3.0})])
+
+
+@pytest.fixture(scope="module")
+def fitter(sticky: Case) -> Iterator[Fitter]:
+    with Simulator(sticky, CONFIG) as simulator:
+        comparison = Comparison(sticky, simulator.channels, simulator.simulate(), CONFIG, [0, 1, 2])
+        yield Fitter(Screen(simulator, comparison, [0, 1, 2], EFFECTS))
+
+
+def cause(fitter: Fitter, effect: str, *values: float) -> Cause:
+    found = next(
+        c
+        for c in fitter.screen.candidates
+        if (c.effect, c.place) == (effect, ("shoulder",)) and len(c.names) == len(values)
+    )
+    return Cause(found, values)
+
+
+def disturbed(case: Case, run: int, size: float) -> Case:
+    """The case with slow errors and noise in one run's measurements."""
+    runs = list(case.runs)
+    rng = np.random.default_rng(0)
+    slow = size * np.sin(3.0 * runs[run].time)[:, None]
+    noisy = {k: v + slow + rng.normal(0, size, v.shape) for k, v in runs[run].signals.items() if k == "joint_pos"}
+    runs[run] = replace(runs[run], signals=runs[run].signals | noisy)
+    return case.with_runs(tuple(runs))
+
+
+def test_the_run_held_out_changes_the_check_and_nothing_else(sticky: Case) -> None:
+    calm, loud = (diagnose(c, CONFIG) for c in (sticky, disturbed(sticky, 3, 0.02)))
+    assert calm.shrinkage["runs"] == loud.shrinkage["runs"] == [sticky.runs[3].name]
+    assert calm.shrinkage["kind"] == "validation"
+    assert calm.causes == loud.causes
+    assert calm.ranking == loud.ranking
+    assert calm.statistics["left_out_over_floor"] == loud.statistics["left_out_over_floor"]
+    assert calm.patch == loud.patch
+    for signal, row in calm.shrinkage["per_signal"].items():
+        assert row["floor"] == pytest.approx(loud.shrinkage["per_signal"][signal]["floor"], rel=0.05)
+    assert loud.shrinkage["fraction"] < calm.shrinkage["fraction"]
+
+
+def test_with_one_run_nothing_is_held_out_and_it_is_said(sticky: Case) -> None:
+    found = diagnose(sticky.with_runs(sticky.runs[:1]), CONFIG)
+    assert found.shrinkage["kind"] == "fitted"
+    assert not found.shrinkage["unseen"]
+    assert any("no run was held out" in w for w in found.health["warnings"])
+    assert "no other was left" in found.sentence or found.verdict == "no_gap"
+
+
+def test_no_probability_is_stated_that_was_not_calibrated(sticky: Case) -> None:
+    found = diagnose(sticky, CONFIG)
+    assert found.causes
+    assert [c["probability"] for c in found.causes] == [None] * len(found.causes)
+
+
+def test_values_are_fitted_anew_without_each_run(fitter: Fitter) -> None:
+    fit = fitter.fit([cause(fitter, "coulomb_friction", 2.0)])
+    assert fit is not None
+    left = leave_out(fitter.screen, fitter, fit)
+    assert left.values.shape == (3, 1)
+    assert len(set(left.values[:, 0])) == 3
+    assert left.values[:, 0] == pytest.approx(fit.causes[0].values[0], rel=0.1)
+    assert left.after.mean() < 2.0
+    gain, error = left.gained_over([100.0] * 3)
+    assert gain > 3.0 > error
+
+
+def test_a_model_that_stays_wrong_widens_its_intervals(arm: Case, sticky: Case) -> None:
+    sigmas = []
+    for size in (0.0, 0.02):
+        case = sticky
+        for run in range(3):
+            case = disturbed(case, run, size)
+        with Simulator(case, CONFIG) as simulator:
+            nominal = simulator.simulate()
+            comparison = Comparison(case, simulator.channels, nominal, CONFIG, [0, 1, 2])
+            comparison.noise = replace(comparison.noise, sensor=np.full_like(comparison.noise.sensor, 1e-3))
+            its = Fitter(Screen(simulator, comparison, [0, 1, 2], EFFECTS))
+            fit = its.fit([cause(its, "coulomb_friction", 3.0)])
+            assert fit is not None
+            sigmas.append(float(leave_out(its.screen, its, fit).sigmas[0]))
+    assert sigmas[1] > 1.4 * sigmas[0]
+
+
+def test_a_cause_that_left_out_runs_do_not_need_is_taken_out(fitter: Fitter) -> None:
+    """A third cause of 0.3 N for 1.4 s stood beside two right ones on a real log."""
+    both = fitter.fit([cause(fitter, "coulomb_friction", 3.0), cause(fitter, "viscous_friction", 0.001)], iterations=1)
+    assert both is not None
+    notes: list[str] = []
+    fit, left = _lasting(fitter.screen, fitter, both, fitter.nominal(), notes)
+    assert [c.candidate.effect for c in fit.causes] == ["coulomb_friction"]
+    assert left is not None
+    assert "left-out runs do not need it" in notes[0]
+
+
+def test_a_cause_that_makes_left_out_runs_worse_is_none(fitter: Fitter) -> None:
+    wrong = fitter.looked_at(fitter.nominal(), [cause(fitter, "stiffness_gain", -1.5)])
+    assert wrong is not None
+    notes: list[str] = []
+    fit, left = _lasting(fitter.screen, fitter, wrong, fitter.nominal(), notes)
+    assert fit.causes == ()
+    assert left is None
+    assert "no cause" in notes[0]
+
+
+def test_a_law_without_its_own_part_is_no_rival(fitter: Fitter) -> None:
+    """Stribeck friction whose static part is zero stood beside Coulomb friction as another explanation."""
+    fit = fitter.looked_at(fitter.nominal(), [cause(fitter, "coulomb_friction", 3.0)])
+    nothing = fitter.looked_at(fitter.nominal(), [cause(fitter, "stribeck_friction", 0.0, 3.0, 0.1)])
+    other = fitter.looked_at(fitter.nominal(), [cause(fitter, "viscous_friction", 1.0)])
+    assert fit is not None
+    assert nothing is not None
+    assert other is not None
+    assert _again(fitter.screen, nothing, fit)
+    assert not _again(fitter.screen, other, fit)
+
+
+def test_a_weaker_servo_is_compared_with_load_friction(arm: Case) -> None:
+    """Holding or lifting, friction of r times the torque looks like kp / (1 + r): two real cases were called so."""
+    weak = logged(arm, [("stiffness_gain", ("shoulder",), {"ratio": -0.25})])
+    with Simulator(weak, CONFIG) as simulator:
+        comparison = Comparison(weak, simulator.channels, simulator.simulate(), CONFIG, [0, 1, 2])
+        its = Fitter(Screen(simulator, comparison, [0, 1, 2], EFFECTS))
+        fit = its.fit([cause(its, "load_friction", 0.28)])
+        assert fit is not None
+        notes: list[str] = []
+        found, _, others = _beside_imitations(its.screen, its, fit, leave_out(its.screen, its, fit), [], notes)
+    named = [c.candidate.effect for f in (found, *others) for c in f.causes]
+    assert "stiffness_gain" in named
+    assert found.causes[0].candidate.effect == "stiffness_gain"
+
+
+def test_what_is_better_is_better_by_more_than_its_scatter(fitter: Fitter) -> None:
+    screen, runs = fitter.screen, [0, 1, 2]
+    nominal = [screen.comparison.residual(r, y) for r, y in zip(runs, screen.nominal, strict=True)]
+    half = [0.5 * r for r in nominal]
+    gain, error = better(screen.comparison, runs, half, nominal)
+    assert gain > 3 * error > 0
+    assert better(screen.comparison, runs, nominal, nominal) == (0.0, 0.0)
+    assert (discrepancy(screen.comparison, runs, half) <= discrepancy(screen.comparison, runs, nominal)).all()

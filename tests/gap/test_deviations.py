@@ -1,0 +1,71 @@
+"""A user's own sizes of everyday deviations take the place of the library's, in the unit that is reported."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from realsim.errors import RealsimError
+from realsim.gap import DiagnoseConfig, diagnose, load_case
+from realsim.gap.effects import EFFECTS
+from realsim.gap.provenance import provenance
+from realsim.gap.simulation.simulate import Simulator
+
+from .truth import Truth
+
+
+def config(folder: Path, sizes: object) -> DiagnoseConfig:
+    path = folder / "deviations.json"
+    path.write_text(json.dumps(sizes))
+    return DiagnoseConfig(threads=1, deviations=path, effects=("stiffness_gain", "coulomb_friction"), bootstrap=20)
+
+
+@pytest.fixture(scope="module")
+def folder(made: Callable[..., Path]) -> Path:
+    return made("deviations", Truth(coulomb={"shoulder": 0.7}), runs=3, span=(2.2, 2.6))
+
+
+def test_sizes_are_in_the_reported_unit_and_by_place(folder: Path, tmp_path: Path) -> None:
+    sizes = {"stiffness_gain": {"ratio": 0.05}, "coulomb_friction": {"friction": {"elbow": 0.3}}}
+    with Simulator(load_case(folder), config(tmp_path, sizes)) as simulator:
+        context = simulator.context
+        (gain,) = EFFECTS["stiffness_gain"].parameters(context, ("elbow",))
+        assert gain.nuisance == pytest.approx(0.05, rel=1e-3)
+        (mine,) = EFFECTS["coulomb_friction"].parameters(context, ("elbow",))
+        (theirs,) = EFFECTS["coulomb_friction"].parameters(context, ("shoulder",))
+        assert mine.nuisance == pytest.approx(0.3)
+        assert theirs.nuisance < 0.3
+
+
+def test_what_is_everyday_for_this_user_is_no_gap(folder: Path, tmp_path: Path) -> None:
+    usual = diagnose(load_case(folder), config(tmp_path, {}))
+    assert usual.causes
+    wide = diagnose(load_case(folder), config(tmp_path, {"coulomb_friction": {"friction": 1.0}}))
+    assert wide.verdict == "no_gap"
+
+
+def test_an_answer_says_which_sizes_it_rests_on(tmp_path: Path) -> None:
+    sizes = {"stiffness_gain": {"ratio": 0.05}}
+    assert provenance(config(tmp_path, sizes))["settings"]["deviations"] == sizes
+    assert provenance(DiagnoseConfig())["settings"]["deviations"] == {}
+
+
+@pytest.mark.parametrize(
+    ("sizes", "said"),
+    [
+        ([1], "not a file of deviations"),
+        ({"stifness_gain": {"ratio": 0.1}}, "stiffness_gain"),
+        ({"stiffness_gain": 0.1}, "no sizes"),
+        ({"stiffness_gain": {"ratio": -0.1}}, "no standard deviation"),
+        ({"stiffness_gain": {"ratio": True}}, "no standard deviation"),
+        ({"stiffness_gain": {"ratio": float("nan")}}, "JSON|no standard deviation"),
+        ({"stiffness_gain": {"factor": 0.1}}, "no parameter 'factor'"),
+        ({"stiffness_gain": {"ratio": {"wrist": 0.1}}}, "no place 'wrist'"),
+    ],
+)
+def test_a_wrong_file_is_refused_with_what_is_expected(folder: Path, tmp_path: Path, sizes: object, said: str) -> None:
+    with pytest.raises(RealsimError, match=said), Simulator(load_case(folder), config(tmp_path, sizes)):
+        pass
