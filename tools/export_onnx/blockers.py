@@ -11,7 +11,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-
 ROTARY = {"RoPE2D": "base", "cuRoPE2D": "base", "RotaryPositionEmbedding2D": "base_frequency"}
 """Class of a rotary embedding -> its attribute with the base of the frequencies. The first two are CroCo's and its
 descendants' (DUSt3R, Pi3), the last is VGGT's and Depth Anything 3's."""

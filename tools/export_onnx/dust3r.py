@@ -49,8 +49,8 @@ def wrap(model: Any, options: Options) -> Family:
 def run(model: Any, images: Tensor) -> tuple[Tensor, ...]:
     """Points (1, H, W, 3) and confidences (1, H, W) of both pictures in images (2, 3, H, W), first camera's frame.
 
-    The model's own forward takes the pictures' size as a tensor and branches on it. Here the size is known, so its parts
-    are called with numbers instead.
+    The model's own forward takes the pictures' size as a tensor and branches on it. Here the size is known, so its
+    parts are called with numbers instead.
     """
     h, w = images.shape[-2:]
     patches = model.patch_embed.proj(images)
