@@ -90,8 +90,20 @@ def test_the_rotary_embedding_without_a_table_is_the_same(embedding: Any) -> Non
     tokens, positions = torch.randn(2, 3, 12, 16), blockers.grid_positions(2, 3, 4, "cpu")
     assert torch.equal(positions[0], torch.cartesian_prod(torch.arange(3), torch.arange(4)))
     before = rope(tokens, positions)
-    assert blockers.replace_rope(holder) == 1
+    assert blockers.replace_tables(holder) == 1
     torch.testing.assert_close(rope(tokens, positions), before)
+
+
+class Positions:
+    """Keeps positions by size, as the projects' own do."""
+
+    def __init__(self) -> None:
+        self.kept: dict[Any, Any] = {}
+
+    def __call__(self, batch: int, rows: int, columns: int, device: Any) -> Any:
+        if (rows, columns) not in self.kept:
+            self.kept[rows, columns] = torch.cartesian_prod(torch.arange(rows), torch.arange(columns))
+        return self.kept[rows, columns][None].expand(batch, -1, -1)
 
 
 class Attention(nn.Module):
@@ -136,6 +148,15 @@ def _attended(layer: Any, images: Any) -> Any:
     pictures = images[0, :, :, ::14, ::14].flatten(2).transpose(1, 2).reshape(1, -1, 3)
     tokens = nn.functional.pad(pictures, (0, DIM - 3))
     return (layer(tokens, torch.zeros(1, tokens.shape[1], 2, dtype=torch.int64)),)
+
+
+@pytest.mark.parametrize("affine", [True, False])
+def test_group_normalisation_by_axes_is_the_same(affine: bool) -> None:
+    torch.manual_seed(0)
+    layer, x = nn.GroupNorm(2, 8, affine=affine), 3 + torch.randn(2, 8, 5, 7)
+    before = layer(x)
+    assert blockers.replace_group_norm(layer) == 1
+    torch.testing.assert_close(layer(x), before)
 
 
 def test_the_nearest_rotation_does_not_change_by_leaving_out_the_svd() -> None:
@@ -207,7 +228,7 @@ class Pi3(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.encoder, self.rope = Tokens(), RoPE2D()
-        self.position_getter: Any = None
+        self.position_getter: Any = Positions()
         self.register_token = nn.Parameter(torch.randn(1, 1, 1, DIM))
         self.point_decoder, self.conf_decoder, self.camera_decoder = Decoder(), Decoder(), Decoder()
         self.point_head, self.conf_head, self.camera_head = Head(3), Head(1), CameraHead()
@@ -232,7 +253,7 @@ class AnyView(nn.Module):
     def __init__(self, cameras: dict[str, tuple[int, ...]], trailing: bool) -> None:
         super().__init__()
         self.encoder, self.head, self.trailing = Tokens(), Head(2), trailing
-        self.attention = Attention(RotaryPositionEmbedding2D())
+        self.attention, self.position_getter = Attention(RotaryPositionEmbedding2D()), Positions()
         self.cameras = cameras
         self.heads = nn.ModuleDict({k: nn.Linear(DIM, int(torch.tensor(s).prod())) for k, s in cameras.items()})
         self.point_head: Any = nn.Linear(1, 1)
@@ -240,7 +261,7 @@ class AnyView(nn.Module):
     def forward(self, images: Any) -> Any:
         b, n, _, h, w = images.shape
         tokens = self.encoder(images.reshape(b * n, 3, h, w))["x_norm_patchtokens"]
-        place = blockers.grid_positions(b * n, h // 14, w // 14, images.device)
+        place = self.position_getter(b * n, h // 14, w // 14, device=images.device)
         # All views of a scene look at each other.
         mixed = self.attention(tokens.reshape(b, -1, DIM), place.reshape(b, -1, 2)).reshape(tokens.shape)
         tokens = tokens + mixed

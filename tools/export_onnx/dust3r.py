@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from tools.export_onnx.blockers import Wrapped, grid_positions, replace_rope
+from tools.export_onnx.blockers import Wrapped, grid_positions, replace_tables
 from tools.export_onnx.common import ExportFailed, Family, Options, main
 
 METADATA = {
@@ -39,7 +39,7 @@ def wrap(model: Any, options: Options) -> Family:
     h, w = options.size
     if h > w:
         raise ExportFailed(f"the model takes landscape pictures, --size is {h} {w} (height, width): swap them")
-    replace_rope(model)
+    replace_tables(model)
     metric = "metric" in options.weights.lower()
     said = {**METADATA, "fixed_hw": f"{h},{w}", "scale": "applied" if metric else "none"}
     said["family"] = "mast3r" if "mast3r" in options.weights.lower() else "dust3r"
