@@ -51,7 +51,9 @@ def tune(base: Path, out: Path, start: str, speed: float, seed: int, iterations:
             seed=seed,
             ppo=PPOConfig(learning_rate=rate, critic_first=critic_first),
             task=task,
-            loop=LoopConfig(iterations=iterations, evaluate_every=every, checkpoint_every=1000, tensorboard=False),
+            loop=LoopConfig(
+                iterations=iterations, evaluate_every=every, evaluate_share=1, checkpoint_every=1000, tensorboard=False
+            ),
         )
         find("ppo")(Scene((terrain.flat(),)), base / "policy.pt", config, folder)
     steps = [row for row in read_rows(folder) if "reward" in row]

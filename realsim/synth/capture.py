@@ -31,16 +31,21 @@ class SynthCapture:
     """truth.json, mesh.ply and samples.npz, simulation frame."""
 
 
-def write_capture(folder: Path, config: SynthConfig | None = None, *, overwrite: bool = False) -> SynthCapture:
+def write_capture(
+    folder: Path, config: SynthConfig | None = None, *, terrain: Terrain | None = None, overwrite: bool = False
+) -> SynthCapture:
     """Render `folder/capture` (colour JPEG, depth PNG in mm) and `folder/truth`.
 
     Same config, same bytes. The world of the poses is turned at random: nothing in the capture tells where up is.
+
+    Args:
+        terrain: what is rendered instead of the config's own terrain.
 
     Raises:
         RealsimError: unknown terrain, or the folder exists and `overwrite` is not set.
     """
     config = config or SynthConfig()
-    terrain = make_terrain(config.terrain, config.seed)
+    terrain = terrain or make_terrain(config.terrain, config.seed)
     rng = np.random.default_rng([config.seed, 4])
     drawn = float(rng.uniform(0.99, 1.01))
     T_world_sim = _random_world(rng)

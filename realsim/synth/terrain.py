@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,6 +58,13 @@ def make_terrain(name: str, seed: int) -> Terrain:
     size = np.asarray(PLATFORM) + rng.uniform(-0.01, 0.01, 3)
     at = (length + size[0] / 2, rng.uniform(-0.04, 0.04), 0)
     goal = box("goal_platform", size, "osb", "goal").moved(rz(rng.uniform(-0.04, 0.04)), at)
+    return in_a_room(name, start, obstacles, goal, rng)
+
+
+def in_a_room(
+    name: str, start: Solid, obstacles: Sequence[Solid], goal: Solid, rng: np.random.Generator
+) -> Terrain:  # fmt: skip
+    """A course that stands on the floor z = 0, with a floor, walls and clutter around it."""
     measured = [start, *obstacles, goal]
     corners = np.vstack([s.vertices for s in measured])
     low, high = corners.min(0), corners.max(0)

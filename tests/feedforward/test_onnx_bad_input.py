@@ -174,6 +174,17 @@ def test_poses_that_are_no_rotations(frames: list[Frame], tmp_path: Path) -> Non
         run(frames, model)
 
 
+@pytest.mark.parametrize("factor", [0.4, 2.5])
+def test_a_focal_length_that_is_far_off_is_an_error(frames: list[Frame], tmp_path: Path, factor: float) -> None:
+    said = answers(frames, rooms.path(4, 0.15), Shape())
+    K = said.K.copy()
+    K[:, :2, :2] *= factor
+    path = write_model(tmp_path / "m.onnx", replace(said, K=K), Shape())
+    with pytest.raises(ModelError, match="do not fit the camera") as error:
+        run(frames, path)
+    assert f"{factor:g} times" in message(error)
+
+
 def test_axes_that_are_declared_dynamic_and_are_not(good: Path, frames: list[Frame]) -> None:
     """Frozen at two views inside: with another number onnxruntime refuses, or too few come out."""
 

@@ -14,9 +14,11 @@ from realsim.cli import COMMANDS, commands, main, usage
 from realsim.errors import RealsimError
 from trainer.commands import SUMMARIES
 from trainer.commands.common import find_terrain
+from trainer.commands.finetune import ALONG, RAISED, helped
 from trainer.commands.task_file import load_task
 from trainer.ppo import export
 from trainer.tasks.parkour import ParkourConfig
+from trainer.tasks.parkour.config import FloorConfig, ResetConfig
 
 SMALL = [
     "--worlds", "16", "--threads", "1", "--evaluate-every", "0", "--steps", "8", "--epochs", "2",
@@ -52,6 +54,7 @@ def test_smoke_fine_tune(folder: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert main([*arguments, "--out", str(out), "--json", *SMALL]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["before"]["terrains"][0]["trials"] == said["after"]["terrains"][0]["trials"] == 4
+    assert said["helped"] is (said["before"]["terrains"][0]["successes"] == 0)
     assert {"policy.pt", "policy.onnx", "history.jsonl", "result.json"} <= {p.name for p in out.iterdir()}
     assert main(["deploy", str(out / "policy.onnx"), "--scene", "boxes:0.2:1", "--seconds", "0.2", "--json"]) == 0
     deployed = json.loads(capsys.readouterr().out)
@@ -63,6 +66,13 @@ def test_smoke_fine_tune(folder: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert main([*arguments, "--task-file", str(folder / "task.json"), "--out", evaluation]) == 0
     assert "of 3" in capsys.readouterr().out
     assert json.loads(Path(evaluation).read_text())["terrains"][0]["trials"] == 3
+
+
+def test_help_for_a_first_success_leaves_the_users_own_settings() -> None:
+    plain = helped(ParkourConfig())
+    assert (plain.floor.share, plain.reset.along) == (RAISED.share, ALONG)
+    own = ParkourConfig(floor=FloorConfig(share=0.2), reset=ResetConfig(along=0.1))
+    assert helped(own) == own
 
 
 def failure(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, str]:

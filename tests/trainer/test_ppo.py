@@ -4,14 +4,17 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
 
 from tests.trainer.toy import LAYOUT, PointMass
+from trainer.ppo import loop
 from trainer.ppo import policy as policies
 from trainer.ppo.algorithm import PPO, bootstrap, clipped_value_loss, explained_variance, surrogate
 from trainer.ppo.config import NetworkConfig, PPOConfig
@@ -253,6 +256,27 @@ def test_iterations_to_the_target_and_stop(tmp_path: Path) -> None:
     assert (tmp_path / "policy.pt").is_file()
     assert list((tmp_path / "events").iterdir())
     assert [row["success"] for row in read_rows(tmp_path) if "success" in row] == [0.1, 0.5, 0.98]
+
+
+def test_evaluations_take_no_more_than_their_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr(loop, "time", SimpleNamespace(perf_counter=lambda: now[0], monotonic=time.monotonic))
+    r = runner(worlds=4)
+    iterate = r.iterate
+
+    def second() -> dict[str, float]:
+        now[0] += 1
+        return iterate()
+
+    def five_seconds(policy: object) -> float:
+        now[0] += 5
+        return 0.5
+
+    monkeypatch.setattr(r, "iterate", second)
+    config = LoopConfig(iterations=60, evaluate_every=2, evaluate_share=0.2, tensorboard=False)
+    history = train(r, config, tmp_path, evaluate=five_seconds)
+    # The one before the training does not count. 5 s are a fifth of 25 s, of which 20 are training.
+    assert [iteration for iteration, _ in history.evaluations] == [0, 2, 20, 40, 60]
 
 
 def test_a_policy_is_written_where_nothing_is_left_to_train(tmp_path: Path) -> None:

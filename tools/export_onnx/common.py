@@ -33,8 +33,8 @@ class Options:
     """How many views it is traced with (frozen for families that cannot keep it free)."""
     opset: int = 18
     """Of the standard operators; a lower one runs on older onnxruntimes."""
-    exporter: Literal["dynamo", "torchscript"] = "dynamo"
-    """Which of torch's two exporters."""
+    exporter: Literal["dynamo", "torchscript"] | None = None
+    """Which of torch's two exporters; by default the one that the family needs."""
     tolerance: float = 1e-3
     """Largest relative difference between torch and onnxruntime, of each output's own spread."""
 
@@ -55,6 +55,8 @@ class Family:
     image: str = "images"
     extra: Callable[[Any], dict[str, Any]] = lambda images: {}
     """Further inputs by name for given pictures."""
+    exporter: Literal["dynamo", "torchscript"] = "dynamo"
+    """The exporter that can write this family's graph."""
 
 
 def main(load: Callable[[Options], Any], wrap: Callable[[Any, Options], Family], description: str) -> None:
@@ -151,15 +153,15 @@ def _trials(family: Family, options: Options) -> Sequence[tuple[int, tuple[int, 
 def _write(family: Family, options: Options, path: Path) -> None:
     import torch
 
-    from tools.export_onnx.blockers import Wrapped
+    from tools.export_onnx.blockers import Wrapped, head_by_head
 
     feeds = sample(family, options.views, options.size)
     family.module.eval()
     shared: dict[str, Any] = {"input_names": list(feeds), "output_names": list(family.outputs)}
     shared["opset_version"] = options.opset
     try:
-        with torch.no_grad():
-            if options.exporter == "torchscript":
+        with torch.no_grad(), head_by_head(family.module):
+            if (options.exporter or family.exporter) == "torchscript":
                 axes = {name: dict(axes) for name, axes in family.free.items()}
                 torch.onnx.export(
                     family.module, tuple(feeds.values()), str(path), dynamo=False, dynamic_axes=axes, **shared

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from tools.export_onnx.blockers import Wrapped
+from tools.export_onnx.blockers import Wrapped, replace_tables
 from tools.export_onnx.common import Family, Options, main
 
 METADATA = {
@@ -34,6 +34,7 @@ def load(options: Options) -> torch.nn.Module:
 
 def wrap(model: Any, options: Options) -> Family:
     """The traced size stays; the views are free."""
+    replace_tables(model)
     h, w = options.size
     said = {**METADATA, "fixed_hw": f"{h},{w}"}
     return Family(

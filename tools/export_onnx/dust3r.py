@@ -17,8 +17,8 @@ import torch
 from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from tools.export_onnx.blockers import Wrapped, replace_rope
-from tools.export_onnx.common import Family, Options, main
+from tools.export_onnx.blockers import Wrapped, grid_positions, replace_tables
+from tools.export_onnx.common import ExportFailed, Family, Options, main
 
 METADATA = {
     "kind": "pair", "norm": "half", "patch": "16", "fit": "crop", "conf": "exp1", "max_views": "2", "n_static": "2",
@@ -36,8 +36,10 @@ def load(options: Options) -> torch.nn.Module:
 
 def wrap(model: Any, options: Options) -> Family:
     """Two landscape pictures of the traced size. MASt3R's metric weights claim metres; DUSt3R is up to scale."""
-    replace_rope(model)
     h, w = options.size
+    if h > w:
+        raise ExportFailed(f"the model takes landscape pictures, --size is {h} {w} (height, width): swap them")
+    replace_tables(model)
     metric = "metric" in options.weights.lower()
     said = {**METADATA, "fixed_hw": f"{h},{w}", "scale": "applied" if metric else "none"}
     said["family"] = "mast3r" if "mast3r" in options.weights.lower() else "dust3r"
@@ -45,11 +47,24 @@ def wrap(model: Any, options: Options) -> Family:
 
 
 def run(model: Any, images: Tensor) -> tuple[Tensor, ...]:
-    """Points (1, H, W, 3) and confidences (1, H, W) of both pictures in images (2, 3, H, W), first camera's frame."""
-    shape = torch.tensor([images.shape[-2:]])
-    one, two = ({"img": images[k : k + 1], "true_shape": shape, "instance": [str(k)]} for k in (0, 1))
-    a, b = model(one, two)
-    return a["pts3d"], a["conf"], b["pts3d_in_other_view"], b["conf"]
+    """Points (1, H, W, 3) and confidences (1, H, W) of both pictures in images (2, 3, H, W), first camera's frame.
+
+    The model's own forward takes the pictures' size as a tensor and branches on it. Here the size is known, so its
+    parts are called with numbers instead.
+    """
+    h, w = images.shape[-2:]
+    patches = model.patch_embed.proj(images)
+    place = grid_positions(2, patches.shape[2], patches.shape[3], images.device)
+    tokens = model.patch_embed.norm(patches.flatten(2).transpose(1, 2))
+    for block in model.enc_blocks:
+        tokens = block(tokens, place)
+    one, two = model.enc_norm(tokens).chunk(2)
+    decoded = model._decoder(one, place[:1], two, place[1:])
+    a, b = (
+        head([t.float() for t in side], (h, w))
+        for head, side in zip((model.downstream_head1, model.downstream_head2), decoded, strict=True)
+    )
+    return a["pts3d"], a["conf"], b["pts3d"], b["conf"]
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from tools.export_onnx.blockers import Wrapped
+from tools.export_onnx.blockers import Wrapped, replace_group_norm
 from tools.export_onnx.common import Family, Options, main
 
 METADATA = {
@@ -34,13 +34,17 @@ def load(options: Options) -> torch.nn.Module:
 
 
 def wrap(model: Any, options: Options) -> Family:
-    """The project's own switch makes its graph exportable. Focal length and shift are recovered on the host."""
+    """The project's own switch makes its graph exportable, by torch's older exporter only: the number of tokens is an
+    input, and the newer one cannot reason about sizes that follow from data. The host finds focal length and shift."""
     model.onnx_compatible_mode = True
+    replace_group_norm(model)
     h, w = options.size
     said = {**METADATA, "fixed_hw": f"{h},{w}"}
     tokens = lambda images: {"num_tokens": torch.tensor(TOKENS, dtype=torch.int64)}  # noqa: E731
     outputs = ("points", "mask", "metric_scale")
-    return Family(Wrapped(model, run), outputs, said, batched=False, image="image", extra=tokens)
+    return Family(
+        Wrapped(model, run), outputs, said, batched=False, image="image", extra=tokens, exporter="torchscript"
+    )
 
 
 def run(model: Any, image: Tensor, num_tokens: Tensor) -> tuple[Tensor, Tensor, Tensor]:

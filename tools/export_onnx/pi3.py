@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from tools.export_onnx.blockers import Wrapped, grid_positions, replace_rope, unit_rows
+from tools.export_onnx.blockers import Wrapped, replace_tables, unit_rows
 from tools.export_onnx.common import VIEWS_AND_SIZE, Family, Options, main
 
 METADATA = {
@@ -33,8 +33,7 @@ def load(options: Options) -> torch.nn.Module:
 
 def wrap(model: Any, options: Options) -> Family:
     """Stops before the SVD of the camera head (no ONNX operator): nine numbers and a translation go out instead."""
-    replace_rope(model)
-    model.position_getter = grid_positions
+    replace_tables(model)
     return Family(
         Wrapped(model, run), ("local_points", "camera_poses", "conf"), METADATA, {"images": VIEWS_AND_SIZE}
     )  # fmt: skip

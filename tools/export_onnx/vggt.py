@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from tools.export_onnx.blockers import Wrapped
+from tools.export_onnx.blockers import Wrapped, replace_tables
 from tools.export_onnx.common import Family, Options, main
 
 METADATA = {
@@ -37,6 +37,7 @@ def wrap(model: Any, options: Options) -> Family:
     position embedding is resampled in Python."""
     for unused in ("point_head", "track_head"):
         setattr(model, unused, None)
+    replace_tables(model)
     h, w = options.size
     said = {**METADATA, "fixed_hw": f"{h},{w}"}
     return Family(Wrapped(model, run), ("pose_enc", "depth", "depth_conf"), said, {"images": {1: "views"}})

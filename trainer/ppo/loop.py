@@ -38,6 +38,9 @@ class LoopConfig:
     uninterrupted one. It costs samples: for half a second all worlds show the same part of the course."""
     evaluate_every: int = 10
     """Iterations between evaluations on the way; 0 leaves them out."""
+    evaluate_share: float = 0.1
+    """Share of the training time that they may take: one that is due later than that allows is left out. 1 leaves none
+    out, which makes a run repeatable to its last row."""
     target: float = 0.97
     """Success rate whose first evaluation above it is reported (iterations to 97 percent)."""
     stop_at_target: bool = False
@@ -49,8 +52,10 @@ class LoopConfig:
 
     def __post_init__(self) -> None:
         counts = self.iterations >= 1 and self.checkpoint_every >= 1 and self.evaluate_every >= 0
-        if not (counts and 0 < self.target <= 1 and self.minutes >= 0):
-            raise TrainerError("iterations and their intervals must be positive, the target in (0, 1]", found=str(self))
+        if not (counts and 0 < self.target <= 1 and 0 < self.evaluate_share <= 1 and self.minutes >= 0):
+            raise TrainerError(
+                "iterations and their intervals must be positive, target and evaluate_share in (0, 1]", found=str(self)
+            )
 
 
 @dataclass
@@ -88,6 +93,7 @@ def train(
     # Whoever asked for the training goes on with its policy.pt, also where nothing is left to train.
     until = time.monotonic() + 60 * config.minutes if config.minutes else math.inf
     done = _done(runner, history, config, until)
+    began, evaluating = time.perf_counter(), 0.0
     if done:
         save(runner, history, folder)
     else:
@@ -98,8 +104,11 @@ def train(
         while not done:
             row = {"iteration": runner.iteration, **runner.iterate()}
             write(row)
-            if evaluate is not None and config.evaluate_every and runner.iteration % config.evaluate_every == 0:
+            due = evaluate is not None and config.evaluate_every and runner.iteration % config.evaluate_every == 0
+            if due and evaluating <= config.evaluate_share * (time.perf_counter() - began):
+                asked = time.perf_counter()
                 write({"iteration": runner.iteration - 1, "success": _evaluate(runner, evaluate, history)})
+                evaluating += time.perf_counter() - asked
             show(row, history)
             done = _done(runner, history, config, until)
             if runner.iteration % config.checkpoint_every == 0 or done:

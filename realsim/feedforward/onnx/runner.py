@@ -29,6 +29,9 @@ HEADS = 0.05
 """Relative distance between a model's two heads above which the report says so."""
 FOCAL = 0.05
 """The same for its focal length against the capture's."""
+FOCAL_WRONG = 2.0
+"""A focal length that is off by more than this factor, either way, is an error: lenses of robots and phones differ by
+less, so the model has understood nothing of the picture, or its `norm`, `fit` or `kind` is wrong."""
 
 
 @dataclass(frozen=True)
@@ -136,6 +139,7 @@ def _judged(
 ) -> Views:  # fmt: skip
     """Masks, and which views stay."""
     n = len(placed.depth)
+    figures = {name: float(np.median(v)) for name, v in placed.figures.items()}
     keep = np.stack([_mask(placed, inputs, i, config) for i in range(n)])
     lost = _unusable(placed, keep, posed=model.spec.kind != "mono")
     if len(lost) == n:
@@ -145,6 +149,7 @@ def _judged(
             found="; ".join(dict.fromkeys(lost.values())),
             hint="NaN from a half-precision export: try it in float32; all masked: are norm and conf right?",
         )  # fmt: skip
+    _refuse_wrong_focal_length(figures.get("focal_ratio", 1.0), model)
     alive = np.array([i for i in range(n) if i not in lost])
     share: F64 = np.zeros((n, n))
     if n > 1 and model.spec.kind != "mono":
@@ -167,7 +172,6 @@ def _judged(
     used = tuple(int(i) for i in alive)
     if n == 1 and model.spec.kind != "mono":
         warnings.append("one view only: nothing can confirm what the model says about it")
-    figures = {name: float(np.median(v)) for name, v in placed.figures.items()}
     depth = np.where(keep, placed.depth, 0).astype(np.float32)
     return Views(
         used=used,
@@ -219,6 +223,16 @@ def _claim(placed: Placed, model: Model) -> float | None:
     if model.spec.scale == "applied":
         return 1.0
     return float(np.median(placed.claims)) if model.spec.scale == "factor" and placed.claims else None
+
+
+def _refuse_wrong_focal_length(ratio: float, model: Model) -> None:
+    if ratio > FOCAL_WRONG or ratio < 1 / FOCAL_WRONG:  # NaN: no pixel says anything about it
+        raise ModelError(
+            "the model's points do not fit the camera", file=model.path,
+            expected=f"a focal length within a factor of {FOCAL_WRONG:g} of the capture's",
+            found=f"{ratio:.2g} times the capture's",
+            hint="are `norm`, `fit` and `kind` right? See: realsim model inspect. Is the capture's calibration right?",
+        )  # fmt: skip
 
 
 def _notable(figures: dict[str, float]) -> list[str]:

@@ -1,0 +1,242 @@
+"""Test-time training on the thirteen tests: the paper's tables 1 (success), 4 (iterations to 97 %) and 5 (strategies).
+
+    python benchmarks/ttt.py prepare --sources rgbd --tests stake1  CPU: the test is rendered and reconstructed
+    python benchmarks/ttt.py run --tests boxes stake1 --minutes 5   GPU: as often as it takes, what is done is kept
+    python benchmarks/ttt.py run --methods ttt1 --sources rgbd lidar phone hand --tests stake1 narrow1
+    python benchmarks/ttt.py run --methods ttt1 --strategies full adapter residual last_layer --tests narrow1
+    python benchmarks/ttt.py table
+
+Methods: `base` is the policy that ships, `ttt1` fine-tunes it on one test, `ttt13` on all tests at once, `scratch`
+trains without it for the same time. Every policy is judged on the exact terrain, also if it was trained on a
+reconstruction (`--sources`): by 1000 trials with the randomisation of its training, and by as many with all of it and
+pushes. Tests are ours, not the paper's: names and families agree, their dimensions are unknown (docs/paper.md).
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import tyro
+
+from benchmarks.store import Row, Store
+from trainer import terrain as terrains
+from trainer.commands.common import load_policy
+from trainer.commands.finetune import helped
+from trainer.commands.task_file import load_task
+from trainer.evaluate import EvaluationConfig, Result, Setting, evaluate
+from trainer.physics import PhysicsConfig
+from trainer.policies import base_of
+from trainer.ppo.config import PPOConfig
+from trainer.ppo.distributed import pick_device
+from trainer.ppo.loop import LoopConfig
+from trainer.tasks.parkour import ParkourConfig
+from trainer.terrain.scene import load as load_scene
+from trainer.trainers import Scene, TrainConfig, find
+
+ROOT = Path(__file__).resolve().parents[1]
+Source = Literal["exact", "rgbd", "lidar", "phone", "hand"]
+Method = Literal["base", "ttt1", "ttt13", "scratch"]
+KEY = ("test", "method", "source", "strategy", "minutes", "seed")
+
+
+@dataclass(frozen=True)
+class Options:
+    do: Annotated[Literal["prepare", "run", "table"], tyro.conf.Positional]
+    tests: tuple[str, ...] = tuple(terrains.TESTS)
+    methods: tuple[Method, ...] = ("base", "ttt1", "scratch")
+    sources: tuple[Source, ...] = ("exact",)
+    """What ttt1 is trained on."""
+    strategies: tuple[str, ...] = ("full",)
+    """What ttt1 changes."""
+    minutes: float = 5.0
+    """Of training, each."""
+    stop_after: float = float("inf")
+    """Begin no training after so many minutes."""
+    trials: int = 1000
+    worlds: int = 0
+    """Simulated robots; 0 takes 4096 on a GPU and 64 on the CPU."""
+    policy: Path | None = None
+    """The base; the one that ships if not given."""
+    task_file: Path = ROOT / "training" / "g1" / "task.json"
+    seed: int = 0
+    device: str = "auto"
+    work: Path = Path("out/ttt")
+    """Scenes and policies."""
+    store: Path = ROOT / "benchmarks" / "results" / "ttt.json"
+
+
+@dataclass(frozen=True)
+class Job:
+    """One policy on the way to being judged; `test` is all of them for ttt13."""
+
+    tests: tuple[str, ...]
+    method: Method
+    source: Source = "exact"
+    strategy: str = "full"
+
+    @property
+    def name(self) -> str:
+        return "_".join((self.tests[0] if len(self.tests) == 1 else "all", self.method, self.source, self.strategy))
+
+
+def main(options: Options) -> None:
+    if options.do == "prepare":
+        prepare(options)
+    elif options.do == "run":
+        run(options)
+    print("\n".join(table(Store(options.store, KEY).rows)))
+
+
+# ---------------------------------------------------------------- reconstructions
+
+
+def prepare(options: Options) -> None:
+    """Scenes of every test and source that is not exact; those that are there stay."""
+    from benchmarks.ttt_sources import SOURCES
+
+    for test in options.tests:
+        for source in options.sources:
+            folder = options.work / "scenes" / source / test
+            if source != "exact" and not (folder / "scene" / "report.json").is_file():
+                began = time.perf_counter()
+                SOURCES[source](terrains.named(test), folder, options.seed)
+                print(f"{test} from {source}: {time.perf_counter() - began:.0f} s", flush=True)
+
+
+# ---------------------------------------------------------------- policies
+
+
+def jobs(options: Options) -> Iterator[Job]:
+    """What there is to do, the cheap first."""
+    for method in options.methods:
+        if method == "ttt13":
+            yield Job(options.tests, method)
+        elif method == "ttt1":
+            for source in options.sources:
+                for strategy in options.strategies:
+                    yield from (Job((test,), method, source, strategy) for test in options.tests)
+        else:
+            yield from (Job((test,), method) for test in options.tests)
+
+
+def run(options: Options) -> None:
+    """Train and judge what is not stored yet."""
+    store, began = Store(options.store, KEY), time.monotonic()
+    known = {tuple(row.get(name) for name in KEY) for row in store.rows}
+    for job in jobs(options):
+        todo = [t for t in job.tests if tuple(_identity(job, t, options).values()) not in known]
+        if not todo or time.monotonic() - began > 60 * options.stop_after:
+            continue
+        policy, training = trained(job, options)
+        for test in todo:
+            row = _identity(job, test, options) | training | judged(policy, test, options)
+            print("  ".join(f"{k} {v}" for k, v in store.add(row).items()), flush=True)
+
+
+def _identity(job: Job, test: str, options: Options) -> Row:
+    minutes = 0.0 if job.method == "base" else options.minutes
+    identity = (test, job.method, job.source, job.strategy, minutes, options.seed)
+    return dict(zip(KEY, identity, strict=True))
+
+
+def trained(job: Job, options: Options) -> tuple[Path, Row]:
+    """(policy, figures of its training)."""
+    base = options.policy or base_of("g1")
+    if job.method == "base":
+        return base, {}
+    scratch = job.method == "scratch"
+    lands = tuple(_terrain(test, job.source, options) for test in job.tests)
+    task = load_task(options.task_file)
+    task = replace(task, reset=replace(task.reset, along=0.0), floor=replace(task.floor, share=0.0))
+    if scratch or any(not judged(base, test, replace(options, trials=40), robust=False)["won"] for test in job.tests):
+        task = helped(task)
+    config = TrainConfig(
+        robot="g1" if scratch else "",
+        strategy="" if scratch else job.strategy,
+        worlds=options.worlds,
+        device=options.device,
+        seed=options.seed,
+        task=task,
+        loop=LoopConfig(iterations=100_000, minutes=options.minutes, checkpoint_every=400, tensorboard=False),
+        ppo=PPOConfig(symmetry="augmentation", epochs=3),
+    )
+    result = find("ppo")(Scene(lands), None if scratch else base, config, options.work / job.name)
+    figures = {
+        "iterations": result.iterations,
+        "to_target": result.to_target,
+        "evaluations": result.evaluations,
+        "worlds": result.worlds,
+        "training_seconds": round(result.seconds, 1),
+        "helped": task.floor.share > 0,
+    }
+    return result.policy, figures
+
+
+def _terrain(test: str, source: Source, options: Options) -> terrains.Terrain:
+    if source == "exact":
+        return terrains.named(test)
+    return load_scene(options.work / "scenes" / source / test / "scene")
+
+
+def judged(file: Path, test: str, options: Options, *, robust: bool = True) -> Row:
+    """Successes on the exact terrain, with the training's randomisation and with all of it."""
+    device = pick_device(options.device)
+    policy = load_policy(file).to(device)
+
+    def trials(task: ParkourConfig, pushes: bool) -> Result:
+        setting = Setting(
+            policy.robot,
+            "warp" if device.type == "cuda" else "mujoco",
+            task=task,
+            physics=PhysicsConfig(device=str(device), seed=options.seed),
+        )
+        many = EvaluationConfig(options.trials, min(options.trials, 1000), options.seed + 7, pushes=pushes)
+        return evaluate(policy.act, terrains.named(test), many, setting).results[0]
+
+    plain = trials(load_task(options.task_file), False)
+    row: Row = {"trials": plain.trials, "won": plain.successes, "covered": round(plain.covered, 3)}
+    row |= {"causes": dict(plain.reasons), "device": str(device)}
+    return row | {"won_robust": trials(ParkourConfig(), True).successes} if robust else row
+
+
+# ---------------------------------------------------------------- tables
+
+
+def table(rows: list[Row]) -> list[str]:
+    """Success by test, a column a policy; below it iterations to 97 %."""
+    columns = sorted({(r["method"], r["source"], r["strategy"], r["minutes"]) for r in rows})
+    tests = [t for t in terrains.TESTS if any(r["test"] == t for r in rows)]
+    found: dict[Any, Row] = {(r["test"], r["method"], r["source"], r["strategy"], r["minutes"]): r for r in rows}
+    lines = ["| test | " + " | ".join(_title(c) for c in columns) + " |", "|---|" + "---|" * len(columns)]
+    for test in tests:
+        cells = [_cell(found.get((test, *c))) for c in columns]
+        lines.append(f"| {test} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def _title(column: tuple[Any, ...]) -> str:
+    method, source, strategy, minutes = column
+    words = [method, *([source] if source != "exact" else []), *([strategy] if strategy != "full" else [])]
+    return " ".join(words) + (f", {minutes:g} min" if minutes else "")
+
+
+def _cell(row: Row | None) -> str:
+    if row is None:
+        return ""
+    text = f"{100 * row['won'] / row['trials']:.1f} %"
+    if "won_robust" in row:
+        text += f" (robust {100 * row['won_robust'] / row['trials']:.1f} %)"
+    if row["method"] != "base":
+        text += f", 97 % after {row['to_target']}" if row.get("to_target") is not None else ", 97 % not reached"
+    return text
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))
