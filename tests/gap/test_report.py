@@ -145,6 +145,12 @@ def test_nothing_is_simulated_for_the_page(found: Diagnosis, monkeypatch: pytest
     assert "Before and after" in diagnosis_page(found)
 
 
+def test_effects_are_drawn_without_left_out_runs_too(found: Diagnosis) -> None:
+    rows = tuple(r | {"heldout_gain": None, "heldout_se": None} for r in found.ranking)
+    text = read(diagnosis_page(replace(found, ranking=rows)))
+    assert "explains the fitted runs; 100 % is the best one" in text
+
+
 def test_no_word_of_statistics_that_means_nothing_to_a_roboticist(found: Diagnosis) -> None:
     text = read(diagnosis_page(found)).lower()
     for word in ("likelihood", "nats", "evidence gain", "posterior"):

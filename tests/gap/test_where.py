@@ -17,7 +17,7 @@ from realsim.gap.evidence.inverse import base_wrench, torque_residual
 from realsim.gap.evidence.motion import estimate, smooth
 from realsim.gap.evidence.shooting import shoot
 from realsim.gap.evidence.standout import significant, standouts
-from realsim.gap.evidence.where import change_by_horizon, evidence, localise
+from realsim.gap.evidence.where import by_horizon, evidence, localise
 from realsim.gap.simulation.simulate import Simulator
 
 from .truth import Truth
@@ -295,7 +295,7 @@ def test_evidence_is_plain_data(sticky: Simulator) -> None:
 
 
 def test_change_by_horizon_shrinks(sticky: Simulator) -> None:
-    found = change_by_horizon(sticky, FRICTION, ["run_01", "run_02"])["joint_pos"]
+    found = by_horizon([shoot(sticky, runs=[0, 1]), shoot(sticky, FRICTION, [0, 1])])["joint_pos"]
     assert list(found) == ["one sample", "20 ms", "100 ms", "500 ms"]
     assert found["500 ms"]["after"] < 0.5 * found["500 ms"]["before"]  # type: ignore[operator]
 

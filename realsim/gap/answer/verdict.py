@@ -65,8 +65,8 @@ def judge(
         return Judgement(verdict, (f"{said}without them)",))
     low, high = checked.ci90
     if low <= 0:
-        doubt = f"the causes do not hold: the check gets {checked.fraction:.0%} better, 90 % interval {low:.0%} to "
-        return Judgement(GapVerdict.UNEXPLAINED, (came, f"{doubt}{high:.0%}"), ends)
+        doubt = f"the causes do not hold: of the check's squared error {checked.fraction:.0%} goes, 90 % interval "
+        return Judgement(GapVerdict.UNEXPLAINED, (came, f"{doubt}{low:.0%} to {high:.0%}"), ends)
     if ends:
         doubt = f"{', '.join(ends)}: as far as the library goes, so it stands for something else"
         return Judgement(GapVerdict.UNEXPLAINED, (came, doubt), ends)

@@ -107,8 +107,10 @@ def _by_signal(found: Diagnosis) -> str:
 
 
 def what_card(found: Diagnosis) -> str:
-    """The best effects that were fitted, by what they gain on runs left out of the fit."""
-    tried = [r for r in found.ranking if r.get("heldout_gain") is not None]
+    """The best effects that were fitted, by what they gain on runs left out of the fit, where the search had these."""
+    left_out = any(r.get("heldout_gain") is not None for r in found.ranking)
+    by = "heldout_gain" if left_out else "gain"
+    tried = [r for r in found.ranking if r.get(by) is not None]
     if not tried:
         empty = "No effect had to be fitted: what differs is within the noise floor and everyday deviations."
         screened = sum("linear_gain" in r for r in found.ranking)
@@ -117,18 +119,18 @@ def what_card(found: Diagnosis) -> str:
     here = {c["effect"] for c in found.causes}
     same = {c["effect"] for s in found.equivalent for c in s} - here
     first = [r for r in tried if r["effect"] in here | same]
-    first.sort(key=lambda r: (r["effect"] not in here, -r["heldout_gain"]))
-    others = sorted((r for r in tried if r not in first), key=lambda r: -r["heldout_gain"])
+    first.sort(key=lambda r: (r["effect"] not in here, -r[by]))
+    others = sorted((r for r in tried if r not in first), key=lambda r: -r[by])
     rows = [*first, *others][:_RIVALS]
     bars = []
-    best = max(max(r["heldout_gain"] for r in rows), 1e-9)
+    best = max(max(r[by] for r in rows), 1e-9)
     for r in rows:
         kind = FOUND if r["effect"] in here else RIVAL if r["effect"] in same else OTHER
         mark = {FOUND: "✓ ", RIVAL: "≈ "}.get(kind, "")
         label = rival_label(mark, r)
         spread = Z90 * (r.get("heldout_se") or 0.0) / best
-        value = max(r["heldout_gain"] / best, LEAST_SHOWN)
-        bars.append((label, value, value - spread, value + spread, kind, _relative(r["heldout_gain"] / best)))
+        value = max(r[by] / best, LEAST_SHOWN)
+        bars.append((label, value, value - spread, value + spread, kind, _relative(r[by] / best)))
     end = 1.25 * min(max(b[3] for b in bars), 2.0)
     per = 2 if end > 1.5 else 4
     ticks = [(k / per, f"{100 * k // per} %") for k in range(int(per * end) + 1)]
@@ -138,10 +140,9 @@ def what_card(found: Diagnosis) -> str:
     keys = "".join(
         f'<span><i style="background:{c}"></i>{page.esc(t)}</span>' for t, c in [*legend, ("other effects", OTHER)]
     )
-    note = (
-        "How well each effect alone, fitted at its best place, predicts runs left out of the fit; 100 % is the best "
-        "one. Whiskers are 90 %."
-    )
+    how = "predicts runs left out of the fit" if left_out else "explains the fitted runs"
+    note = f"How well each effect alone, fitted at its best place, {how}; 100 % is the best one."
+    note += " Whiskers are 90 %." if left_out else ""
     return page.card("What", f'{picture}<div class="legend">{keys}</div>', note)
 
 
