@@ -132,9 +132,7 @@ def _room(_: Path, scene: Path, report: dict[str, Any]) -> str:
     touch = SimTouch(mujoco.MjSpec.from_file(str(scene / "scene.xml")), BALL)
     free = touch.clearance(below, np.tile([1.0, 0, 0, 0], (len(below), 1))) > -BALL_RADIUS
     share = float((free * area[top]).sum() / area[top].sum())
-    return (
-        f"{edges[np.argmax(sums)] + 0.01:.2f} m; 30 cm below {area[top].sum():.1f} m² of desks {share:.0%} is free"
-    )
+    return f"{edges[np.argmax(sums)] + 0.01:.2f} m; 30 cm below {area[top].sum():.1f} m² of desks {share:.0%} is free"
 
 
 def _triangles(scene: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -197,9 +195,7 @@ CASES = {
         ("--poses", "estimate"),
     ),
     "stairs": Case("pcl_kinect_stairs/tutorials/pairwise", "8 level surfaces at 0.17 to 1.51 m", _treads),
-    "room": Case(
-        "pcl_room_lidar/tutorials/room_scan1.pcd", "2.95 m from floor to ceiling", _room, ("--keep", "all")
-    ),
+    "room": Case("pcl_room_lidar/tutorials/room_scan1.pcd", "2.95 m from floor to ceiling", _room, ("--keep", "all")),
     "boxes": Case(
         "realsense_boxes_floor/data", "six of ten views show the same boxes; things were moved between others", _boxes
     ),

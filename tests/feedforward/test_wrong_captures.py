@@ -82,7 +82,8 @@ def solved(folder: Path, poses: Any = "given") -> tuple[Any, Any]:
 def test_the_same_capture_unspoilt_is_used_whole_and_without_a_word(two: tuple[Path, Path]) -> None:
     frames, found = solved(two[0])
     assert len(found.used) == FRAMES
-    assert frames.warnings == () and found.warnings == ()
+    assert frames.warnings == ()
+    assert found.warnings == ()
 
 
 @pytest.mark.parametrize(

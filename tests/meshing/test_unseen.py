@@ -43,7 +43,8 @@ def test_the_place_named_sees_what_is_missing() -> None:
     aligned = with_ends(scene([Box((-0.1, -0.1, 0.0), (0.1, 0.1, 0.1))], one_side()))
     seen = joined(level(-1, -2, 4, 0), wall(-1, 4, 0.0, 1.2))
     found = unseen(aligned, seen, level(0, 0.05, 3, 0.45))
-    assert found["look_from"][1] > 0.0 and found["share"] > 0.9
+    assert found["look_from"][1] > 0.0
+    assert found["share"] > 0.9
 
 
 def test_areas_on_the_way_and_beside_it() -> None:
@@ -51,7 +52,9 @@ def test_areas_on_the_way_and_beside_it() -> None:
     fine = joined(*(level(0.1 * k, -0.5, 0.1 * k + 0.1, 0.5) for k in range(30)))
     beside = level(0.0, 1.0, 3.0, 2.0)
     found = unseen(aligned, fine, beside)
-    assert np.isclose(found["area_m2"], 6.0) and np.isclose(found["unseen_m2"], 3.0)
-    assert np.isclose(found["way_area_m2"], 3.0) and found["way_unseen_m2"] == 0
+    assert np.isclose(found["area_m2"], 6.0)
+    assert np.isclose(found["unseen_m2"], 3.0)
+    assert np.isclose(found["way_area_m2"], 3.0)
+    assert found["way_unseen_m2"] == 0
     assert "look_from" not in found
     assert "way_area_m2" not in unseen(replace(aligned, platforms=()), fine, beside)
