@@ -23,7 +23,7 @@ from benchmarks import base_policy, gap_score, reconstruct
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
-PAGES = ("README.md", "docs/figures.md", "benchmarks/results/README.md")
+PAGES = ("README.md", "docs/figures.md", "docs/captures.md", "benchmarks/results/README.md")
 Row = dict[str, Any]
 
 
@@ -216,6 +216,33 @@ def captures() -> list[str]:
     return head + reconstruct.readme_table(stored("reconstruct")["rows"])
 
 
+VERDICTS = {"good": "good", "look": "check first", "bad": "do not use", "refused": "refused"}
+
+
+def real_captures() -> list[str]:
+    """What becomes of captures that real sensors and apps wrote."""
+    head = [
+        "| capture | frames | verdict | platforms, goal | contact median / p95, leaks | side rays that stop | "
+        "heights off > 2 cm | CPU, memory | known | found |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    return head + [_real_capture(row) for row in stored("real_captures")["rows"]]
+
+
+def _real_capture(row: Row) -> str:
+    cost = f"{row['cpu_s']:.0f} s, {row['peak_gb']:.1f} GB"
+    if row["verdict"] == "refused":
+        return f"| {row['capture']} | | refused | | | | | {cost} | {row['known']} | |"
+    frames = f"{row['frames']} of {row['frames'] + row['dropped']}" if row["frames"] else "scan"
+    sides = "too few" if row["sides_stopped"] is None else f"{100 * row['sides_stopped']:.1f} %"
+    contact = f"{row['median_mm']:.1f} / {row['p95_mm']:.1f} mm, {row['leaks']}"
+    return (
+        f"| {row['capture']} | {frames} | {VERDICTS[row['verdict']]} | {row['platforms']}, "
+        f"{'yes' if row['goal'] else 'no'} | {contact} ({row['representation']}) | {sides} | "
+        f"{100 * row['heights_off']:.0f} % | {cost} | {row['known']} | {row['found']} |"
+    )
+
+
 def contact() -> list[str]:
     """Measured contact by representation."""
     return list(stored("contact")["summary"])
@@ -238,6 +265,7 @@ INDEX = (
     ("Learning on one CPU core", "trainer_cpu", "python benchmarks/trainer_cpu.py"),
     ("First learning rate of fine-tuning", "trainer_tune", "python benchmarks/trainer_tune.py"),
     ("Places that repeat, and an unregistered Kinect", "captures", "python benchmarks/captures.py"),
+    ("Captures that real sensors and apps wrote", "real_captures", "python benchmarks/real_captures.py"),
     ("Mistakes between a policy and its robot", "gap_contract", "python benchmarks/gap_contract.py --seed 2000"),
     ("The base policy without fine-tuning", "base_policy", "python benchmarks/base_policy.py"),
     (
@@ -302,6 +330,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "readme": readme,
     "captures": captures,
     "contact": contact,
+    "real captures": real_captures,
     "diagnosis by set": diagnosis_by_set,
     "diagnosis by robot": diagnosis_by_robot,
     "diagnosis by seed": diagnosis_intervals,

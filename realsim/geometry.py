@@ -137,3 +137,18 @@ def pixel_rays(width: int, height: int, fx: float, fy: float, cx: float, cy: flo
     rays[..., 0] = u[None, :]
     rays[..., 1] = v[:, None]
     return rays
+
+
+def outside_hull(corners: Array, xy: Array) -> Array:
+    """(M,) distance of points (M, 2) from the convex hull of corners (K, 2), 0 inside it.
+
+    The corners must not lie on one line.
+    """
+    from scipy.spatial import ConvexHull
+
+    a = corners[ConvexHull(corners).vertices]  # counter-clockwise
+    edge = np.roll(a, -1, 0) - a
+    to = xy[:, None, :] - a
+    inside = (edge[:, 0] * to[..., 1] - edge[:, 1] * to[..., 0] >= 0).all(1)
+    t = np.clip((to * edge).sum(2) / (edge**2).sum(1), 0, 1)
+    return np.where(inside, 0.0, np.linalg.norm(to - t[..., None] * edge, axis=2).min(1))

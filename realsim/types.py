@@ -16,13 +16,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.geometry import pixel_rays, transform
+from realsim.geometry import outside_hull, pixel_rays, transform
 from realsim.ordered import in_order
 
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 Bool = NDArray[np.bool_]
+HALF_WAY = 0.5
+"""Metres to either side of the line from start to goal: half of what a humanoid takes up, and a stride's sway."""
 
 
 # ---------------------------------------------------------------- capture
@@ -341,6 +343,13 @@ class AlignedScene:
     def platform(self, role: str) -> Platform | None:
         """The platform of that role, or None."""
         return next((p for p in self.platforms if p.role == role), None)
+
+    def on_way(self, xy: F64) -> Bool | None:
+        """(M,) which points (M, 2) lie where the robot goes: within HALF_WAY of the hull of start and goal. None if
+        there are no two platforms: then nobody knows where it goes."""
+        ends = [self.platform("start"), self.platform("goal")]
+        outlines = [p.outline for p in ends if p is not None]
+        return outside_hull(np.concatenate(outlines), xy) < HALF_WAY if len(outlines) == 2 else None
 
     def T_sim_camera(self, i: int) -> F64:
         """(4, 4) pose of view i in the simulation frame."""

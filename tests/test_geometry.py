@@ -17,6 +17,7 @@ from realsim.geometry import (
     log_so3,
     make_T,
     nearest_rotation,
+    outside_hull,
     quat_to_R,
     rotation_between,
     transform,
@@ -82,3 +83,14 @@ def test_resized_intrinsics_keep_the_image_borders() -> None:
     # The left border of the first pixel is at u = -0.5 on either grid and must look in the same direction.
     assert (-0.5 - K.cx) / K.fx == pytest.approx((-0.5 - half.cx) / half.fx)
     assert (479.5 - K.cy) / K.fy == pytest.approx((239.5 - half.cy) / half.fy)
+
+
+@given(st.floats(0, 2 * np.pi), st.floats(0.1, 3), st.floats(-1, 1), st.floats(-1, 1))
+def test_distance_from_a_hull(turn: float, beyond: float, x: float, y: float) -> None:
+    """Of a unit square, however it is turned and in whatever order its corners come."""
+    c, s = np.cos(turn), np.sin(turn)
+    R = np.array([[c, -s], [s, c]])
+    square = np.array([[1, 1], [-1, -1], [0.2, 0.3], [1, -1], [-1, 1.0]]) @ R.T
+    inside, side, corner = np.array([[0.99 * x, 0.99 * y], [1 + beyond, y], [1 + beyond, 1 + beyond]]) @ R.T
+    found = outside_hull(square, np.stack([inside, side, corner]))
+    assert np.allclose(found, [0, beyond, beyond * np.sqrt(2)], atol=1e-9)

@@ -53,6 +53,7 @@ def crop(
         low, high, left = everything.min(0), everything.max(0), []
     kept = standing & (xy >= low - REACH).all(1) & (xy <= high + REACH).all(1)
     top = float(cloud.points[kept, 2].max()) if kept.any() else ground_z
+    top = max([top, *(float(p.centroid[2]) for p in chosen)])  # the last tread of a flight is higher than obstacles are
     bounds = np.array([[*(low - margin), ground_z - DEPTH], [*(high + margin), top + HEADROOM]])
     return bounds, _said(cloud, labels, bounds, left, margin)
 

@@ -48,9 +48,9 @@ def level_faces(cloud: Cloud) -> list[NDArray[np.intp]]:
     up = cloud.normals[:, 2] if cloud.oriented else np.abs(cloud.normals[:, 2])
     candidates = np.flatnonzero((up > 0.9) & (z > LOWEST) & (z < HIGHEST))
     faces = []
-    for region in _smooth_regions(cloud.points[candidates], cloud.voxel):
+    for region in smooth_regions(cloud.points[candidates], cloud.voxel, 0.5 * LEAST_AREA):
         points = cloud.points[candidates[region]]
-        slope, height = _plane(points)
+        slope, height = plane_of(points)
         if np.degrees(np.arctan(np.hypot(*slope))) > LEVEL_DEG:
             continue
         residual = points[:, 2] - (points[:, :2] @ slope + height)
@@ -100,8 +100,8 @@ def _obstacles(points: F64, band: F64, voxel: float) -> Bool:
     return out
 
 
-def _smooth_regions(points: F64, cell: float) -> list[NDArray[np.intp]]:
-    """Groups of points whose cells are neighbours and differ by less than `STEP` in height."""
+def smooth_regions(points: F64, cell: float, least: float) -> list[NDArray[np.intp]]:
+    """Groups of points whose cells are neighbours and differ by less than `STEP` in height, larger than `least` m²."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -126,10 +126,10 @@ def _smooth_regions(points: F64, cell: float) -> list[NDArray[np.intp]]:
     count, component = connected_components(graph, directed=False)
     sizes = np.bincount(component, minlength=count)
     member = component[index]
-    return [np.flatnonzero(member == k) for k in np.flatnonzero(sizes * cell**2 > 0.5 * LEAST_AREA)]
+    return [np.flatnonzero(member == k) for k in np.flatnonzero(sizes * cell**2 > least)]
 
 
-def _plane(points: F64) -> tuple[F64, float]:
+def plane_of(points: F64) -> tuple[F64, float]:
     """Slope (2,) and height at the origin of z = slope·xy + height, least squares with outliers dropped twice."""
     keep = np.ones(len(points), bool)
     for _ in range(3):

@@ -42,13 +42,17 @@ class Face:
 
 
 def find_faces(cloud: Cloud, labels: Labels) -> list[Face]:
-    """The connected faces among the points labelled PLATFORM that are large enough, the largest first. Levelled."""
+    """The connected faces among the points labelled PLATFORM that are large enough, and the treads of a flight of
+    stairs, the largest first. Levelled."""
+    from realsim.align.flights import treads
+
     index = np.flatnonzero(labels == Label.PLATFORM)
     regions = [index[part] for part in _connected(cloud.points[index], max(JOIN, 2 * cloud.voxel))]
     parts = [region[part] for region in regions for part in split(cloud.points[region], cloud.voxel)]
-    return sorted(
-        (_face(cloud.take(p)) for p in parts if large(cloud.points[p, :2], cloud.voxel)), key=lambda f: -f.area
-    )
+    parts = [p for p in parts if large(cloud.points[p, :2], cloud.voxel)]
+    taken = np.unique(np.concatenate(parts)) if parts else np.zeros(0, np.intp)
+    parts += [tread for tread in treads(cloud) if not np.isin(tread, taken).any()]
+    return sorted((_face(cloud.take(p)) for p in parts), key=lambda f: -f.area)
 
 
 def large(xy: F64, cell: float) -> bool:

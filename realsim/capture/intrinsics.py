@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +54,17 @@ class Camera:
             )
         return check(Intrinsics(*size, self.fx, self.fy, self.cx, self.cy), self.source)
 
+    def y_down(self) -> Camera:
+        """The same with a positive fy: a negative one (ICL-NUIM) means a camera axis y that points up, while the rows
+        of the images go down as ever."""
+        if not (np.isfinite(self.fy) and self.fy < 0 < self.fx):
+            return self
+        note = (
+            f"fy is {self.fy:g}: the file's y axis points up; {-self.fy:g} was taken, with y down as the rows go. "
+            "Poses of such a camera may be mirrored: they are checked against the depth"
+        )
+        return replace(self, fy=-self.fy, notes=(*self.notes, note))
+
 
 def camera_matrix(values: ArrayLike, source: Path) -> tuple[F64, str]:
     """A 3x3 camera matrix from nine (or 4x4: sixteen) numbers, and how it was written.
@@ -77,7 +88,7 @@ def camera_matrix(values: ArrayLike, source: Path) -> tuple[F64, str]:
     M = flat.reshape(3, 3)
     principal_last_column = bool(M[0, 2] or M[1, 2])
     principal_last_row = bool(M[2, 0] or M[2, 1])
-    if principal_last_column == principal_last_row or M[0, 0] <= 0 or M[1, 1] <= 0 or M[2, 2] != 1:
+    if principal_last_column == principal_last_row or M[0, 0] <= 0 or M[1, 1] == 0 or M[2, 2] != 1:
         raise CaptureError(
             "not a camera matrix",
             file=source,
@@ -138,10 +149,10 @@ def read_camera(path: Path) -> Camera:
     """
     suffix = path.suffix.lower()
     if suffix == ".json":
-        return camera_from_mapping(read_json(path), path)
+        return camera_from_mapping(read_json(path), path).y_down()
     if suffix in (".yaml", ".yml"):
-        return camera_from_mapping(_read_yaml(path), path)
-    return camera_from_text(read_text(path, 2**20), path)
+        return camera_from_mapping(_read_yaml(path), path).y_down()
+    return camera_from_text(read_text(path, 2**20), path).y_down()
 
 
 def camera_from_mapping(data: Any, source: Path) -> Camera:

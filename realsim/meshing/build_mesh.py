@@ -15,6 +15,7 @@ from realsim.meshing.residuals import residuals
 from realsim.meshing.scan import surface_of_scan
 from realsim.meshing.solids import invent
 from realsim.meshing.surface import Surface, colored_from, drop_islands
+from realsim.meshing.unseen import unseen
 from realsim.types import AlignedScene, TerrainMesh
 
 
@@ -64,6 +65,7 @@ def build(aligned: AlignedScene, config: MeshConfig) -> TerrainMesh:
     if config.close:
         invented = canonical(invent(surface, aligned, evidence, max(0.015, resolution)))
         statistics["invented_area_m2"] = float(invented.areas().sum())
+        statistics["unseen"] = unseen(aligned, surface, invented, config.seed)
     whole, mask = _joined(surface, invented)
     return TerrainMesh(
         vertices=whole.vertices,

@@ -94,7 +94,7 @@ def graded(
     elif sign * value > sign * look:
         level = "look"
     word = "below" if low_is_bad else "above"
-    limits = f"check {word} {show(look)}, reject {word} {show(bad)}"
+    limits = f"check {word} {show(look)}" + (f", reject {word} {show(bad)}" if math.isfinite(bad) else "")
     limit = bad if level == "bad" else look
     return Check(name, show(value), limits, level, f"{name}: {show(value)}, {word} the limit of {show(limit)}.", advice)
 
@@ -103,6 +103,7 @@ _SCALE = "record more frames with depth between 0.3 and 3 m, or give metric came
 _FLOOR = "record at least 1 m² of level floor around the terrain, from less than 2 m away"
 _OVERLAP = "record again more slowly: 15 to 30 cm between views, each sharing half of its picture with the one before"
 _COVER = "record again from closer and from both sides, until every top and the floor between has been in view"
+_METRES = "measure something of known length in the scene; if it is off, pass --ignore-poses or mend the depth's scale"
 _ROLES = "name the platforms yourself: --start X Y --goal X Y"
 _POSES = "check the camera poses and the unit of the depth (`realsim inspect`), or try --poses estimate"
 _MESH = "look at the mesh with `realsim view`, or try another --resolution"
@@ -137,6 +138,15 @@ def _scale(result: Reconstruction) -> Iterator[Check]:
     limits: Mapping[str, Any] = result.config.get("scale", {})
     look, bad = float(limits.get("warn_spread", 0.05)), float(limits.get("max_spread", 0.25))
     yield graded("Disagreement of scale between frames", estimate.per_frame_spread, look, bad, percent, advice=_SCALE)
+
+
+def _metres(result: Reconstruction) -> Iterator[Check]:
+    """Poses and depth are two sources of metres; more than such a sensor can be off, one of them is wrong."""
+    metric, sigma = result.aligned.metric, getattr(result.source, "sensor_sigma", None)
+    if metric is None or not sigma:
+        return
+    apart = abs(math.log(metric.depth_gain))
+    yield graded("Difference of scale between poses and depth", apart, 3 * sigma, 6 * sigma, percent, advice=_METRES)
 
 
 def _gravity(result: Reconstruction) -> Iterator[Check]:
@@ -186,7 +196,7 @@ def _surface(result: Reconstruction) -> Iterator[Check]:
     if mesh.residuals:
         typical = float(np.median([r.median_abs_m for r in mesh.residuals]))
         yield graded("Distance of the depth from the mesh (median)", typical, 0.006, 0.020, millimetres, advice=_POSES)
-    yield graded("Ground and tops that no camera saw", unseen_share(result), 0.15, 0.5, percent, advice=_COVER)
+    yield from _coverage(result)
     q = mesh.quality
     faults = [
         f"{count} {what}"
@@ -202,12 +212,67 @@ def _surface(result: Reconstruction) -> Iterator[Check]:
     yield Check("Faults of the mesh", text, "check if there is one", level, f"The mesh has faults: {text}.", _MESH)
 
 
+def _coverage(result: Reconstruction) -> Iterator[Check]:
+    """What no camera saw weighs by where it is: on the robot's way it decides; elsewhere, and where nobody knows the
+    way, it is for a person to judge."""
+    found = result.mesh.statistics.get("unseen", {})
+    advice = _look_from(result)
+    share = unseen_share(result)
+    if found.get("way_area_m2", 0) > 0:
+        on_way = found["way_unseen_m2"] / found["way_area_m2"]
+        name = "Ground and tops on the way from start to goal that no camera saw"
+        yield graded(name, on_way, 0.15, 0.5, percent, advice=advice)
+        beyond = found["area_m2"] - found["way_area_m2"]
+        share = (found["unseen_m2"] - found["way_unseen_m2"]) / beyond if beyond > 0.01 else 0.0
+        yield graded("Ground and tops beside the way that no camera saw", share, 0.5, math.inf, percent, advice=advice)
+    else:
+        yield graded("Ground and tops that no camera saw", share, 0.15, math.inf, percent, advice=advice)
+
+
+def _look_from(result: Reconstruction) -> str:
+    """From where what is missing would be seen, in words."""
+    found = result.mesh.statistics.get("unseen", {})
+    if "look_from" not in found or found["share"] < 0.3 or result.aligned.metric is None:
+        return _COVER
+    x, y = found["look_from"]
+    start, goal = result.aligned.platform("start"), result.aligned.platform("goal")
+    side = "left" if y > 0 else "right"
+    if goal is not None and x > goal.centroid[0] + goal.size[0] / 2:
+        where = "from beyond the goal, looking back"
+    elif start is not None and goal is not None and x < start.centroid[0] - start.size[0] / 2:
+        where = "from behind the start"
+    elif goal is not None:
+        where = f"along the {side} of the way from start to goal"
+    else:
+        where = "from elsewhere (x is where the first camera looked)"
+    return (
+        f"record again {where}, about x {x:.1f}, y {y:.1f} m at eye height: from there {percent(found['share'])} of "
+        "what is missing would be in view"
+    )
+
+
 def unseen_share(result: Reconstruction) -> float:
     """Share of the upward-facing surface that was invented."""
     t = result.mesh.vertices[result.mesh.triangles]
     up = np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])[:, 2] / 2
     up = np.maximum(up, 0)
     return float(up[result.mesh.invented].sum() / max(up.sum(), 1e-12))
+
+
+def _contact(result: Reconstruction) -> Iterator[Check]:
+    """What a robot would feel against what the cameras saw. The limits to reject are wide of what five real captures
+    have (at most 4 % through), and far below a corridor that had lost its walls (99 %)."""
+    contact = result.scene.contact
+    drop, sides = contact.get("drop"), contact.get("sides")
+    if drop:
+        off = drop["phantom_share"] + drop["missing_share"]
+        name = "Places where the collision geometry is off by more than 2 cm in height"
+        yield graded(name, off, 0.05, 0.5, percent, advice=_TOUCH)
+    if sides and sides["stopped"] is not None:
+        yield graded(
+            "Rays from the side that pass through what was seen", sides["through"], 0.05, 0.25, percent, advice=_TOUCH
+        )
+        yield graded("Rays from the side that stop in free air", sides["early"], 0.05, 0.5, percent, advice=_TOUCH)
 
 
 def _physics(result: Reconstruction) -> Iterator[Check]:
@@ -224,4 +289,4 @@ def _warnings(result: Reconstruction) -> Iterator[Check]:
     yield Check("Warnings", str(count), "check if there is one", "look" if count else "good", reason)
 
 
-_CHECKS = (_scale, _gravity, _frames, _platforms, _surface, _physics, _warnings)
+_CHECKS = (_scale, _metres, _gravity, _frames, _platforms, _surface, _contact, _physics, _warnings)

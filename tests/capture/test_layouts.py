@@ -14,7 +14,7 @@ from realsim.capture.layout import Recognition
 from realsim.capture.recognition import recognise
 from realsim.errors import CaptureError, UnknownNameError
 from realsim.geometry import is_rotation
-from realsim.types import FrameSet
+from realsim.types import FrameSet, Intrinsics
 
 from .scene import CAMERA, walk
 from .writers import (
@@ -447,3 +447,31 @@ def test_the_cameras_of_tums_dataset_are_known_by_the_folders_name(tmp_path: Pat
     for file in ("rgb.txt", "depth.txt"):
         (folder / file).write_text("")
     assert recognise(folder).complete
+
+
+def test_an_open3d_folder_without_a_camera_is_a_primesense_and_that_is_said(tmp_path):
+    camera = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
+    write_open3d(tmp_path, walk(3, camera))
+    (tmp_path / "camera_intrinsic.json").unlink()
+    capture = frames_of(tmp_path)
+    assert capture.layout == "open3d"
+    assert capture.frames[0].intrinsics == camera
+    assert any("no camera in the folder" in w for w in capture.warnings)
+
+
+def test_the_default_camera_is_not_taken_for_images_of_another_size(tmp_path):
+    write_open3d(tmp_path, walk(3))
+    (tmp_path / "camera_intrinsic.json").unlink()
+    with pytest.raises(CaptureError, match="no intrinsics"):
+        read(tmp_path, CONFIG)
+
+
+@pytest.mark.parametrize("text", ['{"fx": 88, "fy": -87, "cx": 46.5, "cy": 37}', None])
+def test_a_negative_fy_is_taken_with_y_down_and_that_is_said(tmp_path, text):
+    write_plain(tmp_path, walk())
+    K = CAMERA.K * [[1, 1, 1], [1, -1, 1], [1, 1, 1]]
+    matrix = json.dumps({"intrinsic_matrix": K.T.ravel().tolist()})
+    (tmp_path / "intrinsics.json").write_text(text or matrix)
+    capture = frames_of(tmp_path)
+    assert capture.frames[0].intrinsics == CAMERA
+    assert any("y axis points up" in a for a in capture.assumptions)

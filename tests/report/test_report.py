@@ -144,6 +144,48 @@ def test_verdict_follows_its_rules(tmp_path: Path, changes: dict[str, object], l
     assert bool(judgement.reasons) == (level != "good")
 
 
+def _unseen(result: Reconstruction, **figures: object) -> Reconstruction:
+    return replace(result, mesh=replace(result.mesh, statistics={"unseen": figures}))
+
+
+def test_what_no_camera_saw_weighs_by_where_it_is(tmp_path: Path) -> None:
+    """On the way it decides; beside it a person looks; where there is no way it never rejects."""
+    result = reconstruction(tmp_path)
+    areas = {"area_m2": 10.0, "way_area_m2": 4.0}
+    assert judge(_unseen(result, **areas, unseen_m2=3.0, way_unseen_m2=3.0)).level == "bad"
+    assert judge(_unseen(result, **areas, unseen_m2=1.0, way_unseen_m2=1.0)).level == "look"
+    assert judge(_unseen(result, **areas, unseen_m2=5.5, way_unseen_m2=0.1)).level == "look"
+    assert judge(_unseen(result, **areas, unseen_m2=2.0, way_unseen_m2=0.1)).level == "good"
+    no_way = replace(result, aligned=replace(result.aligned, platforms=()))
+    assert judge(_unseen(no_way, area_m2=10.0, unseen_m2=9.0)).level == "look"
+
+
+def test_the_verdict_says_which_way_round_the_camera_should_go(tmp_path: Path) -> None:
+    areas = {"area_m2": 10.0, "way_area_m2": 4.0, "unseen_m2": 2.0, "way_unseen_m2": 2.0, "share": 0.8}
+    for at, words in (((1.5, 1.2), "left of the way"), ((1.5, -1.2), "right of the way"), ((4.2, 0.1), "beyond")):
+        found = judge(_unseen(reconstruction(tmp_path), **areas, look_from=list(at)))
+        assert any(words in step and "80" in step for step in found.next_steps)
+
+
+@pytest.mark.parametrize(("gain", "level"), [(1.01, "good"), (0.975, "look"), (1.055, "bad"), (0.945, "bad")])
+def test_metres_that_no_depth_camera_is_off_by_are_rejected(tmp_path: Path, gain: float, level: str) -> None:
+    result = reconstruction(tmp_path)
+    metric = result.aligned.metric
+    assert metric is not None
+    metric = replace(metric, depth_gain=gain)
+    assert judge(replace(result, aligned=replace(result.aligned, metric=metric))).level == level
+
+
+@pytest.mark.parametrize(
+    ("through", "off", "level"), [(0.0, 0.0, "good"), (0.1, 0.0, "look"), (0.99, 0.0, "bad"), (0.0, 0.2, "look")]
+)
+def test_walls_that_are_not_there_are_rejected(tmp_path: Path, through: float, off: float, level: str) -> None:
+    result = reconstruction(tmp_path)
+    sides = {"rays": 500, "stopped": 1 - through, "through": through, "early": 0.0}
+    contact = {**result.scene.contact, "sides": sides, "drop": {"phantom_share": off, "missing_share": 0.0}}
+    assert judge(replace(result, scene=replace(result.scene, contact=contact))).level == level
+
+
 def test_a_warning_asks_for_a_look(tmp_path: Path) -> None:
     assert judge(reconstruction(tmp_path, warnings=("two grounds",))).level == "look"
 

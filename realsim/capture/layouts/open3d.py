@@ -12,7 +12,7 @@ from pathlib import Path
 from realsim.capture.assemble import cameras, capture, depth_unit, frames_of
 from realsim.capture.config import CaptureConfig
 from realsim.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
-from realsim.capture.intrinsics import no_intrinsics, read_camera
+from realsim.capture.intrinsics import Camera, no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
 from realsim.capture.listing import Pair, color_folder, depth_folder, last_number, list_files, pair_by_stem
 from realsim.capture.poses import parse_matrix
@@ -24,6 +24,10 @@ INTRINSICS = ("camera_intrinsic.json", "camera_intrinsics.json", "intrinsic.json
 PLAIN = ("intrinsics.json", "intrinsics.yaml", "intrinsics.txt")
 CAM_PARAMS = "*cam_params*.json"
 TRAJECTORIES = ("trajectory.log", "scene/trajectory.log")
+LEFT = (*TRAJECTORIES, "odometry.log", "rgbd.match")
+"""What Open3D leaves in a folder: beside one of these, a camera that is not given is Open3D's default."""
+PRIMESENSE = (525.0, 525.0, 319.5, 239.5, 640, 480)
+"""fx fy cx cy width height of `PinholeCameraIntrinsicParameters.PrimeSenseDefault`."""
 
 
 def intrinsics_file(folder: Path) -> Path | None:
@@ -40,14 +44,25 @@ def trajectory_file(folder: Path) -> Path | None:
     return next((folder / name for name in TRAJECTORIES if (folder / name).is_file()), None)
 
 
+def default_camera(folder: Path) -> Camera | None:
+    """Open3D's own default, for a folder of Open3D's without a camera; None for other folders."""
+    left = next((folder / name for name in LEFT if (folder / name).is_file()), None)
+    if left is None:
+        return None
+    text = (
+        "no camera in the folder: Open3D's default was taken, a PrimeSense of 640x480 with fx = fy = 525; if that is "
+        f"wrong, write {INTRINSICS[0]}"
+    )
+    return Camera(*PRIMESENSE, source=left, warnings=(text,))
+
+
 def recognise(folder: Path) -> Recognition:
     camera, trajectory = intrinsics_file(folder), trajectory_file(folder)
     evidence = [p.name for p in (camera, trajectory) if p is not None]
+    evidence = evidence or [name for name in LEFT if (folder / name).is_file()]
     if not evidence:
         return Recognition()
     missing = []
-    if camera is None:
-        missing.append(f"intrinsics ({', '.join(INTRINSICS)} or {CAM_PARAMS})")
     if depth_folder(folder) is None:
         missing.append("depth images (depth/)")
     if color_folder(folder) is None:
@@ -58,7 +73,8 @@ def recognise(folder: Path) -> Recognition:
 
 def read(folder: Path, config: CaptureConfig) -> FrameSet:
     source = intrinsics_file(folder)
-    if source is None:
+    camera = default_camera(folder) if source is None else read_camera(source)
+    if camera is None:
         raise no_intrinsics(folder, (*INTRINSICS, CAM_PARAMS))
     color_in, depth_in = color_folder(folder), depth_folder(folder)
     if color_in is None or depth_in is None:
@@ -66,8 +82,12 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         raise CaptureError(what, file=folder, expected="color/ and depth/ with images")
     color, depth = list_files(color_in, COLOR_SUFFIXES), list_files(depth_in, DEPTH_SUFFIXES)
     pairs, rule = pair_by_stem(color, depth)
-    camera = read_camera(source)
-    of_depth, of_color, assumed = cameras(camera, color, depth)
+    try:
+        of_depth, of_color, assumed = cameras(camera, color, depth)
+    except CaptureError as error:
+        if source is None:  # images of another size than the default camera's
+            raise no_intrinsics(folder, (*INTRINSICS, CAM_PARAMS)) from error
+        raise
     unit = depth_unit(0.001, "Open3D's convention", config, camera)
     assumptions = [*camera.notes, *assumed, rule, unit.note, "depth is registered to colour"]
 

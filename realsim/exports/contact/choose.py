@@ -100,7 +100,7 @@ def count_types(contact: ContactModel) -> dict[str, int]:
 
 def _unmet(contact: ContactModel, fidelity: Fidelity, tolerance: tuple[float, float], among: int) -> str:
     f = fidelity.figures
-    least = f", the least bad of {among}, leaks first" if among > 1 else ""
+    least = f", the least bad of {among}" if among > 1 else ""
     return (
         f"collision geometry ({contact.representation}{least}) is off by {f['median_mm']:.1f} mm (median), "
         f"{f['p95_mm']:.1f} mm (p95), {f['phantom_over_gaps_cm2']:.0f} cm2 phantom over gaps, {f['leaks']} leaks, "

@@ -114,41 +114,40 @@ def crossings(
     return ray[~again], z[~again], up[~again], seen[~again]
 
 
-Intervals = tuple[F64, F64, NDArray[np.int64], NDArray[np.int64]]
+Intervals = tuple[F64, F64, NDArray[np.int32], NDArray[np.int32]]
 """Tops, bottoms, crossing that is the top, crossing that is the bottom (-1: none), each (L, count)."""
 
 
 def _intervals(ray: NDArray[np.int64], z: F64, up: NDArray[np.bool_], count: int) -> Intervals:
-    """Walk down all columns at once, crossing by crossing."""
-    top = np.full((MAX_LAYERS, count), np.nan)
-    bottom = np.full((MAX_LAYERS, count), -np.inf)
-    above, below = np.full((2, MAX_LAYERS, count), -1)
-    depth, layer = np.zeros(count, np.int64), np.full(count, -1)
+    """Walk down all columns at once, crossing by crossing. Layers are added as they are needed: most of a room has one
+    or two, and MAX_LAYERS of a fine grid would take gigabytes."""
+    top, bottom = np.full((1, count), np.nan), np.full((1, count), -np.inf)
+    above, below = np.full((1, count), -1, np.int32), np.full((1, count), -1, np.int32)
+    depth, layer = np.zeros(count, np.int16), np.full(count, -1, np.int8)
     first = np.r_[True, np.diff(ray) != 0]
     start = np.flatnonzero(first)
     rank = np.arange(len(ray)) - np.repeat(start, np.diff(np.r_[start, len(ray)])) if len(ray) else np.zeros(0, int)
     for k in range(int(rank.max(initial=-1)) + 1):
-        now = rank == k
+        now = np.flatnonzero(rank == k)
         r, height, enters = ray[now], z[now], up[now]
-        opens = enters & (depth[r] == 0) & (layer[r] < MAX_LAYERS - 1)
-        layer[r[opens]] += 1
-        top[layer[r[opens]], r[opens]] = height[opens]
-        above[layer[r[opens]], r[opens]] = np.flatnonzero(now)[opens]
-        sheet = ~enters & (depth[r] == 0) & (layer[r] < MAX_LAYERS - 1)
-        layer[r[sheet]] += 1
-        top[layer[r[sheet]], r[sheet]] = height[sheet] + SHEET
-        above[layer[r[sheet]], r[sheet]] = np.flatnonzero(now)[sheet]
+        outside, room = depth[r] == 0, layer[r] < MAX_LAYERS - 1
+        opens, sheet = enters & outside & room, ~enters & outside & room
+        begins = opens | sheet
+        layer[r[begins]] += 1
+        if int(layer[r].max(initial=0)) == len(top):
+            top, bottom = (np.vstack([a, np.full((1, count), v)]) for a, v in ((top, np.nan), (bottom, -np.inf)))
+            above, below = (np.vstack([a, np.full((1, count), -1, np.int32)]) for a in (above, below))
+        top[layer[r[begins]], r[begins]] = np.where(sheet, height + SHEET, height)[begins]
+        above[layer[r[begins]], r[begins]] = now[begins]
         closes = sheet | (~enters & (depth[r] == 1))
         bottom[layer[r[closes]], r[closes]] = height[closes]
-        below[layer[r[closes]], r[closes]] = np.flatnonzero(now)[closes]
+        below[layer[r[closes]], r[closes]] = now[closes]
         depth[r] = np.maximum(depth[r] + np.where(enters, 1, -1), 0)
-    used = max(int(layer.max(initial=-1)) + 1, 1)
-    return top[:used], bottom[:used], above[:used], below[:used]
+    return top, bottom, above, below
 
 
-def _tidy(top: F64, bottom: F64, above: NDArray[np.int64], below: NDArray[np.int64], ground_z: float) -> Intervals:
-    """Close gaps that are too narrow for anything, downwards from the topmost interval."""
-    top, bottom, above, below = top.copy(), bottom.copy(), above.copy(), below.copy()
+def _tidy(top: F64, bottom: F64, above: NDArray[np.int32], below: NDArray[np.int32], ground_z: float) -> Intervals:
+    """Close gaps that are too narrow for anything, downwards from the topmost interval. In place."""
     for k in range(len(top) - 1, 0, -1):
         narrow = np.isfinite(top[k]) & (bottom[k - 1] - top[k] < NARROW)
         bottom[k - 1][narrow] = bottom[k][narrow]

@@ -21,6 +21,7 @@ HALF_FOOT = 0.035  # metres: half the width of G1's foot
 DROP = 0.02  # metres of height, the same for a ball lowered straight down
 # The target for rooms; two standard errors beside it were added after one of 220 rays too many on a rendered capture.
 OFF = 0.03  # most of the heights, and of the rays from the side, that may be off
+LEAK = 0.01  # share of the balls thrown that weighs as much as an error at its tolerance
 PUSHES = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]])
 
 
@@ -103,14 +104,15 @@ class Fidelity:
         drop, stopped = self.figures["drop"], self.figures["sides"]["stopped"]
         return drop["phantom_share"] + drop["missing_share"], 0.0 if stopped is None else 1.0 - stopped
 
-    def shortfall(self, median: float, p95: float) -> tuple[int, float]:
-        """How far from the tolerance, to find the least bad: leaks first, in twentieths of the balls thrown (a ball
-        more or less is chance, but none is none); then errors and shares that are off in tolerances, and phantom over
-        gaps in square decimetres."""
+    def shortfall(self, median: float, p95: float) -> float:
+        """How far from the tolerance, to find the least bad, in one sum: errors and shares that are off in tolerances,
+        phantom over gaps in square decimetres, and one for every LEAK of the balls thrown that got in.
+
+        Leaks do not go before all else: a height field lets few balls in and fills a whole room below its ceiling."""
         f = self.figures
-        leaks = math.ceil(20 * f["leaks"] / max(f["leak_objects"], 1))
+        leaks = f["leaks"] / max(f["leak_objects"], 1) / LEAK
         errors = f["median_mm"] / (1000 * median) + f["p95_mm"] / (1000 * p95)
-        return leaks, float(errors + sum(self.off) / OFF + f["phantom_over_gaps_cm2"] / 100)
+        return float(leaks + errors + sum(self.off) / OFF + f["phantom_over_gaps_cm2"] / 100)
 
 
 def measure(
@@ -133,7 +135,7 @@ def measure(
     ball = _Compare(spec, reference, BALL)
     xy, cell = region.grid(probes)
     lowered = ball.lower(xy, np.tile(UPRIGHT, (len(xy), 1)), region)
-    lowered = _on_the_reference(lowered, reference, ground_z)
+    lowered = _where_seen(lowered, reference, ground_z)
     pushed = ball.push(region, probes // 4, rng)
     figures = _ball_figures(lowered, cell, over_gaps(lowered, reference)) | {"pushed": _summary(pushed.error)}
     if feet:
@@ -205,14 +207,14 @@ class _Compare:
         return Touches(start, np.where(touched, early - late, np.nan), np.where(touched, along, np.nan), at_sim, normal)
 
 
-def _on_the_reference(touches: Touches, reference: Reference, ground_z: float) -> Touches:
-    """Without the balls that came to rest on the floor where nothing was measured below: a floor is no phantom there,
-    whatever ground the mesh was closed with."""
+def _where_seen(touches: Touches, reference: Reference, ground_z: float) -> Touches:
+    """Without the balls under which nothing was measured: nobody knows what is right there. A floor that goes on is no
+    phantom, and what a mesh was closed with may be absent. A lid over all of it, which no mesh has, still counts."""
+    xy, z = touches.start[:, :2], touches.start[:, 2]
+    unknown = ~(np.abs(reference.seen_only().top(xy, z) - reference.top(xy, z)) < 1e-3)
     on_floor = np.abs(touches.at[:, 2] - BALL_RADIUS - ground_z) < 0.001
-    beyond = on_floor & np.isnan(reference.seen_only().top(touches.start[:, :2], touches.start[:, 2]))
-    return replace(
-        touches, error=np.where(beyond, np.nan, touches.error), along=np.where(beyond, np.nan, touches.along)
-    )
+    out = unknown & (on_floor | ~(touches.error > EDGE))
+    return replace(touches, error=np.where(out, np.nan, touches.error), along=np.where(out, np.nan, touches.along))
 
 
 def over_gaps(touches: Touches, reference: Reference) -> NDArray[np.bool_]:

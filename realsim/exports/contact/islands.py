@@ -13,7 +13,8 @@ from realsim.exports.contact.undersides import Walls, settle
 from realsim.types import TerrainMesh
 
 F64 = NDArray[np.float64]
-CELL = 0.005  # metres
+CELL = 0.005  # metres, and at least...
+SHARE = 0.25  # ...this share of a reconstruction's resolution, below which there is nothing to find
 PIT = 0.015  # metres below the ground from which a plane will not do as floor
 RIM = 0.03  # metres beside a pit in which its walls come up to the ground
 Window = tuple[slice, slice]
@@ -62,6 +63,8 @@ class Terrain:
 def terrain(mesh: TerrainMesh, ground_z: float, cell: float = CELL) -> Terrain:
     """Everything that rises from the ground; about pits in the ground, the ground itself is an island too."""
     check_extent(mesh)
+    if mesh.noise_m is not None:  # not a mesh made by hand, whose long edges are exact
+        cell = max(cell, SHARE * mesh.resolution)
     grid = columns(mesh, ground_z, cell)
     tolerance = float(np.clip(2 * (mesh.noise_m or 0.0), 0.003, 0.007))
     floor: tuple[Geom, ...] = (floor_plane(ground_z),)

@@ -117,6 +117,13 @@ def check_poses(
         reasons.append(f"baselines by depth are {off:+.1%} of those by the poses; this sensor allows {allowed:.0%}")
     if certain or typical >= TOLERANCE[1]:
         reasons.append(f"points misplaced by {100 * typical:.1f} cm (median)")
+    if reasons and not found and (fit := _by_depth_alone(edges, evidence, T)) < TOLERANCE[0]:
+        raise PoseError(
+            "the colour images belong to other depth images than those they are named with",
+            expected="colour and depth of the same view",
+            found=f"{'; '.join(reasons)}; without colour, poses and depth agree to {100 * fit:.1f} cm",
+            hint="check that colour and depth come from one capture and carry the same numbers or times",
+        )
     if reasons:
         raise PoseError(
             "the given poses contradict the depth" + (f": they look like {found[0]}" if found else ""),
@@ -183,6 +190,15 @@ def _errors(edges: Sequence[Edge], evidence: Evidence, T: F64) -> F64:
         if ok.sum() >= 20:
             out[k] = np.median(np.abs(y[ok, 2] - q[ok, 2]))
     return out
+
+
+def _by_depth_alone(edges: Sequence[Edge], evidence: Evidence, T: F64) -> float:
+    """Median misplacement by depth of the pairs that features speak of; infinite where it cannot be told."""
+    rng = np.random.default_rng(0)
+    matched = [e for e in edges if e.q is not None]
+    bare = [Edge(e.i, e.j, sample_surface(evidence.views[e.i], rng, 100)[0], None, None) for e in matched]
+    error = _errors(bare, evidence, T)
+    return float(np.nanmedian(error)) if np.isfinite(error).sum() >= 4 else float("inf")
 
 
 def _greedy(pair: np.ndarray, weight: F64, wrong: np.ndarray, n: int) -> np.ndarray:

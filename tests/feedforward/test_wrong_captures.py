@@ -1,0 +1,115 @@
+"""Captures that are wrong as a whole: none may end in a scene without a word."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from realsim import capture, feedforward
+from realsim.capture.config import CaptureConfig
+from realsim.errors import PoseError
+from realsim.feedforward.config import PointsConfig
+from realsim.synth import SynthConfig, write_capture
+
+FRAMES = 12
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A capture with poses, and another of another place."""
+    folder = tmp_path_factory.mktemp("two")
+    made = [
+        write_capture(folder / name, SynthConfig(name, poses=True, frames=FRAMES, width=320, seed=seed)).capture
+        for name, seed in (("mixed", 1), ("stakes", 2))
+    ]
+    return made[0], made[1]
+
+
+def spoilt(two: tuple[Path, Path], to: Path, change: Callable[[Path, Path], None]) -> Path:
+    shutil.copytree(two[0], to)
+    change(to, two[1])
+    return to
+
+
+def poses_times(factor: float) -> Callable[[Path, Path], None]:
+    def change(folder: Path, _: Path) -> None:
+        path = folder / "trajectory.log"
+        rows = [line.split() for line in path.read_text().splitlines() if line.strip()]
+        for k, row in enumerate(rows):
+            if 1 <= k % 5 <= 3:  # of four rows of a matrix, those with a position
+                row[3] = repr(factor * float(row[3]))
+        path.write_text("\n".join(" ".join(row) for row in rows) + "\n")
+
+    return change
+
+
+def poses_of_another(folder: Path, other: Path) -> None:
+    shutil.copy(other / "trajectory.log", folder / "trajectory.log")
+
+
+def colour_of_another(folder: Path, other: Path) -> None:
+    for mine, theirs in zip(*(sorted((f / "color").iterdir()) for f in (folder, other)), strict=True):
+        shutil.copy(theirs, mine)
+
+
+def half_of_another(folder: Path, other: Path) -> None:
+    for kind in ("color", "depth"):
+        pairs = list(zip(*(sorted((f / kind).iterdir()) for f in (folder, other)), strict=True))
+        for mine, theirs in pairs[FRAMES // 2 :]:
+            shutil.copy(theirs, mine)
+
+
+def three_later(kind: str) -> Callable[[Path, Path], None]:
+    def change(folder: Path, _: Path) -> None:
+        files = sorted((folder / kind).iterdir())
+        images = [f.read_bytes() for f in files]
+        for k, file in enumerate(files):
+            file.write_bytes(images[min(k + 3, len(files) - 1)])
+
+    return change
+
+
+def solved(folder: Path, poses: Any = "given") -> tuple[Any, Any]:
+    frames: Any = capture.read(folder, CaptureConfig(keep_blurred=True))
+    return frames, feedforward.solve(frames, PointsConfig(poses=poses))
+
+
+def test_the_same_capture_unspoilt_is_used_whole_and_without_a_word(two: tuple[Path, Path]) -> None:
+    frames, found = solved(two[0])
+    assert len(found.used) == FRAMES
+    assert frames.warnings == ()
+    assert found.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (poses_times(100), "centimetres|100 units a metre"),
+        (poses_times(1 / 0.3048), "feet|3.2"),
+        (poses_times(1.1), "1.1"),
+        (poses_of_another, "contradict"),
+        (three_later("color"), "colour|time offset"),
+        (three_later("depth"), "contradict|colour"),
+        (colour_of_another, "colour"),
+    ],
+)
+def test_what_is_wrong_as_a_whole_is_refused_with_its_name(
+    two: tuple[Path, Path], tmp_path: Path, change: Callable[[Path, Path], None], word: str
+) -> None:
+    folder = spoilt(two, tmp_path / "wrong", change)
+    with pytest.raises(PoseError, match=word):
+        solved(folder)
+
+
+def test_half_the_frames_of_another_room_are_not_mixed_in(two: tuple[Path, Path], tmp_path: Path) -> None:
+    folder = spoilt(two, tmp_path / "half", half_of_another)
+    _, found = solved(folder, "estimate")
+    mine = np.array(found.used) < FRAMES // 2
+    assert mine.all() or not mine.any()
+    assert len(found.dropped) >= FRAMES // 2 - 1
+    assert any("pieces" in w for w in found.warnings)
