@@ -16,8 +16,8 @@ from realsim.gap.report.evidence import model_changes
 from realsim.gap.report.plots import rival_label
 from realsim.gap.report.robot import body_shares
 from realsim.gap.report.series import horizons, replay, worst_windows
-from realsim.gap.report.shapes import solids
 from realsim.gap.report.words import WORDS, percent, short
+from realsim.report.solids import solids
 from tests.pages import read
 
 from .truth import Truth
