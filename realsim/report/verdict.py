@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from realsim.report.page import Level
-from realsim.types import Dropped, Reconstruction, ScaleEstimate
+from realsim.types import F64, Dropped, Reconstruction, ScaleEstimate
 
 
 @dataclass(frozen=True)
@@ -100,10 +100,10 @@ def graded(
 
 
 _SCALE = "record more frames with depth between 0.3 and 3 m, or give metric camera poses"
-_FLOOR = "record at least 1 m² of level floor around the terrain, from less than 2 m away"
+_FLOOR = "record at least 1 m² of level ground around the terrain, from less than 2 m away"
 _OVERLAP = "record again more slowly: 15 to 30 cm between views, each sharing half of its picture with the one before"
-_COVER = "record again from closer and from both sides, until every top and the floor between has been in view"
-_ROLES = "name the platforms yourself: --start X Y --goal X Y"
+_COVER = "record again from closer and from both sides until every top and the ground between them has been in view"
+_ROLES = "name the platforms yourself: --start X Y --goal X Y --overwrite, in metres as on the map from above"
 _POSES = "check the camera poses and the unit of the depth (`realsim inspect`), or try --poses estimate"
 _MESH = "look at the mesh with `realsim view`, or try another --resolution"
 _TOUCH = "look at the collision geometry with `realsim view`, or try another --contact"
@@ -151,7 +151,14 @@ def _frames(result: Reconstruction) -> Iterator[Check]:
         return
     used, lost = len(metric), sum(d.lost for _, d in _left_out(result))
     share = used / max(used + lost, 1)
-    yield graded("Frames that fit together", share, 0.8, 0.3, percent, low_is_bad=True, advice=_OVERLAP)
+    advice = f"{_OVERLAP}; not used: {_some([d.name for _, d in _left_out(result) if d.lost])}"
+    yield graded("Frames that fit together", share, 0.8, 0.3, percent, low_is_bad=True, advice=advice)
+
+
+def _some(names: Sequence[str], shown: int = 4) -> str:
+    """The first few names, and how many more there are."""
+    rest = len(names) - shown
+    return ", ".join(names[:shown]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def dropped_frames(result: Reconstruction) -> list[tuple[str, str, str]]:
@@ -186,7 +193,8 @@ def _surface(result: Reconstruction) -> Iterator[Check]:
     if mesh.residuals:
         typical = float(np.median([r.median_abs_m for r in mesh.residuals]))
         yield graded("Distance of the depth from the mesh (median)", typical, 0.006, 0.020, millimetres, advice=_POSES)
-    yield graded("Ground and tops that no camera saw", unseen_share(result), 0.15, 0.5, percent, advice=_COVER)
+    advice = f"{_COVER}; {_unseen_place(result)}"
+    yield graded("Ground and tops that no camera saw", unseen_share(result), 0.15, 0.5, percent, advice=advice)
     q = mesh.quality
     faults = [
         f"{count} {what}"
@@ -204,10 +212,27 @@ def _surface(result: Reconstruction) -> Iterator[Check]:
 
 def unseen_share(result: Reconstruction) -> float:
     """Share of the upward-facing surface that was invented."""
-    t = result.mesh.vertices[result.mesh.triangles]
-    up = np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])[:, 2] / 2
-    up = np.maximum(up, 0)
+    up = _upward(result)
     return float(up[result.mesh.invented].sum() / max(up.sum(), 1e-12))
+
+
+def _upward(result: Reconstruction) -> F64:
+    """(K,) area of every triangle as seen from above, m²; 0 where it faces down."""
+    t = result.mesh.vertices[result.mesh.triangles]
+    return np.maximum(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])[:, 2] / 2, 0)
+
+
+def _unseen_place(result: Reconstruction) -> str:
+    """Where most of the invented upward-facing surface lies: the middle 80 percent of its area along x and along y."""
+    area = _upward(result) * result.mesh.invented
+    centres = result.mesh.vertices[result.mesh.triangles].mean(axis=1)
+    spans = []
+    for axis, name in ((0, "x"), (1, "y")):
+        order = np.argsort(centres[:, axis], kind="stable")
+        share = np.cumsum(area[order]) / max(area.sum(), 1e-12)
+        low, high = (centres[order[min(np.searchsorted(share, s), len(order) - 1)], axis] for s in (0.1, 0.9))
+        spans.append(f"{name} {low:.1f} to {high:.1f} m")
+    return f"most of what is missing lies at {', '.join(spans)} (violet in the 3D view)"
 
 
 def _physics(result: Reconstruction) -> Iterator[Check]:
