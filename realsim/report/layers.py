@@ -16,7 +16,7 @@ from realsim.types import AlignedScene, Reconstruction, TerrainMesh
 
 MESH_TRIANGLES, COLLISION_TRIANGLES = 60_000, 20_000
 INVENTED, COLLISION, COLLISION_EDGES, ROBOT = (172, 112, 214), (236, 148, 62), (196, 92, 14), (96, 108, 128)
-PLATFORMS = (226, 70, 120)
+PLATFORMS, CAMERAS = (226, 70, 120), (72, 132, 236)
 
 
 def scene_view(folder: Path, result: Reconstruction) -> str:
@@ -74,7 +74,7 @@ def camera_layers(aligned: AlignedScene) -> list[Layer]:
     n = len(T)
     V = np.vstack([V, T[:, :3, 3]])
     way = 5 * n + np.column_stack([np.arange(n - 1), np.arange(1, n)])
-    return [Layer("cameras", V, np.vstack([E, way]), (72, 132, 236), kind="lines")]
+    return [Layer("cameras", V, np.vstack([E, way]), CAMERAS, kind="lines")]
 
 
 def platform_layer(aligned: AlignedScene) -> Layer:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from realsim.errors import RealsimError
-from realsim.types import U8
+from realsim.types import F64, U8
 
 BACKENDS = ("egl", "osmesa", "glfw")
 """OpenGL libraries in the order in which they are tried where MUJOCO_GL does not name one."""
@@ -75,13 +75,23 @@ def _render(scene_xml: Path, width: int, height: int) -> U8:
     model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
     model.vis.global_.offheight = max(height, model.vis.global_.offheight)
     camera = mujoco.MjvCamera()
-    mujoco.mjv_defaultFreeCamera(model, camera)
-    camera.lookat[:], camera.distance = _fitted(
-        _corners(model, data), camera.azimuth, camera.elevation, float(model.vis.global_.fovy), width / height
+    camera.lookat[:], camera.distance, camera.azimuth, camera.elevation = standpoint(
+        model, data, float(model.vis.global_.fovy), width / height
     )
     with mujoco.Renderer(model, height, width) as renderer:
         renderer.update_scene(data, camera)
         return np.asarray(renderer.render(), np.uint8)
+
+
+def standpoint(model: Any, data: Any, fovy: float, aspect: float) -> tuple[F64, float, float, float]:
+    """Look-at point (3,), distance, azimuth and elevation (degrees, as MuJoCo's) that show a whole scene.
+
+    Args:
+        fovy: vertical field of view, degrees; aspect: width over height of the picture.
+    """
+    view = model.vis.global_
+    azimuth, elevation = float(view.azimuth), float(view.elevation)
+    return *_fitted(_corners(model, data), azimuth, elevation, fovy, aspect), azimuth, elevation
 
 
 def _corners(model: Any, data: Any) -> Any:
