@@ -113,7 +113,7 @@
       return [Math.min(1, h / w) / half, Math.min(1, w / h) / half];
     }
 
-    // As near as a window of this shape shows every point, with a little air.
+    // As near as a window of this shape shows every point, with a little air, more of it under the buttons.
     function fitting(rise, turn) {
       const { back, right, up } = axes({ rise, turn }), [fx, fy] = focal();
       const seen = points.map(p => [right, up, back].map(a => dot(a, p)));
@@ -123,7 +123,7 @@
         const shift = [0, 1].map(k => middle(seen.map(p => (p[k] - target[k]) / (distance - p[2] + target[2]))));
         target = [target[0] + shift[0] * distance, target[1] + shift[1] * distance, target[2]];
         distance = 1.04 * Math.max(...seen.map(p => p[2] - target[2]
-          + Math.max(Math.abs(p[0] - target[0]) * fx, Math.abs(p[1] - target[1]) * fy)));
+          + Math.max(Math.abs(p[0] - target[0]) * fx, Math.abs(p[1] - target[1]) * fy * 1.12)));
       }
       return { target: [0, 1, 2].map(k => right[k] * target[0] + up[k] * target[1] + back[k] * target[2]), distance };
     }

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from realsim import robots
 from realsim.errors import UnknownNameError
 from trainer.errors import TrainerError
 from trainer.terrain import FAMILIES, TESTS, flat, generate, grid, named
@@ -121,6 +122,18 @@ def test_a_scene_keeps_what_collides_above_the_ground(scene):
     assert sorted(g.name for g in terrain.contact.geoms) == ["part_0", "part_1"]
     assert edge_length(terrain) == pytest.approx(2 * 3.2)
     assert terrain.goal.centre[0] == 2.0
+
+
+def test_a_robot_in_the_scene_is_no_terrain(scene):
+    """`realsim reconstruct --robot g1` puts one in; the trainer has its own."""
+    bare = load(scene).contact.compile()
+    robot = robots.load("quadruped").placed(np.zeros(3)).spec
+    (scene / "robot.xml").write_text(robot.to_xml())
+    text = (scene / "scene.xml").read_text()
+    (scene / "scene.xml").write_text(text.replace("</mujoco>", '<include file="robot.xml"/></mujoco>'))
+    model = load(scene).contact.compile()
+    assert (model.nbody, model.nu, model.nkey, model.njnt) == (1, 0, 0, 0)
+    assert model.ngeom == bare.ngeom
 
 
 def test_a_platform_lies_as_its_yaw_says(scene):

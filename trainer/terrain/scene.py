@@ -167,6 +167,10 @@ def _contact(folder: Path, floor: float) -> Any:
     path = _file(folder, "scene.xml")
     try:
         spec = mujoco.MjSpec.from_file(str(path))
+        # A robot that was put into the scene to look at is not terrain; its actuators go with its bodies.
+        for part in [*spec.keys, *spec.worldbody.bodies]:
+            spec.delete(part)
+        spec.nkey = 0
         low = _low_geoms(spec, floor + _GROUND_NOISE)
         for geom in list(spec.geoms):
             drawn_only = geom.contype == 0 and geom.conaffinity == 0
