@@ -31,13 +31,13 @@ for run in range(5):
     data.ctrl[:] = home
     mujoco.mj_step(robot, data, 1500)  # it stands and has sagged into its servos
     data.time = 0.0
-    rates, phases = rng.uniform(0.4, 1.6, 3), rng.uniform(0, 6, 3)
+    rates, phases = rng.uniform(0.3, 1.0, 3), rng.uniform(0, 6, 3)
     log = {name: [] for name in ("time", "command", "joint_pos", "joint_vel", "base_pos", "base_quat")}
     start = data.qpos.copy()
     for k in range(2500):
         if k % 5 == 0:
             ramp = min(1.0, max(0.0, (data.time - 0.5) / 0.5))
-            crouch, pitch, roll = ramp * np.array([0.18, 0.12, 0.10]) * np.sin(2 * np.pi * rates * data.time + phases)
+            crouch, pitch, roll = ramp * np.array([0.15, 0.07, 0.05]) * np.sin(2 * np.pi * rates * data.time + phases)
             bend = crouch + pitch * legs[:, 0]
             data.ctrl[:] = home + np.stack([roll + 0 * bend, bend, -2 * bend], axis=1).ravel()
             sample = (data.time, data.ctrl, data.qpos[7:] + rng.normal(0, 3e-4, 12),
