@@ -98,7 +98,7 @@ def trial(work: Path) -> U8:
     frames = []
     while (read := video.read())[0]:
         frames.append(_rgb(read[1]))
-    return _beside([frames[int(k * (len(frames) - 1))] for k in (0.0, 0.3, 0.6, 1.0)], 300)
+    return _beside([frames[int(k * (len(frames) - 1))] for k in (0.0, 0.4, 0.7, 0.95)], 280)
 
 
 PHONE = ("synthetic", "phone", "phone_scene")
