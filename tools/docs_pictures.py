@@ -43,7 +43,10 @@ STEPS = {
     "quadruped_case": (
         "realsim diagnose --init quadruped/quadruped.xml --out quadruped_case\ncp -r quadruped/runs quadruped_case/"
     ),
-    "quadruped_diagnosis": "realsim diagnose quadruped_case --out quadruped_diagnosis",
+    "quadruped_diagnosis": (
+        "realsim diagnose quadruped_case --out quadruped_diagnosis --max-runs 4 --no-baselines "
+        "--effects payload motor_gain coulomb_friction viscous_friction command_delay"
+    ),
     "tuned": "realsim finetune phone_scene --device cpu --worlds 16 --iterations 4 --final-trials 8 --out tuned",
     "training.html": "realsim training report tuned --out training.html",
     "trial.mp4": "realsim play phone_scene --policy tuned/policy.pt --out trial.mp4",
