@@ -23,7 +23,7 @@ MERGE_EVERY = 8
 OCCUPANCY = 3.0
 """Points a voxel that a scan must have on its surfaces; of a sparser one voxels are larger..."""
 COARSEST = 0.08
-"""...up to so many metres."""
+"""...up to this many metres."""
 CHUNK = 2_000_000
 """Points of a scan that are reduced at once."""
 SCAN_DENSITY = 2e4

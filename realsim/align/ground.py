@@ -80,7 +80,7 @@ def find_ground(cloud: Cloud, seed: int, up_world: F64 | None = None) -> Ground:
     warnings = guess + _rivals(scored, cloud, up_world is not None)
     warnings += _upside_down(plane, cloud)
     if best["plausibility"] < DOUBTFUL:
-        warnings.append(f"the ground is doubtful, it might be a wall: {_described(best)}")
+        warnings.append(f"the ground is doubtful, it may be a wall: {_described(best)}")
     sigma = tilt_sigma_deg(cloud, plane, seed)
     gravity = Gravity(
         normal_world=plane.normal,
@@ -216,7 +216,7 @@ def _rivals(scored: list[tuple[dict[str, float], Plane]], cloud: Cloud, up_known
         elif figures["score"] > RIVAL * best["score"]:
             if not up_known and angle < 60 and figures["score"] > 0.8 * best["score"]:
                 raise AlignError(
-                    "two grounds: which of them is level cannot be told",
+                    "two grounds: it is unclear which of them is level",
                     expected="one large plane below everything else",
                     found=f"{_described(best)}; and {_described(figures)}, inclined by {angle:.0f}° to the first",
                     hint="capture more of the level floor, or use a source that knows gravity",

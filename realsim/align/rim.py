@@ -22,7 +22,7 @@ from realsim.types import F64, Intrinsics, MetricScene, PointView
 REACH, BIN = 0.10, 0.001
 """Metres about the first guess of an edge within which it is sought, and the resolution of the votes."""
 SECTIONS = 8
-"""An edge is located in so many sections and a line is put through them."""
+"""An edge is located in this many sections, and a line is fitted to them."""
 LEAST_EDGE = 0.12
 """Metres: shorter edges of an outline stay as they are."""
 SIDE = (-0.12, -0.025)

@@ -41,7 +41,7 @@ def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
     faces = find_faces(level, labels)
     assumptions, warnings = list(ground.assumptions), list(ground.warnings)
     if cloud.turned:
-        assumptions.append("the mesh is wound inside out: its triangles were turned round")
+        assumptions.append("the mesh is wound inside out: its triangles were flipped")
 
     T_level_world = T_level_cloud @ T_cloud_world
     if isinstance(source, MetricScene):

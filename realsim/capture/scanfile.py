@@ -61,7 +61,7 @@ def read_scan(path: Path) -> RawScan:
 
 
 def check_count(count: int, path: Path) -> None:
-    """Refuse more points than can be handled, before they are read where the header says so."""
+    """Refuse more points than can be handled, before reading them if the header gives their number."""
     if count > MAX_VERTICES:
         raise CaptureError(
             "the scan is too large",

@@ -58,6 +58,6 @@ class DiagnoseConfig:
         if self.holdout < 0 or not self.settle_seconds >= 0 or self.seed < 0:
             raise ValueError("holdout, settle_seconds and seed must not be negative")
         if not self.max_seconds >= SHORTEST_RUN:
-            raise ValueError(f"max_seconds must be at least {SHORTEST_RUN:g}: less shows no motion of a servo")
+            raise ValueError(f"max_seconds must be at least {SHORTEST_RUN:g}: less does not show the motion of a servo")
         if self.bootstrap < 1:
             raise ValueError("bootstrap must be at least 1")

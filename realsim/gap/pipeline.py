@@ -60,7 +60,7 @@ def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progres
         nominal = simulator.simulate()
         comparison = Comparison(case, simulator.channels, nominal, config)
         for name, at in comparison.parted.items():
-            health["warnings"].append(f"{name}: robot and simulator part for good at {at:.1f} s; the rest is left out")
+            health["warnings"].append(f"{name}: robot and simulator diverge at {at:.1f} s; the rest is left out")
         simulator.onsets = find_onsets(comparison, nominal)
         fitted, held = split_runs(case, config, mean_gaps(comparison, nominal))
         tick("sensitivities", 0.0)
@@ -107,7 +107,7 @@ def _harms(shrunk: Shrinkage) -> bool:
 
 
 def limited(case: Case, config: DiagnoseConfig) -> Case:
-    """At most max_runs runs of at most max_seconds each; what is left out is said."""
+    """At most max_runs runs of at most max_seconds each; what is left out is noted."""
     notes = []
     runs = list(case.runs)
     if len(runs) > config.max_runs:
@@ -156,7 +156,7 @@ def _assemble(
         ranking = list(range(len(other.causes)))
         equivalent.append(tuple(describe_set(simulator, other, ranking, [0.5] * len(ranking))))
     if not shrunk.unseen:
-        health["warnings"].append("no run was left unseen: the shrinkage is optimistic and the verdict weaker")
+        health["warnings"].append("no run was held out: the shrinkage is optimistic and the verdict weaker")
     return Diagnosis(
         verdict=judgement.verdict,
         sentence=sentence(judgement, causes, equivalent, shrunk, where, case),

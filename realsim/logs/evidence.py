@@ -125,6 +125,6 @@ def two_robots(recording: Recording, a: Candidate, b: Candidate) -> GapError:
         "two robots are in the recording",
         file=recording.path,
         expected="joints of one robot",
-        found=f"{a.label} and {b.label} name the same joints and say different things",
+        found=f"{a.label} and {b.label} name the same joints and disagree",
         hint=f"choose one: --only {a.stream.rsplit('/', 1)[0] or a.stream}",
     )

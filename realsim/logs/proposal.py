@@ -119,7 +119,7 @@ class Proposal:
                 lines.append(f"  {'':<13} {_order(found)}")
             lines += [f"  {'':<13} - {e}" for e in found.evidence]
         if not self.assignments:
-            lines.append("  nothing: no name and no value tells what is what")
+            lines.append("  nothing: neither names nor values identify a field")
         for title, items in (("time", self.clocks), ("missing", self.missing), ("warnings", self.warnings)):
             if items:
                 lines += ["", title, *(f"  {item}" for item in items)]

@@ -25,7 +25,7 @@ class Field:
     labels: tuple[str, ...] = ()
     """Names of the K columns (joints, axes), or () where the file does not say."""
     unit: str = ""
-    """The unit, where the file or its message type says so."""
+    """The unit, if the file or its message type specifies it."""
 
     @property
     def width(self) -> int:
@@ -76,7 +76,7 @@ class Window:
 
     def __post_init__(self) -> None:
         if not (self.start >= 0 and self.seconds > 0):
-            raise GapError("the window is empty", expected="--start 0 or more, --seconds above 0", found=str(self))
+            raise GapError("the window is empty", expected="--skip 0 or more, --seconds above 0", found=str(self))
 
     def holds(self, since: float) -> bool:
         """Whether a moment, s after the first one, lies in the window."""
@@ -106,7 +106,7 @@ def refuse_more(path: Path, values: int) -> None:
             "the recording is too large to be read at once",
             file=path,
             expected=f"at most {MAX_VALUES:,} numbers",
-            hint="read a part of it: --start 30 --seconds 60",
+            hint="read a part of it: --skip 30 --seconds 60",
         )
 
 

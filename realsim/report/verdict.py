@@ -97,7 +97,9 @@ def graded(
     limits = f"check {word} {show(look)}, reject {word} {show(bad)}"
     limit = bad if level == "bad" else look
     where = f"just {word}" if show(value) == show(limit) else word
-    return Check(name, show(value), limits, level, f"{name}: {show(value)}, {where} the limit of {show(limit)}.", advice)
+    return Check(
+        name, show(value), limits, level, f"{name}: {show(value)}, {where} the limit of {show(limit)}.", advice
+    )
 
 
 _SCALE = "record more frames with depth between 0.3 and 3 m, or give metric camera poses"

@@ -172,7 +172,7 @@ def test_a_scene_of_the_wrong_scale_is_refused(scene):
     [
         ({"ground_z": None}, "ground_z is not given"),
         ({"ground_z": "low"}, "ground_z is not given"),
-        ({"ground_z": 5.0}, "ground does not lie"),
+        ({"ground_z": 5.0}, "ground is not at a height"),
         ({"start": "there"}, "no start platform"),
         ({"start": {"size": [0.8, 0.8]}}, "centre of the start platform is not given"),
         ({"start": {"size": "big", "centroid": [0, 0, 0]}}, "size of the start platform is not given"),

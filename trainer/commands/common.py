@@ -82,7 +82,7 @@ def setting(policy: Policy, file: Path, device: torch.device, config: TrainConfi
         TrainerError: another robot, or another observation layout; the term that differs is named.
     """
     if config.robot and config.robot != policy.robot:
-        raise TrainerError("the policy is of another robot", file=file, expected=config.robot, found=policy.robot)
+        raise TrainerError("the policy is for another robot", file=file, expected=config.robot, found=policy.robot)
     robot = named(policy.robot, file)
     task = config.task
     if policy.layout.depth is None or robot.camera is None:

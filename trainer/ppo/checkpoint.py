@@ -87,7 +87,7 @@ def read(path: Path) -> dict[str, Any]:
         ) from error
     except (RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
         raise TrainerError(
-            "the checkpoint cannot be read: it is cut off or damaged",
+            "the checkpoint cannot be read: it is truncated or damaged",
             file=path,
             expected="a complete .pt file",
             found=f"{path.stat().st_size} bytes; {_line(error)}",
@@ -99,11 +99,11 @@ def read(path: Path) -> dict[str, Any]:
         )
     if data.get("version") != VERSION:
         raise TrainerError(
-            "the checkpoint is of another version",
+            "the checkpoint was written by another version",
             file=path,
             expected=f"version {VERSION}",
             found=f"version {data.get('version')}",
-            hint="use the release that wrote it, or train anew",
+            hint="use the release that wrote it, or train again",
         )
     return data
 

@@ -132,11 +132,11 @@ def _resume(runner: Runner, path: Path) -> History:
     policy, training = checkpoint.load(path, runner.rank.device)
     if training is None:
         raise TrainerError(
-            "the checkpoint holds a policy but no training to go on with", file=path, hint="pass it as --policy instead"
+            "the checkpoint holds a policy but no training state", file=path, hint="pass it as --policy instead"
         )
     if policy.tuned != runner.policy.tuned or policy.networks != runner.policy.networks:
         raise TrainerError(
-            "the checkpoint is of another run",
+            "the checkpoint belongs to another run",
             file=path,
             expected=f"strategies {[n for n, _ in runner.policy.tuned]}, {runner.policy.networks}",
             found=f"strategies {[n for n, _ in policy.tuned]}, {policy.networks}",
@@ -148,10 +148,10 @@ def _resume(runner: Runner, path: Path) -> History:
         evaluations = [(int(i), float(rate)) for i, rate in training["evaluations"]]
     except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
         raise TrainerError(
-            "the checkpoint's training cannot be gone on with",
+            "cannot resume training from this checkpoint",
             file=path,
             found=f"{type(error).__name__}: {error}",
-            hint="it was edited, or written by a changed version; its policy may do for --policy",
+            hint="it was edited, or written by a changed version; its policy may still work with --policy",
         ) from error
     return History(evaluations, notes)
 

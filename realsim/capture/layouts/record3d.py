@@ -213,7 +213,7 @@ def read_metadata(data: Any, source: Path, config: CaptureConfig) -> Metadata:
         raise CaptureError("the metadata are not an object", file=source)
     camera = camera_from_mapping({"K": data.get("K"), "w": data.get("w"), "h": data.get("h")}, source)
     if not camera.width or not camera.height:
-        raise CaptureError("the metadata do not say the image size", file=source, expected="w and h")
+        raise CaptureError("the metadata lack the image size", file=source, expected="w and h")
     size = (camera.width, camera.height)
     poses = None if config.ignore_poses else _table(data, "poses", 7, source)
     times = _table(data, "frameTimestamps", 1, source)

@@ -109,7 +109,7 @@ class Model:
                 file=self.path,
                 expected=", ".join(map(str, (self.spec.image, *self.spec.extra_inputs))) + " (as the file declares)",
                 found=f"{shapes}: {text}",
-                hint="an axis declared dynamic may be frozen inside: say n_static, max_views or fixed_hw in "
+                hint="an axis declared dynamic may be fixed in the graph: set n_static, max_views or fixed_hw in "
                 f"{sidecar(self.path).name} beside it (realsim model inspect tries which sizes work)",
             ) from error
         return {role: np.asarray(values[name]) for role, name in self.spec.ports.items()}

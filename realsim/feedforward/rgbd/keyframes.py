@@ -18,7 +18,7 @@ from realsim.progress import track
 from realsim.types import F64
 
 DENSE = 100
-"""Up to so many views all are adjusted together."""
+"""Up to this many views all are adjusted together."""
 SHIFT, TURN = 0.04, np.radians(3.0)
 """A view is new if it moved by more than this share of the scene's distance (6 cm at 1.5 m), or turned by more."""
 

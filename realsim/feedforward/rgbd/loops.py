@@ -4,7 +4,7 @@ Frames that follow each other and match are linked; that is a chain of pieces wh
 A link between frames far apart in the sequence is a claim: one door looks like the next. Claims that place one piece
 (or one part of it) on another in the same way are one loop. A loop is believed if enough independent frames say so,
 more than say otherwise; if it asks for no more than the drift that a chain has; and if, once it is closed, no surface
-stands where another frame looked through. What nothing joins stays apart, and is said.
+stands where another frame looked through. Pieces that nothing joins stay apart and are reported.
 """
 
 from __future__ import annotations

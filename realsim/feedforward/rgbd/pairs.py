@@ -13,11 +13,11 @@ from realsim.geometry import invert_T, transform
 from realsim.types import F64
 
 WINDOW = 4
-"""Each frame is compared with so many that follow it."""
+"""Each frame is compared with this many that follow it."""
 RECALLED = 4
-"""And with so many that look alike, wherever they are in the sequence."""
+"""And with this many that look alike, anywhere in the sequence."""
 ALL_PAIRS = 16
-"""Up to so many frames, everything is compared with everything."""
+"""Up to this many frames, all pairs are compared."""
 WORDS = 512
 """Size of the visual vocabulary."""
 MIN_OVERLAP, MIN_AGREEMENT = 0.06, 0.85

@@ -63,7 +63,7 @@ def check(contract: Contract, steps: Steps) -> Found:
     other = [j for j in contract.joints if j not in steps.joints]
     if other:
         raise GapError(
-            "the policy is of another robot, or its joints have other names",
+            "the policy is for another robot, or its joints have other names",
             expected=", ".join(steps.joints),
             found=", ".join(other),
         )

@@ -51,7 +51,7 @@ def _setup(entry: Any, model: Any, file: Path) -> Setup:
                 column = 1 if which == "kp" else 2
                 if model.actuator(name).biasprm[column] >= 0:
                     raise GapError(
-                        f"runs of log.json give {name} a {which}, which it has none of in model.xml",
+                        f"runs of log.json give {name} a {which}, which it does not have in model.xml",
                         file=file,
                         expected="a position servo with this gain",
                     )

@@ -16,7 +16,7 @@ MOST_FITTED = 6
 ENOUGH = 7
 """Different runs from which on a whole regime is held out beside the last runs."""
 FAINT, STANDS_ALONE = 0.1, 5.0
-"""Gap of the run that is held out: at least this part of the others' median, at most so many times their largest."""
+"""Gap of the run that is held out: at least this part of the others' median, at most this many times their largest."""
 APART = 1.5
 """A run is of another regime if its speed differs from the usual by this many spreads over runs."""
 
