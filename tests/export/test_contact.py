@@ -218,7 +218,7 @@ def test_the_least_bad_is_the_one_that_leaks_least() -> None:
     assert shortfall(0, 40) < shortfall(1, 16) < shortfall(120, 1)
     assert shortfall(40, 16) < shortfall(38, 30)
     fitted = fit_contact(terrain("stakes"), 0.0, SceneConfig(contact_tolerance=(1e-9, 1e-9), contact_probes=300))
-    assert "least bad of 4, leaks first" in fitted.warnings[-1]
+    assert "best of 4 candidates" in fitted.warnings[-1]
     assert fitted.summary["leaks"] == 0
     assert len(fitted.summary["considered"]) == 4
 
