@@ -1,4 +1,4 @@
-"""What can be set about a diagnosis."""
+"""Options of a diagnosis."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class DiagnoseConfig:
     max_causes: int = 3
     """At most this many causes are accepted."""
     threads: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """Threads of the batch simulator; all cores unless told."""
+    """Threads of the batch simulator; all cores by default."""
     max_runs: int = 12
     """At most this many runs are simulated, spread over the log; the rest are left out and named."""
     max_seconds: float = 10.0
@@ -26,21 +26,21 @@ class DiagnoseConfig:
     settle_seconds: float = 0.6
     """The simulator holds the first command for this long before a run that begins at rest."""
     holdout: int = 1
-    """Runs that no fit sees, for the shrinkage; none if the log has no more than one run beside them."""
+    """Runs held out from all fits to measure the shrinkage; none if the log has too few runs."""
     finalists: int = 5
     """Rivals that are refitted with the full nonlinear simulation at each stage of the selection."""
     min_gain: float = 8.0
-    """Least gain in log-likelihood, after the nuisances, for an effect to be accepted."""
+    """Smallest gain in log-likelihood, after the nuisances, for an effect to be accepted."""
     min_share: float = 0.08
-    """Least share of the gap above the nuisances that an effect must remove on unseen runs."""
+    """Smallest share of the gap above the nuisances that an effect must remove on held-out runs."""
     min_deviation: float = 3.0
-    """A cause must exceed the small deviations that are everywhere by this factor (standard deviations)."""
+    """A cause must exceed everyday deviations by this factor (standard deviations)."""
     equivalent_loss: float = 0.03
-    """Rivals that lose less than this share of the removed gap on unseen runs are called equivalent."""
+    """Rivals that lose less than this share of the removed gap on held-out runs are called equivalent."""
     unexplained_share: float = 0.20
-    """From this share of the gap left over, the verdict is `unexplained`."""
+    """If at least this share of the gap remains, the verdict is `unexplained`."""
     baselines: bool = True
-    """Also say what simpler rules would have concluded (a few more simulations)."""
+    """Also report the conclusions of simpler baselines (a few more simulations)."""
     bootstrap: int = 400
     """Resamples for intervals."""
     seed: int = 0

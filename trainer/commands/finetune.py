@@ -42,7 +42,7 @@ def finetune(
         from_scratch: train without a base.
         out: folder for the results.
         trainer: ppo, rsl_rl, mjlab, or one that an installed package adds.
-        task_file: JSON with what differs from the paper's task.
+        task_file: JSON with differences from the paper's task.
         final_trials: trials on each terrain before and after; 0 leaves both out.
     """
     if policy is not None and from_scratch:

@@ -37,7 +37,7 @@ def training(
         trials: render this many trials of each run's policy (.pt) on --scene; needs MUJOCO_GL=egl or osmesa without a
             display.
         scene: a folder of `realsim reconstruct`, or the name of a terrain (see `realsim finetune --help`).
-        task_file: for the trials: JSON with what differs from the paper's task; the one of the training.
+        task_file: for the trials: JSON with differences from the paper's task; use that of the training.
     """
     if not runs:
         raise TrainerError("no run was named", expected=f"realsim training {what} RUN ... --out report.html")

@@ -34,8 +34,8 @@ class LoopConfig:
     checkpoint_every: int = 100
     """Iterations between checkpoints."""
     restart_at_checkpoint: bool = False
-    """Start all worlds anew after every checkpoint, as a resume has to: an interrupted run is then bit for bit the
-    uninterrupted one. It costs samples: for half a second all worlds show the same part of the course."""
+    """Restart all worlds after every checkpoint, as a resume does: an interrupted run then equals an uninterrupted one
+    bit for bit. It costs samples: for half a second all worlds show the same part of the course."""
     evaluate_every: int = 10
     """Iterations between evaluations on the way; 0 leaves them out."""
     target: float = 0.97
@@ -55,7 +55,7 @@ class LoopConfig:
 
 @dataclass
 class History:
-    """What happened, less the rows of single iterations (`read_rows`): a long run has a hundred thousand."""
+    """Summary of a training; the rows of single iterations are read with `read_rows`."""
 
     evaluations: list[tuple[int, float]] = field(default_factory=list)
     """(iterations done, success rate)."""
