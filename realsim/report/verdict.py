@@ -226,16 +226,19 @@ def _upward(result: Reconstruction) -> F64:
 
 
 def _unseen_place(result: Reconstruction) -> str:
-    """Where most of the invented upward-facing surface lies: the middle 80 percent of its area along x and along y."""
+    """Where the invented upward-facing surface lies: the middle 80 percent of its area along x and along y."""
     area = _upward(result) * result.mesh.invented
     centres = result.mesh.vertices[result.mesh.triangles].mean(axis=1)
-    spans = []
+    spans, parts = [], []
     for axis, name in ((0, "x"), (1, "y")):
         order = np.argsort(centres[:, axis], kind="stable")
         share = np.cumsum(area[order]) / max(area.sum(), 1e-12)
         low, high = (centres[order[min(np.searchsorted(share, s), len(order) - 1)], axis] for s in (0.1, 0.9))
         spans.append(f"{name} {low:.1f} to {high:.1f} m")
-    return f"most of what is missing lies at {', '.join(spans)} (violet in the 3D view)"
+        parts.append((high - low) / max(float(np.ptp(result.mesh.vertices[:, axis])), 1e-9))
+    # A box that is nearly the whole scene says nothing about where to walk.
+    place = "is spread over the whole scene" if min(parts) > 0.6 else f"lies at {', '.join(spans)}"
+    return f"what is missing {place} (violet in the 3D view)"
 
 
 def _physics(result: Reconstruction) -> Iterator[Check]:

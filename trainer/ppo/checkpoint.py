@@ -87,7 +87,7 @@ def read(path: Path) -> dict[str, Any]:
         ) from error
     except (RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
         raise TrainerError(
-            "the checkpoint cannot be read: it is truncated or damaged",
+            "the checkpoint cannot be read: it is cut off or damaged",
             file=path,
             expected="a complete .pt file",
             found=f"{path.stat().st_size} bytes; {_line(error)}",

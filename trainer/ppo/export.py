@@ -122,7 +122,7 @@ def load(path: Path) -> tuple[Any, Deployment]:
         meta = runtime.get_modelmeta().custom_metadata_map
     except Exception as error:  # onnxruntime's own exception classes share no base but this
         raise TrainerError(
-            "the policy cannot be read: not ONNX, or truncated", file=path, found=str(error).partition("\n")[0]
+            "the policy cannot be read: not ONNX, or cut off", file=path, found=str(error).partition("\n")[0]
         ) from error
     if KEY not in meta:
         raise TrainerError(

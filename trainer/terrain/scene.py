@@ -107,7 +107,7 @@ def _mesh(folder: Path, start: Platform, goal: Platform) -> tuple[NDArray[np.flo
         vertices, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int32)
     except (ValueError, TypeError, KeyError, IndexError, AttributeError, OSError) as error:
         raise TrainerError(
-            "mesh.ply cannot be read: it is truncated or not a mesh",
+            "mesh.ply cannot be read: it is cut off or not a mesh",
             file=path,
             found=str(error),
             hint="reconstruct again",
