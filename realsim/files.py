@@ -42,7 +42,7 @@ _DAMAGED = (
     zlib.error,
     tokenize.TokenError,
 )
-"""What reading a damaged, encrypted or exotic archive of arrays raises."""
+"""Exceptions of reading a damaged, encrypted or exotic archive of arrays."""
 
 
 def check_size(path: Path, limit: int = MAX_BINARY_BYTES) -> None:

@@ -47,7 +47,7 @@ class Recording:
     dt: float
     """Seconds between rows."""
     outcome: str
-    """How it ended: a name of `terminations.OUTCOMES`."""
+    """Its outcome: a name of `terminations.OUTCOMES`."""
 
     def save(self, path: str | Path) -> None:
         """As .npz."""

@@ -49,7 +49,7 @@ class Cloud:
     cameras: F64
     """(N, 4, 4) poses; of a scan, its sensor's position if known (N = 1) or nothing (N = 0)."""
     held: bool
-    """Whether the cameras' rotations mean something: they do not for scans."""
+    """Whether the cameras have rotations; scans have none."""
     voxel: float = VOXEL
     turned: bool = False
     """Whether the source's triangles were wound inside out (the normals here are not)."""

@@ -1,4 +1,4 @@
-"""Which plane is the ground, how exactly it is known, and what speaks against it."""
+"""Selects the ground plane, with its uncertainty and the evidence against it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FITS = 0.25
 """Share of the best ground's score that a ground level to an axis of the file has for that axis to be believed. Checked
 on made slabs of 5 to 300 mm in five orientations (70 of 70 upright); a bare slab in an upside-down file fails."""
 SIDEWAYS = 0.35
-"""How much less a ground is believed that makes the camera have been held sideways or upside down."""
+"""Factor on the likelihood of a ground for which the camera was held sideways or upside down."""
 DOUBTFUL, IMPLAUSIBLE = 0.2, 0.05
 """Share of its extent that a ground keeps as its score: below the one it is warned of, below the other refused."""
 RIVAL = 0.6

@@ -35,7 +35,7 @@ CENTRES = (np.arange(BINS) + 0.5) * BIN - REACH
 
 @dataclass
 class Votes:
-    """What pixels say about the edges of one face: histograms over the distance outward from the first guess."""
+    """Evidence of pixels about the edges of one face: histograms over the distance outward from the first guess."""
 
     stopped: F64
     """(E, SECTIONS, BINS) weights of rays that the face stopped."""

@@ -1,4 +1,4 @@
-"""What a point belongs to: a small interface, so that a learned segmentation can take the geometric one's place."""
+"""Labels of points: a small interface, so that a learned segmentation can replace the geometric one."""
 
 from __future__ import annotations
 

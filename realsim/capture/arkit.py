@@ -1,4 +1,4 @@
-"""What the phone apps have in common: ARKit's axes, its world, its levels of confidence.
+"""Conventions shared by the phone apps: ARKit's axes, its world, its levels of confidence.
 
 ARKit (https://developer.apple.com/documentation/arkit/arconfiguration/worldalignment/gravity): a right-handed world
 with y against gravity; the camera's axes are x right, y up, z backward (OpenGL's) for the image as the sensor has it,

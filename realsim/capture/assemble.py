@@ -16,14 +16,14 @@ from realsim.types import F32, F64, Dropped, Frame, FrameSet, Intrinsics
 
 @dataclass(frozen=True)
 class DepthUnit:
-    """What the values of depth images stand for."""
+    """Meaning of the values of depth images."""
 
     integer: float
     """Metres a step of integer images."""
     floating: float
     """Metres per unit of floating-point images."""
     note: str
-    """Where that comes from, one sentence."""
+    """Its origin, one sentence."""
 
 
 def depth_unit(default: float, why: str, config: CaptureConfig, camera: Camera | None = None) -> DepthUnit:
@@ -93,7 +93,7 @@ def cameras(
 
 @dataclass(frozen=True)
 class View:
-    """What a layout knows of one frame besides its images; the fields are those of `Frame`."""
+    """Data of one frame besides its images; the fields are those of `Frame`."""
 
     intrinsics: Intrinsics
     color_intrinsics: Intrinsics | None = None

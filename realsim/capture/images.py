@@ -175,7 +175,7 @@ def decode(data: bytes, flags: int, path: Path) -> NDArray:
 
 
 def damage(data: bytes) -> str | None:
-    """What is wrong with an encoded image, or None.
+    """The fault of an encoded image, or None.
 
     The decoders paint what is missing of a truncated file grey or black and only print a warning, so the ends of
     JPEG and PNG files are looked at here.

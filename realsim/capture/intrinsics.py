@@ -23,7 +23,7 @@ FIELD_OF_VIEW_DEG = (5.0, 170.0)
 
 @dataclass(frozen=True)
 class Camera:
-    """What a file says about a camera; the image size may be left open."""
+    """Camera parameters of a file; the image size may be unknown."""
 
     fx: float
     fy: float

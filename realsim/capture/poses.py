@@ -22,7 +22,7 @@ MENDABLE = 0.05
 
 @dataclass(frozen=True)
 class PoseReport:
-    """What became of the poses of a capture."""
+    """The checked poses of a capture, with notes."""
 
     given: int
     mended: int

@@ -45,7 +45,7 @@ class RecordConfig:
 
 @dataclass(frozen=True)
 class Recording:
-    """What was recorded."""
+    """Summary of a recording."""
 
     folder: Path
     frames: int

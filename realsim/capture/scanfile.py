@@ -25,7 +25,7 @@ MAX_SCAN_BYTES = 2 * 2**30
 
 @dataclass(frozen=True)
 class RawScan:
-    """What a file holds, in its own unit and world."""
+    """Content of a file, in its own unit and world."""
 
     points: F64
     """(M, 3)."""

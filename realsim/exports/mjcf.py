@@ -149,7 +149,7 @@ def _geom(geom: Geom) -> dict[str, str]:
 
 
 def _drawn_floor(floor: Geom) -> dict[str, str]:
-    """What one sees of the floor: a little below where it is felt, so that it does not flicker through the scan."""
+    """The drawn floor: a little below the collision floor, so that it does not flicker through the scan."""
     x, y, z = floor.pos
     out = {"name": f"{floor.name}_drawn", "type": "plane", "pos": numbers((x, y, z - DRAWN_BELOW))}
     if floor.size is not None:

@@ -20,7 +20,7 @@ from realsim.meshes import compact, simplify
 from realsim.types import F64, AlignedScene, Platform, SceneFiles, TerrainMesh
 
 DRAWN_TRIANGLES = 80_000
-"""What a viewer draws fluently; the exact surface is in mesh.ply and mesh.glb."""
+"""Number of triangles that viewers draw fluently; the exact surface is in mesh.ply and mesh.glb."""
 
 
 def write_scene(folder: Path, aligned: AlignedScene, mesh: TerrainMesh, config: SceneConfig) -> SceneFiles:
@@ -116,7 +116,7 @@ def _seen_from(aligned: AlignedScene) -> float:
 
 
 def _visual(vertices: F64, triangles: NDArray[np.int32], colors: NDArray[np.uint8] | None) -> dict[str, bytes]:
-    """What MuJoCo draws: an OBJ, and its texture where there is colour."""
+    """Files of the drawn mesh: an OBJ, and its texture where there is colour."""
     normals = vertex_normals(vertices, triangles)
     if colors is None:
         return {"visual.obj": obj_bytes(vertices, triangles, normals)}

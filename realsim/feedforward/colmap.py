@@ -21,7 +21,7 @@ from realsim.types import F64, Dropped, Frame, FrameSet, Intrinsics, Pointmaps, 
 ALL_PAIRS = 40
 """Up to this many frames every pair is matched; beyond, neighbours in the sequence."""
 OVERLAP = 10
-"""How many neighbours."""
+"""Number of neighbours."""
 
 
 def solve(frames: FrameSet, config: PointsConfig) -> Solution:

@@ -38,7 +38,7 @@ class OnnxConfig:
 @dataclass(frozen=True)
 class PointsConfig:
     backend: Annotated[str, tyro.conf.arg(metavar="{rgbd,colmap,onnx,onnx+depth}")] = "rgbd"
-    """Where points and poses come from."""
+    """Source of points and poses."""
     poses: Literal["auto", "given", "estimate"] = "auto"
     """`given` uses the capture's poses and fails without them, `estimate` ignores them, `auto` uses them if present."""
     refine: bool = True

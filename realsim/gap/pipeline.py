@@ -38,7 +38,7 @@ Progress = Callable[[str, float], None]
 
 
 def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progress | None = None) -> Diagnosis:
-    """Where the gap lies, which effects cause it, and how far it shrinks on runs that no fit has seen.
+    """Find where the gap lies, which effects cause it, and how far it shrinks on held-out runs.
 
     Args:
         case: from `load_case`.

@@ -1,4 +1,4 @@
-"""What the joints were told: the field, its kind, its joints."""
+"""Commands of the joints: the field, its kind, its joints."""
 
 from __future__ import annotations
 

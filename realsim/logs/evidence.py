@@ -1,4 +1,4 @@
-"""What the steps of the inference share: the recording, its times, the model, and what has been settled so far."""
+"""State shared by the steps of the inference: the recording, its times, the model, and settled roles."""
 
 from __future__ import annotations
 

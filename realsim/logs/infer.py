@@ -37,7 +37,7 @@ def propose(
     use: Sequence[str] = (),
     only: str = "",
 ) -> Proposal:
-    """What recordings of one layout hold, and how they would become a case.
+    """Content of recordings of one layout, and the proposed case.
 
     Args:
         recordings: one a run.

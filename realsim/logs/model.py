@@ -1,4 +1,4 @@
-"""What a log is held against: the joints, ranges, servos, sites and feet of a MuJoCo model, and its dynamics."""
+"""Model that a log is compared with: the joints, ranges, servos, sites and feet of a MuJoCo model, and its dynamics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What names say: message types whose members are known, words in names of columns, motor tables of robots."""
+"""Knowledge about names: known message types, words in names of columns, motor tables of robots."""
 
 from __future__ import annotations
 

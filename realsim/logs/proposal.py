@@ -1,4 +1,4 @@
-"""What a recording is taken for: which field is which array of a case, with the evidence, and what is missing."""
+"""Interpretation of a recording: the field of each array of a case, with the evidence, and what is missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every reader returns: streams of numbers with names, labels, units and clocks; nothing is decided yet."""
+"""Result of every reader: streams of numbers with names, labels, units and clocks, not yet interpreted."""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ class Recording:
     skipped: Mapping[str, str] = field(default_factory=dict)
     """Topic -> why it was not read."""
     notes: tuple[str, ...] = ()
-    """What was mended or left out while reading."""
+    """Repairs and omissions while reading."""
     facts: Mapping[str, Any] = field(default_factory=dict)
-    """What the file says beside its samples: robot, rate, gains."""
+    """Metadata of the file: robot, rate, gains."""
 
 
 @dataclass(frozen=True)
 class Window:
-    """Which part of a recording is read."""
+    """Part of a recording to read."""
 
     start: float = 0.0
     """s after the first message."""
@@ -93,7 +93,7 @@ class Reader:
 
     name: str
     looks_for: str
-    """What makes it recognisable, for the message when nothing is."""
+    """Its distinctive features, for the message if nothing is recognised."""
     recognise: Callable[[Path], bool]
     """A cheap look at names and first bytes; must not raise for any other file."""
     read: Callable[[Path, Window], list[Recording]]

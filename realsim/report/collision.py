@@ -1,4 +1,4 @@
-"""What a compiled scene collides with, and the robot in it, as triangles to look at."""
+"""Collision geometry of a compiled scene, and its robot, as triangles for display."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def scene_view(folder: Path, result: Reconstruction) -> str:
 
 
 def mesh_layers(mesh: TerrainMesh) -> list[Layer]:
-    """What was seen in its own colours (or by height), and what was invented in violet."""
+    """Seen surface in its own colours (or by height), and invented surface in violet."""
     colors = mesh.colors
     if colors is None:
         z = mesh.vertices[:, 2]
@@ -50,7 +50,7 @@ def mesh_layers(mesh: TerrainMesh) -> list[Layer]:
 
 
 def collision_layers(model: Any) -> list[Layer]:
-    """What the physics touches, transparent over the mesh, with the edges of its parts; one button for both."""
+    """Collision geometry, transparent over the mesh, with the edges of its parts; one button for both."""
     parts = collision_parts(model)
     V, F, _ = simplify(*merged([part for part, _ in parts]), None, limit=COLLISION_TRIANGLES)
     lines: list[Solid] = [(part[0], sharp_edges(*part)) for part, edged in parts if edged]

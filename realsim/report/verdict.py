@@ -19,14 +19,14 @@ class Check:
 
     name: str
     found: str
-    """What was measured, with its unit."""
+    """Measured value with its unit."""
     limits: str
     """The rule in words."""
     level: Level
     reason: str
     """One sentence for the banner if the level is not good."""
     advice: str = ""
-    """What to do about it then."""
+    """What to do if the level is not good."""
 
 
 @dataclass(frozen=True)

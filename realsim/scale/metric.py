@@ -76,7 +76,7 @@ def to_metric(
 
 
 def estimate(ratios: F64, names: list[str], config: ScaleConfig) -> ScaleEstimate:
-    """What N frames together say: the median of their ratios, a bootstrap interval, and how far they disagree.
+    """Scale from N frames: the median of their ratios, a bootstrap interval, and their disagreement.
 
     Args:
         ratios: (N,) metres a unit for each frame, NaN where a frame cannot tell.

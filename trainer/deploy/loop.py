@@ -19,7 +19,7 @@ from trainer.ppo.export import Deployment
 
 @dataclass(frozen=True)
 class DeployConfig:
-    """How the loop runs."""
+    """Options of the control loop."""
 
     seconds: float = 10.0
     """Longest run."""
@@ -43,7 +43,7 @@ class DeployConfig:
 
 @dataclass
 class Report:
-    """What happened."""
+    """Summary of a run of the loop."""
 
     reason: str = "done"
     """Why it ended: done, tilted, late, or what was refused."""

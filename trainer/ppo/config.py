@@ -34,7 +34,7 @@ class NetworkConfig:
 
 @dataclass(frozen=True)
 class StrategyConfig:
-    """What fine-tuning may change."""
+    """Options of fine-tuning strategies."""
 
     adapter_width: int = 16
     """Bottleneck of an adapter."""
@@ -109,7 +109,7 @@ class PPOConfig:
     max_gradient: float = 1.0
     """Gradient norms above this are scaled down, of policy and critic each on its own."""
     symmetry: Literal["none", "loss", "augmentation"] = "none"
-    """How left-right symmetry is taught: a loss, or every sample a second time in the mirror (Mittal et al. 2024)."""
+    """Left-right symmetry: a loss, or every sample a second time mirrored (Mittal et al. 2024)."""
     symmetry_weight: float = 0.5
     """Weight of the symmetry loss."""
     bfloat16: bool = False

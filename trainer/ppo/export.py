@@ -31,7 +31,7 @@ TOLERANCE = 1e-5
 
 @dataclass(frozen=True)
 class Deployment:
-    """What stands in the metadata: how to make the inputs, and what to do with the output."""
+    """Content of the metadata: how to make the inputs, and how to use the output."""
 
     layout: ObservationLayout
     robot: str

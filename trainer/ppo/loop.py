@@ -27,7 +27,7 @@ Evaluate = Callable[[Policy], float]
 
 @dataclass(frozen=True)
 class LoopConfig:
-    """How long to train and what to write on the way."""
+    """Duration of a training, and what is written meanwhile."""
 
     iterations: int = 1000
     """Iterations in all, those before a resume included."""
@@ -118,8 +118,8 @@ def save(runner: Runner, history: History, folder: Path) -> None:
 
 
 def read_rows(folder: Path) -> list[dict[str, float | None]]:
-    """What was logged, in order: a row an iteration with its number (from 0), losses, reward terms and seconds; a row
-    an evaluation with `success`, its number that of the iteration before it, or 0 before the first. None where a figure
+    """The logged rows in order: one per iteration with its number (from 0), losses, reward terms and seconds; one per
+    evaluation with `success`, its number that of the iteration before it, or 0 before the first. None where a figure
     is not a number (no episode ended)."""
     path = folder / "history.jsonl"
     if not path.is_file():

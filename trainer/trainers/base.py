@@ -17,7 +17,7 @@ from trainer.terrain import Terrain
 
 @dataclass(frozen=True)
 class Scene:
-    """What is trained on: one terrain (TTT-1), several (TTT-n), or a curriculum grid."""
+    """Terrain to train on: one (TTT-1), several (TTT-n), or a curriculum grid."""
 
     terrains: tuple[Terrain, ...]
     rows: int = 1
@@ -32,7 +32,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """How to train; every trainer supports it, or names the options that it does not."""
+    """Options of training; every trainer supports it, or names the options that it does not."""
 
     robot: str = ""
     """Robot of a new policy (g1, quadruped, ...); a given policy brings its own."""

@@ -1,4 +1,4 @@
-"""Which representation: build, measure, and take the cheapest that is faithful enough."""
+"""Selects the representation: build, measure, and take the cheapest within tolerance."""
 
 from __future__ import annotations
 

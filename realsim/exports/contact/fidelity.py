@@ -1,4 +1,4 @@
-"""How far what the robot will feel is from what the camera saw, measured through contacts."""
+"""Error of the collision geometry against the seen surface, measured through contacts."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PUSHES = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]])
 
 @dataclass(frozen=True)
 class Region:
-    """Where probes go: a rectangle around what rises from the ground, between the ground and above everything."""
+    """Region of the probes: a rectangle around all that rises from the ground, from the ground to above everything."""
 
     lower: F64
     """(2,) x y metres."""
@@ -104,7 +104,7 @@ class Fidelity:
         return drop["phantom_share"] + drop["missing_share"], 0.0 if stopped is None else 1.0 - stopped
 
     def shortfall(self, median: float, p95: float) -> tuple[int, float]:
-        """How far from the tolerance, to find the least bad: leaks first, in twentieths of the balls thrown (a ball
+        """Distance from the tolerance, to rank candidates: leaks first, in twentieths of the balls thrown (a ball
         more or less is chance, but none is none); then errors and shares that are off in tolerances, and phantom over
         gaps in square decimetres."""
         f = self.figures

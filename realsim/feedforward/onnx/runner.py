@@ -33,7 +33,7 @@ FOCAL = 0.05
 
 @dataclass(frozen=True)
 class Views:
-    """What a model says about the frames that hang together."""
+    """A model's output for the frames that could be connected."""
 
     used: tuple[int, ...]
     """Indices of the N views among the frames."""

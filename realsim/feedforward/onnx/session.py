@@ -37,7 +37,7 @@ def runtime() -> Any:
 
 
 def providers() -> tuple[str, ...]:
-    """What the installed onnxruntime can run on, as short names (`cpu`, `cuda`)."""
+    """Devices that the installed onnxruntime supports, as short names (`cpu`, `cuda`)."""
     return tuple(short(p) for p in _local(runtime()))
 
 
@@ -81,7 +81,7 @@ class Model:
     envelope: Envelope
     spec: Spec
     provider: str
-    """What it runs on, short."""
+    """Short name of its device."""
     session: Any = field(repr=False)
     warnings: tuple[str, ...] = ()
 

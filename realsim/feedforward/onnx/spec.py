@@ -1,4 +1,4 @@
-"""How a model file wants its images and what its outputs mean: read from the file, from a sidecar, or guessed.
+"""Input format and output meaning of a model file: read from the file, from a sidecar, or guessed.
 
 Every value remembers where it came from, because a guess that is wrong gives a wrong scene without an error.
 """
@@ -43,7 +43,7 @@ class Spec:
     """The contract as one model fills it in."""
 
     kind: str
-    """Which adapter reads its outputs."""
+    """Name of the adapter of its outputs."""
     image: Port
     """The input that takes the images."""
     ports: Mapping[str, str]
@@ -114,7 +114,7 @@ def make_spec(path: Path, metadata: Mapping[str, str], inputs: list[Port], outpu
 
 
 def sidecar(path: Path) -> Path:
-    """Where a file without metadata says what it is."""
+    """Hint for a file without metadata."""
     return path.with_suffix(".json")
 
 

@@ -107,7 +107,7 @@ def _estimate_together(views: Sequence[View], seed: int) -> tuple[Estimate, Land
 
 @dataclass(frozen=True)
 class Net:
-    """What pairs of views say."""
+    """Measurements of pairs of views."""
 
     edges: list[Edge]
     """Believed."""

@@ -31,7 +31,7 @@ SIGMA_INVERSE = 0.003
 
 @dataclass(frozen=True)
 class Landmarks:
-    """What an adjustment of N views has found."""
+    """Result of an adjustment of N views."""
 
     views: Sequence[View]
     T_world_camera: F64

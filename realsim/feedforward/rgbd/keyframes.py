@@ -1,4 +1,4 @@
-"""Which views carry the adjustment when a capture is dense.
+"""Selects the views that are adjusted together in a dense capture.
 
 A video of thirty frames a second shows everything a hundred times. Views that hardly differ tell a joint adjustment
 nothing new, but couple to each other: its cost would grow with the square of the frame rate and more. So only views

@@ -1,4 +1,4 @@
-"""Which frames to compare, and how two are brought together: by features, or by shape where colour is silent."""
+"""Selects the pairs of frames to compare, and aligns them: by features, or by shape where there is no texture."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ALL_PAIRS = 16
 WORDS = 512
 """Size of the visual vocabulary."""
 MIN_OVERLAP, MIN_AGREEMENT = 0.06, 0.85
-"""What two depth images must share, and how little they may contradict each other, for a pair to be believed."""
+"""Limits for a reliable pair: the overlap of two depth images, and their contradictions."""
 LOOSE = 0.02
 """Standard deviation, metres or radians, beyond which a registration by shape slides."""
 

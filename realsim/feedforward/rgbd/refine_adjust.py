@@ -52,7 +52,7 @@ class Sigmas:
 
 @dataclass(frozen=True)
 class State:
-    """What is estimated."""
+    """The unknowns."""
 
     R: F64
     """(N, 3, 3)."""

@@ -47,7 +47,7 @@ class Edge:
 
 @dataclass(frozen=True)
 class PoseCheck:
-    """How far the poses agree with the frames."""
+    """Agreement of the poses with the frames."""
 
     agreement: F64
     """(N,) share of a frame's edges that agree, NaN where no other frame shows the same."""

@@ -1,4 +1,4 @@
-"""Which frames to compare, and which of their points lie on the same surface."""
+"""Selects the frames to compare and their points on a common surface."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which way of running the policy explains the targets that were sent: the contract's own, or one of the mistakes."""
+"""Finds the way of running the policy that explains the sent targets: as in the contract, or with a mistake."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Contract:
-    """How a policy is to be run; J joints in the policy's own order."""
+    """The contract of a policy; J joints in the policy's own order."""
 
     joints: tuple[str, ...]
     terms: tuple[Term, ...]

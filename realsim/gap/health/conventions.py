@@ -28,7 +28,7 @@ DEG = 180 / np.pi
 
 
 def log_conventions(case: Case) -> list[str]:
-    """What commands and signals say about each other, before anything is simulated."""
+    """Checks of commands and signals against each other, before any simulation."""
     position = _all(case, "joint_pos")
     for j, joint in enumerate(case.joint_names):
         servo = case.actuator_of(joint)
@@ -46,7 +46,7 @@ def log_conventions(case: Case) -> list[str]:
 
 
 def nominal_conventions(simulator: Simulator, nominal: list[F64]) -> list[str]:
-    """What the nominal simulator says about the log's units, order and sign."""
+    """Checks of the log's units, order and signs against the nominal simulator."""
     case = simulator.case
     names = case.joint_names
     real, model = _all(case, "joint_pos"), np.concatenate([y[:, : len(names)] for y in nominal])

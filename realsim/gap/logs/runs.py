@@ -47,7 +47,7 @@ class Run:
     init_qpos: F64 | None = None
     init_qvel: F64 | None = None
     setup: Setup = field(default_factory=Setup)
-    """What is known to differ from model.xml in this run."""
+    """Known differences of this run from model.xml."""
     enabled: Any = None
     """(T, U) bool, whether the drive gives torque from this sample to the next; None if all do throughout."""
 
@@ -73,7 +73,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Layout:
-    """What a run's arrays must look like, from log.json and model.xml."""
+    """Expected arrays of a run, from log.json and model.xml."""
 
     names: Mapping[str, Sequence[str]]
     """Array -> the names of its columns (joints, actuators, axes)."""

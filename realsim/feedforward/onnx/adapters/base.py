@@ -1,4 +1,4 @@
-"""What an adapter is, and what all of them do alike: axes, confidences, poses."""
+"""Interface of adapters, and their shared parts: axes, confidences, poses."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Prediction:
     metric_scale: float | None = None
     """Metres per unit as the model claims."""
     figures: Mapping[str, float] = field(default_factory=dict)
-    """What can be checked within one run, for the report."""
+    """Consistency figures of one run, for the report."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Adapter:
         return {role: next(n for n in known if n in there) for role, known in roles.items() if there & set(known)}
 
     def share(self, names: Iterable[str]) -> float:
-        """How much of what is needed is there, 0..1."""
+        """Share of the needed outputs that are present, 0..1."""
         return sum(role in self.match(names) for role in self.needs) / len(self.needs)
 
 
