@@ -53,7 +53,7 @@ def main() -> int:
     parser.add_argument("--cases", type=int, default=15, help="cases a log")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no case after so many minutes")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="start no case after this many minutes")
     parser.add_argument("--work", type=Path, default=Path("out/gap_real"))
     parser.add_argument("--shared", type=Path, default=Path(os.environ.get("REALSIM_SHARED", "../shared")))
     parser.add_argument("--store", type=Path, help="rows (default: rows.json in --work)")

@@ -42,7 +42,7 @@ def main() -> int:
     parser.add_argument("--robots", nargs="*", help="only these robots")
     parser.add_argument("--levels", nargs="*", choices=list(LEVELS), default=list(LEVELS))
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no case after so many minutes")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="start no case after this many minutes")
     parser.add_argument("--work", type=Path, default=Path("out/gap_sweep"))
     parser.add_argument("--store", type=Path, help="file for the figures (default: figures.json in --work)")
     args = parser.parse_args()

@@ -117,8 +117,8 @@ def robots(rows: list[Row]) -> str:
 def diagnosis_intervals() -> list[str]:
     """What is stored of a seed as a whole."""
     lines = [
-        "| seed | 90 % intervals that hold the truth | cause outside the library: said | look-alikes: said "
-        "| share of the gap removed on the run held out, median, right cause |",
+        "| seed | 90 % intervals that hold the truth | reported as unexplained when the cause is outside the library "
+        "| look-alikes named | median share of the gap removed on the held-out run, correct cause |",
         "|---|---|---|---|---|",
     ]
     for s in stored("diagnosis")["sets"]:

@@ -72,7 +72,7 @@ def config(folder: Path, iterations: int) -> TrainConfig:
 
 
 def train(folder: Path, iterations: int, seconds: float) -> None:
-    """Go on until so many iterations have been done in all, or the time is over."""
+    """Continue until this many iterations have been done in all, or the time is over."""
     write_text(folder / "task.json", to_json(TASK))
     last, began = folder / "policy.pt", time.perf_counter()
     done = checkpoint.read(last)["training"]["iteration"] if last.is_file() else 0

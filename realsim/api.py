@@ -35,7 +35,7 @@ Progress = Callable[[str, float], None]
 
 
 def inspect(capture: StrPath, config: CaptureConfig | None = None) -> Inspection:
-    """Say what a capture or scan is taken for, every convention assumed, and what is wrong with it.
+    """How a capture or scan is recognised, every assumed convention, and what is wrong with it.
 
     `print(found.render())` shows the result as the command line does.
 

@@ -59,7 +59,7 @@ class StageCache:
         self.folder = folder
 
     def get_or_make(self, key: str, make: Callable[[], T]) -> tuple[T, bool]:
-        """(result, whether it was reused). A broken or foreign entry is said, and made anew."""
+        """(result, whether it was reused). A broken or foreign entry is reported and made again."""
         if self.folder is None:
             return make(), False
         path = self.folder / f"{key}.npz"
@@ -67,7 +67,7 @@ class StageCache:
             try:
                 value = unpack(path.read_bytes())
             except Exception as error:  # damage shows as anything from zlib.error to NotImplementedError
-                note(f"the kept result {path} cannot be read and is made anew ({type(error).__name__}: {error})")
+                note(f"the kept result {path} cannot be read and is made again ({type(error).__name__}: {error})")
             else:
                 with contextlib.suppress(OSError):  # a read-only cache is as good; its entries only look older
                     os.utime(path)

@@ -43,13 +43,13 @@ COMMANDS = Registry(
 )
 SUMMARIES = {
     "reconstruct": "frames or a scan -> a metric, level MuJoCo scene with a report",
-    "inspect": "what a capture is taken for, and what is wrong with it",
+    "inspect": "how a capture is recognised, and what is wrong with it",
     "record": "frames of a RealSense camera into a folder",
     "view": "look at a scene in the browser, live",
     "contact": "collision geometry for any mesh, chosen by measured error and cost",
     "export": "a scene in other formats: USD, URDF, SDF, GLB, height map, ...",
-    "model": "how a feed-forward model in an ONNX file fits the contract",
-    "log": "what a robot's recording holds (MCAP, bags, LeRobot, CSV, ...), and the case that it becomes",
+    "model": "check a feed-forward model in an ONNX file",
+    "log": "contents of a robot's recording (MCAP, bags, LeRobot, CSV, ...), and a case made from it",
     "diagnose": "a robot's logs and its model -> where the sim-to-real gap lies, what causes it, how much",
     "synth": "render a synthetic capture with its truth",
     "demo": "render, reconstruct and measure, end to end",

@@ -1,4 +1,4 @@
-"""What can go wrong, said so that a person can act on it.
+"""Errors that tell a person what to do.
 
 Every error that a user can cause is a `RealsimError`: it names the file, what was expected, what was found and
 what to do. The command line prints it without a traceback and exits with code 2.

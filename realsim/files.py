@@ -42,7 +42,7 @@ _DAMAGED = (
     zlib.error,
     tokenize.TokenError,
 )
-"""What reading a damaged, encrypted or exotic archive of arrays raises."""
+"""Exceptions of reading a damaged, encrypted or exotic archive of arrays."""
 
 
 def check_size(path: Path, limit: int = MAX_BINARY_BYTES) -> None:
@@ -243,7 +243,7 @@ def refuse_within(out: Path, source: Path) -> None:
     """Refuse an output folder that is the input or holds it: what is in it is replaced as a whole."""
     if source.resolve().is_relative_to(out.resolve()):
         raise RealsimError(
-            "the input lies in the output folder, which is written as a whole",
+            "the input lies in the output folder, which is replaced as a whole",
             file=source,
             expected="an output folder that does not hold the input",
             found=str(out),
@@ -295,7 +295,7 @@ def refuse_existing(path: Path, overwrite: bool, marks: Sequence[str] = MARKS) -
     if not any((path / mark).is_file() for mark in marks):
         names = sorted(p.name for p in path.iterdir())
         raise RealsimError(
-            "the output folder holds what realsim did not write",
+            "the output folder holds files that realsim did not write",
             file=path,
             expected=f"one that realsim wrote (with {' or '.join(marks)}), or an empty one",
             found=", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else ""),
@@ -313,7 +313,7 @@ def inside(root: Path, name: str) -> Path:
         ) from error
     if not target.is_relative_to(base):
         raise RealsimError(
-            "a name leads out of its folder", file=root, found=name, expected="a relative path inside it"
+            "a path leads out of its folder", file=root, found=name, expected="a relative path inside it"
         )
     return target
 

@@ -33,7 +33,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a job. `result` is what the command printed with `--json`, an error's fields included."""
+    """Outcome of a job. `result` is the command's `--json` output; for an error, its fields."""
 
     name: str
     exit_code: int

@@ -1,4 +1,4 @@
-"""What sources of points have in common that can be compared: figures of one capture's scene by each of them."""
+"""Comparison of sources of points: figures of one capture's scene by each of them."""
 
 from __future__ import annotations
 

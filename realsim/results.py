@@ -1,4 +1,4 @@
-"""What the top-level functions return: small frozen dataclasses and enums, each with a short repr and a notebook view.
+"""Results of the top-level functions: small frozen dataclasses and enums, each with a short repr and a notebook view.
 
 A `Scene` and a `Diagnosis` are also read back from disk (`load_scene`, `load_diagnosis`), so that what a script gets
 from a run of its own and what it finds in a folder have one type.
@@ -78,18 +78,18 @@ class Site:
 
 @dataclass(frozen=True)
 class Contact:
-    """How closely contact in the simulator follows the mesh, as measured."""
+    """Measured error of contact in the simulator against the mesh."""
 
     representation: str
     geoms: int
     median_mm: float
     p95_mm: float
     phantom_cm2: float
-    """Area where something is felt and the mesh has nothing."""
+    """Area with contact but without surface of the mesh."""
     missing_cm2: float
-    """Area of the mesh where nothing is felt."""
+    """Area of the mesh without contact."""
     leaks: int
-    """Objects that fall through."""
+    """Number of objects that fall through."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -290,7 +290,7 @@ class Cause:
 
 @dataclass(frozen=True)
 class Place:
-    """Where the robot and its simulator differ: a share of the squared error."""
+    """A place where robot and simulator differ, with its share of the squared error."""
 
     signal: str
     joint: str | None
@@ -300,7 +300,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Shrinkage:
-    """How much of the squared error the causes remove, on the runs named."""
+    """Share of the squared error that the causes remove on some runs."""
 
     fraction: float
     low: float
@@ -326,7 +326,7 @@ class Rest:
 
 @dataclass(frozen=True, repr=False)
 class Diagnosis:
-    """Where the sim-to-real gap lies, what causes it, and how far the patch closes it."""
+    """Location, causes and size of the sim-to-real gap, and a patch."""
 
     verdict: GapVerdict
     sentence: str

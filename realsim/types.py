@@ -1,4 +1,4 @@
-"""What the stages hand on. Frozen dataclasses; every field says its shape, unit and frame.
+"""Types passed between stages: frozen dataclasses; every field states its shape, unit and frame.
 
 `FrameSet -> Pointmaps (up to scale) -> MetricScene -> AlignedScene -> TerrainMesh -> SceneFiles`.
 
@@ -212,7 +212,7 @@ class Pointmaps:
 
 @dataclass(frozen=True)
 class Solution:
-    """What a backend found, as plain arrays: small enough to keep, and all that is needed to make `Pointmaps` again."""
+    """Solution of a backend as plain arrays: small enough to cache, and sufficient to make `Pointmaps` again."""
 
     used: tuple[int, ...]
     """Indices into `FrameSet.frames` of the N frames used, in order."""
@@ -335,7 +335,7 @@ class AlignedScene:
     scan: Scan | None = None
     """Points still in the source's own world: apply T_sim_world."""
     cropped: tuple[str, ...] = ()
-    """What was cut away, in words."""
+    """Surface that was cut away, in words."""
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     statistics: Mapping[str, Any] = field(default_factory=dict)
@@ -378,7 +378,7 @@ class MeshQuality:
 
 @dataclass(frozen=True)
 class ViewResidual:
-    """How far a view's depth lies from the mesh, for the report."""
+    """Distance of a view's depth from the mesh, for the report."""
 
     name: str
     image: F32
@@ -427,9 +427,9 @@ class SceneFiles:
     mesh_ply: Path
     mesh_glb: Path
     contact: Mapping[str, Any] = field(default_factory=dict)
-    """What goes under `contact` in report.json."""
+    """Content of `contact` in report.json."""
     checks: Mapping[str, Any] = field(default_factory=dict)
-    """What was dropped and stepped, and what came of it."""
+    """Results of the physics checks: dropped objects and steps."""
     contact_map: F64 | None = None
     """(N, 3) x y of balls lowered on the terrain, simulation frame, and signed error at first touch (positive:
     phantom surface), metres; for the report's heat map."""
@@ -438,7 +438,7 @@ class SceneFiles:
 
 @dataclass(frozen=True)
 class StageTime:
-    """What a stage cost."""
+    """Time and memory of a stage."""
 
     name: str
     seconds: float

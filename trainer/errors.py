@@ -1,4 +1,4 @@
-"""What can go wrong in training, said so that a person can act on it."""
+"""Errors of training that tell a person what to do."""
 
 from realsim.errors import RealsimError
 

@@ -1,4 +1,4 @@
-"""How well a policy does on a course: trials with fixed seeds, success with its uncertainty, where and why it fails.
+"""Evaluation of a policy on a course: trials with fixed seeds, success with its interval, causes and places of failure.
 
 Paper, sec. IV-A: a trial begins on the start platform with a constant forward command and succeeds if the robot reaches
 the goal platform without touching the ground or falling; 1000 trials.
@@ -33,7 +33,7 @@ Z95 = 1.959963984540054
 
 @dataclass(frozen=True)
 class EvaluationConfig:
-    """How many trials, and what differs between them."""
+    """Number of trials, and what varies between them."""
 
     trials: int = 1000
     """On each terrain."""

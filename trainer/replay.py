@@ -47,7 +47,7 @@ class Recording:
     dt: float
     """Seconds between rows."""
     outcome: str
-    """How it ended: a name of `terminations.OUTCOMES`."""
+    """Its outcome: a name of `terminations.OUTCOMES`."""
 
     def save(self, path: str | Path) -> None:
         """As .npz."""
@@ -181,6 +181,7 @@ def scene_model(robot: TrainedRobot, terrain: Terrain, size: tuple[int, int]) ->
     textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
     tiles.textures = textures
     for geom in spec.worldbody.geoms:
+        geom.group = 0  # a scene's collision geometry is in a group that MuJoCo does not draw by default
         if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
             geom.material, geom.rgba = "tiles", [1, 1, 1, 1]
         else:

@@ -23,7 +23,7 @@ MERGE_EVERY = 8
 OCCUPANCY = 3.0
 """Points a voxel that a scan must have on its surfaces; of a sparser one voxels are larger..."""
 COARSEST = 0.08
-"""...up to so many metres."""
+"""...up to this many metres."""
 CHUNK = 2_000_000
 """Points of a scan that are reduced at once."""
 SCAN_DENSITY = 2e4
@@ -49,7 +49,7 @@ class Cloud:
     cameras: F64
     """(N, 4, 4) poses; of a scan, its sensor's position if known (N = 1) or nothing (N = 0)."""
     held: bool
-    """Whether the cameras' rotations mean something: they do not for scans."""
+    """Whether the cameras have rotations; scans have none."""
     voxel: float = VOXEL
     turned: bool = False
     """Whether the source's triangles were wound inside out (the normals here are not)."""

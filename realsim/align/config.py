@@ -1,4 +1,4 @@
-"""What can be set about the simulation frame."""
+"""Options of the simulation frame."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import tyro
 @dataclass(frozen=True)
 class AlignConfig:
     start: tuple[float, float] | None = None
-    """X Y on the start platform, metres, in the frame that the rule alone would have chosen (see the report)."""
+    """X Y on the start platform, metres, in the simulation frame of a run without this option (see its report)."""
     goal: tuple[float, float] | None = None
     """X Y of a point on the goal platform, same frame."""
     start_pixel: tuple[str, int, int] | None = None
@@ -19,12 +19,12 @@ class AlignConfig:
     goal_pixel: tuple[str, int, int] | None = None
     """FRAME U V of the goal platform's top."""
     segmenter: Annotated[str, tyro.conf.arg(metavar="{geometric}")] = "geometric"
-    """Who labels points ground / platform / obstacle / other."""
+    """Method that labels points as ground, platform, obstacle or other."""
     margin: float = 0.5
     """Metres of ground kept around the terrain."""
     keep: Literal["terrain", "all"] = "terrain"
-    """`terrain` cuts away what is out of reach of start and goal; `all` keeps everything that was seen, walls and
-    ceiling too."""
+    """`terrain` cuts away everything out of reach of start and goal; `all` keeps all seen surface, including walls
+    and ceiling."""
     seed: Annotated[int, tyro.conf.Suppress] = 0
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""What belongs to the terrain, and what is cut away."""
+"""Separates the terrain from surface that is cut away."""
 
 from __future__ import annotations
 

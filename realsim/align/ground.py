@@ -1,4 +1,4 @@
-"""Which plane is the ground, how exactly it is known, and what speaks against it."""
+"""Selects the ground plane, with its uncertainty and the evidence against it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FITS = 0.25
 """Share of the best ground's score that a ground level to an axis of the file has for that axis to be believed. Checked
 on made slabs of 5 to 300 mm in five orientations (70 of 70 upright); a bare slab in an upside-down file fails."""
 SIDEWAYS = 0.35
-"""How much less a ground is believed that makes the camera have been held sideways or upside down."""
+"""Factor on the likelihood of a ground for which the camera was held sideways or upside down."""
 DOUBTFUL, IMPLAUSIBLE = 0.2, 0.05
 """Share of its extent that a ground keeps as its score: below the one it is warned of, below the other refused."""
 RIVAL = 0.6
@@ -80,7 +80,7 @@ def find_ground(cloud: Cloud, seed: int, up_world: F64 | None = None) -> Ground:
     warnings = guess + _rivals(scored, cloud, up_world is not None)
     warnings += _upside_down(plane, cloud)
     if best["plausibility"] < DOUBTFUL:
-        warnings.append(f"the ground is doubtful, it might be a wall: {_described(best)}")
+        warnings.append(f"the ground is doubtful, it may be a wall: {_described(best)}")
     sigma = tilt_sigma_deg(cloud, plane, seed)
     gravity = Gravity(
         normal_world=plane.normal,
@@ -216,7 +216,7 @@ def _rivals(scored: list[tuple[dict[str, float], Plane]], cloud: Cloud, up_known
         elif figures["score"] > RIVAL * best["score"]:
             if not up_known and angle < 60 and figures["score"] > 0.8 * best["score"]:
                 raise AlignError(
-                    "two grounds: which of them is level cannot be told",
+                    "two grounds: it is unclear which of them is level",
                     expected="one large plane below everything else",
                     found=f"{_described(best)}; and {_described(figures)}, inclined by {angle:.0f}° to the first",
                     hint="capture more of the level floor, or use a source that knows gravity",

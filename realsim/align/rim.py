@@ -22,7 +22,7 @@ from realsim.types import F64, Intrinsics, MetricScene, PointView
 REACH, BIN = 0.10, 0.001
 """Metres about the first guess of an edge within which it is sought, and the resolution of the votes."""
 SECTIONS = 8
-"""An edge is located in so many sections and a line is put through them."""
+"""An edge is located in this many sections, and a line is fitted to them."""
 LEAST_EDGE = 0.12
 """Metres: shorter edges of an outline stay as they are."""
 SIDE = (-0.12, -0.025)
@@ -35,7 +35,7 @@ CENTRES = (np.arange(BINS) + 0.5) * BIN - REACH
 
 @dataclass
 class Votes:
-    """What pixels say about the edges of one face: histograms over the distance outward from the first guess."""
+    """Evidence of pixels about the edges of one face: histograms over the distance outward from the first guess."""
 
     stopped: F64
     """(E, SECTIONS, BINS) weights of rays that the face stopped."""

@@ -1,4 +1,4 @@
-"""Which platform is the start and which the goal: by rule, or as the person says."""
+"""Selects the start and goal platforms: by rule, or as the user says."""
 
 from __future__ import annotations
 

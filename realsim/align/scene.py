@@ -41,7 +41,7 @@ def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
     faces = find_faces(level, labels)
     assumptions, warnings = list(ground.assumptions), list(ground.warnings)
     if cloud.turned:
-        assumptions.append("the mesh is wound inside out: its triangles were turned round")
+        assumptions.append("the mesh is wound inside out: its triangles were flipped")
 
     T_level_world = T_level_cloud @ T_cloud_world
     if isinstance(source, MetricScene):
@@ -129,7 +129,7 @@ def _moved(cloud: Cloud, T: F64) -> Cloud:
 
 
 def _assumed(roles: Roles, source: MetricScene | Scan, stood: bool) -> list[str]:
-    """What the frame rests on where the capture does not say it."""
+    """Assumptions of the frame that the capture does not settle."""
     start, goal = roles
     ahead = "the first camera's view" if stood and isinstance(source, MetricScene) else "the source's own x"
     below = "the first camera" if isinstance(source, MetricScene) else "the sensor" if stood else "the source's origin"

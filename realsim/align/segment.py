@@ -1,4 +1,4 @@
-"""What a point belongs to: a small interface, so that a learned segmentation can take the geometric one's place."""
+"""Labels of points: a small interface, so that a learned segmentation can replace the geometric one."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def segmented(name: str, cloud: Cloud) -> Labels:
     labels = np.asarray(find_segmenter(name)(cloud))
     if labels.shape != (len(cloud),) or not np.isin(labels, list(Label)).all():
         raise AlignError(
-            f"the segmenter {name!r} does not keep its contract",
+            f"the segmenter {name!r} does not follow the contract of segmenters",
             expected=f"({len(cloud)},) labels out of {', '.join(f'{label.value} {label.name}' for label in Label)}",
             found=f"shape {labels.shape}, values {np.unique(labels)[:8].tolist()}",
         )

@@ -22,7 +22,7 @@ APART = 0.06
 LEAST_STEP = 0.006
 """Metres between the means on both sides of a line that make it an edge..."""
 CERTAIN = 6.0
-"""...if they are also so many times what the means usually differ by."""
+"""...if they also differ by this many times the usual difference of means."""
 LEAST_EDGE = 0.16
 """Metres of a line of steps; shorter ones are noise."""
 HOLE = 0.016

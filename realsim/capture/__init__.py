@@ -61,7 +61,7 @@ def _read(layout: Layout, path: Path, config: CaptureConfig) -> FrameSet | Scan:
 
 
 def inspect(path: Path, config: CaptureConfig) -> Inspection:
-    """What `read` makes of a capture and why, with figures (`realsim inspect`). Raises what `read` raises."""
+    """How `read` interprets a capture and why, with figures (`realsim inspect`). Raises the same errors as `read`."""
     path = Path(path)
     layout, recognition = recognise(path, config.layout, LAYOUTS)
     raw = _read(layout, path, config)

@@ -14,7 +14,7 @@ from realsim.files import check_size
 MAX_ARCHIVE_BYTES = 16 * 2**30
 MAX_MEMBERS = 500_000
 DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, NotImplementedError, ValueError)
-"""What zipfile raises for damaged, encrypted or exotic archives."""
+"""Exceptions of zipfile for damaged, encrypted or exotic archives."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What the phone apps have in common: ARKit's axes, its world, its levels of confidence.
+"""Conventions shared by the phone apps: ARKit's axes, its world, its levels of confidence.
 
 ARKit (https://developer.apple.com/documentation/arkit/arconfiguration/worldalignment/gravity): a right-handed world
 with y against gravity; the camera's axes are x right, y up, z backward (OpenGL's) for the image as the sensor has it,
@@ -46,6 +46,6 @@ def pose_xyzw(numbers: ArrayLike) -> F64:
     if not np.isfinite(row).all():
         return np.full((4, 4), np.nan)
     if abs(np.linalg.norm(row[3:]) - 1) > 0.05:
-        raise PoseError("the quaternion of the pose is none", expected="length 1", found=f"{row[3:].tolist()}")
+        raise PoseError("the pose has no valid quaternion", expected="length 1", found=f"{row[3:].tolist()}")
     # The real part is last in the file, quat_to_R wants it first.
     return make_T(quat_to_R(row[[6, 3, 4, 5]]), row[:3])

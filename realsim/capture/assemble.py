@@ -16,18 +16,18 @@ from realsim.types import F32, F64, Dropped, Frame, FrameSet, Intrinsics
 
 @dataclass(frozen=True)
 class DepthUnit:
-    """What the values of depth images stand for."""
+    """Meaning of the values of depth images."""
 
     integer: float
     """Metres a step of integer images."""
     floating: float
-    """Metres a unit of floating-point images."""
+    """Metres per unit of floating-point images."""
     note: str
-    """Where that comes from, one sentence."""
+    """Its origin, one sentence."""
 
 
 def depth_unit(default: float, why: str, config: CaptureConfig, camera: Camera | None = None) -> DepthUnit:
-    """The unit that was asked for, or that the camera's file names, or else the layout's convention."""
+    """The requested unit, otherwise that of the camera's file, otherwise the layout's convention."""
     if config.depth_unit is not None:
         note = f"depth is in steps of {config.depth_unit:g} m, as asked for"
         return DepthUnit(config.depth_unit, config.depth_unit, note)
@@ -93,7 +93,7 @@ def cameras(
 
 @dataclass(frozen=True)
 class View:
-    """What a layout knows of one frame besides its images; the fields are those of `Frame`."""
+    """Data of one frame besides its images; the fields are those of `Frame`."""
 
     intrinsics: Intrinsics
     color_intrinsics: Intrinsics | None = None
@@ -181,7 +181,7 @@ def capture(
     warnings: Sequence[str] = (),
     up_world: F64 | None = None,
 ) -> FrameSet:
-    """The frame set of a layout, refused if it is empty. Warnings that repeat (one a frame) are said once."""
+    """The frame set of a layout, refused if it is empty. Warnings that repeat (one per frame) are kept once."""
     if not frames:
         reasons = "; ".join(f"{d.name}: {d.reason}" for d in dropped[:3]) or "no images"
         raise CaptureError("no frame of this capture can be used", file=path, found=reasons)

@@ -1,4 +1,4 @@
-"""What can be set about reading a capture."""
+"""Options of reading a capture."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
-"""Name of a unit of scans -> metres."""
+"""Name of a unit of scans -> its length in metres."""
 LAYOUTS = (
     "{auto,open3d,tum,sevenscenes,scannet,pcd,nerfstudio,polycam,record3d,record3d_exr,stray,arkitscenes,scannerapp,"
     "realsense,scan,plain}"
@@ -25,13 +25,13 @@ class CaptureConfig:
     every: int = 1
     """Use every n-th frame."""
     depth_unit: float | None = None
-    """Metres that the value 1 stands for in depth images; from the layout if not given."""
+    """Metres per unit of depth images; by default as the layout defines it."""
     min_depth: float = 0.15
     """Metres; nearer depth is invalid."""
     max_depth: float = 6.0
     """Metres; farther depth is invalid."""
     unit: Annotated[str, tyro.conf.arg(metavar="{m,cm,mm,inch}")] = "m"
-    """Unit of scans whose files do not say it."""
+    """Unit of scans whose files do not specify one."""
     ignore_poses: bool = False
     """Do not read the capture's poses (for captures whose poses are known to be wrong)."""
     metric_poses: bool = True

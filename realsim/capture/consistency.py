@@ -19,7 +19,7 @@ from realsim.types import F32, F64, Frame, FrameSet, Intrinsics
 TOLERANCE = 0.04
 """Relative difference of two depths that still agree: sensor noise and bias, interpolation, rounding."""
 PIXELS = 2000
-"""About so many pixels of a frame are compared."""
+"""About this many pixels of a frame are compared."""
 PLACES = 6
 STRIDES = (2, 5)
 ENOUGH = 400
@@ -82,7 +82,7 @@ def check_agreement(capture: FrameSet) -> tuple[Agreement | None, str | None]:
         right += "or --no-metric-poses if it is the poses that are not in metres"
         raise CaptureError("depth in an implausible unit", file=capture.source, found=facts, hint=right)
     raise PoseError(
-        "the poses are of another convention than this layout's",
+        "the poses follow another convention than this layout's",
         file=capture.source,
         expected="camera to world, OpenCV camera axes",
         found=facts,

@@ -1,4 +1,4 @@
-"""What happens to every capture after its layout has read it: look at each frame once, keep what can be used."""
+"""Steps for every capture after its layout has read it: examine each frame once, keep the usable ones."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ class DepthImage:
     unit: float
     """Metres a step of integer images."""
     float_unit: float = 1.0
-    """Metres a unit of floating-point images."""
+    """Metres per unit of floating-point images."""
 
     def __call__(self) -> F32:
         raw = self._raw()
@@ -101,7 +101,7 @@ def confidence(raw: NDArray, best: int, source: Path) -> F32:
     """
     if raw.dtype != np.uint8 or raw.ndim != 2 or raw.max(initial=0) > best:
         raise CaptureError(
-            "confidence of another type",
+            "confidence image of another type",
             file=source,
             expected=f"one channel of 8 bits, 0 to {best}",
             found=f"{raw.dtype} of shape {raw.shape} up to {raw.max(initial=0)}",
@@ -175,7 +175,7 @@ def decode(data: bytes, flags: int, path: Path) -> NDArray:
 
 
 def damage(data: bytes) -> str | None:
-    """What is wrong with an encoded image, or None.
+    """The fault of an encoded image, or None.
 
     The decoders paint what is missing of a truncated file grey or black and only print a warning, so the ends of
     JPEG and PNG files are looked at here.

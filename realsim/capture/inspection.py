@@ -1,4 +1,4 @@
-"""What `realsim inspect` says about a capture."""
+"""The output of `realsim inspect`."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from realsim.types import F64, Dropped, Scan
 
 @dataclass(frozen=True, repr=False)
 class Inspection:
-    """What was recognised and why, what was assumed, figures, and what is wrong."""
+    """The recognised layout and its evidence, assumptions, figures, and problems."""
 
     source: str
     layout: str
     evidence: tuple[str, ...]
-    """What the layout was recognised by."""
+    """Evidence for the layout."""
     frames: Mapping[str, Any]
     """used, dropped {name: reason}, resolution of depth and colour, intrinsics."""
     depth: Mapping[str, Any]

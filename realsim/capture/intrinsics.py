@@ -23,7 +23,7 @@ FIELD_OF_VIEW_DEG = (5.0, 170.0)
 
 @dataclass(frozen=True)
 class Camera:
-    """What a file says about a camera; the image size may be left open."""
+    """Camera parameters of a file; the image size may be unknown."""
 
     fx: float
     fy: float
@@ -36,7 +36,7 @@ class Camera:
     """Conventions that were found, one sentence each."""
     warnings: tuple[str, ...] = ()
     depth_unit: float | None = None
-    """Metres a step of integer depth, where the file says so."""
+    """Metres per step of integer depth, if the file states it."""
 
     def sized(self, size: tuple[int, int]) -> Intrinsics:
         """Checked intrinsics of images of that (width, height).
@@ -282,7 +282,7 @@ def _depth_unit(data: Mapping, source: Path) -> tuple[float | None, tuple[str, .
 
 
 def _distortion_warning(data: Mapping, source: Path) -> tuple[str, ...]:
-    """Lens distortion is not undone here; a warning says so where a file gives any."""
+    """Lens distortion is not corrected here; a warning is given if a file specifies any."""
     value = _first(data, ("distortion_coefficients", "dist_coeffs", "distortion", "coeffs"))
     value = value.get("data") if isinstance(value, Mapping) else value
     if value is None:

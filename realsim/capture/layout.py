@@ -21,12 +21,12 @@ phones' LiDAR one real capture is 4 percent off the phone's own poses (scannerap
 
 @dataclass(frozen=True)
 class Recognition:
-    """What a layout saw in a folder."""
+    """What a layout found in a folder."""
 
     evidence: tuple[str, ...] = ()
-    """What speaks for this layout, in words; empty: nothing does."""
+    """Evidence for this layout, in words; empty if there is none."""
     missing: tuple[str, ...] = ()
-    """What the layout needs and did not find, in words."""
+    """Missing parts that the layout needs, in words."""
     score: int = 0
     """How specific the evidence is. Among complete layouts the highest wins; equal ones are ambiguous."""
 
@@ -42,7 +42,7 @@ class Layout:
 
     name: str
     looks_for: str
-    """What makes it recognisable, for the message when nothing is."""
+    """Its distinctive files, for the message if nothing is recognised."""
     recognise: Callable[[Path], Recognition]
     """A cheap look at names (no image is decoded); must not raise for a folder of any other kind."""
     read: Callable[[Path, CaptureConfig], FrameSet | Scan]

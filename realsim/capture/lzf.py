@@ -43,7 +43,7 @@ def decompress(data: bytes, size: int) -> bytes:
 def _copy(out: bytearray, start: int, length: int) -> None:
     """Append `length` bytes of `out` from `start` on; the source may run into what is being appended."""
     if start < 0:
-        raise ValueError("the compressed data refer to what is not there")
+        raise ValueError("the compressed data refer to missing data")
     chunk = out[start : start + length]
     if len(chunk) < length:
         chunk = (chunk * (length // len(chunk) + 1))[:length]

@@ -40,7 +40,7 @@ class Field:
 
 @dataclass(frozen=True)
 class PcdHeader:
-    """What the header of a PCD file says."""
+    """The header of a PCD file."""
 
     fields: tuple[Field, ...]
     width: int
@@ -50,7 +50,7 @@ class PcdHeader:
     data: str
     """`ascii`, `binary` or `binary_compressed`."""
     offset: int
-    """Where the data start."""
+    """Offset of the data, bytes."""
 
     @property
     def organised(self) -> bool:

@@ -17,12 +17,12 @@ from realsim.types import F64, Dropped, Frame, FrameSet
 ROUNDING = 1e-5
 """Deviation of R R^T from the identity that a few printed digits explain; corrected without a word."""
 MENDABLE = 0.05
-"""Deviation up to which a rotation is replaced by the nearest one, and said so; beyond, the pose is refused."""
+"""Deviation up to which a rotation is replaced by the nearest one, with a note; beyond it the pose is refused."""
 
 
 @dataclass(frozen=True)
 class PoseReport:
-    """What became of the poses of a capture."""
+    """The checked poses of a capture, with notes."""
 
     given: int
     mended: int
@@ -109,7 +109,7 @@ def settle_poses(capture: FrameSet) -> tuple[FrameSet, PoseReport]:
             file=capture.source,
             expected="camera-to-world matrices with a proper rotation",
             found=f"{count} of {len(dropped)} times: {reason}",
-            hint="mend the poses, or pass --ignore-poses to have them estimated",
+            hint="fix the poses, or pass --ignore-poses to have them estimated",
         )
     mended = sum(d > ROUNDING for d in deviations)
     report = PoseReport(given, mended, max(deviations))

@@ -131,7 +131,7 @@ def _shots(rs: Any, pipeline: Any, path: Path | None) -> Iterator[Shot]:
         try:
             good, frames = pipeline.try_wait_for_frames(TIMEOUT_MS)
         except RuntimeError as error:
-            raise CaptureError("the camera or recording broke off", file=path, found=str(error)) from error
+            raise CaptureError("the camera or recording stopped early", file=path, found=str(error)) from error
         if not good:
             # A recording that has ended sends nothing more; so does a camera that hangs.
             if first or path is None:

@@ -1,4 +1,4 @@
-"""Which layout a capture has. What is ambiguous or incomplete is said, never guessed."""
+"""Which layout a capture has. Ambiguous or incomplete captures are reported, never guessed."""
 
 from __future__ import annotations
 

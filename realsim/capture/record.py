@@ -18,9 +18,9 @@ from realsim.progress import track
 @dataclass(frozen=True)
 class RecordConfig:
     seconds: float | None = None
-    """Stop after so many seconds of the camera's clock; without a limit, Ctrl-C stops."""
+    """Stop after this many seconds of the camera's clock; without a limit, Ctrl-C stops."""
     frames: int | None = None
-    """Stop after so many frames."""
+    """Stop after this many frames."""
     every: int = 1
     """Keep every n-th frame."""
     width: int = 640
@@ -45,7 +45,7 @@ class RecordConfig:
 
 @dataclass(frozen=True)
 class Recording:
-    """What was recorded."""
+    """Summary of a recording."""
 
     folder: Path
     frames: int

@@ -25,7 +25,7 @@ MAX_SCAN_BYTES = 2 * 2**30
 
 @dataclass(frozen=True)
 class RawScan:
-    """What a file holds, in its own unit and world."""
+    """Content of a file, in its own unit and world."""
 
     points: F64
     """(M, 3)."""
@@ -61,7 +61,7 @@ def read_scan(path: Path) -> RawScan:
 
 
 def check_count(count: int, path: Path) -> None:
-    """Refuse more points than can be handled, before they are read where the header says so."""
+    """Refuse more points than can be handled, before reading them if the header gives their number."""
     if count > MAX_VERTICES:
         raise CaptureError(
             "the scan is too large",

@@ -42,7 +42,7 @@ SECOND_DIFFERENCES = tuple(
 
 @dataclass(frozen=True)
 class Look:
-    """What one look at a frame found."""
+    """Figures of one frame."""
 
     name: str
     median_depth: float

@@ -35,7 +35,7 @@ def other_arguments(drop: Mapping[str, int], positional: Sequence[str]) -> tuple
 
 @dataclass(frozen=True)
 class CommandResult:
-    """What a command has to say: to a person, to a machine, and to the shell."""
+    """Result of a command: text for a person, data for a machine, and an exit code."""
 
     text: str
     data: Mapping[str, Any] = field(default_factory=dict)

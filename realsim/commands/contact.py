@@ -28,9 +28,9 @@ def contact(
     Args:
         mesh: .ply, .obj, .stl, .glb or .off.
         out: gets scene.xml, the mesh, contact.json and contact.png.
-        unit: unit of the file; metres if not given, but what is more than 50 m across then is refused.
+        unit: unit of the file; by default metres, but a mesh of more than 50 m is then refused.
         up: axis of the file that points up.
-        ground_z: height of the ground in metres; the mesh's own floor or else its lowest point if not given.
+        ground_z: height of the ground in metres; by default the mesh's own floor, otherwise its lowest point.
         overwrite: replace a folder that realsim wrote before.
         strict: exit with code 3 if the verdict is "do not use" (the scene is written all the same).
     """

@@ -27,8 +27,8 @@ def demo(
     """Render a terrain as a depth camera would see it, reconstruct it from the frames alone, and measure the errors.
 
     Args:
-        out: gets frames/ (capture and truth) and scene/ (what was reconstructed).
-        terrain: what lies between the platforms.
+        out: gets frames/ (capture and truth) and scene/ (the reconstruction).
+        terrain: the terrain between the platforms.
         frames: views along the walk.
         poses: give the reconstruction the camera poses as well.
         robot: robot to put on the start platform.

@@ -41,11 +41,11 @@ def diagnose(
         out: where diagnosis.json, report.html and the patched model go (default: diagnosis); with --init, the new case
             (default: case).
         overwrite: replace an output folder that realsim wrote before.
-        check: say within seconds whether the log can be used, and what is odd about it; nothing is written.
+        check: report within seconds whether the log can be used, and its peculiarities; nothing is written.
         init: instead of a case: an MJCF model, for which the folder of a new case is made.
-        explain: instead of a case: say what an effect looks like and what excites it (`all` lists them).
+        explain: instead of a case: describe an effect and what excites it (`all` lists them).
         model: of the robot, where CASE is a recording (MCAP, bag, CSV, ...): the case is written beside --out first.
-        policy: policy.onnx that was run: is it run as it was trained (docs/logs.md)? Said before the diagnosis.
+        policy: policy.onnx that was run: check first whether it was run as it was trained (docs/logs.md).
         deploy_yaml: the contract of a policy whose ONNX file has none (unitree_rl_lab).
         jobs: with several cases: how many at a time on this machine.
         ray: with several cases: the address of a Ray cluster that shares this file system.
@@ -105,7 +105,12 @@ def _health(case: Path, found: Mapping[str, Any]) -> list[str]:
     warnings = found["health"]["warnings"]
     first = f"{case.name}: {len(found['runs'])} runs, {found['seconds']:.0f} s of log: "
     return [
-        first + (f"can be used, with {len(warnings)} notes" if warnings else "can be used, nothing odd"),
+        first
+        + (
+            f"can be used, with {len(warnings)} note{'s' * (len(warnings) > 1)}"
+            if warnings
+            else "can be used, nothing odd"
+        ),
         *(f"note    {warning}" for warning in warnings),
     ]
 

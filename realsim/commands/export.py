@@ -26,10 +26,10 @@ def export(
 
     Args:
         scene: a folder made by `realsim reconstruct` or `realsim contact`.
-        to: formats, separated by commas; or all. mjcf if a profile is all that is asked for.
-        out: gets one folder a format; SCENE/export if not given.
+        to: formats, separated by commas; or all. With --profile the default is mjcf.
+        out: gets one folder per format; SCENE/export by default.
         overwrite: replace formats that an export wrote before.
-        profile: of mjcf: as the CPU runs it, or for MuJoCo Warp (`--to warp` says the same).
+        profile: of mjcf: for the CPU, or for MuJoCo Warp (the same as `--to warp`).
     """
     names = [name.strip() for name in to.split(",") if name.strip()]
     if profile == "warp":

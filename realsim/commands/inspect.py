@@ -1,4 +1,4 @@
-"""`realsim inspect`: what a capture is taken for, before anything is computed from it."""
+"""`realsim inspect`: how a capture is recognised, before anything is computed from it."""
 
 from __future__ import annotations
 

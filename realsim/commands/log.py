@@ -29,8 +29,8 @@ def log(
         recording: a file or a folder: MCAP, ROS bag, LeRobot, parquet, CSV, JSON, ULog, npz; a folder of files is runs.
         model: MJCF (or URDF) of the robot; order, units and signs of the joints are tested against it.
         out: where the case for `realsim diagnose` goes; without it nothing is written.
-        use: what you know better: ROLE=STREAM:FIELD, or ROLE=none; ROLE is command, joint_pos, joint_vel, ...
-        only: topics that begin so, where a recording holds several robots.
+        use: overrides a guess: ROLE=STREAM:FIELD, or ROLE=none; ROLE is command, joint_pos, joint_vel, ...
+        only: prefix of the topics to read, if a recording holds several robots.
         skip: seconds after the first message from which the recording is read.
         seconds: how many seconds of it are read.
         overwrite: replace a case that realsim wrote before.

@@ -41,7 +41,7 @@ def _level(outcome: Outcome) -> str:
 
 
 def _outcome(outcome: Outcome, shows: str) -> str:
-    """What a person wants to see of an item: its verdict first."""
+    """The line that is printed for an item: its verdict first."""
     if outcome.exit_code not in (0, DO_NOT_USE):
         return f"FAILED: {outcome.result.get('message')}"
     word = WORDS.get(_level(outcome))

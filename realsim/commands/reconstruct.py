@@ -93,4 +93,5 @@ def _summary(result: Reconstruction) -> list[str]:
 def _first(lines: list[str], what: str) -> list[str]:
     """The first few, and how many are left out."""
     left = len(lines) - SHOWN
-    return lines if left <= 0 else [*lines[:SHOWN], f"        and {left} {what}: see the report"]
+    many = what if left > 1 else what.removesuffix("s")
+    return lines if left <= 0 else [*lines[:SHOWN], f"        and {left} {many}: see the report"]

@@ -23,7 +23,7 @@ def record(out: Annotated[Path, tyro.conf.Positional], config: RecordConfig, bag
     made = write(out, config, bag=bag)
     lines = [f"{made.frames} frames in {made.seconds:.1f} s from {made.device}", f"written to {made.folder}"]
     if made.lost:
-        lines.append(f"{made.lost} images were lost on the way: this machine is too slow for the size and rate")
+        lines.append(f"{made.lost} images were lost: this machine is too slow for the size and rate")
     if made.interrupted:
-        lines.append("stopped by Ctrl-C: all frames up to there are kept")
+        lines.append("stopped by Ctrl-C: all frames so far are kept")
     return CommandResult("\n".join(lines), {**asdict(made), "folder": str(made.folder)})

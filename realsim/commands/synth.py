@@ -13,7 +13,7 @@ def synth(config: SynthConfig, out: Path = Path("synth"), overwrite: bool = Fals
     """Render a synthetic RGB-D capture of a parkour terrain, and keep the exact truth beside it.
 
     Args:
-        out: gets capture/ (what `realsim reconstruct` reads) and truth/ (what it may not see).
+        out: gets capture/ (what `realsim reconstruct` reads) and truth/ (which it must not see).
         overwrite: replace a folder that realsim wrote before.
     """
     require("recon", "realsim synth")

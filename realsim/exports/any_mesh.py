@@ -55,7 +55,7 @@ def contact_mesh(
     hidden = hidden_cm2(terrain, files.scene_xml, ground)
     if hidden and set(files.contact["geoms"]) == {"plane"}:
         raise ExportError(
-            "nothing of the mesh rises from the ground",
+            "no part of the mesh rises above the ground",
             file=mesh,
             expected=f"a mesh that reaches above z = {ground.z:.3f} m",
             found=f"{hidden:.0f} cm2 of its surface below",

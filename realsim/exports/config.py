@@ -1,4 +1,4 @@
-"""What can be set about the scene on disk."""
+"""Options of the scene on disk."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ class SceneConfig:
     contact: Annotated[str, tyro.conf.arg(metavar="{auto,boxes,hybrid,sheets,convex,hfield,sdf,hull}")] = "auto"
     """Collision representation; `auto` takes the cheapest that meets --contact-tolerance."""
     contact_tolerance: tuple[float, float] = (0.005, 0.015)
-    """Metres that contact may be off the mesh: median and 95th percentile."""
+    """Largest error of contact in metres: median and 95th percentile."""
     contact_probes: int = 2000
-    """Balls that are lowered to measure it."""
+    """Number of balls lowered to measure it."""
     hfield_resolution: float = 0.02
-    """Metres a cell of the collision height field."""
+    """Cell size of the collision height field, metres."""
     convex_threshold: float = 0.01
-    """Metres of concavity that a part of the convex decomposition may have."""
+    """Largest concavity of a part of the convex decomposition, metres."""
     convex_columns: int = 6000
-    """Columns of 1 cm that a convex decomposition may take on; its time grows faster than their number."""
+    """Largest number of 1 cm columns in a convex decomposition; its time grows faster than their number."""
     robot: Annotated[str | None, tyro.conf.arg(metavar="{g1,quadruped,menagerie:NAME}")] = None
     """Robot to put on the start platform."""
     drop_tolerance: float = 0.030
-    """Metres by which an object dropped on a platform may rest beside that platform's height."""
+    """Largest difference between the resting height of an object dropped on a platform and the platform, metres."""
 
     def __post_init__(self) -> None:
         if not 0.002 <= self.hfield_resolution <= 0.5:

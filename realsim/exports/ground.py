@@ -1,4 +1,4 @@
-"""Where the ground of a mesh lies, at a floor of its own or below all of it, and what a ground hides."""
+"""Height of the ground of a mesh: its own floor, or its lowest point; and the surface that a ground hides."""
 
 from __future__ import annotations
 

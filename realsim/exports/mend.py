@@ -1,4 +1,4 @@
-"""Any mesh from anywhere, made fit for collision: read, checked, mended, and what was mended is said."""
+"""Any mesh made fit for collision: read, checked and repaired, with a list of the repairs."""
 
 from __future__ import annotations
 
@@ -79,8 +79,8 @@ def _check_unit(path: Path, vertices: F64, unit: str | None) -> None:
         "the mesh is not of a terrain's size",
         file=path,
         expected=f"0.02 to {most:g} metres across",
-        found=f"{size:.4g} metres, its numbers taken as {unit or 'm'}",
-        hint="; ".join(fits) or "scale the mesh, or take out triangles that lie far from the rest",
+        found=f"{size:.4g} metres, if its unit is {unit or 'm'}",
+        hint="; ".join(fits) or "scale the mesh, or remove triangles far from the rest",
     )
 
 
@@ -101,22 +101,22 @@ def mend(vertices: F64, triangles: NDArray[Any]) -> tuple[TerrainMesh, list[str]
     sound: NDArray[np.bool_] = np.asarray(((triangles >= 0) & (triangles < len(vertices))).all(1))
     sound[sound] &= np.isfinite(vertices[triangles[sound]]).all((1, 2))
     if not sound.all():
-        notes.append(f"{(~sound).sum()} triangles with corners that are missing or not numbers were taken out")
+        notes.append(f"{(~sound).sum()} triangles with missing or non-finite corners were removed")
     triangles = triangles[sound]
     if not len(triangles):
-        raise ExportError("the mesh has no usable triangles", found="corners that are missing or not numbers")
+        raise ExportError("the mesh has no usable triangles", found="missing or non-finite corners")
     corners = vertices[triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     size = float(np.ptp(corners.reshape(-1, 3), 0).max())
     flat = area < 1e-12 * max(size, 1e-12) ** 2
     if flat.any():
-        notes.append(f"{flat.sum()} triangles without area were taken out")
+        notes.append(f"{flat.sum()} triangles without area were removed")
     if flat.all():
         raise ExportError("the mesh has no usable triangles", found=f"{len(flat)} triangles, all without area")
     vertices, faces = compact(vertices, triangles[~flat].astype(np.int32))
     faces, turned = turn_stray(vertices, faces)
     if turned:
-        notes.append(f"{turned} triangles that faced the other way than their neighbours were turned round")
+        notes.append(f"{turned} triangles that faced the other way than their neighbours were flipped")
     quality = _quality(vertices, faces, int(flat.sum()))
     terrain = TerrainMesh(vertices, faces, None, np.zeros(len(faces), bool), quality, "file", 0.0)
     check_extent(terrain)
@@ -124,13 +124,13 @@ def mend(vertices: F64, triangles: NDArray[Any]) -> tuple[TerrainMesh, list[str]
     if inside_out:
         faces = np.ascontiguousarray(faces[:, ::-1])
         terrain = TerrainMesh(vertices, faces, None, terrain.invented, quality, "file", 0.0)
-        notes.append("the mesh was inside out and has been turned round")
+        notes.append("the mesh was inside out and has been flipped")
     faces, turned = turn_closed(vertices, faces)
     if turned:
         terrain = TerrainMesh(vertices, faces, None, terrain.invented, quality, "file", 0.0)
-        notes.append(f"{turned} closed pieces were inside out and have been turned round")
+        notes.append(f"{turned} closed pieces were inside out and have been flipped")
     if overlap:
-        notes.append("solids of the mesh overlap or its surface crosses itself: what lies in any of them is solid")
+        notes.append("solids of the mesh overlap or its surface crosses itself: whatever lies in any of them is solid")
     if not quality.manifold:
         notes.append("the mesh is not manifold: solids are taken from columns of rays, which need no manifold")
     if not quality.watertight:
@@ -149,7 +149,7 @@ def _from_above(mesh: TerrainMesh) -> tuple[bool, bool]:
     x, y = np.meshgrid(*(lower[k] + steps * (upper[k] - lower[k]) for k in (0, 1)))
     ray, z, up, _ = crossings(mesh, x.ravel(), y.ravel(), (lower + upper) / 2, float(upper[2]) + 1)
     if not len(ray):
-        raise ExportError("nothing of the mesh can be stood on", found="no surface that is seen from above")
+        raise ExportError("the mesh has no surface to stand on", found="no surface that is seen from above")
     first = np.r_[True, np.diff(ray) != 0]
     inside_out = bool(up[first].mean() < 0.5)
     # Two ways in, one after the other, and a while until the next crossing: the ray is in two solids at once. (Where a

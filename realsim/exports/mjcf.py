@@ -23,6 +23,7 @@ def scene_xml(
     visual: str,
     texture: str | None,
     robot: str | None = None,
+    azimuth: float = 60.0,
 ) -> str:
     """A scene in the simulation frame: metres, z up, files relative to the scene's folder.
 
@@ -30,12 +31,13 @@ def scene_xml(
         bounds: (2, 3) corners of the terrain, for camera and statistics.
         visual: file of the mesh that is drawn; texture: its image, or None.
         robot: file of the robot's model, standing where it should, or None.
+        azimuth: direction in which viewers look first, degrees from x to y.
     """
     root = ET.Element("mujoco", model="scene")
     ET.SubElement(root, "compiler", angle="radian")
     centre, extent = bounds.mean(0), float(np.linalg.norm(bounds[1] - bounds[0]))
     ET.SubElement(root, "statistic", center=numbers(centre), extent=numbers([max(extent, 0.5)]))
-    _look(root)
+    _look(root, azimuth)
     asset = ET.SubElement(root, "asset")
     _materials(asset, texture)
     ET.SubElement(asset, "mesh", name="visual", file=visual, inertia="shell")
@@ -92,13 +94,13 @@ def numbers(values: Iterable[float]) -> str:
     return " ".join(f"{float(v) + 0.0:.10g}" for v in values)
 
 
-def _look(root: ET.Element) -> None:
+def _look(root: ET.Element, azimuth: float) -> None:
     visual = ET.SubElement(root, "visual")
     ET.SubElement(visual, "headlight", ambient="0.35 0.35 0.35", diffuse="0.45 0.45 0.45", specular="0 0 0")
     ET.SubElement(visual, "rgba", haze="0.78 0.83 0.88 1")
     ET.SubElement(visual, "map", znear="0.005", zfar="20")
     ET.SubElement(visual, "quality", shadowsize="4096")
-    ET.SubElement(visual, "global", azimuth="-60", elevation="-30", offwidth="1280", offheight="960")
+    ET.SubElement(visual, "global", azimuth=numbers([azimuth]), elevation="-30", offwidth="1280", offheight="960")
 
 
 def _materials(asset: ET.Element, texture: str | None) -> None:
@@ -147,7 +149,7 @@ def _geom(geom: Geom) -> dict[str, str]:
 
 
 def _drawn_floor(floor: Geom) -> dict[str, str]:
-    """What one sees of the floor: a little below where it is felt, so that it does not flicker through the scan."""
+    """The drawn floor: a little below the collision floor, so that it does not flicker through the scan."""
     x, y, z = floor.pos
     out = {"name": f"{floor.name}_drawn", "type": "plane", "pos": numbers((x, y, z - DRAWN_BELOW))}
     if floor.size is not None:

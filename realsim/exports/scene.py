@@ -20,7 +20,7 @@ from realsim.meshes import compact, simplify
 from realsim.types import F64, AlignedScene, Platform, SceneFiles, TerrainMesh
 
 DRAWN_TRIANGLES = 80_000
-"""What a viewer draws fluently; the exact surface is in mesh.ply and mesh.glb."""
+"""Number of triangles that viewers draw fluently; the exact surface is in mesh.ply and mesh.glb."""
 
 
 def write_scene(folder: Path, aligned: AlignedScene, mesh: TerrainMesh, config: SceneConfig) -> SceneFiles:
@@ -39,7 +39,16 @@ def write_scene(folder: Path, aligned: AlignedScene, mesh: TerrainMesh, config: 
     start = aligned.platform("start")
     place = np.array([0.0, 0.0, aligned.ground_z]) if start is None else start.centroid
     stand = None if start is None else start.centroid
-    return write_terrain(folder, mesh, aligned.ground_z, config, aligned.platforms, robot_at=place, cost_at=stand)
+    return write_terrain(
+        folder,
+        mesh,
+        aligned.ground_z,
+        config,
+        aligned.platforms,
+        robot_at=place,
+        cost_at=stand,
+        azimuth=_seen_from(aligned),
+    )
 
 
 def write_terrain(
@@ -51,12 +60,14 @@ def write_terrain(
     *,
     robot_at: F64 | None = None,
     cost_at: F64 | None = None,
+    azimuth: float = 60.0,
 ) -> SceneFiles:
     """The same for a mesh with its ground alone.
 
     Args:
         robot_at: (3,) the ground under the robot's feet; the ground at the origin if None.
         cost_at: (3,) where G1 stands when the cost of a step is measured; the highest level place if None.
+        azimuth: direction in which viewers look first, degrees from x to y.
     """
     fitted = fit_contact(mesh, ground_z, config, cost_at)
     contact = fitted.contact
@@ -75,7 +86,7 @@ def write_terrain(
         files |= robot.files | {"robot.xml": robot.spec.to_xml().encode()}
     bounds = np.stack([mesh.vertices.min(0), mesh.vertices.max(0)])
     include = "robot.xml" if robot else None
-    xml = scene_xml(contact, platforms, bounds, visual="visual.obj", texture=texture, robot=include)
+    xml = scene_xml(contact, platforms, bounds, visual="visual.obj", texture=texture, robot=include, azimuth=azimuth)
     for name, data in files.items():
         write_bytes(folder / name, data)
     path = folder / "scene.xml"
@@ -94,8 +105,18 @@ def write_terrain(
     )
 
 
+def _seen_from(aligned: AlignedScene) -> float:
+    """Obliquely along the terrain or back, from the side on which the cameras were: that side has a surface."""
+    if aligned.metric is None:
+        return 60.0
+    ahead = np.mean([aligned.T_sim_camera(i)[:2, 2] for i in range(len(aligned.metric))], axis=0)
+    directions = np.radians([60.0, 120.0, -60.0, -120.0])
+    best = np.argmax(np.cos(directions) * ahead[0] + np.sin(directions) * ahead[1])
+    return float(np.degrees(directions[best]).round())
+
+
 def _visual(vertices: F64, triangles: NDArray[np.int32], colors: NDArray[np.uint8] | None) -> dict[str, bytes]:
-    """What MuJoCo draws: an OBJ, and its texture where there is colour."""
+    """Files of the drawn mesh: an OBJ, and its texture where there is colour."""
     normals = vertex_normals(vertices, triangles)
     if colors is None:
         return {"visual.obj": obj_bytes(vertices, triangles, normals)}

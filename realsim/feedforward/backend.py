@@ -1,4 +1,4 @@
-"""What a backend is: two functions."""
+"""Interface of backends: two functions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from realsim.types import FrameSet, Pointmaps, Solution
 
 @dataclass(frozen=True)
 class Backend:
-    """How poses and points are found, and how the points of a view are made again from what was found."""
+    """How to find poses and points, and how to recompute the points of a view from the solution."""
 
     solve: Callable[[FrameSet, PointsConfig], Solution]
     """Everything slow. Its result is plain arrays and may be kept on disk."""

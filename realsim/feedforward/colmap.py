@@ -19,9 +19,9 @@ from realsim.geometry import invert_T
 from realsim.types import F64, Dropped, Frame, FrameSet, Intrinsics, Pointmaps, PointView, Solution
 
 ALL_PAIRS = 40
-"""Up to so many frames every pair is matched; beyond, neighbours in the sequence."""
+"""Up to this many frames every pair is matched; beyond, neighbours in the sequence."""
 OVERLAP = 10
-"""How many neighbours."""
+"""Number of neighbours."""
 
 
 def solve(frames: FrameSet, config: PointsConfig) -> Solution:

@@ -1,4 +1,4 @@
-"""What can be set about poses and points."""
+"""Options of poses and points."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class OnnxConfig:
     provider: str | None = None
     """Execution provider of onnxruntime: cpu, cuda, coreml, ... (default: the fastest that is installed)."""
     max_views: int | None = None
-    """Most views in one run of the model (default: what it declares and what fits into memory)."""
+    """Largest number of views per run of the model (default: as declared, and as fits into memory)."""
     min_confidence: float = 0.1
     """Predicted pixels below this confidence (0..1) are left out."""
     drop_least_sure: float = 5.0
-    """Percent of each view's predicted pixels that are left out as the least sure."""
+    """Percentage of each view's predicted pixels, the least confident ones, that are left out."""
     kept_in: Annotated[Path | None, tyro.conf.Suppress] = None
     """Folder in which a model's outputs are kept for the next run."""
 
@@ -38,9 +38,9 @@ class OnnxConfig:
 @dataclass(frozen=True)
 class PointsConfig:
     backend: Annotated[str, tyro.conf.arg(metavar="{rgbd,colmap,onnx,onnx+depth}")] = "rgbd"
-    """Where points and poses come from."""
+    """Source of points and poses."""
     poses: Literal["auto", "given", "estimate"] = "auto"
-    """`given` uses the capture's poses and fails without them, `estimate` ignores them, `auto` uses them if there."""
+    """`given` uses the capture's poses and fails without them, `estimate` ignores them, `auto` uses them if present."""
     refine: bool = True
     """Refine given poses against the depth."""
     correct_depth_bias: bool = True

@@ -1,4 +1,4 @@
-"""Views that are asked for again and again: scale, alignment and meshing each pass over all of them."""
+"""Views kept in memory: scale, alignment and meshing each pass over all of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far log and simulator are apart: bins, noise floor, weights."""
+"""Difference between log and simulator: bins, noise floor, weights."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class Comparison:
         self.set_detail([self.noise.detail for _ in case.runs])
 
     def _part(self, nominal: Sequence[F64], known: Sequence[int]) -> dict[str, float]:
-        """Where a floating robot's error has grown out of all proportion and never comes back: chaos, not evidence."""
+        """Time from which a floating robot's error is large for good: chaos, not evidence."""
         if not self.case.floating:
             return {}
         width = max(int(PART_SECONDS / self.config.bin_seconds), 1)

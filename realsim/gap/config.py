@@ -1,4 +1,4 @@
-"""What can be set about a diagnosis."""
+"""Options of a diagnosis."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class DiagnoseConfig:
     max_causes: int = 3
     """At most this many causes are accepted."""
     threads: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """Threads of the batch simulator; all cores unless told."""
+    """Threads of the batch simulator; all cores by default."""
     max_runs: int = 12
     """At most this many runs are simulated, spread over the log; the rest are left out and named."""
     max_seconds: float = 10.0
@@ -49,6 +49,6 @@ class DiagnoseConfig:
         if self.holdout < 0 or not self.settle_seconds >= 0 or self.seed < 0:
             raise ValueError("holdout, settle_seconds and seed must not be negative")
         if not self.max_seconds >= SHORTEST_RUN:
-            raise ValueError(f"max_seconds must be at least {SHORTEST_RUN:g}: less shows no motion of a servo")
+            raise ValueError(f"max_seconds must be at least {SHORTEST_RUN:g}: less does not show the motion of a servo")
         if self.bootstrap < 1:
             raise ValueError("bootstrap must be at least 1")

@@ -1,4 +1,4 @@
-"""What an effect looks like and what excites it, in words."""
+"""Descriptions of effects: their appearance in a log, and what excites them."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def diagnose(
         nominal = simulator.simulate()
         comparison = Comparison(case, simulator.channels, nominal, config, fitted)
         for name, at in comparison.parted.items():
-            health["warnings"].append(f"{name}: robot and simulator part for good at {at:.1f} s; the rest is left out")
+            health["warnings"].append(f"{name}: robot and simulator diverge at {at:.1f} s; the rest is left out")
         simulator.onsets = find_onsets(comparison, nominal, fitted)
         tick("sensitivities", 0.0)
         screen = Screen(simulator, comparison, fitted, config.effects, tick)
@@ -92,7 +92,7 @@ def diagnose(
 
 
 def limited(case: Case, config: DiagnoseConfig) -> Case:
-    """At most max_runs runs of at most max_seconds each; what is left out is said."""
+    """At most max_runs runs of at most max_seconds each; what is left out is noted."""
     notes = []
     runs = list(case.runs)
     if len(runs) > config.max_runs:

@@ -1,4 +1,4 @@
-"""Which engine gave an answer: two answers are comparable only if these sources and settings are the same."""
+"""Identifies the engine of an answer: answers are comparable only if these sources and settings are equal."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ def orientation(e: Evidence) -> None:
     doubtful = not declared and apart < APART
     if doubtful:  # which of the two turns the robot less at its start
         order = max(ORDERS, key=lambda n: abs(float(values[good][0, ORDERS[n][0]])))
-        evidence.append(f"nothing tells its order: {' '.join(order)} turns the robot less at the start")
+        evidence.append(f"its order cannot be tested: {' '.join(order)} turns the robot less at the start")
     else:
         order = best if apart > APART else declared
         shown = ", ".join(f"{' '.join(n)} {vertical[n]:.2f} and {rates[n]:.2f}" for n in ORDERS)
@@ -100,7 +100,7 @@ def accelerometer(e: Evidence) -> None:
     unit = min(units, key=lambda u: abs(np.log(max(size, 1e-9) * units[u] / G)))
     if not 0.7 < size * units[unit] / G < 1.4:
         e.proposal.warnings.append(
-            f"{source.label} is {size:.3g} long, which is no gravity in any unit: has gravity been taken out? Not used"
+            f"{source.label} is {size:.3g} long, which is no gravity in any unit: has gravity been removed? Not used"
         )
         return
     evidence.append(f"{size:.3g} long in the median -> {unit}")

@@ -36,7 +36,7 @@ SETTLED = 1e-3
 
 
 def write_case(proposal: Proposal, target: Target, out: Path, *, overwrite: bool = False) -> list[str]:
-    """Write the case; returns what is to be said about its runs.
+    """Write the case; returns notes on its runs.
 
     Raises:
         GapError: no command or no positions, or no run that has them.

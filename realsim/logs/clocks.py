@@ -74,7 +74,7 @@ def _of_stream(recording: Recording, stream: Stream) -> Clocked:
     rate = recording.facts.get("fps") or recording.facts.get("rate")
     if isinstance(rate, (int, float)) and rate > 0:
         return Clocked(
-            np.arange(stream.count) / float(rate), "rows", (f"no clock: {rate:g} samples a second are said",)
+            np.arange(stream.count) / float(rate), "rows", (f"no clock: {rate:g} samples per second are declared",)
         )
     raise GapError(
         f"{stream.name or recording.name} has no time",

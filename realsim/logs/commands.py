@@ -1,4 +1,4 @@
-"""What the joints were told: the field, its kind, its joints."""
+"""Commands of the joints: the field, its kind, its joints."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ def _gains(e: Evidence, source: Candidate) -> None:
             off = float((field.values[:, list(command.columns)] == 0).all(axis=1).mean())
             if name == "kp" and off > 0.01:
                 e.proposal.warnings.append(
-                    f"kp is 0 in {off:.0%} of the commands: torque is off there; read the rest: --start, --seconds"
+                    f"kp is 0 in {off:.0%} of the commands: torque is off there; read the rest: --skip, --seconds"
                 )
         elif isinstance(facts[name], (int, float)):
             said = np.full(len(model), float(facts[name]))

@@ -1,4 +1,4 @@
-"""What the steps of the inference share: the recording, its times, the model, and what has been settled so far."""
+"""State shared by the steps of the inference: the recording, its times, the model, and settled roles."""
 
 from __future__ import annotations
 
@@ -125,6 +125,6 @@ def two_robots(recording: Recording, a: Candidate, b: Candidate) -> GapError:
         "two robots are in the recording",
         file=recording.path,
         expected="joints of one robot",
-        found=f"{a.label} and {b.label} name the same joints and say different things",
+        found=f"{a.label} and {b.label} name the same joints and disagree",
         hint=f"choose one: --only {a.stream.rsplit('/', 1)[0] or a.stream}",
     )

@@ -37,7 +37,7 @@ def propose(
     use: Sequence[str] = (),
     only: str = "",
 ) -> Proposal:
-    """What recordings of one layout hold, and how they would become a case.
+    """Content of recordings of one layout, and the proposed case.
 
     Args:
         recordings: one a run.
@@ -128,7 +128,7 @@ def _said_about_clocks(proposal: Proposal, times: Mapping[str, Clocked]) -> None
         proposal.warnings += list(found.warnings)
         if 0 < rate < 20:
             proposal.warnings.append(
-                f"{name or 'table'}: {rate:.3g} samples a second are few: delay, friction and gains blur"
+                f"{name or 'table'}: {rate:.3g} samples per second are few: delay, friction and gains blur"
             )
         gaps = int((step > max(10 * float(np.median(step)), 0.05)).sum()) if len(step) else 0
         if gaps:
@@ -143,7 +143,7 @@ def _missing(proposal: Proposal, target: Target | None) -> None:
         )
     if "command" not in have:
         proposal.missing.append(
-            "command (needed): what the joints were told was not recorded; record the command topic too, or name it: "
+            "command (needed): the commands were not recorded; record the command topic too, or name it: "
             "--use command=STREAM:FIELD"
         )
     optional = {
@@ -163,7 +163,7 @@ def _missing(proposal: Proposal, target: Target | None) -> None:
     elif proposal.joints:
         left = [j for j in target.joints if j not in proposal.joints]
         if left:
-            proposal.warnings.append(f"joints of the model that are not in the log rest: {', '.join(left[:8])}")
+            proposal.warnings.append(f"joints of the model that are not in the log stay at rest: {', '.join(left[:8])}")
 
 
 def _label(stream: Stream, name: str) -> str:

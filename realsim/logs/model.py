@@ -1,4 +1,4 @@
-"""What a log is held against: the joints, ranges, servos, sites and feet of a MuJoCo model, and its dynamics."""
+"""Model that a log is compared with: the joints, ranges, servos, sites and feet of a MuJoCo model, and its dynamics."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class Target:
         return [b for b, z in heights.items() if z < lowest + FOOT_HEIGHT]
 
     def orders(self, width: int) -> dict[str, list[str]]:
-        """Name of an order -> the joints of so many unnamed columns, in the orders that controllers use."""
+        """Name of an order -> the joints of this many unnamed columns, in orders that controllers use."""
         from realsim.logs.names import MOTOR_TABLES, match_joints
 
         joints = list(self.joints)

@@ -1,4 +1,4 @@
-"""What names say: message types whose members are known, words in names of columns, motor tables of robots."""
+"""Knowledge about names: known message types, words in names of columns, motor tables of robots."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def is_clock(name: str) -> bool:
 
 
 def clock_unit(name: str) -> float | None:
-    """s a unit of this clock, where its name says so."""
+    """Seconds per unit of this clock, if its name gives it."""
     found = _CLOCK.match(plain(name))
     last = found.group(3) if found else None
     return CLOCK_UNITS.get(last) if last else None
@@ -99,7 +99,7 @@ def named_unit(name: str) -> str:
 def meaning(stream: str, kind: str, member: str) -> tuple[str, str, str]:
     """(role, unit, why) that names suggest; the role is empty where they suggest none.
 
-    A command's role is `command.position`, `command.velocity`, `command.torque`, or `command` where it is not said.
+    A command's role is `command.position`, `command.velocity`, `command.torque`, or `command` if unspecified.
     """
     last = kind.replace("::", "/").rsplit("/", 1)[-1].rsplit(".", 1)[-1]
     sent = re.search(rf"(^|_)({_SENT})(_|$)", plain(stream)) is not None

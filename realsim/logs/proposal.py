@@ -1,4 +1,4 @@
-"""What a recording is taken for: which field is which array of a case, with the evidence, and what is missing."""
+"""Interpretation of a recording: the field of each array of a case, with the evidence, and what is missing."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class Proposal:
                 lines.append(f"  {'':<13} {_order(found)}")
             lines += [f"  {'':<13} - {e}" for e in found.evidence]
         if not self.assignments:
-            lines.append("  nothing: no name and no value tells what is what")
+            lines.append("  nothing: neither names nor values identify a field")
         for title, items in (("time", self.clocks), ("missing", self.missing), ("warnings", self.warnings)):
             if items:
                 lines += ["", title, *(f"  {item}" for item in items)]

@@ -1,4 +1,4 @@
-"""What every reader returns: streams of numbers with names, labels, units and clocks; nothing is decided yet."""
+"""Result of every reader: streams of numbers with names, labels, units and clocks, not yet interpreted."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Field:
     labels: tuple[str, ...] = ()
     """Names of the K columns (joints, axes), or () where the file does not say."""
     unit: str = ""
-    """The unit, where the file or its message type says so."""
+    """The unit, if the file or its message type specifies it."""
 
     @property
     def width(self) -> int:
@@ -61,14 +61,14 @@ class Recording:
     skipped: Mapping[str, str] = field(default_factory=dict)
     """Topic -> why it was not read."""
     notes: tuple[str, ...] = ()
-    """What was mended or left out while reading."""
+    """Repairs and omissions while reading."""
     facts: Mapping[str, Any] = field(default_factory=dict)
-    """What the file says beside its samples: robot, rate, gains."""
+    """Metadata of the file: robot, rate, gains."""
 
 
 @dataclass(frozen=True)
 class Window:
-    """Which part of a recording is read."""
+    """Part of a recording to read."""
 
     start: float = 0.0
     """s after the first message."""
@@ -76,7 +76,7 @@ class Window:
 
     def __post_init__(self) -> None:
         if not (self.start >= 0 and self.seconds > 0):
-            raise GapError("the window is empty", expected="--start 0 or more, --seconds above 0", found=str(self))
+            raise GapError("the window is empty", expected="--skip 0 or more, --seconds above 0", found=str(self))
 
     def holds(self, since: float) -> bool:
         """Whether a moment, s after the first one, lies in the window."""
@@ -93,7 +93,7 @@ class Reader:
 
     name: str
     looks_for: str
-    """What makes it recognisable, for the message when nothing is."""
+    """Its distinctive features, for the message if nothing is recognised."""
     recognise: Callable[[Path], bool]
     """A cheap look at names and first bytes; must not raise for any other file."""
     read: Callable[[Path, Window], list[Recording]]
@@ -106,7 +106,7 @@ def refuse_more(path: Path, values: int) -> None:
             "the recording is too large to be read at once",
             file=path,
             expected=f"at most {MAX_VALUES:,} numbers",
-            hint="read a part of it: --start 30 --seconds 60",
+            hint="read a part of it: --skip 30 --seconds 60",
         )
 
 

@@ -1,4 +1,4 @@
-"""How alike two signals are: the measures that evidence about roles, orders, units and signs is made of."""
+"""Similarity of two signals: measures for the evidence about roles, orders, units and signs."""
 
 from __future__ import annotations
 

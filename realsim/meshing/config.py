@@ -1,4 +1,4 @@
-"""What can be set about the surface."""
+"""Options of the surface."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ class MeshConfig:
     method: Annotated[str, tyro.conf.arg(name="mesh-method", metavar="{poisson,tsdf}")] = "poisson"
     """Surface reconstruction: `poisson` (screened) or `tsdf`."""
     resolution: float | None = None
-    """Metres a cell; chosen from the data's noise if not given."""
+    """Cell size in metres; by default chosen from the noise of the data."""
     max_triangles: int = 200_000
-    """Decimate to at most this many, as far as --max-error allows."""
+    """Decimate to at most this many triangles, as far as --max-error allows."""
     max_error: float = 0.002
-    """Metres that decimation may move the surface."""
+    """Largest displacement of the surface by decimation, metres."""
     min_views: int = 1
-    """Views that must have measured a point of the surface."""
+    """Number of views that must have measured a point of the surface."""
     min_island: float = 0.01
-    """Square metres; smaller pieces that hang free are removed."""
+    """Square metres; smaller free-hanging pieces are removed."""
     close: bool = True
-    """Invent walls from unseen edges down to what is below, for collisions; they never enter the delivered surface."""
+    """Add walls from unseen edges down to the surface below, for collisions; they are never part of mesh.ply."""
     residual_views: int = 6
     """Views whose residuals go into the report."""
     seed: Annotated[int, tyro.conf.Suppress] = 0

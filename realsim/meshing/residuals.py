@@ -1,4 +1,4 @@
-"""How far the views' depth lies from the mesh."""
+"""Distance of the views' depth from the mesh."""
 
 from __future__ import annotations
 

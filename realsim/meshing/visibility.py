@@ -1,4 +1,4 @@
-"""What the cameras say about a place: did they measure it, or look through it?"""
+"""Evidence of the cameras about a place: measured, or seen through."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run found, for people and machines: `write_report` makes report.json and report.html from a `Reconstruction`.
+"""Reports for people and machines: `write_report` makes report.json and report.html from a `Reconstruction`.
 
 Reports read results and compute nothing but summary figures. Building blocks for other reports: `page` (pieces of HTML
 and the document), `svg` (plots), `raster` (pictures), `viewer3d` (an interactive view).

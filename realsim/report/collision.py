@@ -1,4 +1,4 @@
-"""What a compiled scene collides with, as triangles to look at."""
+"""Collision geometry of a compiled scene, and its robot, as triangles for display."""
 
 from __future__ import annotations
 
@@ -7,54 +7,80 @@ from typing import Any
 
 import numpy as np
 
+from realsim.report.solids import Solid, box, mesh, solids
 from realsim.types import F64
 
 
-def collision_triangles(scene_xml: Path) -> tuple[F64, Any]:
+def collision_triangles(scene_xml: Path) -> Solid:
     """(V, 3) vertices and (K, 3) triangles of the world body's collision geoms: boxes, meshes and height fields.
 
     Infinite planes have no triangles and are left out.
     """
+    return merged([part for part, _ in collision_parts(load(scene_xml)[0])])
+
+
+def collision_parts(model: Any) -> list[tuple[Solid, bool]]:
+    """(triangles, whether its edges are worth drawing) of every collision geom of the world body, in the world."""
+    import mujoco
+
+    kinds = mujoco.mjtGeom
+    draw = {kinds.mjGEOM_BOX: box, kinds.mjGEOM_MESH: mesh, kinds.mjGEOM_SDF: mesh, kinds.mjGEOM_HFIELD: _height_field}
+    parts = []
+    for g in range(model.ngeom):
+        solid = model.geom_contype[g] or model.geom_conaffinity[g]
+        kind = kinds(int(model.geom_type[g]))
+        if model.geom_bodyid[g] != 0 or not solid or kind not in draw:
+            continue
+        V, F = draw[kind](model, g)
+        R = np.zeros(9)
+        mujoco.mju_quat2Mat(R, model.geom_quat[g])
+        parts.append(((V @ R.reshape(3, 3).T + model.geom_pos[g], F), kind != kinds.mjGEOM_HFIELD))
+    return parts
+
+
+def robot_triangles(model: Any, data: Any) -> Solid:
+    """(V, 3) and (K, 3) of all bodies that can move, where `data` has them."""
+    return merged([solid for body, solid in solids(model, data, planes=False) if model.body_weldid[body] != 0])
+
+
+def load(scene_xml: Path) -> tuple[Any, Any]:
+    """The compiled model, and its mujoco.MjData at the first keyframe (a robot on the start platform)."""
     import mujoco
 
     model = mujoco.MjModel.from_xml_path(str(scene_xml))
-    kinds = mujoco.mjtGeom
-    drawn = (
-        (kinds.mjGEOM_BOX, _box),
-        (kinds.mjGEOM_MESH, _mesh),
-        (kinds.mjGEOM_SDF, _mesh),
-        (kinds.mjGEOM_HFIELD, _height_field),
-    )
-    draw = {int(kind): function for kind, function in drawn}
-    parts: list[tuple[F64, Any]] = []
-    for g in range(model.ngeom):
-        solid = model.geom_contype[g] or model.geom_conaffinity[g]
-        if model.geom_bodyid[g] != 0 or not solid or int(model.geom_type[g]) not in draw:
-            continue
-        V, F = draw[int(model.geom_type[g])](model, g)
-        R = np.zeros(9)
-        mujoco.mju_quat2Mat(R, model.geom_quat[g])
-        parts.append((V @ R.reshape(3, 3).T + model.geom_pos[g], F))
+    data = mujoco.MjData(model)
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+def merged(parts: list[Solid]) -> Solid:
+    """Several solids as one."""
     if not parts:
         return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     offsets = np.cumsum([0] + [len(V) for V, _ in parts])
     return np.vstack([V for V, _ in parts]), np.vstack([F + o for (_, F), o in zip(parts, offsets[:-1], strict=True)])
 
 
-def _box(model: Any, g: int) -> tuple[F64, Any]:
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * model.geom_size[g]
-    quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
-    return corners, np.vstack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+def sharp_edges(V: F64, F: Any, degrees: float = 20.0) -> Any:
+    """(E, 2) edges between faces that meet at more than this angle, and edges of one face only."""
+    corners = V[F]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-18)
+    edges = np.sort(F[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    face = np.repeat(np.arange(len(F)), 3)
+    order = np.lexsort((edges[:, 1], edges[:, 0]))
+    edges, face = edges[order], face[order]
+    twin = np.r_[np.all(edges[1:] == edges[:-1], axis=1), False]
+    second = np.r_[False, twin[:-1]]
+    flat = np.zeros(len(edges), bool)
+    k = np.flatnonzero(twin)
+    flat[k] = np.einsum("ij,ij->i", normals[face[k]], normals[face[k + 1]]) > np.cos(np.radians(degrees))
+    return edges[~second & ~flat]
 
 
-def _mesh(model: Any, g: int) -> tuple[F64, Any]:
-    m = model.geom_dataid[g]
-    v, f = model.mesh_vertadr[m], model.mesh_faceadr[m]
-    vertices = model.mesh_vert[v : v + model.mesh_vertnum[m]].astype(float)
-    return vertices, model.mesh_face[f : f + model.mesh_facenum[m]].astype(np.int64)
-
-
-def _height_field(model: Any, g: int) -> tuple[F64, Any]:
+def _height_field(model: Any, g: int) -> Solid:
     h = model.geom_dataid[g]
     rows, columns = int(model.hfield_nrow[h]), int(model.hfield_ncol[h])
     sx, sy, top, _ = model.hfield_size[h]

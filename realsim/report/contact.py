@@ -1,11 +1,14 @@
-"""How far what a robot will feel is from what the camera saw: one card of the report."""
+"""Contact in the simulator against the surface that was seen: one card of the report."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from realsim.report import page, raster, svg
-from realsim.types import F64, Reconstruction
+from realsim.report.topdown import ROLE_INK
+from realsim.types import F64, Platform, Reconstruction
 
 _RANGE = 0.015  # metres at which the colour is full
 
@@ -15,16 +18,28 @@ def contact_card(result: Reconstruction) -> list[str]:
     contact = result.scene.contact
     if result.scene.contact_map is None or "median_mm" not in contact:
         return []
-    picture = raster.colorize(error_grid(result.scene.contact_map), -_RANGE, _RANGE, raster.SIGNED)
-    scale = max(1, 900 // picture.shape[1])
-    picture = picture.repeat(scale, 0).repeat(scale, 1)
-    image = f'<img src="{raster.png_uri(picture)}" alt="map of the contact error" style="width:100%;height:auto">'
-    bar = svg.color_bar(-1e3 * _RANGE, 1e3 * _RANGE, "mm", raster.SIGNED)
+    bar = svg.color_bar(-1e3 * _RANGE, 1e3 * _RANGE, "mm", raster.SIGNED, "error")
     note = (
-        "A ball of 1 cm was lowered on every spot of the collision geometry: first touch minus the surface. Red is "
-        "felt where nothing is, blue is not felt where something is. Start on the left, seen from above."
+        "A ball of 1 cm was lowered onto the collision geometry everywhere: height of the first touch minus the "
+        "surface. Red: contact with no surface there (phantom). Blue: surface without contact (missing)."
     )
-    return [page.card("Contact against the scan", image + bar + page.table(("figure", "value"), _rows(result)), note)]
+    body = (
+        _map(result.scene.contact_map, result.aligned.platforms) + bar + page.table(("figure", "value"), _rows(result))
+    )
+    return [page.card("Contact against the scan", body, note)]
+
+
+def _map(contact_map: F64, platforms: Sequence[Platform]) -> str:
+    """The error from above, in the simulation frame, with the platforms' outlines."""
+    (x0, y0), (x1, y1) = contact_map[:, :2].min(0), contact_map[:, :2].max(0)
+    extent = (float(x0), float(x1), float(y0), float(y1))
+    picture = raster.colorize(error_grid(contact_map), -_RANGE, _RANGE, raster.SIGNED)
+    scale = max(1, 900 // picture.shape[1])  # browsers blur what they enlarge
+    axes = svg.Axes(extent[:2], extent[2:], equal=True, x_label="x (m)", y_label="y (m)", grid=False)
+    axes.image(raster.png_uri(picture.repeat(scale, 0).repeat(scale, 1)), extent)
+    for p in platforms:
+        axes.polyline(p.outline, ROLE_INK.get(p.role, "var(--ink)"), width=1.6, closed=True, title=p.role)
+    return axes.svg("map of the contact error")
 
 
 def _rows(result: Reconstruction) -> list[tuple[str, str]]:
@@ -44,16 +59,17 @@ def _rows(result: Reconstruction) -> list[tuple[str, str]]:
         rows.insert(4, ("heights off by more than 2 cm", f"{off:.1%}"))
     if c.get("sides", {}).get("stopped") is not None:
         sides = c["sides"]
-        said = f"{sides['stopped']:.1%} of {sides['rays']}; {sides['through']:.1%} through, {sides['early']:.1%} early"
-        rows.append(("rays from the side that stop where they should", said))
+        counts = (
+            f"{sides['stopped']:.1%} of {sides['rays']}; {sides['through']:.1%} through, {sides['early']:.1%} early"
+        )
+        rows.append(("rays from the side that stop where they should", counts))
     if "phantom_over_gaps_cm2" in c:
         rows.append(("phantom surface over gaps wider than a foot", f"{c['phantom_over_gaps_cm2']:.0f} cm²"))
     follow, kept = (c.get(f"unseen_undersides_{k}_cm2", 0.0) for k in ("at_side_faces", "as_filled"))
     if follow or kept:
-        rows.append(("undersides that no camera saw", f"{follow + kept:.0f} cm²"))
-        rows.append(("of these, placed where the side faces end", f"{follow:.0f} cm²"))
+        rows.append(("unseen undersides", f"{follow + kept:.0f} cm², {follow:.0f} of them placed where the sides end"))
     if "step_cost_vs_plane" in c:
-        rows.append(("a step costs", f"{c['step_cost_vs_plane']:.2f} times a plane's, G1 standing"))
+        rows.append(("time of a simulation step", f"{c['step_cost_vs_plane']:.2f} times that on a plane, G1 standing"))
     return rows
 
 

@@ -8,45 +8,61 @@ import numpy as np
 
 from realsim.report import page, raster, svg, viewer3d
 from realsim.report.contact import contact_card
-from realsim.report.layers import scene_layers
+from realsim.report.layers import scene_view
 from realsim.report.modes import modes_card
-from realsim.report.summary import quality_dict, versions
+from realsim.report.summary import Made, versions
 from realsim.report.topdown import map_from_above
 from realsim.report.verdict import Judgement, dropped_frames, millimetres, percent, scale_of
-from realsim.types import Reconstruction
+from realsim.types import U8, Reconstruction
 
 _THUMBNAILS = 24
 _RESIDUAL_RANGE = 0.02  # metres
+_LISTED = 6  # dropped frames that are not folded
 
 
-def reconstruction_page(folder: Path, result: Reconstruction, judgement: Judgement) -> str:
-    """The whole page; `folder` holds the exported scene."""
+def reconstruction_page(
+    folder: Path, result: Reconstruction, judgement: Judgement, made: Made, picture: U8 | str | None = None
+) -> str:
+    """The whole page.
+
+    Args:
+        folder: holds the exported scene.
+        made: when and how the scene was made.
+        picture: (H, W, 3) RGB as MuJoCo draws the scene, or why it could not; None leaves the picture out.
+    """
     metric = result.aligned.metric
     backend = metric.backend if metric is not None else "scan"
     views = f"{len(metric)} views" if metric is not None else "a scan"
     drag = "Drag to turn, two fingers or the right button to move, pinch or wheel to zoom."
-    outlined = "Height of the surface; outlined are the level tops that were found, dots and strokes are the cameras."
-    scene_view = viewer3d.viewer(scene_layers(folder, result), label="the reconstructed scene in 3D")
+    view = scene_view(folder, result)
     body = [
         page.verdict(judgement.level, judgement.headline, judgement.reasons, judgement.next_steps),
         page.facts(_facts(result)),
+        page.columns(_picture_card(picture), [_use_card(folder)])
+        if picture is not None
+        else page.grid(_use_card(folder)),
         page.grid(
-            page.card("The scene", scene_view, drag, wide=True),
-            page.card("From above", map_from_above(result.aligned, result.mesh), outlined, wide=True),
+            page.card("The scene and its collision geometry (orange)", view, drag, wide=True),
+            page.card("From above", map_from_above(result.aligned, result.mesh), wide=True),
         ),
         page.columns(
             [_checks_card(judgement), *contact_card(result)],
-            [_notes_card(result), *_scale_card(result), _platform_card(result)],
+            [_notes_card(result), *_scale_card(result), _platform_card(result), _dropped_card(result)],
         ),
         page.grid(*modes_card(result), *_residual_card(result), *_thumbnail_card(result)),
-        page.columns(
-            [_dropped_card(result), _time_card(result), _use_card()],
-            [_mesh_card(result), _versions_card(result)],
-        ),
+        page.columns([_run_card(result, made)], [_mesh_card(result), _versions_card(result)]),
     ]
     title = f"Reconstruction of {'/'.join(result.source.source.parts[-2:])}"
     subtitle = f"{views}, layout {result.source.layout}, backend {backend}, surface by {result.mesh.method}"
     return page.document(title, subtitle, "".join(body), scripts=[viewer3d.script()])
+
+
+def _picture_card(picture: U8 | str) -> list[str]:
+    if isinstance(picture, str):
+        return [page.card("In MuJoCo", page.bullets([], f"No picture: {picture}"))]
+    uri = raster.jpeg_uri(picture, picture.shape[1], quality=82)
+    body = f'<img class="picture" src="{uri}" alt="the scene as MuJoCo draws it">'
+    return [page.card("In MuJoCo", body, "scene.xml as MuJoCo draws it. Surfaces that no camera saw are left open.")]
 
 
 def _facts(result: Reconstruction) -> list[tuple[str, str, str]]:
@@ -79,18 +95,19 @@ def _scale_card(result: Reconstruction) -> list[str]:
     if scale is None or len(scale.per_frame) < 2:
         return []
     y = np.asarray(scale.per_frame, float)
+    if np.ptp(y) < 1e-6:  # points that come from the depth itself have one scale: a flat line says nothing
+        return []
     span = svg.padded(np.r_[y, scale.ci90, scale.value])
     wide = max(span[1] - scale.value, scale.value - span[0], 0.01 * scale.value)
     axes = svg.Axes(
-        (-0.5, len(y) - 0.5), (scale.value - wide, scale.value + wide), x_label="frame", y_label="metres a unit"
+        (-0.5, len(y) - 0.5), (scale.value - wide, scale.value + wide), x_label="frame", y_label="metres per unit"
     )
     axes.span(*scale.ci90).rule(scale.value, text=f"{scale.value:.4f}")
     assert result.aligned.metric is not None
     names = [f"{f.name}: {v:.4f}" for f, v in zip(result.aligned.metric.frames, y, strict=True)]
     axes.dots(np.column_stack([np.arange(len(y)), y]), titles=names)
-    note = (
-        f"One ratio a frame; the stripe is the 90 % interval. Spread between frames {percent(scale.per_frame_spread)}."
-    )
+    spread = percent(scale.per_frame_spread)
+    note = f"One ratio per frame; the stripe is the 90 % interval. Spread between frames {spread}."
     return [page.card("Scale, frame by frame", axes.svg("scale of every frame"), note)]
 
 
@@ -136,8 +153,13 @@ def _thumbnail_card(result: Reconstruction) -> list[str]:
 
 def _notes_card(result: Reconstruction) -> str:
     assumed = [*result.source.assumptions, *result.aligned.assumptions]
-    parts = ["<h4>Warnings</h4>", page.bullets(result.warnings), "<h4>Assumed</h4>", page.bullets(assumed)]
-    parts += ["<h4>Cut away</h4>", page.bullets(result.aligned.cropped)]
+    parts = [
+        "<h4>Warnings</h4>",
+        page.bullets(result.warnings),
+        "<h4>Assumed</h4>",
+        page.folded_bullets(assumed, "more"),
+    ]
+    parts += ["<h4>Cut away</h4>", page.folded_bullets(result.aligned.cropped, "more")]
     return page.card("Warnings and assumptions", "".join(parts))
 
 
@@ -160,21 +182,36 @@ def _platform_card(result: Reconstruction) -> str:
 
 def _dropped_card(result: Reconstruction) -> str:
     rows = [list(row) for row in dropped_frames(result)]
-    body = page.table(["frame", "stage", "why"], rows) if rows else page.bullets([], "Every frame was used.")
-    return page.card("Dropped frames", body)
+    if not rows:
+        return page.card("Dropped frames", page.bullets([], "Every frame was used."))
+    head = ["frame", "stage", "why"]
+    rest = rows[_LISTED:]
+    more = page.fold(f"{len(rest)} more", page.table(head, rest)) if rest else ""
+    return page.card(f"Dropped frames ({len(rows)})", page.table(head, rows[:_LISTED]) + more)
 
 
 def _mesh_card(result: Reconstruction) -> str:
-    mesh = result.mesh
-    rows = [[k.replace("_", " "), _plain(v)] for k, v in quality_dict(mesh.quality).items()]
-    rows += [["resolution", millimetres(mesh.resolution)], ["invented triangles", str(int(mesh.invented.sum()))]]
+    mesh, q = result.mesh, result.mesh.quality
+    closed = "yes" if q.watertight else "no: open at its border, as intended (contact has geometry of its own)"
+    rows = [
+        ["triangles", str(q.triangles)],
+        ["resolution", millimetres(mesh.resolution)],
+        ["invented triangles", str(int(mesh.invented.sum()))],
+        ["closed", closed],
+        ["manifold", _plain(q.manifold)],
+        ["self-intersections", str(q.self_intersections)],
+        ["degenerate triangles", str(q.degenerate)],
+        ["pieces", str(q.components)],
+    ]
+    if q.volume_m3 is not None:
+        rows.append(["volume", f"{q.volume_m3:.3f} m³"])
     if mesh.noise_m is not None:
         rows.append(["noise of the points", millimetres(mesh.noise_m)])
     contact = [
         [k.replace("_", " "), _plain(v)] for k, v in result.scene.contact.items() if not isinstance(v, (dict, list))
     ]
-    every = page.fold("All figures of the contact", page.table(["contact", ""], contact))
-    return page.card("Mesh and contact", page.table(["mesh", ""], rows) + every)
+    body = page.table(["mesh", ""], rows) + page.fold("All contact figures", page.table(["contact", ""], contact))
+    return page.folded("Mesh and contact in figures", body)
 
 
 def _plain(value: object) -> str:
@@ -183,22 +220,30 @@ def _plain(value: object) -> str:
     return svg.number(value, 4) if isinstance(value, float) else "–" if value is None else str(value)
 
 
-def _time_card(result: Reconstruction) -> str:
+def _run_card(result: Reconstruction, made: Made) -> str:
     parts = [(s.name + (" (kept)" if s.reused else ""), round(s.seconds, 2)) for s in result.stages]
     total, peak = sum(s.seconds for s in result.stages), max((s.peak_mb for s in result.stages), default=0.0)
-    return page.card("Time and memory", svg.stacked(parts, unit="s"), f"{total:.1f} s, at most {peak:.0f} MB.")
+    note = f"{made.date}; {total:.1f} s, at most {peak:.0f} MB of memory. Stages marked (kept) came from the cache."
+    return page.card("This run", page.code(made.command) + svg.stacked(parts, unit="s"), note)
 
 
-def _use_card() -> str:
-    shell = "python -m mujoco.viewer --mjcf=scene.xml\nrealsim view ."
-    python = (
-        'import mujoco\n\nmodel = mujoco.MjModel.from_xml_path("scene.xml")\ndata = mujoco.MjData(model)\n'
-        "for _ in range(1000):\n    mujoco.mj_step(model, data)"
-    )
-    note = "Metres, z up. mesh.ply and mesh.glb hold the surface alone. Run these in the scene's folder."
-    return page.card("Use the scene", page.code(shell) + page.code(python), note)
+_FILES = {
+    "scene.xml": "the MuJoCo model: open this",
+    "robot.xml": "the robot, included by scene.xml",
+    "mesh.ply": "the measured surface",
+    "mesh.glb": "the same for viewers and Blender",
+    "report.json": "all figures of this page",
+}
+
+
+def _use_card(folder: Path) -> str:
+    shell = "python -m mujoco.viewer --mjcf=scene.xml\nrealsim view .\nrealsim export . --to usd,urdf"
+    python = 'import mujoco\n\nmodel = mujoco.MjModel.from_xml_path("scene.xml")'
+    files = [(name, what) for name, what in _FILES.items() if (folder / name).is_file()]
+    note = "Metres, z up. Run these in the scene's folder."
+    return page.card("Use the scene", page.code(shell) + page.code(python) + page.links(files), note)
 
 
 def _versions_card(result: Reconstruction) -> str:
     rows = [[name, value] for name, value in versions().items()] + [["seed", str(result.seed)]]
-    return page.card("Made with", page.table(["package", "version"], rows))
+    return page.folded("Made with", page.table(["package", "version"], rows))

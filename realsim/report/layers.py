@@ -1,4 +1,4 @@
-"""The layers of a scene's 3D view: mesh, invented parts, collision geometry, cameras, platforms, axes."""
+"""The layers of a scene's 3D view: mesh, invented parts, collision geometry, robot, cameras, platforms, axes."""
 
 from __future__ import annotations
 
@@ -9,26 +9,32 @@ import numpy as np
 
 from realsim.meshes import compact, simplify
 from realsim.report import raster
-from realsim.report.collision import collision_triangles
-from realsim.report.viewer3d import Layer, camera_frustums
+from realsim.report.collision import collision_parts, load, merged, robot_triangles, sharp_edges
+from realsim.report.solids import Solid
+from realsim.report.viewer3d import Layer, camera_frustums, viewer
 from realsim.types import AlignedScene, Reconstruction, TerrainMesh
 
 MESH_TRIANGLES, COLLISION_TRIANGLES = 60_000, 20_000
+INVENTED, COLLISION, COLLISION_EDGES, ROBOT = (172, 112, 214), (236, 148, 62), (196, 92, 14), (96, 108, 128)
+PLATFORMS, CAMERAS = (226, 70, 120), (72, 132, 236)
 
 
-def scene_layers(folder: Path, result: Reconstruction) -> list[Layer]:
-    """All layers of a reconstruction whose scene lies in `folder`."""
-    return [
+def scene_view(folder: Path, result: Reconstruction) -> str:
+    """The 3D view of a reconstruction whose scene lies in `folder`; it opens from where MuJoCo's viewer does."""
+    model, data = load(folder / result.scene.scene_xml.name)
+    layers = [
         *mesh_layers(result.mesh),
-        collision_layer(folder / result.scene.scene_xml.name),
+        *collision_layers(model),
+        *robot_layers(model, data),
         *camera_layers(result.aligned),
         platform_layer(result.aligned),
         axes_layer(),
     ]
+    return viewer(layers, label="the reconstructed scene in 3D", azimuth=float(model.vis.global_.azimuth))
 
 
 def mesh_layers(mesh: TerrainMesh) -> list[Layer]:
-    """What was seen in its own colours (or by height), and what was invented in violet."""
+    """Seen surface in its own colours (or by height), and invented surface in violet."""
     colors = mesh.colors
     if colors is None:
         z = mesh.vertices[:, 2]
@@ -40,13 +46,22 @@ def mesh_layers(mesh: TerrainMesh) -> list[Layer]:
         return [seen]
     unseen = compact(mesh.vertices, mesh.triangles[mesh.invented])
     V, F, _ = simplify(unseen[0], unseen[1], None, COLLISION_TRIANGLES)
-    return [seen, Layer("invented", V, F, (172, 112, 214), visible=False)]
+    return [seen, Layer("invented", V, F, INVENTED, visible=False)]
 
 
-def collision_layer(scene_xml: Path) -> Layer:
-    """What the physics touches."""
-    V, F, _ = simplify(*collision_triangles(scene_xml), None, limit=COLLISION_TRIANGLES)
-    return Layer("collision", V, F, (236, 148, 62), visible=False)
+def collision_layers(model: Any) -> list[Layer]:
+    """Collision geometry, transparent over the mesh, with the edges of its parts; one button for both."""
+    parts = collision_parts(model)
+    V, F, _ = simplify(*merged([part for part, _ in parts]), None, limit=COLLISION_TRIANGLES)
+    lines: list[Solid] = [(part[0], sharp_edges(*part)) for part, edged in parts if edged]
+    fill = Layer("collision", V, F, COLLISION, opacity=0.35)
+    return [fill, Layer("collision", *merged(lines), COLLISION_EDGES, kind="lines")] if lines else [fill]
+
+
+def robot_layers(model: Any, data: Any) -> list[Layer]:
+    """The robot of the scene, if it has one."""
+    V, F = robot_triangles(model, data)
+    return [Layer("robot", V, F, ROBOT)] if len(F) else []
 
 
 def camera_layers(aligned: AlignedScene) -> list[Layer]:
@@ -59,7 +74,7 @@ def camera_layers(aligned: AlignedScene) -> list[Layer]:
     n = len(T)
     V = np.vstack([V, T[:, :3, 3]])
     way = 5 * n + np.column_stack([np.arange(n - 1), np.arange(1, n)])
-    return [Layer("cameras", V, np.vstack([E, way]), (72, 132, 236), kind="lines")]
+    return [Layer("cameras", V, np.vstack([E, way]), CAMERAS, kind="lines")]
 
 
 def platform_layer(aligned: AlignedScene) -> Layer:
@@ -73,7 +88,7 @@ def platform_layer(aligned: AlignedScene) -> Layer:
         vertices += [*top, *foot]
         i = np.arange(n)
         edges += [*(at + np.column_stack([i, (i + 1) % n])), *(at + np.column_stack([i, n + i]))]
-    return Layer("platforms", np.array(vertices).reshape(-1, 3), np.array(edges), (226, 70, 120), kind="lines")
+    return Layer("platforms", np.array(vertices).reshape(-1, 3), np.array(edges), PLATFORMS, kind="lines")
 
 
 def axes_layer() -> Layer:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import time
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,9 @@ import numpy as np
 from realsim.errors import MissingExtraError, RealsimError
 from realsim.files import check_size, read_json
 from realsim.geometry import R_to_quat
-from realsim.report.collision import collision_triangles
+from realsim.report.collision import collision_triangles, load, robot_triangles
+from realsim.report.layers import CAMERAS, COLLISION, PLATFORMS, ROBOT
+from realsim.report.picture import standpoint
 
 
 def view(folder: Path, port: int = 8080, *, wait: bool = True) -> Any:
@@ -29,7 +33,7 @@ def view(folder: Path, port: int = 8080, *, wait: bool = True) -> Any:
         MissingExtraError: viser is not installed.
         RealsimError: no scene in the folder.
     """
-    for name in ("scene.xml", "mesh.ply", "report.json"):
+    for name in ("scene.xml", "mesh.ply", "mesh.glb", "report.json"):
         if not (folder / name).is_file():
             raise RealsimError("no scene here", file=folder / name, hint="give a folder made by `realsim reconstruct`")
         check_size(folder / name)
@@ -38,22 +42,49 @@ def view(folder: Path, port: int = 8080, *, wait: bool = True) -> Any:
     except ImportError as error:
         raise MissingExtraError("viser", "viewer", "the live viewer") from error
     report = read_json(folder / "report.json")
-    server = viser.ViserServer(host="127.0.0.1", port=port, label=f"realsim: {folder.absolute().name}", verbose=False)
+    with contextlib.redirect_stdout(io.StringIO()):  # viser prints a table of its own, whatever `verbose` says
+        server = viser.ViserServer(
+            host="127.0.0.1", port=port, label=f"realsim: {folder.absolute().name}", verbose=False
+        )
+    model, data = load(folder / "scene.xml")
+    # The button would pass the scene through a public relay.
+    server.gui.configure_theme(show_share_button=False, show_logo=False)
     server.scene.set_up_direction("+z")
     server.scene.world_axes.visible = True
-    _switch(server, "mesh", _mesh(server, folder / "mesh.ply"))
+    _light(server)
+    _start_at(server, model, data)
+    _switch(server, "mesh", _mesh(server, folder / "mesh.glb"))
     _switch(server, "cloud", _cloud(server, folder / "mesh.ply"), on=False)
-    _switch(server, "collision", _collision(server, folder / "scene.xml"), on=False)
+    _switch(server, "collision", _collision(server, folder / "scene.xml"))
+    _switch(server, "robot", _robot(server, model, data))
     _switch(server, "frames", _frames(server, report))
     _switch(server, "platforms", _platforms(server, report))
     if not wait:
         return server
+    print(f"open http://localhost:{server.get_port()} in a browser; Ctrl-C ends the viewer", flush=True)
     try:
         while True:
             time.sleep(3600)
     except KeyboardInterrupt:
         server.stop()
     return None
+
+
+def _light(server: Any) -> None:
+    """Mostly even light: the surface already has the light of the room in its colours."""
+    server.scene.configure_default_lights(enabled=False)
+    server.scene.configure_environment_map(hdri=None)
+    server.scene.add_light_ambient("/light/all", intensity=2.4)
+    server.scene.add_light_directional("/light/sun", intensity=1.0, position=(3.0, -4.0, 8.0))
+
+
+def _start_at(server: Any, model: Any, data: Any) -> None:
+    """The first camera shows the terrain from the side on which it was seen, as scene.xml says."""
+    target, distance, azimuth, elevation = standpoint(model, data, np.degrees(server.initial_camera.fov), 1.0)
+    a, e = np.radians([azimuth, elevation])
+    ahead = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    server.initial_camera.look_at = target
+    server.initial_camera.position = target - distance * ahead
 
 
 def _switch(server: Any, name: str, handles: list[Any], *, on: bool = True) -> None:
@@ -76,21 +107,33 @@ def _load(path: Path) -> Any:
 
 
 def _mesh(server: Any, path: Path) -> list[Any]:
-    return [server.scene.add_mesh_trimesh("/mesh", _load(path))]
+    # The glTF file says that the surface is matt; its y is up.
+    half = np.sqrt(0.5)
+    return [server.scene.add_glb("/mesh", path.read_bytes(), wxyz=(half, half, 0.0, 0.0))]
 
 
 def _cloud(server: Any, path: Path) -> list[Any]:
     """The vertices of the surface as points in their colours."""
     mesh = _load(path)
-    colors = np.asarray(mesh.visual.vertex_colors)[:, :3] if mesh.visual.kind == "vertex" else (120, 130, 150)
-    return [server.scene.add_point_cloud("/cloud", np.asarray(mesh.vertices, np.float32), colors, point_size=0.006)]
+    points = np.asarray(mesh.vertices, np.float32)
+    return [server.scene.add_point_cloud("/cloud", points, _colors(mesh), point_size=0.006)]
+
+
+def _colors(mesh: Any) -> Any:
+    """(V, 3) uint8 of the vertices, or one colour for all."""
+    return np.asarray(mesh.visual.vertex_colors)[:, :3] if mesh.visual.kind == "vertex" else (120, 130, 150)
 
 
 def _collision(server: Any, path: Path) -> list[Any]:
     V, F = collision_triangles(path)
     if not len(F):
         return []
-    return [server.scene.add_mesh_simple("/collision", V, F, color=(236, 148, 62), opacity=0.7, flat_shading=True)]
+    return [server.scene.add_mesh_simple("/collision", V, F, color=COLLISION, opacity=0.4, flat_shading=True)]
+
+
+def _robot(server: Any, model: Any, data: Any) -> list[Any]:
+    V, F = robot_triangles(model, data)
+    return [server.scene.add_mesh_simple("/robot", V, F, color=ROBOT, flat_shading=False)] if len(F) else []
 
 
 def _frames(server: Any, report: dict[str, Any]) -> list[Any]:
@@ -100,7 +143,14 @@ def _frames(server: Any, report: dict[str, Any]) -> list[Any]:
         T = np.asarray(T, float)
         handles.append(
             server.scene.add_camera_frustum(
-                f"/frames/{name}", fov=0.75, aspect=4 / 3, scale=0.08, wxyz=R_to_quat(T[:3, :3]), position=T[:3, 3]
+                f"/frames/{name}",
+                fov=0.75,
+                aspect=4 / 3,
+                scale=0.08,
+                line_width=1.0,
+                color=CAMERAS,
+                wxyz=R_to_quat(T[:3, :3]),
+                position=T[:3, 3],
             )
         )
     return handles
@@ -118,7 +168,7 @@ def _platforms(server: Any, report: dict[str, Any]) -> list[Any]:
         ring = ring @ np.array([[c, s], [-s, c]]) + centre[:2]
         points = np.column_stack([ring, np.full(5, centre[2] + 0.005)])
         segments = np.stack([points[:-1], points[1:]], axis=1)
-        handles.append(server.scene.add_line_segments(f"/platforms/{i}", segments, (226, 70, 120), line_width=3))
+        handles.append(server.scene.add_line_segments(f"/platforms/{i}", segments, PLATFORMS, line_width=3))
         handles.append(
             server.scene.add_label(f"/platforms/{i}/role", p["role"], position=centre + np.array([0, 0, 0.05]))
         )

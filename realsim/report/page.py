@@ -55,6 +55,12 @@ def card(title: str, body: str, note: str = "", *, wide: bool = False) -> str:
     return f'<section class="card{" wide" if wide else ""}"><h3>{esc(title)}</h3>{text}{body}</section>'
 
 
+def folded(title: str, body: str, note: str = "") -> str:
+    """A card that is closed until it is asked for."""
+    text = f'<p class="note">{esc(note)}</p>' if note else ""
+    return f'<details class="card"><summary><h3>{esc(title)}</h3></summary>{text}{body}</details>'
+
+
 def grid(*cards: str) -> str:
     """Cards side by side where there is room."""
     return f'<div class="grid">{"".join(cards)}</div>'
@@ -81,6 +87,18 @@ def bullets(items: Sequence[str], empty: str = "none") -> str:
     if not items:
         return f'<p class="note">{esc(empty)}</p>'
     return "<ul>" + "".join(f"<li>{esc(i)}</li>" for i in items) + "</ul>"
+
+
+def folded_bullets(items: Sequence[str], what: str, shown: int = 3) -> str:
+    """The first few sentences, and the others folded; `what` names them ("more objects")."""
+    rest = items[shown:]
+    return bullets(items[:shown]) + (fold(f"{len(rest)} {what}", bullets(rest)) if rest else "")
+
+
+def links(files: Sequence[tuple[str, str]]) -> str:
+    """Files that lie beside the page: (name, what it is)."""
+    rows = [[f'<a href="{esc(name)}">{esc(name)}</a>', what] for name, what in files]
+    return table(["file", ""], rows, raw=[0])
 
 
 def code(text: str) -> str:

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import platform as machine
+import shlex
+import sys
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,13 +20,31 @@ from realsim.types import MeshQuality, Platform, Reconstruction
 _PACKAGES = ("numpy", "scipy", "open3d", "opencv-contrib-python-headless", "trimesh", "pymeshlab", "mujoco")
 
 
-def summary(result: Reconstruction, judgement: Judgement) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Made:
+    """When and how a report was made."""
+
+    date: str
+    """To the minute, UTC."""
+    command: str
+    """How the program was started, as one would type it."""
+
+    @classmethod
+    def now(cls) -> Made:
+        """By this process, at this time."""
+        program = Path(sys.argv[0]).name if sys.argv else ""
+        start = ["python", "-m", "realsim"] if program == "__main__.py" else [program]
+        return cls(f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", shlex.join([*start, *sys.argv[1:]]))
+
+
+def summary(result: Reconstruction, judgement: Judgement, made: Made) -> dict[str, Any]:
     """The content of report.json. Lengths in metres, simulation frame unless a name says otherwise."""
     aligned, mesh = result.aligned, result.mesh
     metric = aligned.metric
     start, goal = aligned.platform("start"), aligned.platform("goal")
     return {
         "verdict": judgement.as_dict(),
+        "made": {"date": made.date, "command": made.command},
         "source": {"name": result.source.source.name, "layout": result.source.layout},
         "T_sim_world": aligned.T_sim_world,
         "world": "scan" if metric is None else "capture" if metric.world_is_capture else "chosen by the backend",

@@ -151,10 +151,12 @@ def heat(
     return axes.image(png_uri(colorize(image, low, high, colors)), extent)
 
 
-def color_bar(low: float, high: float, unit: str, colors: tuple[tuple[int, int, int], ...] = HEIGHT) -> str:
-    """A legend strip for a heat map."""
+def color_bar(
+    low: float, high: float, unit: str, colors: tuple[tuple[int, int, int], ...] = HEIGHT, label: str = ""
+) -> str:
+    """A legend strip for a heat map; `label` says what the colour stands for."""
     stops = ",".join(f"rgb{c}" for c in colors)
     return (
-        f'<div class="colorbar"><span>{number(low)} {escape(unit)}</span>'
+        f'<div class="colorbar"><span>{escape(f"{label}: " if label else "")}{number(low)} {escape(unit)}</span>'
         f'<i style="background:linear-gradient(90deg,{stops})"></i><span>{number(high)} {escape(unit)}</span></div>'
     )

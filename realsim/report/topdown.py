@@ -12,6 +12,8 @@ from realsim.types import F64, U8, AlignedScene, TerrainMesh
 
 Extent = tuple[float, float, float, float]
 """x low, x high, y low, y high in metres."""
+ROLE_INK = {"start": "var(--c1)", "goal": "var(--c5)"}
+"""Colours of the platforms' outlines."""
 _CELLS = 900
 """Cells along the longer side of the height map at most."""
 
@@ -45,10 +47,28 @@ def map_from_above(aligned: AlignedScene, mesh: TerrainMesh) -> str:
     heights = height_map(mesh, extent)
     low, high = (float(v) for v in np.nanpercentile(heights, [0.5, 99.8]))
     picture = shaded(raster.colorize(heights, low, high), heights, (extent[1] - extent[0]) / heights.shape[1])
-    wide = _map(aligned, eyes, extent, picture, width=980)
+    # At most as tall as a screen: a terrain that is not long is drawn narrower than the page.
+    broad = min(980.0, max(360.0, 620 * (extent[1] - extent[0]) / (extent[3] - extent[2])))
+    wide = _map(aligned, eyes, extent, picture, width=broad)
     long = extent[1] - extent[0] > 1.3 * (extent[3] - extent[2])
     narrow = _map(aligned, eyes, extent, picture[::2, ::2], width=360, x_up=long)
-    return f'<div class="broad">{wide}</div><div class="narrow">{narrow}</div>' + svg.color_bar(low, high, "m")
+    style = f' style="max-width:{broad:.0f}px;margin:0 auto"' if broad < 980 else ""
+    bar = svg.color_bar(low, high, "m", label="height")
+    return f'<div class="broad"{style}>{wide}</div><div class="narrow">{narrow}</div>{bar}{_legend(aligned)}'
+
+
+def _legend(aligned: AlignedScene) -> str:
+    """What the outlines and the path are."""
+    roles = dict.fromkeys(p.role for p in aligned.platforms)
+    items = [
+        (f"{role} platform" if role in ROLE_INK else "other level top", ROLE_INK.get(role, "#ffffff")) for role in roles
+    ]
+    if aligned.metric is not None:
+        items.append(("camera positions, with viewing directions", "#1b2030"))
+    rows = "".join(
+        f'<span><i style="background:{ink};outline:1px solid var(--line)"></i>{esc(t)}</span>' for t, ink in items
+    )
+    return f'<div class="legend">{rows}</div>' if rows else ""
 
 
 def _map(aligned: AlignedScene, eyes: F64, extent: Extent, picture: U8, *, width: float, x_up: bool = False) -> str:
@@ -71,7 +91,7 @@ def _map(aligned: AlignedScene, eyes: F64, extent: Extent, picture: U8, *, width
     axes.image(raster.png_uri(np.rot90(picture) if x_up else picture), (*across, *up))
     thin = max(0.7, width / 980)
     for p in aligned.platforms:
-        ink = {"start": "var(--c1)", "goal": "var(--c5)"}.get(p.role, "#ffffff")
+        ink = ROLE_INK.get(p.role, "#ffffff")
         axes.polyline(p.outline @ turn, ink, width=2.4 * thin, closed=True, title=_about(p))
     _camera_path(axes, aligned, eyes, turn, thin)
     for name, ink, text_ink in (("x", "#ff5d5d", "#ff5d5d"), ("y", "#4fd36b", "#2fb14d")):

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from realsim.report.page import Level
-from realsim.types import Dropped, Reconstruction, ScaleEstimate
+from realsim.types import F64, Dropped, Reconstruction, ScaleEstimate
 
 
 @dataclass(frozen=True)
@@ -19,14 +19,14 @@ class Check:
 
     name: str
     found: str
-    """What was measured, with its unit."""
+    """Measured value with its unit."""
     limits: str
     """The rule in words."""
     level: Level
     reason: str
     """One sentence for the banner if the level is not good."""
     advice: str = ""
-    """What to do about it then."""
+    """What to do if the level is not good."""
 
 
 @dataclass(frozen=True)
@@ -96,15 +96,20 @@ def graded(
     word = "below" if low_is_bad else "above"
     limits = f"check {word} {show(look)}" + (f", reject {word} {show(bad)}" if math.isfinite(bad) else "")
     limit = bad if level == "bad" else look
-    return Check(name, show(value), limits, level, f"{name}: {show(value)}, {word} the limit of {show(limit)}.", advice)
+    where = f"just {word}" if show(value) == show(limit) else word
+    return Check(
+        name, show(value), limits, level, f"{name}: {show(value)}, {where} the limit of {show(limit)}.", advice
+    )
 
 
 _SCALE = "record more frames with depth between 0.3 and 3 m, or give metric camera poses"
-_FLOOR = "record at least 1 m² of level floor around the terrain, from less than 2 m away"
+_FLOOR = "record at least 1 m² of level ground around the terrain, from less than 2 m away"
 _OVERLAP = "record again more slowly: 15 to 30 cm between views, each sharing half of its picture with the one before"
-_COVER = "record again from closer and from both sides, until every top and the floor between has been in view"
-_METRES = "measure something of known length in the scene; if it is off, pass --ignore-poses or mend the depth's scale"
-_ROLES = "name the platforms yourself: --start X Y --goal X Y"
+_COVER = "record again from closer and from both sides until every top and the ground between them has been in view"
+_METRES = (
+    "measure something of known length in the scene; if it is off, pass --ignore-poses or correct the depth's scale"
+)
+_ROLES = "name the platforms yourself: --start X Y --goal X Y --overwrite, in metres as on the map from above"
 _POSES = "check the camera poses and the unit of the depth (`realsim inspect`), or try --poses estimate"
 _MESH = "look at the mesh with `realsim view`, or try another --resolution"
 _TOUCH = "look at the collision geometry with `realsim view`, or try another --contact"
@@ -161,7 +166,14 @@ def _frames(result: Reconstruction) -> Iterator[Check]:
         return
     used, lost = len(metric), sum(d.lost for _, d in _left_out(result))
     share = used / max(used + lost, 1)
-    yield graded("Frames that fit together", share, 0.8, 0.3, percent, low_is_bad=True, advice=_OVERLAP)
+    advice = f"{_OVERLAP}; not used: {_some([d.name for _, d in _left_out(result) if d.lost])}"
+    yield graded("Frames that fit together", share, 0.8, 0.3, percent, low_is_bad=True, advice=advice)
+
+
+def _some(names: Sequence[str], shown: int = 4) -> str:
+    """The first few names, and how many more there are."""
+    rest = len(names) - shown
+    return ", ".join(names[:shown]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def dropped_frames(result: Reconstruction) -> list[tuple[str, str, str]]:
@@ -253,9 +265,7 @@ def _look_from(result: Reconstruction) -> str:
 
 def unseen_share(result: Reconstruction) -> float:
     """Share of the upward-facing surface that was invented."""
-    t = result.mesh.vertices[result.mesh.triangles]
-    up = np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])[:, 2] / 2
-    up = np.maximum(up, 0)
+    up = _upward(result)
     return float(up[result.mesh.invented].sum() / max(up.sum(), 1e-12))
 
 
@@ -273,6 +283,12 @@ def _contact(result: Reconstruction) -> Iterator[Check]:
             "Rays from the side that pass through what was seen", sides["through"], 0.05, 0.25, percent, advice=_TOUCH
         )
         yield graded("Rays from the side that stop in free air", sides["early"], 0.05, 0.5, percent, advice=_TOUCH)
+
+
+def _upward(result: Reconstruction) -> F64:
+    """(K,) area of every triangle as seen from above, m²; 0 where it faces down."""
+    t = result.mesh.vertices[result.mesh.triangles]
+    return np.maximum(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])[:, 2] / 2, 0)
 
 
 def _physics(result: Reconstruction) -> Iterator[Check]:

@@ -70,14 +70,17 @@
       mode: { triangles: gl.TRIANGLES, lines: gl.LINES, points: gl.POINTS }[layer.kind] };
   }
 
-  function bounds(layers) {
-    const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
-    for (const l of layers) for (let k = 0; k < 3; k++) {
-      low[k] = Math.min(low[k], l.low[k]); high[k] = Math.max(high[k], l.low[k] + l.size[k]);
+  // Some of the layers' vertices, evenly picked: the camera is fitted to what is there, not to the corners of a box.
+  function sample(layers, most = 3000) {
+    const points = [];
+    for (const l of layers) {
+      const raw = new Uint16Array(bytes(l.vertices).buffer), n = raw.length / 3, step = Math.max(1, Math.floor(n * layers.length / most));
+      for (let i = 0; i < n; i += step) points.push([0, 1, 2].map(k => l.low[k] + l.size[k] * raw[3 * i + k] / 65535));
     }
-    const corners = [0, 1, 2, 3, 4, 5, 6, 7].map(i => low.map((v, k) => i >> k & 1 ? high[k] : v));
-    return { corners, centre: low.map((v, k) => (v + high[k]) / 2), radius: Math.max(0.05, Math.hypot(...low.map((v, k) => high[k] - v)) / 2) };
+    return points;
   }
+
+  const middle = values => (Math.min(...values) + Math.max(...values)) / 2;
 
   function start(host) {
     const data = JSON.parse(host.querySelector("script").textContent);
@@ -92,8 +95,11 @@
     const place = Object.fromEntries(["view", "projection", "low", "size", "point", "opacity", "lit"].map(n => [n, at(n)]));
     const layers = data.map(l => upload(gl, l));
     const solid = layers.filter(l => l.kind === "triangles" && l.visible);
-    const { centre, radius, corners } = bounds(solid.length ? solid : layers);
-    const home = (rise = 0.62, turn = -1.95) => ({ turn, rise, target: centre.slice(), distance: fitting(rise, turn) });
+    const points = sample(solid.length ? solid : layers);
+    const centre = [0, 1, 2].map(k => middle(points.map(p => p[k])));
+    const radius = Math.max(0.05, ...points.map(p => Math.hypot(...p.map((v, k) => v - centre[k]))));
+    const first = (Number(host.dataset.azimuth) - 180) * Math.PI / 180;
+    const home = (rise = 0.62, turn = first) => ({ turn, rise, ...fitting(rise, turn) });
 
     function axes({ rise, turn }) {
       const back = [Math.cos(rise) * Math.cos(turn), Math.cos(rise) * Math.sin(turn), Math.sin(rise)];
@@ -107,13 +113,19 @@
       return [Math.min(1, h / w) / half, Math.min(1, w / h) / half];
     }
 
-    // As near as a window of this shape shows every corner, with a little air.
+    // As near as a window of this shape shows every point, with a little air, more of it under the buttons.
     function fitting(rise, turn) {
       const { back, right, up } = axes({ rise, turn }), [fx, fy] = focal();
-      return 1.04 * Math.max(...corners.map(c => {
-        const p = c.map((v, k) => v - centre[k]);
-        return dot(p, back) + Math.max(Math.abs(dot(p, right)) * fx, Math.abs(dot(p, up)) * fy);
-      }));
+      const seen = points.map(p => [right, up, back].map(a => dot(a, p)));
+      // Towards the middle of what is seen; twice, because near points spread further.
+      let target = [0, 1, 2].map(k => middle(seen.map(p => p[k]))), distance = radius * 3;
+      for (let again = 0; again < 3; again++) {
+        const shift = [0, 1].map(k => middle(seen.map(p => (p[k] - target[k]) / (distance - p[2] + target[2]))));
+        target = [target[0] + shift[0] * distance, target[1] + shift[1] * distance, target[2]];
+        distance = 1.04 * Math.max(...seen.map(p => p[2] - target[2]
+          + Math.max(Math.abs(p[0] - target[0]) * fx, Math.abs(p[1] - target[1]) * fy * 1.12)));
+      }
+      return { target: [0, 1, 2].map(k => right[k] * target[0] + up[k] * target[1] + back[k] * target[2]), distance };
     }
     let camera = home(), waiting = false;
 
@@ -137,6 +149,7 @@
       gl.useProgram(shader);
       gl.uniformMatrix4fv(place.view, false, view); gl.uniformMatrix4fv(place.projection, false, projection);
       const shown = layers.filter(l => l.visible);
+      gl.polygonOffset(1, 1);
       for (const l of [...shown.filter(l => l.opacity >= 1), ...shown.filter(l => l.opacity < 1)]) {
         gl.bindVertexArray(l.array);
         gl.uniform3fv(place.low, l.low); gl.uniform3fv(place.size, l.size);
@@ -144,6 +157,8 @@
         gl.uniform1i(place.lit, l.kind === "triangles" ? 1 : 0);
         if (l.color) gl.vertexAttrib3f(1, ...l.color.map(c => c / 255));
         gl.depthMask(l.opacity >= 1);
+        // Solid surfaces lie a little further back, so that lines and transparent layers on them do not flicker.
+        if (l.kind === "triangles" && l.opacity >= 1) gl.enable(gl.POLYGON_OFFSET_FILL); else gl.disable(gl.POLYGON_OFFSET_FILL);
         gl.drawElements(l.mode, l.count, l.type, 0);
       }
       gl.depthMask(true);
@@ -180,13 +195,17 @@
 
     const bar = host.appendChild(document.createElement("div"));
     bar.className = "layers";
-    for (const l of layers) bar.append(button(l.name, l.visible, e => {
-      l.visible = !l.visible; e.target.setAttribute("aria-pressed", l.visible); redraw();
-    }));
+    for (const name of new Set(layers.map(l => l.name))) {
+      const group = layers.filter(l => l.name === name);
+      bar.append(button(name, group[0].visible, e => {
+        for (const l of group) l.visible = !l.visible;
+        e.target.setAttribute("aria-pressed", group[0].visible); redraw();
+      }));
+    }
     const views = host.appendChild(document.createElement("div"));
     views.className = "views";
     const look = (rise, angle) => () => { camera = home(rise, angle); redraw(); };
-    views.append(button("top", null, look(1.5, -Math.PI / 2)), button("side", null, look(0.05, -Math.PI / 2)), button("reset", null, look(0.62, -1.95)));
+    views.append(button("top", null, look(1.5, -Math.PI / 2)), button("side", null, look(0.05, -Math.PI / 2)), button("reset", null, look(0.62, first)));
     new ResizeObserver(redraw).observe(host);
     redraw();
   }

@@ -22,7 +22,8 @@ from realsim.report.page import asset, esc
 class Layer:
     """Something that can be shown and hidden.
 
-    `kind` says what `cells` means: triangles (K, 3), line segments (K, 2), or points (`cells` is ignored).
+    Layers of the same name share one button. `kind` says what `cells` means: triangles (K, 3), line segments (K, 2), or
+    points (`cells` is ignored).
     """
 
     name: str
@@ -42,15 +43,17 @@ def script() -> str:
     return asset("viewer.js")
 
 
-def viewer(layers: Sequence[Layer], *, label: str = "3D view") -> str:
+def viewer(layers: Sequence[Layer], *, label: str = "3D view", azimuth: float = 68.0) -> str:
     """A piece of HTML that shows the layers, with a button for each; empty layers are left out.
+
+    It opens looking in the direction `azimuth`, degrees from x to y.
 
     One finger or the left button turns, two fingers or the right button move, pinch or wheel zooms.
     """
     kept = [layer for layer in layers if len(np.asarray(layer.vertices)) and _cells(layer).size]
     data = json.dumps([_pack(layer) for layer in kept], separators=(",", ":")).replace("<", "\\u003c")
     return (
-        f'<div class="viewer3d" role="img" aria-label="{esc(label)}">'
+        f'<div class="viewer3d" role="img" aria-label="{esc(label)}" data-azimuth="{azimuth:g}">'
         f'<script type="application/json">{data}</script></div>'
     )
 

@@ -4,21 +4,35 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from realsim.errors import RealsimError
 from realsim.files import to_json, write_text
 from realsim.report.document import reconstruction_page
-from realsim.report.summary import summary
+from realsim.report.picture import draw
+from realsim.report.summary import Made, summary
 from realsim.report.verdict import judge
-from realsim.types import Reconstruction
+from realsim.types import U8, Reconstruction
 
 
-def write_report(folder: Path, result: Reconstruction) -> None:
+def write_report(folder: Path, result: Reconstruction, *, picture: bool = True) -> None:
     """Write `folder/report.json` and `folder/report.html`.
 
-    The same result gives the same bytes. Two runs differ in what was measured with a clock: in the JSON `stages`, the
-    costs of a step under `contact`, and `seconds` of `modes`; in the page the card "Time and memory", the lines with
-    the costs of a step, and the times of the comparison. `folder` holds the exported scene, whose collision geometry is
-    read for the 3D view.
+    The same result gives the same bytes, except for the date and what was measured with a clock: in the JSON `made`,
+    `stages`, the costs of a step under `contact`, and `seconds` of `modes`; in the page the card "This run", the lines
+    with the costs of a step, and the times of the comparison.
+
+    Args:
+        folder: holds the exported scene, whose collision geometry is read for the 3D view.
+        picture: draw the scene with MuJoCo for the page.
     """
-    judgement = judge(result)
-    write_text(folder / "report.json", to_json(summary(result, judgement)))
-    write_text(folder / "report.html", reconstruction_page(folder, result, judgement))
+    judgement, made = judge(result), Made.now()
+    write_text(folder / "report.json", to_json(summary(result, judgement, made)))
+    drawn = _drawn(folder / result.scene.scene_xml.name) if picture else None
+    write_text(folder / "report.html", reconstruction_page(folder, result, judgement, made, drawn))
+
+
+def _drawn(scene_xml: Path) -> U8 | str:
+    """The picture, or why this machine cannot draw it: a page without it is still a page."""
+    try:
+        return draw(scene_xml)
+    except RealsimError as error:
+        return error.render()

@@ -1,4 +1,4 @@
-"""What a robot is to the rest of the toolkit."""
+"""Interface of robots."""
 
 from __future__ import annotations
 

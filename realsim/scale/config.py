@@ -1,4 +1,4 @@
-"""What can be set about the metric scale."""
+"""Options of the metric scale."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class ScaleConfig:
     bootstrap: int = 1000
     """Resamples for the interval."""
     sensor_sigma: float | None = None
-    """Relative standard error of the depth sensor's own scale; enters the interval where poses did not correct it
+    """Relative standard error of the depth sensor's own scale; enters the interval if poses did not correct it
     (default: by the sensor: 0.006 of a depth camera, 0.04 of a phone's LiDAR)."""
     seed: Annotated[int, tyro.conf.Suppress] = 0
 

@@ -15,9 +15,9 @@ from realsim.types import F32, F64, Bool, MetricScene, Pointmaps, PointView, Sca
 FEW_PIXELS = 200
 """A frame with fewer pixels valid in both sensor and prediction says nothing about scale."""
 CLAIM_LIMIT = 0.1
-"""Relative difference between a model's own claim of scale and the sensor's from which the report says so."""
+"""Relative difference between a model's own claim of scale and the sensor's from which the report warns."""
 NAMED = 5
-"""At most so many frames are named in a message."""
+"""At most this many frames are named in a message."""
 
 
 def to_metric(
@@ -76,7 +76,7 @@ def to_metric(
 
 
 def estimate(ratios: F64, names: list[str], config: ScaleConfig) -> ScaleEstimate:
-    """What N frames together say: the median of their ratios, a bootstrap interval, and how far they disagree.
+    """Scale from N frames: the median of their ratios, a bootstrap interval, and their disagreement.
 
     Args:
         ratios: (N,) metres a unit for each frame, NaN where a frame cannot tell.
@@ -88,7 +88,7 @@ def estimate(ratios: F64, names: list[str], config: ScaleConfig) -> ScaleEstimat
     seen = np.isfinite(ratios) & (ratios > 0)
     if not seen.any():
         raise ScaleError(
-            "the metric scale cannot be told",
+            "the metric scale cannot be determined",
             expected=f"frames with at least {FEW_PIXELS} pixels that have both sensor depth and a predicted point",
             found=f"none of {len(ratios)} frames",
             hint="capture with depth, or bring metric poses",
@@ -115,7 +115,7 @@ def estimate(ratios: F64, names: list[str], config: ScaleConfig) -> ScaleEstimat
         more = f" and {len(silent) - NAMED} more" if len(silent) > NAMED else ""
         warnings.append(f"no scale from frames with too little sensor depth: {', '.join(silent[:NAMED])}{more}")
     if len(known) == 1:
-        warnings.append("one frame alone gives the scale: its interval says nothing")
+        warnings.append("one frame alone gives the scale: its interval is not meaningful")
     return ScaleEstimate(
         value=value,
         ci90=bootstrap_median(known, config.bootstrap, config.seed),

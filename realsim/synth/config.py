@@ -1,4 +1,4 @@
-"""What can be set about a synthetic capture."""
+"""Options of a synthetic capture."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ class SynthConfig:
     both_sides: bool = False
     """Walk along both sides of the terrain instead of one."""
     sensor: Literal["d435i", "kinect"] = "d435i"
-    """`d435i`: depth aligned to colour, written as an Open3D dataset. `kinect`: written in the layout of 7-Scenes, and
-    like there colour is not registered to depth: its focal length, centre and place differ, and no file says so."""
+    """`d435i`: depth aligned to colour, written as an Open3D dataset. `kinect`: written in the layout of 7-Scenes, with
+    colour that is not registered to depth: focal length, centre and position differ, undocumented as there."""
     width: int = 640
     """Width of the images, pixels; their height is three quarters of it."""
     pose_error: float = 0.0
     """Metres, RMS, by which the written poses drift smoothly from the truth (and 0.3 degrees per centimetre), as those
     of a tracker do."""
     depth_scale: float | None = None
-    """Measured over true depth; drawn from 0.99 to 1.01 if not given."""
+    """Ratio of measured to true depth; by default drawn from 0.99 to 1.01."""
     noise: bool = True
     """Sensor noise, holes, flying pixels and exposure changes; without it depth is exact to the millimetre."""
     seed: int = 0

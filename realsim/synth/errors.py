@@ -1,4 +1,4 @@
-"""How far a reconstruction lies from the truth: registration of surfaces, and what it tells.
+"""Errors of a reconstruction against the truth, by registration of surfaces.
 
 Point-to-plane registration (Chen and Medioni 1992) of the delivered mesh to samples of the true surface, with and
 without a scale. Only true surface that two cameras or more saw is asked for.

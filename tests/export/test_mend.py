@@ -156,7 +156,7 @@ def test_solids_on_a_floor_do_not_overlap() -> None:
 
 def test_a_wall_alone_is_refused() -> None:
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1], [1, 0, 1.0]])
-    with pytest.raises(ExportError, match="stood on"):
+    with pytest.raises(ExportError, match="to stand on"):
         mend(vertices, np.array([[0, 1, 2], [1, 3, 2]]))
 
 

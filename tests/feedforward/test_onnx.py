@@ -140,7 +140,7 @@ def test_focal_length_and_shift_of_a_single_view_are_recovered() -> None:
     depth = rooms.ray_cast(rooms.path(1)[0], CAMERA)[0].astype(np.float32)
     rays = CAMERA.rays()
     points = 0.7 * rays * depth[..., None]
-    points[..., :2] /= 1.06  # the model takes the focal length for 6 percent longer
+    points[..., :2] /= 1.06  # the model's focal length is 6 percent longer
     points[..., 2] -= 0.4
     shift, ratio = shift_and_focal(points.astype(np.float32), rays[..., :2], depth > 0)
     assert abs(shift - 0.4) < 1e-3

@@ -213,7 +213,7 @@ def test_base_and_imu_conventions(tmp_path: Path, options: dict[str, Any], said:
 
 def test_gravity_taken_out_is_said(tmp_path: Path) -> None:
     found = health(floating_case(tmp_path / "case", [1.0, 0, 0, 0], acc=0.05))
-    assert any("gravity seems to be taken out" in w for w in found["warnings"])
+    assert any("gravity appears to have been removed" in w for w in found["warnings"])
 
 
 def test_quaternion_in_another_order_is_refused(tmp_path: Path) -> None:

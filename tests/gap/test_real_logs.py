@@ -82,7 +82,7 @@ def test_servo_as_csv(shared: Callable[[str], Path], tmp_path: Path) -> None:
 def test_legs_of_a_quadruped(shared: Callable[[str], Path], tmp_path: Path) -> None:
     case = load_case(legs(shared("real_logs"), tmp_path / "case"))
     health, where, more = looked_at(case)
-    assert any("made up, not measured" in w for w in health["warnings"])  # its source says so: a linspace
+    assert any("generated, not measured" in w for w in health["warnings"])  # its source says so: a linspace
     assert {e["joint"] for e in where} <= set(case.joint_names)
     assert np.isfinite(rows(more)).all()
 

@@ -17,10 +17,10 @@ from realsim.gap.report.evidence import model_changes
 from realsim.gap.report.plots import _labelled_bars, rival_label
 from realsim.gap.report.robot import body_shares
 from realsim.gap.report.series import horizons, worst_windows
-from realsim.gap.report.shapes import solids
 from realsim.gap.report.words import percent, short
 from realsim.gap.simulation.simulate import Simulator, measured
 from realsim.gap.verdicts import SAID
+from realsim.report.solids import solids
 from tests.pages import read
 
 from .truth import Truth

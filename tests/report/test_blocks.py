@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 
 from realsim.meshes import simplify
 from realsim.report import page, raster, svg, viewer3d
-from realsim.report.collision import collision_triangles
+from realsim.report.collision import collision_triangles, sharp_edges
+from realsim.synth.solids import box as box_solid
 
 
 @given(st.floats(-1e5, 1e5), st.floats(1e-3, 1e5))
@@ -135,6 +136,14 @@ def test_collision_triangles_lie_where_rays_of_the_physics_hit(tmp_path: Path) -
     for centre in t[up].mean(1):
         distance = mujoco.mj_ray(model, data, centre + np.array([0, 0, 2.0]), np.array([0, 0, -1.0]), None, 1, -1, hit)
         assert distance == pytest.approx(2.0, abs=2e-3)
+
+
+def test_sharp_edges_of_a_box_are_its_twelve_edges() -> None:
+    solid = box_solid("a", (1.0, 2.0, 3.0), "wood")
+    edges = sharp_edges(solid.vertices, np.asarray(solid.triangles))
+    assert len(edges) == 12
+    lengths = np.linalg.norm(solid.vertices[edges[:, 0]] - solid.vertices[edges[:, 1]], axis=1)
+    np.testing.assert_allclose(np.sort(lengths), np.repeat([1.0, 2.0, 3.0], 4))
 
 
 def test_pieces_escape_text() -> None:

@@ -19,8 +19,9 @@ from .scene import reconstruction
 def test_viewer_serves_and_stops(tmp_path: Path) -> None:
     pytest.importorskip("viser")
     result = reconstruction(tmp_path)
-    trimesh.Trimesh(result.mesh.vertices, result.mesh.triangles, process=False).export(tmp_path / "mesh.ply")
-    write_report(tmp_path, result)
+    for name in ("mesh.ply", "mesh.glb"):
+        trimesh.Trimesh(result.mesh.vertices, result.mesh.triangles, process=False).export(tmp_path / name)
+    write_report(tmp_path, result, picture=False)
     server = view(tmp_path, 18431, wait=False)
     url = f"http://127.0.0.1:{server.get_port()}"
     try:

@@ -19,7 +19,7 @@ from .scene import reconstruction
 
 def test_the_card_shows_every_mode_and_why_one_failed(tmp_path: Path) -> None:
     plain = reconstruction(tmp_path)
-    write_report(tmp_path, plain)
+    write_report(tmp_path, plain, picture=False)
     assert "Sources of points compared" not in (tmp_path / "report.html").read_text()
     assert json.loads((tmp_path / "report.json").read_text())["modes"] == []
     rows = (
@@ -27,7 +27,7 @@ def test_the_card_shows_every_mode_and_why_one_failed(tmp_path: Path) -> None:
         Mode("onnx+depth", "the model's poses contradict the depth & more"),
         Mode("rgbd", scale=1.0, scale_ci90=(0.99, 1.01), used=11, dropped=1, apart_m=0.0042, seconds=20.0),
     )
-    write_report(tmp_path, replace(plain, modes=rows))
+    write_report(tmp_path, replace(plain, modes=rows), picture=False)
     page = (tmp_path / "report.html").read_text()
     assert "Sources of points compared" in page
     assert "contradict the depth &amp; more" in page

@@ -15,7 +15,9 @@ import cv2
 import numpy as np
 import pytest
 
+from realsim.errors import RealsimError
 from realsim.report import write_report
+from realsim.report.picture import draw
 from realsim.report.topdown import map_from_above
 from realsim.report.verdict import judge
 from realsim.types import AlignedScene, Dropped, Mode, Reconstruction
@@ -25,7 +27,7 @@ from .scene import reconstruction
 
 
 def test_json_has_the_promised_fields(tmp_path: Path) -> None:
-    write_report(tmp_path, reconstruction(tmp_path))
+    write_report(tmp_path, reconstruction(tmp_path), picture=False)
     report = json.loads((tmp_path / "report.json").read_text())
     assert np.shape(report["T_sim_world"]) == (4, 4)
     assert set(report["scale"]) >= {"value", "ci90", "per_frame_spread", "method"}
@@ -56,14 +58,14 @@ def test_same_result_same_bytes_whatever_it_cost(tmp_path: Path) -> None:
         scene = replace(result.scene, contact=contact)
         modes = (Mode("rgbd", scale=1.0, seconds=seconds), Mode("onnx", error="no model"))
         stages = tuple(replace(s, seconds=seconds) for s in result.stages)
-        write_report(tmp_path, replace(result, stages=stages, scene=scene, modes=modes))
+        write_report(tmp_path, replace(result, stages=stages, scene=scene, modes=modes), picture=False)
         page = (tmp_path / "report.html").read_text()
-        page = re.sub(r'<section class="card"><h3>Time and memory.*?</section>', "", page)
+        page = re.sub(r'<section class="card"><h3>This run.*?</section>', "", page)
         page = re.sub(rf"<tr><td[^>]*>({'|'.join(k.replace('_', ' ') for k in CLOCKED)})</td>.*?</tr>", "", page)
         pages.append(re.sub(rf"<td[^>]*>{seconds:.1f} s</td>", "", page))
         report = json.loads((tmp_path / "report.json").read_text())
         for part in (report, *report["modes"], report["contact"]):
-            for key in ("stages", "seconds", *CLOCKED):
+            for key in ("made", "stages", "seconds", *CLOCKED):
                 part.pop(key, None)
         reports.append(report)
     assert pages[0] == pages[1]
@@ -71,7 +73,7 @@ def test_same_result_same_bytes_whatever_it_cost(tmp_path: Path) -> None:
 
 
 def test_page_stands_alone_and_is_well_formed(tmp_path: Path) -> None:
-    write_report(tmp_path, reconstruction(tmp_path))
+    write_report(tmp_path, reconstruction(tmp_path), picture=False)
     text = (tmp_path / "report.html").read_text()
     assert "blurred <b>" in read(text)
     assert "blurred &lt;b&gt;" in text  # what comes from data is escaped
@@ -105,8 +107,33 @@ def test_the_map_shows_all_of_the_scene(tmp_path: Path, x_up: bool) -> None:
     assert data[at[0], at[1], 3] == 255
 
 
+def test_the_picture_is_of_the_scene_or_its_lack_is_explained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = reconstruction(tmp_path)
+    write_report(tmp_path, result)
+    text = (tmp_path / "report.html").read_text()
+    assert ("image/jpeg" in text.split("In MuJoCo")[1][:400]) or "cannot draw" in text
+    monkeypatch.setenv("MUJOCO_GL", "none of these")
+    with pytest.raises(RealsimError, match="cannot draw"):
+        draw(tmp_path / "scene.xml", 64, 48)
+
+
+def test_advice_names_the_frames_and_the_place(tmp_path: Path) -> None:
+    """What to do next is about this capture."""
+    result = reconstruction(tmp_path)
+    dropped = tuple(Dropped(f"{i:06d}", "reason") for i in range(100, 120))
+    mesh = replace(result.mesh, invented=np.ones(len(result.mesh.triangles), bool))
+    steps = " ".join(judge(replace(result, source=replace(result.source, dropped=dropped), mesh=mesh)).next_steps)
+    assert "000100" in steps
+    assert "17 more" in steps  # one was dropped at the scale already
+    assert re.search(r"lies at x -?\d\.\d to 3\.\d m, y ", steps)
+    far = result.mesh.vertices[result.mesh.triangles][:, :, 0].min(axis=1) > 2
+    mesh = replace(result.mesh, invented=far)  # one of the two platforms
+    steps = " ".join(judge(replace(result, mesh=mesh)).next_steps)
+    assert re.search(r"lies at x [23]\.\d to 3\.\d m, y ", steps)
+
+
 def test_scan_without_cameras_has_a_report(tmp_path: Path) -> None:
-    write_report(tmp_path, reconstruction(tmp_path, scan=True))
+    write_report(tmp_path, reconstruction(tmp_path, scan=True), picture=False)
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["frames"]["used"] == []
     assert report["scale"]["value"] == 1.0
@@ -196,13 +223,13 @@ def test_good_frames_that_were_not_picked_do_not_count_against_a_scene(tmp_path:
     dropped = tuple(Dropped(f"{i:06d}", "reason", lost) for i in range(100, 200))
     result = replace(result, source=replace(result.source, dropped=dropped))
     assert judge(result).level == level
-    write_report(tmp_path, result)
+    write_report(tmp_path, result, picture=False)
     assert len(json.loads((tmp_path / "report.json").read_text())["frames"]["dropped"]) == 101
 
 
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is not installed")
 def test_browser_runs_the_page_without_errors(tmp_path: Path) -> None:
-    write_report(tmp_path, reconstruction(tmp_path))
+    write_report(tmp_path, reconstruction(tmp_path), picture=False)
     command = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader"]
     command += ["--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update"]
     command += [

@@ -164,7 +164,7 @@ def test_onnx_without_metadata_or_cut_off_is_refused(tmp_path: Path) -> None:
         export.load(path)
     del model.metadata_props[:]
     path.write_bytes(model.SerializeToString())
-    with pytest.raises(RealsimError, match="says nothing about its observations"):
+    with pytest.raises(RealsimError, match="does not describe its observations"):
         export.load(path)
 
 

@@ -130,8 +130,8 @@ def test_a_checkpoint_that_was_edited_is_refused_before_anything_is_written(
     less = {name: value for name, value in whole["training"].items() if name != "ppo"}
     for changed, option, message in (
         ({"robot": "spot"}, "--policy", "unknown robot 'spot'"),
-        ({"training": less}, "--resume", "cannot be gone on with"),
-        ({"training": None}, "--resume", "no training to go on with"),
+        ({"training": less}, "--resume", "cannot resume training"),
+        ({"training": None}, "--resume", "no training state"),
     ):
         torch.save({**whole, **changed}, file)
         said = failure(capsys, "finetune", "flat", option, file, *common)

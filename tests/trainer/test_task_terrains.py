@@ -59,6 +59,17 @@ def test_a_mark_is_turned_with_its_platform():
     assert end == pytest.approx([np.cos(0.25), 0, 0, np.sin(0.25)])
 
 
+def test_a_replay_draws_what_a_scene_collides_with():
+    import mujoco
+
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.2, 0.3], group=3)
+    model = scene_model(quadruped(), replace(course(), contact=spec), (64, 64))
+    shown = model.geom_group[model.geom_bodyid == 0]
+    assert len(shown) >= 4  # ground, box, two marks
+    assert (shown < 3).all()
+
+
 def test_a_scaled_scene_collides_where_its_mesh_is():
     import mujoco
 

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from realsim import robots
 from realsim.errors import UnknownNameError
 from trainer.errors import TrainerError
 from trainer.terrain import FAMILIES, TESTS, flat, generate, grid, named
@@ -123,6 +124,18 @@ def test_a_scene_keeps_what_collides_above_the_ground(scene):
     assert terrain.goal.centre[0] == 2.0
 
 
+def test_a_robot_in_the_scene_is_no_terrain(scene):
+    """`realsim reconstruct --robot g1` puts one in; the trainer has its own."""
+    bare = load(scene).contact.compile()
+    robot = robots.load("quadruped").placed(np.zeros(3)).spec
+    (scene / "robot.xml").write_text(robot.to_xml())
+    text = (scene / "scene.xml").read_text()
+    (scene / "scene.xml").write_text(text.replace("</mujoco>", '<include file="robot.xml"/></mujoco>'))
+    model = load(scene).contact.compile()
+    assert (model.nbody, model.nu, model.nkey, model.njnt) == (1, 0, 0, 0)
+    assert model.ngeom == bare.ngeom
+
+
 def test_a_platform_lies_as_its_yaw_says(scene):
     """Its report gives the long side first, and the direction of that."""
     report = json.loads((scene / "report.json").read_text())
@@ -159,7 +172,7 @@ def test_a_scene_of_the_wrong_scale_is_refused(scene):
     [
         ({"ground_z": None}, "ground_z is not given"),
         ({"ground_z": "low"}, "ground_z is not given"),
-        ({"ground_z": 5.0}, "ground does not lie"),
+        ({"ground_z": 5.0}, "ground is not at a height"),
         ({"start": "there"}, "no start platform"),
         ({"start": {"size": [0.8, 0.8]}}, "centre of the start platform is not given"),
         ({"start": {"size": "big", "centroid": [0, 0, 0]}}, "size of the start platform is not given"),

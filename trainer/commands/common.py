@@ -1,4 +1,4 @@
-"""What the trainer's commands share. Imported first: it says which package is missing before anything fails."""
+"""Shared parts of the trainer's commands. Imported first, so that a missing package is reported at once."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def setting(policy: Policy, file: Path, device: torch.device, config: TrainConfi
         TrainerError: another robot, or another observation layout; the term that differs is named.
     """
     if config.robot and config.robot != policy.robot:
-        raise TrainerError("the policy is of another robot", file=file, expected=config.robot, found=policy.robot)
+        raise TrainerError("the policy is for another robot", file=file, expected=config.robot, found=policy.robot)
     robot = named(policy.robot, file)
     task = config.task
     if policy.layout.depth is None or robot.camera is None:
@@ -112,7 +112,7 @@ def trial_lines(title: str, evaluation: Evaluation) -> list[str]:
 
 
 def result_lines(result: TrainResult, target: float) -> list[str]:
-    """What a training came to."""
+    """Summary lines of a training."""
     if result.to_target is None:
         reached = "not reached" if result.evaluations else "not asked for (no evaluations on the way)"
     else:

@@ -36,7 +36,7 @@ def evaluate(
         out: JSON with every figure and every failed trial.
         engine: physics engine; by default warp on a GPU and mujoco on the CPU.
         device: cpu, cuda, or auto.
-        task_file: JSON with what differs from the paper's task; the one of the training.
+        task_file: JSON with differences from the paper's task; use that of the training.
         diagnosis: diagnosis.json of `realsim diagnose`.
     """
     loaded = common.load_policy(policy)

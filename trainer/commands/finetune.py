@@ -51,7 +51,7 @@ def finetune(
         from_scratch: train without a base.
         out: folder for the results.
         trainer: ppo, rsl_rl, mjlab, or one that an installed package adds.
-        task_file: JSON with what differs from the paper's task.
+        task_file: JSON with differences from the paper's task.
         final_trials: trials on each terrain before and after; 0 leaves both out.
         first_success: help begins on a raised floor that sinks, with starts along the course; plain does not; auto
             helps where the base succeeds in none of the trials before.

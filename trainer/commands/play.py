@@ -36,7 +36,7 @@ def play(
         trial: which of the trials of this seed.
         seed: of the trials.
         randomise: vary friction, masses, delays and noise as in training.
-        task_file: JSON with what differs from the paper's task; the one of the training.
+        task_file: JSON with differences from the paper's task; use that of the training.
     """
     if trial < 0:
         raise common.TrainerError("trials are numbered from 0", found=str(trial))

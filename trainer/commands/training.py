@@ -34,19 +34,17 @@ def training(
         what: report
         runs: folders of `realsim pretrain` or `realsim finetune`.
         out: the page (.html).
-        trials: render so many trials of each run's policy (.pt) on --scene; needs MUJOCO_GL=egl or osmesa without a
+        trials: render this many trials of each run's policy (.pt) on --scene; needs MUJOCO_GL=egl or osmesa without a
             display.
         scene: a folder of `realsim reconstruct`, or the name of a terrain (see `realsim finetune --help`).
-        task_file: for the trials: JSON with what differs from the paper's task; the one of the training.
+        task_file: for the trials: JSON with differences from the paper's task; use that of the training.
     """
     if not runs:
         raise TrainerError("no run was named", expected=f"realsim training {what} RUN ... --out report.html")
     if out.suffix.lower() not in (".html", ".htm"):
         raise TrainerError("the page is HTML", expected="--out NAME.html", found=str(out))
     if not 0 <= trials <= MOST_TRIALS:
-        raise TrainerError(
-            "this many trials do not fit a page", expected=f"0 to {MOST_TRIALS}", found=f"--trials {trials}"
-        )
+        raise TrainerError("too many trials for one page", expected=f"0 to {MOST_TRIALS}", found=f"--trials {trials}")
     if bool(trials) != bool(scene):
         raise TrainerError(
             "rendered trials need their number and a scene", expected="--trials N --scene NAME, or neither"

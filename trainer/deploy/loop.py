@@ -19,7 +19,7 @@ from trainer.ppo.export import Deployment
 
 @dataclass(frozen=True)
 class DeployConfig:
-    """How the loop runs."""
+    """Options of the control loop."""
 
     seconds: float = 10.0
     """Longest run."""
@@ -43,7 +43,7 @@ class DeployConfig:
 
 @dataclass
 class Report:
-    """What happened."""
+    """Summary of a run of the loop."""
 
     reason: str = "done"
     """Why it ended: done, tilted, late, or what was refused."""
@@ -104,8 +104,8 @@ def deploy(
     if observe.steered and steer is None:
         raise TrainerError(
             "the policy was trained to be steered",
-            expected="steer=, a function that says which way to go",
-            hint="a joystick, or a localiser that knows where the goal is",
+            expected="steer=, a function that gives the direction",
+            hint="a joystick, or localisation relative to the goal",
         )
     scale, default = np.asarray(facts.action_scale), np.asarray(facts.default)
     action = np.zeros(len(default), np.float32)

@@ -33,7 +33,7 @@ class Observer:
         uneven = [name for name, width in facts.layout.actor if name in widths and width % widths[name]]
         if unknown or uneven:
             raise TrainerError(
-                f"the policy observes what this loop cannot give: {', '.join(unknown + uneven)}",
+                f"the policy needs observations that this loop does not have: {', '.join(unknown + uneven)}",
                 expected=f"multiples of {widths}",
                 found=str(facts.layout.actor),
             )

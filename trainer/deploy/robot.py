@@ -1,4 +1,4 @@
-"""What a robot must be able to do to be driven by a policy: be read, be told joint targets, be stopped."""
+"""Interface of robots driven by a policy: read the state, write joint targets, stop."""
 
 from __future__ import annotations
 

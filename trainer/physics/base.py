@@ -23,7 +23,7 @@ MAX_SPEED = 100.0
 
 @dataclass(frozen=True)
 class PhysicsConfig:
-    """How the engine steps."""
+    """Options of the engine."""
 
     timestep: float = 0.005
     """Seconds a physics step."""
@@ -52,7 +52,7 @@ class PhysicsConfig:
 
 @dataclass
 class State:
-    """What a task sees of all worlds after a policy step. float32 on the engine's device; rows are worlds.
+    """State of all worlds after a policy step, as tasks see it. float32 on the engine's device; rows are worlds.
 
     Positions are in the frame of the world's own terrain. Tensors may be overwritten in place by the next step.
     """

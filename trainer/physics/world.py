@@ -90,7 +90,7 @@ def check_order(robot: TrainedRobot, model: Any) -> None:
     if model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE or not joints == actuated == list(robot.joints):
         raise TrainerError(
             f"the robot {robot.robot.name} cannot be simulated",
-            expected="a free joint, then one actuated hinge a joint in the order of the body tree",
+            expected="a free joint, then one actuator per hinge in the order of the body tree",
             found=f"joints {joints}, actuators on {actuated}",
         )
 

@@ -189,7 +189,7 @@ class PPO:
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """The inverse. A learning rate other than the one asked for then is begun with, as for a run that diverged."""
+        """The inverse. If a different learning rate is requested, it replaces the saved one."""
         self.optimiser.load_state_dict(state["adam"])
         asked = self.config.learning_rate
         # The same command again must go on exactly: the schedule may have moved the rate since.

@@ -99,11 +99,11 @@ def read(path: Path) -> dict[str, Any]:
         )
     if data.get("version") != VERSION:
         raise TrainerError(
-            "the checkpoint is of another version",
+            "the checkpoint was written by another version",
             file=path,
             expected=f"version {VERSION}",
             found=f"version {data.get('version')}",
-            hint="use the release that wrote it, or train anew",
+            hint="use the release that wrote it, or train again",
         )
     return data
 

@@ -1,4 +1,4 @@
-"""What a learner can be told. Every field is a command line option, its docstring the help."""
+"""Options of a learner. Every field is a command line option, its docstring the help."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ class NetworkConfig:
 
 @dataclass(frozen=True)
 class StrategyConfig:
-    """What fine-tuning may change."""
+    """Options of fine-tuning strategies."""
 
     adapter_width: int = 16
     """Bottleneck of an adapter."""
     residual_hidden: tuple[int, ...] = (128, 64)
     """Hidden layers of the residual network."""
     start_std: float | None = 0.3
-    """Exploration noise at the start of fine-tuning; `None` keeps the base's. A base that was still exploring has far
-    more than the footholds of a hard course allow."""
+    """Exploration noise at the start of fine-tuning; `None` keeps the base's. A base that was still
+    exploring has too much noise for the footholds of a hard course."""
 
     def __post_init__(self) -> None:
         if min((self.adapter_width, *self.residual_hidden)) < 1:
@@ -72,15 +72,15 @@ class PPOConfig:
     """Proximal policy optimisation (Schulman et al. 2017), with the values usual for legged robots."""
 
     steps: int = 24
-    """Policy steps of every world an iteration."""
+    """Policy steps of every world per iteration."""
     epochs: int = 5
     """Passes over the samples of an iteration."""
     minibatches: int = 4
-    """Gradient steps a pass."""
+    """Gradient steps per pass."""
     clip: float = 0.2
     """Clipping of the probability ratio, and of the value's change."""
     gamma: float = 0.99
-    """Discount a policy step."""
+    """Discount per policy step."""
     lam: float = 0.95
     """Lambda of the generalised advantage estimate."""
     value_weight: float = 1.0
@@ -93,8 +93,8 @@ class PPOConfig:
     std_iterations: int = 400
     """Iterations over which the largest noise falls from the first to the second value, linearly."""
     learning_rate: float | None = None
-    """Learning rate at the start; if not given, 1e-3 for a new policy and 1e-4 for fine-tuning. Another one than before
-    is begun with on a resume too."""
+    """Learning rate at the start; if not given, 1e-3 for a new policy and 1e-4 for fine-tuning. On a resume, a
+    different value replaces the saved one."""
     critic_first: int = 0
     """Iterations at the start in which only the critic learns, for a base whose critic knows other terrain."""
     schedule: Literal["adaptive", "fixed"] = "adaptive"
@@ -104,12 +104,12 @@ class PPOConfig:
     learning_rates: tuple[float, float] = (1e-5, 1e-2)
     """Bounds of the adaptive learning rate."""
     critic_rate: float | None = 1e-3
-    """Learning rate of the critic, fixed: it need not wait for the policy, whose rate follows the KL divergence. `None`
+    """Learning rate of the critic, fixed: independent of the policy's, which follows the KL divergence. `None`
     gives it the policy's."""
     max_gradient: float = 1.0
     """Gradient norms above this are scaled down, of policy and critic each on its own."""
     symmetry: Literal["none", "loss", "augmentation"] = "none"
-    """How left-right symmetry is taught: a loss, or every sample a second time in the mirror (Mittal et al. 2024)."""
+    """Left-right symmetry: a loss, or every sample a second time mirrored (Mittal et al. 2024)."""
     symmetry_weight: float = 0.5
     """Weight of the symmetry loss."""
     bfloat16: bool = False

@@ -59,7 +59,7 @@ def ranks(device: str, engine: str = "") -> Iterator[Rank]:
 
 
 def pick_device(device: str, local: int | None = None, engine: str = "") -> torch.device:
-    """The torch device of that name; a CUDA device that is not there is said, never silently replaced.
+    """The torch device of that name; a missing CUDA device is an error, never silently replaced.
 
     Args:
         device: "cpu", "cuda", "cuda:1", or "auto".

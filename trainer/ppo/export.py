@@ -31,7 +31,7 @@ TOLERANCE = 1e-5
 
 @dataclass(frozen=True)
 class Deployment:
-    """What stands in the metadata: how to make the inputs, and what to do with the output."""
+    """Content of the metadata: how to make the inputs, and how to use the output."""
 
     layout: ObservationLayout
     robot: str
@@ -126,7 +126,7 @@ def load(path: Path) -> tuple[Any, Deployment]:
         ) from error
     if KEY not in meta:
         raise TrainerError(
-            "the ONNX file says nothing about its observations",
+            "the ONNX file does not describe its observations",
             file=path,
             expected=f"metadata {KEY!r}, as `realsim finetune` writes it",
             found=f"metadata {sorted(meta)}",

@@ -27,15 +27,15 @@ Evaluate = Callable[[Policy], float]
 
 @dataclass(frozen=True)
 class LoopConfig:
-    """How long to train and what to write on the way."""
+    """Duration of a training, and what is written meanwhile."""
 
     iterations: int = 1000
     """Iterations in all, those before a resume included."""
     checkpoint_every: int = 100
     """Iterations between checkpoints."""
     restart_at_checkpoint: bool = False
-    """Start all worlds anew after every checkpoint, as a resume has to: an interrupted run is then bit for bit the
-    uninterrupted one. It costs samples: for half a second all worlds show the same part of the course."""
+    """Restart all worlds after every checkpoint, as a resume does: an interrupted run then equals an uninterrupted one
+    bit for bit. It costs samples: for half a second all worlds show the same part of the course."""
     evaluate_every: int = 10
     """Iterations between evaluations on the way; 0 leaves them out."""
     evaluate_share: float = 0.1
@@ -60,7 +60,7 @@ class LoopConfig:
 
 @dataclass
 class History:
-    """What happened, less the rows of single iterations (`read_rows`): a long run has a hundred thousand."""
+    """Summary of a training; the rows of single iterations are read with `read_rows`."""
 
     evaluations: list[tuple[int, float]] = field(default_factory=list)
     """(iterations done, success rate)."""
@@ -104,8 +104,9 @@ def train(
         while not done:
             row = {"iteration": runner.iteration, **runner.iterate()}
             write(row)
-            due = evaluate is not None and config.evaluate_every and runner.iteration % config.evaluate_every == 0
-            if due and evaluating <= config.evaluate_share * (time.perf_counter() - began):
+            due = config.evaluate_every and runner.iteration % config.evaluate_every == 0
+            affordable = evaluating <= config.evaluate_share * (time.perf_counter() - began)
+            if evaluate is not None and due and affordable:
                 asked = time.perf_counter()
                 write({"iteration": runner.iteration - 1, "success": _evaluate(runner, evaluate, history)})
                 evaluating += time.perf_counter() - asked
@@ -127,8 +128,8 @@ def save(runner: Runner, history: History, folder: Path) -> None:
 
 
 def read_rows(folder: Path) -> list[dict[str, float | None]]:
-    """What was logged, in order: a row an iteration with its number (from 0), losses, reward terms and seconds; a row
-    an evaluation with `success`, its number that of the iteration before it, or 0 before the first. None where a figure
+    """The logged rows in order: one per iteration with its number (from 0), losses, reward terms and seconds; one per
+    evaluation with `success`, its number that of the iteration before it, or 0 before the first. None where a figure
     is not a number (no episode ended)."""
     path = folder / "history.jsonl"
     if not path.is_file():
@@ -141,11 +142,11 @@ def _resume(runner: Runner, path: Path) -> History:
     policy, training = checkpoint.load(path, runner.rank.device)
     if training is None:
         raise TrainerError(
-            "the checkpoint holds a policy but no training to go on with", file=path, hint="pass it as --policy instead"
+            "the checkpoint holds a policy but no training state", file=path, hint="pass it as --policy instead"
         )
     if policy.tuned != runner.policy.tuned or policy.networks != runner.policy.networks:
         raise TrainerError(
-            "the checkpoint is of another run",
+            "the checkpoint belongs to another run",
             file=path,
             expected=f"strategies {[n for n, _ in runner.policy.tuned]}, {runner.policy.networks}",
             found=f"strategies {[n for n, _ in policy.tuned]}, {policy.networks}",
@@ -157,10 +158,10 @@ def _resume(runner: Runner, path: Path) -> History:
         evaluations = [(int(i), float(rate)) for i, rate in training["evaluations"]]
     except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
         raise TrainerError(
-            "the checkpoint's training cannot be gone on with",
+            "cannot resume training from this checkpoint",
             file=path,
             found=f"{type(error).__name__}: {error}",
-            hint="it was edited, or written by a changed version; its policy may do for --policy",
+            hint="it was edited, or written by a changed version; its policy may still work with --policy",
         ) from error
     return History(evaluations, notes)
 

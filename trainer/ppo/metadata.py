@@ -39,7 +39,7 @@ def read_metadata(text: str, version: int, path: Path) -> tuple[ObservationLayou
         raise refuse("they are no object", "a JSON object", facts)
     if facts.get("version") != version:
         raise TrainerError(
-            "the ONNX policy is of another version",
+            "the ONNX policy was written by another version",
             file=path,
             expected=f"version {version}",
             found=_short(facts.get("version")),

@@ -92,7 +92,7 @@ class Runner:
             if not result[name] == result[name] or abs(result[name]) == float("inf"):
                 raise TrainerError(
                     f"training diverged in iteration {self.iteration}: {name} is {result[name]}",
-                    hint="go on from the last checkpoint with a smaller --learning-rate",
+                    hint="resume from the last checkpoint with a smaller --learning-rate",
                 )
         result["collect_s"], result["update_s"] = collected - began, ended - collected
         result["samples"] = float(self.samples)
@@ -129,7 +129,7 @@ class Runner:
             try:
                 self.env.load_state_dict(mine["env"])
             except (ValueError, RuntimeError, KeyError) as error:
-                notes.append(f"the curriculum begins anew: {error}")
+                notes.append(f"the curriculum restarts: {error}")
             self.rng.manual_seed((self.iteration + 1) * 100003 + self.rank.index)
             notes.append(f"resumed on {self.rank.count} ranks instead of {len(ranks)}: not bit for bit the same run")
         self.observation = None

@@ -168,7 +168,7 @@ def _plot(figure: Figure, title: str, found: Sequence[Curve | None], shown: Show
 def card(
     title: str, figures: Sequence[Figure], shown: Shown, note: str = "", *, first: Sequence[str] = (), more: str = ""
 ) -> str:
-    """Figures side by side, after the plots `first`; what no run, or not every run, has logged is said below."""
+    """Figures side by side, after the plots `first`; figures that not every run has logged are listed below."""
     plots = [*first, *(plot for figure in figures for plot in draw(figure, shown))]
     body = multiples(plots) + more
     said = missing(figures, shown)

@@ -196,7 +196,7 @@ def _read_rows(path: Path) -> _Rows:
         raise TrainerError(
             "the history holds no iteration",
             file=path,
-            expected="a JSON object a line, with the iteration's number and its figures",
+            expected="one JSON object per line, with the iteration's number and its figures",
             found=f"{number} lines, {len(unreadable)} of them unreadable" if number else "an empty file",
             hint="let the run finish its first iteration",
         )

@@ -1,4 +1,4 @@
-"""What a robot is to the trainer: the figures of `realsim.robots` plus what a task needs to know by name."""
+"""Robots of the trainer: those of `realsim.robots` with gains, limits and names that tasks need."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a learner sees of an environment: a batch of worlds, observations by group, rewards, ends."""
+"""Interface of environments: a batch of worlds, observations by group, rewards, ends."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Observation:
 
 @dataclass
 class Step:
-    """What one policy step gives; worlds that ended are already reset and `observation` is of the new episode."""
+    """Result of one policy step; worlds that ended are already reset and `observation` is of the new episode."""
 
     observation: Observation
     reward: Tensor

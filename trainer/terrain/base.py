@@ -1,4 +1,4 @@
-"""What a terrain is to the trainer: exact primitives for contact, one mesh for rays, two platforms."""
+"""Interface of terrains: exact primitives for contact, one mesh for rays, two platforms."""
 
 from __future__ import annotations
 

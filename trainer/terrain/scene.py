@@ -45,7 +45,7 @@ def load(folder: str | Path) -> Terrain:
     floor = float(_numbers(folder, report.get("ground_z"), "ground_z", 1)[0])
     if not 0.0 <= -floor <= 2.0:
         raise TrainerError(
-            "the ground does not lie where a course needs it",
+            "the ground is not at a height that a course can have",
             file=folder / "report.json",
             expected="the ground 0 to 2 m below the start platform's top",
             found=f"ground_z = {floor:.3f} m",
@@ -68,7 +68,7 @@ def load(folder: str | Path) -> Terrain:
 def _report(folder: Path) -> dict[str, Any]:
     path = _file(folder, "report.json")
     if path.stat().st_size > _MAX_REPORT_BYTES:
-        raise TrainerError("report.json is too large to be one", file=path)
+        raise TrainerError("report.json is too large", file=path)
     try:
         report = json.loads(path.read_text("utf-8"))
     except ValueError as error:
@@ -107,7 +107,10 @@ def _mesh(folder: Path, start: Platform, goal: Platform) -> tuple[NDArray[np.flo
         vertices, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int32)
     except (ValueError, TypeError, KeyError, IndexError, AttributeError, OSError) as error:
         raise TrainerError(
-            "mesh.ply cannot be read: it is cut off or no mesh", file=path, found=str(error), hint="reconstruct again"
+            "mesh.ply cannot be read: it is cut off or not a mesh",
+            file=path,
+            found=str(error),
+            hint="reconstruct again",
         ) from None
     if not len(triangles) or not np.isfinite(vertices).all():
         raise TrainerError("mesh.ply holds no surface", file=path, found=f"{len(triangles)} triangles")
@@ -167,6 +170,10 @@ def _contact(folder: Path, floor: float) -> Any:
     path = _file(folder, "scene.xml")
     try:
         spec = mujoco.MjSpec.from_file(str(path))
+        # A robot that was put into the scene to look at is not terrain; its actuators go with its bodies.
+        for part in [*spec.keys, *spec.worldbody.bodies]:
+            spec.delete(part)
+        spec.nkey = 0
         low = _low_geoms(spec, floor + _GROUND_NOISE)
         for geom in list(spec.geoms):
             drawn_only = geom.contype == 0 and geom.conaffinity == 0

@@ -1,4 +1,4 @@
-"""The hook behind which a learner is put: scene + policy + config -> result."""
+"""The interface of trainers: scene + policy + config -> result."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from trainer.terrain import Terrain
 
 @dataclass(frozen=True)
 class Scene:
-    """What is trained on: one terrain (TTT-1), several (TTT-n), or a curriculum grid."""
+    """Terrain to train on: one (TTT-1), several (TTT-n), or a curriculum grid."""
 
     terrains: tuple[Terrain, ...]
     rows: int = 1
@@ -32,7 +32,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """How to train; every trainer understands it, or says what it does not."""
+    """Options of training; every trainer supports it, or names the options that it does not."""
 
     robot: str = ""
     """Robot of a new policy (g1, quadruped, ...); a given policy brings its own."""
@@ -47,13 +47,13 @@ class TrainConfig:
     threads: int = 0
     """Threads of the physics on the CPU; 0 takes all cores."""
     seed: int = 0
-    """Of networks, noise and worlds."""
+    """Seed of networks, noise and worlds."""
     trials: int = 100
     """Trials on each terrain in an evaluation on the way."""
     diagnosis: Path | None = None
-    """diagnosis.json of `realsim diagnose`: its figures replace guessed ranges of randomisation."""
+    """diagnosis.json of `realsim diagnose`: its figures replace the assumed ranges of randomisation."""
     resume: Path | None = None
-    """Checkpoint of the same run to go on with."""
+    """Checkpoint of the same run to resume from."""
     loop: LoopConfig = field(default_factory=LoopConfig)
     ppo: PPOConfig = field(default_factory=PPOConfig)
     tuning: StrategyConfig = field(default_factory=StrategyConfig)
@@ -69,7 +69,7 @@ class TrainConfig:
 
 @dataclass(frozen=True)
 class TrainResult:
-    """What came of it."""
+    """The result of a training."""
 
     policy: Path
     """The .pt file."""
@@ -77,7 +77,7 @@ class TrainResult:
     """The same for a robot; None where the trainer makes none."""
     robot: str
     iterations: int
-    """Done in all."""
+    """Iterations done in all."""
     to_target: int | None
     """Iterations done at the first evaluation that reached the target (97 percent); None if none did."""
     evaluations: tuple[tuple[int, float], ...]

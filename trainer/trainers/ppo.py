@@ -83,7 +83,7 @@ def decide(config: TrainConfig, policy: Path | None, rank: Rank) -> Plan:
     if source is not None:
         trained = str(checkpoint.read(source)["robot"])
         if robot and robot != trained:
-            raise TrainerError("the policy is of another robot", file=source, expected=robot, found=trained)
+            raise TrainerError("the policy is for another robot", file=source, expected=robot, found=trained)
         robot = trained
     robot = robot or "g1"
     engine = config.engine or ("warp" if gpu else "mujoco")
@@ -176,11 +176,11 @@ def _refuse_another_strategy(policy: Policy, config: TrainConfig) -> None:
     applied = policy.tuned[-1][0] if policy.tuned else "full"
     if config.strategy not in ("", applied):
         raise TrainerError(
-            "the checkpoint is of a run with another strategy",
+            "the checkpoint belongs to a run with another strategy",
             file=config.resume,
             expected=f"--strategy {config.strategy}",
             found=applied,
-            hint="leave --strategy out to go on, or begin anew from it with --policy",
+            hint="leave --strategy out to resume, or start a new run from it with --policy",
         )
 
 

@@ -126,11 +126,11 @@ def poses_at(path: Path, times: Mapping[str, float], config: CaptureConfig) -> d
     }
     if all(T is None for T in found.values()):
         raise PoseError(
-            "the timestamps of poses and images never meet",
+            "the timestamps of poses and images do not overlap",
             file=path,
             expected=f"poses between {at.min():.3f} and {at.max():.3f}",
             found=f"poses between {stamps[0]:.3f} and {stamps[-1]:.3f}",
-            hint="mend the timestamps, or pass --ignore-poses to have the poses estimated",
+            hint="fix the timestamps, or pass --ignore-poses to have the poses estimated",
         )
     return found
 

@@ -114,7 +114,7 @@ def read_trajectory(path: Path) -> tuple[list[int], list[F64]]:
         raise PoseError(
             "the trajectory is cut off or not of this format",
             file=path,
-            expected="five lines a pose: a header of three integers and four rows of a matrix",
+            expected="five lines per pose: a header of three integers and four rows of a matrix",
             found=f"{len(lines)} lines",
         )
     headers, matrices = [], []
@@ -154,9 +154,9 @@ def poses_by_name(
     raise PoseError(
         "the trajectory has another length than the capture",
         file=path,
-        expected=f"{len(pairs)} poses, one a frame",
+        expected=f"{len(pairs)} poses, one per frame",
         found=f"{len(matrices)} poses",
-        hint="mend the trajectory, or pass --ignore-poses to have the poses estimated",
+        hint="fix the trajectory, or pass --ignore-poses to have the poses estimated",
     )
 
 

@@ -39,7 +39,7 @@ class Reading:
 
     axes: str
     undo_viewpoint: bool
-    """Whether the stored points are in the world and each file's VIEWPOINT has to be taken back."""
+    """Whether the stored points are in the world and each file's VIEWPOINT has to be inverted."""
     camera: Intrinsics
 
     def T_camera_stored(self, header: PcdHeader) -> F64:

@@ -82,7 +82,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         data = read_json(source)
         camera = camera_from_mapping(data, source)
         if camera.width is None or camera.height is None:
-            raise CaptureError("the camera does not say its image size", file=source, expected="width and height")
+            raise CaptureError("the camera file lacks the image size", file=source, expected="width and height")
         of_depth, of_color = on_two_grids(camera.sized((camera.width, camera.height)), depth_size)
         pose = None if config.ignore_poses else from_opengl(_matrix(data, source))
         confidence = ConfidenceImage(sure[pair.name], 255) if pair.name in sure else None

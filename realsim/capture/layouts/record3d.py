@@ -34,7 +34,7 @@ DEPTH_SIZES = ((256, 192), (640, 480), (320, 240))
 
 @dataclass(frozen=True)
 class Metadata:
-    """What `metadata` says, checked for shape only."""
+    """Content of `metadata`, checked for shape only."""
 
     source: Path
     color_size: tuple[int, int]
@@ -153,7 +153,7 @@ def read(path: Path, config: CaptureConfig) -> FrameSet:
 
 @dataclass(frozen=True)
 class Pictures:
-    """What is read of a frame when it is asked for, and the files that it comes from."""
+    """Loaders of a frame, and the files that it comes from."""
 
     depth: Callable[[], F32]
     color: Callable[[], U8]
@@ -213,7 +213,7 @@ def read_metadata(data: Any, source: Path, config: CaptureConfig) -> Metadata:
         raise CaptureError("the metadata are not an object", file=source)
     camera = camera_from_mapping({"K": data.get("K"), "w": data.get("w"), "h": data.get("h")}, source)
     if not camera.width or not camera.height:
-        raise CaptureError("the metadata do not say the image size", file=source, expected="w and h")
+        raise CaptureError("the metadata lack the image size", file=source, expected="w and h")
     size = (camera.width, camera.height)
     poses = None if config.ignore_poses else _table(data, "poses", 7, source)
     times = _table(data, "frameTimestamps", 1, source)
@@ -238,7 +238,7 @@ def rows(numbers: Sequence[int], meta: Metadata) -> list[int]:
 
 
 def pose_notes(meta: Metadata) -> list[str]:
-    """What is assumed about cameras and poses."""
+    """Assumptions about cameras and poses."""
     own = ["every frame has intrinsics of its own"] if meta.cameras is not None else ["one camera for all frames"]
     if meta.poses is None:
         return [*own, "no poses are used"]

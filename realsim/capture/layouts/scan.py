@@ -102,10 +102,12 @@ def _checked(raw: RawScan, source: Path) -> tuple[RawScan, list[str]]:
     if not len(raw.points) or (raw.triangles is not None and not len(raw.triangles)):
         raise CaptureError("the scan is empty", file=source, expected="points or triangles")
     if raw.triangles is not None and not (raw.triangles.min() >= 0 and raw.triangles.max() < len(raw.points)):
-        raise CaptureError("triangles refer to points that are not there", file=source)
+        raise CaptureError("triangles refer to missing points", file=source)
     finite: Bool = np.asarray(np.isfinite(raw.points).all(axis=1))
     if not finite.any():
-        raise CaptureError("no point of the scan is a number", file=source, found=f"{len(finite)} with NaN or infinity")
+        raise CaptureError(
+            "no point of the scan has finite coordinates", file=source, found=f"{len(finite)} with NaN or infinity"
+        )
     warnings = []
     triangles = raw.triangles
     if not finite.all():
@@ -114,7 +116,7 @@ def _checked(raw: RawScan, source: Path) -> tuple[RawScan, list[str]]:
             renumbered = np.cumsum(finite, dtype=np.int32) - 1
             triangles = renumbered[triangles[finite[triangles].all(1)]]
             if not len(triangles):
-                raise CaptureError("no triangle of the scan is made of numbers", file=source)
+                raise CaptureError("no triangle of the scan has finite coordinates", file=source)
     normals = raw.normals
     if normals is not None:
         lengths = np.linalg.norm(normals[finite], axis=1)

@@ -82,7 +82,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         "depth is taken to be registered to colour, until the frames show otherwise (7-Scenes itself is not)",
     ]
     if posed:
-        assumptions.append("poses are camera to world in metres, OpenCV camera axes, one file a frame")
+        assumptions.append("poses are camera to world in metres, OpenCV camera axes, one file per frame")
     return capture(folder, LAYOUT.name, frames, dropped, assumptions, camera.warnings)
 
 

@@ -151,11 +151,11 @@ def poses_at(
     late = tuple(Dropped(n, reason) for n in names if n not in by_name)
     if not by_name:
         raise PoseError(
-            "the timestamps of poses and images never meet",
+            "the timestamps of poses and images do not overlap",
             file=path,
             expected=f"poses between {min(times.values()):.3f} and {max(times.values()):.3f}",
             found=f"poses between {stamps[0]:.3f} and {stamps[-1]:.3f}",
-            hint="mend the timestamps, or pass --ignore-poses to have the poses estimated",
+            hint="fix the timestamps, or pass --ignore-poses to have the poses estimated",
         )
     notes = [
         "poses are camera to world in metres, OpenCV camera axes, written as tx ty tz qx qy qz qw",
@@ -185,11 +185,11 @@ def read_trajectory(path: Path) -> tuple[F64, F64, list[str]]:
         else:
             broken += 1
     if not rows:
-        raise PoseError("no usable pose", file=path, found=f"{broken} rows with NaN or a quaternion that is none")
+        raise PoseError("no usable pose", file=path, found=f"{broken} rows with NaN or an invalid quaternion")
     table = np.array(rows)
     times, order, warnings = in_order(table[:, 0], path)
     if broken:
-        warnings.append(f"{path.name}: {broken} rows with NaN or a quaternion that is none are left out")
+        warnings.append(f"{path.name}: {broken} rows with NaN or an invalid quaternion are left out")
     # The file has the quaternion's real part last, quat_to_R wants it first.
     poses = [make_T(quat_to_R(row[[7, 4, 5, 6]]), row[1:4]) for row in table[order]]
     return times, np.array(poses), warnings

@@ -1,4 +1,4 @@
-"""What a collision representation hands on: geoms of the world and the files that they refer to."""
+"""Result of a collision representation: geoms of the world and the files that they refer to."""
 
 from __future__ import annotations
 

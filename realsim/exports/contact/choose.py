@@ -1,4 +1,4 @@
-"""Which representation: build, measure, and take the cheapest that is faithful enough."""
+"""Selects the representation: build, measure, and take the cheapest within tolerance."""
 
 from __future__ import annotations
 
@@ -100,17 +100,17 @@ def count_types(contact: ContactModel) -> dict[str, int]:
 
 def _unmet(contact: ContactModel, fidelity: Fidelity, tolerance: tuple[float, float], among: int) -> str:
     f = fidelity.figures
-    least = f", the least bad of {among}" if among > 1 else ""
+    least = f", the best of {among} candidates" if among > 1 else ""
     return (
         f"collision geometry ({contact.representation}{least}) is off by {f['median_mm']:.1f} mm (median), "
         f"{f['p95_mm']:.1f} mm (p95), {f['phantom_over_gaps_cm2']:.0f} cm2 phantom over gaps, {f['leaks']} leaks, "
-        f"{said_of_shares(fidelity)}; asked for {tolerance[0] * 1000:g} and {tolerance[1] * 1000:g} mm, none and none, "
-        f"{OFF:.0%} and {OFF:.0%}"
+        f"{said_of_shares(fidelity)}; limits: {tolerance[0] * 1000:g} mm median, {tolerance[1] * 1000:g} mm p95, no "
+        f"phantom over gaps, no leak, {OFF:.0%} of heights and of rays"
     )
 
 
 def said_of_shares(fidelity: Fidelity) -> str:
-    """What of the heights and of the rays from the side is off, in words."""
+    """Shares of heights and of rays from the side that are off, in words."""
     heights, sides = fidelity.off
     rays = fidelity.figures["sides"]
     beside = "too few side faces to measure" if rays["stopped"] is None else f"{sides:.1%} of rays from the side"

@@ -19,7 +19,7 @@ OVERLAP = 0.0005  # metres by which parts are grown, so that nothing slips betwe
 
 
 class TooManyColumnsError(ExportError):
-    """What is to be decomposed is too large to be decomposed in reasonable time."""
+    """The shape is too large to be decomposed in reasonable time."""
 
 
 def check_columns(whole: Terrain, islands: Iterable[Island], config: SceneConfig) -> None:

@@ -1,4 +1,4 @@
-"""What a representation costs: steps of G1 standing and stepping on it, against a plane."""
+"""Simulation cost of a representation: steps of G1 standing and stepping on it, relative to a plane."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far what the robot will feel is from what the camera saw, measured through contacts."""
+"""Error of the collision geometry against the seen surface, measured through contacts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PUSHES = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]])
 
 @dataclass(frozen=True)
 class Region:
-    """Where probes go: a rectangle around what rises from the ground, between the ground and above everything."""
+    """Region of the probes: a rectangle around all that rises from the ground, from the ground to above everything."""
 
     lower: F64
     """(2,) x y metres."""
@@ -105,10 +105,10 @@ class Fidelity:
         return drop["phantom_share"] + drop["missing_share"], 0.0 if stopped is None else 1.0 - stopped
 
     def shortfall(self, median: float, p95: float) -> float:
-        """How far from the tolerance, to find the least bad, in one sum: errors and shares that are off in tolerances,
-        phantom over gaps in square decimetres, and one for every LEAK of the balls thrown that got in.
+        """Distance from the tolerance, to rank candidates: errors and shares that are off in tolerances, phantom over
+        gaps in square decimetres, and one for every LEAK of the balls thrown that got in, added up.
 
-        Leaks do not go before all else: a height field lets few balls in and fills a whole room below its ceiling."""
+        Leaks do not go first: a height field lets few balls in, and fills a whole room below its ceiling."""
         f = self.figures
         leaks = f["leaks"] / max(f["leak_objects"], 1) / LEAK
         errors = f["median_mm"] / (1000 * median) + f["p95_mm"] / (1000 * p95)

@@ -1,4 +1,4 @@
-"""What stands on the ground, one connected thing at a time."""
+"""Connected objects on the ground."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ BULGE = 1.5  # cells by which convex parts may bulge over them
 
 @dataclass(frozen=True)
 class PlanarIsland:
-    """What planes make of an island."""
+    """An island described by planes."""
 
     prisms: tuple[Prism, ...]
     misfit: float

@@ -14,7 +14,7 @@ COARSE = 0.01  # metres
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """What collision geometry is made of."""
+    """Input of collision representations."""
 
     mesh: TerrainMesh
     ground_z: float

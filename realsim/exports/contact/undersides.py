@@ -1,4 +1,4 @@
-"""What lies under a top: down to the ground, or to an underside, and to which one where no camera saw it."""
+"""Lower end of the solid under a top: the ground, or an underside, estimated where no camera saw it."""
 
 from __future__ import annotations
 

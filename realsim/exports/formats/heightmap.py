@@ -42,7 +42,7 @@ def heightmap(scene: SceneOnDisk, folder: Path) -> list[Path]:
 
 
 def npz_bytes(arrays: dict[str, np.ndarray]) -> bytes:
-    """What numpy.savez writes, without the time of day in it."""
+    """The bytes of numpy.savez without a time stamp."""
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, array in arrays.items():

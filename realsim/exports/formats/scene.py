@@ -43,7 +43,7 @@ class Convex:
 
 @dataclass(frozen=True)
 class SceneOnDisk:
-    """What a scene folder holds. Collision geometry is that of the compiled scene.xml."""
+    """Content of a scene folder. Collision geometry is that of the compiled scene.xml."""
 
     folder: Path
     vertices: F64

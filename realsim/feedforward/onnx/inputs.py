@@ -61,7 +61,7 @@ class Inputs:
         return self.grids[0].height, self.grids[0].width
 
     def call(self, views: Sequence[int], ran: int) -> Call:
-        """What an adapter has to know about a run of these views."""
+        """Data for adapters about a run of these views."""
         h, w = self.size
         K = camera_matrices([self.grids[i] for i in views])
         return Call(len(views), ran, h, w, self.spec.pose, self.spec.conf, K)
@@ -100,7 +100,7 @@ class Inputs:
         return depth_to_grid(frame.depth(), frame.intrinsics, self.grids[i])
 
     def views_in_memory(self) -> int:
-        """How many views one run may have, by the memory that is free now."""
+        """Largest number of views per run, by the free memory."""
         h, w = self.size
         return max(2, int(0.6 * free_memory() / (h * w * BYTES_A_PIXEL)))
 

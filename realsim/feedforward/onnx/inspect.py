@@ -1,4 +1,4 @@
-"""How a model file fits the contract: what it says, what is guessed, and what happens when it is run."""
+"""Checks a model file against the contract: declared and guessed properties, and trial runs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What there is to know about a model file without a capture."""
+    """Findings about a model file without a capture."""
 
     model: Model
     megabytes: float

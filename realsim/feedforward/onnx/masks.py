@@ -1,4 +1,4 @@
-"""Which predicted pixels are believed: sure enough, and not in the air between near and far."""
+"""Selects predicted pixels: confident enough, and not between foreground and background."""
 
 from __future__ import annotations
 

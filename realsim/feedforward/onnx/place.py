@@ -19,7 +19,7 @@ GLUE = 0.5
 PAIR_GLUE = 0.3
 """The same for a pair of a pairwise model, whose views see partly different things."""
 ALL_PAIRS = 10
-"""Up to so many views every pair is run; beyond, neighbours in the sequence and a few long steps."""
+"""Up to this many views every pair is run; beyond, neighbours in the sequence and a few long steps."""
 STEPS = (1, 2, 3, 6, 12)
 
 Run = Callable[[Sequence[int]], Prediction]
@@ -40,7 +40,7 @@ class Placed:
     part: np.ndarray
     """(N,) views of different parts could not be joined: their scales and worlds have nothing to do with each other."""
     claims: tuple[float, ...] = ()
-    """Metres a unit by each run, in the common unit."""
+    """Metres per unit of each run, in the common unit."""
     figures: dict[str, list[float]] = field(default_factory=dict)
 
 

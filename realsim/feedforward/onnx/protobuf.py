@@ -25,7 +25,7 @@ MAX_BYTES = 64 * 2**30
 
 @dataclass(frozen=True)
 class Envelope:
-    """What a model file says about itself."""
+    """Metadata, inputs and outputs of a model file."""
 
     path: Path
     ir_version: int

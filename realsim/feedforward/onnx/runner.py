@@ -26,7 +26,7 @@ from realsim.types import F32, F64, Bool, Frame
 EMPTY = 0.02
 """A view with a smaller share of believed pixels says nothing."""
 HEADS = 0.05
-"""Relative distance between a model's two heads above which the report says so."""
+"""Relative distance between a model's two heads above which a warning is given."""
 FOCAL = 0.05
 """The same for its focal length against the capture's."""
 FOCAL_WRONG = 2.0
@@ -36,7 +36,7 @@ less, so the model has understood nothing of the picture, or its `norm`, `fit` o
 
 @dataclass(frozen=True)
 class Views:
-    """What a model says about the frames that hang together."""
+    """A model's output for the frames that could be connected."""
 
     used: tuple[int, ...]
     """Indices of the N views among the frames."""
@@ -105,7 +105,7 @@ class _Runs:
 
 
 def _placed(runs: _Runs, n: int, config: OnnxConfig) -> tuple[Placed, int, list[str]]:
-    """All views placed, how many went into a run, and what had to be said on the way."""
+    """All views placed, the number of views per run, and warnings."""
     spec = runs.model.spec
     limits = [v for v in (spec.n_static, spec.max_views, config.max_views) if v is not None]
     most = min([*limits, max(runs.inputs.views_in_memory(), spec.n_static or 0)])
@@ -127,9 +127,9 @@ def _placed(runs: _Runs, n: int, config: OnnxConfig) -> tuple[Placed, int, list[
                 raise ModelError(
                     "the model does not fit into memory", file=runs.model.path,
                     found=f"a run of {min(most, n)} views of {h} x {w} pixels fails: {error or 'out of memory'}",
-                    hint="use a smaller model, or say a smaller fixed_hw in its sidecar",
+                    hint="use a smaller model, or set a smaller fixed_hw in its sidecar",
                 ) from error  # fmt: skip
-            said.append(f"out of memory with {min(most, n)} views a run: repeated with {smaller}")
+            said.append(f"out of memory with {min(most, n)} views per run: repeated with {smaller}")
             note(said[-1])
             most = smaller
 
@@ -144,7 +144,7 @@ def _judged(
     lost = _unusable(placed, keep, posed=model.spec.kind != "mono")
     if len(lost) == n:
         raise ModelError(
-            "the model gave nothing that can be used", file=model.path,
+            "the model returned no usable points", file=model.path,
             expected="finite points in front of the cameras",
             found="; ".join(dict.fromkeys(lost.values())),
             hint="NaN from a half-precision export: try it in float32; all masked: are norm and conf right?",
@@ -160,7 +160,7 @@ def _judged(
         groups = [alive[group] for group in connected(share[np.ix_(alive, alive)])]
         if len(groups[0]) < 2:
             raise PoseError(
-                "the model's views do not hang together", file=model.path,
+                "the model's views cannot be connected", file=model.path,
                 expected="views that show the same surfaces from nearby",
                 found=f"no two of {len(alive)} views that confirm each other",
                 hint="capture with more overlap, or use --backend rgbd",
@@ -171,7 +171,7 @@ def _judged(
         alive = groups[0]
     used = tuple(int(i) for i in alive)
     if n == 1 and model.spec.kind != "mono":
-        warnings.append("one view only: nothing can confirm what the model says about it")
+        warnings.append("one view only: no other view can confirm the model's output")
     depth = np.where(keep, placed.depth, 0).astype(np.float32)
     return Views(
         used=used,
@@ -240,7 +240,7 @@ def _notable(figures: dict[str, float]) -> list[str]:
     if (off := figures.get("heads_disagree", 0.0)) > HEADS:
         out.append(f"the model's points and its poses disagree by {100 * off:.0f} percent of the distance")
     if abs((ratio := figures.get("focal_ratio", 1.0)) - 1) > FOCAL:
-        out.append(f"the model takes the focal length for {100 * (ratio - 1):+.0f} percent of what it is")
+        out.append(f"the model's focal length is {100 * (ratio - 1):+.0f} percent of what it is")
     return out
 
 

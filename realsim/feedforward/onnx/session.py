@@ -37,7 +37,7 @@ def runtime() -> Any:
 
 
 def providers() -> tuple[str, ...]:
-    """What the installed onnxruntime can run on, as short names (`cpu`, `cuda`)."""
+    """Devices that the installed onnxruntime supports, as short names (`cpu`, `cuda`)."""
     return tuple(short(p) for p in _local(runtime()))
 
 
@@ -81,7 +81,7 @@ class Model:
     envelope: Envelope
     spec: Spec
     provider: str
-    """What it runs on, short."""
+    """Short name of its device."""
     session: Any = field(repr=False)
     warnings: tuple[str, ...] = ()
 
@@ -109,7 +109,7 @@ class Model:
                 file=self.path,
                 expected=", ".join(map(str, (self.spec.image, *self.spec.extra_inputs))) + " (as the file declares)",
                 found=f"{shapes}: {text}",
-                hint="an axis declared dynamic may be frozen inside: say n_static, max_views or fixed_hw in "
+                hint="an axis declared dynamic may be fixed in the graph: set n_static, max_views or fixed_hw in "
                 f"{sidecar(self.path).name} beside it (realsim model inspect tries which sizes work)",
             ) from error
         return {role: np.asarray(values[name]) for role, name in self.spec.ports.items()}

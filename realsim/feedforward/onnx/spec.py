@@ -1,4 +1,4 @@
-"""How a model file wants its images and what its outputs mean: read from the file, from a sidecar, or guessed.
+"""Input format and output meaning of a model file: read from the file, from a sidecar, or guessed.
 
 Every value remembers where it came from, because a guess that is wrong gives a wrong scene without an error.
 """
@@ -43,7 +43,7 @@ class Spec:
     """The contract as one model fills it in."""
 
     kind: str
-    """Which adapter reads its outputs."""
+    """Name of the adapter of its outputs."""
     image: Port
     """The input that takes the images."""
     ports: Mapping[str, str]
@@ -99,7 +99,7 @@ def make_spec(path: Path, metadata: Mapping[str, str], inputs: list[Port], outpu
             file=path,
             expected=", ".join(f"{r} ({' or '.join(ADAPTERS[kind].needs[r])})" for r in missing),
             found=", ".join(map(str, outputs)),
-            hint=f"closest is the kind {closest(names)[0]}; say kind in {sidecar(path).name}",
+            hint=f"closest is the kind {closest(names)[0]}; set kind in {sidecar(path).name}",
         )
     values: dict[str, Any] = {"kind": kind}
     origin = {"kind": how}
@@ -114,7 +114,7 @@ def make_spec(path: Path, metadata: Mapping[str, str], inputs: list[Port], outpu
 
 
 def sidecar(path: Path) -> Path:
-    """Where a file without metadata says what it is."""
+    """Hint for a file without metadata."""
     return path.with_suffix(".json")
 
 
@@ -158,7 +158,7 @@ def _kind(path: Path, given: Mapping[str, tuple[Any, str]], outputs: list[Port])
 
 
 def _guesses(kind: str, ports: Mapping[str, str], image: Port) -> dict[str, tuple[Any, str]]:
-    """Key -> (value, origin) where nothing is said: what published exports of each kind do."""
+    """Key -> (value, origin) of keys without a value: the convention of published exports of each kind."""
     h, w = image.shape[-2:]
     n = image.shape[1] if len(image.shape) == 5 else image.shape[0]
     fixed = (h, w) if isinstance(h, int) and isinstance(w, int) else None

@@ -33,7 +33,7 @@ REACH = 1 / 10
 NEAR = (0.2, 0.15)
 """Metres and radians that features may contradict a model's motion between two views."""
 TRUST = 0.5
-"""A completed pixel counts at most so much as a measured one."""
+"""Largest weight of a completed pixel relative to a measured one."""
 
 
 def solve(frames: FrameSet, config: PointsConfig) -> Solution:
@@ -124,7 +124,7 @@ def onto_sensor(model: F32, mask: Bool, sensor: F32) -> tuple[F32, Bool]:
 
 
 def metres(views: Views, frames: list[Frame]) -> tuple[float, float]:
-    """(metres a unit, relative spread between frames) by the median ratio of depths.
+    """(metres per unit, relative spread between frames) by the median ratio of depths.
 
     Raises:
         ScaleError: no frame has depth where the model is sure.

@@ -17,7 +17,7 @@ from realsim.geometry import make_T
 from realsim.types import F64, Frame, FrameSet
 
 AGREE = (0.05, 0.02)
-"""A frame agrees if its place differs by less than so many metres, or so much of the way's extent."""
+"""A frame agrees if its position differs by less than this many metres, or this share of the path's extent."""
 MOST = 0.7
 """Share of frames that must agree."""
 

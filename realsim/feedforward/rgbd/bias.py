@@ -1,4 +1,4 @@
-"""How far the recovered depth gain can be believed.
+"""Uncertainty of the recovered depth gain.
 
 The adjustment's own standard error counts every residual as independent. Pose errors drift and sensor errors have a
 pattern over the image, so the error is also taken from how much groups of residuals pull the gain: the limit of the

@@ -33,11 +33,11 @@ from realsim.types import F64
 WORTH_TELLING = 3
 """Frames from which a piece that is left out is named as one."""
 SUSPICIOUS = 20
-"""Features that match although the depth contradicts them: from so many on it is worth telling."""
+"""From this many features that match although the depth contradicts them, a dropped frame's reason mentions them."""
 SHAPE_WINDOW = 2
-"""Frames that features leave apart are compared by shape with so many that follow."""
+"""Frames that features do not connect are compared by shape with this many that follow."""
 NEIGHBOURS = 8
-"""After the first solution each frame is matched again with so many that share the most surface with it."""
+"""After the first solution each frame is matched again with this many that share the most surface with it."""
 SHAPE_NEIGHBOURS = 5
 """The same without colour, where a pair costs ten times as much."""
 
@@ -107,7 +107,7 @@ def _estimate_together(views: Sequence[View], seed: int) -> tuple[Estimate, Land
 
 @dataclass(frozen=True)
 class Net:
-    """What pairs of views say."""
+    """Measurements of pairs of views."""
 
     edges: list[Edge]
     """Believed."""

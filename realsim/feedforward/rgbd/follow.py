@@ -17,7 +17,7 @@ from realsim.progress import track
 from realsim.types import F64
 
 NEAREST = 4
-"""Each view is matched with so many adjusted ones."""
+"""Each view is matched with this many adjusted ones."""
 LEAST = 30
 """With fewer features that meet known points a view stays where it started."""
 ITERATIONS = 10
@@ -31,7 +31,7 @@ SIGMA_INVERSE = 0.003
 
 @dataclass(frozen=True)
 class Landmarks:
-    """What an adjustment of N views has found."""
+    """Result of an adjustment of N views."""
 
     views: Sequence[View]
     T_world_camera: F64

@@ -29,7 +29,7 @@ class Edge:
     T_i_j: F64
     """(4, 4)."""
     weight: float
-    """How much it is worth, usually the number of matches that agree."""
+    """Its weight, usually the number of matches that agree."""
     root: F64
     """(6, 6) whitening of the error (v, w) in metres and radians: a square root of its information."""
 

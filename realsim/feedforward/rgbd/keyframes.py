@@ -1,4 +1,4 @@
-"""Which views carry the adjustment when a capture is dense.
+"""Selects the views that are adjusted together in a dense capture.
 
 A video of thirty frames a second shows everything a hundred times. Views that hardly differ tell a joint adjustment
 nothing new, but couple to each other: its cost would grow with the square of the frame rate and more. So only views
@@ -18,7 +18,7 @@ from realsim.progress import track
 from realsim.types import F64
 
 DENSE = 100
-"""Up to so many views all are adjusted together."""
+"""Up to this many views all are adjusted together."""
 SHIFT, TURN = 0.04, np.radians(3.0)
 """A view is new if it moved by more than this share of the scene's distance (6 cm at 1.5 m), or turned by more."""
 

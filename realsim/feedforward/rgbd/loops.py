@@ -1,10 +1,10 @@
-"""Which pairs of frames to believe where places look alike: neighbours first, then loops that stand up to questions.
+"""Selects reliable pairs of frames where places look alike: neighbours first, then loops that pass all checks.
 
 Frames that follow each other and match are linked; that is a chain of pieces whose shape is known but for a slow drift.
 A link between frames far apart in the sequence is a claim: one door looks like the next. Claims that place one piece
 (or one part of it) on another in the same way are one loop. A loop is believed if enough independent frames say so,
 more than say otherwise; if it asks for no more than the drift that a chain has; and if, once it is closed, no surface
-stands where another frame looked through. What nothing joins stays apart, and is said.
+stands where another frame looked through. Pieces that nothing joins stay apart and are reported.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Loop:
 
     @property
     def support(self) -> int:
-        """How many links are independent: of different frames on both sides."""
+        """Number of independent links, with different frames on both sides."""
         return min(len({e.i for e in self.edges}), len({e.j for e in self.edges}))
 
     @property
@@ -78,7 +78,7 @@ class Chains:
 
 @dataclass(frozen=True)
 class Joined:
-    """What hangs together."""
+    """Connected components."""
 
     used: NDArray[np.int64]
     """(M,) frames of the largest part, in order."""

@@ -1,4 +1,4 @@
-"""Which frames to compare, and how two are brought together: by features, or by shape where colour is silent."""
+"""Selects the pairs of frames to compare, and aligns them: by features, or by shape where there is no texture."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from realsim.geometry import invert_T, transform
 from realsim.types import F64
 
 WINDOW = 4
-"""Each frame is compared with so many that follow it."""
+"""Each frame is compared with this many that follow it."""
 RECALLED = 4
-"""And with so many that look alike, wherever they are in the sequence."""
+"""And with this many that look alike, anywhere in the sequence."""
 ALL_PAIRS = 16
-"""Up to so many frames, everything is compared with everything."""
+"""Up to this many frames, all pairs are compared."""
 WORDS = 512
 """Size of the visual vocabulary."""
 MIN_OVERLAP, MIN_AGREEMENT = 0.06, 0.85
-"""What two depth images must share, and how little they may contradict each other, for a pair to be believed."""
+"""Limits for a reliable pair: the overlap of two depth images, and their contradictions."""
 LOOSE = 0.02
 """Standard deviation, metres or radians, beyond which a registration by shape slides."""
 

@@ -30,7 +30,7 @@ STEPS = 12
 SAMPLES = 300
 """Surface points a view."""
 LOOSE = Sigmas(position=0.5, angle=0.2)
-"""Prior on poses that were estimated: it only holds what nothing else does."""
+"""Prior on estimated poses: weak, so that it only fixes what the data leave free."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def refine(
     """
     T = _checked(frames, T_world_camera)
     if estimate_gain and trust != "metric":
-        raise PoseError("a depth gain cannot be told from poses that were found from the same depth")
+        raise PoseError("a depth gain cannot be estimated from poses that were computed from the same depth")
     evidence = evidence or Evidence.of(frames, seed)
     views = evidence.views
     pairs, held_out = hold_out(choose_pairs(views, T))
@@ -161,10 +161,10 @@ def _warnings(views: Sequence[View], tracks: Tracks, per_frame: F64) -> tuple[st
     out = []
     if not tracks.count:
         what = "without colour" if not any(v.has_color for v in views) else "without matching features"
-        out.append(f"poses were refined by surfaces alone ({what}): sliding along plain surfaces is not seen")
+        out.append(f"poses were refined by surfaces alone ({what}): sliding along flat surfaces is not detected")
     loose = [v.name for v, r in zip(views, per_frame, strict=True) if not np.isfinite(r)]
     if loose:
-        out.append(f"nothing to refine against for {len(loose)} frames (pose kept): {', '.join(loose[:5])}")
+        out.append(f"no neighbours to refine against for {len(loose)} frames (pose kept): {', '.join(loose[:5])}")
     return tuple(out)
 
 

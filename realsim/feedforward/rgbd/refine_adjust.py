@@ -10,7 +10,7 @@ Four kinds of residuals, each divided by a standard deviation that is itself fou
 Depth and surface residuals are in the sensor's units on purpose: in corrected metres they would shrink together with
 the gain, and with their own standard deviations free the best fit would be a world of no size.
 
-Points are eliminated (Schur complement), so a step costs a sparse system in six unknowns a frame and one gain.
+Points are eliminated (Schur complement), so a step solves a sparse system in six unknowns a frame and one gain.
 Robustness is a Student t distribution with 4 degrees of freedom by iterated weights; the standard deviations are
 Helmert's variance components, sum of weighted squares over redundancy. Conventions of the update: R <- exp(w) R,
 c <- c + t, both in world axes.
@@ -31,7 +31,7 @@ from realsim.feedforward.rgbd.tracks import Tracks
 from realsim.types import F64
 
 GAIN_PRIOR = 0.05
-"""Depth cameras are off by a percent or two; this holds the gain only where nothing else does."""
+"""Depth cameras are off by a percent or two; this prior only fixes the gain if the data leave it free."""
 SURFACE_CORRELATION = 12.0
 """Surface samples share sensor pattern, interpolation and, between pairs, themselves: twelve count as one. Less lets
 surfaces overrule features: with 3, positions were 20 percent worse on one rendered capture of three, equal on two."""
@@ -52,7 +52,7 @@ class Sigmas:
 
 @dataclass(frozen=True)
 class State:
-    """What is estimated."""
+    """The unknowns."""
 
     R: F64
     """(N, 3, 3)."""

@@ -47,7 +47,7 @@ class Edge:
 
 @dataclass(frozen=True)
 class PoseCheck:
-    """How far the poses agree with the frames."""
+    """Agreement of the poses with the frames."""
 
     agreement: F64
     """(N,) share of a frame's edges that agree, NaN where no other frame shows the same."""
@@ -152,7 +152,7 @@ def scale_by_depth(evidence: Evidence, T_world_camera: F64) -> tuple[float, floa
     scale, error = _scale([Edge(m.i, m.j, none, none, m.T_i_j[:3, 3]) for m in matched], T_world_camera)
     if scale is None:
         raise PoseError(
-            "the scale of the given poses cannot be told",
+            "the scale of the given poses cannot be determined",
             expected="at least 8 pairs of neighbouring frames, 10 cm apart, that share features",
             found=f"{len(matched)} pairs that match",
             hint="have the poses estimated (--poses estimate)",

@@ -1,4 +1,4 @@
-"""Which frames to compare, and which of their points lie on the same surface."""
+"""Selects the frames to compare and their points on a common surface."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from realsim.feedforward.rgbd.tracks import View
 from realsim.types import F64
 
 MOST_COMPARED = 64
-"""Of a dense capture each view is compared with so many of those that may see the same, evenly over the sequence."""
+"""In a dense capture each view is compared with this many that may see the same, evenly over the sequence."""
 
 
 def choose_pairs(views: Sequence[View], T_world_camera: F64, per_frame: int = 6) -> list[tuple[int, int]]:

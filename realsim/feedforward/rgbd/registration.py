@@ -75,7 +75,7 @@ class Registration:
 
 @dataclass(frozen=True)
 class Found:
-    """What the matches say."""
+    """Result of the matches."""
 
     registration: Registration
     sigma: F64

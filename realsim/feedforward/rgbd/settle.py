@@ -20,7 +20,7 @@ from realsim.feedforward.rgbd.tracks import Evidence
 from realsim.types import F64, Frame
 
 WORTH_TELLING = 0.02
-"""Relative difference between the metres of poses and depth from which it is said."""
+"""Relative difference between the scale of poses and depth from which a warning is given."""
 UNUSUAL = 3.0
 """Standard deviations of the sensor's own scale beyond which surfaces without colour must confirm a gain."""
 
@@ -105,12 +105,12 @@ def settle(
 
 
 def two_metres(gain: float) -> tuple[str, ...]:
-    """What is said where poses and depth differ in scale."""
+    """Warnings if poses and depth differ in scale."""
     if abs(gain - 1) < WORTH_TELLING:
         return ()
     return (
         f"depth and poses differ in scale by {abs(1 / gain - 1):.1%}: depth was multiplied by {gain:.3f}, so that "
-        "lengths are those of the poses; which of the two errs is not known, and the scale's interval says so",
+        "lengths are those of the poses; either of the two may be wrong, and the scale's interval is wider for it",
     )
 
 

@@ -1,4 +1,4 @@
-"""Which way of running the policy explains the targets that were sent: the contract's own, or one of the mistakes."""
+"""Finds the way of running the policy that explains the sent targets: as in the contract, or with a mistake."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def check(contract: Contract, steps: Steps) -> Found:
     other = [j for j in contract.joints if j not in steps.joints]
     if other:
         raise GapError(
-            "the policy is of another robot, or its joints have other names",
+            "the policy is for another robot, or its joints have other names",
             expected=", ".join(steps.joints),
             found=", ".join(other),
         )

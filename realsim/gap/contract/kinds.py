@@ -30,7 +30,7 @@ MOST_ROWS = 600
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One mistake, fully said."""
+    """One mistake with all its parameters."""
 
     kind: str
     text: str
@@ -239,7 +239,7 @@ def last_action(contract: Contract, steps: Steps) -> Iterator[Hypothesis]:
 
 
 def decimation(contract: Contract, steps: Steps) -> Iterator[Hypothesis]:
-    """The policy is asked at another period than it was trained at, or only every so many of its actions is sent."""
+    """The policy runs at another period than it was trained at, or only every n-th of its actions is sent."""
     if abs(steps.changes / contract.period - 1) < 0.1:
         return
     slow = at_changes(steps)

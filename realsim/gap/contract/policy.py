@@ -47,7 +47,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Contract:
-    """How a policy is to be run; J joints in the policy's own order."""
+    """The contract of a policy; J joints in the policy's own order."""
 
     joints: tuple[str, ...]
     terms: tuple[Term, ...]
@@ -94,7 +94,7 @@ def load_policy(path: Path, deploy: Path | None = None, joints: Sequence[str] = 
             made = _of_mjlab(meta)
         else:
             raise GapError(
-                "the policy says nothing about its observations", file=path,
+                "the policy does not describe its observations", file=path,
                 expected="metadata of realsim or mjlab, or --deploy-yaml", found=", ".join(meta) or "no metadata",
             )  # fmt: skip
     except (KeyError, TypeError, ValueError, AttributeError, yaml.YAMLError) as error:
@@ -190,7 +190,7 @@ def _of_deploy_yaml(said: Mapping[str, Any], motors: Sequence[str]) -> Contract:
     for name, term in said["observations"].items():
         scale = np.unique(np.atleast_1d(term.get("scale") if term.get("scale") is not None else 1.0))
         if len(scale) > 1:
-            raise ValueError(f"{name} has a scale a column")
+            raise ValueError(f"{name} has a scale per column")
         sizes[name] = (-int(term.get("history_length") or 1), float(scale[0]))
     clip = action.get("clip")
     limit = float(np.max(np.abs(clip))) if clip is not None else None

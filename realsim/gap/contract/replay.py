@@ -17,7 +17,7 @@ from realsim.types import F64
 
 @dataclass(frozen=True)
 class Mistake:
-    """How a loop may differ from the contract. The default is no mistake."""
+    """Differences of a loop from the contract. The default is none."""
 
     see: tuple[int, ...] | None = None
     """Joint of the policy whose place the reading of joint i takes: the order in which joints are seen."""

@@ -1,4 +1,4 @@
-"""What the policy saw and sent, one row a policy step, from the runs of a case."""
+"""Inputs and outputs of the policy, one row per policy step, from the runs of a case."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an effect is: its parameters, where it can act, whether a log excites it, and how it changes a simulator."""
+"""Interface of effects: parameters, places, whether a log excites it, and how it changes a simulator."""
 
 from __future__ import annotations
 
@@ -92,9 +92,9 @@ class Effect:
     """`joint`, `body`, `terrain` (static bodies that the robot touches) or `global`."""
     description: str
     signature: str
-    """What it looks like in a log."""
+    """Its appearance in a log."""
     excitation: str
-    """What a log must contain to show it."""
+    """Content of a log that shows it."""
     places: Callable[[Context], list[Place]]
     parameters: Callable[[Context, Place], tuple[Parameter, ...]]
     excited_by: Callable[[Context, Place], Excitation]

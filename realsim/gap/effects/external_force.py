@@ -10,7 +10,7 @@ FOREVER = 1e6
 NEAR = 0.3
 """Seconds by which an onset that was read off a log may be wrong."""
 EVER = 1e5
-"""What lasts longer than so many seconds always acts."""
+"""A force that lasts longer than this many seconds counts as always acting."""
 
 
 def _places(context: Context) -> list[Place]:

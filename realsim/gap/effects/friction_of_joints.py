@@ -7,7 +7,7 @@ from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
 from realsim.gap.simulation.context import Context
 
 MOST = 12
-"""Joints; with more, so many values at once explain anything."""
+"""Joints; with more, this many values at once can explain anything."""
 VISCOUS = " viscous"
 
 

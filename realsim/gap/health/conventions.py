@@ -28,7 +28,7 @@ DEG = 180 / np.pi
 
 
 def log_conventions(case: Case) -> list[str]:
-    """What commands and signals say about each other, before anything is simulated."""
+    """Checks of commands and signals against each other, before any simulation."""
     position = _all(case, "joint_pos")
     for j, joint in enumerate(case.joint_names):
         servo = case.actuator_of(joint)
@@ -46,7 +46,7 @@ def log_conventions(case: Case) -> list[str]:
 
 
 def nominal_conventions(simulator: Simulator, nominal: list[F64]) -> list[str]:
-    """What the nominal simulator says about the log's units, order and sign."""
+    """Checks of the log's units, order and signs against the nominal simulator."""
     case = simulator.case
     names = case.joint_names
     real, model = _all(case, "joint_pos"), np.concatenate([y[:, : len(names)] for y in nominal])
@@ -82,9 +82,9 @@ def _refuse_unit(
                 file=case.folder,
                 expected=f"agreement with {witness}, in the contract's units and signs",
                 found="the opposite sign agrees" if turned else f"values {abs(scale):.3g} times as large",
-                hint='mend the log, or give "sign": -1 for the column in columns.json (.csv)'
+                hint='fix the log, or give "sign": -1 for the column in columns.json (.csv)'
                 if turned
-                else f'say so: "units": {{"{array}": "{unit}"}} in log.json (.npz), or a unit in columns.json (.csv)',
+                else f'write "units": {{"{array}": "{unit}"}} in log.json (.npz), or a unit in columns.json (.csv)',
             )
 
 
@@ -144,7 +144,7 @@ def _refuse_model(case: Case, real: F64, model: F64, follows: Sequence[bool]) ->
             "the robot follows its commands, the nominal simulator does not",
             file=case.folder / "model.xml",
             found=f"{len(astray)} of {len(names)} joints: {', '.join(astray[:8])}",
-            hint="mend the model first: servo gains in N m/rad (or per actuator's gear), force ranges, joint axes and "
+            hint="fix the model first: servo gains in N m/rad (or per actuator's gear), force ranges, joint axes and "
             "ranges, what the robot collides with, and whether its base is held",
         )
 
@@ -198,9 +198,9 @@ def _torque_units(simulator: Simulator, nominal: list[F64]) -> list[str]:
                     file=case.folder,
                     expected="agreement with the nominal simulator, in N m and the contract's signs",
                     found=", ".join(f"{name} {scale:.3g} times as large" for name, (scale, _) in scales.items()),
-                    hint='mend the log, or give "sign": -1 for the columns in columns.json (.csv)'
+                    hint='fix the log, or give "sign": -1 for the columns in columns.json (.csv)'
                     if turned
-                    else f'say so: "units": {{"joint_torque": "{unit}"}} in log.json (.npz), or a unit in columns.json',
+                    else f'write "units": {{"joint_torque": "{unit}"}} in log.json (.npz), or a unit in columns.json',
                 )
     odd = {name: found for name, found in scales.items() if found[0] < -0.25 or not 0.25 < abs(found[0]) < 4}
     return [_odd_torque(name, scale, alike) for name, (scale, alike) in odd.items()]
@@ -241,7 +241,9 @@ def _imu(simulator: Simulator, nominal: list[F64]) -> list[str]:
     if 0.8 < size < 1.2:
         _refuse_gravity(case, "imu_acc looks like g", f"{size:.2f} at rest", '"units": {"imu_acc": "g"} in log.json')
     if size < 3:
-        return [f"imu_acc is {size:.2g} m/s^2 at rest: gravity seems to be taken out; it belongs in"]
+        return [
+            f"imu_acc is {size:.2g} m/s^2 at rest: gravity appears to have been removed; log the raw specific force"
+        ]
     cosine = float(a @ b / (size * np.linalg.norm(b) + 1e-9))
     if cosine < -0.9:
         _refuse_gravity(

@@ -100,7 +100,7 @@ def _excitation(case: Case) -> list[str]:
     idle = [name for name, m in zip(case.actuator_names, moved, strict=True) if m < 1e-6]
     said = [f"{still} runs hold one command: they show only loads at rest"] if still else []
     if idle:
-        said.append(f"never commanded to move, so little can be said of them: {', '.join(idle)}")
+        said.append(f"never commanded to move, so the log says little about them: {', '.join(idle)}")
     return said
 
 
@@ -153,7 +153,7 @@ def _overlaps(simulator: Simulator) -> None:
             file=case.folder / "model.xml",
             expected=f"no contact deeper than {1000 * OVERLAP:g} mm between its own bodies",
             found="; ".join(f"{a} and {b}: {1000 * depth:.0f} mm" for (a, b), depth in worst),
-            hint="take these pairs out with <contact><exclude body1=... body2=.../></contact> (MuJoCo lets a body that "
+            hint="exclude these pairs with <contact><exclude body1=... body2=.../></contact> (MuJoCo lets a body that "
             "is fixed to the world collide with its children), or turn contacts off: "
             '<option><flag contact="disable"/></option>',
         )
@@ -187,6 +187,6 @@ def _failures(simulator: Simulator) -> list[str]:
             "the nominal simulator falls over where the robot does not",
             file=case.folder / "model.xml",
             found=said,
-            hint="shorten the runs (max_seconds), or mend the model first",
+            hint="shorten the runs (max_seconds), or fix the model first",
         )
     return [f"the nominal simulator falls over where the robot does not, {said}"] if falls else []

@@ -28,7 +28,7 @@ STARTED = {
     "log": "from the state of the first samples",
 }
 MOSTLY = 0.1
-"""Share of samples at a limit from which it is said."""
+"""Share of samples at a limit from which a note is given."""
 
 CHANGES = 0.7
 """Root mean square by which repetitions differ, as a share of their error against the simulator: with errors that have
@@ -46,7 +46,7 @@ def clocks(case: Case) -> tuple[dict[str, Any], Said]:
         steps.append(median)
         jitters.append(jitter)
         if jitter < 1e-6 * median + 1e-7 * run.duration:  # the latter is what single precision rounds
-            said.append(f"{run.name}: perfectly even time stamps: they were made up, not measured")
+            said.append(f"{run.name}: perfectly even time stamps: they were generated, not measured")
         elif jitter > 0.3 * median:
             said.append(f"{run.name}: the sampling step varies by {jitter / median:.0%}: check what stamps the samples")
         if gaps.any():
@@ -55,7 +55,7 @@ def clocks(case: Case) -> tuple[dict[str, Any], Said]:
     usual, length = float(np.median(steps)), float(sum(r.duration for r in case.runs))
     if usual > SLOWEST or length < SHORTEST:
         raise GapError(
-            "samples are too far apart to see a servo move" if usual > SLOWEST else "the log is too short",
+            "samples are too far apart to show a servo's motion" if usual > SLOWEST else "the log is too short",
             file=case.folder,
             expected=f"a sample every {SLOWEST:g} s or more often, and {SHORTEST:g} s in all",
             found=f"a sample every {usual:.3g} s, {length:.3g} s in all",

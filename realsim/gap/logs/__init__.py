@@ -1,1 +1,1 @@
-"""What was recorded: folders and CSV files, units, repeated commands, which runs are fitted."""
+"""Recorded logs: folders and CSV files, units, repeated commands, selection of the fitted runs."""

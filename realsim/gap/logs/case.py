@@ -1,4 +1,4 @@
-"""A robot log with its nominal simulator: read, checked, and said what is wrong with it."""
+"""Read and validate a robot log and its nominal model."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Case:
         return all(signal in r.signals and np.isfinite(r.signals[signal]).any() for r in self.runs)
 
     def with_runs(self, runs: tuple[Run, ...], *warnings: str) -> Case:
-        """The same case with other runs, and more said about it."""
+        """The same case with other runs and more notes."""
         return replace(self, runs=runs, warnings=self.warnings + tuple(warnings))
 
     def actuator_of(self, joint: str) -> str | None:
@@ -167,7 +167,7 @@ def load_case(folder: Path) -> Case:
             hint=did_you_mean(unknown[0], [r.name for r in runs]),
         )
     if len(runs) == 1:
-        warnings.append("only one run: nothing is left to check the diagnosis on, so it is weaker")
+        warnings.append("only one run: none is left to check the diagnosis on, so it is weaker")
     return Case(
         folder, tuple(joints), tuple(actuators), kind, base, torque, site, tuple(contact), str(log.get("notes", "")),
         xml, spec, model, runs, tuple(warnings), dropped,
@@ -178,7 +178,7 @@ def _read_runs(folder: Path, want: Layout, warnings: list[str]) -> tuple[tuple[R
     """(runs, what was left out and why). If no run can be used, the first one's error is raised."""
     files = sorted(f for f in folder.iterdir() if f.suffix in (".npz", ".csv")) if folder.is_dir() else []
     if not files:
-        raise GapError("no runs", file=folder, expected="one .npz or .csv file a run")
+        raise GapError("no runs", file=folder, expected="one .npz or .csv file per run")
     twice = sorted({f.stem for f in files if sum(g.stem == f.stem for g in files) > 1})
     if twice:
         raise GapError("two files of one run", file=folder, found=", ".join(twice), hint="keep the .npz or the .csv")
@@ -229,7 +229,7 @@ def load_model(path: Path) -> tuple[Any, Any, str]:
             file=path,
             expected=f"at most {MOST_GEOMS} bodies and geoms",
             found=f"{model.nbody} bodies, {model.ngeom} geoms",
-            hint="leave out geoms that nothing touches",
+            hint="leave out geoms that never touch anything",
         )
     if model.nu == 0:
         raise GapError("the model has no actuators", file=path, expected="the robot's servos as actuators")

@@ -127,7 +127,7 @@ def _check_entry(path: Path, array: str, entry: Mapping[str, Any], known: Sequen
     odd = [k for k in entry if k not in known]
     if odd or entry.get("sign", 1) not in (1, -1):
         raise GapError(
-            f"the column map of {array} says what it cannot say",
+            f"the column map of {array} has unknown entries",
             file=path,
             expected=f"only {', '.join(known)}; sign is 1 or -1",
             found=repr(dict(entry))[:80],
@@ -151,7 +151,7 @@ def _table(path: Path) -> tuple[list[str], F64]:
     lines = read_text(path, MAX_BYTES).splitlines()
     lines = [line for line in lines if line.strip()]
     if len(lines) < 2:
-        raise GapError("the file has no samples", file=path, expected="a header and a row a sample")
+        raise GapError("the file has no samples", file=path, expected="a header and one row per sample")
     delimiter = max(DELIMITERS, key=lines[0].count)
     header = [h.strip() for h in _cells(path, [lines[0].lstrip("# ")], delimiter, 1)[0]]
     twice = sorted({h for h in header if header.count(h) > 1})
@@ -212,7 +212,7 @@ def _cells(path: Path, lines: Sequence[str], delimiter: str, first: int) -> list
     try:
         for row in reader:
             if reader.line_num > len(rows) + 1:  # an open quotation mark turns all rows up to the next into one cell
-                raise csv.Error("the cell goes on in the next row")
+                raise csv.Error("the cell continues in the next row")
             rows.append(row)
     except csv.Error as error:
         raise GapError(

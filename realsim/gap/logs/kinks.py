@@ -7,7 +7,7 @@ import numpy as np
 from realsim.types import F64
 
 ROOM = 0.5
-"""Differences of neighbouring rows for each finite sample, below which a column is taken for slower than the log."""
+"""If fewer than this fraction of samples have neighbours, the signal counts as sampled more slowly than the log."""
 
 
 def second_differences(column: F64) -> F64:

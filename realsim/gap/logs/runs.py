@@ -1,4 +1,4 @@
-"""One run of a log: read from .npz or .csv, mended where that is harmless and said, refused where it is not."""
+"""One run of a log: read from .npz or .csv; harmless faults are repaired with a note, others refused."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Run:
     init_qpos: F64 | None = None
     init_qvel: F64 | None = None
     setup: Setup = field(default_factory=Setup)
-    """What is known to differ from model.xml in this run."""
+    """Known differences of this run from model.xml."""
     enabled: Any = None
     """(T, U) bool, whether the drive gives torque from this sample to the next; None if all do throughout."""
 
@@ -73,7 +73,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Layout:
-    """What a run's arrays must look like, from log.json and model.xml."""
+    """Expected arrays of a run, from log.json and model.xml."""
 
     names: Mapping[str, Sequence[str]]
     """Array -> the names of its columns (joints, actuators, axes)."""
@@ -182,7 +182,7 @@ def _checked(path: Path, data: dict[str, F64], want: Layout, warnings: list[str]
             "the run lasts more than an hour",
             file=path,
             found=f"{np.ptp(time[keep]):.3g} s",
-            hint='is time in seconds? If not, say so: "units": {"time": "ms"} in log.json, or a unit in columns.json',
+            hint='is time in seconds? If not, write "units": {"time": "ms"} in log.json, or a unit in columns.json',
         )
     qpos, qvel = data.get("init_qpos"), data.get("init_qvel")
     for name, value, size in (("init_qpos", qpos, want.nq), ("init_qvel", qvel, want.nv)):
@@ -253,7 +253,7 @@ def _commanded(time: F64, data: Mapping[str, F64], path: Path, warnings: list[st
                 "the command is missing",
                 file=path,
                 found=f"{bad.mean():.0%} of the samples are not finite",
-                hint="where the drives give no torque, say so: an array enabled (T, U) of 0 and 1",
+                hint="where the drives give no torque, add an array enabled (T, U) of 0 and 1",
             )
     if (lost := bad & on).any():
         warnings.append(f"{path.name}: {int(lost.any(axis=1).sum())} samples without a command hold the one before")

@@ -1,4 +1,4 @@
-"""What is known to differ from model.xml in single runs: a mass that was added, another firmware gain."""
+"""Known differences of single runs from model.xml: an added mass, another firmware gain."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ EXAMPLE = '{"run_03": {"payload": [{"body": "hand", "mass": 0.5, "at": [0, 0, 0.
 
 @dataclass(frozen=True)
 class Setup:
-    """How one run's robot differs from model.xml, as its operator knows."""
+    """Differences of one run's robot from model.xml, known to its operator."""
 
     payload: tuple[tuple[str, float, tuple[float, float, float]], ...] = ()
     """(body, kg, place in the body's frame, m) of masses that are fixed to it."""
@@ -51,7 +51,7 @@ def _setup(entry: Any, model: Any, file: Path) -> Setup:
                 column = 1 if which == "kp" else 2
                 if model.actuator(name).biasprm[column] >= 0:
                     raise GapError(
-                        f"runs of log.json give {name} a {which}, which it has none of in model.xml",
+                        f"runs of log.json give {name} a {which}, which it does not have in model.xml",
                         file=file,
                         expected="a position servo with this gain",
                     )

@@ -1,4 +1,4 @@
-"""Which runs are fitted, and which no fit sees."""
+"""Splits the runs into fitted and held-out ones."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ _OF_COMMAND = {"position": "joint_pos", "velocity": "joint_vel", "torque": "join
 
 
 def factor(array: str, unit: str, command_kind: str, file: Path) -> float:
-    """What a value of `array` in `unit` is multiplied by. Raises GapError with the units that are known."""
+    """Factor from `unit` to the unit of `array`. Raises GapError with the units that are known."""
     known = UNITS.get(_OF_COMMAND[command_kind] if array == "command" else array)
     if known is None:
         raise GapError(

@@ -8,11 +8,11 @@ from realsim.gap.answer.arrays import Arrays
 from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.logs.case import Case
 from realsim.gap.report.series import worst_windows
-from realsim.gap.report.shapes import solids
 from realsim.gap.report.words import HEAT, NOT_KEPT, short, signal_name
 from realsim.gap.simulation.channels import unit_of
 from realsim.gap.simulation.simulate import measured
 from realsim.report import page, raster, svg
+from realsim.report.solids import solids
 from realsim.types import F64
 
 _ROW = 'style="display:grid;gap:14px 26px;grid-template-columns:repeat(auto-fit,minmax(min(420px,100%),1fr))"'

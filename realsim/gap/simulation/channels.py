@@ -1,4 +1,4 @@
-"""What simulator and log share, scalar by scalar: what is compared, and why the rest of a log is not."""
+"""Scalars that simulator and log share and that are compared, and reasons for the others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which joints are alike: the same joint on another leg or side."""
+"""Groups of alike joints: the same joint on another leg or side."""
 
 from __future__ import annotations
 

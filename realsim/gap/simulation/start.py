@@ -1,4 +1,4 @@
-"""How a run begins in the simulator: at rest under its first command, or exactly in the state it was recorded from.
+"""Start of a run in the simulator: at rest under its first command, or exactly in the state it was recorded from.
 
 Sensors and drives make a robot at rest look out of place: an encoder with an offset, play, a load that the model does
 not know. None of that moves. So a run is taken out of rest only where the log moves in its first moments in a way that

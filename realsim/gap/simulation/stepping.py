@@ -97,7 +97,7 @@ Roller = Callable[[Any, F64, F64], tuple[F64, F64]]
 
 
 def switched(step: Roller, model: Any, state: F64, control: F64, off: Any = None) -> F64:
-    """(T, S) sensors of a run whose actuators give no force where `off` (T, U) says so: piece by piece."""
+    """(T, S) sensors of a run whose actuators give no force where `off` (T, U) is true: piece by piece."""
     if off is None or not off.any():
         return step(model, state, control)[0]
     edges = [0, *(np.flatnonzero((np.diff(off, axis=0)).any(axis=1)) + 1), len(off)]

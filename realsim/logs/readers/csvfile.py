@@ -39,7 +39,7 @@ def read(path: Path, window: Window) -> list[Recording]:
     except csv.Error as error:
         raise GapError("a row cannot be read", file=path, found=str(error)) from error
     if not columns:
-        raise no_samples(path, "a header and a row a sample")
+        raise no_samples(path, "a header and one row per sample")
     columns = trimmed(columns, window)
     notes = (f"{path.name}: columns of text left out: {', '.join(dropped[:8])}",) if dropped else ()
     return [Recording(path, path.stem, "csv", (table(path, "", columns),), notes=notes)]
@@ -54,7 +54,7 @@ def trimmed(columns: dict[str, F64], window: Window) -> dict[str, F64]:
 
     name = next((n for n, v in columns.items() if is_clock(n) and v.ndim == 1), None)
     if name is None:
-        raise GapError("a window of time is asked for, and the table has no time", found=", ".join(list(columns)[:12]))
+        raise GapError("a time window is requested, but the table has no time", found=", ".join(list(columns)[:12]))
     keep = in_window(seconds_of(name, columns[name])[0], window)
     return {n: v[keep] for n, v in columns.items()}
 

@@ -1,4 +1,4 @@
-"""What fine-tuning may change. One file a strategy, one line here.
+"""Fine-tuning strategies: one file each, one line here.
 
 A strategy takes a policy and gives one that computes bit for bit the same at the start, in which exactly the
 strategy's own parameters require a gradient. The exploration noise `log_std` is always a parameter of the new policy:

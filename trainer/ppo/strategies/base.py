@@ -1,4 +1,4 @@
-"""What strategies share."""
+"""Shared parts of strategies."""
 
 from __future__ import annotations
 

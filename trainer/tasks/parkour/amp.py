@@ -1,4 +1,4 @@
-"""What the motion discriminator sees: two successive poses, free of where the robot is and where it heads."""
+"""Input of the motion discriminator: two successive poses, independent of position and heading."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ def check(terrain: Terrain) -> None:
     away = float(np.linalg.norm((terrain.goal.centre - terrain.start.centre)[:2]))
     if not _LENGTH_M[0] <= away <= _LENGTH_M[1]:
         raise TrainerError(
-            f"{terrain.name}: start and goal are not a course apart; is the scale wrong?",
+            f"{terrain.name}: start and goal are too close or too far apart; is the scale wrong?",
             expected=f"{_LENGTH_M[0]} to {_LENGTH_M[1]} m",
             found=f"{away:.3f} m",
         )

@@ -108,7 +108,7 @@ class DepthConfig:
 
 @dataclass(frozen=True)
 class TerminationConfig:
-    """What ends an episode."""
+    """Options of terminations."""
 
     stuck_seconds: float = 4.0
     """Longest time at the start."""
@@ -166,7 +166,7 @@ class RewardConfig:
 
 @dataclass(frozen=True)
 class ResetConfig:
-    """Where episodes begin."""
+    """Options of episode starts."""
 
     position: float = 0.1
     """Metres along x and y around the centre of the start platform."""
@@ -208,7 +208,7 @@ class FloorConfig:
 
 @dataclass(frozen=True)
 class RandomisationConfig:
-    """What differs between worlds, drawn at each reset. A gap patch replaces ranges by what was identified."""
+    """Domain randomisation, drawn at each reset. A diagnosis replaces ranges by what it identified."""
 
     use: bool = True
     strength: float = 1.0

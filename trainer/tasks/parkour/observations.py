@@ -1,4 +1,4 @@
-"""What the actor and the critic read.
+"""Observations of the actor and the critic.
 
 The actor's vector is p_(t-7), ..., p_t of the paper, term by term: each term's history from the oldest to the newest.
 The critic's is the same step's truth without noise, and what no sensor of the robot measures.

@@ -1,4 +1,4 @@
-"""Where an episode begins: standing on the start platform or somewhere on the course, roughly facing the goal."""
+"""Starts of episodes: standing on the start platform or somewhere on the course, roughly facing the goal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What observations, rewards and terminations are made of: worked out once a step from the engine's state."""
+"""Signals for observations, rewards and terminations: computed once per step from the engine's state."""
 
 from __future__ import annotations
 

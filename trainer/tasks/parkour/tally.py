@@ -97,7 +97,7 @@ class Tally:
 
 
 def _ends(sums: Sequence[float]) -> dict[str, float]:
-    """How episodes ended, and how far they came, from sums by outcome and of the share covered."""
+    """Outcomes of episodes and the covered share, from sums by outcome and of the share covered."""
     outcomes = dict(zip(OUTCOMES, sums, strict=False))
     # Worlds that diverged say nothing about the policy.
     ended = sum(n for name, n in outcomes.items() if name not in ("running", "diverged"))

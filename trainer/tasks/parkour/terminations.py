@@ -1,4 +1,4 @@
-"""What ends an episode. One function a failure; `CAUSES` names and orders them."""
+"""Terminations of episodes: one function per failure; `CAUSES` names and orders them."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ CAUSES: dict[str, Callable[[Signals, Clocks, Body, TerminationConfig], Tensor]] 
 """Failures; where several apply the first is named."""
 
 OUTCOMES = ("running", *CAUSES, "timeout", "success")
-"""How an episode stands: code -> name. The last two end it without failure."""
+"""State of an episode: code -> name. The last two end it without failure."""
 RUNNING, DIVERGED, TIMEOUT, SUCCESS = 0, 1, len(OUTCOMES) - 2, len(OUTCOMES) - 1
 
 

@@ -1,4 +1,4 @@
-"""What the outputs of a model mean. One kind is one file and one line here; the order is that of guessing."""
+"""Interpretation of a model's outputs. Each kind is one file and one line here, in the order of guessing."""
 
 from realsim.feedforward.onnx.adapters.base import Adapter, Call, Prediction
 from realsim.registry import Registry

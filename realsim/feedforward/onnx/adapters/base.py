@@ -1,4 +1,4 @@
-"""What an adapter is, and what all of them do alike: axes, confidences, poses."""
+"""Interface of adapters, and their shared parts: axes, confidences, poses."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class Prediction:
     mask: Bool
     """(N, H, W)."""
     metric_scale: float | None = None
-    """Metres a unit as the model claims."""
+    """Metres per unit as the model claims."""
     figures: Mapping[str, float] = field(default_factory=dict)
-    """What can be checked within one run, for the report."""
+    """Consistency figures of one run, for the report."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Adapter:
         return {role: next(n for n in known if n in there) for role, known in roles.items() if there & set(known)}
 
     def share(self, names: Iterable[str]) -> float:
-        """How much of what is needed is there, 0..1."""
+        """Share of the needed outputs that are present, 0..1."""
         return sum(role in self.match(names) for role in self.needs) / len(self.needs)
 
 
@@ -102,7 +102,7 @@ def as_maps(name: str, array: NDArray, call: Call, channels: int) -> F32:
         f"the output {name} has the wrong shape",
         expected=f"{n} views of {h} x {w} pixels" + (f" with {c} numbers each" if c > 1 else ""),
         found=str(array.shape),
-        hint="axes that are declared dynamic can be frozen in the graph: say n_static or fixed_hw in its metadata",
+        hint="axes that are declared dynamic can be fixed in the graph: set n_static or fixed_hw in its metadata",
     )
 
 
@@ -155,7 +155,7 @@ def encoded_intrinsics(rows: F64, call: Call) -> F64:
 
 
 def _rigid(R: F64, t: F64, loose: bool = False) -> F64:
-    """(n, 4, 4) with the nearest rotations. What is far from one is not a pose (unless nobody said that it is)."""
+    """(n, 4, 4) with the nearest rotations. A matrix far from one is not a pose (if it is declared to be one)."""
     T = np.tile(np.eye(4), (len(R), 1, 1))
     for k, M in enumerate(R):
         if not (np.isfinite(M).all() and np.isfinite(t[k]).all()):
@@ -184,7 +184,7 @@ def read_conf(found: Mapping[str, NDArray], call: Call, role: str = "conf") -> F
                 "the model's confidence is not what its metadata says",
                 expected="conf exp1: numbers of 1 and more",
                 found=f"a smallest value of {low:.3g}",
-                hint="say conf logit, log_error or none in the model's metadata",
+                hint="set conf to logit, log_error or none in the model's metadata",
             )
         return (1 - 1 / np.maximum(raw, 1)).astype(np.float32)
     sign = -1.0 if call.conf == "log_error" else 1.0
@@ -201,7 +201,7 @@ def read_mask(found: Mapping[str, NDArray], call: Call, points: F32) -> Bool:
 
 
 def read_claim(found: Mapping[str, NDArray]) -> float | None:
-    """Metres a unit, as the model claims."""
+    """Metres per unit, as the model claims."""
     if "metric_scale" not in found:
         return None
     value = float(np.median(found["metric_scale"]))

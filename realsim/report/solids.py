@@ -19,6 +19,8 @@ Solid = tuple[F64, Any]
 def extent(model: Any, data: Any) -> float:
     """Size of the moving robot, m."""
     moving = np.flatnonzero(model.body_weldid != 0)
+    if not len(moving):
+        return 0.1
     points = np.vstack([data.xpos[moving], data.xipos[moving]])
     return max(float(np.linalg.norm(points.max(axis=0) - points.min(axis=0))), 0.1)
 
@@ -111,17 +113,23 @@ def _cylinder(model: Any, g: int) -> Solid:
     return _surface(np.array([[0, -h], [r, -h], [r, h], [0, h]]), 24)
 
 
-def _box(model: Any, g: int) -> Solid:
+def box(model: Any, g: int) -> Solid:
+    """A box geom, geom frame."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float) * model.geom_size[g]
     quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
     return corners, np.vstack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
 
-def _mesh(model: Any, g: int) -> Solid:
+def mesh(model: Any, g: int) -> Solid:
+    """A mesh geom as it is, geom frame."""
     m = model.geom_dataid[g]
     v, f = model.mesh_vertadr[m], model.mesh_faceadr[m]
     V = model.mesh_vert[v : v + model.mesh_vertnum[m]].astype(float)
-    return simplify(V, model.mesh_face[f : f + model.mesh_facenum[m]], None, _MESH_TRIANGLES)[:2]
+    return V, model.mesh_face[f : f + model.mesh_facenum[m]].astype(np.int64)
+
+
+def _simple_mesh(model: Any, g: int) -> Solid:
+    return simplify(*mesh(model, g), None, _MESH_TRIANGLES)[:2]
 
 
 def _patch(data: Any, g: int, size: float) -> Solid:
@@ -139,6 +147,6 @@ _SHAPES: dict[int, Callable[[Any, int], Solid]] = {
     3: lambda model, g: _capsule(model.geom_size[g, 0], model.geom_size[g, 1]),
     4: lambda model, g: _ball(model.geom_size[g]),
     5: _cylinder,
-    6: _box,
-    7: _mesh,
+    6: box,
+    7: _simple_mesh,
 }
