@@ -37,6 +37,7 @@ COMMANDS = Registry(
         "model": "realsim.commands.model:model",
         "log": "realsim.commands.log:log",
         "diagnose": "realsim.commands.diagnose:diagnose",
+        "worker": "realsim.commands.worker:worker",
         "synth": "realsim.commands.synth:synth",
         "demo": "realsim.commands.demo:demo",
     },
@@ -51,6 +52,7 @@ SUMMARIES = {
     "model": "how a feed-forward model in an ONNX file fits the contract",
     "log": "what a robot's recording holds (MCAP, bags, LeRobot, CSV, ...), and the case that it becomes",
     "diagnose": "a robot's logs and its model -> where the sim-to-real gap lies, what causes it, how much",
+    "worker": "does the jobs of a folder that several machines share",
     "synth": "render a synthetic capture with its truth",
     "demo": "render, reconstruct and measure, end to end",
 }
@@ -64,6 +66,7 @@ EXAMPLES = {
     "model": "realsim model inspect model.onnx",
     "log": "realsim log walk.mcap --model robot.xml --out case",
     "diagnose": "realsim diagnose my_case --out diagnosis",
+    "worker": "realsim worker scenes --idle 60",
     "synth": "realsim synth --terrain boxes --out synthetic",
     "demo": "realsim demo --out demo_out",
 }
@@ -174,15 +177,18 @@ def _plain_help(name: str) -> Iterator[None]:
             print("\n".join(lines), flush=True)
 
 
-GROUP = re.compile(r"config((?:\.\w+)*) options (.)")
-"""The title of a group of options: the path of a field, and the character that fills the line after it."""
+GROUP = re.compile(r"(config|many)((?:\.\w+)*) options (.)\3*")
+"""The title of a group of options: the path of a field, and the characters that fill the line after it."""
 EVERYWHERE = "everywhere: --json for machines, --quiet without progress"
+
+
+TITLES = {"config": "general", "many": "several inputs:"}
 
 
 def _group(match: re.Match[str]) -> str:
     """The title of the same length without the names that only the source code knows."""
-    title = f"{match[1].rpartition('.')[2] or 'general'} options "
-    return title + match[2] * (len(match[0]) - len(title))
+    title = f"{match[2].rpartition('.')[2] or TITLES[match[1]]} options "
+    return title + match[3] * (len(match[0]) - len(title))
 
 
 def _examples() -> dict[str, str]:

@@ -15,6 +15,7 @@ from realsim.errors import RealsimError
 from realsim.files import refuse_within
 from realsim.gap import contract
 from realsim.gap.config import DiagnoseConfig
+from realsim.jobs import ManyConfig
 from realsim.progress import note, steps, track
 
 
@@ -29,9 +30,8 @@ def diagnose(
     model: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     policy: Path | None = None,
     deploy_yaml: Path | None = None,
-    jobs: int = 1,
-    ray: str | None = None,
     strict: bool = False,
+    many: ManyConfig = ManyConfig(),
 ) -> CommandResult:
     """Say where a robot's logs differ from its simulator, which unmodelled effect causes it, and how much it matters.
 
@@ -46,8 +46,6 @@ def diagnose(
         model: of the robot, where CASE is a recording (MCAP, bag, CSV, ...): the case is written beside --out first.
         policy: policy.onnx that was run: is it run as it was trained (docs/logs.md)? Said before the diagnosis.
         deploy_yaml: the contract of a policy whose ONNX file has none (unitree_rl_lab).
-        jobs: with several cases: how many at a time on this machine.
-        ray: with several cases: the address of a Ray cluster that shares this file system.
         strict: exit with code 3 if the gap stays unexplained (the patched model is then not to be used).
     """
     if explain is not None:
@@ -64,19 +62,18 @@ def diagnose(
     if check:
         return _checked(cases, config)
     out = out or Path("diagnosis")
-    if model is not None:
-        cases = tuple(_from_recording(case, model, out, overwrite, len(cases)) for case in cases)
-    if len(cases) == 1 and ray is None:
-        refuse_within(out, cases[0])
-        found = None if policy is None else _contract(cases[0], policy, deploy_yaml)
+    if len(cases) == 1 and many.place == "processes":
+        case = cases[0] if model is None else _from_recording(cases[0], model, out, overwrite)
+        refuse_within(out, case)
+        found = None if policy is None else _contract(case, policy, deploy_yaml)
         with steps() as tick:
-            result = gap.run_case(cases[0], out, config, tick, overwrite=overwrite)
+            result = gap.run_case(case, out, config, tick, overwrite=overwrite)
         level = LEVELS[str(result["verdict"])]
         text = _summary(result, out, config)
         if found is not None:
             text, result = f"{found.sentence}\n{text}", result | {"contract": found.as_dict()}
         return CommandResult(text, result, strict_exit({"level": level}, strict), level)
-    return run_each("diagnose", cases, out, shows="sentence", jobs=jobs, ray=ray)
+    return run_each("diagnose", cases, out, many, shows="sentence")
 
 
 def _checked(cases: tuple[Path, ...], config: DiagnoseConfig) -> CommandResult:
@@ -115,9 +112,9 @@ def _contract(folder: Path, policy: Path, deploy_yaml: Path | None) -> contract.
     return contract.check(contract.load_policy(policy, deploy_yaml, case.joint_names), steps)
 
 
-def _from_recording(recording: Path, model: Path, out: Path, overwrite: bool, count: int) -> Path:
+def _from_recording(recording: Path, model: Path, out: Path, overwrite: bool) -> Path:
     """The case of a recording, in a folder beside the output; see `realsim log`."""
-    case = out.with_name(f"{out.name}_case" if count == 1 else f"{out.name}_case_{recording.stem}")
+    case = out.with_name(f"{out.name}_case")
     target = logs.load_target(model)
     proposal = logs.propose(logs.read(recording), target)
     logs.write_case(proposal, target, case, overwrite=overwrite)
