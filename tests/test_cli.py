@@ -36,6 +36,23 @@ def test_help_ends_with_an_example_and_knows_no_names_of_the_source(capsys: pyte
         assert not re.search(r"config[. ]\w*", text), name
 
 
+def test_help_waits_for_no_heavy_package() -> None:
+    """Help is there at once: what takes its time to import is imported by what uses it."""
+    heavy = ("torch", "scipy", "mujoco", "open3d", "cv2", "trimesh", "onnxruntime", "ray", "submitit", "mcp", "pyarrow")
+    code = f"""
+import contextlib, io, sys
+from realsim.cli import commands, main
+for name in commands()[0]:
+    with contextlib.redirect_stdout(io.StringIO()):
+        assert main([name, "--help"]) == 0
+    print(name, [package for package in {heavy!r} if package in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    lines = done.stdout.splitlines()
+    assert len(lines) == len(commands()[0])
+    assert [line for line in lines if not line.endswith("[]")] == []
+
+
 def test_help_lists_the_choices_there_are(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     from realsim.align import SEGMENTERS
     from realsim.capture import LAYOUTS

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from realsim import gap, logs
+from realsim import gap
 from realsim.commands import CommandResult, strict_exit
 from realsim.commands.many import run_each
 from realsim.errors import RealsimError
 from realsim.files import refuse_within
-from realsim.gap import contract
 from realsim.gap.config import DiagnoseConfig
 from realsim.jobs import ManyConfig
 from realsim.progress import note, steps, track
+
+if TYPE_CHECKING:
+    from realsim.gap.contract import Found
 
 
 def diagnose(
@@ -105,8 +107,10 @@ def _health(case: Path, found: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _contract(folder: Path, policy: Path, deploy_yaml: Path | None) -> contract.Found:
+def _contract(folder: Path, policy: Path, deploy_yaml: Path | None) -> Found:
     """Whether the policy was run as it was trained; checked before the search, which takes minutes."""
+    from realsim.gap import contract
+
     case = gap.load_case(folder)
     steps = contract.read_steps(case)
     return contract.check(contract.load_policy(policy, deploy_yaml, case.joint_names), steps)
@@ -114,6 +118,8 @@ def _contract(folder: Path, policy: Path, deploy_yaml: Path | None) -> contract.
 
 def _from_recording(recording: Path, model: Path, out: Path, overwrite: bool) -> Path:
     """The case of a recording, in a folder beside the output; see `realsim log`."""
+    from realsim import logs
+
     case = out.with_name(f"{out.name}_case")
     target = logs.load_target(model)
     proposal = logs.propose(logs.read(recording), target)

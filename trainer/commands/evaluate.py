@@ -8,11 +8,7 @@ from typing import Annotated
 import tyro
 
 from realsim.commands import CommandResult
-from trainer.commands import common
-from trainer.commands.task_file import load_task
-from trainer.evaluate import EvaluationConfig
-from trainer.evaluate import evaluate as run_trials
-from trainer.ppo.distributed import pick_device
+from trainer.config import EvaluationConfig
 from trainer.trainers import TrainConfig
 
 
@@ -39,6 +35,11 @@ def evaluate(
         task_file: JSON with what differs from the paper's task; the one of the training.
         diagnosis: diagnosis.json of `realsim diagnose`.
     """
+    from trainer.commands import common
+    from trainer.commands.task_file import load_task
+    from trainer.evaluate import evaluate as run_trials
+    from trainer.ppo.distributed import pick_device
+
     loaded = common.load_policy(policy)
     place = pick_device(device, engine=engine)
     train = TrainConfig(engine=engine, seed=config.seed, task=load_task(task_file), diagnosis=diagnosis)

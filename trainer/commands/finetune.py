@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from realsim.commands import CommandResult
 from realsim.files import to_json, write_text
 from realsim.progress import note
-from trainer.commands import common
-from trainer.commands.task_file import load_task
-from trainer.evaluate import Evaluation, EvaluationConfig, evaluate
+from trainer.config import EvaluationConfig
 from trainer.policies import base_of
-from trainer.ppo.distributed import pick_device
 from trainer.trainers import Scene, TrainConfig, find
+
+if TYPE_CHECKING:
+    from trainer.evaluate import Evaluation
 
 
 def finetune(
@@ -45,6 +45,9 @@ def finetune(
         task_file: JSON with what differs from the paper's task.
         final_trials: trials on each terrain before and after; 0 leaves both out.
     """
+    from trainer.commands import common
+    from trainer.commands.task_file import load_task
+
     if policy is not None and from_scratch:
         raise common.TrainerError(
             "fine-tuning starts from a policy, or from scratch",
@@ -83,6 +86,10 @@ def finetune(
 
 def trials(policy: Path, scene: Scene, config: TrainConfig, count: int) -> Evaluation:
     """Trials of a policy on the scene's terrains in the task and engine of the training."""
+    from trainer.commands import common
+    from trainer.evaluate import evaluate
+    from trainer.ppo.distributed import pick_device
+
     loaded = common.load_policy(policy)
     device = pick_device(config.device, engine=config.engine)
     setting = common.setting(loaded, policy, device, config)

@@ -8,12 +8,8 @@ from typing import Annotated
 import tyro
 
 from realsim.commands import CommandResult
-from trainer.commands import common
-from trainer.commands.task_file import load_task
-from trainer.evaluate import EvaluationConfig, trial_env
-from trainer.ppo.distributed import pick_device
-from trainer.ppo.policy import check_layout
-from trainer.replay import record, write
+from realsim.progress import note
+from trainer.config import EvaluationConfig
 from trainer.robots import ROBOTS
 from trainer.trainers import TrainConfig
 
@@ -38,12 +34,20 @@ def play(
         randomise: vary friction, masses, delays and noise as in training.
         task_file: JSON with what differs from the paper's task; the one of the training.
     """
+    from trainer.commands import common
+    from trainer.commands.task_file import load_task
+    from trainer.evaluate import trial_env
+    from trainer.ppo.distributed import pick_device
+    from trainer.ppo.policy import check_layout
+    from trainer.replay import record, write
+
     if trial < 0:
         raise common.TrainerError("trials are numbered from 0", found=str(trial))
     loaded = common.load_policy(policy)
     config = TrainConfig(seed=seed, task=load_task(task_file))
     setting = common.setting(loaded, policy, pick_device("cpu"), config)
     terrain, _ = common.find_terrain(scene)
+    note("simulating the trial ...")
     env = trial_env(terrain, trial + 1, EvaluationConfig(seed=seed, randomise=randomise), setting)
     check_layout(loaded.layout, env.layout, str(policy))
     recording = record(loaded.act, env, trial)

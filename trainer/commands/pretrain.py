@@ -7,8 +7,6 @@ from pathlib import Path
 
 from realsim.commands import CommandResult
 from realsim.files import to_json, write_text
-from trainer.commands import common
-from trainer.commands.task_file import load_task
 from trainer.terrain import CURRICULUM, grid
 from trainer.trainers import Scene, TrainConfig, find
 
@@ -34,6 +32,9 @@ def pretrain(
         trainer: ppo, rsl_rl, mjlab, or one that an installed package adds.
         task_file: JSON with what differs from the paper's task.
     """
+    from trainer.commands import common
+    from trainer.commands.task_file import load_task
+
     config = replace(config, task=load_task(task_file))
     if terrain == "grid":
         scene = Scene(tuple(grid(config.seed, families, columns)), rows=CURRICULUM_ROWS)

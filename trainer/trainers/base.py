@@ -9,8 +9,7 @@ from typing import Annotated, Protocol
 import tyro
 
 from trainer.errors import TrainerError
-from trainer.ppo.config import PPOConfig, StrategyConfig
-from trainer.ppo.loop import LoopConfig
+from trainer.ppo.config import LoopConfig, PPOConfig, StrategyConfig
 from trainer.tasks.parkour import ParkourConfig
 from trainer.terrain import Terrain
 
