@@ -170,7 +170,7 @@ def _plain_help(name: str) -> Iterator[None]:
             yield
     finally:
         shown.seek(0)
-        text = GROUP.sub(_group, shown.read())
+        text = UNSET.sub(_blank, NONE.sub(_without_none, GROUP.sub(_group, shown.read())))
         example = _examples().get(name)
         lines = [text.rstrip(), "", *([f"example: {example}"] if example else []), EVERYWHERE]
         with contextlib.suppress(BrokenPipeError):
@@ -182,13 +182,27 @@ GROUP = re.compile(r"(config|many)((?:\.\w+)*) options (.)\3*")
 EVERYWHERE = "everywhere: --json for machines, --quiet without progress"
 
 
-TITLES = {"config": "general", "many": "several inputs:"}
+TITLES = {"config": "general options ", "many": "options for several inputs "}
+NONE = re.compile(r"\{None\}\|(\S+)|\{None,(\S+)")
+"""What an option takes that may be left out: the help shows what it takes."""
+UNSET = re.compile(r"\(default:(\s*(?:│\n│)?\s*)(None|'')?\)")
+"""A default that says nothing; it may stand on two lines of a box."""
 
 
 def _group(match: re.Match[str]) -> str:
     """The title of the same length without the names that only the source code knows."""
-    title = f"{match[2].rpartition('.')[2] or TITLES[match[1]]} options "
+    name = match[2].rpartition(".")[2]
+    title = f"{name} options " if name else TITLES[match[1]]
     return title + match[3] * (len(match[0]) - len(title))
+
+
+def _without_none(match: re.Match[str]) -> str:
+    kept = match[1] or "{" + match[2]
+    return kept + " " * (len(match[0]) - len(kept))
+
+
+def _blank(match: re.Match[str]) -> str:
+    return re.sub(r"[^\s│]", " ", match[0])
 
 
 def _examples() -> dict[str, str]:

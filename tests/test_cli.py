@@ -58,9 +58,14 @@ def test_help_lists_the_choices_there_are(monkeypatch: pytest.MonkeyPatch, capsy
     from realsim.capture import LAYOUTS
     from realsim.exports import CONTACT, EXPORTERS
     from realsim.feedforward import BACKENDS
+    from realsim.jobs import EXECUTORS
     from realsim.meshing import METHODS
     from realsim.scale import ESTIMATORS
     from realsim.synth import TERRAINS
+    from trainer.physics import ENGINES
+    from trainer.ppo.strategies import STRATEGIES
+    from trainer.robots import ROBOTS
+    from trainer.trainers import BUILT_IN
 
     monkeypatch.setenv("COLUMNS", "300")
     choices = {
@@ -74,6 +79,9 @@ def test_help_lists_the_choices_there_are(monkeypatch: pytest.MonkeyPatch, capsy
         },
         "synth": {"terrain": TERRAINS},
         "export": {"to": EXPORTERS},
+        "finetune": {"strategy": STRATEGIES, "engine": ENGINES, "trainer": BUILT_IN, "robot": ROBOTS},
+        "evaluate": {"engine": ENGINES},
+        "contact": {"executor": EXECUTORS},
     }
     for command, options in choices.items():
         assert main([command, "--help"]) == 0

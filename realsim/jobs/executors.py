@@ -23,7 +23,7 @@ from realsim.jobs.working import run_key
 
 @dataclass(frozen=True)
 class ManyConfig:
-    """Several inputs: each gets a folder of its name below --out. One that fails stops no other."""
+    """Each gets a folder of its name below --out. One that fails stops no other."""
 
     jobs: int = 1
     """how many at a time on this machine, or at most at a time in a Slurm array."""

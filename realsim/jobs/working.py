@@ -64,8 +64,8 @@ def _outcome(
         return job.name, 1, {"error": "Crash", "message": message, "found": queue.tail(claim.key)}
     changed = job.changed()
     if changed:
-        error = RealsimError("the input has changed since the job was made", file=changed[0], hint="submit it again")
-        return job.name, 2, dict(error.as_dict())
+        stale = RealsimError("the input has changed since the job was made", file=changed[0], hint="submit it again")
+        return job.name, 2, dict(stale.as_dict())
 
     def ended() -> bool:
         return (stop is not None and stop.is_set()) or queue.cancelled(claim.key) or not claim.ticket.exists()

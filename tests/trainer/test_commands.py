@@ -182,7 +182,7 @@ def test_too_little_memory_means_fewer_worlds_and_is_said(
 
     monkeypatch.setattr(ppo, "start", short_of_memory)
     arguments = ["pretrain", "--robot", "quadruped", "--terrain", "flat", "--iterations", "1", "--actor", "16"]
-    arguments += ["--task-file", str(folder / "task.json"), "--out", str(folder / "oom"), *SMALL[2:]]
+    arguments += ["--task-file", str(folder / "task.json"), "--out", str(folder / "oom"), "--overwrite", *SMALL[2:]]
     assert main([*arguments, "--worlds", "64"]) == 0
     assert asked == [64, 32, 16]
     assert "16 worlds instead of 32" in capsys.readouterr().out

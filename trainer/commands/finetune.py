@@ -25,7 +25,8 @@ def finetune(
     policy: Path | None = None,
     from_scratch: bool = False,
     out: Path = Path("finetuned"),
-    trainer: str = "ppo",
+    overwrite: bool = False,
+    trainer: Annotated[str, tyro.conf.arg(metavar="{ppo,rsl_rl,mjlab}")] = "ppo",
     task_file: Path | None = None,
     final_trials: int = 1000,
 ) -> CommandResult:
@@ -41,6 +42,7 @@ def finetune(
             that ships with realsim for the robot (g1).
         from_scratch: train without a base.
         out: folder for the results.
+        overwrite: replace the run in a folder that an earlier training wrote; --resume goes on with it.
         trainer: ppo, rsl_rl, mjlab, or one that an installed package adds.
         task_file: JSON with what differs from the paper's task.
         final_trials: trials on each terrain before and after; 0 leaves both out.
@@ -48,6 +50,7 @@ def finetune(
     from trainer.commands import common
     from trainer.commands.task_file import load_task
 
+    common.check_output(out, overwrite, config)
     if policy is not None and from_scratch:
         raise common.TrainerError(
             "fine-tuning starts from a policy, or from scratch",

@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from realsim.commands import CommandResult
+from realsim.files import refuse_file
 from realsim.progress import note
 from trainer.config import EvaluationConfig
 from trainer.robots import ROBOTS
@@ -18,6 +19,7 @@ def play(
     scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")],
     policy: Path,
     out: Path = Path("trial.mp4"),
+    overwrite: bool = False,
     trial: int = 0,
     seed: int = 0,
     randomise: bool = False,
@@ -29,6 +31,7 @@ def play(
         scene: a folder of `realsim reconstruct`, or the name of a terrain (see `realsim finetune --help`).
         policy: policy.pt.
         out: .mp4, .gif, or .glb (an animated model for any glTF viewer).
+        overwrite: replace a file that is there already.
         trial: which of the trials of this seed.
         seed: of the trials.
         randomise: vary friction, masses, delays and noise as in training.
@@ -41,6 +44,7 @@ def play(
     from trainer.ppo.policy import check_layout
     from trainer.replay import record, write
 
+    refuse_file(out, overwrite)
     if trial < 0:
         raise common.TrainerError("trials are numbered from 0", found=str(trial))
     loaded = common.load_policy(policy)
