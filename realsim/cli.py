@@ -12,13 +12,13 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from importlib.metadata import entry_points
 from types import ModuleType
 from typing import Any
 
-from realsim import __version__
+from realsim import __version__, schemas
 from realsim.commands import set_arguments
 from realsim.errors import RealsimError, explain_missing_packages
 from realsim.files import to_json
@@ -38,6 +38,7 @@ COMMANDS = Registry(
         "log": "realsim.commands.log:log",
         "diagnose": "realsim.commands.diagnose:diagnose",
         "worker": "realsim.commands.worker:worker",
+        "schema": "realsim.commands.schema:schema",
         "synth": "realsim.commands.synth:synth",
         "demo": "realsim.commands.demo:demo",
     },
@@ -53,6 +54,7 @@ SUMMARIES = {
     "log": "what a robot's recording holds (MCAP, bags, LeRobot, CSV, ...), and the case that it becomes",
     "diagnose": "a robot's logs and its model -> where the sim-to-real gap lies, what causes it, how much",
     "worker": "does the jobs of a folder that several machines share",
+    "schema": "what a command prints with --json, as a JSON Schema",
     "synth": "render a synthetic capture with its truth",
     "demo": "render, reconstruct and measure, end to end",
 }
@@ -67,6 +69,7 @@ EXAMPLES = {
     "log": "realsim log walk.mcap --model robot.xml --out case",
     "diagnose": "realsim diagnose my_case --out diagnosis",
     "worker": "realsim worker scenes --idle 60",
+    "schema": "realsim schema reconstruct",
     "synth": "realsim synth --terrain boxes --out synthetic",
     "demo": "realsim demo --out demo_out",
 }
@@ -83,6 +86,14 @@ def commands() -> tuple[Registry, dict[str, str]]:
     # In the order in which a package says them; what it says nothing about comes last.
     more = {name: text for name, text in said.items() if name in added} | {n: "" for n in added if n not in said}
     return COMMANDS.joined(added), SUMMARIES | {name: text for name, text in more.items() if name not in SUMMARIES}
+
+
+def home_of() -> dict[str, str]:
+    """Command -> top package that it is from."""
+    added = {
+        point.name: point.value.partition(".")[0].partition(":")[0] for point in entry_points(group="realsim.commands")
+    }
+    return dict.fromkeys(COMMANDS, "realsim") | {name: home for name, home in added.items() if name not in COMMANDS}
 
 
 def _places() -> list[ModuleType]:
@@ -116,11 +127,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as stop:
         # tyro has said on stderr what does not fit (2), or has shown the help (0).
         if as_json and stop.code:
-            print(to_json({"error": "UsageError", "message": "the arguments do not fit", "hint": "see stderr"}), end="")
+            print(_error({"error": "UsageError", "message": "the arguments do not fit", "hint": "see stderr"}), end="")
         return int(stop.code or 0)
     except KeyboardInterrupt:
         if as_json:
-            print(to_json({"error": "Interrupted", "message": "interrupted"}), end="")
+            print(_error({"error": "Interrupted", "message": "interrupted"}), end="")
         else:
             console.print(
                 "interrupted: nothing half-written is left; finished stages are kept and reused", style="yellow"
@@ -129,11 +140,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         return _unread()
     try:
-        text = to_json(result.data) if as_json else result.rendered(color=sys.stdout.isatty()) + "\n"
+        text = (
+            to_json(answer(arguments[0], result.data)) if as_json else result.rendered(color=sys.stdout.isatty()) + "\n"
+        )
         print(text, end="", flush=True)
     except BrokenPipeError:
         _unread()
     return result.exit_code
+
+
+def answer(command: str, data: Mapping[str, Any]) -> dict[str, Any]:
+    """What `--json` prints: the data of a command, and first which schema it has (`realsim schema COMMAND`)."""
+    name = schemas.name_of(command, home_of().get(command, "realsim"))
+    return dict(data) if name is None else {"schema": name, **data}
+
+
+def _error(data: Mapping[str, Any]) -> str:
+    return to_json({"schema": schemas.ERROR, **data})
 
 
 def usage() -> str:
@@ -212,7 +235,7 @@ def _examples() -> dict[str, str]:
 
 def _fail(error: RealsimError, as_json: bool) -> int:
     if as_json:
-        print(to_json(error.as_dict()), end="")
+        print(_error(error.as_dict()), end="")
     else:
         console.print(f"error: {error.render()}", style="red", highlight=False, markup=False, soft_wrap=True)
     return 2
