@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Iterable, Iterator, Sized
 from contextlib import contextmanager, suppress
 from typing import IO, TypeVar
@@ -25,6 +26,9 @@ T = TypeVar("T")
 console = Console(stderr=True)
 _quiet = False
 _pipe: IO[str] | None = None
+_last = ("", 0.0)
+BETWEEN = 0.1
+"""Seconds between two lines to a pipe about the same thing."""
 
 
 def report_to(pipe: IO[str] | None) -> None:
@@ -34,10 +38,13 @@ def report_to(pipe: IO[str] | None) -> None:
 
 
 def _report(what: str, share: float | None) -> None:
-    if _pipe is not None:
-        with suppress(OSError, ValueError):  # whoever listened has gone
-            _pipe.write(json.dumps({"what": what, "share": share}) + "\n")
-            _pipe.flush()
+    global _last
+    if _pipe is None or (share is not None and _last[0] == what and time.monotonic() - _last[1] < BETWEEN):
+        return
+    _last = (what, time.monotonic())
+    with suppress(OSError, ValueError):  # whoever listened has gone
+        _pipe.write(json.dumps({"what": what, "share": share}) + "\n")
+        _pipe.flush()
 
 
 def set_quiet(quiet: bool) -> None:

@@ -1,7 +1,8 @@
 """JSON Schemas of what commands print with `--json`: one file a command, `common.json` for what several share.
 
 A file holds a version and the outputs that the command may have. The version is part of the `schema` that every output
-names first; it goes up when something is taken away or means something else, not when something is added. A package that adds commands has their files in `schemas/` of its top package.
+names first; it goes up when something is taken away or means something else, not when something is added.
+A package that adds commands has their files in `schemas/` of its top package.
 """
 
 from __future__ import annotations
