@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from realsim import __version__, results
+from realsim.child import PARENT, PROGRESS
 from realsim.errors import RealsimError, printable
 from realsim.files import read_json, to_json
-from realsim.jobs.child import PARENT, PROGRESS
 from realsim.roots import Roots
 
 INSTRUCTIONS = """\
@@ -232,7 +232,7 @@ async def _command(arguments: Sequence[str]) -> AsyncIterator[tuple[asyncio.subp
     environment = dict(os.environ) | {PARENT: str(os.getpid()), PROGRESS: str(writing)}
     try:
         process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "realsim.jobs.child", *arguments,
+            sys.executable, "-m", "realsim.child", *arguments,
             stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
             pass_fds=(writing,), env=environment,
         )  # fmt: skip

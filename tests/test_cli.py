@@ -127,6 +127,7 @@ def test_every_option_that_is_spoken_of_exists(capsys: pytest.CaptureFixture[str
     pytest.importorskip("torch")
     others = {"--head", "--mjcf", "--opset", "--tolerance"}  # of ray, MuJoCo's viewer, tools/export_onnx
     others |= {"--logdir", "--nproc-per-node", "--nnodes", "--rdzv-endpoint"}  # of tensorboard and torchrun
+    others |= {"--env"}  # of GNU parallel
     others |= {"--row-seconds", "--cases"}  # of benchmarks/contact.py and gap_withheld.py
     for name in commands()[0]:
         assert main([name, "--help"]) == 0

@@ -152,7 +152,7 @@ def test_a_call_that_is_given_up_ends_its_command(root: Path) -> None:
                 words = path.read_bytes().split(b"\0")
             except OSError:
                 continue
-            if b"realsim.jobs.child" in words and str(root).encode() in b" ".join(words):
+            if b"realsim.child" in words and str(root).encode() in b" ".join(words):
                 found.append(int(path.parent.name))
         return found
 

@@ -75,7 +75,7 @@ def diagnose(
         if found is not None:
             text, result = f"{found.sentence}\n{text}", result | {"contract": found.as_dict()}
         return CommandResult(text, result, strict_exit({"level": level}, strict), level)
-    return run_each("diagnose", cases, out, many, shows="sentence")
+    return run_each("diagnose", cases, out, many, shows="sentence", levels=LEVELS)
 
 
 def _checked(cases: tuple[Path, ...], config: DiagnoseConfig) -> CommandResult:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from realsim.commands import WORDS, CommandResult, other_arguments
@@ -21,6 +22,7 @@ def run_each(
     shows: str,
     place: Callable[[Path], Path] | None = None,
     parts: Sequence[str] = (),
+    levels: Mapping[str, str] | None = None,
 ) -> CommandResult:
     """Run `realsim COMMAND INPUT --out OUT/NAME` for every input with the options that were given to this command.
 
@@ -29,6 +31,7 @@ def run_each(
         shows: the key of a finished item's result that a person wants to see.
         place: output folder of an input; OUT/NAME if None.
         parts: names of the folders in it that appear by themselves; see `make_job`.
+        levels: verdict -> good, look or bad, of a command whose verdict is a word.
     """
     options = other_arguments(DROPPED, [str(p) for p in inputs])
     targets = [out / path.resolve().name if place is None else place(path) for path in inputs]
@@ -37,7 +40,8 @@ def run_each(
     ]
     outcomes = run_many(jobs, Queue(out / FOLDER), many)
     failed = sum(not o.ok for o in outcomes)
-    rejected = sum(_level(o) == "bad" for o in outcomes)
+    level = partial(_level, levels or {})
+    rejected = sum(level(o) == "bad" for o in outcomes)
     states = [str(o.result.get("state", "")) if not many.wait else "" for o in outcomes]
     pending = sum(map(bool, states))
     counts = {
@@ -50,7 +54,7 @@ def run_each(
     first = f"{len(outcomes) - failed - pending} of {len(outcomes)} done"
     lines = [
         ", ".join([first, *(f"{count} {what}" for what, count in counts.items() if count)]),
-        *_table(outcomes, shows),
+        *_table([(o.name, *_said(o, shows, level(o))) for o in outcomes]),
     ]
     lines.append(f"logs: {out / FOLDER}/*/log.txt" if failed else f"jobs: {out / FOLDER}")
     items = [
@@ -62,21 +66,27 @@ def run_each(
     return CommandResult("\n".join(lines), data, code)
 
 
-def _table(outcomes: Sequence[Outcome], shows: str) -> list[str]:
+def _table(rows: Sequence[tuple[str, str, str, str]]) -> list[str]:
     """Name, verdict, time and result of every item."""
-    rows = [(o.name, *_said(o, shows)) for o in outcomes]
     widths = [max(len(row[i]) for row in rows) for i in range(3)] if rows else []
     return ["  " + "  ".join([*(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=False)), row[3]]) for row in rows]
 
 
-def _said(outcome: Outcome, shows: str) -> tuple[str, str, str]:
+def _said(outcome: Outcome, shows: str, level: str) -> tuple[str, str, str]:
     seconds = f"{outcome.seconds:.0f} s" if outcome.seconds else ""
     if not outcome.ok:
-        return "FAILED", seconds, str(outcome.result.get("message"))
+        found = outcome.result.get("found") or outcome.result.get("file")
+        return "FAILED", seconds, f"{outcome.result.get('message')}" + (f" ({_line(found)})" if found else "")
     state = outcome.result.get("state")
-    return str(state or WORDS.get(_level(outcome), "done")), seconds, str(outcome.result.get(shows) or "")
+    return str(state or WORDS.get(level, "done")), seconds, str(outcome.result.get(shows) or "")
 
 
-def _level(outcome: Outcome) -> str:
+def _level(levels: Mapping[str, str], outcome: Outcome) -> str:
     verdict = outcome.result.get("verdict")
-    return str(verdict.get("level", "")) if isinstance(verdict, dict) else ""
+    return str(verdict.get("level", "")) if isinstance(verdict, dict) else levels.get(str(verdict), "")
+
+
+def _line(text: object) -> str:
+    """The start of a text on one line."""
+    first = str(text).partition("\n")[0]
+    return first if len(first) <= 80 else first[:77] + "..."

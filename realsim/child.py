@@ -1,4 +1,4 @@
-"""`python -m realsim.jobs.child ARGUMENTS`: the `realsim` command, ended when the process that started it ends.
+"""`python -m realsim.child ARGUMENTS`: the `realsim` command, ended when the process that started it ends.
 
 A worker that is killed outright can end nothing itself; without this its command would go on beside the one of the
 worker that takes the job over. (Linux; elsewhere the command runs to its end.)
