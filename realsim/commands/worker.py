@@ -49,7 +49,8 @@ def worker(
     done = work(queue, idle=idle, threads=threads, tell=tell)
     failed = sum(not outcome.ok for outcome in done)
     items = [{"name": o.name, "exit_code": o.exit_code, "seconds": o.seconds} for o in done]
-    text = (
-        f"{len(done)} jobs done here" + (f", {failed} of them failed" if failed else "") + f"; none is left in {place}"
+    said = f"{len(done)} job{'' if len(done) == 1 else 's'} done here" + (
+        f", {failed} of them failed" if failed else ""
     )
+    text = f"{said}; none is left in {place}"
     return CommandResult(text, {"items": items, "failed": failed})
