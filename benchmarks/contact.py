@@ -33,6 +33,8 @@ from typing import Any
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 from benchmarks.contact_build import build_table, build_times
 from benchmarks.solids import PLATFORM, TERRAINS, terrain
 from benchmarks.store import Store

@@ -88,6 +88,19 @@ def test_captures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert scene["verdict"]["level"] in ("good", "look", "bad")
 
 
+@pytest.mark.slow
+def test_a_demonstration(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("REALSIM_CACHE", str(tmp_path / "cache"))
+    made = said(capsys, "demo", "--out", tmp_path / "demo", "--frames", 12, "--with-poses", "--robot", "quadruped")
+    assert abs(made["errors"]["scale_error"]) < 0.05
+
+
+def test_a_viewer_that_is_closed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("viser")
+    monkeypatch.setattr("realsim.report.live.view", lambda scene, port: None)
+    assert said(capsys, "view", "scene") == {"schema": "realsim.view/1"}
+
+
 def test_what_the_schema_does_not_know_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(AssertionError, match="does not know \\['more'\\]"):
         outputs.check("synth", {"capture": "a", "truth": "b", "more": 1})

@@ -58,6 +58,10 @@ def test_smoke_fine_tune(folder: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert deployed["steps"] >= 1
     assert deployed["inference_ms"]["p50"] < 20
     assert export.load(out / "policy.onnx")[1].action_limit == ParkourConfig().action_limit
+    replay = ["play", "boxes:0.2:1", "--policy", str(out / "policy.pt"), "--task-file", str(folder / "task.json")]
+    assert main([*replay, "--out", str(out / "trial.glb"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["replay"] == str(out / "trial.glb")
+    assert "output file exists" in failure(capsys, *replay, "--out", str(out / "trial.glb"))["message"]
     evaluation = str(out / "evaluation.json")
     arguments = ["evaluate", "boxes:0.2:1", "--policy", str(out / "policy.pt"), "--trials", "3", "--device", "cpu"]
     assert main([*arguments, "--task-file", str(folder / "task.json"), "--out", evaluation]) == 0
