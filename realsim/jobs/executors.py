@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import socket
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from realsim.errors import RealsimError, extra
-from realsim.files import explain_write_errors
+from realsim.files import explain_write_errors, read_text, write_text
 from realsim.jobs.queue import Queue
 from realsim.jobs.working import run_key
 
@@ -122,22 +124,39 @@ class Slurm:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             folder.chmod(0o700)
         given = _parameters(config.slurm)
+        cluster = given.pop("cluster", "slurm")
+        self.folder = folder / "%j"
+        self.kind = submitit.LocalJob if cluster == "local" else submitit.SlurmJob
         try:
-            self.executor = submitit.AutoExecutor(folder / "%j", cluster=given.pop("cluster", "slurm"))
+            self.executor = submitit.AutoExecutor(self.folder, cluster=cluster)
             self.executor.update_parameters(**{**self.DEFAULTS, "slurm_array_parallelism": config.jobs, **given})
         except (RuntimeError, ValueError, NameError, TypeError, AssertionError) as error:
             raise RealsimError("Slurm cannot be used so", found=str(error), hint="see --slurm") from error
         self.jobs: dict[str, Any] = {}
 
     def submit(self, keys: Sequence[str]) -> None:
-        """See Executor."""
-        if not keys:
+        """See Executor. Jobs that an earlier command submitted, and that Slurm still has, are not submitted again."""
+        self.jobs = {key: job for key in keys if (job := self._submitted(key)) is not None and not job.done()}
+        new = [key for key in keys if key not in self.jobs]
+        if not new:
             return
         try:
-            jobs = self.executor.map_array(run_key, [str(self.queue.folder)] * len(keys), list(keys))
+            jobs = self.executor.map_array(run_key, [str(self.queue.folder)] * len(new), new)
         except (OSError, RuntimeError, ValueError) as error:
             raise RealsimError("the jobs cannot be submitted to Slurm", found=str(error)) from error
-        self.jobs = dict(zip(keys, jobs, strict=True))
+        for key, job in zip(new, jobs, strict=True):
+            self.jobs[key] = job
+            write_text(self._number(key), job.job_id)
+
+    def _number(self, key: str) -> Path:
+        return self.queue.folder / key / "slurm.txt"
+
+    def _submitted(self, key: str) -> Any:
+        """The job of an earlier submission."""
+        if not self._number(key).is_file():
+            return None
+        number = read_text(self._number(key), 100).strip()
+        return self.kind(self.folder, number) if re.fullmatch(r"\d+(_\d+)?", number) else None
 
     def lost(self, key: str) -> str | None:
         """See Executor."""

@@ -49,6 +49,25 @@ def test_as_a_slurm_array_run_by_submitits_local_executor(tmp_path: Path) -> Non
     assert folder.stat().st_mode & 0o077 == 0, "what submitit pickles is ours alone"
 
 
+def test_what_slurm_has_already_is_not_submitted_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    submitit = pytest.importorskip("submitit", reason="extra `slurm` is not installed")
+    monkeypatch.setattr("realsim.jobs.executors.run_key", died)  # the jobs stay as they are
+    config = ManyConfig(executor="slurm", slurm="cluster=local", wait=False)
+    queue = Queue(tmp_path / "jobs")
+
+    def numbers() -> list[str]:
+        outcomes = run_many(items(tmp_path), queue, config)
+        assert {o.result["state"] for o in outcomes} == {"waiting"}
+        return [(queue.folder / key / "slurm.txt").read_text() for key in queue.all()]
+
+    first = numbers()
+    with monkeypatch.context() as patch:
+        patch.setattr(submitit.LocalJob, "done", lambda job: False)
+        assert numbers() == first
+    (queue.folder / queue.all()[0] / "slurm.txt").write_text("../../x")
+    assert numbers() != first, "what Slurm has lost, or what is no number of a job, is submitted again"
+
+
 def test_a_slurm_job_that_is_gone_is_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("submitit", reason="extra `slurm` is not installed")
     monkeypatch.setattr("realsim.jobs.LATE", 0.5)
