@@ -18,11 +18,9 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-import torch
 import tyro
 
-from benchmarks.store import described_run
-from realsim.files import to_json, write_text
+from benchmarks.store import Store
 from trainer import terrain as terrains
 from trainer.commands.common import load_policy
 from trainer.commands.task_file import load_task
@@ -82,24 +80,20 @@ def main(options: Options) -> None:
     )
     outcome = run(policy.act, env, count).outcome.tolist()
     names = list(lands)  # world k is on course k modulo their number
-    commit = described_run()["commit"]
     rows = [
         {
             "course": name,
             "trials": options.trials,
             **Counter(OUTCOMES[o] for o in outcome[i :: len(names)]),
-            "commit": commit,
+            "seed": options.seed,
         }
         for i, name in enumerate(names)
     ]
-    data = {"machine": torch_name(device), "seed": options.seed, "policy": file.name, "rows": rows}
-    write_text(options.out, to_json(data))
+    store = Store(options.out, ("course", "seed"))
+    store.facts = {"policy": file.name, "task": str(options.task_file)}
+    for row in rows:
+        store.add(row)
     print("\n".join(table(rows)))
-
-
-def torch_name(device: torch.device) -> str:
-    """What the trials ran on."""
-    return torch.cuda.get_device_name(device) if device.type == "cuda" else "CPU"
 
 
 def grouped(rows: list[dict[str, Any]]) -> dict[str, tuple[int, int]]:

@@ -24,7 +24,7 @@ import resource
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.connection import Connection
@@ -33,8 +33,11 @@ from typing import Any
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 from benchmarks.contact_build import build_table, build_times
 from benchmarks.solids import PLATFORM, TERRAINS, terrain
+from benchmarks.store import Store
 from realsim.exports import CONTACT
 from realsim.exports.config import SceneConfig
 from realsim.exports.contact.base import Asset, ContactModel, Geom, floor_plane
@@ -43,7 +46,7 @@ from realsim.exports.contact.cost import step_cost
 from realsim.exports.contact.fidelity import measure
 from realsim.exports.contact.probe import Reference, spec_of
 from realsim.exports.contact.shape import Shape
-from realsim.files import read_json, to_json, write_text
+from realsim.files import read_json
 from realsim.types import MeshQuality, TerrainMesh
 
 CONFIG = SceneConfig()
@@ -249,16 +252,14 @@ def wanted(terrain_name: str, representations: Iterable[str]) -> list[str]:
     return [r for r in representations if terrain_name in EXPENSIVE.get(r, (terrain_name,))]
 
 
-def store(
-    path: Path, rows: Mapping[tuple[str, str], Row], names: Iterable[str], build: list[Row]
-) -> dict[str, list[str]]:
+def save(store: Store, names: Iterable[str], build: list[Row]) -> dict[str, list[str]]:
     """Write the rows with their table and what is still to be measured; returns that, {terrain: representations}."""
-    missing = {n: [r for r in wanted(n, REPRESENTATIONS) if (n, r) not in rows] for n in names}
+    done = {(r["terrain"], r["representation"]) for r in store.rows}
+    missing = {n: [r for r in wanted(n, REPRESENTATIONS) if (n, r) not in done] for n in names}
     missing = {n: some for n, some in missing.items() if some}
-    done = list(rows.values())
     what = "ball of 1 cm, 2000 lowered"
-    table = {"probe": what, "missing": missing, "summary": summary(done), "build_s_100k": build, "rows": done}
-    write_text(path, to_json(table))
+    store.facts = {"probe": what, "missing": missing, "summary": summary(store.rows), "build_s_100k": build}
+    store.save()
     return missing
 
 
@@ -279,27 +280,30 @@ def main() -> None:
         cases[gt.parent.name] = partial(true_capture, gt.parent)
         cases[gt.parent.name + RECONSTRUCTED] = partial(reconstructed, gt.parent)
     began = time.monotonic()
-    kept = read_json(args.out) if args.out.exists() else {}
-    rows = {(r["terrain"], r["representation"]): r for r in kept.get("rows", [])}
-    build = build_times(args.shared) if args.build else kept.get("build_s_100k", [])
+    store = Store(args.out, ("terrain", "representation"))
+    build = build_times(args.shared) if args.build else store.facts.get("build_s_100k", [])
     for name in args.names or cases:
-        todo = [r for r in wanted(name, args.representations) if args.again or (name, r) not in rows]
+        todo = [
+            r
+            for r in wanted(name, args.representations)
+            if args.again or store.get(terrain=name, representation=r) is None
+        ]
         case = None
         for representation in todo:
             if time.monotonic() - began > args.seconds:
                 break
             case = case or cases[name]()
-            chosen = rows.get((name, "auto"), {})
+            chosen = store.get(terrain=name, representation="auto") or {}
             # What `auto` chose is measured already: the same input gives the same geoms.
             known = chosen if chosen.get("chosen") == representation else None
-            rows[name, representation] = limited(args.row_seconds, case, representation, known)
-            print(line(rows[name, representation]), file=sys.stderr, flush=True)
-            store(args.out, rows, cases, build)
-    missing = store(args.out, rows, cases, build)
+            row = store.add(limited(args.row_seconds, case, representation, known))
+            print(line(row), file=sys.stderr, flush=True)
+            save(store, cases, build)
+    missing = save(store, cases, build)
     print(HEADER)
-    print("\n".join(line(r) for r in rows.values()))
+    print("\n".join(line(r) for r in store.rows))
     print("\nThe worst of the meshes that each was tried on:\n")
-    print("\n".join(summary(list(rows.values()))))
+    print("\n".join(summary(store.rows)))
     print("\nThe whole of `auto` on meshes of about 100k triangles:\n")
     print("\n".join(build_table(build)))
     print("\nNot measured: " + ("; ".join(f"{k}: {', '.join(v)}" for k, v in missing.items()) or "nothing"))

@@ -27,7 +27,7 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.store import described_run
+from benchmarks.store import Store
 from realsim.gap.contract import Steps, check, load_policy
 from realsim.gap.contract.steps import Run
 from trainer import terrain as terrains
@@ -371,9 +371,11 @@ def main() -> None:
             "false_alarms": alarms,
             "healthy": len(rows) - len(wrong_rows),
         }
-        options.out.write_text(
-            json.dumps({"run": described_run(), "summary": summary, "rows": rows}, indent=1, default=str) + "\n"
-        )
+        store = Store(options.out, ("kind", "seed"))
+        store.rows = []
+        store.facts = {"summary": summary}
+        for row in rows:
+            store.add(row)
 
 
 if __name__ == "__main__":

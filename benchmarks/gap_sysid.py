@@ -30,7 +30,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.gap_score import hit, top1
 from benchmarks.gap_withheld import read_labels
-from benchmarks.store import described_run
+from benchmarks.store import Store
 from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
 from realsim.gap.answer.check import mean_square
 from realsim.gap.compare import Comparison
@@ -104,10 +104,12 @@ def main() -> int:
     if not rows:
         print(f"no diagnosed cases with one cause in {args.work}: run gap_withheld.py first", file=sys.stderr)
         return 2
-    figures = summary(rows) | {"run": described_run(), "failed": failed, "cases": rows}
-    print(json.dumps({k: v for k, v in figures.items() if k != "cases"}, indent=1))
-    args.store.parent.mkdir(parents=True, exist_ok=True)
-    args.store.write_text(json.dumps(figures, indent=1) + "\n")
+    store = Store(args.store, ("case",))
+    store.rows = []
+    store.facts = {"summary": summary(rows), "failed": failed}
+    for row in rows:
+        store.add(row)
+    print(json.dumps(store.facts, indent=1))
     return 0
 
 

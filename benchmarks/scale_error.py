@@ -13,7 +13,6 @@ benchmarks/results/.
 
 from __future__ import annotations
 
-import json
 import sys
 import tempfile
 import time
@@ -27,6 +26,8 @@ import tyro
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 RESULTS = ROOT / "benchmarks" / "results" / "scale_error.json"
+
+from benchmarks.store import Store  # noqa: E402
 
 Row = dict[str, Any]
 
@@ -79,7 +80,8 @@ def main(options: Options) -> None:
     """Run what is missing, one capture after the other, and print the table of what there is."""
     from benchmarks.scale_sources import SOURCES, make_capture, run
 
-    rows = [] if options.fresh else read_rows()
+    store = open_store(options.fresh)
+    rows = store.rows
     began = time.monotonic()
     for terrain in options.terrains:
         for seed in range(options.seeds):
@@ -105,8 +107,9 @@ def main(options: Options) -> None:
                     row: Row = {"terrain": terrain, "seed": seed, "source": source, "frames": options.frames}
                     row |= {"sensor_scale": capture.sensor_scale, "cpu_seconds": cpu, "render_seconds": made}
                     row |= {"error": found} if isinstance(found, str) else measure(found, surface)
-                    rows.append(row)
-            write_rows(rows)
+                    store.add(row)
+            rows = store.rows
+            save(store)
     show(rows)
 
 
@@ -193,17 +196,16 @@ def _quarter(N: np.ndarray) -> np.ndarray:
     return (np.arctan2(N[:, 1], N[:, 0]) // (np.pi / 2) + 2).astype(int) % 4
 
 
-def read_rows() -> list[Row]:
+def open_store(fresh: bool = False) -> Store:
     """Rows of earlier calls; those of before errors were also measured by pixels are measured again."""
-    rows = json.loads(RESULTS.read_text())["rows"] if RESULTS.is_file() else []
-    return [r for r in rows if "pixel_error" in r or "error" in r]
+    store = Store(RESULTS, ("terrain", "seed", "source", "frames"))
+    store.rows = [r for r in store.rows if not fresh and ("pixel_error" in r or "error" in r)]
+    return store
 
 
-def write_rows(rows: list[Row]) -> None:
+def save(store: Store) -> None:
     """All rows, what they say together, and what they were measured on."""
     from benchmarks import scale_sources as s
-    from realsim.files import to_json, write_text
-    from realsim.report.summary import versions
 
     noise = {
         "sensor_scale_sigma": s.SENSOR_SCALE, "tracker_m_rad": s.TRACKER, "model_unit": s.MODEL_UNIT,
@@ -211,11 +213,11 @@ def write_rows(rows: list[Row]) -> None:
         "lidar_noise_drift_scale": [s.LIDAR_NOISE, s.LIDAR_DRIFT, s.LIDAR_SCALE],
         "phone_noise_drift_scale": [s.PHONE_NOISE, s.PHONE_DRIFT, s.PHONE_SCALE],
     }  # fmt: skip
-    data = {
+    store.facts = {
         "what": "rendered captures; rows called simulated come from stand-ins, not from a product or a published model",
-        "versions": versions(), "noise": noise, "paper": PAPER, "bar": BAR, "summary": summary(rows), "rows": rows,
+        "noise": noise, "paper": PAPER, "bar": BAR, "summary": summary(store.rows),
     }  # fmt: skip
-    write_text(RESULTS, to_json(data))
+    store.save()
 
 
 def summary(rows: list[Row]) -> dict[str, Row]:

@@ -6,6 +6,7 @@ import json
 import os
 import platform
 import subprocess
+import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ Row = dict[str, Any]
 
 
 class Store:
-    """A JSON file {"runs": {id: what it ran on}, "rows": [...]}.
+    """A JSON file {"runs": {id: what it ran on}, facts about all rows, "rows": [...]}, a row a line.
 
     A row replaces the one with the same key. Rows of earlier runs stay until they are measured again; each says by
     `run` which run it is from, so that figures from different machines or versions cannot be mistaken for one run.
@@ -30,21 +31,33 @@ class Store:
         self.run = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
         self.runs: dict[str, Any] = {}
         self.rows: list[Row] = []
+        self.facts: Row = {}
+        """What is said of all rows together; written with the next row, or by `save`."""
         if path.is_file():
-            kept = json.loads(path.read_text())
-            self.runs, self.rows = kept["runs"], kept["rows"]
+            self.facts = json.loads(path.read_text())
+            self.runs, self.rows = self.facts.pop("runs"), self.facts.pop("rows")
         self.runs[self.run] = described_run()
 
     def add(self, row: Row) -> Row:
         """Write the row at once; it is handed back."""
-        from realsim.files import to_json, write_text
-
         same = self._key(row)
         self.rows = [r for r in self.rows if self._key(r) != same] + [{**row, "run": self.run}]
+        self.save()
+        return row
+
+    def get(self, **key: Any) -> Row | None:
+        """The row with that key."""
+        return next((row for row in self.rows if self._key(row) == self._key(key)), None)
+
+    def save(self) -> None:
+        """Write all rows, and the runs that some of them are from."""
+        from realsim.files import to_json, write_text
+
         used = {r["run"] for r in self.rows}
         runs = {name: run for name, run in self.runs.items() if name in used}
-        write_text(self.path, to_json({"runs": runs, "rows": self.rows}))
-        return row
+        head = to_json({"runs": runs, **self.facts}).rstrip().removesuffix("}").rstrip()
+        rows = ",\n".join(json.dumps(json.loads(to_json(row)), ensure_ascii=False) for row in self.rows)
+        write_text(self.path, f'{head},\n "rows": [\n{rows}\n ]\n}}\n')
 
     def _key(self, row: Row) -> tuple[Any, ...]:
         return tuple(row.get(name) for name in self.key)
@@ -60,6 +73,7 @@ def described_run() -> dict[str, Any]:
         "load_before": round(os.getloadavg()[0], 2),
         "system": platform.system(),
         "commit": _commit(),
+        **_gpu(),
         "versions": versions(),
     }
 
@@ -70,6 +84,12 @@ def _cpu() -> str:
     except OSError:
         return platform.processor()
     return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def _gpu() -> dict[str, str]:
+    """The GPU that this process computes on, if it has asked for one."""
+    torch = sys.modules.get("torch")
+    return {"gpu": torch.cuda.get_device_name()} if torch is not None and torch.cuda.is_available() else {}
 
 
 def _commit() -> str | None:

@@ -260,6 +260,7 @@ INDEX = (
     ("Error of the metric scale by source of points and poses", "scale_error", "python benchmarks/scale_error.py"),
     ("Contact against the mesh, by representation", "contact", "python benchmarks/contact.py"),
     ("Diagnosis of generated cases, labels withheld", "diagnosis", "python benchmarks/gap_withheld.py --seed SEED"),
+    ("Answers for 48 logs whose labels are withheld: not scored here", "gap_blind", "realsim diagnose (in the file)"),
     ("Diagnosis beside mujoco.sysid", "gap_sysid", "python benchmarks/gap_sysid.py"),
     ("Speed of training", "trainer_speed", "python benchmarks/trainer_speed.py"),
     ("Learning on one CPU core", "trainer_cpu", "python benchmarks/trainer_cpu.py"),
@@ -276,55 +277,51 @@ INDEX = (
 )
 
 
+KEYS = {
+    "base_policy": ("course", "seed"),
+    "captures": ("kind", "seed", "method"),
+    "contact": ("terrain", "representation"),
+    "diagnosis": ("seed", "case"),
+    "gap_blind": ("case",),
+    "gap_contract": ("kind", "seed"),
+    "gap_sysid": ("case",),
+    "reconstruct": ("capture", "method"),
+    "reconstruct_scaling": ("frames", "poses"),
+    "scale_error": ("terrain", "seed", "source", "frames"),
+    "trainer_cpu": ("case", "seed"),
+    "trainer_speed": ("case",),
+    "trainer_tune": ("start", "speed", "seed"),
+    "training_gpu": ("case",),
+}
+"""File -> the values that tell its rows apart; each row says by `run` or `commit` what made it."""
+
+
 def index() -> list[str]:
     """A row for every file: claim, command, commit, date, machine; what a file does not say is said to be unknown."""
     lines = ["| claim | file | command | commit | date | machine |", "|---|---|---|---|---|---|"]
     for claim, name, command in INDEX:
-        commit, machine = _made(stored(name))
-        commit = commit or f"added by {ADDED[name][1]}"
-        lines.append(f"| {claim} | {name}.json | `{command}` | {commit} | {_date(name)} | {machine} |")
+        commits, days, machines = _made(stored(name))
+        lines.append(f"| {claim} | {name}.json | `{command}` | {commits} | {days} | {machines} |")
     return lines
 
 
-def _made(data: Any) -> tuple[str, str]:
-    runs = list(data["runs"].values()) if isinstance(data.get("runs"), dict) else [data["run"]] if "run" in data else []
-    commits = [r["commit"] for r in runs if r.get("commit")] or [
-        r["commit"] for r in data.get("rows", ()) if "commit" in r
-    ]
-    cpus = [f"{r['cores']} cores, {r['cpu']}" for r in runs] or [
-        f"{s['scored_by']['cores']} cores, {s['scored_by']['cpu']}" for s in data.get("sets", ())
-    ]
-    if not cpus and "machine" in data:
-        machine = data["machine"]
-        cpus = [machine if isinstance(machine, str) else f"{machine.get('cores', '?')} cores, {machine.get('cpu')}"]
-    if not cpus:  # several measurements, each with its machine
-        parts = [v["machine"] for v in data.values() if isinstance(v, dict) and "machine" in v]
-        cpus = [p["gpu"] for p in parts if p.get("gpu")] or [f"{p['cores']} cores" for p in parts if "cores" in p]
-    return ", ".join(dict.fromkeys(commits)), ", ".join(dict.fromkeys(cpus)) or "not stored"
+def _made(data: Any) -> tuple[str, str, str]:
+    """Commits, days and machines of stored rows; what is not stored is said to be."""
+    runs = data.get("runs", {})
+    commits = [("added by " if "note" in run else "") + run["commit"] for run in runs.values()]
+    commits += [row["commit"] for row in data["rows"] if "commit" in row]
+    days = [*dict.fromkeys(day[:10] for day in runs), *data.get("days", ())]
+    machines = [run.get("gpu") or _processor(run) for run in runs.values()] + list(data.get("machines", ()))
+    return _listed(commits), _listed(sorted(days)), _listed(machines)
 
 
-def _date(name: str) -> str:
-    """Day of the first stored run, or the last change of the file."""
-    runs = stored(name).get("runs")
-    if isinstance(runs, dict):
-        return ", ".join(sorted({key[:10] for key in runs}))
-    return ADDED[name][0] if name in ADDED else "not stored"
+def _listed(texts: Iterable[str]) -> str:
+    return ", ".join(dict.fromkeys(filter(None, texts))) or "not stored"
 
 
-ADDED = {
-    "contact": ("2026-11-22", "a4fab71"),
-    "scale_error": ("2026-11-21", "c66a9fe"),
-    "diagnosis": ("2026-11-22 to 24", ""),
-    "gap_sysid": ("2026-11-22", ""),
-    "trainer_speed": ("2026-11-21", "65757eb"),
-    "trainer_cpu": ("2026-11-21", "9a16e8c"),
-    "trainer_tune": ("2026-11-21", "4995f3d"),
-    "training_gpu": ("2026-11-23", "7434329"),
-    "base_policy": ("2026-11-24", "638c735"),
-    "captures": ("2026-11-24", "c8828f3"),
-    "gap_contract": ("2026-11-24", "ee76cd6"),
-}
-"""Of files that do not say it themselves: the day on which their figures were added, and the commit that added them."""
+def _processor(run: Row) -> str:
+    return f"{run['cores']} cores, {run['cpu']}" if "cores" in run else ""
+
 
 TABLES: dict[str, Callable[[], list[str]]] = {
     "readme": readme,

@@ -12,14 +12,16 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import platform
+import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.store import Store
 from realsim.files import to_json, write_text
 from trainer import terrain
 from trainer.commands.task_file import load_task
@@ -90,9 +92,12 @@ def report(folder: Path, trials: int) -> None:
     setting = Setting("quadruped", "mujoco", None, load_task(folder / "task.json"), PhysicsConfig(threads=1))
     found = evaluate(policy.act, terrain.flat(), EvaluationConfig(trials=trials, worlds=min(trials, 100)), setting)
     last = found.results[0]
+    store = Store(ROOT / "benchmarks" / "results" / "trainer_cpu.json", ("case", "seed"))
+    store.facts = {"what": "quadruped, flat ground, from scratch: stand up and walk 4 m to the goal platform"}
     data = {
-        "what": "quadruped, flat ground, from scratch: stand up and walk 4 m to the goal platform",
-        "machine": {"cpu": platform.processor() or platform.machine(), "threads": 1, "cores": os.cpu_count()},
+        "case": "quadruped, flat ground",
+        "seed": 0,
+        "threads": 1,
         "worlds": WORLDS,
         "iterations": len(rows),
         "samples": training["samples"],
@@ -105,7 +110,7 @@ def report(folder: Path, trials: int) -> None:
         },
         "evaluations": training["evaluations"],
     }
-    write_text(ROOT / "benchmarks" / "results" / "trainer_cpu.json", to_json(data))
+    store.add(data)
     draw(rows, training["evaluations"], training["samples"], ROOT / "docs" / "images" / "trainer_cpu.png")
     print(json.dumps({k: v for k, v in data.items() if k != "curve"}, indent=1))
 

@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import torch
 import tyro
 
-from realsim.files import read_json, to_json, write_text
+from benchmarks.store import Store
 from trainer.physics import ENGINES, PhysicsConfig
 from trainer.ppo import policy as policies
 from trainer.ppo.config import PPOConfig
@@ -351,10 +351,7 @@ def label(config: Config, rank: Rank) -> str:
 
 def store(config: Config, result: dict[str, Any], rank: Rank) -> None:
     """Add this run to the file, beside those with other labels."""
-    runs = read_json(config.out) if config.out.is_file() else {}
-    runs[label(config, rank)] = result
-    config.out.parent.mkdir(parents=True, exist_ok=True)
-    write_text(config.out, to_json(runs))
+    Store(config.out, ("case",)).add({"case": label(config, rank), **result})
 
 
 def table(config: Config, result: dict[str, Any], rank: Rank) -> list[str]:

@@ -11,13 +11,14 @@ benchmarks/results/trainer_tune.json.
 from __future__ import annotations
 
 import argparse
-import os
-import platform
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from realsim.files import to_json, write_text
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.store import Store
 from trainer import terrain
 from trainer.commands.task_file import load_task
 from trainer.ppo import checkpoint
@@ -72,7 +73,9 @@ def main() -> None:
     parser.add_argument("--iterations", type=int, default=8)
     parser.add_argument("--every", type=int, default=2, help="iterations between evaluations")
     a = parser.parse_args()
-    runs = []
+    store = Store(ROOT / "benchmarks" / "results" / "trainer_tune.json", ("start", "speed", "seed"))
+    what = "the quadruped of trainer_cpu.py, fine-tuned on flat ground with randomisation, the full strategy"
+    store.facts = {"what": what, "threads": 1, "worlds": WORLDS, "trials": TRIALS}
     for speed in a.speeds:
         for start in a.starts:
             for seed in a.seeds:
@@ -81,15 +84,7 @@ def main() -> None:
                 print(
                     f"{speed} m/s, {start}, seed {seed}: largest kl {max(run['kl']):.3f}, success {success}", flush=True
                 )
-                runs.append(run)
-    data = {
-        "what": "the quadruped of trainer_cpu.py, fine-tuned on flat ground with randomisation, the full strategy",
-        "machine": {"cpu": platform.processor() or platform.machine(), "threads": 1, "cores": os.cpu_count()},
-        "worlds": WORLDS,
-        "trials": TRIALS,
-        "runs": runs,
-    }
-    write_text(ROOT / "benchmarks" / "results" / "trainer_tune.json", to_json(data))
+                store.add(run)
 
 
 if __name__ == "__main__":

@@ -33,9 +33,8 @@ from trainer.commands.task_file import load_task
 from trainer.evaluate import EvaluationConfig, Result, Setting, evaluate
 from trainer.physics import PhysicsConfig
 from trainer.policies import base_of
-from trainer.ppo.config import PPOConfig
+from trainer.ppo.config import LoopConfig, PPOConfig
 from trainer.ppo.distributed import pick_device
-from trainer.ppo.loop import LoopConfig
 from trainer.tasks.parkour import ParkourConfig
 from trainer.terrain.scene import load as load_scene
 from trainer.trainers import Scene, TrainConfig, find

@@ -13,8 +13,7 @@ from tempfile import mkdtemp
 
 from trainer.evaluate import EvaluationConfig, Setting, evaluate
 from trainer.ppo import checkpoint
-from trainer.ppo.config import NetworkConfig, PPOConfig
-from trainer.ppo.loop import LoopConfig
+from trainer.ppo.config import LoopConfig, NetworkConfig, PPOConfig
 from trainer.tasks.parkour import ParkourConfig
 from trainer.tasks.parkour.config import DepthConfig, TerminationConfig
 from trainer.terrain import flat, generate

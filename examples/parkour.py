@@ -23,9 +23,8 @@ from trainer.commands.task_file import load_task
 from trainer.evaluate import EvaluationConfig, Setting, evaluate, trial_env
 from trainer.physics import PhysicsConfig
 from trainer.policies import base_of
-from trainer.ppo.config import PPOConfig
+from trainer.ppo.config import LoopConfig, PPOConfig
 from trainer.ppo.distributed import pick_device
-from trainer.ppo.loop import LoopConfig
 from trainer.replay import record, write
 from trainer.robots import ROBOTS
 from trainer.terrain.rendered import in_room

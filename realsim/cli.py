@@ -12,13 +12,13 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from importlib.metadata import entry_points
 from types import ModuleType
 from typing import Any
 
-from realsim import __version__
+from realsim import __version__, schemas
 from realsim.commands import set_arguments
 from realsim.errors import RealsimError, explain_missing_packages
 from realsim.files import to_json
@@ -37,6 +37,9 @@ COMMANDS = Registry(
         "model": "realsim.commands.model:model",
         "log": "realsim.commands.log:log",
         "diagnose": "realsim.commands.diagnose:diagnose",
+        "worker": "realsim.commands.worker:worker",
+        "mcp": "realsim.commands.mcp:mcp",
+        "schema": "realsim.commands.schema:schema",
         "synth": "realsim.commands.synth:synth",
         "demo": "realsim.commands.demo:demo",
     },
@@ -51,6 +54,9 @@ SUMMARIES = {
     "model": "check a feed-forward model in an ONNX file",
     "log": "contents of a robot's recording (MCAP, bags, LeRobot, CSV, ...), and a case made from it",
     "diagnose": "a robot's logs and its model -> where the sim-to-real gap lies, what causes it, how much",
+    "worker": "does the jobs of a folder that several machines share",
+    "mcp": "realsim as tools for agents (Model Context Protocol)",
+    "schema": "what a command prints with --json, as a JSON Schema",
     "synth": "render a synthetic capture with its truth",
     "demo": "render, reconstruct and measure, end to end",
 }
@@ -64,6 +70,9 @@ EXAMPLES = {
     "model": "realsim model inspect model.onnx",
     "log": "realsim log walk.mcap --model robot.xml --out case",
     "diagnose": "realsim diagnose my_case --out diagnosis",
+    "worker": "realsim worker scenes --idle 60",
+    "mcp": "realsim mcp --root ~/captures ~/scenes",
+    "schema": "realsim schema reconstruct",
     "synth": "realsim synth --terrain boxes --out synthetic",
     "demo": "realsim demo --out demo_out",
 }
@@ -80,6 +89,14 @@ def commands() -> tuple[Registry, dict[str, str]]:
     # In the order in which a package says them; what it says nothing about comes last.
     more = {name: text for name, text in said.items() if name in added} | {n: "" for n in added if n not in said}
     return COMMANDS.joined(added), SUMMARIES | {name: text for name, text in more.items() if name not in SUMMARIES}
+
+
+def home_of() -> dict[str, str]:
+    """Command -> top package that it is from."""
+    added = {
+        point.name: point.value.partition(".")[0].partition(":")[0] for point in entry_points(group="realsim.commands")
+    }
+    return dict.fromkeys(COMMANDS, "realsim") | {name: home for name, home in added.items() if name not in COMMANDS}
 
 
 def _places() -> list[ModuleType]:
@@ -113,11 +130,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as stop:
         # tyro has said on stderr what does not fit (2), or has shown the help (0).
         if as_json and stop.code:
-            print(to_json({"error": "UsageError", "message": "the arguments do not fit", "hint": "see stderr"}), end="")
+            print(_error({"error": "UsageError", "message": "the arguments do not fit", "hint": "see stderr"}), end="")
         return int(stop.code or 0)
     except KeyboardInterrupt:
         if as_json:
-            print(to_json({"error": "Interrupted", "message": "interrupted"}), end="")
+            print(_error({"error": "Interrupted", "message": "interrupted"}), end="")
         else:
             console.print(
                 "interrupted: nothing half-written is left; finished stages are kept and reused", style="yellow"
@@ -126,11 +143,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         return _unread()
     try:
-        text = to_json(result.data) if as_json else result.rendered(color=sys.stdout.isatty()) + "\n"
+        text = (
+            to_json(answer(arguments[0], result.data)) if as_json else result.rendered(color=sys.stdout.isatty()) + "\n"
+        )
         print(text, end="", flush=True)
     except BrokenPipeError:
         _unread()
     return result.exit_code
+
+
+def answer(command: str, data: Mapping[str, Any]) -> dict[str, Any]:
+    """What `--json` prints: the data of a command, and first which schema it has (`realsim schema COMMAND`)."""
+    name = schemas.name_of(command, home_of().get(command, "realsim"))
+    return dict(data) if name is None else {"schema": name, **data}
+
+
+def _error(data: Mapping[str, Any]) -> str:
+    return to_json({"schema": schemas.ERROR, **data})
 
 
 def usage() -> str:
@@ -167,22 +196,39 @@ def _plain_help(name: str) -> Iterator[None]:
             yield
     finally:
         shown.seek(0)
-        text = GROUP.sub(_group, shown.read())
+        text = UNSET.sub(_blank, NONE.sub(_without_none, GROUP.sub(_group, shown.read())))
         example = _examples().get(name)
         lines = [text.rstrip(), "", *([f"example: {example}"] if example else []), EVERYWHERE]
         with contextlib.suppress(BrokenPipeError):
             print("\n".join(lines), flush=True)
 
 
-GROUP = re.compile(r"config((?:\.\w+)*) options (.)")
-"""The title of a group of options: the path of a field, and the character that fills the line after it."""
+GROUP = re.compile(r"(config|many)((?:\.\w+)*) options (.)\3*")
+"""The title of a group of options: the path of a field, and the characters that fill the line after it."""
 EVERYWHERE = "everywhere: --json for machines, --quiet without progress"
+
+
+TITLES = {"config": "general options ", "many": "options for several inputs "}
+NONE = re.compile(r"\{None\}\|(\S+)|\{None,(\S+)")
+"""What an option takes that may be left out: the help shows what it takes."""
+UNSET = re.compile(r"\(default:(\s*(?:│\n│)?\s*)(None|'')?\)")
+"""A default that says nothing; it may stand on two lines of a box."""
 
 
 def _group(match: re.Match[str]) -> str:
     """The title of the same length without the names that only the source code knows."""
-    title = f"{match[1].rpartition('.')[2] or 'general'} options "
-    return title + match[2] * (len(match[0]) - len(title))
+    name = match[2].rpartition(".")[2]
+    title = f"{name} options " if name else TITLES[match[1]]
+    return title + match[3] * (len(match[0]) - len(title))
+
+
+def _without_none(match: re.Match[str]) -> str:
+    kept = match[1] or "{" + match[2]
+    return kept + " " * (len(match[0]) - len(kept))
+
+
+def _blank(match: re.Match[str]) -> str:
+    return re.sub(r"[^\s│]", " ", match[0])
 
 
 def _examples() -> dict[str, str]:
@@ -192,7 +238,7 @@ def _examples() -> dict[str, str]:
 
 def _fail(error: RealsimError, as_json: bool) -> int:
     if as_json:
-        print(to_json(error.as_dict()), end="")
+        print(_error(error.as_dict()), end="")
     else:
         console.print(f"error: {error.render()}", style="red", highlight=False, markup=False, soft_wrap=True)
     return 2

@@ -120,6 +120,8 @@ EXTRA_OF = {
     "laspy": "lidar",
     "pxr": "usd",
     "ray": "ray",
+    "submitit": "slurm",
+    "mcp": "mcp",
     **dict.fromkeys(("warp", "mujoco_warp"), "warp"),
     "rsl_rl": "rsl-rl",
     "mjlab": "mjlab",

@@ -303,6 +303,14 @@ def refuse_existing(path: Path, overwrite: bool, marks: Sequence[str] = MARKS) -
         )
 
 
+def refuse_file(path: Path, overwrite: bool) -> None:
+    """Refuse to replace a file, unless that was asked for; to be called before the work that makes it."""
+    if path.is_dir():
+        raise RealsimError("the output is a folder", file=path, expected="a file that does not exist yet")
+    if path.exists() and not overwrite:
+        raise RealsimError("the output file exists", file=path, hint="choose another --out, or pass --overwrite")
+
+
 def inside(root: Path, name: str) -> Path:
     """`root / name`, refused if `name` leads out of `root` (for names read from manifests and archives)."""
     try:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import time
 from collections.abc import Callable, Iterable, Iterator, Sized
-from contextlib import contextmanager
-from typing import TypeVar
+from contextlib import contextmanager, suppress
+from typing import IO, TypeVar
 
 from rich.console import Console
 from rich.progress import (
@@ -23,6 +25,26 @@ from realsim.errors import printable
 T = TypeVar("T")
 console = Console(stderr=True)
 _quiet = False
+_pipe: IO[str] | None = None
+_last = ("", 0.0)
+BETWEEN = 0.1
+"""Seconds between two lines to a pipe about the same thing."""
+
+
+def report_to(pipe: IO[str] | None) -> None:
+    """Write progress to `pipe` as well, a JSON object {"what", "share"} a line; share is null if it is not known."""
+    global _pipe
+    _pipe = pipe
+
+
+def _report(what: str, share: float | None) -> None:
+    global _last
+    if _pipe is None or (share is not None and _last[0] == what and time.monotonic() - _last[1] < BETWEEN):
+        return
+    _last = (what, time.monotonic())
+    with suppress(OSError, ValueError):  # whoever listened has gone
+        _pipe.write(json.dumps({"what": what, "share": share}) + "\n")
+        _pipe.flush()
 
 
 def set_quiet(quiet: bool) -> None:
@@ -38,17 +60,20 @@ def visible() -> bool:
 
 def note(text: str) -> None:
     """A line for the person who watches."""
+    _report(text, None)
     if visible():
         console.print(printable(text), style="dim", highlight=False, markup=False)
 
 
 def track(items: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:
     """Iterate with a progress bar; without a terminal, just iterate."""
-    if not visible():
-        yield from items
-        return
     if total is None and isinstance(items, Sized):
         total = len(items)
+    if not visible():
+        for done, item in enumerate(items):
+            _report(what, done / total if total else None)
+            yield item
+        return
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -71,7 +96,7 @@ def steps() -> Iterator[Callable[[str, float], None]]:
     Without a terminal, nothing is shown.
     """
     if not visible():
-        yield lambda what, share: None
+        yield _report
         return
     columns = (
         SpinnerColumn(finished_text="✓"),

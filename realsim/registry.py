@@ -6,7 +6,7 @@ there is costs nothing and a heavy package is loaded only by those who need it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from typing import Any
 
@@ -43,3 +43,18 @@ class Registry(Mapping[str, Any]):
 
     def __len__(self) -> int:
         return len(self._entries)
+
+
+def lazily(homes: Mapping[str, str]) -> Callable[[str], Any]:
+    """A package's `__getattr__` (PEP 562): what it offers is imported when it is first used.
+
+    Args:
+        homes: name -> module that has it.
+    """
+
+    def get(name: str) -> Any:
+        if name not in homes:
+            raise AttributeError(f"no attribute {name!r}")
+        return getattr(import_module(homes[name]), name)
+
+    return get

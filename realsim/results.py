@@ -99,7 +99,7 @@ class Scene:
     folder: Path
     contact: Contact
     verdict: SceneVerdict | None = None
-    """None for a scene of `contact`, of which only the contact geometry is measured."""
+    """Of the whole scene, or of the contact geometry alone for a scene of `contact`."""
     headline: str = ""
     """The verdict as a sentence."""
     reasons: tuple[str, ...] = ()

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -15,6 +16,24 @@ settings.load_profile("realsim")
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = Path(os.environ.get("REALSIM_SHARED", ROOT.parent / "shared"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def outputs_are_as_their_schemas_say() -> Iterator[None]:
+    """Whatever command a test runs in this process."""
+    from realsim import cli
+    from tests import outputs
+
+    run = cli._run
+
+    def checked(name: str, arguments: list[str]) -> Any:
+        result = run(name, arguments)
+        outputs.check(name, result.data)
+        return result
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cli, "_run", checked)
+        yield
 
 
 @pytest.fixture

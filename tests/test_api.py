@@ -140,6 +140,8 @@ def test_all_formats_that_can_be_written(scene: rs.Scene, tmp_path: Path, monkey
 def test_a_case_by_text_and_a_diagnosis_that_is_written(
     case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    assert len(repr(rs.load_case(case))) < 200
+    assert len(repr(rs.load_case(case).runs[0])) < 200
     assert rs.load_case(str(case)).joint_names == rs.load_case(case).joint_names
     config = rs.DiagnoseConfig(effects=("viscous_friction",), max_causes=1, bootstrap=20, report=False)
     seen: list[float] = []

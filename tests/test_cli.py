@@ -36,14 +36,36 @@ def test_help_ends_with_an_example_and_knows_no_names_of_the_source(capsys: pyte
         assert not re.search(r"config[. ]\w*", text), name
 
 
+def test_help_waits_for_no_heavy_package() -> None:
+    """Help is there at once: what takes its time to import is imported by what uses it."""
+    heavy = ("torch", "scipy", "mujoco", "open3d", "cv2", "trimesh", "onnxruntime", "ray", "submitit", "mcp", "pyarrow")
+    code = f"""
+import contextlib, io, sys
+from realsim.cli import commands, main
+for name in commands()[0]:
+    with contextlib.redirect_stdout(io.StringIO()):
+        assert main([name, "--help"]) == 0
+    print(name, [package for package in {heavy!r} if package in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    lines = done.stdout.splitlines()
+    assert len(lines) == len(commands()[0])
+    assert [line for line in lines if not line.endswith("[]")] == []
+
+
 def test_help_lists_the_choices_there_are(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     from realsim.align import SEGMENTERS
     from realsim.capture import LAYOUTS
     from realsim.exports import CONTACT, EXPORTERS
     from realsim.feedforward import BACKENDS
+    from realsim.jobs import EXECUTORS
     from realsim.meshing import METHODS
     from realsim.scale import ESTIMATORS
     from realsim.synth import TERRAINS
+    from trainer.physics import ENGINES
+    from trainer.ppo.strategies import STRATEGIES
+    from trainer.robots import ROBOTS
+    from trainer.trainers import BUILT_IN
 
     monkeypatch.setenv("COLUMNS", "300")
     choices = {
@@ -57,6 +79,9 @@ def test_help_lists_the_choices_there_are(monkeypatch: pytest.MonkeyPatch, capsy
         },
         "synth": {"terrain": TERRAINS},
         "export": {"to": EXPORTERS},
+        "finetune": {"strategy": STRATEGIES, "engine": ENGINES, "trainer": BUILT_IN, "robot": ROBOTS},
+        "evaluate": {"engine": ENGINES},
+        "contact": {"executor": EXECUTORS},
     }
     for command, options in choices.items():
         assert main([command, "--help"]) == 0
@@ -102,6 +127,7 @@ def test_every_option_that_is_spoken_of_exists(capsys: pytest.CaptureFixture[str
     pytest.importorskip("torch")
     others = {"--head", "--mjcf", "--opset", "--tolerance"}  # of ray, MuJoCo's viewer, tools/export_onnx
     others |= {"--logdir", "--nproc-per-node", "--nnodes", "--rdzv-endpoint"}  # of tensorboard and torchrun
+    others |= {"--env"}  # of GNU parallel
     others |= {"--row-seconds", "--cases"}  # of benchmarks/contact.py and gap_withheld.py
     for name in commands()[0]:
         assert main([name, "--help"]) == 0

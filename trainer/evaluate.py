@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import sqrt
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,8 @@ import torch
 from torch import Tensor
 
 from realsim.files import to_json, write_text
+from realsim.progress import steps
+from trainer.config import EvaluationConfig
 from trainer.errors import TrainerError
 from trainer.physics import PhysicsConfig
 from trainer.robots import TrainedRobot
@@ -29,28 +32,6 @@ Policy = Callable[[Observation], Tensor]
 
 Z95 = 1.959963984540054
 """Quantile of the normal distribution for a 95 percent interval."""
-
-
-@dataclass(frozen=True)
-class EvaluationConfig:
-    """Number of trials, and what varies between them."""
-
-    trials: int = 1000
-    """On each terrain."""
-    worlds: int = 250
-    """Trials that run at once; part of what a seed means."""
-    seed: int = 0
-    """Of everything random in the trials."""
-    randomise: bool = True
-    """Whether friction, masses, gains, delays and sensor noise vary as in training; the starting pose always does."""
-    pushes: bool = False
-    """Whether the robot is pushed."""
-    bin_m: float = 0.25
-    """Metres a bin of the failures along the course."""
-
-    def __post_init__(self) -> None:
-        if self.trials < 1 or self.worlds < 1 or self.bin_m <= 0:
-            raise TrainerError("trials, worlds and bins must be positive", found=str(self))
 
 
 @dataclass(frozen=True)
@@ -166,11 +147,15 @@ def evaluate(
         raise TrainerError("there is no terrain to evaluate on")
     results: list[Result] = []
     warnings: list[str] = []
-    for geometry, group in (("trained", courses), ("finer", list(finer))):
-        for terrain in group:
-            env = trial_env(terrain, min(config.worlds, config.trials), config, setting)
-            results.append(summarise(terrain, geometry, run(policy, env, config.trials), env, config))
-            warnings += [f"{terrain.name} ({geometry}): {text}" for text in env.warnings]
+    with steps() as tick:
+        for geometry, group in (("trained", courses), ("finer", list(finer))):
+            for terrain in group:
+                what = f"trials on {terrain.name}" + (" (finer)" if geometry == "finer" else "")
+                tick(what, 0.0)
+                env = trial_env(terrain, min(config.worlds, config.trials), config, setting)
+                trials = run(policy, env, config.trials, partial(tick, what))
+                results.append(summarise(terrain, geometry, trials, env, config))
+                warnings += [f"{terrain.name} ({geometry}): {text}" for text in env.warnings]
     robot = setting.robot if isinstance(setting.robot, str) else setting.robot.robot.name
     return Evaluation(tuple(results), config, tuple(warnings), robot, setting.engine)
 
@@ -209,10 +194,13 @@ def trial_config(task: ParkourConfig, config: EvaluationConfig) -> ParkourConfig
 
 
 @torch.inference_mode()
-def run(policy: Policy, env: ParkourEnv, trials: int) -> Trials:
+def run(policy: Policy, env: ParkourEnv, trials: int, tick: Callable[[float], None] = lambda share: None) -> Trials:
     """Every world runs equally many episodes, and all of them count: those that end first would be the short ones.
 
     Trial `round * worlds + world` is the world's episode of that round.
+
+    Args:
+        tick: called with the share of trials that have ended, when some have.
     """
     rounds, worlds, device = -(-trials // env.num_worlds), env.num_worlds, env.device
     finished = torch.zeros(worlds, dtype=torch.long, device=device)
@@ -229,6 +217,7 @@ def run(policy: Policy, env: ParkourEnv, trials: int) -> Trials:
             outcome[at], position[at] = env.ends.outcome[own], env.ends.position[own]
             seconds[at], covered[at] = env.ends.seconds[own], env.ends.covered[own]
             finished[ids] += 1
+            tick(float(finished.sum()) / (rounds * worlds))
     return Trials(*(t.flatten(0, 1)[:trials].cpu() for t in (outcome, position, seconds, covered)))
 
 

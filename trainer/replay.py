@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from realsim.errors import RealsimError
 from realsim.files import explain_write_errors, read_npz
+from realsim.progress import track
 from realsim.registry import Registry
 from trainer.errors import TrainerError
 from trainer.evaluate import Policy
@@ -149,7 +150,7 @@ def _frames(
         ) from error
     frames = []
     look = recording.qpos[0, :3].copy()
-    for qpos in recording.qpos[::every]:
+    for qpos in track(recording.qpos[::every], "rendering"):
         look += 0.2 * (qpos[:3] - look)  # a calm camera
         data.qpos[:] = qpos
         mujoco.mj_forward(model, data)

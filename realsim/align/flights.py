@@ -36,7 +36,7 @@ def treads(cloud: Cloud) -> list[NDArray[np.intp]]:
     heights = np.array([np.median(cloud.points[f, 2]) for f in faces])
     best: dict[int, list[int]] = {}  # the longest flight that ends with each face
     for k in np.argsort(heights, kind="stable").tolist():
-        below = [[]] if heights[k] < RISE[1] else []
+        below: list[list[int]] = [[]] if heights[k] < RISE[1] else []
         below += [
             best[j] for j in best if RISE[0] < heights[k] - heights[j] < RISE[1] and _beside(cloud, faces[j], faces[k])
         ]

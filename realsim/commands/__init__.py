@@ -24,6 +24,7 @@ def other_arguments(drop: Mapping[str, int], positional: Sequence[str]) -> tuple
     skip = 0
     for argument in _arguments.get():
         name, equals, _ = argument.partition("=")
+        name = name.replace("_", "-")  # both are taken
         if skip:
             skip -= 1
         elif name in drop:

@@ -8,13 +8,15 @@ from typing import Annotated, Literal
 import tyro
 
 from realsim.commands import CommandResult, strict_exit, verdict_lines
-from realsim.errors import require
+from realsim.commands.many import run_each
+from realsim.errors import RealsimError, require
 from realsim.exports.config import SceneConfig
 from realsim.files import output_folder
+from realsim.jobs import ManyConfig
 
 
 def contact(
-    mesh: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MESH")],
+    meshes: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="MESH ...", help_behavior_hint="")],
     config: SceneConfig,
     out: Path = Path("contact"),
     unit: Literal["m", "cm", "mm", "inch"] | None = None,
@@ -22,11 +24,12 @@ def contact(
     ground_z: float | None = None,
     overwrite: bool = False,
     strict: bool = False,
+    many: ManyConfig = ManyConfig(),
 ) -> CommandResult:
     """Give a mesh collision geometry for MuJoCo, chosen by measured error and cost, and say how far it is off.
 
     Args:
-        mesh: .ply, .obj, .stl, .glb or .off.
+        meshes: .ply, .obj, .stl, .glb or .off; with several, each gets a folder of its name below --out.
         out: gets scene.xml, the mesh, contact.json and contact.png.
         unit: unit of the file; by default metres, but a mesh of more than 50 m is then refused.
         up: axis of the file that points up.
@@ -34,9 +37,14 @@ def contact(
         overwrite: replace a folder that realsim wrote before.
         strict: exit with code 3 if the verdict is "do not use" (the scene is written all the same).
     """
+    if not meshes:
+        raise RealsimError("no mesh given", expected="realsim contact MESH --out DIR")
+    if len(meshes) > 1 or many.place != "processes":
+        return run_each("contact", meshes, out, many, shows="scene_xml")
     require("recon", "realsim contact")
     from realsim.exports import contact_mesh
 
+    (mesh,) = meshes
     with output_folder(out, overwrite=overwrite, source=mesh) as folder:
         files = contact_mesh(mesh, folder, config, unit=unit, up=up, ground_z=ground_z)
     c = dict(files.contact)

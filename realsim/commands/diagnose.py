@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from realsim import gap, logs
+from realsim import gap
 from realsim.commands import CommandResult, strict_exit
 from realsim.commands.many import run_each
 from realsim.errors import RealsimError
 from realsim.files import refuse_within
-from realsim.gap import contract
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.verdicts import SAID, GapVerdict
+from realsim.jobs import ManyConfig
 from realsim.progress import note, steps, track
+
+if TYPE_CHECKING:
+    from realsim.gap.contract import Found
 
 
 def diagnose(
@@ -30,9 +33,8 @@ def diagnose(
     model: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     policy: Path | None = None,
     deploy_yaml: Path | None = None,
-    jobs: int = 1,
-    ray: str | None = None,
     strict: bool = False,
+    many: ManyConfig = ManyConfig(),
 ) -> CommandResult:
     """Say where a robot's logs differ from its simulator, which unmodelled effect causes it, and how much it matters.
 
@@ -47,8 +49,6 @@ def diagnose(
         model: of the robot, where CASE is a recording (MCAP, bag, CSV, ...): the case is written beside --out first.
         policy: policy.onnx that was run: check first whether it was run as it was trained (docs/logs.md).
         deploy_yaml: the contract of a policy whose ONNX file has none (unitree_rl_lab).
-        jobs: with several cases: how many at a time on this machine.
-        ray: with several cases: the address of a Ray cluster that shares this file system.
         strict: exit with code 3 if the gap stays unexplained (the patched model is then not to be used); a gap that is
             partly explained is no failure.
     """
@@ -66,19 +66,20 @@ def diagnose(
     if check:
         return _checked(cases, config)
     out = out or Path("diagnosis")
-    if model is not None:
-        cases = tuple(_from_recording(case, model, out, overwrite, len(cases)) for case in cases)
-    if len(cases) == 1 and ray is None:
-        refuse_within(out, cases[0])
-        found = None if policy is None else _contract(cases[0], policy, deploy_yaml)
+    if len(cases) == 1 and many.place == "processes":
+        case = cases[0] if model is None else _from_recording(cases[0], model, out, overwrite)
+        refuse_within(out, case)
+        found = None if policy is None else _contract(case, policy, deploy_yaml)
         with steps() as tick:
-            result = gap.run_case(cases[0], out, config, tick, overwrite=overwrite)
+            result = gap.run_case(case, out, config, tick, overwrite=overwrite)
         level = SAID[GapVerdict(result["verdict"])].level
         text = _summary(result, out, config)
         if found is not None:
             text, result = f"{found.sentence}\n{text}", result | {"contract": found.as_dict()}
         return CommandResult(text, result, strict_exit({"level": level}, strict), level)
-    return run_each("diagnose", cases, out, shows="sentence", jobs=jobs, ray=ray)
+    return run_each(
+        "diagnose", cases, out, many, shows="sentence", levels={v.value: said.level for v, said in SAID.items()}
+    )
 
 
 def _checked(cases: tuple[Path, ...], config: DiagnoseConfig) -> CommandResult:
@@ -115,16 +116,20 @@ def _health(case: Path, found: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _contract(folder: Path, policy: Path, deploy_yaml: Path | None) -> contract.Found:
+def _contract(folder: Path, policy: Path, deploy_yaml: Path | None) -> Found:
     """Whether the policy was run as it was trained; checked before the search, which takes minutes."""
+    from realsim.gap import contract
+
     case = gap.load_case(folder)
     steps = contract.read_steps(case)
     return contract.check(contract.load_policy(policy, deploy_yaml, case.joint_names), steps)
 
 
-def _from_recording(recording: Path, model: Path, out: Path, overwrite: bool, count: int) -> Path:
+def _from_recording(recording: Path, model: Path, out: Path, overwrite: bool) -> Path:
     """The case of a recording, in a folder beside the output; see `realsim log`."""
-    case = out.with_name(f"{out.name}_case" if count == 1 else f"{out.name}_case_{recording.stem}")
+    from realsim import logs
+
+    case = out.with_name(f"{out.name}_case")
     target = logs.load_target(model)
     proposal = logs.propose(logs.read(recording), target)
     logs.write_case(proposal, target, case, overwrite=overwrite)

@@ -3,31 +3,36 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 
 from realsim.commands import CommandResult
+from realsim.commands.many import run_each
 from realsim.errors import RealsimError
-from realsim.exports import EXPORTERS, export_scene
+from realsim.exports import ALL, EXPORTERS, export_scene
+from realsim.jobs import ManyConfig
 
 FORMATS = "all|mjcf,warp,usd,urdf,sdf,terrain,glb,obj,stl,ply,heightmap"
 """What --help shows; a test holds it to EXPORTERS."""
 
 
 def export(
-    scene: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")],
+    scenes: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENE ...", help_behavior_hint="")
+    ],
     to: Annotated[str, tyro.conf.arg(metavar=FORMATS)] = "",
     out: Path | None = None,
     overwrite: bool = False,
     profile: Literal["cpu", "warp"] = "cpu",
+    many: ManyConfig = ManyConfig(),
 ) -> CommandResult:
     """Write a scene in the formats of other tools.
 
     Args:
-        scene: a folder made by `realsim reconstruct` or `realsim contact`.
+        scenes: a folder made by `realsim reconstruct` or `realsim contact`; or several.
         to: formats, separated by commas; or all. With --profile the default is mjcf.
-        out: gets one folder per format; SCENE/export by default.
+        out: gets one folder per format (with several scenes in a folder of their name); SCENE/export by default.
         overwrite: replace formats that an export wrote before.
         profile: of mjcf: for the CPU, or for MuJoCo Warp (the same as `--to warp`).
     """
@@ -38,11 +43,24 @@ def export(
         raise RealsimError(
             "no format given", expected=f"--to all, or some of {', '.join(EXPORTERS)}, separated by commas"
         )
+    if not scenes:
+        raise RealsimError("no scene given", expected="realsim export SCENE --to FORMATS")
+    if len(scenes) > 1 or many.place != "processes":
+        place = None if out is not None else lambda scene: scene / "export"
+        parts = list(EXPORTERS) if names == [ALL] else names
+        return run_each(
+            "export", scenes, out or scenes[0].resolve().parent, many, shows="folder", place=place, parts=parts
+        )
+    (scene,) = scenes
     written = export_scene(scene, names, out, overwrite=overwrite)
     lines = []
     for name, (first, *others) in written.items():
         more = f" and {len(others)} more file{'s' if len(others) > 1 else ''}" if others else ""
         lines.append(f"{name:<10} {first}{more}")
     lines += [f"{name:<10} left out: {reason}" for name, reason in written.skipped.items()]
-    data: dict[str, Any] = {name: [str(p) for p in paths] for name, paths in written.items()}
-    return CommandResult("\n".join(lines), data | ({"skipped": written.skipped} if written.skipped else {}))
+    data = {
+        "folder": str(out or scene / "export"),
+        "formats": {name: [str(p) for p in paths] for name, paths in written.items()},
+        "skipped": written.skipped,
+    }
+    return CommandResult("\n".join(lines), data)

@@ -7,10 +7,8 @@ from typing import Annotated
 
 import tyro
 
-from realsim import gap, logs
 from realsim.commands import CommandResult
 from realsim.errors import GapError
-from realsim.logs.recording import Window
 
 
 def log(
@@ -35,6 +33,9 @@ def log(
         seconds: how many seconds of it are read.
         overwrite: replace a case that realsim wrote before.
     """
+    from realsim import gap, logs
+    from realsim.logs.recording import Window
+
     if out is not None and model is None:
         raise GapError("a case needs a model", expected="realsim log RECORDING --model robot.xml --out case")
     target = logs.load_target(model) if model is not None else None

@@ -11,6 +11,7 @@ from realsim import pipeline
 from realsim.commands import CommandResult, strict_exit, verdict_lines
 from realsim.commands.many import run_each
 from realsim.errors import RealsimError, require
+from realsim.jobs import ManyConfig
 from realsim.report.verdict import dropped_frames, judge
 from realsim.types import Reconstruction
 
@@ -25,8 +26,7 @@ def reconstruct(
     config: pipeline.ReconstructConfig,
     out: Path = Path("scene"),
     strict: bool = False,
-    jobs: int = 1,
-    ray: str | None = None,
+    many: ManyConfig = ManyConfig(),
 ) -> CommandResult:
     """Turn a folder of RGB-D frames (or a scan) into a MuJoCo scene: metric, level, facing the goal, checked.
 
@@ -34,19 +34,17 @@ def reconstruct(
         frames: one capture or scan; or several, each of which gets a folder of its name below --out.
         out: the scene's folder.
         strict: exit with code 3 if the verdict is "do not use" (the scene is written all the same).
-        jobs: with several captures: how many at a time on this machine.
-        ray: with several captures: the address of a Ray cluster that shares this file system.
     """
     if not frames:
         raise RealsimError("no capture given", expected="realsim reconstruct FRAMES --out scene/")
-    if len(frames) == 1 and ray is None:
+    if len(frames) == 1 and many.place == "processes":
         require("recon", "realsim reconstruct")
         result = pipeline.reconstruct(frames[0], out, config)
         verdict = judge(result).as_dict()
         text = "\n".join([*verdict_lines(verdict), *_summary(result)])
         data = {"verdict": verdict, **_data(result)}
         return CommandResult(text, data, strict_exit(verdict, strict), verdict["level"])
-    return run_each("reconstruct", frames, out, shows="scene_xml", jobs=jobs, ray=ray)
+    return run_each("reconstruct", frames, out, many, shows="scene_xml")
 
 
 def _data(result: Reconstruction) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from realsim.exports.ground import GroundLevel, ground_level, hidden_cm2
 from realsim.exports.mend import read_mesh
 from realsim.exports.scene import write_terrain
 from realsim.files import to_json, write_bytes, write_text
+from realsim.progress import note
 from realsim.types import SceneFiles
 
 
@@ -45,6 +46,7 @@ def contact_mesh(
         raise ExportError(
             "the height of the ground is not a number", expected="--ground-z in metres", found=f"{ground_z}"
         )
+    note(f"reading and mending {mesh.name} ...")
     terrain, notes = read_mesh(mesh, unit, up)
     ground = (
         ground_level(terrain)

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.contact import generated, limited, line, store, summary
+from benchmarks.contact import generated, limited, line, save, summary
 from benchmarks.contact_build import TRIANGLES, subdivided
 from benchmarks.solids import terrain
+from benchmarks.store import Store
 from realsim.files import read_json
 
 
@@ -19,7 +20,9 @@ def test_a_row_that_takes_too_long_says_so_and_is_kept(tmp_path: Path) -> None:
     assert row["unfinished"] in line(row)
     assert any(row["unfinished"] in text for text in summary([row]))
     build = [{"terrain": "stairs", "build_s_100k": 1.0}]
-    missing = store(tmp_path / "a.json", {("stairs", "sdf"): row}, ["stairs"], build)
+    store = Store(tmp_path / "a.json", ("terrain", "representation"))
+    store.add(row)
+    missing = save(store, ["stairs"], build)
     kept = read_json(tmp_path / "a.json")
     assert "sdf" not in missing.get("stairs", [])
     assert (kept["rows"][0]["unfinished"], kept["build_s_100k"]) == (row["unfinished"], build)

@@ -32,6 +32,16 @@ def test_no_measured_set_of_the_diagnosis_is_left_out() -> None:
 
 def test_every_file_of_results_is_in_the_index() -> None:
     assert {name for _, name, _ in tables.INDEX} == {path.stem for path in tables.RESULTS.glob("*.json")}
+    assert set(tables.KEYS) == {name for _, name, _ in tables.INDEX}
+
+
+@pytest.mark.parametrize("name", sorted(tables.KEYS))
+def test_every_row_has_a_key_of_its_own_and_says_what_made_it(name: str) -> None:
+    data = tables.stored(name)
+    keys = [tuple(row[part] for part in tables.KEYS[name]) for row in data["rows"]]
+    assert len(set(keys)) == len(keys)
+    for row in data["rows"]:
+        assert row.get("commit") or data["runs"][row["run"]]["commit"]
 
 
 def test_absent_captures_are_named_and_no_figure_is_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

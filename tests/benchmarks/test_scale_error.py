@@ -60,11 +60,15 @@ def test_the_summary_counts_failures_and_coverage() -> None:
 
 def test_rows_are_kept_between_calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scale_error, "RESULTS", tmp_path / "scale_error.json")
-    assert scale_error.read_rows() == []
+    store = scale_error.open_store()
+    assert store.rows == []
     row = {"terrain": "Stake1", "seed": 0, "source": "rgbd", "cpu_seconds": 1.0, "pixel_error": 0.002}
     old = {"terrain": "Stake1", "seed": 1, "source": "rgbd", "cpu_seconds": 1.0, "scale_error": 0.002}
-    scale_error.write_rows([row, old])
-    assert scale_error.read_rows() == [row]
+    for each in (row, old):
+        store.add({**each, "frames": 16})
+    scale_error.save(store)
+    assert scale_error.open_store().rows == [{**row, "frames": 16, "run": store.run}]
+    assert scale_error.open_store(fresh=True).rows == []
     data = json.loads((tmp_path / "scale_error.json").read_text())
     assert data["bar"]["mean"] == BAR["mean"]
     assert "sensor_scale_sigma" in data["noise"]

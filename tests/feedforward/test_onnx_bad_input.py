@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -70,6 +71,8 @@ def test_not_an_onnx_file(tmp_path: Path, content: bytes, found: str) -> None:
 
 
 def test_an_absent_file_and_a_cut_one(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["model", "inspect", str(good), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["fits"]
     assert main(["model", "inspect", str(good.with_name("absent.onnx"))]) == 2
     assert "absent.onnx" in capsys.readouterr().err
     cut = good.with_name("cut.onnx")

@@ -61,6 +61,10 @@ def test_smoke_fine_tune(folder: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert deployed["steps"] >= 1
     assert deployed["inference_ms"]["p50"] < 20
     assert export.load(out / "policy.onnx")[1].action_limit == ParkourConfig().action_limit
+    replay = ["play", "boxes:0.2:1", "--policy", str(out / "policy.pt"), "--task-file", str(folder / "task.json")]
+    assert main([*replay, "--out", str(out / "trial.glb"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["replay"] == str(out / "trial.glb")
+    assert "output file exists" in failure(capsys, *replay, "--out", str(out / "trial.glb"))["message"]
     evaluation = str(out / "evaluation.json")
     arguments = ["evaluate", "boxes:0.2:1", "--policy", str(out / "policy.pt"), "--trials", "3", "--device", "cpu"]
     assert main([*arguments, "--task-file", str(folder / "task.json"), "--out", evaluation]) == 0
@@ -192,7 +196,7 @@ def test_too_little_memory_means_fewer_worlds_and_is_said(
 
     monkeypatch.setattr(ppo, "start", short_of_memory)
     arguments = ["pretrain", "--robot", "quadruped", "--terrain", "flat", "--iterations", "1", "--actor", "16"]
-    arguments += ["--task-file", str(folder / "task.json"), "--out", str(folder / "oom"), *SMALL[2:]]
+    arguments += ["--task-file", str(folder / "task.json"), "--out", str(folder / "oom"), "--overwrite", *SMALL[2:]]
     assert main([*arguments, "--worlds", "64"]) == 0
     assert asked == [64, 32, 16]
     assert "16 worlds instead of 32" in capsys.readouterr().out

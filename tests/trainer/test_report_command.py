@@ -103,5 +103,5 @@ def test_bad_input_is_said(run: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     said = failure(capsys, str(bare), "--out", out, "--scene", "flat", "--trials", "1")
     assert said["file"] == str(bare / "policy.pt")
     (tmp_path / "page.html").mkdir()
-    assert failure(capsys, good, "--out", out)["message"] == "cannot write"
+    assert failure(capsys, good, "--out", out)["message"] == "the output is a folder"
     assert not [p for p in tmp_path.iterdir() if p.name.startswith(".")]

@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from realsim.errors import MissingExtraError, UnknownNameError
+from realsim.files import refuse_existing
 
 if find_spec("torch") is None:
     raise MissingExtraError("torch", "train", "training and running policies")
@@ -92,6 +93,12 @@ def setting(policy: Policy, file: Path, device: torch.device, config: TrainConfi
     engine = config.engine or ("warp" if device.type == "cuda" else "mujoco")
     physics = PhysicsConfig(device=str(device), seed=config.seed)
     return Setting(policy.robot, engine, None, task, physics, config.diagnosis)
+
+
+def check_output(out: Path, overwrite: bool, config: TrainConfig) -> None:
+    """Refuse a folder that holds another run, or anything else; a run that is resumed may be in it."""
+    if first_rank() and config.resume is None:
+        refuse_existing(out, overwrite, ("policy.pt", "history.jsonl", "result.json"))
 
 
 def first_rank() -> bool:

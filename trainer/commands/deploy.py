@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from itertools import count
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from realsim.commands import CommandResult
-from trainer.commands import common
-from trainer.deploy.loop import DeployConfig
-from trainer.deploy.loop import deploy as run_loop
-from trainer.deploy.mujoco import MujocoRobot
-from trainer.ppo import export
+from realsim.progress import steps
+from trainer.deploy.config import DeployConfig
 from trainer.robots import named
+
+SHOWN_EVERY = 25
+"""Policy steps between two looks at the progress: the loop is timed."""
 
 
 def deploy(
@@ -29,6 +30,11 @@ def deploy(
         policy: policy.onnx.
         scene: where the simulated robot stands: a folder of `realsim reconstruct`, or the name of a terrain.
     """
+    from trainer.commands import common
+    from trainer.deploy.loop import deploy as run_loop
+    from trainer.deploy.mujoco import MujocoRobot
+    from trainer.ppo import export
+
     session, facts = export.load(policy)
     terrain, _ = common.find_terrain(scene)
     body = named(facts.robot, policy)
@@ -39,7 +45,16 @@ def deploy(
     def arrived() -> bool:
         return bool(terrain.goal.contains(robot.position[None, :2])[0])
 
-    report = run_loop(robot, session, facts, config, until=arrived, steer=robot.steer)
+    steps_begun = count()
+    with steps() as tick:
+
+        def ended() -> bool:
+            begun = next(steps_begun)
+            if begun % SHOWN_EVERY == 0:
+                tick("running the policy", min(1.0, begun * facts.policy_dt / config.seconds))
+            return arrived()
+
+        report = run_loop(robot, session, facts, config, until=ended, steer=robot.steer)
     figures = report.figures()
     if report.reason == "done" and arrived():
         figures["reason"] = "goal"

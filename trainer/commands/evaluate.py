@@ -8,11 +8,8 @@ from typing import Annotated
 import tyro
 
 from realsim.commands import CommandResult
-from trainer.commands import common
-from trainer.commands.task_file import load_task
-from trainer.evaluate import EvaluationConfig
-from trainer.evaluate import evaluate as run_trials
-from trainer.ppo.distributed import pick_device
+from realsim.files import refuse_file
+from trainer.config import EvaluationConfig
 from trainer.trainers import TrainConfig
 
 
@@ -22,7 +19,8 @@ def evaluate(
     config: EvaluationConfig,
     finer: tuple[str, ...] = (),
     out: Path = Path("evaluation.json"),
-    engine: str = "",
+    overwrite: bool = False,
+    engine: Annotated[str, tyro.conf.arg(metavar="{mujoco,warp}")] = "",
     device: str = "auto",
     task_file: Path | None = None,
     diagnosis: Path | None = None,
@@ -34,11 +32,18 @@ def evaluate(
         policy: policy.pt.
         finer: the same scenes with contact geometry that was not trained on.
         out: JSON with every figure and every failed trial.
+        overwrite: replace a file that is there already.
         engine: physics engine; by default warp on a GPU and mujoco on the CPU.
         device: cpu, cuda, or auto.
         task_file: JSON with differences from the paper's task; use that of the training.
         diagnosis: diagnosis.json of `realsim diagnose`.
     """
+    from trainer.commands import common
+    from trainer.commands.task_file import load_task
+    from trainer.evaluate import evaluate as run_trials
+    from trainer.ppo.distributed import pick_device
+
+    refuse_file(out, overwrite)
     loaded = common.load_policy(policy)
     place = pick_device(device, engine=engine)
     train = TrainConfig(engine=engine, seed=config.seed, task=load_task(task_file), diagnosis=diagnosis)

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from realsim.commands import CommandResult
 from realsim.files import to_json, write_text
 from realsim.progress import note
-from trainer.commands import common
-from trainer.commands.task_file import load_task
-from trainer.evaluate import Evaluation, EvaluationConfig, evaluate
+from trainer.config import EvaluationConfig
 from trainer.policies import base_of
-from trainer.ppo.distributed import pick_device
 from trainer.tasks.parkour import ParkourConfig
 from trainer.tasks.parkour.config import FloorConfig
 from trainer.trainers import Scene, TrainConfig, find
+
+if TYPE_CHECKING:
+    from trainer.evaluate import Evaluation
 
 RAISED = FloorConfig(share=0.7, difficulty=0.0, seconds=30.0)
 """For a terrain on which the base never succeeds. The share is that of the base's own training (training/g1); the floor
@@ -33,7 +33,8 @@ def finetune(
     policy: Path | None = None,
     from_scratch: bool = False,
     out: Path = Path("finetuned"),
-    trainer: str = "ppo",
+    overwrite: bool = False,
+    trainer: Annotated[str, tyro.conf.arg(metavar="{ppo,rsl_rl,mjlab}")] = "ppo",
     task_file: Path | None = None,
     final_trials: int = 1000,
     first_success: Literal["auto", "help", "plain"] = "auto",
@@ -50,12 +51,17 @@ def finetune(
             that ships with realsim for the robot (g1).
         from_scratch: train without a base.
         out: folder for the results.
+        overwrite: replace the run in a folder that an earlier training wrote; --resume goes on with it.
         trainer: ppo, rsl_rl, mjlab, or one that an installed package adds.
         task_file: JSON with differences from the paper's task.
         final_trials: trials on each terrain before and after; 0 leaves both out.
         first_success: help begins on a raised floor that sinks, with starts along the course; plain does not; auto
             helps where the base succeeds in none of the trials before.
     """
+    from trainer.commands import common
+    from trainer.commands.task_file import load_task
+
+    common.check_output(out, overwrite, config)
     if policy is not None and from_scratch:
         raise common.TrainerError(
             "fine-tuning starts from a policy, or from scratch",
@@ -112,6 +118,10 @@ def helped(task: ParkourConfig) -> ParkourConfig:
 
 def trials(policy: Path, scene: Scene, config: TrainConfig, count: int) -> Evaluation:
     """Trials of a policy on the scene's terrains in the task and engine of the training."""
+    from trainer.commands import common
+    from trainer.evaluate import evaluate
+    from trainer.ppo.distributed import pick_device
+
     loaded = common.load_policy(policy)
     device = pick_device(config.device, engine=config.engine)
     setting = common.setting(loaded, policy, device, config)

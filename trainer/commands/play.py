@@ -8,12 +8,9 @@ from typing import Annotated
 import tyro
 
 from realsim.commands import CommandResult
-from trainer.commands import common
-from trainer.commands.task_file import load_task
-from trainer.evaluate import EvaluationConfig, trial_env
-from trainer.ppo.distributed import pick_device
-from trainer.ppo.policy import check_layout
-from trainer.replay import record, write
+from realsim.files import refuse_file
+from realsim.progress import note
+from trainer.config import EvaluationConfig
 from trainer.robots import ROBOTS
 from trainer.trainers import TrainConfig
 
@@ -22,6 +19,7 @@ def play(
     scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")],
     policy: Path,
     out: Path = Path("trial.mp4"),
+    overwrite: bool = False,
     trial: int = 0,
     seed: int = 0,
     randomise: bool = False,
@@ -33,17 +31,27 @@ def play(
         scene: a folder of `realsim reconstruct`, or the name of a terrain (see `realsim finetune --help`).
         policy: policy.pt.
         out: .mp4, .gif, or .glb (an animated model for any glTF viewer).
+        overwrite: replace a file that is there already.
         trial: which of the trials of this seed.
         seed: of the trials.
         randomise: vary friction, masses, delays and noise as in training.
         task_file: JSON with differences from the paper's task; use that of the training.
     """
+    from trainer.commands import common
+    from trainer.commands.task_file import load_task
+    from trainer.evaluate import trial_env
+    from trainer.ppo.distributed import pick_device
+    from trainer.ppo.policy import check_layout
+    from trainer.replay import record, write
+
+    refuse_file(out, overwrite)
     if trial < 0:
         raise common.TrainerError("trials are numbered from 0", found=str(trial))
     loaded = common.load_policy(policy)
     config = TrainConfig(seed=seed, task=load_task(task_file))
     setting = common.setting(loaded, policy, pick_device("cpu"), config)
     terrain, _ = common.find_terrain(scene)
+    note("simulating the trial ...")
     env = trial_env(terrain, trial + 1, EvaluationConfig(seed=seed, randomise=randomise), setting)
     check_layout(loaded.layout, env.layout, str(policy))
     recording = record(loaded.act, env, trial)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from realsim.commands import CommandResult
 from realsim.files import to_json, write_text
-from trainer.commands import common
-from trainer.commands.task_file import load_task
 from trainer.terrain import CURRICULUM, grid
 from trainer.trainers import Scene, TrainConfig, find
 
@@ -18,22 +19,28 @@ CURRICULUM_ROWS = 10
 def pretrain(
     config: TrainConfig,
     out: Path = Path("pretrained"),
+    overwrite: bool = False,
     terrain: str = "grid",
     families: tuple[str, ...] = (*CURRICULUM, "mixed"),
     columns: int = 8,
-    trainer: str = "ppo",
+    trainer: Annotated[str, tyro.conf.arg(metavar="{ppo,rsl_rl,mjlab}")] = "ppo",
     task_file: Path | None = None,
 ) -> CommandResult:
     """Train a base policy on generated terrain, from scratch.
 
     Args:
         out: gets policy.pt, policy.onnx, history.jsonl, result.json and TensorBoard's events.
+        overwrite: replace the run in a folder that an earlier training wrote; --resume goes on with it.
         terrain: `grid` is the curriculum of 10 rows; or one terrain: flat, a test's name, or FAMILY:DIFFICULTY:SEED.
         families: of the grid.
         columns: of the grid for each family: terrains of each difficulty.
         trainer: ppo, rsl_rl, mjlab, or one that an installed package adds.
         task_file: JSON with differences from the paper's task.
     """
+    from trainer.commands import common
+    from trainer.commands.task_file import load_task
+
+    common.check_output(out, overwrite, config)
     config = replace(config, task=load_task(task_file))
     if terrain == "grid":
         scene = Scene(tuple(grid(config.seed, families, columns)), rows=CURRICULUM_ROWS)

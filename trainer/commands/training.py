@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from realsim.commands import CommandResult
-from realsim.files import write_text
+from realsim.files import refuse_file, write_text
 from trainer.errors import TrainerError
 from trainer.report import read_runs, training_page
 from trainer.report.tables import as_dict, lines
@@ -21,6 +21,7 @@ def training(
     what: Annotated[Literal["report"], tyro.conf.Positional],
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...", help_behavior_hint="")],
     out: Path = Path("report.html"),
+    overwrite: bool = False,
     trials: int = 0,
     scene: str = "",
     task_file: Path | None = None,
@@ -34,6 +35,7 @@ def training(
         what: report
         runs: folders of `realsim pretrain` or `realsim finetune`.
         out: the page (.html).
+        overwrite: replace a file that is there already.
         trials: render this many trials of each run's policy (.pt) on --scene; needs MUJOCO_GL=egl or osmesa without a
             display.
         scene: a folder of `realsim reconstruct`, or the name of a terrain (see `realsim finetune --help`).
@@ -49,6 +51,7 @@ def training(
         raise TrainerError(
             "rendered trials need their number and a scene", expected="--trials N --scene NAME, or neither"
         )
+    refuse_file(out, overwrite)
     found = read_runs(runs)
     extra = []
     if trials:

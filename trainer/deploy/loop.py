@@ -11,34 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trainer.deploy.config import DeployConfig
 from trainer.deploy.observer import Observer
 from trainer.deploy.robot import Robot
 from trainer.errors import TrainerError
 from trainer.ppo.export import Deployment
-
-
-@dataclass(frozen=True)
-class DeployConfig:
-    """Options of the control loop."""
-
-    seconds: float = 10.0
-    """Longest run."""
-    speed: float = 0.8
-    """Forward velocity command, m/s."""
-    ramp: float = 0.0
-    """Seconds over which the command rises from zero."""
-    max_tilt: float = 1.0
-    """Radians from upright at which the loop gives up."""
-    max_step: float = 3.0
-    """Radians that a joint target may be away from the joint: beyond, it is clipped."""
-    max_late: int = 5
-    """Steps in a row that may miss their time before the loop gives up."""
-    realtime: bool = True
-    """Keep to the clock; without, a simulated robot runs as fast as it can."""
-
-    def __post_init__(self) -> None:
-        if self.seconds <= 0 or self.ramp < 0 or self.max_tilt <= 0 or self.max_step <= 0 or self.max_late < 1:
-            raise TrainerError("seconds, tilt, step and late steps must be positive", found=str(self))
 
 
 @dataclass

@@ -155,3 +155,36 @@ class PPOConfig:
         diverged by 17 to 150 times what is wanted before the schedule had slowed it (docs/training.md).
         """
         return self.learning_rate or (1e-4 if tuned else 1e-3)
+
+
+@dataclass(frozen=True)
+class LoopConfig:
+    """How long to train and what to write on the way."""
+
+    iterations: int = 1000
+    """Iterations in all, those before a resume included."""
+    checkpoint_every: int = 100
+    """Iterations between checkpoints."""
+    restart_at_checkpoint: bool = False
+    """Start all worlds anew after every checkpoint, as a resume has to: an interrupted run is then bit for bit the
+    uninterrupted one. It costs samples: for half a second all worlds show the same part of the course."""
+    evaluate_every: int = 10
+    """Iterations between evaluations on the way; 0 leaves them out."""
+    evaluate_share: float = 0.1
+    """Largest share of the training time that they may take: an evaluation that is due sooner is left out. 1 leaves
+    none out, which makes a run repeatable to its last row."""
+    target: float = 0.97
+    """Success rate whose first evaluation above it is reported (iterations to 97 percent)."""
+    stop_at_target: bool = False
+    """Stop there."""
+    minutes: float = 0.0
+    """Stop after this many minutes, at the end of an iteration and with a checkpoint; 0 sets no limit."""
+    tensorboard: bool = True
+    """Write event files for TensorBoard into the folder."""
+
+    def __post_init__(self) -> None:
+        counts = self.iterations >= 1 and self.checkpoint_every >= 1 and self.evaluate_every >= 0
+        if not (counts and 0 < self.target <= 1 and 0 < self.evaluate_share <= 1 and self.minutes >= 0):
+            raise TrainerError(
+                "iterations and their intervals must be positive, target and evaluate_share in (0, 1]", found=str(self)
+            )

@@ -17,45 +17,13 @@ from realsim.files import explain_write_errors, write_text
 from realsim.progress import console, note, visible
 from trainer.errors import TrainerError
 from trainer.ppo import checkpoint
+from trainer.ppo.config import LoopConfig
 from trainer.ppo.distributed import any_rank
 from trainer.ppo.policy import Policy
 from trainer.ppo.runner import Runner
 
 Evaluate = Callable[[Policy], float]
 """Success rate (0..1) of the deterministic policy in fixed trials; must leave the training's worlds alone."""
-
-
-@dataclass(frozen=True)
-class LoopConfig:
-    """Duration of a training, and what is written meanwhile."""
-
-    iterations: int = 1000
-    """Iterations in all, those before a resume included."""
-    checkpoint_every: int = 100
-    """Iterations between checkpoints."""
-    restart_at_checkpoint: bool = False
-    """Restart all worlds after every checkpoint, as a resume does: an interrupted run then equals an uninterrupted one
-    bit for bit. It costs samples: for half a second all worlds show the same part of the course."""
-    evaluate_every: int = 10
-    """Iterations between evaluations on the way; 0 leaves them out."""
-    evaluate_share: float = 0.1
-    """Share of the training time that they may take: one that is due later than that allows is left out. 1 leaves none
-    out, which makes a run repeatable to its last row."""
-    target: float = 0.97
-    """Success rate whose first evaluation above it is reported (iterations to 97 percent)."""
-    stop_at_target: bool = False
-    """Stop there."""
-    minutes: float = 0.0
-    """Stop after this many minutes, at the end of an iteration and with a checkpoint; 0 sets no limit."""
-    tensorboard: bool = True
-    """Write event files for TensorBoard into the folder."""
-
-    def __post_init__(self) -> None:
-        counts = self.iterations >= 1 and self.checkpoint_every >= 1 and self.evaluate_every >= 0
-        if not (counts and 0 < self.target <= 1 and 0 < self.evaluate_share <= 1 and self.minutes >= 0):
-            raise TrainerError(
-                "iterations and their intervals must be positive, target and evaluate_share in (0, 1]", found=str(self)
-            )
 
 
 @dataclass

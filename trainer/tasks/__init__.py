@@ -1,5 +1,13 @@
 """Tasks: one definition of observation, reward, termination, reset and randomisation over any engine."""
 
-from trainer.tasks.base import Observation, ObservationLayout, Step, VecEnv
+from typing import TYPE_CHECKING
+
+from realsim.registry import lazily
+
+if TYPE_CHECKING:
+    from trainer.tasks.base import Observation, ObservationLayout, Step, VecEnv
 
 __all__ = ["Observation", "ObservationLayout", "Step", "VecEnv"]
+
+# They need torch, which `--help` would wait for.
+__getattr__ = lazily(dict.fromkeys(__all__, "trainer.tasks.base"))

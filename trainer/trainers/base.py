@@ -9,8 +9,7 @@ from typing import Annotated, Protocol
 import tyro
 
 from trainer.errors import TrainerError
-from trainer.ppo.config import PPOConfig, StrategyConfig
-from trainer.ppo.loop import LoopConfig
+from trainer.ppo.config import LoopConfig, PPOConfig, StrategyConfig
 from trainer.tasks.parkour import ParkourConfig
 from trainer.terrain import Terrain
 
@@ -34,13 +33,13 @@ class Scene:
 class TrainConfig:
     """Options of training; every trainer supports it, or names the options that it does not."""
 
-    robot: str = ""
+    robot: Annotated[str, tyro.conf.arg(metavar="{g1,quadruped}")] = ""
     """Robot of a new policy (g1, quadruped, ...); a given policy brings its own."""
-    strategy: str = ""
+    strategy: Annotated[str, tyro.conf.arg(metavar="{full,adapter,residual,last_layer}")] = ""
     """What fine-tuning changes: full (if not given), adapter, residual, last_layer."""
     worlds: int = 0
     """Simulated robots on each rank; 0 takes 4096 on a GPU and 64 on the CPU."""
-    engine: str = ""
+    engine: Annotated[str, tyro.conf.arg(metavar="{mujoco,warp}")] = ""
     """Physics engine; by default warp on a GPU and mujoco on the CPU."""
     device: str = "auto"
     """cpu, cuda, or auto: a GPU where there is one, unless the engine is mujoco, which runs on the CPU."""

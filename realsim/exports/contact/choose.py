@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from realsim.exports.contact.cost import standing_place, step_cost
 from realsim.exports.contact.fidelity import OFF, Fidelity, measure
 from realsim.exports.contact.probe import Reference, spec_of
 from realsim.exports.contact.shape import Shape
+from realsim.progress import steps
 from realsim.types import TerrainMesh
 
 # Cheapest first. `convex` takes a minute to build and is better than none of these, `sdf` costs a hundred planes.
@@ -54,18 +56,21 @@ def fit_contact(
     names = CANDIDATES if config.contact == "auto" else (config.contact,)
     tried: list[tuple[ContactModel, Fidelity]] = []
     refused: list[dict[str, Any]] = []
-    for name in names:
-        try:
-            contact = CONTACT[name](shape, config)
-        except TooManyColumnsError as error:
-            if config.contact != "auto":
-                raise
-            refused.append({"representation": name, "refused": error.found})
-            continue
-        fidelity = measure(spec_of(contact), reference, ground_z, probes=config.contact_probes)
-        tried.append((contact, fidelity))
-        if fidelity.meets(*config.contact_tolerance):
-            break
+    with steps() as tick:
+        for name in names:
+            tick(f"building {name}", 0.0)
+            try:
+                contact = CONTACT[name](shape, config)
+            except TooManyColumnsError as error:
+                if config.contact != "auto":
+                    raise
+                refused.append({"representation": name, "refused": error.found})
+                continue
+            measured = partial(tick, f"measuring {name}")
+            fidelity = measure(spec_of(contact), reference, ground_z, probes=config.contact_probes, tick=measured)
+            tried.append((contact, fidelity))
+            if fidelity.meets(*config.contact_tolerance):
+                break
     contact, fidelity = tried[-1]
     warnings = contact.warnings
     if not fidelity.meets(*config.contact_tolerance):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -116,7 +116,14 @@ class Fidelity:
 
 
 def measure(
-    spec: Any, reference: Reference, ground_z: float, *, probes: int = 2000, feet: int = 100, seed: int = 0
+    spec: Any,
+    reference: Reference,
+    ground_z: float,
+    *,
+    probes: int = 2000,
+    feet: int = 100,
+    seed: int = 0,
+    tick: Callable[[float], None] = lambda share: None,
 ) -> Fidelity:
     """Probe the collision geoms of `spec` (`MjSpec`, any MJCF) against a reference surface.
 
@@ -129,22 +136,28 @@ def measure(
         ground_z: height of the ground, metres.
         probes: balls that are lowered; about as many are pushed.
         feet: feet that are lowered; as many are slid.
+        tick: called with the share that is done, now and then.
     """
+    tick(0.0)
     rng = np.random.default_rng(seed)
     region = Region.around(reference, ground_z)
     ball = _Compare(spec, reference, BALL)
     xy, cell = region.grid(probes)
     lowered = ball.lower(xy, np.tile(UPRIGHT, (len(xy), 1)), region)
     lowered = _where_seen(lowered, reference, ground_z)
+    tick(0.2)
     pushed = ball.push(region, probes // 4, rng)
     figures = _ball_figures(lowered, cell, over_gaps(lowered, reference)) | {"pushed": _summary(pushed.error)}
+    tick(0.4)
     if feet:
         foot = _Compare(spec, reference, g1_foot(), batch=128)
         xy, _ = region.grid(feet)
         down = foot.lower(xy, _tilted(len(xy), rng), region)
         slid = foot.push(region, feet // 4, rng)
         figures |= {"feet": _summary(down.error), "feet_slid": _summary(slid.error)}
+    tick(0.7)
     figures |= count_leaks(spec, reference, region.lower, region.upper, ground_z, seed=seed)
+    tick(0.9)
     figures["sides"] = side_figures(spec, reference, region.lower, region.upper, ground_z, seed)
     return Fidelity(figures, lowered)
 

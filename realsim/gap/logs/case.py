@@ -47,6 +47,10 @@ class Case:
     warnings: tuple[str, ...] = ()
     dropped_runs: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        runs = f"{len(self.runs)} runs, {sum(run.duration for run in self.runs):.1f} s"
+        return f"Case({str(self.folder)!r}, {len(self.joint_names)} joints, {self.base} base, {runs})"
+
     @property
     def floating(self) -> bool:
         return self.base == "floating"

@@ -51,6 +51,9 @@ class Run:
     enabled: Any = None
     """(T, U) bool, whether the drive gives torque from this sample to the next; None if all do throughout."""
 
+    def __repr__(self) -> str:
+        return f"Run({self.name!r}, {len(self.time)} samples of {', '.join(self.signals)})"
+
     def where(self, keep: Any) -> Run:
         """The same run, only of the samples that a mask or a slice of (T,) keeps."""
         return replace(

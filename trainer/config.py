@@ -1,0 +1,29 @@
+"""What can be set about trials of a policy; apart from their code, which needs torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from trainer.errors import TrainerError
+
+
+@dataclass(frozen=True)
+class EvaluationConfig:
+    """Number of trials, and what varies between them."""
+
+    trials: int = 1000
+    """On each terrain."""
+    worlds: int = 250
+    """Trials that run at once; part of what a seed means."""
+    seed: int = 0
+    """Of everything random in the trials."""
+    randomise: bool = True
+    """Whether friction, masses, gains, delays and sensor noise vary as in training; the starting pose always does."""
+    pushes: bool = False
+    """Whether the robot is pushed."""
+    bin_m: float = 0.25
+    """Metres a bin of the failures along the course."""
+
+    def __post_init__(self) -> None:
+        if self.trials < 1 or self.worlds < 1 or self.bin_m <= 0:
+            raise TrainerError("trials, worlds and bins must be positive", found=str(self))
