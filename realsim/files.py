@@ -26,6 +26,8 @@ from realsim.errors import RealsimError
 
 MAX_TEXT_BYTES = 64 * 2**20
 MAX_BINARY_BYTES = 2 * 2**30
+MAX_DIGITS = 300
+"""Of a whole number in JSON: a longer one has no value as a floating-point number, which end at 1.8e308."""
 MARKS = ("report.json", "contact.json", "diagnosis.json", "proposal.json", "truth/truth.json", "export.json")
 """Files of which every output folder holds one: a scene, `realsim contact`, a diagnosis, a case, a synthetic
 capture, an export."""
@@ -79,8 +81,13 @@ def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
 
 def read_json(path: Path) -> Any:
     """Parsed JSON; the error of a broken file names line and column."""
+    return parse_json(read_text(path), path)
+
+
+def parse_json(text: str | bytes, path: Path) -> Any:
+    """Parsed JSON; `path` is where it is from, for the error."""
     try:
-        return json.loads(read_text(path))
+        return json.loads(text, parse_int=_whole)
     except json.JSONDecodeError as error:
         raise RealsimError(
             "broken JSON",
@@ -90,6 +97,12 @@ def read_json(path: Path) -> Any:
         ) from error
     except (ValueError, RecursionError) as error:  # a number of thousands of digits, brackets in brackets without end
         raise RealsimError("broken JSON", file=path, expected="JSON of a usual kind", found=str(error)) from error
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > MAX_DIGITS:
+        raise ValueError(f"a whole number of {len(digits)} digits")
+    return int(digits)
 
 
 def read_npz(path: Path, limit: int = MAX_BINARY_BYTES) -> dict[str, np.ndarray]:

@@ -74,6 +74,10 @@ def finish(raw: FrameSet, config: CaptureConfig) -> Finished:
     if not config.keep_blurred:
         capture, looks = _without(capture, looks, blurred(looks))
     capture, looks = _without(capture, looks, pick(capture.frames, looks, config.max_frames))
+    without = [f.name for f in capture.frames if f.read_confidence is None]
+    if 0 < len(without) < len(capture.frames):
+        note = f"{len(without)} of {len(capture.frames)} frames have no confidence: all of their depth is believed"
+        capture = replace(capture, warnings=(*capture.warnings, f"{note} ({', '.join(without[:3])})"))
     agreement, pose_note = check_agreement(capture)
     # Metric poses that agree with the depth have confirmed its unit.
     confirmed = agreement is not None and capture.poses_metric and agreement.as_read >= GOOD

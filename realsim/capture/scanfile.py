@@ -118,7 +118,18 @@ def read_ply(path: Path) -> RawScan:
     if not head.startswith(b"ply") or count is None:
         raise CaptureError("not a PLY file", file=path, expected="a header with `element vertex`")
     check_count(int(count[1]), path)
-    return _load(path)
+    raw = _load(path)
+    told = re.search(rb"element face (\d+)", head)
+    # Readers of the text form take what is there; polygons make more triangles than the header has faces, never fewer.
+    found = 0 if raw.triangles is None else len(raw.triangles)
+    if len(raw.points) < int(count[1]) or (told is not None and found < int(told[1])):
+        raise CaptureError(
+            "corrupt or truncated scan",
+            file=path,
+            expected=f"{int(count[1])} vertices and {int(told[1]) if told else 0} faces",
+            found=f"{len(raw.points)} and {found}",
+        )
+    return raw
 
 
 def read_stl(path: Path) -> RawScan:

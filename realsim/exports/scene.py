@@ -51,14 +51,16 @@ def write_terrain(
     *,
     robot_at: F64 | None = None,
     cost_at: F64 | None = None,
+    bare: bool = False,
 ) -> SceneFiles:
     """The same for a mesh with its ground alone.
 
     Args:
         robot_at: (3,) the ground under the robot's feet; the ground at the origin if None.
         cost_at: (3,) where G1 stands when the cost of a step is measured; the highest level place if None.
+        bare: whether the ground goes on where the mesh has no surface.
     """
-    fitted = fit_contact(mesh, ground_z, config, cost_at)
+    fitted = fit_contact(mesh, ground_z, config, cost_at, bare=bare)
     contact = fitted.contact
     vertices, triangles, colors = compact(mesh.vertices, mesh.seen, mesh.colors)
     normals = vertex_normals(vertices, triangles)

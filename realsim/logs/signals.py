@@ -67,7 +67,9 @@ def travelled(times: F64, position: F64, velocity: F64) -> tuple[F64, F64]:
 
     An integral does not mind noise as a derivative does, so what stays is the factor between them.
     """
-    step = float(np.median(np.diff(times)))
+    step = float(np.median(np.diff(times))) if len(times) > 2 else np.nan
+    if not np.isfinite(step):
+        return np.zeros(0), np.zeros(0)
     lag = max(2, round(0.1 / max(step, 1e-6)))
     good = np.isfinite(velocity)
     filled = np.interp(np.arange(len(velocity)), np.flatnonzero(good), velocity[good]) if good.any() else velocity

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import pickle
+import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -76,6 +78,7 @@ def load(path: Path, device: str | torch.device = "cpu") -> tuple[Policy, dict[s
 def read(path: Path) -> dict[str, Any]:
     """The dictionary of a checkpoint, on the CPU, after its format and version were checked."""
     check_size(path, MAX_BYTES)
+    _refuse_damage(path)
     try:
         data = torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
@@ -106,6 +109,23 @@ def read(path: Path) -> dict[str, Any]:
             hint="use the release that wrote it, or train anew",
         )
     return data
+
+
+def _refuse_damage(path: Path) -> None:
+    """torch reads weights without looking at the checksums that it wrote with them: a flipped bit is another weight."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            damaged = archive.testzip()
+    except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, zlib.error, RuntimeError, ValueError):
+        return  # cut off or no archive at all: torch says so
+    if damaged is not None:
+        raise TrainerError(
+            "the checkpoint cannot be read: it is cut off or damaged",
+            file=path,
+            expected="a complete .pt file",
+            found=f"a wrong checksum of {damaged}",
+            hint="copy it again, or use the checkpoint before it",
+        )
 
 
 def _refuse_what_is_not_a_number(path: Path, policy: Policy) -> None:

@@ -114,7 +114,14 @@ class Fidelity:
 
 
 def measure(
-    spec: Any, reference: Reference, ground_z: float, *, probes: int = 2000, feet: int = 100, seed: int = 0
+    spec: Any,
+    reference: Reference,
+    ground_z: float,
+    *,
+    probes: int = 2000,
+    feet: int = 100,
+    seed: int = 0,
+    bare: bool = False,
 ) -> Fidelity:
     """Probe the collision geoms of `spec` (`MjSpec`, any MJCF) against a reference surface.
 
@@ -127,6 +134,7 @@ def measure(
         ground_z: height of the ground, metres.
         probes: balls that are lowered; about as many are pushed.
         feet: feet that are lowered; as many are slid.
+        bare: whether the ground goes on where the mesh has no surface.
     """
     rng = np.random.default_rng(seed)
     region = Region.around(reference, ground_z)
@@ -143,7 +151,7 @@ def measure(
         slid = foot.push(region, feet // 4, rng)
         figures |= {"feet": _summary(down.error), "feet_slid": _summary(slid.error)}
     figures |= count_leaks(spec, reference, region.lower, region.upper, ground_z, seed=seed)
-    figures["sides"] = side_figures(spec, reference, region.lower, region.upper, ground_z, seed)
+    figures["sides"] = side_figures(spec, reference, region.lower, region.upper, ground_z, seed, bare=bare)
     return Fidelity(figures, lowered)
 
 
