@@ -5,7 +5,7 @@
     python benchmarks/fuzz.py --again               # only what failed before, after a reader was mended
     python benchmarks/fuzz.py --show cases 17       # one trial here and now, with its traceback
 
-Every trial copies a sound example, damages it (benchmarks/damage.py) and reads it in a process with a limit on time and
+Every trial copies a sound example, damages it (benchmarks/fuzz_damage.py) and reads it in a process with a limit on time and
 memory. Its outcome is one of
 
     refused    an error with file, expectation and finding
@@ -43,8 +43,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks import fuzz_targets
-from benchmarks.damage import damage
+from benchmarks.fuzz_damage import damage
+from benchmarks.fuzz_readers import READERS
+from benchmarks.fuzz_sources import TARGETS
 from benchmarks.store import Store
 from realsim.commands import CommandResult
 from realsim.errors import printable
@@ -58,7 +59,6 @@ WRONG = ("control", "traceback", "hang")
 
 def attempt(kind: str, source: str, seed: int, number: int, work: Path) -> dict[str, Any]:
     """One trial; `number` -1 is the sound example."""
-    _, _, read = fuzz_targets.TARGETS[kind]
     shutil.rmtree(work / "trial", ignore_errors=True)
     folder = work / "trial" / "input"
     shutil.copytree(work / "sources" / source, folder)
@@ -70,7 +70,7 @@ def attempt(kind: str, source: str, seed: int, number: int, work: Path) -> dict[
     with (work / "printed").open("w+b") as printed:
         try:
             with to_file(printed):
-                reading = read(folder)
+                reading = READERS[kind](folder)
                 print(CommandResult(reading.shown).rendered(color=False))
         except BaseException as error:
             text = traceback.format_exception(error)
@@ -172,7 +172,7 @@ def judge(row: dict[str, Any], sound: dict[str, Any]) -> dict[str, Any]:
 def build(kind: str, work: Path) -> list[str]:
     """Sound examples of a kind, each made once; their names."""
     names = []
-    for name, write in fuzz_targets.TARGETS[kind][1]().items():
+    for name, write in TARGETS[kind][1]().items():
         folder = work / "sources" / name
         if not folder.exists():
             making = work / "making" / "input"
@@ -197,7 +197,7 @@ def run(kinds: list[str], seed: int, trials: int | None, work: Path, again: bool
     for kind in kinds:
         names = build(kind, work)
         sound: dict[str, Any] = {}
-        for number in range(trials or fuzz_targets.TARGETS[kind][0]):
+        for number in range(trials or TARGETS[kind][0]):
             row = done.get((kind, number))
             if row is None or (again and row["outcome"] in WRONG):
                 source = names[number % len(names)]
@@ -231,7 +231,7 @@ def report(rows: list[dict[str, Any]]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", nargs="*", default=list(fuzz_targets.TARGETS), choices=list(fuzz_targets.TARGETS))
+    parser.add_argument("--only", nargs="*", default=list(TARGETS), choices=list(TARGETS))
     parser.add_argument("--trials", type=int, help="fewer or more of each kind; nothing is stored then")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--again", action="store_true", help="repeat the trials that failed")

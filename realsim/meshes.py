@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,16 @@ def compact(
     return (np.asarray(vertices)[used], inverse.reshape(F.shape).astype(np.int32), *arrays)
 
 
-def loose_vertices(count: int, triangles: NDArray[Any]) -> str | None:
-    """A sentence where many vertices belong to no triangle, as in a file that ends early; None where few do."""
+def loose_vertices(path: Path, count: int, triangles: NDArray[Any]) -> str | None:
+    """A sentence where many vertices belong to no triangle, as in a file that ends early; None where few do.
+
+    Args:
+        path: the file; an .obj is counted again, because its reader leaves out what no triangle uses.
+        count: vertices that were read. triangles: (K, 3).
+    """
+    if path.suffix.lower() == ".obj":
+        with path.open("rb") as file:
+            count = max(count, sum(line.startswith((b"v ", b"v\t")) for line in file))
     unused = 1 - len(np.unique(triangles)) / max(count, 1)
     if unused <= LOOSE:
         return None

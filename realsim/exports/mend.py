@@ -50,7 +50,8 @@ def read_mesh(path: Path, unit: str | None = None, up: str = "auto") -> tuple[Te
         raise ExportError("the mesh cannot be read", file=path, found=found) from error
     if path.suffix.lower() == ".stl" and not len(triangles):
         raise ExportError("the mesh cannot be read", file=path, found="no triangle: cut off, or no STL")
-    notes = []
+    loose = loose_vertices(path, len(vertices), triangles)
+    notes = [loose] if loose else []
     if up == "y" or (up == "auto" and path.suffix.lower() == ".glb"):
         vertices = np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
         notes.append("y of the file points up")
@@ -98,8 +99,6 @@ def mend(vertices: F64, triangles: NDArray[Any]) -> tuple[TerrainMesh, list[str]
         raise ExportError("the mesh has no triangles", hint="a point cloud has to be meshed first")
     if len(triangles) > MAX_TRIANGLES:
         raise ExportError("too many triangles", expected=f"at most {MAX_TRIANGLES}", found=str(len(triangles)))
-    if loose := loose_vertices(len(vertices), triangles):
-        notes.append(loose)
     sound: NDArray[np.bool_] = np.asarray(((triangles >= 0) & (triangles < len(vertices))).all(1))
     sound[sound] &= np.isfinite(vertices[triangles[sound]]).all((1, 2))
     if not sound.all():

@@ -525,3 +525,15 @@ def test_depth_of_phones_in_another_unit_is_found(tmp_path):
     np.testing.assert_allclose(
         frames_of(tmp_path, CaptureConfig(depth_unit=0.0002)).frames[2].depth(), views[2].depth, atol=2e-4
     )
+
+
+@pytest.mark.parametrize("lost", ["depth", "jpg", "conf"])
+def test_a_member_that_is_missing_in_a_recording_is_said(lost, tmp_path):
+    members = record3d_members(walk(5))
+    del members[f"rgbd/2.{lost}"]
+    write_zip(tmp_path / "a.r3d", members)
+    capture = frames_of(tmp_path)
+    if lost == "conf":
+        assert any("1 of 5 frames have no confidence" in w for w in capture.warnings)
+    else:
+        assert [d.name for d in capture.dropped] == ["000002"]

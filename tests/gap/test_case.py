@@ -255,6 +255,19 @@ def insert(case: Path, line: str, before: str = "") -> None:
     path.write_text(text[:at] + line + text[at:])
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "field"),
+    [('mass="1.6"', 'mass="1e30"', "body_mass"), ('damping="0.12"', 'damping="nan"', "dof_damping")],
+)
+def test_numbers_that_no_robot_has_are_refused(case: Path, old: str, new: str, field: str) -> None:
+    """MuJoCo compiles them without a word, and simulates what is not a number."""
+    path = case / "model.xml"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(GapError, match=field):
+        load_case(case)
+
+
 def test_a_model_of_parts_is_read(case: Path) -> None:
     """A mesh in a model of its own, in a folder of its own; its name is relative to that."""
     (case / "parts").mkdir()

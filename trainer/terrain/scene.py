@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.errors import RealsimError
 from realsim.files import read_json
 from trainer.errors import TrainerError
 from trainer.terrain.base import Platform, Terrain
@@ -66,7 +67,12 @@ def load(folder: str | Path) -> Terrain:
 
 def _report(folder: Path) -> dict[str, Any]:
     path = _file(folder, "report.json")
-    report = read_json(path)
+    try:
+        report = read_json(path)
+    except RealsimError as error:
+        raise TrainerError(
+            "report.json cannot be read", file=path, found=error.found, hint="reconstruct again"
+        ) from None
     if not isinstance(report, dict):
         raise TrainerError("report.json is no report", file=path, expected="an object", found=type(report).__name__)
     return report

@@ -109,7 +109,7 @@ def _checked(raw: RawScan, source: Path) -> tuple[RawScan, list[str]]:
         raise CaptureError("no point of the scan is a number", file=source, found=f"{len(finite)} with NaN or infinity")
     warnings = []
     triangles = raw.triangles
-    if triangles is not None and (loose := loose_vertices(len(raw.points), triangles)):
+    if triangles is not None and (loose := loose_vertices(source, len(raw.points), triangles)):
         warnings.append(loose)
     if triangles is None and source.suffix.lower() == ".obj":
         warnings.append("the file has no faces and is taken as a cloud: is it cut off?")
