@@ -5,8 +5,8 @@
     python benchmarks/fuzz.py --again               # only what failed before, after a reader was mended
     python benchmarks/fuzz.py --show cases 17       # one trial here and now, with its traceback
 
-Every trial copies a sound example, damages it (benchmarks/fuzz_damage.py) and reads it in a process with a limit on time and
-memory. Its outcome is one of
+Every trial copies a sound example (fuzz_sources.py), damages it (fuzz_damage.py) and reads it (fuzz_readers.py) in a
+process with a limit on time and memory. Its outcome is one of
 
     refused    an error with file, expectation and finding
     said       read, and what a user is told differs from what is told of the sound example

@@ -25,6 +25,9 @@ ODD_VALUES: tuple[Any, ...] = (
 )  # fmt: skip
 NAMES = ("\x1b[31mEVIL", "a\x07b", "\x9b31m", "\u202egnp.exe", "new\nline", "'\"<svg>", " ", "\udcff")
 
+NO_STRUCTURE = (OSError, ValueError, LookupError, zipfile.BadZipFile, ElementTree.ParseError, RecursionError)
+"""What changing the content of a file raises that was damaged before."""
+
 
 def damage(folder: Path, rng: Rng) -> str:
     """Do one to three kinds of damage to a folder, in place; what was done to which file."""
@@ -42,16 +45,7 @@ def damage(folder: Path, rng: Rng) -> str:
         kind = kinds[int(rng.integers(len(kinds)))]
         try:
             kind(path, rng)
-        except (
-            OSError,
-            ValueError,
-            KeyError,
-            IndexError,
-            zipfile.BadZipFile,
-            ElementTree.ParseError,
-            UnicodeError,
-            RecursionError,
-        ):
+        except NO_STRUCTURE:
             BYTES[int(rng.integers(len(BYTES)))](path, rng)  # damaged before: no structure is left to change
         done.append(f"{kind.__name__} {re.sub('[0-9]+', '#', path.relative_to(folder).as_posix())}")
     return ", ".join(done)
@@ -288,8 +282,9 @@ def odd_array(values: np.ndarray, rng: Rng) -> np.ndarray:
     """Of another type, shape or length, or with values that are no numbers."""
     numbers = values.astype(float) if values.dtype.kind in "fiub" else np.zeros(values.shape)
     some = np.where(rng.random(numbers.shape) < 0.2, rng.choice((np.nan, np.inf, 1e300, -1e9)), numbers)
+    half = numbers[: len(numbers) // 2] if numbers.ndim else numbers
     choices = [
-        some, numbers * np.nan, numbers[: len(numbers) // 2] if numbers.ndim else numbers, numbers.T, numbers[..., None],
+        some, numbers * np.nan, half, numbers.T, numbers[..., None],
         numbers.ravel(), np.zeros((0, *numbers.shape[1:])), numbers.astype("U8"), numbers.astype(complex),
         np.full(numbers.shape, None), numbers.astype(np.int8), numbers * 0, -numbers, numbers[::-1], np.float64(3.0),
     ]  # fmt: skip

@@ -311,6 +311,7 @@ def _training(path: Path, reading: Reading) -> None:
 
     run = reading.get("run", read_run, path.parent, "run")
     if run is not None:
+        reading.said += run.notes
         reading.part("page", training_page, [run])
 
 

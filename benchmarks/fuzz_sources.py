@@ -220,7 +220,7 @@ def _diagnosis(folder: Path) -> None:
         "verdict": "identified", "sentence": "a", "causes": [cause], "equivalent": [[cause]],
         "where": [{"signal": "joint_pos", "joint": "swing", "phase": None, "share": 0.5}],
         "shrinkage": {"fraction": 0.9, "ci90": [0.8, 0.95], "runs": ["run_01"], "unseen": True},
-        "unexplained_share": 0.1, "patch": patch | {"scales": dict.fromkeys(scales, {"swing": 1.0})},
+        "unexplained_share": 0.1, "patch": patch | {"scales": {name: {"swing": 1.0} for name in scales}},
         "health": {"warnings": []},
     }  # fmt: skip
     (folder / "diagnosis.json").write_text(json.dumps(data))

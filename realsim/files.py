@@ -71,6 +71,17 @@ def read_bytes(path: Path, limit: int = MAX_BINARY_BYTES) -> bytes:
         raise RealsimError("the file cannot be read", file=path, found=error.strerror or str(error)) from error
 
 
+def read_head(path: Path, count: int, offset: int = 0) -> bytes:
+    """At most `count` bytes of a file, from `offset` on."""
+    check_size(path)
+    try:
+        with path.open("rb") as file:
+            file.seek(offset)
+            return file.read(count)
+    except OSError as error:
+        raise RealsimError("the file cannot be read", file=path, found=error.strerror or str(error)) from error
+
+
 def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
     """The UTF-8 text of a file of at most `limit` bytes."""
     try:
@@ -132,8 +143,9 @@ def read_npz(path: Path, limit: int = MAX_BINARY_BYTES) -> dict[str, np.ndarray]
 def to_json(value: Any) -> str:
     """Stable JSON text: sorted nothing, numpy turned into plain numbers, NaN and infinity into null."""
     text = json.dumps(_plain(value), indent=1, allow_nan=False, ensure_ascii=False)
-    # json escapes the control characters below 32 only; those from 127 to 159 control terminals as well.
-    return re.sub(r"[\x7f-\x9f]", lambda c: f"\\u{ord(c[0]):04x}", text) + "\n"
+    # json escapes the control characters below 32 only; those from 127 to 159 control terminals as well, and what
+    # stands for a byte of a file name that is no text (a lone surrogate) cannot be written as text.
+    return re.sub(r"[\x7f-\x9f\ud800-\udfff]", lambda c: f"\\u{ord(c[0]):04x}", text) + "\n"
 
 
 def _plain(value: Any) -> Any:
@@ -153,8 +165,11 @@ def _plain(value: Any) -> Any:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file whole or not at all (temporary name, then rename)."""
-    write_bytes(path, text.encode("utf-8"))
+    """Write a text file whole or not at all (temporary name, then rename).
+
+    What stands for a byte of a file name that is no text is written as an escape.
+    """
+    write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -209,6 +224,7 @@ def output_folder(path: Path, *, overwrite: bool = False, source: Path | None = 
     if source is not None:
         refuse_within(path, source)
     refuse_existing(path, overwrite)
+    made = [parent for parent in path.parents if not parent.exists()]
     with explain_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         _sweep(path)
@@ -221,6 +237,9 @@ def output_folder(path: Path, *, overwrite: bool = False, source: Path | None = 
                 place_folder(work, path, overwrite=overwrite)
     except BaseException:
         shutil.rmtree(work, ignore_errors=True)
+        for parent in made:
+            with contextlib.suppress(OSError):  # not empty: somebody else writes there too
+                parent.rmdir()
         raise
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from realsim.capture.pcdfile import read_columns, read_header, unpack_rgb
 from realsim.errors import CaptureError, MissingExtraError, RealsimError
-from realsim.files import check_size, read_bytes
+from realsim.files import check_size, read_bytes, read_head
 from realsim.types import F64, U8
 
 MAX_VERTICES = 20_000_000
@@ -112,8 +112,7 @@ def read_las(path: Path) -> RawScan:
 
 def read_ply(path: Path) -> RawScan:
     """A cloud or a mesh."""
-    with path.open("rb") as file:
-        head = file.read(4096)
+    head = read_head(path, 4096)
     count = re.search(rb"element vertex (\d+)", head)
     if not head.startswith(b"ply") or count is None:
         raise CaptureError("not a PLY file", file=path, expected="a header with `element vertex`")
@@ -134,8 +133,7 @@ def read_ply(path: Path) -> RawScan:
 
 def read_stl(path: Path) -> RawScan:
     """A mesh whose triangles share no vertices in the file: equal ones are joined."""
-    with path.open("rb") as file:
-        head = file.read(84)
+    head = read_head(path, 84)
     size = path.stat().st_size
     if len(head) == 84 and 84 + 50 * struct.unpack("<I", head[80:])[0] == size:
         check_count(3 * struct.unpack("<I", head[80:])[0], path)

@@ -562,3 +562,10 @@ def test_a_bag_that_is_a_link_to_itself(tmp_path):
     (tmp_path / "a.bag").symlink_to("a.bag")
     with pytest.raises(RealsimError, match="cannot be read"):
         read(tmp_path, CONFIG)
+
+
+def test_an_error_of_the_disk_is_said(tmp_path):
+    write_pcd_folder(tmp_path, walk(4))
+    (tmp_path / "cloud001.pcd").unlink()
+    (tmp_path / "cloud001.pcd").symlink_to("/proc/self/mem")
+    assert "cannot be read" in reason(frames_of(tmp_path), "cloud001")

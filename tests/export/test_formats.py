@@ -225,3 +225,10 @@ def test_unknown_formats_and_folders_without_a_scene(folder: Path, tmp_path: Pat
     assert not (tmp_path / "out").exists()
     with pytest.raises(ExportError, match="not a scene folder"):
         export_scene(tmp_path, ["glb"])
+
+
+def test_a_scene_with_entities_is_refused(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder, tmp_path / "scene")
+    (tmp_path / "scene" / "scene.xml").write_text('<!DOCTYPE a [<!ENTITY b "c">]><mujoco>&b;</mujoco>')
+    with pytest.raises(ExportError, match="not plain XML"):
+        load_scene(tmp_path / "scene")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,9 @@ import pytest
 
 from realsim.cli import main
 from realsim.errors import GapError, RealsimError
+from realsim.gap import load_case
 from realsim.logs import load_target, propose, read, write_case
+from realsim.logs.signals import travelled
 
 from . import writers
 from .robots import ARM, Log, save
@@ -146,3 +149,33 @@ def test_an_empty_folder_and_prose_are_no_recordings(tmp_path: Path) -> None:
     )
     with pytest.raises(GapError, match=r"no recording|no samples"):
         read(tmp_path)
+
+
+def test_a_pipe_in_a_folder_of_recordings_is_refused(arm: Log, tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install -e '.[logs]'")
+    folder = writers.lerobot(tmp_path / "set", [arm], JOINTS)
+    (file,) = (folder / "data").rglob("*.parquet")
+    file.unlink()
+    os.mkfifo(file)
+    with pytest.raises(RealsimError, match="not a plain file"):
+        read(folder)
+
+
+def test_a_run_named_by_bytes_that_are_no_text_is_written(arm: Log, tmp_path: Path) -> None:
+    target = load_target(save(tmp_path, ARM))
+    path = tmp_path / os.fsdecode(b"run\xff.npz")
+    np.savez(path, time=arm.time, q=arm.pos, q_des=arm.command)
+    write_case(propose(read(path), target), target, tmp_path / "case")
+    assert len(load_case(tmp_path / "case").runs) == 1
+
+
+@pytest.mark.parametrize(("old", "new"), [('damping="0.3"', 'damping="nan"'), ('mass="2.5"', 'mass="1e30"')])
+def test_a_model_that_cannot_be_simulated_is_refused(old: str, new: str, tmp_path: Path) -> None:
+    assert old in ARM
+    with pytest.raises(GapError, match="cannot be simulated"):
+        load_target(save(tmp_path, ARM.replace(old, new)))
+
+
+def test_no_clock_and_no_values_are_no_traceback() -> None:
+    one = np.zeros(1)
+    assert not len(travelled(one, one, one)[0])

@@ -41,7 +41,7 @@ def finetune(
             that ships with realsim for the robot (g1).
         from_scratch: train without a base.
         out: folder for the results.
-        trainer: ppo, rsl_rl, mjlab, or one that an installed package adds.
+        trainer: ppo, rsl_rl, or one that an installed package adds.
         task_file: JSON with what differs from the paper's task.
         final_trials: trials on each terrain before and after; 0 leaves both out.
     """
@@ -58,7 +58,7 @@ def finetune(
     config = replace(config, task=load_task(task_file))
     train = find(trainer)
     before = None
-    if policy is not None and final_trials and trainer != "mjlab" and common.first_rank():
+    if policy is not None and final_trials and common.first_rank():
         note("trials of the base policy")
         before = trials(policy, scene, config, final_trials)
     result = train(scene, policy, config, out)

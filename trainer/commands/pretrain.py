@@ -31,7 +31,7 @@ def pretrain(
         terrain: `grid` is the curriculum of 10 rows; else one terrain: flat, a test's name, or FAMILY:DIFFICULTY:SEED.
         families: of the grid.
         columns: of the grid for each family: terrains of each difficulty.
-        trainer: ppo, rsl_rl, mjlab, or one that an installed package adds.
+        trainer: ppo, rsl_rl, or one that an installed package adds.
         task_file: JSON with what differs from the paper's task.
     """
     config = replace(config, task=load_task(task_file))

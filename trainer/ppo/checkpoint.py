@@ -88,7 +88,7 @@ def read(path: Path) -> dict[str, Any]:
             expected="tensors and plain values (it is read without running code)",
             found=_line(error),
         ) from error
-    except (RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
+    except Exception as error:  # of damage, torch's reader raises whatever it meets
         raise TrainerError(
             "the checkpoint cannot be read: it is cut off or damaged",
             file=path,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.errors import ExportError
-from realsim.files import check_size
+from realsim.files import check_size, read_text
 
 F64 = NDArray[np.float64]
 DRAWN_OFF = 0.05  # of the scene's length: simplifying to 80,000 triangles moves the ends by millimetres
@@ -87,6 +87,8 @@ def load_scene(folder: Path) -> SceneOnDisk:
     """
     import mujoco
     import trimesh
+    from defusedxml import ElementTree
+    from defusedxml.common import DefusedXmlException
 
     for name in ("scene.xml", "mesh.ply"):
         if not (folder / name).is_file():
@@ -95,6 +97,10 @@ def load_scene(folder: Path) -> SceneOnDisk:
     for path in sorted(folder.iterdir()):  # MuJoCo would wait for ever at a pipe in place of a file that it reads
         if not path.is_dir() and not path.is_file():
             raise ExportError("not a plain file", file=path, expected="a scene folder as realsim wrote it")
+    try:
+        ElementTree.fromstring(read_text(folder / "scene.xml"))
+    except (ElementTree.ParseError, DefusedXmlException) as error:
+        raise ExportError("scene.xml is not plain XML", file=folder / "scene.xml", found=str(error)) from error
     try:
         model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
     except ValueError as error:
