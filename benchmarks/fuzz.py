@@ -59,15 +59,16 @@ WRONG = ("control", "traceback", "hang")
 
 def attempt(kind: str, source: str, seed: int, number: int, work: Path) -> dict[str, Any]:
     """One trial; `number` -1 is the sound example."""
-    shutil.rmtree(work / "trial", ignore_errors=True)
-    folder = work / "trial" / "input"
+    trial = work / f"trial-{os.getpid()}"
+    shutil.rmtree(trial, ignore_errors=True)
+    folder = trial / "input"
     shutil.copytree(work / "sources" / source, folder)
     what = ""
     if number >= 0:
         what = damage(folder, np.random.default_rng([seed, zlib.crc32(kind.encode()), number]))
     began = time.perf_counter()
     row: dict[str, Any] = {"kind": kind, "number": number, "source": source, "damage": what}
-    with (work / "printed").open("w+b") as printed:
+    with (trial / "printed").open("w+b") as printed:
         try:
             with to_file(printed):
                 reading = READERS[kind](folder)

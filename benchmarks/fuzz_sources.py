@@ -85,8 +85,8 @@ def cases() -> dict[str, Write]:
             table |= {f"{j}_{n}": np.degrees(v[:, k]) for n, v in kinds.items() for k, j in enumerate("se")}
             write(path.with_suffix(".csv"), table)
             path.unlink()
-        speed = {"columns": ["s_vel", "e_vel"], "unit": "deg/s"}
-        (folder / "columns.json").write_text(json.dumps(MAP | {"joint_vel": speed}))
+        place, speed = ({"columns": [f"s_{n}", f"e_{n}"], "unit": u} for n, u in (("pos", "deg"), ("vel", "deg/s")))
+        (folder / "columns.json").write_text(json.dumps(MAP | {"joint_pos": place, "joint_vel": speed}))
 
     def setups(folder: Path) -> None:
         make_case(folder, ARM, Truth(), imu="wrist", torque="measured", **options)
