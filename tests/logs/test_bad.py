@@ -179,3 +179,10 @@ def test_a_model_that_cannot_be_simulated_is_refused(old: str, new: str, tmp_pat
 def test_no_clock_and_no_values_are_no_traceback() -> None:
     one = np.zeros(1)
     assert not len(travelled(one, one, one)[0])
+
+
+def test_a_number_of_hundreds_of_digits_is_no_traceback(tmp_path: Path) -> None:
+    rows = [{"time": 0.01 * i, "q": 10**400 if i == 3 else 0.1, "r": [0.1, 10**400]} for i in range(30)]
+    (tmp_path / "a.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    with contextlib.suppress(RealsimError):
+        propose(read(tmp_path / "a.jsonl"))
