@@ -178,7 +178,7 @@ def _put_back(folder: Path) -> None:
             model = onnx.load(folder / "policy.onnx")
             next(p for p in model.metadata_props if p.key == "realsim").value = (folder / "metadata.json").read_text()
             onnx.save(model, folder / "policy.onnx")
-        else:
+        elif (folder / "contents.json").is_file():
             import torch
 
             data = torch.load(folder / "policy.pt", weights_only=True)

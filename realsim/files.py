@@ -140,6 +140,18 @@ def read_npz(path: Path, limit: int = MAX_BINARY_BYTES) -> dict[str, np.ndarray]
         ) from error
 
 
+def damaged_member(path: Path) -> str | None:
+    """The first member of a zip archive whose checksum is wrong; None if all are right, or if it is no archive at all.
+
+    torch reads arrays without looking at the checksums that it wrote with them: a flipped bit is another number.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return archive.testzip()
+    except (*_DAMAGED, NotImplementedError):
+        return None
+
+
 def to_json(value: Any) -> str:
     """Stable JSON text: sorted nothing, numpy turned into plain numbers, NaN and infinity into null."""
     text = json.dumps(_plain(value), indent=1, allow_nan=False, ensure_ascii=False)

@@ -86,7 +86,7 @@ def follows(times: F64, asked: F64, done: F64) -> tuple[float, float, float, flo
     a = held(times, asked[:, None], grid)[:, 0]
     b = at(times, done[:, None], grid)[:, 0]
     best = (0.0, 0.0)
-    for lag in range(int(MAX_LAG / step) + 1):
+    for lag in range(min(int(MAX_LAG / step) + 1, len(a) // 2)):
         found = alike(a[: len(a) - lag], b[lag:])
         if found > best[0] + 1e-9:
             best = (found, lag)

@@ -13,7 +13,7 @@ import pytest
 from realsim.errors import GapError, RealsimError, UnknownNameError
 from realsim.gap import DiagnoseConfig, diagnose, explain, load_case
 from realsim.gap.pipeline import replicates
-from realsim.gap.run import run_case
+from realsim.gap.run import check_case, run_case
 
 from .truth import Truth
 
@@ -192,13 +192,11 @@ def test_torque_in_other_units_is_refused_until_log_json_says_so(made, tmp_path:
     shutil.copytree(made("torque", Truth(), torque="measured"), folder)
     for path in (folder / "runs").glob("*.npz"):
         change(folder, path.stem, joint_torque=lambda t: 1000 * t)
-    config = DiagnoseConfig(effects=("command_delay",))
     with pytest.raises(GapError, match="joint_torque looks like mN m"):
-        diagnose(load_case(folder), config)
+        check_case(folder)
     log = json.loads((folder / "log.json").read_text()) | {"units": {"joint_torque": "mN m"}}
     (folder / "log.json").write_text(json.dumps(log))
-    found = diagnose(load_case(folder), config)
-    assert not any("N m" in w for w in found.health["warnings"])
+    assert not any("N m" in w for w in check_case(folder)["health"]["warnings"])
 
 
 def test_one_run_only_is_said(case: Path) -> None:

@@ -14,7 +14,7 @@ from realsim.cli import main
 from realsim.errors import GapError, RealsimError
 from realsim.gap import load_case
 from realsim.logs import load_target, propose, read, write_case
-from realsim.logs.signals import travelled
+from realsim.logs.signals import follows, travelled
 
 from . import writers
 from .robots import ARM, Log, save
@@ -186,3 +186,16 @@ def test_a_number_of_hundreds_of_digits_is_no_traceback(tmp_path: Path) -> None:
     (tmp_path / "a.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
     with contextlib.suppress(RealsimError):
         propose(read(tmp_path / "a.jsonl"))
+
+
+@pytest.mark.parametrize("rows", [1, 2, 21])
+def test_hardly_any_samples_are_no_traceback(rows: int, arm: Log, tmp_path: Path) -> None:
+    target = load_target(save(tmp_path, ARM))
+    few = {"time": arm.time[:rows], "q": arm.pos[:rows], "q_des": arm.command[:rows]}
+    (tmp_path / "a.jsonl").write_text(
+        "".join(json.dumps({k: np.asarray(v[i]).tolist() for k, v in few.items()}) + "\n" for i in range(rows))
+    )
+    with contextlib.suppress(RealsimError):
+        propose(read(tmp_path / "a.jsonl"), target)
+    with contextlib.suppress(RealsimError):
+        follows(arm.time[:rows], arm.command[:rows, 0], arm.pos[:rows, 0])

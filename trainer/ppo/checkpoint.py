@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import pickle
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -13,7 +11,7 @@ from typing import Any, TypeVar
 
 import torch
 
-from realsim.files import check_size, write_bytes
+from realsim.files import check_size, damaged_member, write_bytes
 from trainer.errors import TrainerError
 from trainer.ppo import policy as policies
 from trainer.ppo.config import NetworkConfig, StrategyConfig
@@ -78,7 +76,8 @@ def load(path: Path, device: str | torch.device = "cpu") -> tuple[Policy, dict[s
 def read(path: Path) -> dict[str, Any]:
     """The dictionary of a checkpoint, on the CPU, after its format and version were checked."""
     check_size(path, MAX_BYTES)
-    _refuse_damage(path)
+    if (member := damaged_member(path)) is not None:
+        raise _damaged(path, f"a wrong checksum of {member}")
     try:
         data = torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
@@ -89,13 +88,7 @@ def read(path: Path) -> dict[str, Any]:
             found=_line(error),
         ) from error
     except Exception as error:  # of damage, torch's reader raises whatever it meets
-        raise TrainerError(
-            "the checkpoint cannot be read: it is cut off or damaged",
-            file=path,
-            expected="a complete .pt file",
-            found=f"{path.stat().st_size} bytes; {_line(error)}",
-            hint="copy it again, or use the checkpoint before it",
-        ) from error
+        raise _damaged(path, f"{path.stat().st_size} bytes; {_line(error)}") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise TrainerError(
             "not a policy checkpoint of realsim", file=path, expected=f"format {FORMAT}", found=_brief(data)
@@ -111,21 +104,14 @@ def read(path: Path) -> dict[str, Any]:
     return data
 
 
-def _refuse_damage(path: Path) -> None:
-    """torch reads weights without looking at the checksums that it wrote with them: a flipped bit is another weight."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            damaged = archive.testzip()
-    except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, zlib.error, RuntimeError, ValueError):
-        return  # cut off or no archive at all: torch says so
-    if damaged is not None:
-        raise TrainerError(
-            "the checkpoint cannot be read: it is cut off or damaged",
-            file=path,
-            expected="a complete .pt file",
-            found=f"a wrong checksum of {damaged}",
-            hint="copy it again, or use the checkpoint before it",
-        )
+def _damaged(path: Path, found: str) -> TrainerError:
+    return TrainerError(
+        "the checkpoint cannot be read: it is cut off or damaged",
+        file=path,
+        expected="a complete .pt file",
+        found=found,
+        hint="copy it again, or use the checkpoint before it",
+    )
 
 
 def _refuse_what_is_not_a_number(path: Path, policy: Policy) -> None:
