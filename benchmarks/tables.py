@@ -268,6 +268,7 @@ INDEX = (
     ("Places that repeat, and an unregistered Kinect", "captures", "python benchmarks/captures.py"),
     ("Captures that real sensors and apps wrote", "real_captures", "python benchmarks/real_captures.py"),
     ("Mistakes between a policy and its robot", "gap_contract", "python benchmarks/gap_contract.py --seed 2000"),
+    ("Damaged input: tracebacks, hangs, silent changes", "fuzz", "python benchmarks/fuzz.py"),
     ("The base policy without fine-tuning", "base_policy", "python benchmarks/base_policy.py"),
     (
         "Pretraining and fine-tuning on one GPU, an earlier recipe",

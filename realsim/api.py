@@ -19,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from realsim.errors import require
+from realsim.errors import GapError, require
 from realsim.results import Diagnosis, Scene
 
 if TYPE_CHECKING:
@@ -209,4 +209,9 @@ def apply_patch(spec: Any, patch: Diagnosis | Mapping[str, Any]) -> Any:
     """
     from realsim.gap import apply_patch as apply
 
-    return apply(spec, dict(patch.patch if isinstance(patch, Diagnosis) else patch))
+    try:
+        return apply(spec, dict(patch.patch if isinstance(patch, Diagnosis) else patch))
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise GapError(
+            "the patch is damaged", expected="`patch` of diagnosis.json", found=f"{type(error).__name__}: {error}"
+        ) from error

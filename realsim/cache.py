@@ -40,6 +40,8 @@ COMPUTING = (
     "pymeshlab",
     "onnxruntime",
     "pycolmap",
+    "mujoco",
+    "coacd",
     "OpenEXR",
     "lzfse",
 )

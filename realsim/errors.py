@@ -124,7 +124,6 @@ EXTRA_OF = {
     "mcp": "mcp",
     **dict.fromkeys(("warp", "mujoco_warp"), "warp"),
     "rsl_rl": "rsl-rl",
-    "mjlab": "mjlab",
     "robot_descriptions": "menagerie",
 }
 """Modules that a plain `pip install realsim` leaves out -> the extra that brings them."""

@@ -26,6 +26,8 @@ from realsim.errors import RealsimError
 
 MAX_TEXT_BYTES = 64 * 2**20
 MAX_BINARY_BYTES = 2 * 2**30
+MAX_DIGITS = 300
+"""Of a whole number in JSON: a longer one has no value as a floating-point number, which end at 1.8e308."""
 MARKS = ("report.json", "contact.json", "diagnosis.json", "proposal.json", "truth/truth.json", "export.json")
 """Files of which every output folder holds one: a scene, `realsim contact`, a diagnosis, a case, a synthetic
 capture, an export."""
@@ -69,6 +71,17 @@ def read_bytes(path: Path, limit: int = MAX_BINARY_BYTES) -> bytes:
         raise RealsimError("the file cannot be read", file=path, found=error.strerror or str(error)) from error
 
 
+def read_head(path: Path, count: int, offset: int = 0) -> bytes:
+    """At most `count` bytes of a file, from `offset` on."""
+    check_size(path)
+    try:
+        with path.open("rb") as file:
+            file.seek(offset)
+            return file.read(count)
+    except OSError as error:
+        raise RealsimError("the file cannot be read", file=path, found=error.strerror or str(error)) from error
+
+
 def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
     """The UTF-8 text of a file of at most `limit` bytes."""
     try:
@@ -79,8 +92,13 @@ def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
 
 def read_json(path: Path) -> Any:
     """Parsed JSON; the error of a broken file names line and column."""
+    return parse_json(read_text(path), path)
+
+
+def parse_json(text: str | bytes, path: Path) -> Any:
+    """Parsed JSON; `path` is where it is from, for the error."""
     try:
-        return json.loads(read_text(path))
+        return json.loads(text, parse_int=_whole)
     except json.JSONDecodeError as error:
         raise RealsimError(
             "broken JSON",
@@ -90,6 +108,12 @@ def read_json(path: Path) -> Any:
         ) from error
     except (ValueError, RecursionError) as error:  # a number of thousands of digits, brackets in brackets without end
         raise RealsimError("broken JSON", file=path, expected="JSON of a usual kind", found=str(error)) from error
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > MAX_DIGITS:
+        raise ValueError(f"a whole number of {len(digits)} digits")
+    return int(digits)
 
 
 def read_npz(path: Path, limit: int = MAX_BINARY_BYTES) -> dict[str, np.ndarray]:
@@ -116,11 +140,24 @@ def read_npz(path: Path, limit: int = MAX_BINARY_BYTES) -> dict[str, np.ndarray]
         ) from error
 
 
+def damaged_member(path: Path) -> str | None:
+    """The first member of a zip archive whose checksum is wrong; None if all are right, or if it is no archive at all.
+
+    torch reads arrays without looking at the checksums that it wrote with them: a flipped bit is another number.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return archive.testzip()
+    except (*_DAMAGED, NotImplementedError):
+        return None
+
+
 def to_json(value: Any) -> str:
     """Stable JSON text: sorted nothing, numpy turned into plain numbers, NaN and infinity into null."""
     text = json.dumps(_plain(value), indent=1, allow_nan=False, ensure_ascii=False)
-    # json escapes the control characters below 32 only; those from 127 to 159 control terminals as well.
-    return re.sub(r"[\x7f-\x9f]", lambda c: f"\\u{ord(c[0]):04x}", text) + "\n"
+    # json escapes the control characters below 32 only; those from 127 to 159 control terminals as well, and what
+    # stands for a byte of a file name that is no text (a lone surrogate) cannot be written as text.
+    return re.sub(r"[\x7f-\x9f\ud800-\udfff]", lambda c: f"\\u{ord(c[0]):04x}", text) + "\n"
 
 
 def _plain(value: Any) -> Any:
@@ -140,8 +177,11 @@ def _plain(value: Any) -> Any:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file whole or not at all (temporary name, then rename)."""
-    write_bytes(path, text.encode("utf-8"))
+    """Write a text file whole or not at all (temporary name, then rename).
+
+    What stands for a byte of a file name that is no text is written as an escape.
+    """
+    write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -196,6 +236,7 @@ def output_folder(path: Path, *, overwrite: bool = False, source: Path | None = 
     if source is not None:
         refuse_within(path, source)
     refuse_existing(path, overwrite)
+    made = [parent for parent in path.parents if not parent.exists()]
     with explain_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         _sweep(path)
@@ -208,6 +249,9 @@ def output_folder(path: Path, *, overwrite: bool = False, source: Path | None = 
                 place_folder(work, path, overwrite=overwrite)
     except BaseException:
         shutil.rmtree(work, ignore_errors=True)
+        for parent in made:
+            with contextlib.suppress(OSError):  # not empty: somebody else writes there too
+                parent.rmdir()
         raise
 
 

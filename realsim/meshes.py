@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+LOOSE = 0.05
+"""Share of vertices without a triangle from which it is said. Sound meshes have next to none; a text file lists all of
+its vertices before the triangles, so that one that lost its last tenth has more."""
 
 
 def compact(
@@ -16,6 +21,22 @@ def compact(
     used, inverse = np.unique(F, return_inverse=True)
     arrays = tuple(None if a is None else np.asarray(a)[used] for a in per_vertex)
     return (np.asarray(vertices)[used], inverse.reshape(F.shape).astype(np.int32), *arrays)
+
+
+def loose_vertices(path: Path, count: int, triangles: NDArray[Any]) -> str | None:
+    """A sentence where many vertices belong to no triangle, as in a file that ends early; None where few do.
+
+    Args:
+        path: the file; an .obj is counted again, because its reader leaves out what no triangle uses.
+        count: vertices that were read. triangles: (K, 3).
+    """
+    if path.suffix.lower() == ".obj":
+        with path.open("rb") as file:
+            count = max(count, sum(line.startswith((b"v ", b"v\t")) for line in file))
+    unused = 1 - len(np.unique(triangles)) / max(count, 1)
+    if unused <= LOOSE:
+        return None
+    return f"{unused:.0%} of the vertices belong to no triangle: is the file cut off?"
 
 
 def simplify(

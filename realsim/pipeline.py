@@ -12,17 +12,18 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
+import numpy as np
 import tyro
 from threadpoolctl import threadpool_limits
 
-from realsim import align, capture, exports, feedforward, meshing, modes, report, scale
+from realsim import align, capture, exports, feedforward, meshing, modes, report, robots, scale
 from realsim.align.config import AlignConfig
 from realsim.cache import StageCache, code_digest, default_folder, source_digest
 from realsim.capture.config import CaptureConfig
 from realsim.errors import RealsimError
 from realsim.exports.config import SceneConfig
 from realsim.feedforward.config import PointsConfig
-from realsim.files import digest, output_folder
+from realsim.files import digest, inside, output_folder, write_bytes
 from realsim.meshing.config import MeshConfig
 from realsim.progress import note
 from realsim.scale.config import ScaleConfig
@@ -98,7 +99,7 @@ def reconstruct(source: Path, out: Path, config: ReconstructConfig | None = None
         points, aligned = run.scan(data) if isinstance(data, Scan) else run.frames(data)
         mesh = run.mesh(aligned)
         rivals = run.stage("compare", lambda: run.modes(data, points, aligned, mesh)) if config.compare else ()
-        scene = run.stage("export", lambda: exports.write_scene(folder, aligned, mesh, config.scene))
+        scene = run.export(folder, aligned, mesh)
         result = Reconstruction(
             data, points, aligned, mesh, scene, tuple(run.stages), config.seed, config_as_dict(config), rivals
         )
@@ -151,6 +152,24 @@ class _Run:
     def mesh(self, aligned: AlignedScene) -> TerrainMesh:
         self.key = digest(self.key, code_digest("meshing"), self.config.mesh)
         return self._kept("mesh", lambda: meshing.build(aligned, self.config.mesh))
+
+    def export(self, folder: Path, aligned: AlignedScene, mesh: TerrainMesh) -> SceneFiles:
+        """The scene in `folder`; of a scene that was checked before, the same files again."""
+        config = self.config.scene
+        robot = robots.load(config.robot) if config.robot else None
+        parts = (robot.spec.to_xml(), sorted(robot.files.items())) if robot else ()
+        self.key = digest(self.key, code_digest("exports", "robots"), config, *parts)
+
+        def work() -> tuple[SceneFiles, dict[str, Any]]:
+            made = exports.write_scene(folder, aligned, mesh, config)
+            files = sorted(path for path in folder.rglob("*") if path.is_file())
+            return made, {str(f.relative_to(folder)): np.frombuffer(f.read_bytes(), np.uint8) for f in files}
+
+        scene, files = self._kept("export", work)
+        for name, data in files.items():
+            if not (folder / name).exists():
+                write_bytes(inside(folder, name), data.tobytes())
+        return _moved(scene, folder)
 
     def modes(
         self, data: FrameSet | Scan, points: Pointmaps | None, aligned: AlignedScene, mesh: TerrainMesh

@@ -227,15 +227,21 @@ def _site(data: Mapping[str, Any] | None) -> Site | None:
 
 
 def _height_picture(mesh_ply: Path, cells: int = 360) -> str:
-    """The surface from above as an <img>, coloured by height; empty where there is no mesh."""
+    """The surface from above as an <img>, coloured by height; a sentence where the mesh cannot be read."""
     from realsim.report import raster
 
     if not mesh_ply.is_file():
         return ""
     import trimesh
 
-    mesh: Any = trimesh.load(mesh_ply, process=False, force="mesh")
-    corners: NDArray[np.float64] = np.asarray(mesh.vertices, float)[np.asarray(mesh.faces)]
+    try:
+        mesh: Any = trimesh.load(mesh_ply, process=False, force="mesh")
+        corners: NDArray[np.float64] = np.asarray(mesh.vertices, float)[np.asarray(mesh.faces)]
+    except Exception as error:  # readers of broken files raise whatever comes up; a notebook shows the rest
+        return f"<p>mesh.ply cannot be read: {escape(f'{type(error).__name__}: {error}')}</p>"
+    corners = corners[np.isfinite(corners).all((1, 2))]
+    if not len(corners):
+        return "<p>mesh.ply holds no surface</p>"
     heights = height_grid(corners, cells)
     low, high = (float(v) for v in np.nanpercentile(heights, [0.5, 99.5]))
     uri = raster.png_uri(raster.colorize(heights[::-1], low, high))

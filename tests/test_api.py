@@ -180,6 +180,17 @@ def test_a_diagnosis_shows_itself_in_one_line_and_in_a_notebook() -> None:
         Diagnosis.of({**made_diagnosis(), "verdict": "certain"})
 
 
+@pytest.mark.parametrize("change", [{"scales": None}, {"settings": [3]}, {"settings": "x"}])
+def test_a_damaged_patch_is_refused(change: dict[str, object]) -> None:
+    import mujoco
+
+    spec = mujoco.MjSpec.from_string("<mujoco><worldbody/></mujoco>")
+    setting = {"effect": "viscous_friction", "place": ["swing"], "coordinates": {"added": 0.1}}
+    patch = {"format": "realsim.gap.patch/2", "settings": [setting], "scales": {"torque_range": {}}}
+    with pytest.raises(rs.RealsimError, match="patch"):
+        rs.apply_patch(spec, patch | change)
+
+
 CORE_ONLY = """
 import sys
 from importlib.machinery import PathFinder

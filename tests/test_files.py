@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import io
 import json
+import os
 import zipfile
 from pathlib import Path
 
@@ -234,3 +235,23 @@ def test_names_cannot_control_the_terminal() -> None:
     text = files.to_json({name: name})
     assert all(c.isprintable() or c in "\n\u202e" for c in text)
     assert json.loads(text) == {name: name}
+
+
+def test_names_that_are_no_text_can_be_written(tmp_path: Path) -> None:
+    name = os.fsdecode(b"a\xff")
+    assert json.loads(files.to_json({"name": name})) == {"name": name}
+    files.write_text(tmp_path / "a.json", files.to_json([name]))
+    files.write_text(tmp_path / "a.txt", name)
+    assert (tmp_path / "a.txt").read_text() == "a\\udcff"
+
+
+def test_a_whole_number_without_end_is_no_json(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text("1" + "0" * 400)
+    with pytest.raises(RealsimError, match="401 digits"):
+        files.read_json(tmp_path / "a.json")
+
+
+def test_parents_made_for_an_output_that_failed_are_gone(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="disk"), files.output_folder(tmp_path / "a" / "b" / "c"):
+        raise OSError("disk")
+    assert not list(tmp_path.iterdir())

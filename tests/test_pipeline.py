@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from realsim import exports, pipeline
+from realsim import pipeline
 from realsim.cli import main
 from realsim.errors import RealsimError
 from realsim.exports.config import SceneConfig
@@ -71,7 +71,7 @@ def test_a_rerun_reuses_finished_stages_and_writes_the_same_bytes(
     scene: Reconstruction, made: SynthCapture, config: ReconstructConfig, tmp_path: Path
 ) -> None:
     again = reconstruct(made.capture, tmp_path / "scene", config)
-    assert {s.name for s in again.stages if s.reused} == {"points", "align", "mesh"}
+    assert {s.name for s in again.stages if s.reused} == {"points", "align", "mesh", "export"}
     files = sorted(p.relative_to(scene.scene.folder) for p in scene.scene.folder.rglob("*") if p.is_file())
     assert files == sorted(p.relative_to(again.scene.folder) for p in again.scene.folder.rglob("*") if p.is_file())
     for name in files:
@@ -90,7 +90,7 @@ def test_an_interrupt_leaves_nothing_half_written(
     def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(exports, "write_scene", stop)
+    monkeypatch.setattr(pipeline.report, "write_report", stop)
     arguments = ["reconstruct", str(made.capture), "--out", str(tmp_path / "scene"), "--cache", str(config.cache)]
     assert main(arguments) == 130
     assert list(tmp_path.iterdir()) == []

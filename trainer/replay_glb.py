@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.exports.gltf import Z_UP_TO_Y_UP, GltfFile
 from realsim.files import write_bytes
 from trainer.physics import PhysicsConfig
 from trainer.physics.world import slots_for, world_spec
@@ -19,9 +18,6 @@ from trainer.terrain import Terrain
 
 F64 = NDArray[np.float64]
 
-FLOAT, UINT32 = 5126, 5125
-# glTF's y points up, ours z: the root node turns by -90 degrees about x (x y z w), everything below stays as it is.
-Z_UP_TO_Y_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
 GROUND_MARGIN = 2.0
 """Metres of ground around the course."""
 
@@ -31,13 +27,13 @@ def glb(recording: Recording, robot: TrainedRobot, terrain: Terrain, path: str |
     import mujoco
 
     model = world_spec(robot, terrain, slots_for([terrain]), PhysicsConfig()).compile()
-    file = _File()
+    file = GltfFile()
     root = file.node("course", rotation=Z_UP_TO_Y_UP)
     ground = _ground(terrain)
-    file.node("ground", parent=root, mesh=file.mesh("ground", *ground, colour=(0.33, 0.36, 0.39)))
+    file.node("ground", parent=root, mesh=_mesh(file, "ground", *ground, colour=(0.33, 0.36, 0.39)))
     vertices, triangles = _terrain_mesh(terrain)
     if len(triangles):
-        file.node("terrain", parent=root, mesh=file.mesh("terrain", vertices, triangles, colour=(0.72, 0.6, 0.45)))
+        file.node("terrain", parent=root, mesh=_mesh(file, "terrain", vertices, triangles, colour=(0.72, 0.6, 0.45)))
     times = np.arange(len(recording.qpos)) * recording.dt
     positions, quaternions = _body_poses(model, recording.qpos)
     clock = file.array(times.astype("<f4"), "SCALAR", limits=True)
@@ -46,10 +42,10 @@ def glb(recording: Recording, robot: TrainedRobot, terrain: Terrain, path: str |
         if shape is None:
             continue
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body)
-        node = file.node(name, parent=root, mesh=file.mesh(name, *shape, colour=(0.8, 0.82, 0.85)))
+        node = file.node(name, parent=root, mesh=_mesh(file, name, *shape, colour=(0.8, 0.82, 0.85)))
         file.move(node, clock, positions[:, body], quaternions[:, body])
     target = Path(path)
-    write_bytes(target, file.bytes())
+    write_bytes(target, file.to_bytes())
     return target
 
 
@@ -111,86 +107,12 @@ def _ground(terrain: Terrain) -> tuple[F64, NDArray[np.int64]]:
     return np.array([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]]), np.array([[0, 1, 2], [0, 2, 3]])
 
 
-class _File:
-    """A glTF document and its buffer, while they grow."""
+def _mesh(
+    file: GltfFile, name: str, vertices: F64, triangles: NDArray[np.int64], colour: tuple[float, float, float]
+) -> int:
+    """A mesh in one colour (linear RGB)."""
+    import trimesh
 
-    def __init__(self) -> None:
-        self.data = b""
-        self.document: dict[str, Any] = {
-            "asset": {"version": "2.0", "generator": "realsim"},
-            "scene": 0,
-            "scenes": [{"nodes": []}],
-            "nodes": [],
-            "meshes": [],
-            "materials": [],
-            "accessors": [],
-            "bufferViews": [],
-        }
-        self.channels: list[dict[str, Any]] = []
-        self.samplers: list[dict[str, Any]] = []
-
-    def array(self, values: NDArray[Any], kind: str, limits: bool = False) -> int:
-        """Append little-endian float32 or uint32; returns the accessor's index. All parts are multiples of 4 bytes."""
-        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": values.nbytes}
-        component = UINT32 if values.dtype.kind == "u" else FLOAT
-        accessor = {
-            "bufferView": len(self.document["bufferViews"]),
-            "componentType": component,
-            "count": len(values),
-            "type": kind,
-        }
-        if limits:
-            accessor |= {"min": np.atleast_1d(values.min(0)).tolist(), "max": np.atleast_1d(values.max(0)).tolist()}
-        self.data += values.tobytes()
-        self._add("bufferViews", view)
-        return self._add("accessors", accessor)
-
-    def mesh(self, name: str, vertices: F64, triangles: NDArray[np.int64], colour: tuple[float, float, float]) -> int:
-        """A mesh in one colour (linear RGB)."""
-        import trimesh
-
-        normals = trimesh.Trimesh(vertices, triangles, process=False).vertex_normals
-        pbr = {"baseColorFactor": [*colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
-        material = self._add("materials", {"name": name, "doubleSided": True, "pbrMetallicRoughness": pbr})
-        primitive = {
-            "attributes": {
-                "POSITION": self.array(vertices.astype("<f4"), "VEC3", limits=True),
-                "NORMAL": self.array(np.asarray(normals).astype("<f4"), "VEC3"),
-            },
-            "indices": self.array(triangles.astype("<u4").reshape(-1), "SCALAR"),
-            "material": material,
-        }
-        return self._add("meshes", {"name": name, "primitives": [primitive]})
-
-    def node(self, name: str, parent: int | None = None, **fields: Any) -> int:
-        """A node below `parent`, or at the top."""
-        index = self._add("nodes", {"name": name} | fields)
-        where = self.document["scenes"][0]["nodes"] if parent is None else self._children(parent)
-        where.append(index)
-        return index
-
-    def move(self, node: int, clock: int, positions: F64, quaternions: F64) -> None:
-        """Animate a node: (T, 3) metres and (T, 4) w x y z at the times of accessor `clock`."""
-        xyzw = np.roll(quaternions, -1, axis=1)
-        for path, values, kind in (("translation", positions, "VEC3"), ("rotation", xyzw, "VEC4")):
-            output = self.array(values.astype("<f4"), kind)
-            self.channels.append({"sampler": len(self.samplers), "target": {"node": node, "path": path}})
-            self.samplers.append({"input": clock, "output": output, "interpolation": "LINEAR"})
-
-    def bytes(self) -> bytes:
-        """The whole file."""
-        document = self.document | {
-            "animations": [{"name": "trial", "channels": self.channels, "samplers": self.samplers}],
-            "buffers": [{"byteLength": len(self.data)}],
-        }
-        text = json.dumps(document, separators=(",", ":")).encode("ascii")
-        text += b" " * (-len(text) % 4)
-        chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(self.data), b"BIN\0")
-        return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks) + len(self.data)) + chunks + self.data
-
-    def _children(self, node: int) -> list[int]:
-        return self.document["nodes"][node].setdefault("children", [])
-
-    def _add(self, table: str, entry: dict[str, Any]) -> int:
-        self.document[table].append(entry)
-        return len(self.document[table]) - 1
+    normals = np.asarray(trimesh.Trimesh(vertices, triangles, process=False).vertex_normals)
+    pbr = {"baseColorFactor": [*colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
+    return file.mesh(name, vertices, normals, triangles, pbr)

@@ -9,6 +9,7 @@ import numpy as np
 from realsim.align.cloud import Cloud
 from realsim.align.planes import Plane, find_planes, plane_axes, plane_weights
 from realsim.errors import AlignError
+from realsim.resampling import resampled
 from realsim.types import F64, Gravity
 
 BELOW = 0.04
@@ -260,8 +261,7 @@ def tilt_sigma_deg(cloud: Cloud, plane: Plane, seed: int, resamples: int = 200) 
     columns = [A[:, i] * A[:, j] for i in range(3) for j in range(3)] + [A[:, i] * h for i in range(3)]
     products = w[:, None] * np.column_stack(columns)
     sums = np.stack([np.bincount(block, c, blocks) for c in products.T], axis=1)
-    rng = np.random.default_rng(seed)
-    slopes = _slopes(sums[rng.integers(0, blocks, (resamples, blocks))].sum(1))
+    slopes = _slopes(resampled(np.asarray(sums, float), resamples, seed).sum(1))
     variance = float((slopes**2).sum(1).mean())
     if blocks < FEW_BLOCKS:
         extent = float(np.sqrt(np.linalg.eigvalsh(np.cov((uv - centre).T, aweights=w))[0]))

@@ -28,10 +28,13 @@ def natural_key(name: str) -> tuple:
 
 
 def list_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
-    """Plain, visible files of a folder with one of the suffixes (any case), in natural order; [] if no such folder."""
+    """Visible files of a folder with one of the suffixes (any case), in natural order; [] if no such folder.
+
+    Broken links and pipes are among them: a frame that cannot be read has to be said, not to vanish.
+    """
     if not folder.is_dir():
         return []
-    found = [p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith(".") and p.is_file()]
+    found = [p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith(".")]
     return sorted(found, key=lambda p: natural_key(p.name))
 
 

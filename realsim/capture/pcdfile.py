@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from realsim.capture.lzf import decompress
 from realsim.errors import CaptureError
-from realsim.files import MAX_BINARY_BYTES, check_size, read_bytes
+from realsim.files import MAX_BINARY_BYTES, check_size, read_bytes, read_head
 from realsim.geometry import make_T, quat_to_R
 from realsim.types import F32, F64, U8
 
@@ -82,9 +82,7 @@ def read_header(path: Path) -> PcdHeader:
     Raises:
         CaptureError: no PCD file, an entry missing or contradictory, or fewer data than the header promises.
     """
-    check_size(path)
-    with path.open("rb") as file:
-        head = file.read(HEADER_LIMIT)
+    head = read_head(path, HEADER_LIMIT)
     entries: dict[str, list[str]] = {}
     offset = 0
     while "DATA" not in entries:
@@ -226,9 +224,7 @@ def _check(header: PcdHeader, path: Path) -> None:
             "corrupt or truncated point cloud", file=path, expected=f"{expected} bytes of points", found=f"{rest}"
         )
     if header.data == "binary_compressed":
-        with path.open("rb") as file:
-            file.seek(header.offset)
-            lengths = file.read(8)
+        lengths = read_head(path, 8, header.offset)
         packed, unpacked = struct.unpack("<II", lengths) if len(lengths) == 8 else (0, 0)
         if unpacked != expected or packed > rest - 8:
             raise CaptureError(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from realsim.capture.pcdfile import read_columns, read_header, unpack_rgb
 from realsim.errors import CaptureError, MissingExtraError, RealsimError
-from realsim.files import check_size, read_bytes
+from realsim.files import check_size, read_bytes, read_head
 from realsim.types import F64, U8
 
 MAX_VERTICES = 20_000_000
@@ -112,19 +112,28 @@ def read_las(path: Path) -> RawScan:
 
 def read_ply(path: Path) -> RawScan:
     """A cloud or a mesh."""
-    with path.open("rb") as file:
-        head = file.read(4096)
+    head = read_head(path, 4096)
     count = re.search(rb"element vertex (\d+)", head)
     if not head.startswith(b"ply") or count is None:
         raise CaptureError("not a PLY file", file=path, expected="a header with `element vertex`")
     check_count(int(count[1]), path)
-    return _load(path)
+    raw = _load(path)
+    told = re.search(rb"element face (\d+)", head)
+    # Readers of the text form take what is there; polygons make more triangles than the header has faces, never fewer.
+    found = 0 if raw.triangles is None else len(raw.triangles)
+    if len(raw.points) < int(count[1]) or (told is not None and found < int(told[1])):
+        raise CaptureError(
+            "corrupt or truncated scan",
+            file=path,
+            expected=f"{int(count[1])} vertices and {int(told[1]) if told else 0} faces",
+            found=f"{len(raw.points)} and {found}",
+        )
+    return raw
 
 
 def read_stl(path: Path) -> RawScan:
     """A mesh whose triangles share no vertices in the file: equal ones are joined."""
-    with path.open("rb") as file:
-        head = file.read(84)
+    head = read_head(path, 84)
     size = path.stat().st_size
     if len(head) == 84 and 84 + 50 * struct.unpack("<I", head[80:])[0] == size:
         check_count(3 * struct.unpack("<I", head[80:])[0], path)

@@ -53,7 +53,7 @@ def contact_mesh(
         if ground_z is None
         else GroundLevel(ground_z, False, f"at z = {ground_z:.3f} m, as given")
     )
-    files = write_terrain(folder, terrain, ground.z, config)
+    files = write_terrain(folder, terrain, ground.z, config, bare=True)
     hidden = hidden_cm2(terrain, files.scene_xml, ground)
     if hidden and set(files.contact["geoms"]) == {"plane"}:
         raise ExportError(

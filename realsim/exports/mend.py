@@ -12,7 +12,7 @@ from realsim.errors import ExportError
 from realsim.exports.contact.columns import check_extent, crossings
 from realsim.exports.winding import turn_closed, turn_stray
 from realsim.files import check_size
-from realsim.meshes import compact
+from realsim.meshes import compact, loose_vertices
 from realsim.types import MeshQuality, TerrainMesh
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
@@ -50,7 +50,8 @@ def read_mesh(path: Path, unit: str | None = None, up: str = "auto") -> tuple[Te
         raise ExportError("the mesh cannot be read", file=path, found=found) from error
     if path.suffix.lower() == ".stl" and not len(triangles):
         raise ExportError("the mesh cannot be read", file=path, found="no triangle: cut off, or no STL")
-    notes = []
+    loose = loose_vertices(path, len(vertices), triangles)
+    notes = [loose] if loose else []
     if up == "y" or (up == "auto" and path.suffix.lower() == ".glb"):
         vertices = np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
         notes.append("y of the file points up")
@@ -133,7 +134,7 @@ def mend(vertices: F64, triangles: NDArray[Any]) -> tuple[TerrainMesh, list[str]
         notes.append("solids of the mesh overlap or its surface crosses itself: whatever lies in any of them is solid")
     if not quality.manifold:
         notes.append("the mesh is not manifold: solids are taken from columns of rays, which need no manifold")
-    if not quality.watertight:
+    if _open(vertices, faces):
         notes.append("the mesh is open: a surface without an underside is taken to be solid down to the ground")
     return terrain, notes
 
@@ -147,7 +148,7 @@ def _from_above(mesh: TerrainMesh) -> tuple[bool, bool]:
     lower, upper = mesh.vertices.min(0), mesh.vertices.max(0)
     steps = (np.arange(RAYS) + 0.5) / RAYS
     x, y = np.meshgrid(*(lower[k] + steps * (upper[k] - lower[k]) for k in (0, 1)))
-    ray, z, up, _ = crossings(mesh, x.ravel(), y.ravel(), (lower + upper) / 2, float(upper[2]) + 1)
+    ray, z, up, _ = crossings(mesh, x.ravel(), y.ravel(), float(upper[2]) + 1)
     if not len(ray):
         raise ExportError("the mesh has no surface to stand on", found="no surface that is seen from above")
     first = np.r_[True, np.diff(ray) != 0]
@@ -161,10 +162,20 @@ def _from_above(mesh: TerrainMesh) -> tuple[bool, bool]:
 
 def _quality(vertices: F64, triangles: NDArray[np.int32], degenerate: int) -> MeshQuality:
     """Counts of edges tell open and non-manifold; self-intersections are left uncounted (-1), rays do not mind them."""
-    _, merged = np.unique(np.round(vertices, 7), axis=0, return_inverse=True)
-    faces = merged.reshape(-1)[triangles]
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    _, uses = np.unique(edges, axis=0, return_counts=True)
+    uses = _edge_uses(vertices, triangles)
     return MeshQuality(
         len(vertices), len(triangles), bool((uses == 2).all()), bool((uses <= 2).all()), -1, degenerate, 1, None
     )
+
+
+def _open(vertices: F64, triangles: NDArray[np.int32]) -> bool:
+    """Whether there is a rim. Where solids touch, edges belong to four triangles, and none is missing."""
+    return bool((_edge_uses(vertices, triangles) % 2).any())
+
+
+def _edge_uses(vertices: F64, triangles: NDArray[np.int32]) -> NDArray[np.int64]:
+    """How many triangles each edge belongs to; vertices at one place are one."""
+    _, merged = np.unique(np.round(vertices, 7), axis=0, return_inverse=True)
+    faces = merged.reshape(-1)[triangles]
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    return np.unique(edges, axis=0, return_counts=True)[1]

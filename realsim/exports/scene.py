@@ -61,6 +61,7 @@ def write_terrain(
     robot_at: F64 | None = None,
     cost_at: F64 | None = None,
     azimuth: float = 60.0,
+    bare: bool = False,
 ) -> SceneFiles:
     """The same for a mesh with its ground alone.
 
@@ -68,8 +69,9 @@ def write_terrain(
         robot_at: (3,) the ground under the robot's feet; the ground at the origin if None.
         cost_at: (3,) where G1 stands when the cost of a step is measured; the highest level place if None.
         azimuth: direction in which viewers look first, degrees from x to y.
+        bare: whether the ground goes on where the mesh has no surface.
     """
-    fitted = fit_contact(mesh, ground_z, config, cost_at)
+    fitted = fit_contact(mesh, ground_z, config, cost_at, bare=bare)
     contact = fitted.contact
     vertices, triangles, colors = compact(mesh.vertices, mesh.seen, mesh.colors)
     normals = vertex_normals(vertices, triangles)

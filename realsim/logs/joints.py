@@ -169,7 +169,7 @@ def _unit(target: Target, names: Sequence[str], values: F64, declared: str) -> t
     """(unit, offset in it, why): what puts the joints into their ranges; what is declared unless plainly wrong."""
     ranges = target.ranges[[target.joints.index(n) for n in names]]
     if np.isfinite(ranges).all(axis=1).sum() == 0:
-        largest = float(np.nanmax(np.abs(values)))
+        largest = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
         if declared in ANGLES:
             return declared, 0.0, f"in {declared}, as is declared"
         unit = "deg" if largest > 4 * np.pi else "rad"

@@ -12,6 +12,7 @@ import numpy as np
 from realsim.errors import GapError
 from realsim.files import check_size
 from realsim.logs.names import words
+from realsim.models import odd_number
 from realsim.types import F64
 
 MAX_MODEL_BYTES = 64 * 2**20
@@ -126,7 +127,7 @@ class Target:
             if len(at) == len(table) <= width:
                 # Where a table and another order are the same, the table's name says more.
                 found = {f"the motors of {name}": [at[i] for i in range(len(table))], **found}
-        good = {n: o for n, o in found.items() if len(set(o)) == len(o)}
+        good = {n: o for n, o in found.items() if o and len(set(o)) == len(o)}
         unique: dict[tuple[str, ...], str] = {}
         for name, order in good.items():
             unique.setdefault(tuple(order), name)
@@ -199,6 +200,9 @@ def load_target(path: Path) -> Target:
         model = spec.compile()
     except Exception as error:  # MuJoCo raises ValueError and its own types
         raise GapError("the model does not compile", file=path, found=str(error).splitlines()[0][:200]) from error
+    if (odd := odd_number(model)) is not None:
+        expected = "finite numbers of a robot's size"
+        raise GapError("the model cannot be simulated", file=path, expected=expected, found=odd)
     joints = tuple(model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] in (2, 3))
     if not all(joints) or not joints:
         raise GapError("the model has no joints, or joints without a name", file=path, expected="named hinges, slides")

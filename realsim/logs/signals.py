@@ -67,7 +67,9 @@ def travelled(times: F64, position: F64, velocity: F64) -> tuple[F64, F64]:
 
     An integral does not mind noise as a derivative does, so what stays is the factor between them.
     """
-    step = float(np.median(np.diff(times)))
+    step = float(np.median(np.diff(times))) if len(times) > 2 else np.nan
+    if not np.isfinite(step):
+        return np.zeros(0), np.zeros(0)
     lag = max(2, round(0.1 / max(step, 1e-6)))
     good = np.isfinite(velocity)
     filled = np.interp(np.arange(len(velocity)), np.flatnonzero(good), velocity[good]) if good.any() else velocity
@@ -78,13 +80,15 @@ def travelled(times: F64, position: F64, velocity: F64) -> tuple[F64, F64]:
 
 
 def follows(times: F64, asked: F64, done: F64) -> tuple[float, float, float, float]:
-    """(correlation, s of lag, gain, offset) with which one signal (T,) follows another best."""
+    """(correlation, s of lag, gain, offset) with which one signal (T,) follows another best; of two samples, nothing."""
+    if len(times) < 3:
+        return 0.0, 0.0, np.nan, np.nan
     step = max(float(np.median(np.diff(times))), 1e-3)
     grid = np.arange(times[0], times[-1], step)[:MOST]
     a = held(times, asked[:, None], grid)[:, 0]
     b = at(times, done[:, None], grid)[:, 0]
     best = (0.0, 0.0)
-    for lag in range(int(MAX_LAG / step) + 1):
+    for lag in range(min(int(MAX_LAG / step) + 1, len(a) // 2)):
         found = alike(a[: len(a) - lag], b[lag:])
         if found > best[0] + 1e-9:
             best = (found, lag)

@@ -132,11 +132,14 @@ def _cell(value: Any) -> float | list[float] | None:
             except ValueError:
                 return {"true": 1.0, "false": 0.0, "nan": np.nan}.get(text.lower())
     if isinstance(value, (bool, int, float, np.number)):
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError:  # a whole number of hundreds of digits
+            return None
     if isinstance(value, (list, tuple, np.ndarray)):
         try:
             return [float(v) if v is not None else np.nan for v in np.ravel(np.asarray(value, dtype=object))]
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             return None
     return None
 

@@ -9,6 +9,7 @@ import numpy as np
 from realsim.errors import ScaleError
 from realsim.ordered import in_order
 from realsim.progress import track
+from realsim.resampling import interval90, resampled
 from realsim.scale.config import ScaleConfig
 from realsim.types import F32, F64, Bool, MetricScene, Pointmaps, PointView, ScaleEstimate
 
@@ -166,9 +167,7 @@ def bootstrap_median(values: F64, resamples: int, seed: int) -> tuple[float, flo
     Pixels of one frame err together, so it is frames that are drawn, not pixels. Depth images are float32: the
     interval is never narrower than their resolution.
     """
-    rng = np.random.default_rng(seed)
-    medians = np.median(values[rng.integers(0, len(values), (resamples, len(values)))], axis=1)
-    low, high = np.quantile(medians, [0.05, 0.95])
+    low, high = interval90(np.median(resampled(values, resamples, seed), axis=1))
     eps = float(np.finfo(np.float32).eps)
     return float(low) * (1 - eps), float(high) * (1 + eps)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 
 import cv2
@@ -91,7 +92,7 @@ def test_no_intrinsics(tmp_path):
         ('{"fx": 88, "fy": 87, "cx": 46, "cy": 37, "depth_scale": 0}', "not positive"),
         ('{"fx": 88, "fy": 87, "cx": 46, "cy": 37, "width": NaN, "height": 75}', "not a number of pixels"),
         ('{"fx": 88, "fy": 87, "cx": 46, "cy": 37, "width": 96, "height": Infinity}', "not a number of pixels"),
-        ('{"fx": 1' + "0" * 400 + ', "fy": 87, "cx": 46, "cy": 37}', "not a usual number"),
+        ('{"fx": 1' + "0" * 400 + ', "fy": 87, "cx": 46, "cy": 37}', "401 digits"),
         ("[" * 100_000, "broken JSON"),
         ('{"fx": 88,', "broken JSON"),
     ],
@@ -532,3 +533,39 @@ def test_random_damage_never_ends_in_anything_but_a_message(name, tmp_path):
                     depth = frame.depth()
                     assert np.isfinite(depth).all()
                     assert depth.shape == (CAMERA.height, CAMERA.width)
+
+
+BROKEN = {
+    "dangling": lambda path: path.symlink_to("/nowhere"),
+    "loop": lambda path: path.symlink_to(path.name),
+    "pipe": lambda path: os.mkfifo(path),
+    "folder": lambda path: path.mkdir(),
+}
+
+
+@pytest.mark.parametrize("kind", list(BROKEN))
+@pytest.mark.parametrize(("layout", "name"), [("plain", "depth/000002.png"), ("pcd", "cloud002.pcd")])
+def test_what_is_no_file_is_a_frame_that_was_dropped(layout, name, kind, tmp_path):
+    WRITERS[layout](tmp_path, walk(6))
+    (tmp_path / name).unlink()
+    BROKEN[kind](tmp_path / name)
+    assert reason(frames_of(tmp_path), (tmp_path / name).stem)
+
+
+def test_a_frame_without_confidence_is_said(tmp_path):
+    WRITERS["scannerapp"](tmp_path, walk(6))
+    (tmp_path / "conf_00003.png").unlink()
+    assert any("1 of 6 frames have no confidence" in w for w in frames_of(tmp_path).warnings)
+
+
+def test_a_bag_that_is_a_link_to_itself(tmp_path):
+    (tmp_path / "a.bag").symlink_to("a.bag")
+    with pytest.raises(RealsimError, match="cannot be read"):
+        read(tmp_path, CONFIG)
+
+
+def test_an_error_of_the_disk_is_said(tmp_path):
+    write_pcd_folder(tmp_path, walk(4))
+    (tmp_path / "cloud001.pcd").unlink()
+    (tmp_path / "cloud001.pcd").symlink_to("/proc/self/mem")
+    assert "cannot be read" in reason(frames_of(tmp_path), "cloud001")

@@ -525,3 +525,24 @@ def test_depth_of_phones_in_another_unit_is_found(tmp_path):
     np.testing.assert_allclose(
         frames_of(tmp_path, CaptureConfig(depth_unit=0.0002)).frames[2].depth(), views[2].depth, atol=2e-4
     )
+
+
+@pytest.mark.parametrize("lost", ["depth", "jpg", "conf"])
+def test_a_member_that_is_missing_in_a_recording_is_said(lost, tmp_path):
+    members = record3d_members(walk(5))
+    del members[f"rgbd/2.{lost}"]
+    write_zip(tmp_path / "a.r3d", members)
+    capture = frames_of(tmp_path)
+    if lost == "conf":
+        assert any("1 of 5 frames have no confidence" in w for w in capture.warnings)
+    else:
+        assert [d.name for d in capture.dropped] == ["000002"]
+
+
+def test_a_camera_unlike_all_others_is_named(tmp_path):
+    views = walk(6)
+    PHONES["arkitscenes"](tmp_path, views)
+    assert not any("unlike" in w for w in frames_of(tmp_path).warnings)
+    path = sorted((tmp_path / "lowres_wide_intrinsics").iterdir())[2]
+    path.write_text(path.read_text().replace("46.5", "66.5"))
+    assert any("1 of 6 frames have a camera unlike" in w for w in frames_of(tmp_path).warnings)

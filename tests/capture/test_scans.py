@@ -213,10 +213,21 @@ def test_truncated_scans_never_end_in_anything_but_a_message(suffix, tmp_path):
         terrain().export(path)
         cut(path, share)
         try:
-            scan_of(path)
+            scan = scan_of(path)
         except RealsimError:
             continue
         assert suffix == "obj", "text that ends early can still be a mesh"
+        assert share > 0.9 or any("cut off" in w for w in scan.warnings)
+
+
+def test_a_ply_as_text_that_ends_early_is_refused(tmp_path):
+    data = terrain().export(file_type="ply", encoding="ascii")
+    (tmp_path / "a.ply").write_bytes(data)
+    scan_of(tmp_path / "a.ply")
+    for share in (0.3, 0.8, 0.99):
+        (tmp_path / "a.ply").write_bytes(data[: int(share * len(data))])
+        with pytest.raises(RealsimError, match="truncated"):
+            read(tmp_path / "a.ply", CONFIG)
 
 
 def test_enormous_scans_are_refused_by_their_header(tmp_path, monkeypatch):

@@ -9,10 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.solids import block, terrain, with_floor
+from realsim.exports.config import SceneConfig
+from realsim.exports.contact.base import ContactModel, Geom, floor_plane
+from realsim.exports.contact.boxes import boxes
 from realsim.exports.contact.columns import columns
+from realsim.exports.contact.fidelity import measure
 from realsim.exports.contact.outline import area, convex_parts, hull, outlines
 from realsim.exports.contact.planes import heights, segment, spread
+from realsim.exports.contact.probe import Reference, spec_of
+from realsim.exports.contact.shape import Shape
 from realsim.exports.contact.solids import island_solid
+from realsim.exports.mend import mend
 from realsim.types import TerrainMesh
 
 
@@ -24,6 +31,38 @@ def test_columns_of_a_bridge_have_a_gap() -> None:
     assert grid.bottom[0, row, column] == pytest.approx(0.2, abs=1e-5)
     assert grid.top[1, row, column] == pytest.approx(0.0, abs=1e-5)
     assert grid.bottom[1, row, column] == -np.inf
+
+
+def table() -> TerrainMesh:
+    """Four legs that end exactly at the underside of the top."""
+    parts = [trimesh.creation.box([0.06, 0.06, 0.5]) for _ in range(4)] + [trimesh.creation.box([0.8, 0.6, 0.04])]
+    places = [(x, y, 0.25) for x in (-0.3, 0.3) for y in (-0.2, 0.2)] + [(0.0, 0.0, 0.52)]
+    for part, place in zip(parts, places, strict=True):
+        part.apply_translation(place)
+    whole = trimesh.util.concatenate(parts)
+    return mend(np.asarray(whole.vertices), np.asarray(whole.faces))[0]
+
+
+def test_faces_that_lie_in_each_other_both_count() -> None:
+    grid = columns(table(), 0.0, 0.01)
+    row, column = (np.rint((at - grid.lower[k]) / grid.cell).astype(int) for k, at in ((1, 0.2), (0, 0.3)))
+    assert grid.bottom[0, row, column] == -np.inf, "the leg reaches the ground"
+    row, column = (np.rint((0 - grid.lower[k]) / grid.cell).astype(int) for k in (1, 0))
+    assert grid.bottom[0, row, column] == pytest.approx(0.5, abs=1e-5)
+
+
+def test_legs_under_a_top_are_missed_where_they_are_not_there() -> None:
+    """From above nothing is wrong with a table top that floats."""
+    mesh = table()
+    reference = Reference(mesh.vertices, mesh.triangles)
+    top = ContactModel("x", (floor_plane(0.0), Geom("top", "box", (0.0, 0.0, 0.52), size=(0.4, 0.3, 0.02))), ())
+    floating = measure(spec_of(top), reference, 0.0, probes=300, feet=0, bare=True)
+    assert floating.figures["missing_area_cm2"] == 0
+    assert floating.figures["sides"]["through"] > 0.03
+    assert not floating.meets(0.005, 0.015)
+    standing = measure(spec_of(boxes(Shape(mesh, 0.0), SceneConfig())), reference, 0.0, probes=300, feet=0, bare=True)
+    assert standing.figures["sides"]["through"] == 0
+    assert standing.meets(0.005, 0.015)
 
 
 def test_overlapping_solids_are_one_interval() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import ctypes.util
 import json
+import shutil
 from pathlib import Path
 
 import mujoco
@@ -77,6 +78,17 @@ def test_what_mujoco_reads_has_the_same_heights(folder: Path, exported: dict[str
         if name == "mjcf":  # the robot's body is in the way of nothing here, the floor is of the world
             distance = mujoco.mj_ray(model, data, start, np.array([0, 0, -1.0]), visible, 1, -1, hit)
         assert 0.3 - distance == pytest.approx(z, abs=0.002)
+
+
+def test_a_drawn_mesh_that_was_cut_off_is_refused(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder, tmp_path / "scene")
+    path = tmp_path / "scene" / "visual.obj"
+    lines = path.read_text().splitlines(keepends=True)
+    faces = [i for i, line in enumerate(lines) if line.startswith("f ")]
+    path.write_text("".join(lines[: faces[len(faces) // 10]]))
+    with pytest.raises(ExportError, match="cut off"):
+        export_scene(tmp_path / "scene", ["mjcf"], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_warp_profile_is_primitives_with_bits_and_advice(exported: dict[str, list[Path]]) -> None:
@@ -213,3 +225,10 @@ def test_unknown_formats_and_folders_without_a_scene(folder: Path, tmp_path: Pat
     assert not (tmp_path / "out").exists()
     with pytest.raises(ExportError, match="not a scene folder"):
         export_scene(tmp_path, ["glb"])
+
+
+def test_a_scene_with_entities_is_refused(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder, tmp_path / "scene")
+    (tmp_path / "scene" / "scene.xml").write_text('<!DOCTYPE a [<!ENTITY b "c">]><mujoco>&b;</mujoco>')
+    with pytest.raises(ExportError, match="not plain XML"):
+        load_scene(tmp_path / "scene")

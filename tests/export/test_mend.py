@@ -123,6 +123,24 @@ def test_open_and_non_manifold_are_said() -> None:
     assert any("open" in n for n in notes)
 
 
+def test_solids_that_share_an_edge_are_not_open() -> None:
+    parts = [trimesh.creation.box([0.3, 1, h]).apply_translation([0.3 * i, 0, h / 2]) for i, h in enumerate((0.2, 0.4))]
+    both = trimesh.util.concatenate(parts)
+    _, notes = mend(np.asarray(both.vertices), np.asarray(both.faces))
+    assert not any("open" in n for n in notes)
+
+
+def test_a_file_that_lost_its_last_triangles_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "a.obj"
+    mesh = terrain("stairs")
+    trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False).export(path)
+    assert not any("cut off" in n for n in read_mesh(path)[1])
+    lines = path.read_text().splitlines(keepends=True)
+    faces = [i for i, line in enumerate(lines) if line.startswith("f ")]
+    path.write_text("".join(lines[: faces[len(faces) // 2]]))
+    assert any("cut off" in n for n in read_mesh(path)[1])
+
+
 @pytest.mark.parametrize("content", [b"", b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n", b"\x00garbage" * 9])
 def test_empty_and_broken_files(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.ply"

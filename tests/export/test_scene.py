@@ -127,14 +127,14 @@ def test_a_rerun_writes_the_same_bytes(tmp_path: Path, robot: str | None) -> Non
     contents = []
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
-        write_scene(tmp_path / name, aligned, mesh, SceneConfig(robot=robot))
+        write_scene(tmp_path / name, aligned, mesh, SceneConfig(robot=robot, contact_probes=200))
         contents.append({p.name: p.read_bytes() for p in sorted((tmp_path / name).iterdir())})
     assert contents[0] == contents[1]
 
 
 def test_g1_stands_on_the_start_platform(tmp_path: Path) -> None:
     aligned, mesh = two_platforms()
-    files = write_scene(tmp_path, aligned, mesh, SceneConfig(robot="g1"))
+    files = write_scene(tmp_path, aligned, mesh, SceneConfig(robot="g1", contact_probes=200))
     assert files.checks["robot_moved_m"] < 0.05
     model = mujoco.MjModel.from_xml_path(str(files.scene_xml))
     data = mujoco.MjData(model)

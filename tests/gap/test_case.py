@@ -13,7 +13,7 @@ import pytest
 from realsim.errors import GapError, RealsimError, UnknownNameError
 from realsim.gap import DiagnoseConfig, diagnose, explain, load_case
 from realsim.gap.pipeline import replicates
-from realsim.gap.run import run_case
+from realsim.gap.run import check_case, run_case
 
 from .truth import Truth
 
@@ -192,13 +192,11 @@ def test_torque_in_other_units_is_refused_until_log_json_says_so(made, tmp_path:
     shutil.copytree(made("torque", Truth(), torque="measured"), folder)
     for path in (folder / "runs").glob("*.npz"):
         change(folder, path.stem, joint_torque=lambda t: 1000 * t)
-    config = DiagnoseConfig(effects=("command_delay",))
     with pytest.raises(GapError, match="joint_torque looks like mN m"):
-        diagnose(load_case(folder), config)
+        check_case(folder)
     log = json.loads((folder / "log.json").read_text()) | {"units": {"joint_torque": "mN m"}}
     (folder / "log.json").write_text(json.dumps(log))
-    found = diagnose(load_case(folder), config)
-    assert not any("N m" in w for w in found.health["warnings"])
+    assert not any("N m" in w for w in check_case(folder)["health"]["warnings"])
 
 
 def test_one_run_only_is_said(case: Path) -> None:
@@ -253,6 +251,19 @@ def insert(case: Path, line: str, before: str = "") -> None:
     text = path.read_text()
     at = text.index(before) if before else text.index(">", text.index("<mujoco")) + 1
     path.write_text(text[:at] + line + text[at:])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field"),
+    [('mass="1.6"', 'mass="1e30"', "body_mass"), ('damping="0.12"', 'damping="nan"', "dof_damping")],
+)
+def test_numbers_that_no_robot_has_are_refused(case: Path, old: str, new: str, field: str) -> None:
+    """MuJoCo compiles them without a word, and simulates what is not a number."""
+    path = case / "model.xml"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(GapError, match=field):
+        load_case(case)
 
 
 def test_a_model_of_parts_is_read(case: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,9 @@ import pytest
 
 from realsim.cli import main
 from realsim.errors import GapError, RealsimError
+from realsim.gap import load_case
 from realsim.logs import load_target, propose, read, write_case
+from realsim.logs.signals import follows, travelled
 
 from . import writers
 from .robots import ARM, Log, save
@@ -146,3 +149,53 @@ def test_an_empty_folder_and_prose_are_no_recordings(tmp_path: Path) -> None:
     )
     with pytest.raises(GapError, match=r"no recording|no samples"):
         read(tmp_path)
+
+
+def test_a_pipe_in_a_folder_of_recordings_is_refused(arm: Log, tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install -e '.[logs]'")
+    folder = writers.lerobot(tmp_path / "set", [arm], JOINTS)
+    (file,) = (folder / "data").rglob("*.parquet")
+    file.unlink()
+    os.mkfifo(file)
+    with pytest.raises(RealsimError, match="not a plain file"):
+        read(folder)
+
+
+def test_a_run_named_by_bytes_that_are_no_text_is_written(arm: Log, tmp_path: Path) -> None:
+    target = load_target(save(tmp_path, ARM))
+    path = tmp_path / os.fsdecode(b"run\xff.npz")
+    np.savez(path, time=arm.time, q=arm.pos, q_des=arm.command)
+    write_case(propose(read(path), target), target, tmp_path / "case")
+    assert len(load_case(tmp_path / "case").runs) == 1
+
+
+@pytest.mark.parametrize(("old", "new"), [('damping="0.3"', 'damping="nan"'), ('mass="2.5"', 'mass="1e30"')])
+def test_a_model_that_cannot_be_simulated_is_refused(old: str, new: str, tmp_path: Path) -> None:
+    assert old in ARM
+    with pytest.raises(GapError, match="cannot be simulated"):
+        load_target(save(tmp_path, ARM.replace(old, new)))
+
+
+def test_no_clock_and_no_values_are_no_traceback() -> None:
+    one = np.zeros(1)
+    assert not len(travelled(one, one, one)[0])
+
+
+def test_a_number_of_hundreds_of_digits_is_no_traceback(tmp_path: Path) -> None:
+    rows = [{"time": 0.01 * i, "q": 10**400 if i == 3 else 0.1, "r": [0.1, 10**400]} for i in range(30)]
+    (tmp_path / "a.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    with contextlib.suppress(RealsimError):
+        propose(read(tmp_path / "a.jsonl"))
+
+
+@pytest.mark.parametrize("rows", [1, 2, 21])
+def test_hardly_any_samples_are_no_traceback(rows: int, arm: Log, tmp_path: Path) -> None:
+    target = load_target(save(tmp_path, ARM))
+    few = {"time": arm.time[:rows], "q": arm.pos[:rows], "q_des": arm.command[:rows]}
+    (tmp_path / "a.jsonl").write_text(
+        "".join(json.dumps({k: np.asarray(v[i]).tolist() for k, v in few.items()}) + "\n" for i in range(rows))
+    )
+    with contextlib.suppress(RealsimError):
+        propose(read(tmp_path / "a.jsonl"), target)
+    with contextlib.suppress(RealsimError):
+        follows(arm.time[:rows], arm.command[:rows, 0], arm.pos[:rows, 0])

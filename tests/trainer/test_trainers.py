@@ -1,24 +1,19 @@
-"""The hook for learners, the reference motion, and scenes in other engines."""
+"""The hook for learners, and the reference motion."""
 # ruff: noqa: E402 - what needs torch is imported after it is known to be there
 
 from __future__ import annotations
 
-from importlib.util import find_spec
-
-import mujoco
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
 
-from realsim.errors import MissingExtraError, UnknownNameError
+from realsim.errors import UnknownNameError
 from trainer.errors import TrainerError
 from trainer.ppo.motion import TROT, cycle, reference
 from trainer.robots import ROBOTS
 from trainer.tasks.parkour.amp import layout
-from trainer.terrain import flat, generate
 from trainer.trainers import BUILT_IN, Scene, find
-from trainer.trainers.courses import add_course, extent
 
 
 def test_trainers_are_found_by_name_and_unknown_ones_are_listed() -> None:
@@ -26,12 +21,6 @@ def test_trainers_are_found_by_name_and_unknown_ones_are_listed() -> None:
     with pytest.raises(UnknownNameError, match="unknown trainer 'pop'") as caught:
         find("pop")
     assert all(name in caught.value.expected for name in BUILT_IN)
-
-
-@pytest.mark.skipif(find_spec("mjlab") is not None, reason="mjlab is installed")
-def test_a_missing_engine_is_said() -> None:
-    with pytest.raises(MissingExtraError, match="mjlab"):
-        find("mjlab")
 
 
 def test_no_terrain_is_said() -> None:
@@ -62,42 +51,3 @@ def test_standing_feet_move_back_as_fast_as_the_base_moves_ahead() -> None:
     assert np.allclose(velocity[standing, 2], 0.0, atol=0.02)
     assert feet[:, 0, 2].max() - feet[:, 0, 2].min() == pytest.approx(TROT.lift, abs=0.003)
     assert np.allclose(feet[0, 0, 2], feet[0, 3, 2], atol=1e-3)  # diagonal feet together
-
-
-def _heights(spec: mujoco.MjSpec, points: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    hit = np.zeros(1, np.int32)
-    tops = []
-    for x, y in points + offset[:2]:
-        tops.append(5.0 - mujoco.mj_ray(model, data, np.array([x, y, 5.0]), np.array([0, 0, -1.0]), None, 1, -1, hit))
-    return np.array(tops) - offset[2]
-
-
-@pytest.mark.parametrize("kind", ["boxes", "contact"])
-def test_a_course_is_the_same_in_another_engine(kind: str) -> None:
-    terrain = generate("wedges", 0.5, 3)
-    low, high = extent(terrain, -0.01)
-    rng = np.random.default_rng(0)
-    points = rng.uniform(low, high, (200, 2))
-    if kind == "contact":
-        # The same course once more as convex meshes, tilted bodies and all.
-        source = mujoco.MjSpec()
-        for i, b in enumerate(terrain.boxes):
-            corners = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T * b.size
-            source.add_mesh(name=f"m{i}", uservert=(corners @ b.T[:3, :3].T + b.T[:3, 3]).ravel())
-            source.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"m{i}")
-        from dataclasses import replace
-
-        boxed, terrain = terrain, replace(terrain, boxes=(), contact=source)
-    else:
-        boxed = terrain
-    offset = np.array([3.0, -2.0, 0.0])
-    spec = mujoco.MjSpec()
-    geoms = add_course(spec, spec.worldbody.add_body(name="terrain"), terrain, offset, "course")
-    assert len(geoms) == 1 + len(boxed.boxes)
-    plain = mujoco.MjSpec()
-    add_course(plain, plain.worldbody.add_body(name="terrain"), boxed, np.zeros(3), "plain")
-    assert np.allclose(_heights(spec, points, offset), _heights(plain, points, np.zeros(3)), atol=1e-3)
-    assert flat().floor_z == 0.0

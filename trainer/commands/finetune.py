@@ -34,7 +34,7 @@ def finetune(
     from_scratch: bool = False,
     out: Path = Path("finetuned"),
     overwrite: bool = False,
-    trainer: Annotated[str, tyro.conf.arg(metavar="{ppo,rsl_rl,mjlab}")] = "ppo",
+    trainer: Annotated[str, tyro.conf.arg(metavar="{ppo,rsl_rl}")] = "ppo",
     task_file: Path | None = None,
     final_trials: int = 1000,
     first_success: Literal["auto", "help", "plain"] = "auto",
@@ -52,7 +52,7 @@ def finetune(
         from_scratch: train without a base.
         out: folder for the results.
         overwrite: replace the run in a folder that an earlier training wrote; --resume goes on with it.
-        trainer: ppo, rsl_rl, mjlab, or one that an installed package adds.
+        trainer: ppo, rsl_rl, or one that an installed package adds.
         task_file: JSON with differences from the paper's task.
         final_trials: trials on each terrain before and after; 0 leaves both out.
         first_success: help begins on a raised floor that sinks, with starts along the course; plain does not; auto
@@ -75,7 +75,7 @@ def finetune(
     config = replace(config, task=load_task(task_file))
     train = find(trainer)
     before = None
-    if policy is not None and final_trials and trainer != "mjlab" and common.first_rank():
+    if policy is not None and final_trials and common.first_rank():
         note("trials of the base policy")
         before = trials(policy, scene, config, final_trials)
     help_it = first_success == "help" or (first_success == "auto" and before is not None and _never_succeeds(before))

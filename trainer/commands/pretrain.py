@@ -23,7 +23,7 @@ def pretrain(
     terrain: str = "grid",
     families: tuple[str, ...] = (*CURRICULUM, "mixed"),
     columns: int = 8,
-    trainer: Annotated[str, tyro.conf.arg(metavar="{ppo,rsl_rl,mjlab}")] = "ppo",
+    trainer: Annotated[str, tyro.conf.arg(metavar="{ppo,rsl_rl}")] = "ppo",
     task_file: Path | None = None,
 ) -> CommandResult:
     """Train a base policy on generated terrain, from scratch.
@@ -34,7 +34,7 @@ def pretrain(
         terrain: `grid` is the curriculum of 10 rows; or one terrain: flat, a test's name, or FAMILY:DIFFICULTY:SEED.
         families: of the grid.
         columns: of the grid for each family: terrains of each difficulty.
-        trainer: ppo, rsl_rl, mjlab, or one that an installed package adds.
+        trainer: ppo, rsl_rl, or one that an installed package adds.
         task_file: JSON with differences from the paper's task.
     """
     from trainer.commands import common

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import torch
 
-from realsim.files import check_size, write_bytes
+from realsim.files import check_size, damaged_member, write_bytes
 from trainer.errors import TrainerError
 from trainer.ppo import policy as policies
 from trainer.ppo.config import NetworkConfig, StrategyConfig
@@ -76,6 +76,8 @@ def load(path: Path, device: str | torch.device = "cpu") -> tuple[Policy, dict[s
 def read(path: Path) -> dict[str, Any]:
     """The dictionary of a checkpoint, on the CPU, after its format and version were checked."""
     check_size(path, MAX_BYTES)
+    if (member := damaged_member(path)) is not None:
+        raise _damaged(path, f"a wrong checksum of {member}")
     try:
         data = torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
@@ -85,14 +87,8 @@ def read(path: Path) -> dict[str, Any]:
             expected="tensors and plain values (it is read without running code)",
             found=_line(error),
         ) from error
-    except (RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
-        raise TrainerError(
-            "the checkpoint cannot be read: it is cut off or damaged",
-            file=path,
-            expected="a complete .pt file",
-            found=f"{path.stat().st_size} bytes; {_line(error)}",
-            hint="copy it again, or use the checkpoint before it",
-        ) from error
+    except Exception as error:  # of damage, torch's reader raises whatever it meets
+        raise _damaged(path, f"{path.stat().st_size} bytes; {_line(error)}") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise TrainerError(
             "not a policy checkpoint of realsim", file=path, expected=f"format {FORMAT}", found=_brief(data)
@@ -106,6 +102,16 @@ def read(path: Path) -> dict[str, Any]:
             hint="use the release that wrote it, or train again",
         )
     return data
+
+
+def _damaged(path: Path, found: str) -> TrainerError:
+    return TrainerError(
+        "the checkpoint cannot be read: it is cut off or damaged",
+        file=path,
+        expected="a complete .pt file",
+        found=found,
+        hint="copy it again, or use the checkpoint before it",
+    )
 
 
 def _refuse_what_is_not_a_number(path: Path, policy: Policy) -> None:

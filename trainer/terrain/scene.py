@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.errors import RealsimError
+from realsim.files import read_json
 from trainer.errors import TrainerError
 from trainer.terrain.base import Platform, Terrain
 
@@ -20,7 +21,6 @@ _MARGIN_M = 0.1
 """How far a platform's centre may lie outside the mesh's box: the one is fitted, the other as scanned."""
 _GROUND_NOISE = 0.03
 """Metres: parts no higher than this are the scanned ground; a foot on them stands on the ground."""
-_MAX_REPORT_BYTES = 64 << 20
 
 
 def load(folder: str | Path) -> Terrain:
@@ -67,13 +67,11 @@ def load(folder: str | Path) -> Terrain:
 
 def _report(folder: Path) -> dict[str, Any]:
     path = _file(folder, "report.json")
-    if path.stat().st_size > _MAX_REPORT_BYTES:
-        raise TrainerError("report.json is too large", file=path)
     try:
-        report = json.loads(path.read_text("utf-8"))
-    except ValueError as error:
+        report = read_json(path)
+    except RealsimError as error:
         raise TrainerError(
-            "report.json cannot be read", file=path, found=str(error), hint="reconstruct again"
+            "report.json cannot be read", file=path, found=error.found, hint="reconstruct again"
         ) from None
     if not isinstance(report, dict):
         raise TrainerError("report.json is no report", file=path, expected="an object", found=type(report).__name__)

@@ -18,7 +18,6 @@ __all__ = ["BUILT_IN", "Scene", "TrainConfig", "TrainResult", "Trainer", "find"]
 BUILT_IN = {
     "ppo": "trainer.trainers.ppo:train",
     "rsl_rl": "trainer.trainers.rsl_rl:train",
-    "mjlab": "trainer.trainers.mjlab:train",
 }
 """Known without being installed as entry points (a checkout on the path is enough)."""
 

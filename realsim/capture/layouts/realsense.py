@@ -17,9 +17,11 @@ from realsim.capture.listing import single_file
 from realsim.capture.realsense import library, open_bag
 from realsim.capture.record import write_frames
 from realsim.errors import CaptureError
-from realsim.files import digest, output_folder
+from realsim.files import check_size, digest, output_folder
 from realsim.progress import track
 from realsim.types import FrameSet
+
+MAX_BAG_BYTES = 256 * 2**30
 
 
 def recognise(path: Path) -> Recognition:
@@ -44,6 +46,7 @@ def unpacked(source: Path) -> Path:
         MissingExtraError: pyrealsense2 is not installed.
         CaptureError: not a recording, without colour or depth, or without any frame.
     """
+    check_size(source, MAX_BAG_BYTES)
     facts = source.stat()
     key = digest(str(source.resolve()), facts.st_size, facts.st_mtime_ns)[:16]
     folder = cache_folder() / f"{source.stem}-{key}"

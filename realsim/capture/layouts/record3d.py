@@ -7,7 +7,7 @@ each frame, and `poses` are qx qy qz qw tx ty tz with ARKit's camera axes.
 
 from __future__ import annotations
 
-import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,9 +25,11 @@ from realsim.capture.intrinsics import camera_from_mapping, check
 from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.listing import single_file
 from realsim.errors import CaptureError, PoseError, RealsimError
-from realsim.files import MAX_TEXT_BYTES
+from realsim.files import MAX_TEXT_BYTES, parse_json
 from realsim.types import F32, F64, U8, Dropped, Frame, FrameSet, Intrinsics
 
+MEMBER = re.compile(r"rgbd/(\d{1,9})\.(jpg|depth)")
+"""A frame's colour or depth in the archive."""
 DEPTH_SIZES = ((256, 192), (640, 480), (320, 240))
 """(width, height) in landscape of LiDAR and TrueDepth maps, for files from before `dw` and `dh` were written."""
 
@@ -126,10 +128,9 @@ def read(path: Path, config: CaptureConfig) -> FrameSet:
         raise CaptureError("no .r3d file", file=path, expected="one .r3d file, or a folder that holds one")
     lzfse.require()
     members = set(names(source))
-    numbers = sorted(
-        int(n[5:-6]) for n in members if n.startswith("rgbd/") and n[5:-6].isdigit() and n[-6:] == ".depth"
-    )
-    if not numbers:
+    found = [match for n in members if (match := MEMBER.fullmatch(n))]
+    numbers = sorted({int(match[1]) for match in found})
+    if not any(match[2] == "depth" for match in found):
         raise CaptureError("colour without depth", file=source, expected="rgbd/0.depth and so on in the archive")
     data = parse_json(Member(source, "metadata", MAX_TEXT_BYTES).read(), source)
     meta = read_metadata(data, source, config)
@@ -141,6 +142,8 @@ def read(path: Path, config: CaptureConfig) -> FrameSet:
         sure = Member(source, f"rgbd/{number}.conf", MAX_IMAGE_BYTES)
         if f"rgbd/{number}.jpg" not in members:
             return "depth without colour"
+        if f"rgbd/{number}.depth" not in members:
+            return "colour without depth"
         return Pictures(
             ZippedDepth(Member(source, f"rgbd/{number}.depth", MAX_IMAGE_BYTES), depth_size),
             ZippedColor(Member(source, f"rgbd/{number}.jpg", MAX_IMAGE_BYTES)),
@@ -247,13 +250,6 @@ def pose_notes(meta: Metadata) -> list[str]:
     if meta.relative:
         return [*own, AXES_NOTE, "the first pose is the identity: the world is the first camera's, up is not known"]
     return [*own, AXES_NOTE, WORLD_NOTE]
-
-
-def parse_json(data: bytes, source: Path) -> Any:
-    try:
-        return json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise CaptureError("broken JSON in the metadata", file=source, found=str(error)) from error
 
 
 def _table(data: Mapping[str, Any], key: str, columns: int, source: Path) -> F64 | None:

@@ -37,12 +37,18 @@ class Fitted:
 
 
 def fit_contact(
-    mesh: TerrainMesh, ground_z: float, config: SceneConfig, place: NDArray[np.float64] | None = None
+    mesh: TerrainMesh,
+    ground_z: float,
+    config: SceneConfig,
+    place: NDArray[np.float64] | None = None,
+    *,
+    bare: bool = False,
 ) -> Fitted:
     """Collision geometry of a mesh and how faithful it is; `config.contact` names it, or is `auto`.
 
     Args:
         place: (3,) where a robot stands when the cost is measured; the highest level place if None.
+        bare: whether the ground goes on where the mesh has no surface; in a scan, nothing is known there.
 
     Raises:
         UnknownNameError: no such representation.
@@ -67,7 +73,9 @@ def fit_contact(
                 refused.append({"representation": name, "refused": error.found})
                 continue
             measured = partial(tick, f"measuring {name}")
-            fidelity = measure(spec_of(contact), reference, ground_z, probes=config.contact_probes, tick=measured)
+            fidelity = measure(
+                spec_of(contact), reference, ground_z, probes=config.contact_probes, tick=measured, bare=bare
+            )
             tried.append((contact, fidelity))
             if fidelity.meets(*config.contact_tolerance):
                 break

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.errors import ExportError
+from realsim.exports.contact.rays import Rays
 from realsim.types import TerrainMesh
 
 F64 = NDArray[np.float64]
@@ -69,7 +70,7 @@ def columns(mesh: TerrainMesh, ground_z: float, cell: float) -> Columns:
     counts = np.maximum(np.ceil((upper - lower)[:2] / cell).astype(int), 1)
     origin = lower[:2] + ((upper - lower)[:2] - (counts - 1) * cell) / 2
     x, y = np.meshgrid(origin[0] + cell * np.arange(counts[0]), origin[1] + cell * np.arange(counts[1]))
-    ray, z, up, seen = crossings(mesh, x.ravel(), y.ravel(), (lower + upper) / 2, float(upper[2]) + 1)
+    ray, z, up, seen = crossings(mesh, x.ravel(), y.ravel(), float(upper[2]) + 1)
     top, bottom, above, below = _tidy(*_intervals(ray, z, up, x.size), ground_z)
     shape = (len(top), counts[1], counts[0])
     top_seen, bottom_seen = np.append(seen, False)[above], np.append(seen, False)[below]  # of -1: not seen
@@ -79,32 +80,19 @@ def columns(mesh: TerrainMesh, ground_z: float, cell: float) -> Columns:
 
 
 def crossings(
-    mesh: TerrainMesh, x: F64, y: F64, centre: F64, above: float
+    mesh: TerrainMesh, x: F64, y: F64, above: float
 ) -> tuple[NDArray[np.int64], F64, NDArray[np.bool_], NDArray[np.bool_]]:
     """All crossings of downward rays, by ray and then from above: (ray, z, faces up, was measured).
 
     Args:
         x, y: (M,) metres, one ray each.
-        centre: (3,) near the mesh, as Open3D computes in float32.
         above: z to start at, metres.
     """
-    from typing import Any
-
-    import open3d
-
-    o3d: Any = open3d
     corners = mesh.vertices[mesh.triangles]
     faces_up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        o3d.core.Tensor((mesh.vertices - centre).astype(np.float32)),
-        o3d.core.Tensor(np.ascontiguousarray(mesh.triangles, np.uint32)),
-    )
-    rays = np.zeros((len(x), 6), np.float32)
-    rays[:, 0], rays[:, 1], rays[:, 2], rays[:, 5] = x - centre[0], y - centre[1], above - centre[2], -1
-    hits = scene.list_intersections(o3d.core.Tensor(rays))
-    ray, t = hits["ray_ids"].numpy().astype(np.int64), hits["t_hit"].numpy().astype(np.float64)
-    triangle = hits["primitive_ids"].numpy()
+    start = np.column_stack([x, y, np.full(len(x), above)])
+    rays = Rays(mesh.vertices, mesh.triangles)
+    ray, t, triangle = rays.all_hits(start, np.broadcast_to([0.0, 0.0, -1.0], start.shape))
     order = np.lexsort((t, ray))
     ray, z, triangle = ray[order], above - t[order], triangle[order]
     up, seen = faces_up[triangle], ~mesh.invented[triangle]

@@ -124,6 +124,7 @@ def measure(
     feet: int = 100,
     seed: int = 0,
     tick: Callable[[float], None] = lambda share: None,
+    bare: bool = False,
 ) -> Fidelity:
     """Probe the collision geoms of `spec` (`MjSpec`, any MJCF) against a reference surface.
 
@@ -137,6 +138,7 @@ def measure(
         probes: balls that are lowered; about as many are pushed.
         feet: feet that are lowered; as many are slid.
         tick: called with the share that is done, now and then.
+        bare: whether the ground goes on where the mesh has no surface.
     """
     tick(0.0)
     rng = np.random.default_rng(seed)
@@ -158,7 +160,7 @@ def measure(
     tick(0.7)
     figures |= count_leaks(spec, reference, region.lower, region.upper, ground_z, seed=seed)
     tick(0.9)
-    figures["sides"] = side_figures(spec, reference, region.lower, region.upper, ground_z, seed)
+    figures["sides"] = side_figures(spec, reference, region.lower, region.upper, ground_z, seed, bare=bare)
     return Fidelity(figures, lowered)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.exports.contact.base import ContactModel
+from realsim.exports.contact.rays import Rays
 from realsim.exports.mjcf import contact_elements
 
 F64 = NDArray[np.float64]
@@ -147,20 +148,12 @@ class Reference:
     """The exact surface: distances, and what lies above a point."""
 
     def __init__(self, vertices: F64, triangles: NDArray[np.int32], invented: NDArray[np.bool_] | None = None) -> None:
-        import open3d
-
-        self._o3d: Any = open3d
         self.vertices, self.triangles = vertices, triangles
         self.invented = np.zeros(len(triangles), bool) if invented is None else invented
         """(K,) triangles that were not measured."""
-        self.centre = (vertices.min(0) + vertices.max(0)) / 2  # Open3D computes in float32: stay near its origin
         corners = vertices[triangles]
         self.up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0
-        self._scene = self._o3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(
-            self._o3d.core.Tensor((vertices - self.centre).astype(np.float32)),
-            self._o3d.core.Tensor(np.ascontiguousarray(triangles, np.uint32)),
-        )
+        self._rays = Rays(vertices, triangles)
 
     def seen_only(self) -> Reference:
         """The measured part of it."""
@@ -171,10 +164,8 @@ class Reference:
     def cast(self, origins: F64, ways: F64) -> tuple[F64, F64, F64]:
         """First hits of rays (N, 3), (N, 3) unit: ((N,) metres, inf for none; (N,) cosine of the way and the normal of
         what was hit, negative at its front; (N, 3) that normal)."""
-        rays = np.concatenate([origins - self.centre, ways], 1).astype(np.float32)
-        hit = self._scene.cast_rays(self._o3d.core.Tensor(rays))
-        t = hit["t_hit"].numpy().astype(np.float64)
-        corners = self.vertices[self.triangles[np.where(np.isfinite(t), hit["primitive_ids"].numpy(), 0).astype(int)]]
+        t, triangle = self._rays.cast(origins, ways)
+        corners = self.vertices[self.triangles[np.maximum(triangle, 0)]]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-15)
         return t, (normal * ways).sum(1), normal
@@ -196,13 +187,13 @@ class Reference:
 
     def distance(self, points: F64) -> F64:
         """(...) unsigned distance of points (..., 3) from the surface."""
-        query = self._o3d.core.Tensor((points - self.centre).astype(np.float32))
-        return self._scene.compute_distance(query).numpy().astype(np.float64)
+        query = self._rays.tensor(points - self._rays.centre)
+        return self._rays.scene.compute_distance(query).numpy().astype(np.float64)
 
     def normals(self, points: F64) -> F64:
         """(M, 3) unit direction from the nearest surface point to each of the points."""
-        query = self._o3d.core.Tensor((points - self.centre).astype(np.float32))
-        near = self._scene.compute_closest_points(query)["points"].numpy().astype(np.float64) + self.centre
+        query = self._rays.tensor(points - self._rays.centre)
+        near = self._rays.scene.compute_closest_points(query)["points"].numpy().astype(np.float64) + self._rays.centre
         away = points - near
         return away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
 
@@ -210,9 +201,8 @@ class Reference:
         """(M,) z of the highest surface at x y (M, 2), of those `below` z (M,); NaN where there is none."""
         above = np.full(len(xy), float(self.vertices[:, 2].max()) + 1.0)
         above = above if below is None else np.minimum(below, above)
-        start = np.column_stack([xy, above]) - self.centre
-        rays = np.concatenate([start, np.broadcast_to([0, 0, -1.0], start.shape)], 1).astype(np.float32)
-        t = self._scene.cast_rays(self._o3d.core.Tensor(rays))["t_hit"].numpy().astype(np.float64)
+        start = np.column_stack([xy, above])
+        t, _ = self._rays.cast(start, np.broadcast_to([0.0, 0.0, -1.0], start.shape))
         return np.where(np.isfinite(t), above - t, np.nan)
 
     def buried(self, points: F64) -> NDArray[np.bool_]:
@@ -221,18 +211,13 @@ class Reference:
         So it is if the first surface straight above faces up, or if more of those above face up than down: where solids
         overlap, the underside of one lies inside the other.
         """
-        rays = np.concatenate([points - self.centre, np.broadcast_to([0, 0, 1.0], points.shape)], 1)
-        tensor = self._o3d.core.Tensor(rays.astype(np.float32))
-        triangle = self._scene.cast_rays(tensor)["primitive_ids"].numpy().astype(np.int64)
-        found = triangle < len(self.triangles)
-        inside = found & self.up[np.where(found, triangle, 0)]
-        below = np.flatnonzero(found & ~inside)
-        if not len(below):  # Open3D crashes on no rays at all
-            return inside
-        hits = self._scene.list_intersections(self._o3d.core.Tensor(rays[below].astype(np.float32)))
-        facing = np.where(self.up[hits["primitive_ids"].numpy().astype(np.int64)], 1, -1)
-        ways_out = np.bincount(hits["ray_ids"].numpy().astype(np.int64), weights=facing, minlength=len(below))
-        inside[below] = ways_out[: len(below)] > 0
+        up = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
+        _, triangle = self._rays.cast(points, up)
+        inside = (triangle >= 0) & self.up[triangle]
+        below = np.flatnonzero((triangle >= 0) & ~inside)
+        ray, _, triangle = self._rays.all_hits(points[below], up[below])
+        ways_out = np.bincount(ray, weights=np.where(self.up[triangle], 1, -1), minlength=len(below))
+        inside[below] = ways_out > 0
         return inside
 
     def depth(self, points: F64) -> F64:
@@ -240,9 +225,7 @@ class Reference:
         it got in (the floor beneath does not count). Points of no solid get what is in their way."""
         angle = np.arange(8) * np.pi / 4
         ways = np.vstack([np.column_stack([np.cos(angle), np.sin(angle), np.zeros(8)]), [[0, 0, 1.0]]])
-        start = np.repeat(points - self.centre, len(ways), axis=0)
-        rays = np.concatenate([start, np.tile(ways, (len(points), 1))], 1).astype(np.float32)
-        t = self._scene.cast_rays(self._o3d.core.Tensor(rays))["t_hit"].numpy().astype(np.float64)
+        t, _ = self._rays.cast(np.repeat(points, len(ways), axis=0), np.tile(ways, (len(points), 1)))
         return t.reshape(len(points), len(ways)).min(1)
 
     def clearance(self, probe: Probe, positions: F64, quats: F64) -> F64:

@@ -21,13 +21,16 @@ F64 = NDArray[np.float64]
 HEIGHTS = (0.1, 0.5, 1.0)  # metres above the ground: toes, knees, hips
 PLACES, WAYS = 40, 24  # places a height, directions a place
 REACH = 6.0  # metres
+AROUND = 0.5  # metres beside a mesh that stands on bare ground
 WITHIN = 0.03  # metres about the surface in which a ray has to stop
 UPRIGHT = 0.5  # most |z| of the normal of a side face
 RUN = 0.10  # metres before the surface from which a ball is pushed
 ENOUGH = 50  # rays; what fewer of them say is chance
 
 
-def side_figures(spec: Any, reference: Reference, lower: F64, upper: F64, ground_z: float, seed: int = 0) -> dict:
+def side_figures(
+    spec: Any, reference: Reference, lower: F64, upper: F64, ground_z: float, seed: int = 0, *, bare: bool = False
+) -> dict:
     """Level rays from free places against what was seen, and balls pushed against it where they hit.
 
     A place is free if straight below it is a seen face that faces up, and nothing seen within 5 cm. Rays that meet the
@@ -39,6 +42,7 @@ def side_figures(spec: Any, reference: Reference, lower: F64, upper: F64, ground
 
     Args:
         lower, upper: (2,) rectangle in which places lie, metres.
+        bare: whether the ground goes on where the mesh has no surface, so that places are free there and around it.
 
     Returns:
         JSON-able: `rays`, shares that `stopped`, went `through`, and were stopped `early`; the same `by_height_m`;
@@ -46,7 +50,8 @@ def side_figures(spec: Any, reference: Reference, lower: F64, upper: F64, ground
     """
     rng = np.random.default_rng(seed)
     surface = reference.seen_only()
-    starts, ways, height = _rays(surface, lower, upper, ground_z, rng)
+    around = AROUND if bare else 0.0
+    starts, ways, height = _rays(surface, lower - around, upper + around, ground_z, rng, bare)
     hit, cosine, normal = surface.cast(starts, ways)
     met = (hit < REACH) & (cosine < 0) & (np.abs(normal[:, 2]) < UPRIGHT)
     starts, ways, height, hit = starts[met], ways[met], height[met], hit[met]
@@ -64,7 +69,7 @@ def side_figures(spec: Any, reference: Reference, lower: F64, upper: F64, ground
 
 
 def _rays(
-    surface: Reference, lower: F64, upper: F64, ground_z: float, rng: np.random.Generator
+    surface: Reference, lower: F64, upper: F64, ground_z: float, rng: np.random.Generator, bare: bool
 ) -> tuple[F64, F64, F64]:
     """(starts, directions, height of each) of all rays."""
     starts, ways, heights = [], [], []
@@ -72,7 +77,7 @@ def _rays(
         xy = rng.uniform(lower, upper, (20 * PLACES, 2))
         place = np.column_stack([xy, np.full(len(xy), ground_z + h)])
         fall, cosine, _ = surface.cast(place, np.broadcast_to([0.0, 0.0, -1.0], place.shape))
-        place = place[np.isfinite(fall) & (cosine < -UPRIGHT)]
+        place = place[(np.isfinite(fall) & (cosine < -UPRIGHT)) | (bare & np.isinf(fall))]
         place = place[surface.distance(place) > 0.05][:PLACES]
         turn = 2 * np.pi * (np.arange(WAYS) + rng.random((len(place), 1))) / WAYS
         starts.append(np.repeat(place, WAYS, axis=0))

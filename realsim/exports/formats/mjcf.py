@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from realsim.errors import ExportError
 from realsim.exports.formats.scene import SceneOnDisk
 from realsim.exports.mjcf import numbers
 from realsim.files import explain_write_errors, to_json, write_text
@@ -98,11 +99,16 @@ def _advice(text: str, scene: SceneOnDisk) -> dict[str, Any]:
 def _referred(path: Path) -> list[str]:
     """Files that an MJCF file names, relative to it; included files' own too."""
     from defusedxml import ElementTree
+    from defusedxml.common import DefusedXmlException
 
-    from realsim.files import inside
+    from realsim.files import inside, read_text
 
     names: list[str] = []
-    for element in ElementTree.parse(path).iter():
+    try:
+        tree = ElementTree.fromstring(read_text(path))
+    except (ElementTree.ParseError, DefusedXmlException) as error:
+        raise ExportError("not plain XML", file=path, found=str(error)) from error
+    for element in tree.iter():
         name = element.get("file")
         if name and name not in names:
             inside(path.parent, name)

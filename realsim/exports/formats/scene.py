@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.errors import ExportError
-from realsim.files import check_size
+from realsim.files import check_size, read_text
 
 F64 = NDArray[np.float64]
+DRAWN_OFF = 0.05  # of the scene's length: simplifying to 80,000 triangles moves the ends by millimetres
 FLOOR_REACH = 10.0  # metres of floor around a scene in formats that know no infinite plane
 
 
@@ -86,6 +87,8 @@ def load_scene(folder: Path) -> SceneOnDisk:
     """
     import mujoco
     import trimesh
+    from defusedxml import ElementTree
+    from defusedxml.common import DefusedXmlException
 
     for name in ("scene.xml", "mesh.ply"):
         if not (folder / name).is_file():
@@ -94,6 +97,10 @@ def load_scene(folder: Path) -> SceneOnDisk:
     for path in sorted(folder.iterdir()):  # MuJoCo would wait for ever at a pipe in place of a file that it reads
         if not path.is_dir() and not path.is_file():
             raise ExportError("not a plain file", file=path, expected="a scene folder as realsim wrote it")
+    try:
+        ElementTree.fromstring(read_text(folder / "scene.xml"))
+    except (ElementTree.ParseError, DefusedXmlException) as error:
+        raise ExportError("scene.xml is not plain XML", file=folder / "scene.xml", found=str(error)) from error
     try:
         model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
     except ValueError as error:
@@ -108,7 +115,31 @@ def load_scene(folder: Path) -> SceneOnDisk:
     boxes, convex, surfaces, floor = _collision(model, data)
     sites = {model.site(i).name: (data.site_xpos[i].copy(), model.site_size[i].copy()) for i in _world_sites(model)}
     vertices, triangles = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int32)
+    _check_drawn(folder, model, data, vertices[np.unique(triangles)])
     return SceneOnDisk(folder, vertices, triangles, colors, boxes, convex, surfaces, floor, sites)
+
+
+def _check_drawn(folder: Path, model: Any, data: Any, vertices: F64) -> None:
+    """Refuse a drawn mesh that does not reach as far as mesh.ply, of which it is a simplified copy: a text file that
+    was cut off still compiles."""
+    import mujoco
+
+    geom = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "visual")
+    if geom < 0 or model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH or not len(vertices):
+        return
+    mesh = model.geom_dataid[geom]
+    first, start = model.mesh_faceadr[mesh], model.mesh_vertadr[mesh]
+    used = np.unique(model.mesh_face[first : first + model.mesh_facenum[mesh]])
+    points = model.mesh_vert[start + used].astype(float) @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+    off = np.abs(np.stack([points.min(0) - vertices.min(0), points.max(0) - vertices.max(0)])).max()
+    if not off <= DRAWN_OFF * float(np.ptp(vertices, 0).max()):
+        raise ExportError(
+            "the mesh that is drawn is not that of the scene: it is cut off, or of another scene",
+            file=folder / "visual.obj",
+            expected=f"a mesh as large as mesh.ply ({' x '.join(f'{v:.2f}' for v in np.ptp(vertices, 0))} m)",
+            found=" x ".join(f"{v:.2f}" for v in np.ptp(points, 0)) + " m",
+            hint="make the scene again",
+        )
 
 
 def _world_sites(model: Any) -> list[int]:

@@ -26,6 +26,7 @@ from scipy.sparse import bsr_matrix, csr_matrix, diags_array, identity
 from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
+from realsim.feedforward.rgbd.graph import hat
 from realsim.feedforward.rgbd.refine_pairs import Surface
 from realsim.feedforward.rgbd.tracks import Tracks
 from realsim.types import F64
@@ -174,8 +175,8 @@ def solve_step(
 
     r_t1 = r_t + Jc_t @ x + Jp @ y
     r_s1 = r_s + Jc_s @ x
-    hat = np.einsum("mka,mab,mkb->mk", blocks, V_inv[tracks.point], blocks) * wt.reshape(M, 3)
-    new = _components(sigmas, r_t1.reshape(M, 3), w_t.reshape(M, 3), hat, r_s1, w_s)
+    leverage = np.einsum("mka,mab,mkb->mk", blocks, V_inv[tracks.point], blocks) * wt.reshape(M, 3)
+    new = _components(sigmas, r_t1.reshape(M, 3), w_t.reshape(M, 3), leverage, r_s1, w_s)
     if fit_prior:
         new = _prior_components(new, sigmas, r_p + x[:-1], lu, width, seed)
     frames_s = surface.i
@@ -196,14 +197,6 @@ def _apply(state: State, x: F64, y: F64) -> State:
     step = x[:-1].reshape(-1, 6)
     R = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ state.R
     return replace(state, R=R, c=state.c + step[:, :3], log_gain=state.log_gain + x[-1], X=state.X + y.reshape(-1, 3))
-
-
-def _cross(v: F64) -> F64:
-    """(M, 3) -> (M, 3, 3) with _cross(v) @ w = v × w."""
-    K = np.zeros((len(v), 3, 3))
-    K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    K[:, 1, 0], K[:, 2, 0], K[:, 2, 1] = v[:, 2], -v[:, 1], v[:, 0]
-    return K
 
 
 def _track_rows(state: State, t: Tracks, width: int) -> tuple[csr_matrix, Any, F64]:
@@ -227,7 +220,7 @@ def _track_rows(state: State, t: Tracks, width: int) -> tuple[csr_matrix, Any, F
     A = D @ Rt
     gain = np.zeros((M, 3, 1))
     gain[:, 2, 0] = -y[:, 2] / state.gain / t.z**2
-    data = np.concatenate([-A, A @ _cross(arm), gain], 2)
+    data = np.concatenate([-A, A @ hat(arm), gain], 2)
     cols = np.concatenate([t.view[:, None] * 6 + np.arange(6), np.full((M, 1), width - 1)], 1)
     cols = np.repeat(cols, 3, axis=0)
     Jc = csr_matrix((data.ravel(), cols.ravel(), np.arange(0, 21 * M + 1, 7)), shape=(3 * M, width))
@@ -258,11 +251,11 @@ def _prior_residual(state: State, given: State) -> F64:
     return np.column_stack([state.c - given.c, turn]).ravel()
 
 
-def _components(sigmas: Sigmas, r_t: F64, w_t: F64, hat: F64, r_s: F64, w_s: F64) -> Sigmas:
+def _components(sigmas: Sigmas, r_t: F64, w_t: F64, leverage: F64, r_s: F64, w_s: F64) -> Sigmas:
     """Variance components of image, depth and surface: weighted squares over redundancy (1 - leverage)."""
     image, depth, surface = sigmas.image, sigmas.depth, sigmas.surface
     if len(r_t) > 30:
-        free = np.maximum(1 - hat, 0)
+        free = np.maximum(1 - leverage, 0)
         image = np.sqrt((w_t[:, :2] * r_t[:, :2] ** 2).sum() / max(free[:, :2].sum(), 1))
         depth = np.sqrt((w_t[:, 2] * r_t[:, 2] ** 2).sum() / max(free[:, 2].sum(), 1))
     if len(r_s) > 30:

@@ -20,6 +20,7 @@ from realsim.gap.evidence.motion import Motion, blur, estimate
 from realsim.gap.logs.case import Case, Run
 from realsim.gap.simulation.edit import Edit
 from realsim.gap.simulation.simulate import Simulator
+from realsim.resampling import interval90, resampled
 from realsim.types import F64
 
 SPACING = 0.02
@@ -194,9 +195,7 @@ def base_wrench(simulator: Simulator, seed: int = 0) -> BaseWrench | None:
     if len(blocks) < 4:
         return None
     found = np.array(blocks)
-    rng = np.random.default_rng(seed)
-    means = found[rng.integers(0, len(found), (400, len(found)))].mean(axis=1)
-    mean, ends = found.mean(axis=0), np.quantile(means, [0.05, 0.95], axis=0).T
+    mean, ends = found.mean(axis=0), interval90(resampled(found, 400, seed).mean(axis=1)).T
     return BaseWrench(mean, ends, float(-mean[2] / GRAVITY))
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.channels import Channel, named_place
+from realsim.resampling import resampled
 from realsim.types import F64
 
 BLOCK_SECONDS = 0.5
@@ -71,13 +72,9 @@ def significant(p: Sequence[float], false_share: float = FALSE_SHARE) -> list[bo
     """Which of many tests to believe so that at most this share of them is expected to be false."""
     if not len(p):
         return []
-    values = np.asarray(p, float)
-    order = np.argsort(values)
-    passed = values[order] <= false_share * np.arange(1, len(values) + 1) / len(values)
-    last = int(np.max(np.flatnonzero(passed), initial=-1))
-    result = np.zeros(len(values), bool)
-    result[order[: last + 1]] = True
-    return [bool(r) for r in result]
+    from scipy.stats import false_discovery_control  # Benjamini and Hochberg 1995
+
+    return [bool(adjusted <= false_share) for adjusted in false_discovery_control(np.asarray(p, float))]
 
 
 def tail(
@@ -100,8 +97,8 @@ def tail(
     if len(filled) < 4:
         return 1.0, float(s.sum() / max(n.sum(), 1))
     s, n = s[filled], n[filled]
-    pick = np.random.default_rng(seed).integers(0, len(s), (RESAMPLES, len(s)))
-    means = s[pick].sum(axis=1) / n[pick].sum(axis=1)
+    drawn = resampled(np.stack([s, n], axis=1), RESAMPLES, seed).sum(axis=1)
+    means = drawn[:, 0] / drawn[:, 1]
     mean = float(s.sum() / n.sum())
     from scipy.special import ndtr
 

@@ -14,6 +14,7 @@ from realsim.files import inside, read_json, read_text
 from realsim.gap.logs.resolve import resolve
 from realsim.gap.logs.runs import Layout, layout, read_run
 from realsim.gap.logs.runs import Run as Run
+from realsim.models import odd_number
 
 MAX_INCLUDES = 8
 """Files of a model that include each other in a row."""
@@ -227,6 +228,9 @@ def load_model(path: Path) -> tuple[Any, Any, str]:
             expected=f"timestep from {LEAST_TIMESTEP:g} to 0.1 s",
             found=f"{model.opt.timestep:g}",
         )
+    if (odd := odd_number(model)) is not None:
+        expected = "finite numbers of a robot's size"
+        raise GapError("the model cannot be simulated", file=path, expected=expected, found=odd)
     if model.ngeom > MOST_GEOMS or model.nbody > MOST_GEOMS:
         raise GapError(
             "the model is too large for a diagnosis",

@@ -7,8 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from realsim.errors import GapError, did_you_mean
 
+HEAVIEST, FARTHEST = 1000.0, 10.0
+"""kg and metres: what no robot carries, so that the number will be in another unit."""
 EXAMPLE = '{"run_03": {"payload": [{"body": "hand", "mass": 0.5, "at": [0, 0, 0.1]}], "gains": {"elbow": {"kp": 40}}}}'
 
 
@@ -42,7 +46,10 @@ def _setup(entry: Any, model: Any, file: Path) -> Setup:
             at = tuple(float(v) for v in item["at"])
             if len(at) != 3:
                 raise ValueError(at)
-            masses.append((_known(item["body"], bodies, "body", file), float(item["mass"]), (at[0], at[1], at[2])))
+            mass = float(item["mass"])
+            if not (np.isfinite([mass, *at]).all() and 0 <= mass < HEAVIEST and np.abs(at).max() < FARTHEST):
+                raise ValueError(item)
+            masses.append((_known(item["body"], bodies, "body", file), mass, (at[0], at[1], at[2])))
         for actuator, values in entry.get("gains", {}).items():
             name = _known(actuator, actuators, "actuator", file)
             for which, value in values.items():
@@ -55,6 +62,8 @@ def _setup(entry: Any, model: Any, file: Path) -> Setup:
                         file=file,
                         expected="a position servo with this gain",
                     )
+                if not (np.isfinite(float(value)) and float(value) >= 0):
+                    raise ValueError(value)
                 gains.append((name, which, float(value)))
     except (TypeError, ValueError, KeyError, AttributeError) as error:
         raise _unreadable(file, entry) from error

@@ -28,11 +28,16 @@ def load(path: str | Path, robot: TrainedRobot) -> Known:
     data = read_json(Path(path))
     if not isinstance(data, dict) or not isinstance(data.get("causes"), list) or "verdict" not in data:
         raise TrainerError("not a diagnosis", file=path, expected="diagnosis.json of `realsim diagnose`")
-    if data["verdict"] != "identified":
-        return Known(unused=tuple(f"{c.get('effect')} ({data['verdict']})" for c in data["causes"]))
     found: dict[str, Any] = {"unused": [], "servo": set()}
-    for cause in data["causes"]:
-        _take(cause, robot, found, path)
+    try:
+        if data["verdict"] != "identified":
+            return Known(unused=tuple(f"{c.get('effect')} ({data['verdict']})" for c in data["causes"]))
+        for cause in data["causes"]:
+            _take(cause, robot, found, path)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise TrainerError(
+            "the diagnosis is damaged", file=path, found=f"{type(error).__name__}: {error}", hint="diagnose again"
+        ) from error
     return Known(**found | {"unused": tuple(found["unused"]), "servo": frozenset(found["servo"])})
 
 

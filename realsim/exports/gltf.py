@@ -1,0 +1,118 @@
+"""A glTF 2.0 binary while it grows: arrays, meshes, nodes, animations."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+COMPONENTS = {"<f4": 5126, "<u2": 5123, "<u4": 5125}
+VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
+# glTF's y points up, ours z: a node above all turns by -90 degrees about x (x y z w), what is below stays as it is.
+Z_UP_TO_Y_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
+
+
+class GltfFile:
+    """A document and its buffer."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self._length = 0
+        tables = ("nodes", "meshes", "materials", "accessors", "bufferViews")
+        self._document: dict[str, Any] = {"asset": {"version": "2.0", "generator": "realsim"}, "scene": 0}
+        self._document |= {"scenes": [{"nodes": []}]} | {name: [] for name in tables}
+        self._channels: list[dict[str, Any]] = []
+        self._samplers: list[dict[str, Any]] = []
+
+    def array(self, values: NDArray[Any], kind: str, *, limits: bool = False, target: int | None = None) -> int:
+        """Append an array; returns its accessor's index.
+
+        Args:
+            values: little-endian float32, uint32, or uint16 (then 65535 stands for 1); rows of a multiple of 4 bytes,
+                as glTF's alignment needs.
+            kind: SCALAR, VEC3 or VEC4.
+            limits: whether its least and largest values are written, which positions and times need.
+            target: VERTEX_BUFFER or INDEX_BUFFER.
+        """
+        view = {"buffer": 0, "byteOffset": self._length, "byteLength": values.nbytes}
+        self._add("bufferViews", view | ({} if target is None else {"target": target}))
+        accessor = {
+            "bufferView": len(self._document["bufferViews"]) - 1,
+            "componentType": COMPONENTS[values.dtype.newbyteorder("<").str],
+            "count": len(values),
+            "type": kind,
+        }
+        if values.dtype.itemsize == 2:
+            accessor["normalized"] = True
+        if limits:
+            accessor |= {"min": np.atleast_1d(values.min(0)).tolist(), "max": np.atleast_1d(values.max(0)).tolist()}
+        self._parts.append(values.tobytes())
+        self._length += values.nbytes
+        return self._add("accessors", accessor)
+
+    def mesh(
+        self,
+        name: str,
+        vertices: F64,
+        normals: F64,
+        triangles: NDArray[Any],
+        pbr: Mapping[str, Any],
+        linear_rgba: NDArray[np.uint16] | None = None,
+    ) -> int:
+        """A mesh of (V, 3) vertices, (V, 3) unit normals and (K, 3) triangles.
+
+        Args:
+            pbr: its material, as `pbrMetallicRoughness` of the specification.
+            linear_rgba: (V, 4) colours of the vertices.
+        """
+        attributes = {
+            "POSITION": self.array(vertices.astype("<f4"), "VEC3", limits=True, target=VERTEX_BUFFER),
+            "NORMAL": self.array(normals.astype("<f4"), "VEC3", target=VERTEX_BUFFER),
+        }
+        if linear_rgba is not None:
+            attributes["COLOR_0"] = self.array(linear_rgba, "VEC4", target=VERTEX_BUFFER)
+        material = {"name": name, "doubleSided": True, "pbrMetallicRoughness": dict(pbr)}
+        primitive = {
+            "attributes": attributes,
+            "indices": self.array(triangles.astype("<u4").reshape(-1), "SCALAR", target=INDEX_BUFFER),
+            "material": self._add("materials", material),
+        }
+        return self._add("meshes", {"name": name, "primitives": [primitive]})
+
+    def node(self, name: str, parent: int | None = None, **fields: Any) -> int:
+        """A node below `parent`, or at the top."""
+        index = self._add("nodes", {"name": name} | fields)
+        above = self._document["scenes"][0]["nodes"] if parent is None else self._children(parent)
+        above.append(index)
+        return index
+
+    def move(self, node: int, clock: int, positions: F64, quaternions: F64) -> None:
+        """Animate a node: (T, 3) metres and (T, 4) w x y z at the times of accessor `clock`."""
+        xyzw = np.roll(quaternions, -1, axis=1)
+        for path, values, kind in (("translation", positions, "VEC3"), ("rotation", xyzw, "VEC4")):
+            output = self.array(values.astype("<f4"), kind)
+            self._channels.append({"sampler": len(self._samplers), "target": {"node": node, "path": path}})
+            self._samplers.append({"input": clock, "output": output, "interpolation": "LINEAR"})
+
+    def to_bytes(self) -> bytes:
+        """The whole file."""
+        document = self._document | {"buffers": [{"byteLength": self._length}]}
+        if self._channels:
+            document["animations"] = [{"name": "trial", "channels": self._channels, "samplers": self._samplers}]
+        text = json.dumps(document, separators=(",", ":")).encode("ascii")
+        text += b" " * (-len(text) % 4)
+        data = b"".join(self._parts)
+        chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
+        return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+    def _children(self, node: int) -> list[int]:
+        return self._document["nodes"][node].setdefault("children", [])
+
+    def _add(self, table: str, entry: dict[str, Any]) -> int:
+        self._document[table].append(entry)
+        return len(self._document[table]) - 1
