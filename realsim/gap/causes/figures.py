@@ -1,6 +1,6 @@
 """Every hand-set figure of the search for causes: what it is, why it has this size, and the data that it was set on.
 
-"Generated cases" are those of `benchmarks/gap_truth`, seeds 97 to 101. "Budget" marks what bounds the work, set by the
+"Generated cases" are those of the benchmark, seeds 97 to 101. "Budget" marks what bounds the work, set by the
 time that a case takes: a larger value may only find more. "Not tuned": set once, never compared.
 """
 
