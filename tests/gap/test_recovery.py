@@ -17,7 +17,7 @@ from realsim.gap.causes.fit import Cause, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.linear import log_evidence, marginal
 from realsim.gap.causes.probes import probed, probed_footing, probed_ground
-from realsim.gap.causes.proposals import by_likeness, by_size, ranked
+from realsim.gap.causes.proposals import _alike, by_size, ranked
 from realsim.gap.causes.screen import Screen, slab
 from realsim.gap.causes.starts import starts
 from realsim.gap.causes.windows import adjusted, at_other_bodies
@@ -158,7 +158,7 @@ def test_a_rival_that_does_nothing_where_errors_count_is_no_rival(arm: Case) -> 
         for A in fit.evidence.A:
             A[idle, :] = A[:, idle] = 0.0
         here = replace(fit, causes=(Cause(ours, (0.1,)),))
-        assert all(p.causes[-1].candidate.effect != "motor_gain" for p in by_likeness(fitter, here))
+        assert all(c.candidate.effect != "motor_gain" for c in _alike(fitter, here, here.causes[0]))
 
 
 @pytest.mark.slow
