@@ -103,7 +103,7 @@ def test_warp_profile_is_primitives_with_bits_and_advice(exported: dict[str, lis
 def test_the_warp_profile_of_mjcf_is_the_warp_format(folder: Path, tmp_path: Path) -> None:
     from realsim.commands.export import export
 
-    result = export(folder, to="mjcf,ply", profile="warp", out=tmp_path)
+    result = export((folder,), to="mjcf,ply", profile="warp", out=tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {"warp", "ply"}
     assert (tmp_path / "warp" / "terrain.xml").is_file()
     assert "and 1 more file" in result.text
