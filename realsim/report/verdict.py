@@ -233,7 +233,7 @@ def _unseen_place(result: Reconstruction) -> str:
     for axis, name in ((0, "x"), (1, "y")):
         order = np.argsort(centres[:, axis], kind="stable")
         share = np.cumsum(area[order]) / max(area.sum(), 1e-12)
-        low, high = (centres[order[min(np.searchsorted(share, s), len(order) - 1)], axis] for s in (0.1, 0.9))
+        low, high = (centres[order[min(int(np.searchsorted(share, s)), len(order) - 1)], axis] for s in (0.1, 0.9))
         spans.append(f"{name} {low:.1f} to {high:.1f} m")
         parts.append((high - low) / max(float(np.ptp(result.mesh.vertices[:, axis])), 1e-9))
     # A box that is nearly the whole scene says nothing about where to walk.
