@@ -106,7 +106,7 @@ def _overall(shown: Shown) -> str:
 
 def _rewards(shown: Shown) -> str:
     terms, zero = figures.rewards(shown.runs)
-    note = "Reward a step of each term with its weight, largest first."
+    note = "Reward per step of each term with its weight, largest first."
     rest = [plot for figure in terms[_FIRST_TERMS:] for plot in figures.draw(figure, shown)]
     more = page.fold(f"{len(rest)} smaller terms", figures.multiples(rest)) if rest else ""
     more += f'<p class="note absent">Zero throughout: {page.esc(", ".join(zero))}.</p>' if zero else ""
