@@ -66,7 +66,7 @@ def _facts(shown: Shown) -> str:
     iterations, samples, minutes, speed = tables.progress(run)
     found = [
         ("Iterations", iterations, f"{minutes} minutes"),
-        ("Samples", samples, f"{speed} a second"),
+        ("Samples", samples, f"{speed} per second"),
         ("Success", tables.percent(run.mean("env/success")), f"of the episodes, last {LAST} iterations"),
         ("Covered", tables.percent(run.mean("env/episode/covered")), "of the way"),
         ("Row", svg.number(run.mean("env/terrain/level")), "of the curriculum, mean"),
