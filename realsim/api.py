@@ -124,7 +124,7 @@ def export(
     Args:
         scene: a result of `reconstruct`, `contact` or `load_scene`, or a scene's folder.
         to: names of `realsim.exports.EXPORTERS`, or "all" for every one whose packages are installed.
-        out: gets one folder a format; `export` in the scene's folder if None.
+        out: gets one folder per format; `export` in the scene's folder if None.
         overwrite: replace formats that are there already.
 
     Returns:

@@ -52,7 +52,7 @@ class RealsimError(Exception):
         super().__init__(self.render())
 
     def render(self) -> str:
-        """The whole text, one fact a line."""
+        """The whole text, one fact per line."""
         facts = [("file", self.file), ("expected", self.expected), ("found", self.found), ("do", self.hint)]
         return printable("\n".join([self.message] + [f"  {name}: {value}" for name, value in facts if value]))
 

@@ -194,7 +194,7 @@ class Pointmaps:
     world_is_capture: bool
     """True if the world of the poses is that of the given poses, False if it was chosen by the backend."""
     metric_claim: float | None = None
-    """The model's own claim of metres a unit, or None. Recorded, never trusted."""
+    """The model's own claim of metres per unit, or None. Recorded, never trusted."""
     depth_gain: float = 1.0
     """Factor that turns sensor depth into true depth, as recovered from multi-view consistency (1: not corrected)."""
     depth_gain_sigma: float | None = None

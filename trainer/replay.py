@@ -113,7 +113,7 @@ def video(
 
     Args:
         size: (width, height) pixels; 640 x 360, or 360 x 202 of a .gif, which compresses badly.
-        fps: frames a second of the trial; 25, or 12.5 of a .gif.
+        fps: frames per second of the trial; 25, or 12.5 of a .gif.
         distance: metres from the camera to the robot.
 
     Raises:

@@ -170,7 +170,7 @@ def _blocks(data: bytes, header: PcdHeader) -> dict[str, NDArray]:
 
 
 def _ascii(data: bytes, header: PcdHeader) -> dict[str, NDArray]:
-    """`ascii`: one point a line. Doubles hold every 32-bit integer, so colours survive the way through them."""
+    """`ascii`: one point per line. Doubles hold every 32-bit integer, so colours survive the way through them."""
     width = sum(f.count for f in header.fields)
     values = np.array(data.split(), dtype=float)
     if values.size != header.points * width:

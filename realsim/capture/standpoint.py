@@ -16,7 +16,7 @@ HIDDEN = 0.01
 def stood_at(points: F64, position: F64) -> bool:
     """Whether a cloud (M, 3), metres, was taken from a position (3,) in its middle.
 
-    A scanner that turns gets one range a direction. The cloud has to surround the position, all around and up and
+    A scanner that turns gets one range per direction. The cloud has to surround the position, all around and up and
     down: beside or below a terrain, nothing hides either, and nobody stood there.
     """
     away = points - position

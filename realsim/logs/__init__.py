@@ -5,7 +5,7 @@
     print(proposal.render())
     write_case(proposal, target, "case")
 
-readers/      one file a format            recording.py  what they all return
+readers/      one file per format            recording.py  what they all return
 infer.py      which field is what          joints.py, commands.py, body.py  the evidence for it
 clocks.py     one time for all streams     case.py       the folder of the contract
 """

@@ -65,7 +65,7 @@ def uncrossed(surface: Surface, at_most: float = 0.001) -> Surface:
 
 
 def _split_fans(surface: Surface) -> Surface:
-    """A vertex where two sheets merely touch becomes one vertex a sheet."""
+    """A vertex where two sheets merely touch becomes one vertex per sheet."""
     if len(surface.triangles) == 0:
         return surface
     fan = corner_fans(surface.triangles)

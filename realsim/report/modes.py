@@ -10,7 +10,7 @@ _HEADS = ["source", "frames", "scale ± (90 %)", "depth to mesh", "seen", "start
 
 
 def modes_card(result: Reconstruction) -> list[str]:
-    """A table with one line a source; nothing without a comparison."""
+    """A table with one line per source; nothing without a comparison."""
     if not result.modes:
         return []
     rows = [_row(mode, delivered=k == 0) for k, mode in enumerate(result.modes)]

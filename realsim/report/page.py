@@ -31,7 +31,7 @@ def badge(level: Level, text: str = "") -> str:
 
 
 def verdict(level: Level, headline: str, reasons: Sequence[str], steps: Sequence[str] = ()) -> str:
-    """The banner at the top: what to make of this result, why, one sentence a reason, and what to do next."""
+    """The banner at the top: the verdict, its reasons, one sentence each, and what to do next."""
     rows = "".join(f"<li>{esc(r)}</li>" for r in reasons)
     todo = "".join(f"<li>{esc(s)}</li>" for s in steps)
     return (

@@ -43,7 +43,7 @@ def holding_ctrl(
     within a second. Static balance of a floating base: joint torque = gravity torque - sum of J_foot^T f_foot.
 
     Args:
-        model: a compiled model whose first joint is free and whose actuators are one servo a joint, in joint order.
+        model: a compiled model whose first joint is free and whose actuators are one servo per joint, in joint order.
         feet: names of sites on the soles.
         below_com: the weight acts on the soles below the centre of mass (a biped's flat feet); otherwise at the sites
             themselves (point feet placed evenly around the centre of mass).

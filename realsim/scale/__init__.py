@@ -17,6 +17,6 @@ ESTIMATORS = Registry(
         "ransac": "realsim.scale.ransac:ratio",
     },
 )
-"""name -> f(sensor (M,), predicted (M,), confidence (M,), lower (M,) bool, rng) -> metres a unit, NaN if unknown."""
+"""name -> f(sensor (M,), predicted (M,), confidence (M,), lower (M,) bool, rng) -> metres per unit, NaN if unknown."""
 
 __all__ = ["ESTIMATORS", "estimate", "to_metric"]

@@ -80,7 +80,7 @@ def estimate(ratios: F64, names: list[str], config: ScaleConfig) -> ScaleEstimat
     """Scale from N frames: the median of their ratios, a bootstrap interval, and their disagreement.
 
     Args:
-        ratios: (N,) metres a unit for each frame, NaN where a frame cannot tell.
+        ratios: (N,) metres per unit for each frame, NaN where a frame cannot tell.
         names: the frames' names, for messages.
 
     Raises:
@@ -140,11 +140,11 @@ def with_sensor(scale: ScaleEstimate, sigma: float) -> ScaleEstimate:
 
 
 def with_claim(scale: ScaleEstimate, claim: float | None) -> ScaleEstimate:
-    """Say so where a model's own claim of metres a unit is off; the claim is never used."""
+    """Say so where a model's own claim of metres per unit is off; the claim is never used."""
     if claim is None or abs(claim / scale.value - 1) <= CLAIM_LIMIT:
         return scale
     off = 100 * (claim / scale.value - 1)
-    text = f"the model claims {claim:.4g} metres a unit, the depth sensor says {scale.value:.4g} ({off:+.0f} percent)"
+    text = f"the model claims {claim:.4g} metres per unit, the depth sensor says {scale.value:.4g} ({off:+.0f} percent)"
     return replace(scale, warnings=(*scale.warnings, f"{text}: the sensor is believed"))
 
 

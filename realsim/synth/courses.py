@@ -1,4 +1,4 @@
-"""What stands between the start and the goal platform, one function a kind.
+"""What stands between the start and the goal platform, one function per kind.
 
 Each takes a generator and returns `(solids, length)`: obstacles standing on the floor z = 0 with the course along +x
 from x = 0 to x = `length`, and y = 0 its middle. The sizes are those of the paper's terrains.

@@ -18,7 +18,7 @@ from realsim.types import Frame, FrameSet, Intrinsics, Pointmaps
 
 CAMERA = Intrinsics(112, 84, 100.0, 101.0, 54.0, 43.0)
 UNIT = 0.4
-"""The models' metres a unit: a true scale of 1 / UNIT."""
+"""The models' metres per unit: a true scale of 1 / UNIT."""
 
 
 def room_frame(k: int, T: np.ndarray, camera: Intrinsics = CAMERA) -> Frame:

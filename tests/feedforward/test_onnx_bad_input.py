@@ -144,7 +144,7 @@ def test_a_sidecar_speaks_for_a_file_without_metadata_and_guesses_are_told(good:
     guessed = open_model(silent)
     assert guessed.spec.kind == "pointmap"
     assert "kind pointmap" in guessed.warnings[0]
-    assert "conf to logit" in guessed.warnings[0]
+    assert "conf logit" in guessed.warnings[0]
     silent.with_suffix(".json").write_text('{"kind": "pointmap", "conf": "exp1", "norm": "half", "max_views": 7}')
     spec = open_model(silent).spec
     assert (spec.conf, spec.norm, spec.max_views, spec.origin["conf"]) == ("exp1", "half", 7, "sidecar")
@@ -327,7 +327,7 @@ def test_nan_in_one_view_and_in_all(frames: list[Frame], tmp_path: Path) -> None
     maps = run(frames, write_model(tmp_path / "m.onnx", replace(told, depth=depth, T_world_camera=T), Shape()))
     assert {d.name: "NaN" in d.reason for d in maps.dropped} == {"000": True, "003": True}
     assert len(maps) == 2
-    with pytest.raises(ModelError, match=r"nothing that can be used[\s\S]*NaN"):
+    with pytest.raises(ModelError, match=r"no usable points[\s\S]*NaN"):
         run(frames, write_model(tmp_path / "n.onnx", replace(told, depth=depth * np.nan), Shape()))
 
 

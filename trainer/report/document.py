@@ -66,7 +66,7 @@ def _facts(shown: Shown) -> str:
     iterations, samples, minutes, speed = tables.progress(run)
     found = [
         ("Iterations", iterations, f"{minutes} minutes"),
-        ("Samples", samples, f"{speed} a second"),
+        ("Samples", samples, f"{speed} per second"),
         ("Success", tables.percent(run.mean("env/success")), f"of the episodes, last {LAST} iterations"),
         ("Covered", tables.percent(run.mean("env/episode/covered")), "of the way"),
         ("Row", svg.number(run.mean("env/terrain/level")), "of the curriculum, mean"),
@@ -106,7 +106,7 @@ def _overall(shown: Shown) -> str:
 
 def _rewards(shown: Shown) -> str:
     terms, zero = figures.rewards(shown.runs)
-    note = "Reward a step of each term with its weight, largest first."
+    note = "Reward per step of each term with its weight, largest first."
     rest = [plot for figure in terms[_FIRST_TERMS:] for plot in figures.draw(figure, shown)]
     more = page.fold(f"{len(rest)} smaller terms", figures.multiples(rest)) if rest else ""
     more += f'<p class="note absent">Zero throughout: {page.esc(", ".join(zero))}.</p>' if zero else ""

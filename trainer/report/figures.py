@@ -64,7 +64,7 @@ def overall() -> list[Figure]:
         Figure("Success of the episodes that ended", ("env/success",), scale="share"),
         Figure("Share of the way covered", ("env/episode/covered",), scale="share"),
         Figure("Row of the curriculum, mean over the worlds", ("env/terrain/level",)),
-        Figure("Reward a step", ("reward",)),
+        Figure("Reward per step", ("reward",)),
         Figure("Return of an episode", ("return",)),
         Figure("Length of an episode, steps", ("length",)),
     ]
@@ -107,10 +107,10 @@ def learning(runs: Sequence[Run]) -> list[Figure]:
 def physics() -> list[Figure]:
     return [
         Figure(
-            "Policy steps of a world at the solver's limit, an iteration", ("env/physics/solver_limited an iteration",)
+            "Policy steps of a world at the solver's limit, per iteration", ("env/physics/solver_limited an iteration",)
         ),
-        Figure("Contacts dropped, an iteration", ("env/physics/overflowed an iteration",)),
-        Figure("Worlds that diverged, an iteration", ("env/physics/diverged",)),
+        Figure("Contacts dropped per iteration", ("env/physics/overflowed an iteration",)),
+        Figure("Worlds that diverged per iteration", ("env/physics/diverged",)),
     ]
 
 
@@ -118,7 +118,7 @@ def clock(runs: Sequence[Run]) -> list[Figure]:
     parts = sorted({name for run in runs for name in run.columns if name.endswith("_s") and "/" not in name})
     return [
         Figure("Seconds of an iteration", tuple(parts), tuple(name.removesuffix("_s") for name in parts)),
-        Figure("Samples a second", ("samples a second",)),
+        Figure("Samples per second", ("samples a second",)),
     ]
 
 

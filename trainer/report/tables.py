@@ -34,7 +34,7 @@ def runs_card(shown: Shown) -> str:
 
 
 def progress(run: Run) -> list[str]:
-    """How far a run has come: iterations, samples, minutes, samples a second."""
+    """Progress of a run: iterations, samples, minutes, samples per second."""
     samples, minutes = run.over.get("samples"), run.over.get("minutes")
     return [
         f"{run.over['iterations'][-1]:.0f}",

@@ -1,4 +1,4 @@
-"""A folder of organised PCD files: each is a depth image in disguise, one point a pixel.
+"""A folder of organised PCD files: each is a depth image in disguise, one point per pixel.
 
 The camera is recovered from the points themselves: u = fx x/z + cx holds exactly for a pinhole camera. That also
 settles the trap of PCD's VIEWPOINT entry, which some writers fill with a flip of axes that the points do not need,

@@ -59,7 +59,7 @@ def export_scene(scene: Path, to: Sequence[str], out: Path | None = None, *, ove
     Args:
         scene: a folder that `realsim reconstruct` or `realsim contact` wrote.
         to: names of EXPORTERS; or "all" alone: every format whose packages are installed.
-        out: gets one folder a format; `scene/export` if None.
+        out: gets one folder per format; `scene/export` if None.
         overwrite: replace formats that an export wrote before.
 
     Raises:

@@ -117,7 +117,7 @@ def _placed(runs: _Runs, n: int, config: OnnxConfig) -> tuple[Placed, int, list[
             if spec.kind == "mono":
                 return place_single(runs, n), 1, said
             if most < 2 and n > 1:
-                raise OutOfMemory("one view a run cannot be joined")
+                raise OutOfMemory("one view per run cannot be joined")
             return place_windows(runs, n, most, spec.n_static), min(most, n), said
         except OutOfMemory as error:
             # A frozen graph, a pair and a single view cannot be made smaller.

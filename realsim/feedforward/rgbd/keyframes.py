@@ -32,7 +32,7 @@ def by_poses(views: Sequence[View], T_world_camera: F64) -> tuple[list[int], Fol
 
 
 def by_matching(views: Sequence[View], seed: int) -> tuple[list[int], Followers]:
-    """The same from features alone: one pair a view. What cannot be matched to its keyframe is one itself."""
+    """The same from features alone: one pair per view. What cannot be matched to its keyframe is one itself."""
 
     def motion(key: int, k: int) -> F64 | None:
         found = by_features(views, key, k, seed)

@@ -107,7 +107,7 @@ def as_maps(name: str, array: NDArray, call: Call, channels: int) -> F32:
 
 
 def as_rows(name: str, array: NDArray, call: Call, *shapes: tuple[int, ...]) -> F64:
-    """(n, *shape) float64 for the first of `shapes` that fits an output with one entry a view."""
+    """(n, *shape) float64 for the first of `shapes` that fits an output with one entry per view."""
     for shape in shapes:
         size = int(np.prod(shape))
         if array.size == call.ran * size and tuple(array.shape[-len(shape) :]) == shape:
