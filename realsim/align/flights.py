@@ -36,14 +36,15 @@ def treads(cloud: Cloud) -> list[NDArray[np.intp]]:
     heights = np.array([np.median(cloud.points[f, 2]) for f in faces])
     best: dict[int, list[int]] = {}  # the longest flight that ends with each face
     for k in np.argsort(heights, kind="stable").tolist():
-        below = [[]] if heights[k] < RISE[1] else []
+        below: list[list[int]] = [[]] if heights[k] < RISE[1] else []
         below += [
             best[j] for j in best if RISE[0] < heights[k] - heights[j] < RISE[1] and _beside(cloud, faces[j], faces[k])
         ]
         if below:
             best[k] = [*max(below, key=len), k]
     longest = max(best.values(), key=len, default=[])
-    return [faces[k] for k in longest] if len(longest) >= LEAST and _goes_on(cloud, [faces[k] for k in longest]) else []
+    flight = [faces[k] for k in longest]
+    return flight if len(flight) >= LEAST and _goes_on(cloud, flight) else []
 
 
 def _is_tread(cloud: Cloud, face: NDArray[np.intp]) -> bool:

@@ -50,6 +50,6 @@ def _best_place(seen: Surface, centres: F64, weight: F64, ground_z: float, seed:
     for place in places:
         way = np.array([*place, ground_z + EYE]) - target
         rays = np.concatenate([target - origin, way], 1).astype(np.float32)  # the place is at 1 length of the ray
-        shares.append(float((scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy() > 1).mean()))
+        shares.append(float((scene.cast_rays(o3d.core.Tensor.from_numpy(rays))["t_hit"].numpy() > 1).mean()))
     best = int(np.argmax(shares))
     return {"look_from": places[best].tolist(), "share": shares[best]}
