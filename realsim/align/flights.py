@@ -43,7 +43,8 @@ def treads(cloud: Cloud) -> list[NDArray[np.intp]]:
         if below:
             best[k] = [*max(below, key=len), k]
     longest = max(best.values(), key=len, default=[])
-    return [faces[k] for k in longest] if len(longest) >= LEAST and _goes_on(cloud, [faces[k] for k in longest]) else []
+    flight = [faces[k] for k in longest]
+    return flight if len(flight) >= LEAST and _goes_on(cloud, flight) else []
 
 
 def _is_tread(cloud: Cloud, face: NDArray[np.intp]) -> bool:
