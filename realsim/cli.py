@@ -37,6 +37,7 @@ COMMANDS = Registry(
         "model": "realsim.commands.model:model",
         "log": "realsim.commands.log:log",
         "diagnose": "realsim.commands.diagnose:diagnose",
+        "footholds": "realsim.commands.footholds:footholds",
         "synth": "realsim.commands.synth:synth",
         "demo": "realsim.commands.demo:demo",
     },
@@ -51,6 +52,7 @@ SUMMARIES = {
     "model": "how a feed-forward model in an ONNX file fits the contract",
     "log": "what a robot's recording holds (MCAP, bags, LeRobot, CSV, ...), and the case that it becomes",
     "diagnose": "a robot's logs and its model -> where the sim-to-real gap lies, what causes it, how much",
+    "footholds": "a robot's log against the scene it walked on -> which foothold is otherwise, by how much",
     "synth": "render a synthetic capture with its truth",
     "demo": "render, reconstruct and measure, end to end",
 }
@@ -64,6 +66,7 @@ EXAMPLES = {
     "model": "realsim model inspect model.onnx",
     "log": "realsim log walk.mcap --model robot.xml --out case",
     "diagnose": "realsim diagnose my_case --out diagnosis",
+    "footholds": "realsim footholds my_case --scene scene --out footholds",
     "synth": "realsim synth --terrain boxes --out synthetic",
     "demo": "realsim demo --out demo_out",
 }
