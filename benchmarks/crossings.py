@@ -182,7 +182,7 @@ def cross(
     mujoco.mj_forward(model, data)
     log = _Log(model, qadr, zero, truth, rng, _Eye(model, truth, rng) if depth else None)
     ids = [model.body(f"{leg}_foot").id for leg in legs]
-    hold = int(round(1 / RATE / model.opt.timestep))
+    hold = round(1 / RATE / model.opt.timestep)
     command = data.qpos[qadr].copy()
     logged = False
 
@@ -204,7 +204,7 @@ def cross(
         goal = begin if swing else np.array([*(0.1 * begin[:2] + 0.9 * middle[:2]), middle[2] - FOOT_RADIUS_M + STANCE])
         lean = 0.5 * log_so3(R0)
         start = data.xpos[ids[legs.index(swing)]].copy() if swing else np.zeros(3)
-        steps = int(round(seconds * RATE))
+        steps = round(seconds * RATE)
         for i in range(steps):
             share = (i + 1) / steps
             trunk = begin + _smooth(share) * (goal - begin)

@@ -27,6 +27,7 @@ def diagnose(
     init: Path | None = None,
     explain: str | None = None,
     model: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    scene: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     policy: Path | None = None,
     deploy_yaml: Path | None = None,
     jobs: int = 1,
@@ -44,6 +45,7 @@ def diagnose(
         init: instead of a case: an MJCF model, for which the folder of a new case is made.
         explain: instead of a case: say what an effect looks like and what excites it (`all` lists them).
         model: of the robot, where CASE is a recording (MCAP, bag, CSV, ...): the case is written beside --out first.
+        scene: scene.xml that the depth frames of the log are compared with (default: the terrain of the case's model).
         policy: policy.onnx that was run: is it run as it was trained (docs/logs.md)? Said before the diagnosis.
         deploy_yaml: the contract of a policy whose ONNX file has none (unitree_rl_lab).
         jobs: with several cases: how many at a time on this machine.
@@ -70,7 +72,7 @@ def diagnose(
         refuse_within(out, cases[0])
         found = None if policy is None else _contract(cases[0], policy, deploy_yaml)
         with steps() as tick:
-            result = gap.run_case(cases[0], out, config, tick, overwrite=overwrite)
+            result = gap.run_case(cases[0], out, config, tick, overwrite=overwrite, scene=scene)
         level = LEVELS[str(result["verdict"])]
         text = _summary(result, out, config)
         if found is not None:

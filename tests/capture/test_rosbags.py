@@ -95,16 +95,13 @@ def test_missing_topics_are_said_with_those_that_are_there(tmp_path):
 
 
 def test_a_file_that_ends_in_the_middle_is_read_as_far_as_it_goes(tmp_path):
+    """Written without chunks, as rosbags does, what stands before the cut is whole."""
     path = write_bag(tmp_path / "walk.mcap", walk(8), storage="mcap_file")
     data = path.read_bytes()
-    path.write_bytes(data[: int(0.75 * len(data))])
-    try:
-        found = frames(path)
-    except CaptureError as error:  # one chunk held all of it
-        assert "depth" in str(error) or "readable" in str(error)
-    else:
-        assert 0 < len(found) <= 8
-        assert any("cut off" in w or "damaged" in w for w in found.warnings)
+    path.write_bytes(data[: int(0.6 * len(data))])
+    found = frames(path)
+    assert 0 < len(found) < 8
+    assert any("cut off" in w or "damaged" in w for w in found.warnings)
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"nothing of the kind" * 10])

@@ -41,7 +41,7 @@ def _change(geom: Any, hold: Foothold, weight: float) -> list[str]:
     q, left = hold.quantities, []
     for kind in hold.changes:
         if kind == "height":
-            geom.pos = np.asarray(geom.pos) + [0.0, 0.0, q["height"].value]
+            geom.pos = np.asarray(geom.pos) + np.array([0.0, 0.0, q["height"].value])
         elif kind == "tilt":
             turn = quaternion(q["tilt_x"].value, q["tilt_y"].value)
             top = np.array(hold.place)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -23,7 +23,7 @@ HEIGHT, TILT = 0.003, 0.01
 FAR, STEEP = 0.05, 0.1
 """m and rad that a changed foothold may be off by."""
 YIELD, SWAYS, GIVES = 0.002, 0.001, 0.03
-"""m under the robot's weight by which firm footholds differ downward and sideways, and by which a soft one gives way."""
+"""m under the robot's weight by which firm footholds differ down and sideways, and by which a soft one gives way."""
 BASE, WALK = 0.1, 0.002
 """m of the base's height that is off from the start; m by which it wanders, per root of a second."""
 LEAN = 0.01
@@ -72,7 +72,7 @@ class Foothold:
     touches: int
     runs: int
     quantities: dict[str, Quantity]
-    """height (m), tilt_x and tilt_y (rad), give and wobble (m under the robot's weight), slip (m a contact), friction."""
+    """height (m), tilt_x, tilt_y (rad), give, wobble (m under the robot's weight), slip (m a contact), friction."""
     changes: tuple[str, ...] = ()
     """Which of these are beyond everyday deviations: height, tilt, give, slip, wobble; the surest first."""
     evidence: dict[str, float] = field(default_factory=dict)
@@ -98,6 +98,19 @@ class FootholdMap:
     """m: least and largest height by which the base's pose is off, over the runs' starts."""
     scatter: float
     """m: how much the heights of one foothold differ from contact to contact."""
+
+    knots: tuple[F64, ...] = field(default=(), repr=False)
+    """Run -> (K,) m by which the base's height is off, KNOT s apart from the start of the run."""
+    leans: tuple[F64, ...] = field(default=(), repr=False)
+    """Run -> (2,) m of height for a m along the world's x and y from the base, by a lean of its orientation."""
+
+    def correction(self, run: int, time: float, arm: F64) -> tuple[F64, F64]:
+        """((3,) m to add to a place on the robot `arm` (3,) m from its base, rotation vector (3,) to turn it by)."""
+        if run >= len(self.leans):  # no foot stood in it
+            return np.zeros(3), np.zeros(3)
+        lean = self.leans[run]
+        off = float(np.interp(time / KNOT, np.arange(len(self.knots[run])), self.knots[run]))
+        return np.array([0.0, 0.0, -off - float(lean @ arm[:2])]), np.array([-lean[1], lean[0], 0.0])
 
     @property
     def changed(self) -> tuple[Foothold, ...]:
@@ -134,29 +147,22 @@ def footholds_of(touches: Touches, terrain: Terrain, seed: int = 0) -> FootholdM
             evidence["slip"] = slips[k][1]
         middle = np.mean([np.mean(t.place, axis=0) for t in mine], axis=0) + mine[0].middle
         top = terrain.below(np.array([*middle, mine[0].top + 0.2]), 0.0)[0]
-        found.append(
-            Foothold(
-                name,
-                terrain.name(mine[0].geom),
-                (float(middle[0]), float(middle[1]), float(top)),
-                len(mine),
-                len({t.run for t in mine}),
-                quantities,
-                tuple(sorted(evidence, key=lambda kind: -evidence[kind])),
-                evidence,
-            )  # fmt: skip
-        )
+        place = (float(middle[0]), float(middle[1]), float(top))
+        changes = tuple(sorted(evidence, key=lambda kind, odds=evidence: -odds[kind]))  # type: ignore[misc]
+        runs = len({t.run for t in mine})
+        geom = terrain.name(mine[0].geom)
+        found.append(Foothold(name, geom, place, len(mine), runs, quantities, changes, evidence))
     starts = vertical.base_errors()
     return FootholdMap(
         tuple(found), touches.lost, len(touches.items) + touches.lost, (float(starts.min()), float(starts.max())),
-        vertical.fit.group_size,
+        vertical.fit.group_size, vertical.wander(), vertical.leaning(),
     )  # fmt: skip
 
 
 class _Search:
-    """Parameters a foothold, each with an everyday and a wide prior; the ones that must be wide are found one by one."""
+    """Each foothold's parameters have an everyday and a wide prior; those that must be wide are found one by one."""
 
-    kinds: dict[str, tuple[int, ...]]
+    kinds: ClassVar[dict[str, tuple[int, ...]]]
     """Kind of change -> which of a foothold's parameters it moves."""
 
     def __init__(self, A: F64, y: F64, group: Any, prior: F64, wide: F64, first: int, names: Sequence[str]) -> None:
@@ -203,15 +209,15 @@ class _Search:
 
 
 class _Heights(_Search):
-    """Heights of feet against scanned tops. The base's height, which wanders, and its lean, and the legs, are nuisances."""
+    """Heights of feet against scanned tops. The base's height, which wanders, its lean, and the legs are nuisances."""
 
-    kinds = {"height": (0,), "tilt": (1, 2), "give": (3,)}
+    kinds: ClassVar = {"height": (0,), "tilt": (1, 2), "give": (3,)}
 
     def __init__(self, touches: Touches, names: Sequence[str]) -> None:
         items = touches.items
         runs, feet = 1 + max(t.run for t in items), 1 + max(t.foot for t in items)
-        knots = [1 + int(np.ceil(max(t.time[-1] for t in items if t.run == r) / KNOT)) + 1 if any(t.run == r for t in items)
-                 else 0 for r in range(runs)]  # fmt: skip
+        ends = [max((float(t.time[-1]) for t in items if t.run == r), default=None) for r in range(runs)]
+        knots = [0 if end is None else 2 + int(np.ceil(end / KNOT)) for end in ends]
         self.starts = np.concatenate([[0], np.cumsum(knots)])
         lean, leg = int(self.starts[-1]), int(self.starts[-1]) + 2 * runs
         firm = leg + feet
@@ -249,6 +255,16 @@ class _Heights(_Search):
         units = (("height", "m"), ("tilt_x", "rad"), ("tilt_y", "rad"), ("give", "m"))
         return {name: self.quantity(at + i, unit) for i, (name, unit) in enumerate(units)}
 
+    def wander(self) -> tuple[F64, ...]:
+        """Run -> (K,) m by which the base's height is off at its knots."""
+        steps = [self.fit.mean[a:b] for a, b in zip(self.starts[:-1], self.starts[1:], strict=True)]
+        return tuple(np.cumsum(s) if len(s) else np.zeros(1) for s in steps)
+
+    def leaning(self) -> tuple[F64, ...]:
+        """Run -> (2,) its lean."""
+        first, runs = int(self.starts[-1]), len(self.starts) - 1
+        return tuple(self.fit.mean[first + 2 * r : first + 2 * r + 2] for r in range(runs))
+
     def base_errors(self) -> F64:
         """(R,) m of the base's height at the runs' starts."""
         return self.fit.mean[self.starts[:-1][np.diff(self.starts) > 0]]
@@ -257,7 +273,7 @@ class _Heights(_Search):
 class _Wobble(_Search):
     """How far feet move sideways as load comes onto a place beside the middle, and come back: what stays is slip."""
 
-    kinds = {"wobble": (0,)}
+    kinds: ClassVar = {"wobble": (0,)}
 
     def __init__(self, touches: Touches, names: Sequence[str]) -> None:
         rows, y, group = [], [], []
@@ -274,7 +290,7 @@ class _Wobble(_Search):
                 y.append(moved - moved.mean())
                 group.append(np.full(len(t.time), 2 * g + axis))
         design, moved, groups = np.vstack(rows), np.concatenate(y), np.concatenate(group)
-        # How much footholds differ anyway, in what is left of legs and of the estimated load, is seen from most of them.
+        # How much footholds differ anyway, by what legs and the estimated load leave, is seen from most of them.
         free = fit(design, moved, groups, np.full(design.shape[1], GIVES), FIRST_GUESS).mean[2:]
         usual = [1.4826 * float(np.median(np.abs(v - np.median(v)))) for v in (free[:count], free[count:])]
         everyday = np.repeat(np.hypot(SWAYS, usual), count)
@@ -288,8 +304,8 @@ class _Wobble(_Search):
 def _slips(touches: Touches, names: Sequence[str], rng: np.random.Generator) -> list[tuple[dict[str, Quantity], float]]:
     """For each foothold: its slip a contact and the friction at which feet slid, and the log-odds that it is slippery.
 
-    Feet slide a little everywhere, where a gait pushes sideways. A slippery foothold lets them slide farther than others
-    (slips are positive and skewed, so logarithms are compared) although it is pushed sideways less than others bear.
+    Feet slide a little everywhere, where a gait pushes sideways. A slippery foothold lets them slide farther than
+    others (slips are positive and skewed, so logarithms are compared) although it is pushed sideways less than others bear.
     """
     by_name = {name: [t for t in touches.items if t.name == name and len(t.time) > 2] for name in names}
     slid = {name: np.array([_length(t) for t in items]) for name, items in by_name.items()}

@@ -1,4 +1,4 @@
-"""A linear model with Gaussian priors whose groups may err: estimates, and the evidence that a parameter is no everyday one.
+"""A linear model with Gaussian priors whose groups may err: estimates, and evidence that a parameter is not everyday.
 
 y = A x + u[group] + noise. Every x has a prior N(0, s^2); u is one error a group with Student's t (a few groups that
 err much do not matter); sizes of u and of the noise are estimated. Whether a parameter is larger than an everyday

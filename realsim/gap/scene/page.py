@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from math import degrees
-from pathlib import Path
 
 import numpy as np
 
+from realsim.gap.camera.calibrate import CameraFound
 from realsim.gap.scene.footholds import Foothold, FootholdMap
 from realsim.gap.scene.terrain import Terrain
 from realsim.gap.scene.verdict import SceneVerdict, said
@@ -48,7 +48,7 @@ def scene_page(
         page.card("Footholds", _table(found), "Values with 90 percent intervals. Soft: sinking under the robot's whole "
                   "weight. Bold: named above.", wide=True),
         page.card("How to read it", page.bullets([
-            "Heights are of one foothold against the others: if all tops were off by the same, the base's height would be "
+            "Heights are of one foothold against the others: if all tops were off by the same, the base would be "
             "blamed.", "A foothold that few contacts reached has a wide interval and is not named.", *more,
         ])),
     ]  # fmt: skip
@@ -148,8 +148,27 @@ def _table(found: FootholdMap) -> str:
     return page.table(head, rows, raw=range(8))
 
 
-def write_page(path: Path, text: str) -> None:
-    """Write the page."""
-    from realsim.files import write_text
+def camera_cards(found: CameraFound | None) -> list[str]:
+    """What recorded depth says of its camera, as a card; nothing where none was recorded."""
+    if found is None:
+        return []
+    rows = [["delay", "ms", *_values(found.delay, 1e3)]]
+    rows += [[f"turned about {a}", "°", *_values(v, 57.2958)] for a, v in zip(AXES, found.turn, strict=True)]
+    rows += [[f"shifted to {a}", "mm", *_values(v, 1e3)] for a, v in zip(AXES, found.shift, strict=True)]
+    if found.noise is not None:
+        rows.append(["noise", "ratio", *_values(found.noise, 1.0)])
+    note = (
+        f"{found.frames} frames, {found.pixels} pixels of {found.camera} against rays in the scene. Median residual: "
+        f"{1000 * found.before:.1f} mm with the camera as in the model, {1000 * found.after:.1f} mm as found here."
+    )
+    text = page.bullets(
+        found.sentences(), "The camera is where the model has it, on time, and no noisier than it should be."
+    )
+    return [page.card("Depth camera", text + page.table(["", "unit", "value", "90 percent"], rows), note, wide=True)]
 
-    write_text(path, text)
+
+AXES = ("right", "down", "forward")
+
+
+def _values(v: tuple[float, float, float], scale: float) -> list[str]:
+    return [f"{scale * v[0]:.2f}", f"{scale * v[1]:.2f} to {scale * v[2]:.2f}"]

@@ -9,6 +9,7 @@ from typing import Any
 
 from realsim.errors import RealsimError
 from realsim.files import read_json
+from realsim.gap.camera.calibrate import CameraFound
 from realsim.gap.scene.footholds import Foothold, FootholdMap, Quantity
 from realsim.report.page import Level
 
@@ -33,8 +34,8 @@ class SceneVerdict:
         return {"level": self.level, "headline": self.headline, "reasons": list(self.reasons), "next": list(self.next)}
 
 
-def judge(found: FootholdMap, scene: Path) -> SceneVerdict:
-    """The verdict of scan and log together: the worse of the two."""
+def judge(found: FootholdMap, scene: Path, camera: CameraFound | None = None) -> SceneVerdict:
+    """The verdict of scan, feet and camera together: the worst of them."""
     scan = scan_verdict(scene)
     reasons, steps = [], []
     level: Level = "good"
@@ -48,6 +49,10 @@ def judge(found: FootholdMap, scene: Path) -> SceneVerdict:
         level = "bad"
         reasons.append(f"{found.lost} of {found.contacts} contacts lie where the scene has no top")
         steps.append("check that base_pos is in the scene's frame, and that the scene covers where the robot walked")
+    if camera is not None and camera.named:
+        level = min(level, "look", key=WORST.index)
+        reasons += camera.sentences()
+        steps.append("give the simulated camera this delay, mount and noise, or mend the robot's")
     if scan is not None and scan["level"] != "good":
         level = min(level, scan["level"], key=WORST.index)
         reasons += [f"the scan: {reason}" for reason in scan.get("reasons", [])]
@@ -57,6 +62,8 @@ def judge(found: FootholdMap, scene: Path) -> SceneVerdict:
         head = f"{len(found.changed)} of {count} footholds differ from the scan."
     elif level == "good":
         head = f"the robot stood on {count} footholds as they were scanned."
+    elif camera is not None and camera.named:
+        head = f"{count} footholds are as scanned, but the camera is not as in the model."
     else:
         head = f"{count} footholds are as scanned, but there is more to say."
     return SceneVerdict(level, head, tuple(reasons), tuple(dict.fromkeys(steps)), scan)

@@ -83,7 +83,7 @@ def test_a_log_without_contacts_says_what_is_missing(lowered: Path) -> None:
 
 def test_a_scene_that_runs_away_with_files_is_refused(tmp_path: Path) -> None:
     (tmp_path / "scene.xml").write_text('<mujoco><asset><mesh file="/etc/passwd"/></asset></mujoco>')
-    with pytest.raises(RealsimError, match="outside|absolute"):
+    with pytest.raises(RealsimError, match="leads out"):
         load_terrain(tmp_path)
     with pytest.raises(GapError, match="no such scene"):
         load_terrain(tmp_path / "other.xml")
