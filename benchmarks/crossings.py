@@ -328,8 +328,9 @@ class _Eye:
 
     def _image(self, data: Any, R: np.ndarray, place: np.ndarray) -> np.ndarray:
         geom = np.zeros(1, np.int32)
-        static = np.array([0 if self.model.body_weldid[b] == 0 or self.model.body(int(b)).name.startswith("stake") else 5
-                           for b in self.model.geom_bodyid])  # fmt: skip
+        still = [self.model.body_weldid[b] == 0 or self.model.body(int(b)).name.startswith("stake")
+                 for b in self.model.geom_bodyid]  # fmt: skip
+        static = np.where(still, 0, 5)
         self.model.geom_group[:] = static
         only = np.array([1, 0, 0, 0, 0, 0], np.uint8)
         along = np.array([mujoco.mj_ray(self.model, data, place, R @ ray, only, 1, -1, geom) for ray in self.rays])

@@ -19,6 +19,24 @@ from .scene import walk
 CONFIG = CaptureConfig()
 
 
+def in_chunks(source: Path, path: Path) -> Path:
+    """The same messages in chunks of 40 kB, as recorders write them; rosbags makes one chunk of all."""
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
+    with source.open("rb") as old, path.open("wb") as new:
+        writer = Writer(new, chunk_size=40_000)
+        writer.start()
+        known: dict[int, int] = {}
+        for schema, channel, message in make_reader(old).iter_messages():
+            if channel.id not in known:
+                kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+                known[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, kind)
+            writer.add_message(known[channel.id], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    return path
+
+
 def frames(path: Path, config: CaptureConfig = CONFIG) -> FrameSet:
     found = read(path, config)
     assert isinstance(found, FrameSet)
@@ -95,8 +113,8 @@ def test_missing_topics_are_said_with_those_that_are_there(tmp_path):
 
 
 def test_a_file_that_ends_in_the_middle_is_read_as_far_as_it_goes(tmp_path):
-    """Written without chunks, as rosbags does, what stands before the cut is whole."""
-    path = write_bag(tmp_path / "walk.mcap", walk(8), storage="mcap_file")
+    path = in_chunks(write_bag(tmp_path / "whole.mcap", walk(8), storage="mcap_file"), tmp_path / "walk.mcap")
+    (tmp_path / "whole.mcap").unlink()
     data = path.read_bytes()
     path.write_bytes(data[: int(0.6 * len(data))])
     found = frames(path)

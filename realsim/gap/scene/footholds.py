@@ -305,7 +305,7 @@ def _slips(touches: Touches, names: Sequence[str], rng: np.random.Generator) -> 
     """For each foothold: its slip a contact and the friction at which feet slid, and the log-odds that it is slippery.
 
     Feet slide a little everywhere, where a gait pushes sideways. A slippery foothold lets them slide farther than
-    others (slips are positive and skewed, so logarithms are compared) although it is pushed sideways less than others bear.
+    others (slips are positive and skewed, so logarithms are compared) although it bears less push sideways than they.
     """
     by_name = {name: [t for t in touches.items if t.name == name and len(t.time) > 2] for name in names}
     slid = {name: np.array([_length(t) for t in items]) for name, items in by_name.items()}

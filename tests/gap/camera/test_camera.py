@@ -96,9 +96,13 @@ def test_a_log_without_a_camera_is_left_alone(case: Path) -> None:
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [({"camera": "haed"}, "not in model.xml"), ({"fx": "wide"}, "cannot be read"), ({"noise": [0, 0]}, "cannot be read"),
-     ({"fx": -1}, "cannot be read")],
-)  # fmt: skip
+    [
+        ({"camera": "haed"}, "not in model.xml"),
+        ({"fx": "wide"}, "cannot be read"),
+        ({"noise": [0, 0]}, "cannot be read"),
+        ({"fx": -1}, "cannot be read"),
+    ],
+)
 def test_a_camera_that_cannot_be_read_is_refused(case: Path, change: dict, message: str) -> None:
     _say(case, **change)
     with pytest.raises(GapError, match=message):
