@@ -27,7 +27,7 @@ def diagnose(
     init: Path | None = None,
     explain: str | None = None,
     model: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
-    scene: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    scene: Annotated[Path | None, tyro.conf.arg(metavar="STR")] = None,
     policy: Path | None = None,
     deploy_yaml: Path | None = None,
     jobs: int = 1,

@@ -13,7 +13,7 @@ from realsim.progress import steps
 
 def footholds(
     case: Annotated[Path, tyro.conf.Positional],
-    scene: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    scene: Annotated[Path | None, tyro.conf.arg(metavar="STR")] = None,
     out: Path = Path("footholds"),
     overwrite: bool = False,
     strict: bool = False,

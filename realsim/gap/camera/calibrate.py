@@ -31,12 +31,12 @@ FREEDOM = 4.0
 ROUNDS = 12
 STEPS = np.array([0.02, *[0.006] * 3, *[0.006] * 3])
 """s, rad and m over which slopes are taken."""
-EVERYDAY = np.array([0.004, *[0.0035] * 3, *[0.002] * 3])
+EVERYDAY = np.array([0.004, *[0.0035] * 3, *[0.0015] * 3])
 """s, rad and m that any camera is late, turned and displaced by: its exposure and a good calibration."""
 WIDE = np.array([0.1, *[0.05] * 3, *[0.03] * 3])
 OF_RUN = np.array([0.01, 0.01, 0.03, 0.01, 0.01, 0.01])
 """m and rad by which the base's pose is off in a run, where nothing is known of it."""
-OF_RUN_BY_FEET = np.array([0.01, 0.01, 0.002, 0.003, 0.003, 0.01])
+OF_RUN_BY_FEET = np.array([0.006, 0.006, 0.002, 0.003, 0.003, 0.01])
 """The same where feet on the scene have told its height and lean."""
 EVIDENCE = 3.0
 """Log-odds from which an effect is named, after the price of having looked at so many."""
@@ -45,8 +45,13 @@ NOISIER = 1.3
 SCAN = 0.002
 """m by which a scan is off here and there: pixels that lie side by side err together by it."""
 LEAST_PIXELS = 500
-KINDS = ("camera_delay", *["camera_mount"] * 6)
-"""Parameter -> the effect that it belongs to; a mount is named if one of its six is beyond everyday."""
+KINDS = (
+    ("camera_delay", (0,)),
+    *(("camera_mount", (k,)) for k in range(1, 7)),
+    ("camera_mount", (1, 2, 3)),
+    ("camera_mount", (4, 5, 6)),
+)
+"""Effect and parameters that are compared with everyday deviations: alone, and together where data know only a mix."""
 
 
 @dataclass(frozen=True)
@@ -186,8 +191,8 @@ class _Fitter:
         covariance = self._covariance(H, scores)
         posterior = Fit(x, covariance, self.prior, 0.0, 0.0, np.zeros(0))
         named: dict[str, float] = {}
-        for k, name in enumerate(KINDS):
-            odds = -posterior.bayes([k], EVERYDAY[[k]]) - float(np.log(len(KINDS) + 1))
+        for name, which in KINDS:
+            odds = -posterior.bayes(list(which), EVERYDAY[list(which)]) - float(np.log(len(KINDS) + 1))
             if odds > EVIDENCE:
                 named[name] = max(odds, named.get(name, 0.0))
         noise = self._noise(x)
