@@ -316,6 +316,8 @@ class _Eye:
 
     def note(self, data: Any, t: float) -> None:
         camera = self.model.camera("head").id
+        mujoco.mj_kinematics(self.model, data)  # a step leaves places as they were before it
+        mujoco.mj_camlight(self.model, data)
         R = data.cam_xmat[camera].reshape(3, 3) @ np.diag([1.0, -1.0, -1.0])  # MuJoCo's axes to OpenCV's
         R, place = R @ exp_so3(self.truth.camera_turn), data.cam_xpos[camera] + R @ np.array(self.truth.camera_shift)
         self.past.append((t, R.copy(), place.copy()))
@@ -327,13 +329,14 @@ class _Eye:
                 self.times.append(t)
 
     def _image(self, data: Any, R: np.ndarray, place: np.ndarray) -> np.ndarray:
-        geom = np.zeros(1, np.int32)
         still = [self.model.body_weldid[b] == 0 or self.model.body(int(b)).name.startswith("stake")
                  for b in self.model.geom_bodyid]  # fmt: skip
-        static = np.where(still, 0, 5)
-        self.model.geom_group[:] = static
-        only = np.array([1, 0, 0, 0, 0, 0], np.uint8)
-        along = np.array([mujoco.mj_ray(self.model, data, place, R @ ray, only, 1, -1, geom) for ray in self.rays])
+        self.model.geom_group[:] = np.where(still, 0, 5)
+        only, count = np.array([1, 0, 0, 0, 0, 0], np.uint8), len(self.rays)
+        geom, along = np.zeros(count, np.int32), np.zeros(count)
+        mujoco.mj_multiRay(
+            self.model, data, place, (self.rays @ R.T).ravel(), only, 1, -1, geom, along, None, count, 1e3
+        )
         self.model.geom_group[:] = self.seen
         z = along + self.truth.depth_noise * noise_of(along) * self.rng.normal(size=len(along))
         z[(along <= 0) | (along > DEPTH_FAR) | (self.rng.random(len(z)) < 0.01)] = 0.0

@@ -256,7 +256,10 @@ INDEX = (
 def footholds() -> list[str]:
     """By change: how often it was named, what else was, and the range of values."""
     rows = [r for r in stored("footholds")["rows"] if "fell" not in r]
-    lines = ["| change under one of 18 footholds | cases | named | other names | value found |", "|---|---|---|---|---|"]
+    lines = [
+        "| change under one of 18 footholds | cases | named | other names | value found |",
+        "|---|---|---|---|---|",
+    ]
     for change in dict.fromkeys(r["change"] for r in rows):
         mine = [r for r in rows if r["change"] == change]
         named = "-" if change == "none" else f"{sum(r['right'] for r in mine)} of {len(mine)}"

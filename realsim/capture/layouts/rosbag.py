@@ -247,30 +247,30 @@ def _unpack(
     wanted = {depth, color}
     for topic, _, message, _ in bag.messages(lambda t, kind: t in wanted):
         seen[topic] += 1
-        at = keep.get(seen[topic]) if topic == depth else partner.get(seen[topic])
-        if at is None or at not in used:
+        index = keep.get(seen[topic]) if topic == depth else partner.get(seen[topic])
+        if index is None or index not in used:
             continue
-        name = f"{times[at]:.6f}"
+        name = f"{times[index]:.6f}"
         try:
             if topic == depth:
                 image = depth_of(message)
                 _write_depth(work, name, image)
                 if way is not None:
-                    waiting[at] = _metres(image)
-                row = rows.setdefault(at, {"name": name, "time": times[at], "color": None, "depth": None})
+                    waiting[index] = _metres(image)
+                row = rows.setdefault(index, {"name": name, "time": times[index], "color": None, "depth": None})
                 row["depth"] = f"depth/{name}.{'npy' if image.dtype == np.float32 else 'png'}"
             else:
-                rows.setdefault(at, {"name": name, "time": times[at], "color": None, "depth": None})
-                rows[at]["message"] = color_of(message)
-            _finish_color(rows[at], waiting, at, way, work)
+                rows.setdefault(index, {"name": name, "time": times[index], "color": None, "depth": None})
+                rows[index]["message"] = color_of(message)
+            _finish_color(rows[index], waiting, index, way, work)
         except CaptureError as error:
             dropped.append((name, f"{error.message} ({error.found})" if error.found else error.message))
-            used.discard(at)
-            rows.pop(at, None)
-            waiting.pop(at, None)
+            used.discard(index)
+            rows.pop(index, None)
+            waiting.pop(index, None)
     good = [r for _, r in sorted(rows.items()) if r["depth"] and (r["color"] or not color)]
-    for at, row in rows.items():
-        row["pose"] = None if poses[at] is None else np.asarray(poses[at]).ravel().tolist()
+    for index, row in rows.items():
+        row["pose"] = None if poses[index] is None else np.asarray(poses[index]).ravel().tolist()
         row.pop("message", None)
     notes += pose_notes
     warnings += bag.notes

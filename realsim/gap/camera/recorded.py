@@ -66,8 +66,9 @@ def depth_camera(case: Case) -> DepthCamera | None:
         return None
     try:
         noise = said.get("noise")
+        fx, fy, cx, cy = (float(said[k]) for k in ("fx", "fy", "cx", "cy"))
         found = DepthCamera(
-            str(said["camera"]), *(float(said[k]) for k in ("fx", "fy", "cx", "cy")),
+            str(said["camera"]), fx, fy, cx, cy,
             None if noise is None else (float(noise[0]), float(noise[1]), float(noise[2])),
             float(said.get("far", FAR)),
         )  # fmt: skip

@@ -322,7 +322,8 @@ def _slips(touches: Touches, names: Sequence[str], rng: np.random.Generator) -> 
             result.append(({}, 0.0))
             continue
         means = np.median(rng.choice(mine, (400, len(mine))), axis=1)
-        slip = Quantity(float(np.median(mine)), *map(float, np.quantile(means, [0.05, 0.95])), "m")
+        low, high = np.quantile(means, [0.05, 0.95])
+        slip = Quantity(float(np.median(mine)), float(low), float(high), "m")
         quantities = {"slip": slip}
         others = np.concatenate([v for other, v in slid.items() if other != name and len(v)] or [np.zeros(0)])
         odds = 0.0

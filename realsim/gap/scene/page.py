@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import degrees
 
 import numpy as np
 
 from realsim.gap.camera.calibrate import CameraFound
-from realsim.gap.scene.footholds import Foothold, FootholdMap
+from realsim.gap.scene.footholds import Foothold, FootholdMap, Quantity
 from realsim.gap.scene.terrain import Terrain
 from realsim.gap.scene.verdict import SceneVerdict, said
 from realsim.report import page, svg
@@ -134,7 +135,7 @@ def _table(found: FootholdMap) -> str:
         def cell(kind: str, text: str, hold: Foothold = hold) -> str:
             return f"<b>{page.esc(text)}</b>" if kind in hold.changes else page.esc(text)
 
-        def mm(name: str, q: dict = q) -> str:  # type: ignore[type-arg]
+        def mm(name: str, q: Mapping[str, Quantity] = q) -> str:
             if name not in q:
                 return "–"
             return f"{1000 * q[name].value:.1f} [{1000 * q[name].low:.1f}, {1000 * q[name].high:.1f}]"
