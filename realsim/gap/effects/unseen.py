@@ -25,7 +25,7 @@ def unseen(name: str, title: str, description: str, signature: str, parameter: P
         places=nowhere,
         parameters=lambda context, place: (parameter,),
         excited_by=lambda context, place: Excitation(
-            False, "it is told by depth frames against the scene, not by motion"
+            False, "it is told by the camera's depth frames against the scene, not by motion"
         ),
         apply=apply,
         patchable=False,
