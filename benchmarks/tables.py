@@ -271,11 +271,44 @@ INDEX = (
     ("Damaged input: tracebacks, hangs, silent changes", "fuzz", "python benchmarks/fuzz.py"),
     ("The base policy without fine-tuning", "base_policy", "python benchmarks/base_policy.py"),
     (
+        "Footholds: what a log says of the terrain",
+        "footholds",
+        "python -m benchmarks.footholds",
+    ),
+    (
         "Pretraining and fine-tuning on one GPU, an earlier recipe",
         "training_gpu",
         "realsim pretrain, realsim finetune (in the file)",
     ),
 )
+
+
+def footholds() -> list[str]:
+    """By change: how often it was named, what else was, and the range of values."""
+    rows = [r for r in stored("footholds")["rows"] if "fell" not in r]
+    lines = [
+        "| change under one of 18 footholds | cases | named | other names | value found |",
+        "|---|---|---|---|---|",
+    ]
+    for change in dict.fromkeys(r["change"] for r in rows):
+        mine = [r for r in rows if r["change"] == change]
+        named = "-" if change == "none" else f"{sum(r['right'] for r in mine)} of {len(mine)}"
+        what, scale, unit = FOOTHOLDS.get(change, ("", 1.0, ""))
+        found = [scale * r[what][0] for r in mine if what in r]
+        value = f"{min(found):.3g} to {max(found):.3g}{unit}" if found else "-"
+        lines.append(f"| {change} | {len(mine)} | {named} | {sum(r['false'] for r in mine)} | {value} |")
+    return lines
+
+
+FOOTHOLDS = {
+    "lower 2 cm": ("height", 1000.0, " mm"),
+    "higher 2 cm": ("height", 1000.0, " mm"),
+    "tilted 6 deg": ("tilt_y", 57.2958, "°"),
+    "soft 4 kN/m": ("give", 1000.0, " mm under the robot's weight"),
+    "friction 0.12": ("friction", 1.0, ""),
+    "rocks 45 N m/rad": ("wobble", 1000.0, " mm"),
+}
+"""Change -> the quantity that shows it, its scale and unit."""
 
 
 KEYS = {
@@ -284,6 +317,7 @@ KEYS = {
     "contact": ("terrain", "representation"),
     "fuzz": ("kind", "seed"),
     "diagnosis": ("seed", "case"),
+    "footholds": ("change", "seed"),
     "gap_blind": ("case",),
     "gap_contract": ("kind", "seed"),
     "gap_sysid": ("case",),
@@ -335,6 +369,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "diagnosis by robot": diagnosis_by_robot,
     "diagnosis by seed": diagnosis_intervals,
     "base policy": base,
+    "footholds": footholds,
     "index": index,
 }
 MARKED = re.compile(r"(<!-- figures: ([a-z ]+) -->\n).*?(<!-- end -->)", re.DOTALL)

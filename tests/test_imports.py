@@ -12,7 +12,19 @@ import pytest
 from realsim.errors import EXTRA_OF
 
 ROOT = Path(__file__).resolve().parents[1]
-BASE = {"types", "errors", "registry", "files", "geometry", "meshes", "models", "ordered", "progress", "resampling"}
+BASE = {
+    "types",
+    "errors",
+    "registry",
+    "files",
+    "geometry",
+    "meshes",
+    "models",
+    "ordered",
+    "progress",
+    "resampling",
+    "bags",
+}
 STAGES = {"capture", "feedforward", "scale", "align", "meshing", "exports", "robots", "report", "gap", "logs", "synth"}
 # Who may know more: results of the gap are shown with the report's parts; scenes can hold robots.
 ALSO = {"gap": {"report", "robots"}, "exports": {"robots"}, "report": set(), "synth": set()}

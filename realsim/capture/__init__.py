@@ -33,6 +33,7 @@ LAYOUTS = Registry(
         "arkitscenes": "realsim.capture.layouts.arkitscenes:LAYOUT",
         "scannerapp": "realsim.capture.layouts.scannerapp:LAYOUT",
         "realsense": "realsim.capture.layouts.realsense:LAYOUT",
+        "rosbag": "realsim.capture.layouts.rosbag:LAYOUT",
         "scan": "realsim.capture.layouts.scan:LAYOUT",
         "plain": "realsim.capture.layouts.plain:LAYOUT",
     },

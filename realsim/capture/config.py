@@ -11,7 +11,7 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 """Name of a unit of scans -> its length in metres."""
 LAYOUTS = (
     "{auto,open3d,tum,sevenscenes,scannet,pcd,nerfstudio,polycam,record3d,record3d_exr,stray,arkitscenes,scannerapp,"
-    "realsense,scan,plain}"
+    "realsense,rosbag,scan,plain}"
 )
 """What --help shows; a test holds it to the registry."""
 
@@ -40,6 +40,8 @@ class CaptureConfig:
     """Seconds between a colour and a depth image that still count as one frame (layouts with timestamps)."""
     max_pose_gap: float = 0.1
     """Seconds between two poses across which a pose is still interpolated (layouts with timestamps)."""
+    camera: str = ""
+    """Topics of a bag that begin so, where it holds several cameras (/front)."""
     keep_blurred: bool = False
     """Keep frames that are much less sharp than their neighbours."""
 

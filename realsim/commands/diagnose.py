@@ -31,6 +31,7 @@ def diagnose(
     init: Path | None = None,
     explain: str | None = None,
     model: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    scene: Annotated[Path | None, tyro.conf.arg(metavar="STR")] = None,
     policy: Path | None = None,
     deploy_yaml: Path | None = None,
     strict: bool = False,
@@ -47,6 +48,7 @@ def diagnose(
         init: instead of a case: an MJCF model, for which the folder of a new case is made.
         explain: instead of a case: describe an effect and what excites it (`all` lists them).
         model: of the robot, where CASE is a recording (MCAP, bag, CSV, ...): the case is written beside --out first.
+        scene: scene.xml that the depth frames of the log are compared with (default: the terrain of the case's model).
         policy: policy.onnx that was run: check first whether it was run as it was trained (docs/logs.md).
         deploy_yaml: the contract of a policy whose ONNX file has none (unitree_rl_lab).
         strict: exit with code 3 if the gap stays unexplained (the patched model is then not to be used); a gap that is
@@ -71,7 +73,7 @@ def diagnose(
         refuse_within(out, case)
         found = None if policy is None else _contract(case, policy, deploy_yaml)
         with steps() as tick:
-            result = gap.run_case(case, out, config, tick, overwrite=overwrite)
+            result = gap.run_case(case, out, config, tick, overwrite=overwrite, scene=scene)
         level = SAID[GapVerdict(result["verdict"])].level
         text = _summary(result, out, config)
         if found is not None:

@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from realsim.files import check_size, inside, output_folder, read_bytes, write_bytes, write_text
+from realsim.gap.answer.camera import with_camera
 from realsim.gap.answer.patch import asset_files
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.health import examine
 from realsim.gap.logs.case import load_case
 from realsim.gap.pipeline import Progress, diagnose, limited
+from realsim.gap.scene.run import check_camera
 from realsim.gap.simulation.simulate import Simulator
 
 
@@ -21,8 +23,12 @@ def run_case(
     progress: Progress | None = None,
     *,
     overwrite: bool = False,
+    scene: Path | None = None,
 ) -> dict[str, Any]:
     """Diagnose the case in `folder` and write diagnosis.json, model.xml (patched) and report.html to `out`.
+
+    Where the log has depth frames, their camera is checked against the scene too (`scene`, or else the terrain of
+    model.xml): camera_delay, camera_mount and depth_noise are then among the causes.
 
     Returns what diagnosis.json holds. Raises GapError with the reason where a log cannot support a diagnosis.
     """
@@ -34,7 +40,8 @@ def run_case(
         assets = asset_files(case.spec)
         for name in assets:
             check_size(inside(Path(folder), name))
-        found = diagnose(case, config, progress)
+        camera = check_camera(case, scene)  # seconds; what is wrong with its frames is said before the search
+        found = with_camera(diagnose(case, config, progress), camera)
         found.write(work)
         assert found.evidence is not None  # `diagnose` fills it
         write_text(work / "model.xml", found.evidence.patched_xml)

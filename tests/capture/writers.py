@@ -14,6 +14,7 @@ import pytest
 from realsim.geometry import R_to_quat, invert_T, log_so3
 
 from .fake_realsense import write_bag
+from .rosbags_of import write_bag as write_ros
 from .scene import CAMERA, START_TIME, View
 
 
@@ -339,7 +340,7 @@ def write_realsense(folder: Path, views: Sequence[View]) -> None:
     write_bag(folder / "20240501_100000.bag", views)
 
 
-WRITERS: dict[str, Callable[[Path, Sequence[View]], None]] = {
+WRITERS: dict[str, Callable[[Path, Sequence[View]], object]] = {
     "open3d": write_open3d,
     "tum": write_tum,
     "sevenscenes": write_sevenscenes,
@@ -354,6 +355,7 @@ WRITERS: dict[str, Callable[[Path, Sequence[View]], None]] = {
     "stray": write_stray,
     "arkitscenes": write_arkitscenes,
     "realsense": write_realsense,
+    "rosbag": lambda folder, views: write_ros(folder / "walk.mcap", views, storage="mcap_file"),
 }
 LOSSY = {"polycam": 4.0, "scannerapp": 4.0, "record3d": 4.0, "record3d_exr": 4.0}
 """Layouts whose colour is compressed with losses -> grey levels by which it may differ on average."""

@@ -135,7 +135,7 @@ def unitree(path: Path, log: Log, order: Sequence[int], *, definitions: bool = F
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    from realsim.logs.definitions import register
+    from realsim.bags.definitions import register
 
     store = register(get_typestore(Stores.ROS2_HUMBLE), get_types_from_msg)
     t_ = store.types

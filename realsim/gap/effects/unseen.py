@@ -1,4 +1,4 @@
-"""Effects on camera images: they have a name and a description, but no robot log can show them."""
+"""Effects on camera images: no motion shows them; recorded depth does, against a scene (realsim.gap.camera)."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place,
 
 
 def unseen(name: str, title: str, description: str, signature: str, parameter: Parameter) -> Effect:
-    """An effect of the contract that is never tried, and says why."""
+    """An effect of the contract that the search over motions never tries, and says where it is."""
 
     def apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         raise GapError(
-            f"{name} acts on camera images, which a robot log does not hold", hint="leave it out of the effects"
+            f"{name} acts on camera images, which no simulated motion shows",
+            hint="leave it out of the effects: where a log has depth frames it is tried anyway",
         )
 
     return Effect(
@@ -20,10 +21,12 @@ def unseen(name: str, title: str, description: str, signature: str, parameter: P
         scope="global",
         description=description,
         signature=signature,
-        excitation="Camera images, which the log format does not carry yet: never excited.",
+        excitation="Depth frames in the log, and a scene to compare them with. Motion alone never shows it.",
         places=nowhere,
         parameters=lambda context, place: (parameter,),
-        excited_by=lambda context, place: Excitation(False, "the log holds no camera images, so nothing can show it"),
+        excited_by=lambda context, place: Excitation(
+            False, "it is told by the camera's depth frames against the scene, not by motion"
+        ),
         apply=apply,
         patchable=False,
     )

@@ -86,7 +86,7 @@ def torque_residual(simulator: Simulator) -> TorqueResidual | None:
         torque[:, ~np.isfinite(logged_torque).any(axis=0)] = np.nan  # a joint without a sensor
         phase = _phase(case, run, motion)
         for n in _picked(motion):
-            needed = _needed(model, data, motion, n)[dofs]
+            needed = needed_force(model, data, motion, n)[dofs]
             phases.append(phase[n])
             velocity.append(motion.qvel[n, dofs])
             change.append(motion.qacc[n, dofs])
@@ -204,11 +204,11 @@ def _lacking(case: Case, model: Any, data: Any, run: Run, motion: Motion, n: int
 
     joint = int(np.flatnonzero(model.jnt_type == 0)[0])
     base = slice(int(model.jnt_dofadr[joint]), int(model.jnt_dofadr[joint]) + 6)
-    needed = _needed(model, data, motion, n)
+    needed = needed_force(model, data, motion, n)
     J = _contact_rows(case, model, data, run, float(motion.time[n]))
     if J is None:
         return None
-    driven = _drive(case, model, data, run, float(motion.time[n]))
+    driven = drive_force(case, model, data, run, float(motion.time[n]))
     unknown = ~np.isfinite(driven)
     driven[unknown] = 0.0
     rest = needed - driven
@@ -225,7 +225,7 @@ def _lacking(case: Case, model: Any, data: Any, run: Run, motion: Motion, n: int
     return np.asarray((rest - J.T @ force)[base])
 
 
-def _needed(model: Any, data: Any, motion: Motion, n: int) -> F64:
+def needed_force(model: Any, data: Any, motion: Motion, n: int) -> F64:
     """(nv,) generalised force that the model needs for a state and its acceleration, without contacts or stops."""
     import mujoco
 
@@ -249,7 +249,7 @@ def at_stop(model: Any, qpos: F64) -> npt.NDArray[np.bool_]:
     return found
 
 
-def _drive(case: Case, model: Any, data: Any, run: Run, when: float) -> F64:
+def drive_force(case: Case, model: Any, data: Any, run: Run, when: float) -> F64:
     """(nv,) of the drives: the logged torque if torques were measured, else the servos' law at the logged state.
 
     NaN for a joint whose torque this run does not have.

@@ -214,7 +214,7 @@ def load_model(path: Path) -> tuple[Any, Any, str]:
     """(MjSpec resolved, MjModel, text) of an MJCF file that is safe to read. Raises GapError with the reason."""
     import mujoco
 
-    text = _harmless(path, path.parent)
+    text = harmless_xml(path, path.parent)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         resolve(spec)
@@ -244,7 +244,7 @@ def load_model(path: Path) -> tuple[Any, Any, str]:
     return spec, model, text
 
 
-def _harmless(path: Path, root: Path, where: Path = Path(), depth: int = 0) -> str:
+def harmless_xml(path: Path, root: Path, where: Path = Path(), depth: int = 0) -> str:
     """The text of an MJCF file that neither runs code nor names a file outside `root`; nor do those that it reads.
 
     As MuJoCo takes them, names are relative to `where`, a folder below `root`: that of the first file, also in those
@@ -268,7 +268,7 @@ def _harmless(path: Path, root: Path, where: Path = Path(), depth: int = 0) -> s
             if depth == MAX_INCLUDES:
                 raise GapError("the model's files include each other", file=path, found=further)
             below = where if node.tag == "include" else (where / further).parent
-            _harmless(root / where / further, root, below, depth + 1)
+            harmless_xml(root / where / further, root, below, depth + 1)
     return text
 
 

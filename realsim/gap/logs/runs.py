@@ -26,6 +26,8 @@ SIGNAL_SHAPES: dict[str, str | int] = {
     "imu_acc": 3,
     "contact": "F",
 }
+FRAMES = ("depth", "depth_time")
+"""Arrays of the depth camera, with a clock of their own: read by `realsim.gap.camera` where they are wanted."""
 REQUIRED = ("time", "command", "joint_pos")
 OFF_AFTER = 0.1
 """Seconds without any command from which on a drive is off; shorter gaps are lost messages, and a command holds."""
@@ -142,6 +144,8 @@ def read_run(path: Path, want: Layout, warnings: list[str]) -> Run:
 def _read_npz(path: Path) -> dict[str, F64]:
     arrays = {}
     for name, values in read_npz(path).items():
+        if name in FRAMES:
+            continue
         try:
             arrays[name] = np.asarray(values, dtype=np.float64)
         except (TypeError, ValueError) as error:

@@ -6,19 +6,14 @@ A file that ends in the middle, as when the recorder was killed, is read as far 
 from __future__ import annotations
 
 import json
-import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from realsim.errors import GapError, extra
+from realsim.bags import Types, mcap_records
+from realsim.errors import extra
 from realsim.logs.messages import Topics, signal_type
-from realsim.logs.readers.rosbag import Types
 from realsim.logs.recording import Reader, Recording, Window, no_samples
-
-MAGIC = b"\x89MCAP0\r\n"
-MAX_RECORD = 512 * 2**20
-"""Bytes of one record, packed or unpacked."""
 
 
 def recognise(path: Path) -> bool:
@@ -36,7 +31,7 @@ def read(path: Path, window: Window) -> list[Recording]:
     first: float | None = None
     from mcap.records import Channel, Message, Schema
 
-    for record in _records(path, notes):
+    for record in mcap_records(path, notes):
         if isinstance(record, Schema):
             schemas[record.id] = record
         elif isinstance(record, Channel) and record.id not in channels:
@@ -63,42 +58,6 @@ def _call(decode: Callable[[bytes], Any], data: bytes) -> Callable[[], Any]:
     return lambda: decode(data)
 
 
-def _records(path: Path, notes: list[str]) -> Iterator[Any]:
-    """Schemas, channels and messages in the order of the file; a broken end is noted."""
-    from mcap.exceptions import McapError
-    from mcap.records import Chunk
-    from mcap.stream_reader import StreamReader, breakup_chunk
-
-    seen = False
-    with path.open("rb") as file:
-        reader = StreamReader(file, emit_chunks=True, record_size_limit=MAX_RECORD)
-        try:
-            for record in reader.records:
-                if isinstance(record, Chunk):
-                    if record.uncompressed_size > MAX_RECORD:
-                        raise GapError(
-                            "a chunk is too large", file=path, expected=f"at most {MAX_RECORD} bytes",
-                            found=str(record.uncompressed_size),
-                        )  # fmt: skip
-                    try:
-                        parts = breakup_chunk(record)
-                    except Exception as error:  # each compression has its own errors; the next chunk may be whole
-                        notes.append(f"{path.name}: a damaged chunk is left out ({_said(error)})")
-                        continue
-                    seen = True
-                    yield from parts
-                else:
-                    seen = True
-                    yield record
-        # Damage shows as whatever it leads to: a wrong length, a broken chunk, a text that is none.
-        except (McapError, ValueError, KeyError, IndexError, EOFError, RuntimeError, zlib.error, OSError) as error:
-            if not seen:
-                raise GapError("not a readable MCAP file", file=path, found=_said(error)) from error
-            notes.append(f"{path.name} is damaged or cut off: read as far as it goes ({_said(error)})")
-        except (MemoryError, OverflowError) as error:
-            raise GapError("not a readable MCAP file", file=path, found=_said(error)) from error
-
-
 def _decoder(channel: Any, schema: Any, types: Types) -> tuple[Callable[[bytes], Any] | None, str]:
     """(how the messages of a channel are decoded, or None; why not)."""
     if schema is not None and not signal_type(schema.name):
@@ -113,10 +72,6 @@ def _decoder(channel: Any, schema: Any, types: Types) -> tuple[Callable[[bytes],
         f"{channel.message_encoding or '?'} with {schema.encoding if schema is not None and schema.encoding else 'no'}"
     )
     return None, f"{said} definition is not read"
-
-
-def _said(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}"[:160]
 
 
 READER = Reader("mcap", "a .mcap file with ROS 1, ROS 2 or JSON messages", recognise, read)

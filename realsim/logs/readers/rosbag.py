@@ -6,35 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from realsim.bags.definitions import register
 from realsim.errors import GapError, extra
-from realsim.logs.definitions import register
 from realsim.logs.messages import Topics, signal_type
 from realsim.logs.recording import Reader, Recording, Window, no_samples
-
-
-class Types:
-    """Message definitions, as they come with recordings; the common ones of ROS where a recording has none."""
-
-    def __init__(self) -> None:
-        typesys = extra("rosbags.typesys", "logs", "reading ROS messages")
-        self._typesys = typesys
-        self._common = register(typesys.get_typestore(typesys.Stores.LATEST), typesys.get_types_from_msg)
-
-    def decoder(self, name: str, encoding: str, definition: str) -> tuple[Callable[[bytes], Any] | None, str]:
-        """(decoder of messages of a type, or None; why not). `encoding` is ros1msg, ros2msg or ros2idl."""
-        full = name if name.count("/") == 2 else name.replace("/", "/msg/", 1)
-        try:
-            store = self._common
-            if definition.strip():
-                store = self._typesys.get_typestore(self._typesys.Stores.EMPTY)
-                parse = self._typesys.get_types_from_idl if encoding == "ros2idl" else None
-                store.register(parse(definition) if parse else self._typesys.get_types_from_msg(definition, full))
-            elif full not in store.fielddefs:
-                return None, "its definition is not in the recording"
-        except Exception as error:  # a definition of any other dialect; rosbags raises several types
-            return None, f"unknown definition ({type(error).__name__}: {str(error)[:80]})"
-        read = store.deserialize_ros1 if encoding == "ros1msg" else store.deserialize_cdr
-        return lambda data: read(data, full), ""
 
 
 def recognise(path: Path) -> bool:

@@ -1,0 +1,31 @@
+"""What recorded depth says of its camera, put into a diagnosis."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from realsim.gap.answer.diagnosis import Diagnosis
+from realsim.gap.camera.calibrate import CameraFound
+from realsim.gap.verdicts import GapVerdict
+
+
+def with_camera(found: Diagnosis, camera: CameraFound | None) -> Diagnosis:
+    """The diagnosis with the camera's effects among its causes.
+
+    The motion does not depend on the camera here (the commands are those of the log), so the two are judged apart: a
+    camera that is off is a cause beside those of the motion, and where these show no gap the verdict is `identified`.
+    """
+    if camera is None:
+        return found
+    statistics = found.statistics | {"camera": camera.as_dict()}
+    if not camera.named:
+        return replace(found, statistics=statistics)
+    said = "; ".join(camera.sentences())
+    verdict = GapVerdict.IDENTIFIED if found.verdict is GapVerdict.NO_GAP else found.verdict
+    return replace(
+        found,
+        verdict=verdict,
+        sentence=f"{found.sentence} Beside the motion: {said}.",
+        causes=(*found.causes, *camera.causes()),
+        statistics=statistics,
+    )

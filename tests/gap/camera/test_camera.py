@@ -1,0 +1,160 @@
+"""Depth frames against the scene: what was done to the camera is found, and nothing where nothing was done."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.crossings import Truth, make_case
+from realsim.errors import GapError
+from realsim.gap.answer.camera import with_camera
+from realsim.gap.answer.diagnosis import Diagnosis
+from realsim.gap.camera.calibrate import CameraFound
+from realsim.gap.camera.recorded import depth_camera, read_frames
+from realsim.gap.effects import EFFECTS
+from realsim.gap.logs.case import load_case
+from realsim.gap.scene.run import check_camera
+
+TRUTHS = {
+    "nothing": Truth(),
+    "late": Truth(camera_delay=0.04),
+    "turned": Truth(camera_turn=(0.01745, 0.0, 0.0)),
+    "shifted": Truth(camera_shift=(0.0, 0.01, 0.0)),
+    "noisy": Truth(depth_noise=2.0),
+}
+NAMES = {"nothing": set(), "late": {"camera_delay"}, "turned": {"camera_mount"}, "shifted": {"camera_mount"},
+         "noisy": {"depth_noise"}}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, CameraFound]:
+    result = {}
+    for seed, (name, truth) in enumerate(TRUTHS.items(), 20):
+        folder = tmp_path_factory.mktemp(name)
+        case = make_case(folder, truth, crossings=5, terrain_seed=seed, seed=seed, depth=True, cycles=2)
+        camera = check_camera(load_case(case), folder / "scene.xml")
+        assert camera is not None
+        result[name] = camera
+    return result
+
+
+@pytest.mark.parametrize("name", TRUTHS)
+def test_what_was_done_is_named_and_nothing_else(found: dict[str, CameraFound], name: str) -> None:
+    assert set(found[name].named) == NAMES[name]
+    assert {c["effect"] for c in found[name].causes()} == NAMES[name]
+    assert len(found[name].sentences()) == len(NAMES[name])
+
+
+def test_values_are_recovered(found: dict[str, CameraFound]) -> None:
+    assert found["late"].delay[0] == pytest.approx(0.04, abs=0.005)
+    assert found["turned"].turn[0][0] == pytest.approx(0.01745, abs=0.004)
+    # By 1 cm down in the camera, which looks down by 0.45 rad: how far it is lower is known well, how far back is not,
+    # since a base that is off along the way does the same.
+    (_, down, forward) = found["shifted"].shift
+    assert np.cos(0.45) * down[0] + np.sin(0.45) * forward[0] == pytest.approx(0.01 * np.cos(0.45), abs=0.002)
+    assert down[1] - 0.5 * (down[0] - down[1]) < 0.01 < down[2] + 0.5 * (down[2] - down[0])
+    assert found["noisy"].noise is not None
+    assert found["noisy"].noise[0] == pytest.approx(2.0, abs=0.15)
+    for name in ("nothing", "late"):
+        assert found[name].noise is not None
+        assert found[name].noise[0] == pytest.approx(1.0, abs=0.1)
+    for name, which, truth in (("late", found["late"].delay, 0.04), ("turned", found["turned"].turn[0], 0.01745)):
+        value, low, high = which
+        assert low - 0.5 * (value - low) < truth < high + 0.5 * (high - value), name
+    assert found["turned"].after < 0.5 * found["turned"].before
+
+
+def test_a_diagnosis_has_the_camera_among_its_causes(found: dict[str, CameraFound]) -> None:
+    plain = Diagnosis("no_gap", "No gap.", (), (), (), {}, 0.0, {})
+    assert with_camera(plain, None) is plain
+    assert with_camera(plain, found["nothing"]).verdict == "no_gap"
+    late = with_camera(plain, found["late"])
+    assert late.verdict == "identified"
+    assert late.causes[0]["effect"] == "camera_delay"
+    assert "late by" in late.sentence
+    assert late.as_dict()["statistics"]["camera"]["camera"] == "head"
+
+
+@pytest.fixture
+def case(tmp_path: Path) -> Path:
+    return make_case(tmp_path, Truth(), crossings=1, seed=3, depth=True, cycles=1)
+
+
+def _say(case: Path, **change: object) -> None:
+    said = json.loads((case / "log.json").read_text())
+    said["depth_camera"] = {**said["depth_camera"], **change}
+    (case / "log.json").write_text(json.dumps(said))
+
+
+def test_a_log_without_a_camera_is_left_alone(case: Path) -> None:
+    said = json.loads((case / "log.json").read_text())
+    del said["depth_camera"]
+    (case / "log.json").write_text(json.dumps(said))
+    assert depth_camera(load_case(case)) is None
+    assert check_camera(load_case(case), None) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"camera": "haed"}, "not in model.xml"),
+        ({"fx": "wide"}, "cannot be read"),
+        ({"noise": [0, 0]}, "cannot be read"),
+        ({"fx": -1}, "cannot be read"),
+    ],
+)
+def test_a_camera_that_cannot_be_read_is_refused(case: Path, change: dict, message: str) -> None:
+    _say(case, **change)
+    with pytest.raises(GapError, match=message):
+        depth_camera(load_case(case))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"depth": None}, "cannot be read"),
+        ({"depth_time": np.zeros(3)}, "cannot be read"),
+        ({"depth_time": "back"}, "does not increase"),
+        ({"depth": None, "depth_time": None}, "no run has depth"),
+    ],
+)
+def test_frames_that_cannot_be_read_are_refused(case: Path, change: dict, message: str) -> None:
+    path = next((case / "runs").glob("*.npz"))
+    arrays = dict(np.load(path))
+    for name, value in change.items():
+        if isinstance(value, str):
+            arrays[name] = arrays[name][::-1]
+        elif value is None:
+            del arrays[name]
+        else:
+            arrays[name] = value
+    np.savez(path, **arrays)
+    loaded = load_case(case)
+    camera = depth_camera(loaded)
+    assert camera is not None
+    with pytest.raises(GapError, match=message):
+        read_frames(loaded, camera, 10, 100)
+
+
+def test_millimetres_are_metres(case: Path) -> None:
+    loaded = load_case(case)
+    camera = depth_camera(loaded)
+    assert camera is not None
+    before, rays = read_frames(loaded, camera, 10, 100)
+    path = next((case / "runs").glob("*.npz"))
+    arrays = dict(np.load(path))
+    arrays["depth"] = np.rint(1000 * arrays["depth"]).astype(np.uint16)
+    np.savez(path, **arrays)
+    after, _ = read_frames(loaded, camera, 10, 100)
+    assert after[0].depth == pytest.approx(before[0].depth, abs=6e-4)
+    assert rays[0] == pytest.approx([-15.5 / camera.fx, -11.5 / camera.fy, 1.0])
+    shutil.rmtree(case)
+
+
+@pytest.mark.parametrize("name", ["camera_delay", "camera_mount", "depth_noise"])
+def test_the_search_over_motions_says_where_they_are_told(name: str) -> None:
+    assert "depth frames" in EFFECTS[name].excitation.lower()
