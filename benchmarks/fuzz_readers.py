@@ -172,13 +172,13 @@ def read_other(folder: Path) -> Reading:
 def _put_back(folder: Path) -> None:
     """Damaged metadata into the file that they belong to; what cannot be put there is left out."""
     with contextlib.suppress(Exception):  # onnx and torch raise what they like; the damage then is all there is
-        if (folder / "metadata.json").is_file():
+        if all((folder / name).is_file() for name in ("metadata.json", "policy.onnx")):
             import onnx
 
             model = onnx.load(folder / "policy.onnx")
             next(p for p in model.metadata_props if p.key == "realsim").value = (folder / "metadata.json").read_text()
             onnx.save(model, folder / "policy.onnx")
-        elif (folder / "contents.json").is_file():
+        elif all((folder / name).is_file() for name in ("contents.json", "policy.pt")):
             import torch
 
             data = torch.load(folder / "policy.pt", weights_only=True)

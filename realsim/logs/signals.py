@@ -1,4 +1,4 @@
-"""Similarity of two signals: measures for the evidence about roles, orders, units and signs."""
+"""How alike two signals are: the measures that evidence about roles, orders, units and signs is made of."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def travelled(times: F64, position: F64, velocity: F64) -> tuple[F64, F64]:
 
 
 def follows(times: F64, asked: F64, done: F64) -> tuple[float, float, float, float]:
-    """(correlation, s of lag, gain, offset) with which one signal (T,) follows another best; nothing of two samples."""
+    """(correlation, s of lag, gain, offset) with which one signal (T,) follows another best; zeros for two samples."""
     if len(times) < 3:
         return 0.0, 0.0, np.nan, np.nan
     step = max(float(np.median(np.diff(times))), 1e-3)
