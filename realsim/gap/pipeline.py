@@ -26,6 +26,7 @@ from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects import EFFECTS
 from realsim.gap.evidence.onsets import find_onsets
 from realsim.gap.evidence.where import by_signal, change_by_horizon, evidence, localise
+from realsim.gap.experiments.proposal import propose
 from realsim.gap.health import examine
 from realsim.gap.logs.case import Case
 from realsim.gap.logs.repeats import replicates as replicates
@@ -88,7 +89,11 @@ def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progres
             "fits": fitter.evaluations,
         }
         choices = first_choices(screen, selection) if config.baselines else {}
-    return replace(found, statistics=statistics, cost=cost, baselines=choices, provenance=made_by)
+        rivals = [selection.fit, *selection.equivalent] if found.equivalent else []
+        asked = propose(simulator, rivals) if rivals else None
+    return replace(
+        found, statistics=statistics, cost=cost, baselines=choices, provenance=made_by, next_experiment=asked
+    )
 
 
 def _checked(config: DiagnoseConfig, screen: Screen, selection: Selection, held: list[int]) -> Shrinkage:
