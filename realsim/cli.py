@@ -37,6 +37,7 @@ COMMANDS = Registry(
         "model": "realsim.commands.model:model",
         "log": "realsim.commands.log:log",
         "diagnose": "realsim.commands.diagnose:diagnose",
+        "excite": "realsim.commands.excite:excite",
         "synth": "realsim.commands.synth:synth",
         "demo": "realsim.commands.demo:demo",
     },
@@ -51,6 +52,7 @@ SUMMARIES = {
     "model": "how a feed-forward model in an ONNX file fits the contract",
     "log": "what a robot's recording holds (MCAP, bags, LeRobot, CSV, ...), and the case that it becomes",
     "diagnose": "a robot's logs and its model -> where the sim-to-real gap lies, what causes it, how much",
+    "excite": "the recording that tells apart what a diagnosis could not: command files within the robot's limits",
     "synth": "render a synthetic capture with its truth",
     "demo": "render, reconstruct and measure, end to end",
 }
@@ -64,6 +66,7 @@ EXAMPLES = {
     "model": "realsim model inspect model.onnx",
     "log": "realsim log walk.mcap --model robot.xml --out case",
     "diagnose": "realsim diagnose my_case --out diagnosis",
+    "excite": "realsim excite diagnosis --out experiment",
     "synth": "realsim synth --terrain boxes --out synthetic",
     "demo": "realsim demo --out demo_out",
 }

@@ -15,6 +15,7 @@ from realsim.errors import RealsimError
 from realsim.files import refuse_within
 from realsim.gap import contract
 from realsim.gap.config import DiagnoseConfig
+from realsim.gap.logs.recordings import is_recording
 from realsim.progress import note, steps, track
 
 
@@ -36,7 +37,8 @@ def diagnose(
     """Say where a robot's logs differ from its simulator, which unmodelled effect causes it, and how much it matters.
 
     Args:
-        cases: a folder with log.json, model.xml and runs/ (.npz or .csv); or several, each gets a folder below --out.
+        cases: a folder with log.json, model.xml and runs/ (.npz or .csv); or several, each gets a folder below --out;
+            or one, and new recordings of its robot: runs as .npz or .csv, or folders of `realsim excite`.
         out: where diagnosis.json, report.html and the patched model go (default: diagnosis); with --init, the new case
             (default: case).
         overwrite: replace an output folder that realsim wrote before.
@@ -64,13 +66,16 @@ def diagnose(
     if check:
         return _checked(cases, config)
     out = out or Path("diagnosis")
+    recordings: tuple[Path, ...] = ()
+    if model is None and len(cases) > 1 and any(is_recording(path) for path in cases[1:]):
+        cases, recordings = cases[:1], cases[1:]
     if model is not None:
         cases = tuple(_from_recording(case, model, out, overwrite, len(cases)) for case in cases)
     if len(cases) == 1 and ray is None:
         refuse_within(out, cases[0])
         found = None if policy is None else _contract(cases[0], policy, deploy_yaml)
         with steps() as tick:
-            result = gap.run_case(cases[0], out, config, tick, overwrite=overwrite)
+            result = gap.run_case(cases[0], out, config, tick, overwrite=overwrite, recordings=recordings)
         level = LEVELS[str(result["verdict"])]
         text = _summary(result, out, config)
         if found is not None:
@@ -160,6 +165,9 @@ def _next(result: Mapping[str, Any], out: Path) -> str:
         return "nothing to change in the model; record livelier runs to look closer"
     if verdict == "identified":
         return f"simulate with {out / 'model.xml'}, and check it on a new run"
+    asked = result.get("next_experiment")
+    if asked and asked.get("excitation"):
+        return f"realsim excite {out}: {asked['text']}"
     _, record, what = sentence.rpartition("record ")
     return (record + what).rstrip(".") if record else "record more runs that move what differs"
 

@@ -88,9 +88,10 @@ def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progres
             "logged_seconds": round(sum(r.duration for r in case.runs), 2),
             "fits": fitter.evaluations,
         }
+        tick("next experiment", 0.98)
         choices = first_choices(screen, selection) if config.baselines else {}
         rivals = [selection.fit, *selection.equivalent] if found.equivalent else []
-        asked = propose(simulator, rivals) if rivals else None
+        asked = propose(simulator, comparison.noise, rivals, config)
     return replace(
         found, statistics=statistics, cost=cost, baselines=choices, provenance=made_by, next_experiment=asked
     )
@@ -116,9 +117,12 @@ def limited(case: Case, config: DiagnoseConfig) -> Case:
     notes = []
     runs = list(case.runs)
     if len(runs) > config.max_runs:
-        keep = np.unique(np.linspace(0, len(runs) - 1, config.max_runs).round().astype(int))
-        notes.append(f"{len(runs)} runs: {len(keep)} of them, evenly spread, are used")
-        runs = [runs[i] for i in keep]
+        added = [r for r in runs if r.name in case.added]
+        others = [r for r in runs if r.name not in case.added]
+        room = max(config.max_runs - len(added), 1)
+        keep = np.unique(np.linspace(0, len(others) - 1, room).round().astype(int)) if others else []
+        notes.append(f"{len(runs)} runs: {len(keep) + len(added)} of them, evenly spread, are used")
+        runs = [*(others[i] for i in keep), *added]
     long = [r.name for r in runs if r.duration > config.max_seconds + 0.5]
     if long:
         notes.append(f"{len(long)} runs are longer than {config.max_seconds:g} s: their beginning is used")

@@ -11,8 +11,8 @@ from typing import Any
 from realsim import __version__
 from realsim.gap.config import DiagnoseConfig
 
-NO_ANSWER = ("report", "explanation.py", "selection")
-"""Below realsim/gap: what shows an answer and cannot change it."""
+NO_ANSWER = ("report", "explanation.py", "selection", "experiments", "drift")
+"""Below realsim/gap: what shows an answer, or asks for another recording, and cannot change verdict or causes."""
 NO_SETTING = ("threads", "report")
 """Settings that cannot change an answer."""
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +24,12 @@ def run_case(
     progress: Progress | None = None,
     *,
     overwrite: bool = False,
+    recordings: Sequence[Path] = (),
 ) -> dict[str, Any]:
     """Diagnose the case in `folder` and write diagnosis.json, model.xml (patched) and report.html to `out`.
+
+    Args:
+        recordings: runs that were recorded after `realsim excite`; they are not written into the case.
 
     Returns what diagnosis.json holds. Raises GapError with the reason where a log cannot support a diagnosis.
     """
@@ -30,11 +37,15 @@ def run_case(
     with output_folder(
         Path(out), overwrite=overwrite
     ) as work:  # what cannot be written is refused before the work is done
-        case = load_case(Path(folder))
+        case = load_case(Path(folder), recordings)
         assets = asset_files(case.spec)
         for name in assets:
             check_size(inside(Path(folder), name))
         found = diagnose(case, config, progress)
+        if found.next_experiment is not None:
+            where = os.path.relpath(Path(folder).absolute(), Path(out).absolute())
+            asked = found.next_experiment | {"case": Path(where).as_posix()}
+            found = replace(found, next_experiment=asked)
         found.write(work)
         fit, simulator = found.evidence["fit"], found.evidence["simulator"]
         write_text(work / "model.xml", patched_xml(simulator, fit))

@@ -22,6 +22,9 @@ ENOUGH = 16.0
 """Least separation of any two rivals from which on an experiment is said to decide: a log Bayes factor of 8 is to be
 expected, what the engine demands of a cause (`DiagnoseConfig.min_gain`)."""
 
+WORTH_IT = 1.2
+"""Times the even odds that the true rival's expected posterior must reach for an experiment to be asked for."""
+
 
 @dataclass(frozen=True)
 class Looked:
@@ -52,6 +55,11 @@ class Looked:
         return 0.0 if self.separation is None else float(expected_posterior(self.separation).mean())
 
     @property
+    def helps(self) -> bool:
+        """Whether a recording may be expected to favour the true rival."""
+        return self.separation is not None and self.posterior > WORTH_IT / len(self.separation)
+
+    @property
     def decides(self) -> bool:
         return self.worst >= ENOUGH
 
@@ -61,8 +69,12 @@ def look(
     rivals: Sequence[Rival],
     names: Sequence[str] = (),
     tick: Callable[[str, float], None] = lambda what, share: None,
+    finalists: int = FINALISTS,
 ) -> list[Looked]:
     """All excitations (or those named), the best first. Those that leave the limits at any size stand last.
+
+    Args:
+        finalists: of so many the everyday deviations are simulated.
 
     Raises:
         GapError: with fewer than two rivals.
@@ -77,16 +89,16 @@ def look(
     chosen = list(names or EXCITATIONS)
     found = []
     for k, name in enumerate(chosen):
-        tick(name.replace("_", " "), k / (len(chosen) + FINALISTS))
+        tick(name.replace("_", " "), k / (len(chosen) + finalists))
         found.append(_largest(bench, rivals, name))
     found.sort(key=_rank)
-    for k, one in enumerate(found[:FINALISTS]):
+    for k, one in enumerate(found[:finalists]):
         if one.predicted is not None:
-            tick("everyday deviations", (len(chosen) + k) / (len(chosen) + FINALISTS))
+            tick("everyday deviations", (len(chosen) + k) / (len(chosen) + finalists))
             deviations = bench.deviations(one.predicted)
             separation = separations(one.predicted, rivals, deviations)
             found[k] = Looked(one.name, one.title, one.size, "", one.predicted, separation, True)
-    return sorted(found[:FINALISTS], key=_rank) + found[FINALISTS:]
+    return sorted(found[:finalists], key=_rank) + found[finalists:]
 
 
 def _rank(one: Looked) -> tuple[bool, float, float]:
