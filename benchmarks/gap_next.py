@@ -2,10 +2,11 @@
 
     python benchmarks/gap_next.py --seed 27 --cases 20 --minutes 60
 
-Draws robots of one or two joints with one cause each (`benchmarks.gap_truth`), whose operator recorded little (one
-slow run, one livelier one, no torque), and diagnoses them. Where that is ambiguous, the experiment that the tool asks for is simulated on the true robot
-(not on a rival), added, and diagnosed again; beside it one excitation of the library at random, of the same length and
-within the same limits. A case counts where the verdict then is `identified` and names the true cause alone.
+Draws robots of one or two joints with one cause each (`benchmarks.gap_truth`), whose operator recorded little (one slow
+run, one livelier one, no torque), and diagnoses them. Where that is ambiguous, the experiment that the tool asks for is
+simulated on the true robot (not on a rival), added, and diagnosed again; beside it one excitation of the library at
+random, of the same length and within the same limits. A case counts where the verdict then is `identified` and names
+the true cause alone.
 
 Causes that no recording of these signals can tell from others (late commands and late readings without an IMU) are not
 drawn. An ambiguous case for which the tool asks for nothing counts as one that is not
@@ -15,6 +16,7 @@ decided. Rows are stored by seed, case and engine; an interrupted run goes on.
 from __future__ import annotations
 
 import argparse
+import copy
 import json
 import sys
 import tempfile
@@ -97,7 +99,7 @@ class Switched(Plant):
 
 def _set_up(robot: Robot, truth: Truth, run: Planned) -> tuple[Truth, Robot]:
     """The truth with the gains of a run in proportion, the robot with its mass."""
-    changed = replace_truth(truth)
+    changed = copy.deepcopy(truth)
     nominal = mujoco.MjModel.from_xml_string(robot.xml)
     for actuator, which, value in run.setup.gains:
         j = robot.actuators.index(actuator)
@@ -115,13 +117,6 @@ def _set_up(robot: Robot, truth: Truth, run: Planned) -> tuple[Truth, Robot]:
     return changed, replace(robot, xml=spec.to_xml())
 
 
-def replace_truth(truth: Truth) -> Truth:
-    """A copy whose arrays may be changed."""
-    import copy
-
-    return copy.deepcopy(truth)
-
-
 def draw(seed: int, index: int, folder: Path) -> tuple[Real, list[dict[str, Any]]] | None:
     """(the true robot, its label); the case is written to `folder`. None where the cause leaves no trace."""
     effect = EFFECTS[index // 2 % len(EFFECTS)]
@@ -132,7 +127,7 @@ def draw(seed: int, index: int, folder: Path) -> tuple[Real, list[dict[str, Any]
         site = cases.site_of(robot, mujoco.MjModel.from_xml_string(robot.xml), seed * 1000 + index)
         truth = Truth(len(robot.joints))
         cases._nuisances(truth, site, rng)
-        usual = replace_truth(truth)
+        usual = copy.deepcopy(truth)
         label = causes.available(robot)[effect](truth, site, rng, float(rng.uniform(0.7, 1.0)))
         commands = []
         for kind in RECORDED:
@@ -229,23 +224,28 @@ def table(rows: list[dict[str, Any]]) -> str:
     lines = [f"{len(rows)} cases drawn, {len(ambiguous)} ambiguous"]
     for r in ambiguous:
         asked, other = r.get("asked", {}), r.get("random", {})
-        lines.append(
-            f"{r['seed']}/{r['case']:<3} {r['robot']:8} {','.join(r['truth']):30} {r['sets']}\n"
-            f"      asked  {asked.get('excitation')!s:15} p {asked.get('posterior')} log BF {asked.get('log_bayes_factor')}"
-            f" -> {asked.get('verdict', 'nothing asked')} {asked.get('causes', '')} {'RIGHT' if asked.get('right') else ''}\n"
-            f"      random {other.get('excitation')!s:15} -> {other.get('verdict')} {other.get('causes', '')}"
-            f" {'RIGHT' if other.get('right') else ''}"
-        )
+        expects = f"p {asked.get('posterior')} log BF {asked.get('log_bayes_factor')}"
+        lines.append(f"{r['seed']}/{r['case']:<3} {r['robot']:8} {','.join(r['truth']):30} {r['sets']}")
+        lines.append(f"      asked  {asked.get('excitation')!s:15} {expects} -> {_outcome(asked)}")
+        lines.append(f"      random {other.get('excitation')!s:15} -> {_outcome(other)}")
 
     def count(of: list[dict[str, Any]], key: str) -> str:
         return f"{sum(bool(r.get(key, {}).get('right')) for r in of)}/{len(of)}"
 
     asked_for = [r for r in ambiguous if r.get("asked", {}).get("excitation")]
     sure = [r for r in asked_for if r["asked"].get("decides")]
-    lines.append(f"right alone after the recording asked for: {count(ambiguous, 'asked')} of all ambiguous cases, ")
-    lines.append(f"  {count(asked_for, 'asked')} where one was asked for, {count(sure, 'asked')} where it was said to decide")
-    lines.append(f"right alone after a random excitation: {count(ambiguous, 'random')}, {count(asked_for, 'random')}, {count(sure, 'random')}")
+    for key in ("asked", "random"):
+        lines.append(
+            f"right alone after the {key} excitation: {count(ambiguous, key)} of all ambiguous cases, "
+            f"{count(asked_for, key)} where one was asked for, {count(sure, key)} where it was said to decide"
+        )
     return "\n".join(lines)
+
+
+def _outcome(found: dict[str, Any]) -> str:
+    if "verdict" not in found:
+        return "nothing asked"
+    return f"{found['verdict']} {found.get('causes', '')} {'RIGHT' if found.get('right') else ''}"
 
 
 SETTINGS = DiagnoseConfig(threads=1, report=False)

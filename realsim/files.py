@@ -26,7 +26,15 @@ from realsim.errors import RealsimError
 
 MAX_TEXT_BYTES = 64 * 2**20
 MAX_BINARY_BYTES = 2 * 2**30
-MARKS = ("report.json", "contact.json", "diagnosis.json", "proposal.json", "truth/truth.json", "export.json", "experiment.json")
+MARKS = (
+    "report.json",
+    "contact.json",
+    "diagnosis.json",
+    "proposal.json",
+    "truth/truth.json",
+    "export.json",
+    "experiment.json",
+)
 """Files of which every output folder holds one: a scene, `realsim contact`, a diagnosis, a case, a synthetic
 capture, an export, an experiment."""
 STALE = 60.0

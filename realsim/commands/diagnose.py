@@ -30,6 +30,7 @@ def diagnose(
     model: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     policy: Path | None = None,
     deploy_yaml: Path | None = None,
+    since: Annotated[Path | None, tyro.conf.arg(metavar="CASE")] = None,
     jobs: int = 1,
     ray: str | None = None,
     strict: bool = False,
@@ -48,6 +49,7 @@ def diagnose(
         model: of the robot, where CASE is a recording (MCAP, bag, CSV, ...): the case is written beside --out first.
         policy: policy.onnx that was run: is it run as it was trained (docs/logs.md)? Said before the diagnosis.
         deploy_yaml: the contract of a policy whose ONNX file has none (unitree_rl_lab).
+        since: case of an earlier log of the same robot: say what changed since then, too (docs/experiments.md).
         jobs: with several cases: how many at a time on this machine.
         ray: with several cases: the address of a Ray cluster that shares this file system.
         strict: exit with code 3 if the gap stays unexplained (the patched model is then not to be used).
@@ -75,12 +77,16 @@ def diagnose(
         refuse_within(out, cases[0])
         found = None if policy is None else _contract(cases[0], policy, deploy_yaml)
         with steps() as tick:
-            result = gap.run_case(cases[0], out, config, tick, overwrite=overwrite, recordings=recordings)
+            result = gap.run_case(cases[0], out, config, tick, overwrite=overwrite, recordings=recordings, since=since)
         level = LEVELS[str(result["verdict"])]
         text = _summary(result, out, config)
+        if since is not None:
+            text = f"{text}\nsince      {result['since']['sentence']}"
         if found is not None:
             text, result = f"{found.sentence}\n{text}", result | {"contract": found.as_dict()}
         return CommandResult(text, result, strict_exit({"level": level}, strict), level)
+    if since is not None:
+        raise RealsimError("--since compares one case with an earlier one", found=f"{len(cases)} cases")
     return run_each("diagnose", cases, out, shows="sentence", jobs=jobs, ray=ray)
 
 

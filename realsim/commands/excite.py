@@ -23,7 +23,7 @@ def excite(
     threads: int | None = None,
     overwrite: bool = False,
 ) -> CommandResult:
-    """Choose what to record where a diagnosis could not decide, check it against the robot's limits, write the commands.
+    """Choose what to record where a diagnosis could not decide, check the robot's limits, write the commands.
 
     Args:
         source: the folder of an ambiguous diagnosis; or a case, which is diagnosed first.

@@ -11,6 +11,8 @@ from typing import Any
 from realsim.files import check_size, inside, output_folder, read_bytes, write_bytes, write_text
 from realsim.gap.answer.patch import asset_files, patched_xml
 from realsim.gap.config import DiagnoseConfig
+from realsim.gap.drift.pair import pair_of
+from realsim.gap.drift.since import changed_since
 from realsim.gap.health import examine
 from realsim.gap.logs.case import load_case
 from realsim.gap.pipeline import Progress, diagnose, limited
@@ -25,11 +27,13 @@ def run_case(
     *,
     overwrite: bool = False,
     recordings: Sequence[Path] = (),
+    since: Path | None = None,
 ) -> dict[str, Any]:
     """Diagnose the case in `folder` and write diagnosis.json, model.xml (patched) and report.html to `out`.
 
     Args:
         recordings: runs that were recorded after `realsim excite`; they are not written into the case.
+        since: case of an earlier log of the same robot: what changed since then is said too.
 
     Returns what diagnosis.json holds. Raises GapError with the reason where a log cannot support a diagnosis.
     """
@@ -38,6 +42,9 @@ def run_case(
         Path(out), overwrite=overwrite
     ) as work:  # what cannot be written is refused before the work is done
         case = load_case(Path(folder), recordings)
+        if since is not None:  # what cannot be compared is refused before the work is done
+            earlier = load_case(Path(since))
+            pair_of(case, earlier, config)
         assets = asset_files(case.spec)
         for name in assets:
             check_size(inside(Path(folder), name))
@@ -46,6 +53,9 @@ def run_case(
             where = os.path.relpath(Path(folder).absolute(), Path(out).absolute())
             asked = found.next_experiment | {"case": Path(where).as_posix()}
             found = replace(found, next_experiment=asked)
+        if since is not None:
+            changed = changed_since(limited(case, config), limited(earlier, config), config, progress or _quiet)
+            found = replace(found, since={"case": earlier.folder.name, **changed.as_dict()})
         found.write(work)
         fit, simulator = found.evidence["fit"], found.evidence["simulator"]
         write_text(work / "model.xml", patched_xml(simulator, fit))
@@ -56,6 +66,10 @@ def run_case(
 
             write_report(work / "report.html", found)
     return found.as_dict()
+
+
+def _quiet(what: str, share: float) -> None:
+    del what, share
 
 
 def check_case(folder: Path, config: DiagnoseConfig | None = None) -> dict[str, Any]:

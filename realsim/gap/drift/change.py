@@ -25,7 +25,7 @@ DAILY = 0.5
 """Standard deviation of what comes and goes from day to day, as a share of the everyday deviations between robots: a
 joint's friction differs by some percent between a cold and a warm morning. Not tuned."""
 SHARED_STEPS = 2.0
-"""Standard deviations of its fit by which a value that both logs share may still move: the earlier log alone gave it."""
+"""Standard deviations of its fit by which a value that both logs share may still move: one log alone gave it."""
 ITERATIONS = 5
 
 
@@ -117,7 +117,9 @@ class Joint:
                 break
         if local is None:
             return None
-        return Changed(here.causes, here.misfit, spread(*local, parameters), here.evidence, here.prior, here.predictions)
+        return Changed(
+            here.causes, here.misfit, spread(*local, parameters), here.evidence, here.prior, here.predictions
+        )
 
     def at(self, candidates: Sequence[Candidate], z: F64) -> Changed | None:
         """The changes at these very values."""

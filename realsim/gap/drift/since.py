@@ -45,8 +45,8 @@ class Since:
     """`unchanged`, `identified`, `ambiguous` or `unexplained`."""
     sentence: str
     changes: tuple[dict[str, Any], ...]
-    """`effect`, `joints` or `bodies`, `parameters`: {name: {`before`, `now`, `change`, `unit`, `ci90` of the change}}; a
-    change of a ratio is a ratio."""
+    """`effect`, `joints` or `bodies`, `parameters`: {name: {`before`, `now`, `change`, `unit`, `ci90` of the change}}.
+    The change of a ratio is a ratio."""
     equivalent: tuple[tuple[dict[str, Any], ...], ...]
     """Other sets of changes that explain the later log as well."""
     statistics: dict[str, Any]
@@ -139,11 +139,13 @@ def _search(
     for k in range(config.max_causes):
         tick(f"changes, {k + 1}", k / config.max_causes)
         fits = _refitted(joint, config, current)
-        best = next((f for f in fits if not (why := _doubt(joint, config, current, f))), None)
+        best = next((f for f in fits if not _doubt(joint, config, current, f)), None)
         if best is None:
             if fits:
                 c = fits[0].causes[-1].candidate
-                notes.append(f"{' '.join([c.effect, *c.place])} is no change: {_doubt(joint, config, current, fits[0])}")
+                notes.append(
+                    f"{' '.join([c.effect, *c.place])} is no change: {_doubt(joint, config, current, fits[0])}"
+                )
             break
         stages.append((current, fits))
         current = best
@@ -168,7 +170,9 @@ def _refitted(joint: Joint, config: DiagnoseConfig, current: Changed) -> list[Ch
     for fit in sorted(fits, key=_price)[:2]:  # with all its parameters a change may do what the simple form cannot
         last = fit.causes[-1]
         for c in joint.screen.candidates:
-            if (c.effect, c.places) == (last.candidate.effect, last.candidate.places) and len(c.names) > len(last.values):
+            if (c.effect, c.places) == (last.candidate.effect, last.candidate.places) and len(c.names) > len(
+                last.values
+            ):
                 more = joint.fit([*fit.causes[:-1], Cause(c, tuple(last.named.get(n, 0.0) for n in c.names))])
                 if more is not None:
                     fits.append(more)

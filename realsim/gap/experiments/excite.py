@@ -49,7 +49,11 @@ def excite(
         GapError: where there is nothing to tell apart, where nothing within the limits tells it, or where the diagnosis
             is of another engine or robot. Nothing is written then.
     """
-    config, settings, tick = config or ExciteConfig(), diagnose or DiagnoseConfig(), progress or (lambda what, share: None)
+    config, settings, tick = (
+        config or ExciteConfig(),
+        diagnose or DiagnoseConfig(),
+        progress or (lambda what, share: None),
+    )
     source = Path(source)
     if out is None:
         loaded, looked, rivals = _looked(source, case, config, settings, tick)

@@ -72,7 +72,9 @@ def limits_of(context: Context, max_speed: float | None = None, max_torque: floa
             ends = case.model.jnt_range[i]
         else:
             values = np.concatenate([run.signals["joint_pos"][:, j] for run in case.runs])
-            ends = np.array([np.nanmin(values), np.nanmax(values)]) + np.array([-BEYOND, BEYOND]) * context.travel(joint)
+            ends = np.array([np.nanmin(values), np.nanmax(values)]) + np.array([-BEYOND, BEYOND]) * context.travel(
+                joint
+            )
         low.append(ends[0])
         high.append(ends[1])
         driven = joint in context.actuator

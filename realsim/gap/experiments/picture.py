@@ -13,6 +13,7 @@ from realsim.gap.experiments.separation import Predicted
 from realsim.gap.logs.case import Case
 from realsim.gap.report.words import signal_name, unit_of
 from realsim.report import page, svg
+from realsim.types import F64
 
 PLOTS, POINTS = 4, 500
 """Signals that are drawn, those first in which the rivals part most; and points of a curve."""
@@ -31,7 +32,7 @@ def page_of(case: Case, looked: Sequence[Looked], rivals: Sequence[Rival], plan:
             page.card("Excitations that were looked at", _table(looked), _NOTE),
         ),
         page.grid(
-            page.card("What each rival predicts", _curves(case, best.predicted, len(rivals)), _CURVES, wide=True),
+            page.card("What each rival predicts", _curves(case, best.predicted), _CURVES, wide=True),
             page.card("The commands", _commands(case, best.predicted), wide=True),
         ),
     ]
@@ -43,9 +44,10 @@ _NOTE = (
     "rivals may expect. Everyday deviations were simulated for the first few only: the others are rather too good."
 )
 _CURVES = (
-    "By run, the signals in which the rivals part most, in units of the noise floor: the prediction of every rival "
-    "minus that of A. What lies within the stripe is noise."
+    "The signals in which the rivals part most; below each, the prediction of every rival minus that of A (in the "
+    "stripe: within twice the noise floor)."
 )
+_TWO = 'class="grid" style="grid-template-columns:repeat(auto-fit,minmax(min(380px,100%),1fr))"'
 
 
 def _table(looked: Sequence[Looked]) -> str:
@@ -59,7 +61,7 @@ def _table(looked: Sequence[Looked]) -> str:
     return page.table(["excitation", "probability", "log Bayes factor", ""], rows)
 
 
-def _curves(case: Case, predicted: Predicted, count: int) -> str:
+def _curves(case: Case, predicted: Predicted) -> str:
     """Differences between the rivals, of the signals in which they part most."""
     comparison = predicted.comparison
     found = []
@@ -70,23 +72,34 @@ def _curves(case: Case, predicted: Predicted, count: int) -> str:
             size = max(float(np.sqrt(np.mean((d[:, c] / floor[:, c]) ** 2))) for d in changes)
             found.append((size, run, c, changes, floor))
     found.sort(key=lambda f: -f[0])
-    parts = []
-    for _, run, c, changes, floor in found[:PLOTS]:
-        channel = comparison.channels[c]
-        step = max(1, len(floor) // POINTS)
-        t = comparison.times[run][::step]
-        unit = unit_of(channel.signal, channel.label, case.model)
-        every = np.concatenate([d[::step, c] for d in changes])
-        half = 1.1 * max(float(np.abs(every).max()), 3 * float(np.median(floor[:, c])))
-        axes = svg.Axes((float(t[0]), float(t[-1])), (-half, half), x_label="time, s", y_label=unit, height=190, left=58)
-        two = 2 * float(np.median(floor[:, c]))
-        axes.span(-two, two, "var(--faint)")
-        for i in range(count):
-            axes.polyline(np.column_stack([t, changes[i][::step, c]]), svg.color(i), width=1.6)
-            axes.legend(chr(65 + i), svg.color(i))
-        title = f"{channel.label}, {signal_name(channel.signal)}, {predicted.experiment.runs[run].name}"
-        parts.append(f"<h4>{page.esc(title)}</h4>" + axes.svg(title))
-    return "".join(parts)
+    parts = [_pair(case, predicted, run, c, changes, floor) for _, run, c, changes, floor in found[:PLOTS]]
+    legend = "".join(
+        f'<span><i style="background:{svg.color(i)}"></i>{chr(65 + i)}</span>' for i in range(len(predicted.motions))
+    )
+    return f'<div {_TWO}>{"".join(parts)}</div><div class="legend">{legend}</div>'
+
+
+def _pair(case: Case, predicted: Predicted, run: int, c: int, changes: Sequence[F64], floor: F64) -> str:
+    """One signal: the rivals' predictions, and below what they differ by."""
+    comparison = predicted.comparison
+    channel, planned = comparison.channels[c], predicted.experiment.runs[run]
+    fine = max(1, len(planned.time) // POINTS)
+    span = (float(planned.time[0]), float(planned.time[-1]))
+    curves = [m[run][::fine, c] for m in predicted.motions]
+    unit = unit_of(channel.signal, channel.label, case.model)
+    every = svg.padded(np.concatenate(curves), 0.08)
+    top = svg.Axes(span, every, y_label=unit, width=400, height=170, left=52, bottom=8, x_ticks=[])
+    for i, y in enumerate(curves):
+        dash = "6 3" if i else ""
+        top.polyline(np.column_stack([planned.time[::fine], y]), svg.color(i), width=1.8, dash=dash)
+    t, two = comparison.times[run], 2 * float(np.median(floor[:, c]))
+    half = 1.1 * max(float(np.abs([d[:, c] for d in changes]).max()), 1.5 * two)
+    low = svg.Axes(span, (-half, half), x_label="time, s", y_label="difference", width=400, height=104, left=52, top=2)
+    low.span(-two, two, "var(--faint)")
+    for i, d in enumerate(changes):
+        low.polyline(np.column_stack([t, d[:, c]]), svg.color(i), width=1.5)
+    title = f"{channel.label}, {signal_name(channel.signal)}, {planned.name}"
+    return f"<div><h4>{page.esc(title)}</h4>{top.svg(title)}{low.svg('difference between the rivals')}</div>"
 
 
 def _commands(case: Case, predicted: Predicted) -> str:
@@ -96,5 +109,6 @@ def _commands(case: Case, predicted: Predicted) -> str:
         series = [
             svg.Series(name, run.time[::step], run.command[::step, u]) for u, name in enumerate(case.actuator_names[:8])
         ]
-        parts.append(f"<h4>{page.esc(run.name)}</h4>" + svg.line(series, x_label="time, s", y_label="command"))
-    return "".join(parts)
+        plot = svg.line(series, x_label="time, s", y_label="command", height=190)
+        parts.append(f"<div><h4>{page.esc(run.name)}</h4>{plot}</div>")
+    return f"<div {_TWO}>{''.join(parts)}</div>"

@@ -20,9 +20,9 @@ from realsim.gap.experiments.separation import Bench
 from realsim.gap.simulation.context import Context
 from realsim.gap.simulation.simulate import Simulator
 
-MOST_BODIES = 8
-"""Degrees of freedom up to which a diagnosis simulates everyday deviations for its proposal; beyond, that takes minutes,
-and `realsim excite` does it."""
+MOST_FREEDOM = 8
+"""Degrees of freedom up to which a diagnosis simulates everyday deviations for its proposal; beyond, that takes
+minutes, and `realsim excite` does it."""
 
 
 def bench_of(context: Context, noise: Noise, config: ExciteConfig, diagnose: DiagnoseConfig) -> Bench:
@@ -46,7 +46,7 @@ def propose(simulator: Simulator, noise: Noise, fits: Sequence[Fit], config: Dia
     rivals = rivals_of(simulator, fits)
     if len(rivals) < 2:
         return None
-    finalists = FINALISTS if simulator.case.model.nv <= MOST_BODIES else 0
+    finalists = FINALISTS if simulator.case.model.nv <= MOST_FREEDOM else 0
     try:
         bench = bench_of(simulator.context, noise, ExciteConfig(), config)
         looked = look(bench, rivals, finalists=finalists)

@@ -93,7 +93,9 @@ def rivals_from(said: Sequence[Mapping[str, Any]], context: Context) -> tuple[Ri
             rival = Rival(parts, covariance, str(entry["says"]))
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise GapError(
-                "next_experiment of diagnosis.json cannot be read", found=repr(entry)[:80], hint="diagnose the case again"
+                "next_experiment of diagnosis.json cannot be read",
+                found=repr(entry)[:80],
+                hint="diagnose the case again",
             ) from error
         _check(rival, context)
         found.append(rival)

@@ -68,7 +68,7 @@ class Bench:
         self.rig, self.noise, self.limits, self.config = rig, noise, limits, config
 
     def simulator(self, experiment: Experiment) -> Simulator:
-        """Its runs, begun at rest. Coordinates of effects count in the log's own scales, so the context is the log's."""
+        """Its runs, begun at rest. Coordinates of effects count in the scales of the log, so the context is the log's."""
         simulator = Simulator(planned_case(self.rig, experiment.runs), self.config)
         simulator.context = replace(self.rig.context)
         simulator.starts = tuple(Start() for _ in experiment.runs)
@@ -150,7 +150,11 @@ class Bench:
                 return _changes(comparison, moved, predicted.nominal) * (p.nuisance / (value - p.default))
 
             found = [c for c in simulator.cores.each(column, wanted) if c is not None and np.abs(c).max() > 0]
-        return np.stack(found, axis=1) if found else np.zeros((_changes(comparison, predicted.nominal, predicted.nominal).size, 0))
+        return (
+            np.stack(found, axis=1)
+            if found
+            else np.zeros((_changes(comparison, predicted.nominal, predicted.nominal).size, 0))
+        )
 
 
 def axes(rival: Rival) -> list[F64]:
@@ -188,7 +192,7 @@ def separations(predicted: Predicted, rivals: Sequence[Rival], deviations: F64 |
 
 
 def expected_posterior(separation: F64) -> F64:
-    """(n,) probability that each rival may expect to have after the recording, if it is the true one; even odds before."""
+    """(n,) probability that each rival may expect after the recording if it is the true one; even odds before."""
     n = len(separation)
     normal = np.random.default_rng(0).normal(size=(DRAWS, n))
     found = np.zeros(n)

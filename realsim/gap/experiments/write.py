@@ -68,7 +68,7 @@ def instructions(case: Case, experiment: Experiment) -> list[str]:
     unit = {"position": "rad (m)", "velocity": "rad/s (m/s)", "torque": "N m (N)"}[case.command_kind]
     return [
         *experiment.instructions,
-        f"Begin at rest under the first command. Send the columns command_* ({unit}, held from row to row) at their times.",
+        f"Begin at rest under the first command. Send the columns command_* ({unit}, held from row to row) in time.",
         f"Log what the other runs logged. Save each run under its name in {RECORDED}/ (.npz or .csv).",
     ]
 

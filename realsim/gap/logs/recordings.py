@@ -32,7 +32,9 @@ def read_recordings(
         run = read_run(file, here, warnings)
         if run.name in {*known, *(r.name for r in found)}:
             raise GapError(
-                f"there is a run {run.name!r} already", file=file, hint="give the file of the new recording another name"
+                f"there is a run {run.name!r} already",
+                file=file,
+                hint="give the file of the new recording another name",
             )
         found.append(run)
     return tuple(found)

@@ -33,7 +33,7 @@ def torque_off(rig: Rig, size: float) -> Experiment | None:
         shape = sign * up[:, None] * sides
         runs.append(rig.planned(f"torque_off_{i + 1}", shape, size, enabled=enabled))
     say = (
-        "Switch the drives off while `enabled` is 0 in the command file and on again while it is 1: nobody within reach.",
+        "Switch the drives off while `enabled` is 0 in the command file, and on while it is 1. Nobody within reach.",
         "Log `enabled` with the run.",
     )
     return Experiment("torque_off", "a drop with the drives off", size, tuple(runs), say)
