@@ -68,7 +68,7 @@ class Bench:
         self.rig, self.noise, self.limits, self.config = rig, noise, limits, config
 
     def simulator(self, experiment: Experiment) -> Simulator:
-        """Its runs, begun at rest. Coordinates of effects count in the scales of the log, so the context is the log's."""
+        """Its runs, begun at rest. Effects count in the scales of the log, so the context is the log's."""
         simulator = Simulator(planned_case(self.rig, experiment.runs), self.config)
         simulator.context = replace(self.rig.context)
         simulator.starts = tuple(Start() for _ in experiment.runs)
