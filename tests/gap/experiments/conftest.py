@@ -1,4 +1,4 @@
-"""One short log of a pendulum in which a weak motor and a payload look alike, and its rivals as a diagnosis names them."""
+"""One short log of a pendulum, its rivals as a diagnosis names them, and experiments on it."""
 
 from __future__ import annotations
 
