@@ -37,10 +37,14 @@ class Limits:
         """Which limit a simulated run leaves, in words; empty if none.
 
         Args:
-            track: pos, vel, torque (N, J) and, of floating bases, base_pos (N, 3), base_quat (N, 4) on any grid.
+            track: pos, vel, torque (N, J) and, of floating bases, base_pos (N, 3), base_quat (N, 4) on any grid; what
+                comes before the first sample (`settle`: seconds, and the grid's step) does not count.
         """
-        for name, values in track.items():
-            if name != "settle" and not np.isfinite(values).all():
+        settle = track.get("settle")
+        first = 0 if settle is None else round(float(settle[0] / settle[1]))
+        track = {name: values[first:] for name, values in track.items() if name != "settle"}
+        for values in track.values():
+            if not np.isfinite(values).all():
                 return "the simulation fails"
         pairs = (
             ("position", track["pos"], self.low, self.high),
