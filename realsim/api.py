@@ -187,8 +187,9 @@ def diagnose(
 
     if out is not None:
         folder = case.folder if isinstance(case, gap.Case) else Path(case)
-        more = {"recordings": [Path(r) for r in recordings], "since": None if since is None else Path(since)}
-        data = gap.run_case(folder, Path(out), config, progress, overwrite=overwrite, **more)
+        new = [Path(r) for r in recordings]
+        earlier = None if since is None else Path(since)
+        data = gap.run_case(folder, Path(out), config, progress, overwrite=overwrite, recordings=new, since=earlier)
         return Diagnosis.of(data, Path(out))
     if since is not None:
         raise GapError("since needs an output folder", expected="rs.diagnose(case, out, since=earlier)")

@@ -174,6 +174,8 @@ def _next(result: Mapping[str, Any], out: Path) -> str:
     asked = result.get("next_experiment")
     if asked and asked.get("excitation"):
         return f"realsim excite {out}: {asked['text']}"
+    if asked:
+        return str(asked["text"])
     _, record, what = sentence.rpartition("record ")
     return (record + what).rstrip(".") if record else "record more runs that move what differs"
 

@@ -26,7 +26,7 @@ from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects import EFFECTS
 from realsim.gap.evidence.onsets import find_onsets
 from realsim.gap.evidence.where import by_signal, change_by_horizon, evidence, localise
-from realsim.gap.experiments.proposal import propose
+from realsim.gap.experiments.proposal import propose, with_text
 from realsim.gap.health import examine
 from realsim.gap.logs.case import Case
 from realsim.gap.logs.repeats import replicates as replicates
@@ -93,7 +93,13 @@ def diagnose(case: Case, config: DiagnoseConfig | None = None, progress: Progres
         rivals = [selection.fit, *selection.equivalent] if found.equivalent else []
         asked = propose(simulator, comparison.noise, rivals, config)
     return replace(
-        found, statistics=statistics, cost=cost, baselines=choices, provenance=made_by, next_experiment=asked
+        found,
+        sentence=with_text(found.sentence, asked),
+        statistics=statistics,
+        cost=cost,
+        baselines=choices,
+        provenance=made_by,
+        next_experiment=asked,
     )
 
 
@@ -120,7 +126,7 @@ def limited(case: Case, config: DiagnoseConfig) -> Case:
         added = [r for r in runs if r.name in case.added]
         others = [r for r in runs if r.name not in case.added]
         room = max(config.max_runs - len(added), 1)
-        keep = np.unique(np.linspace(0, len(others) - 1, room).round().astype(int)) if others else []
+        keep = sorted({round(i) for i in np.linspace(0, len(others) - 1, room)}) if others else []
         notes.append(f"{len(runs)} runs: {len(keep) + len(added)} of them, evenly spread, are used")
         runs = [*(others[i] for i in keep), *added]
     long = [r.name for r in runs if r.duration > config.max_seconds + 0.5]

@@ -253,20 +253,20 @@ class Joint:
             for row, k in enumerate(runs):
                 change = screen.comparison.change(screen.runs[k], moved.predictions[k], here.predictions[k])
                 columns[row].append(change.reshape(-1) / (there[i] - z[i]))
-        p = len(self.stays)
-        cov = posterior(np.sum(here.evidence.A, axis=0), np.zeros(2 * p), here.prior)[1]
+        count = len(self.stays)
+        cov = posterior(np.sum(here.evidence.A, axis=0), np.zeros(2 * count), here.prior)[1]
         mean = cov @ np.sum(here.evidence.b, axis=0)
         info = np.zeros((len(z), len(z)))
-        cross = np.zeros((len(z), 2 * p))
+        cross = np.zeros((len(z), 2 * count))
         scores = []
         for row, k in enumerate(runs):
             H, W = np.stack(columns[row], axis=1), screen.comparison.weights[screen.runs[k]].reshape(-1)
             r = np.nan_to_num(screen.comparison.residual(screen.runs[k], here.predictions[k]).reshape(-1))
             HG = H.T @ screen.weighted(k)
             info += (H * W[:, None]).T @ H
-            cross[:, :p] += HG
-            cross[:, p:] += HG
-            scores.append(H.T @ (W * r) - HG @ (mean[:p] + mean[p:]))
+            cross[:, :count] += HG
+            cross[:, count:] += HG
+            scores.append(H.T @ (W * r) - HG @ (mean[:count] + mean[count:]))
         return info - cross @ cov @ cross.T, np.array(scores)
 
     def _unseen(self, found: Changed, others: Sequence[int], k: int) -> float:

@@ -110,7 +110,7 @@ def _stays(config: DiagnoseConfig, named: bool, then: F64, first: F64, now: F64)
     """
     if not named:
         return is_gap(now / EXCESS) and float(np.median(now)) > WORSE * max(float(np.median(then)), 1.0)
-    share = float(np.mean(np.maximum(now - 1, 0)) / max(np.mean(first - 1), 1e-9))
+    share = float(np.mean(np.maximum(now - 1, 0))) / max(float(np.mean(first - 1)), 1e-9)
     limit = config.unexplained_share * (0.5 if now.mean() > FAR_ABOVE else 1.0)
     return (is_gap(now) and share > limit) or float(np.median(now)) > STAYS
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from realsim.errors import GapError
@@ -20,6 +20,8 @@ from realsim.gap.experiments.separation import Bench
 from realsim.gap.simulation.context import Context
 from realsim.gap.simulation.simulate import Simulator
 
+TELLS = "; to tell them apart, record "
+"""In the sentence of an ambiguous verdict (realsim.gap.answer.sentence)."""
 MOST_FREEDOM = 8
 """Degrees of freedom up to which a diagnosis simulates everyday deviations for its proposal; beyond, that takes
 minutes, and `realsim excite` does it."""
@@ -54,6 +56,14 @@ def propose(simulator: Simulator, noise: Noise, fits: Sequence[Fit], config: Dia
         return {"text": f"no experiment was planned: {error.message}", "decides": False,
                 "rivals": [r.as_dict() for r in rivals]}  # fmt: skip
     return described(looked, rivals)
+
+
+def with_text(sentence: str, asked: Mapping[str, Any] | None) -> str:
+    """The sentence of an ambiguous verdict, which ends in what to record, with the experiment in place of that."""
+    head, tells, _ = sentence.rpartition(TELLS)
+    if asked is None or not tells:
+        return sentence
+    return f"{head}{TELLS}{asked['text']}." if asked.get("excitation") else f"{head}; {asked['text']}."
 
 
 def described(looked: Sequence[Looked], rivals: Sequence[Rival]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from realsim.errors import GapError, UnknownNameError
 from realsim.gap.experiments.choose import look, random_experiment
 from realsim.gap.experiments.excitations import EXCITATIONS
 from realsim.gap.experiments.limits import Limits
-from realsim.gap.experiments.proposal import described
+from realsim.gap.experiments.proposal import described, with_text
 from realsim.gap.experiments.separation import Bench, expected_posterior, separations
 
 DAMPER = ("viscous_friction", ("swing",))
@@ -113,3 +113,13 @@ def test_a_base_that_tilts_or_sinks_is_out_of_balance() -> None:
     assert "tilts" in limits.broken({**still, "base_pos": at, "base_quat": tilted})
     assert "sinks" in limits.broken({**still, "base_pos": at * [[1], [1], [0.5]], "base_quat": upright})
     assert "fails" in limits.broken({**still, "pos": np.full((3, 1), np.nan)})
+
+
+def test_the_sentence_ends_in_the_experiment() -> None:
+    said = "Cannot tell: A, or B; each explains these runs as well; to tell them apart, record fast steps."
+    assert with_text(said, None) == said
+    asked = {"text": "a chirp", "excitation": "chirp"}
+    assert with_text(said, asked).endswith("as well; to tell them apart, record a chirp.")
+    nothing = {"text": "no excitation of the library tells these apart", "excitation": None}
+    assert with_text(said, nothing).endswith("as well; no excitation of the library tells these apart.")
+    assert with_text("No gap.", asked) == "No gap."
