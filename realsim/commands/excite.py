@@ -41,6 +41,7 @@ def excite(
     lines += [f"  {i}. {line}" for i, line in enumerate(plan["instructions"], 1)]
     lines += [f"commands   {out / name}" for name in plan["files"]]
     lines.append(f"report     {out / 'report.html'}")
-    lines.append(f"then       realsim diagnose {case or 'CASE'} {out}")
+    where = case or (source if (source / "log.json").is_file() else "CASE")
+    lines.append(f"then       realsim diagnose {where} {out} --out decided")
     level = "good" if plan["decides"] else "look"
     return CommandResult("\n".join(lines), plan, 0, level)

@@ -163,6 +163,13 @@ class Joint:
             found += [known[name] for name in c.names]
         return found
 
+    def has(self, candidate: Candidate) -> bool:
+        """Whether the earlier log has this effect there already."""
+        return any(
+            c.candidate.effect == candidate.effect and set(candidate.places) <= set(c.candidate.places)
+            for c in self.shared
+        )
+
     def before(self, candidate: Candidate) -> dict[str, float]:
         """Coordinates of an effect at a place in the earlier log: those of a shared cause, or its defaults."""
         values = {p.name: p.default for p in self.parameters([candidate])}

@@ -234,7 +234,8 @@ def _described(joint: Joint, found: Changed) -> list[dict[str, Any]]:
         for p, value in zip(joint.parameters([c]), cause.values, strict=True):
             own = MODEL_ERROR * value if p.strength else 0.0
             sigma = float(np.sqrt(errors.pop(0) ** 2 + (DAILY * p.nuisance) ** 2 + own**2))
-            parameters[p.name] = _parameter(p, start[p.name], value, sigma)
+            known = p.strength or joint.has(c)
+            parameters[p.name] = _parameter(p, start[p.name] if known else np.nan, start[p.name], value, sigma)
         entry: dict[str, Any] = {"effect": c.effect}
         scope = lookup(c.effect).scope
         if scope == "joint":
@@ -245,13 +246,17 @@ def _described(joint: Joint, found: Changed) -> list[dict[str, Any]]:
     return said
 
 
-def _parameter(p: Any, start: float, value: float, sigma: float) -> dict[str, Any]:
-    """Before, now and the change with its interval, in reported units; None where there was nothing before."""
+def _parameter(p: Any, before: float, start: float, value: float, sigma: float) -> dict[str, Any]:
+    """Before, now and the change with its interval, in reported units; None where there was nothing before.
+
+    Args:
+        before: coordinate in the earlier log; NaN for the place of a mass that was not there.
+    """
 
     def report(coordinate: float) -> float:
         return float(p.report(float(np.clip(coordinate, *p.bounds))))
 
-    before, now = report(start), report(start + value)
+    before, now = report(before), report(start + value)
     ends = sorted(report(start + value + s * Z90 * sigma) for s in (-1, 1))
     found: dict[str, Any] = {"before": before if np.isfinite(before) else None, "now": now, "unit": p.unit}
     if not np.isfinite(before):

@@ -52,7 +52,12 @@ def phrase(change: Change) -> str:
     """elbow: Coulomb friction grew by 0.31 N m [0.26, 0.36], from 0 to 0.31."""
     title = EFFECTS[change["effect"]].title
     names = ", ".join(change.get("joints") or change.get("bodies") or [])
-    parts = [_amount(name, p, len(change["parameters"]) > 1) for name, p in change["parameters"].items()]
+    every, place = change["parameters"], ""
+    if all(a in every and every[a]["change"] is None for a in "xyz"):  # where a mass sits that was not there
+        place = f" at ({', '.join(_number(round(every[a]['now'], 3)) for a in 'xyz')}) m"
+        every = {n: p for n, p in every.items() if n not in ("x", "y", "z")}
+    parts = [_amount(name, p, len(every) > 1) for name, p in every.items()]
+    parts[-1] += place
     return f"{names}: {title} {', '.join(parts)}" if names else f"{title} {', '.join(parts)}"
 
 

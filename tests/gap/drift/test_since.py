@@ -142,4 +142,9 @@ def test_words() -> None:
     limit = {"before": None, "now": 4.0, "change": None, "unit": "N m/rad", "ci90": None, "now_ci90": [3.0, 5.0]}
     soft = {"effect": "joint_compliance", "joints": ["elbow"], "parameters": {"stiffness": limit}}
     assert phrase(soft).endswith("is now 4 N m/rad [3, 5]")
+    place = {a: {"before": None, "now": v, "change": None, "unit": "m", "ci90": None, "now_ci90": [v, v]}
+             for a, v in (("x", 0.0), ("y", 0.0), ("z", -0.2))}  # fmt: skip
+    mass = {"before": 0.0, "now": 0.3, "change": 0.3, "unit": "kg", "ci90": [0.2, 0.4]}
+    tool = {"effect": "payload", "bodies": ["hand"], "parameters": {"mass": mass, **place}}
+    assert phrase(tool) == "hand: payload grew by 0.3 kg [0.2, 0.4], from 0 to 0.3 at (0, 0, −0.2) m"
     assert set(MAY_BE) <= set(EFFECTS)
