@@ -248,6 +248,45 @@ def contact() -> list[str]:
     return list(stored("contact")["summary"])
 
 
+def experiments() -> list[str]:
+    """Every ambiguous case, whatever became of it, and the sums."""
+    rows = [r for r in stored("gap_next")["rows"] if r["verdict"] == "ambiguous"]
+    lines = [
+        "| robot, true cause | could not tell | asked for | then | at random | then |",
+        "|---|---|---|---|---|---|",
+    ]
+    for r in rows:
+        asked, other = r.get("asked", {}), r.get("random", {})
+        sets = " or ".join(" with ".join(s) for s in r["sets"])
+        asks = asked.get("excitation") or "nothing"
+        lines.append(
+            f"| {r['robot']}, {', '.join(r['truth'])} | {sets} | {asks} | {_then(asked)} "
+            f"| {other.get('excitation', 'nothing')} | {_then(other)} |"
+        )
+    right = {key: sum(bool(r.get(key, {}).get("right")) for r in rows) for key in ("asked", "random")}
+    lines.append(
+        f"| sum: the true cause alone | | | {right['asked']} of {len(rows)} | | {right['random']} of {len(rows)} |"
+    )
+    return lines
+
+
+def _then(found: Row) -> str:
+    if "verdict" not in found:
+        return "-"
+    return f"{found['verdict']}{', right' if found.get('right') else ''}"
+
+
+def drift() -> list[str]:
+    """Two logs of one robot, with and without a change in between."""
+    rows = stored("gap_since")["rows"]
+    lines = ["| robot | cause at both times | change | said |", "|---|---|---|---|"]
+    for r in sorted(rows, key=lambda r: (not r["truth"], r["pair"])):
+        sets = " or ".join(" with ".join(s) for s in r.get("sets", []) if s)
+        both, truth = ", ".join(r["both"]) or "none", ", ".join(r["truth"]) or "none"
+        lines.append(f"| {r['robot']} | {both} | {truth} | {r['verdict']}{f': {sets}' if sets else ''} |")
+    return lines
+
+
 # ---------------------------------------------------------------- the index
 
 INDEX = (
@@ -269,6 +308,8 @@ INDEX = (
     ("Captures that real sensors and apps wrote", "real_captures", "python benchmarks/real_captures.py"),
     ("Mistakes between a policy and its robot", "gap_contract", "python benchmarks/gap_contract.py --seed 2000"),
     ("Damaged input: tracebacks, hangs, silent changes", "fuzz", "python benchmarks/fuzz.py"),
+    ("Recordings that decide between causes", "gap_next", "python benchmarks/gap_next.py --seed 27"),
+    ("Changes between two logs of one robot", "gap_since", "python benchmarks/gap_since.py --seed 40"),
     ("The base policy without fine-tuning", "base_policy", "python benchmarks/base_policy.py"),
     (
         "Footholds: what a log says of the terrain",
@@ -370,6 +411,8 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "diagnosis by seed": diagnosis_intervals,
     "base policy": base,
     "footholds": footholds,
+    "experiments": experiments,
+    "drift": drift,
     "index": index,
 }
 MARKED = re.compile(r"(<!-- figures: ([a-z ]+) -->\n).*?(<!-- end -->)", re.DOTALL)

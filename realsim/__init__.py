@@ -25,12 +25,14 @@ if TYPE_CHECKING:
         load_case,
         load_diagnosis,
         load_scene,
+        next_experiment,
         reconstruct,
     )
     from realsim.capture.config import CaptureConfig
     from realsim.capture.inspection import Inspection
     from realsim.exports.config import SceneConfig
     from realsim.gap.config import DiagnoseConfig
+    from realsim.gap.experiments.config import ExciteConfig
     from realsim.gap.logs.case import Case
     from realsim.pipeline import ReconstructConfig
     from realsim.results import Cause, Diagnosis, GapVerdict, Interval, Scene, SceneVerdict
@@ -48,6 +50,7 @@ _HOME = {
             "load_case",
             "diagnose",
             "load_diagnosis",
+            "next_experiment",
             "apply_patch",
         ),
         "realsim.api",
@@ -60,6 +63,7 @@ _HOME = {
     "Inspection": "realsim.capture.inspection",
     "SceneConfig": "realsim.exports.config",
     "DiagnoseConfig": "realsim.gap.config",
+    "ExciteConfig": "realsim.gap.experiments.config",
     "Case": "realsim.gap.logs.case",
     "ReconstructConfig": "realsim.pipeline",
 }
@@ -71,6 +75,7 @@ __all__ = [
     "Cause",
     "DiagnoseConfig",
     "Diagnosis",
+    "ExciteConfig",
     "GapVerdict",
     "Inspection",
     "Interval",
@@ -88,6 +93,7 @@ __all__ = [
     "load_case",
     "load_diagnosis",
     "load_scene",
+    "next_experiment",
     "reconstruct",
 ]
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from realsim.exports import Exported
     from realsim.exports.config import SceneConfig
     from realsim.gap import Case, DiagnoseConfig
+    from realsim.gap.experiments.config import ExciteConfig
     from realsim.pipeline import ReconstructConfig
 
 StrPath = str | os.PathLike[str]
@@ -164,6 +165,8 @@ def diagnose(
     *,
     progress: Progress | None = None,
     overwrite: bool = False,
+    recordings: Sequence[StrPath] = (),
+    since: StrPath | None = None,
 ) -> Diagnosis:
     """Say where a robot's logs differ from its simulator, which unmodelled effect causes it, and how much it matters.
 
@@ -173,6 +176,9 @@ def diagnose(
         config: what to do otherwise than by default.
         progress: called with what is done and its share, now and then; minutes pass for a robot with many joints.
         overwrite: replace a diagnosis that is there already.
+        recordings: runs that were recorded after `next_experiment`: files, or the folder of an experiment. Of a case
+            that is given as a folder.
+        since: a case of an earlier log of the same robot; what changed is under `since` of `data`. Needs `out`.
 
     Raises:
         GapError: the log cannot support a diagnosis, with the reason.
@@ -181,10 +187,46 @@ def diagnose(
 
     if out is not None:
         folder = case.folder if isinstance(case, gap.Case) else Path(case)
-        data = gap.run_case(folder, Path(out), config, progress, overwrite=overwrite)
+        new = [Path(r) for r in recordings]
+        earlier = None if since is None else Path(since)
+        data = gap.run_case(folder, Path(out), config, progress, overwrite=overwrite, recordings=new, since=earlier)
         return Diagnosis.of(data, Path(out))
-    loaded = case if isinstance(case, gap.Case) else gap.load_case(Path(case))
+    if since is not None:
+        raise GapError("since needs an output folder", expected="rs.diagnose(case, out, since=earlier)")
+    loaded = case if isinstance(case, gap.Case) else gap.load_case(Path(case), [Path(r) for r in recordings])
     return Diagnosis.of(gap.diagnose(loaded, config, progress).as_dict())
+
+
+def next_experiment(
+    source: StrPath,
+    out: StrPath | None = None,
+    config: ExciteConfig | None = None,
+    *,
+    case: StrPath | None = None,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+) -> Mapping[str, Any]:
+    """Choose the experiment that tells the causes of an ambiguous diagnosis apart, within the robot's limits.
+
+    Args:
+        source: the folder of a diagnosis; or a case, which is diagnosed first.
+        out: gets the command files, the instructions and a page; nothing is written if None.
+        config: which excitations, how long, and the limits.
+        case: the case of a diagnosis, where it is not where it was when it was diagnosed.
+        progress: called with what is done and its share, now and then.
+        overwrite: replace an experiment for which nothing was recorded yet.
+
+    Returns:
+        What experiment.json holds: `text`, `excitation`, `decides`, `expected_posterior`, `instructions`, ...
+
+    Raises:
+        GapError: nothing is to be told apart, or nothing within the limits tells it.
+    """
+    from realsim.gap.experiments.excite import excite
+
+    folder = None if case is None else Path(case)
+    target = None if out is None else Path(out)
+    return excite(Path(source), target, config, None, progress, case=folder, overwrite=overwrite)
 
 
 def load_diagnosis(folder: StrPath) -> Diagnosis:

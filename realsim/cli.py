@@ -41,6 +41,7 @@ COMMANDS = Registry(
         "worker": "realsim.commands.worker:worker",
         "mcp": "realsim.commands.mcp:mcp",
         "schema": "realsim.commands.schema:schema",
+        "excite": "realsim.commands.excite:excite",
         "synth": "realsim.commands.synth:synth",
         "demo": "realsim.commands.demo:demo",
     },
@@ -59,6 +60,7 @@ SUMMARIES = {
     "worker": "does the jobs of a folder that several machines share",
     "mcp": "realsim as tools for agents (Model Context Protocol)",
     "schema": "what a command prints with --json, as a JSON Schema",
+    "excite": "the recording that tells apart what a diagnosis could not: command files within the robot's limits",
     "synth": "render a synthetic capture with its truth",
     "demo": "render, reconstruct and measure, end to end",
 }
@@ -76,6 +78,7 @@ EXAMPLES = {
     "worker": "realsim worker scenes --idle 60",
     "mcp": "realsim mcp --root ~/captures ~/scenes",
     "schema": "realsim schema reconstruct",
+    "excite": "realsim excite diagnosis --out experiment",
     "synth": "realsim synth --terrain boxes --out synthetic",
     "demo": "realsim demo --out demo_out",
 }

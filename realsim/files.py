@@ -28,9 +28,17 @@ MAX_TEXT_BYTES = 64 * 2**20
 MAX_BINARY_BYTES = 2 * 2**30
 MAX_DIGITS = 300
 """Of a whole number in JSON: a longer one has no value as a floating-point number, which end at 1.8e308."""
-MARKS = ("report.json", "contact.json", "diagnosis.json", "proposal.json", "truth/truth.json", "export.json")
+MARKS = (
+    "report.json",
+    "contact.json",
+    "diagnosis.json",
+    "proposal.json",
+    "truth/truth.json",
+    "export.json",
+    "experiment.json",
+)
 """Files of which every output folder holds one: a scene, `realsim contact`, a diagnosis, a case, a synthetic
-capture, an export."""
+capture, an export, an experiment."""
 STALE = 60.0
 """Seconds after which an unfinished folder that no process holds is one that a killed run left."""
 _DAMAGED = (

@@ -14,6 +14,7 @@ from realsim.commands.many import run_each
 from realsim.errors import RealsimError
 from realsim.files import refuse_within
 from realsim.gap.config import DiagnoseConfig
+from realsim.gap.logs.recordings import is_recording
 from realsim.gap.verdicts import SAID, GapVerdict
 from realsim.jobs import ManyConfig
 from realsim.progress import note, steps, track
@@ -34,13 +35,15 @@ def diagnose(
     scene: Annotated[Path | None, tyro.conf.arg(metavar="STR")] = None,
     policy: Path | None = None,
     deploy_yaml: Path | None = None,
+    since: Annotated[Path | None, tyro.conf.arg(metavar="CASE")] = None,
     strict: bool = False,
     many: ManyConfig = ManyConfig(),
 ) -> CommandResult:
     """Say where a robot's logs differ from its simulator, which unmodelled effect causes it, and how much it matters.
 
     Args:
-        cases: a folder with log.json, model.xml and runs/ (.npz or .csv); or several, each gets a folder below --out.
+        cases: a folder with log.json, model.xml and runs/ (.npz or .csv); or several, each gets a folder below --out;
+            or one, and new recordings of its robot: runs as .npz or .csv, or folders of `realsim excite`.
         out: where diagnosis.json, report.html and the patched model go (default: diagnosis); with --init, the new case
             (default: case).
         overwrite: replace an output folder that realsim wrote before.
@@ -51,6 +54,7 @@ def diagnose(
         scene: scene.xml that the depth frames of the log are compared with (default: the terrain of the case's model).
         policy: policy.onnx that was run: check first whether it was run as it was trained (docs/logs.md).
         deploy_yaml: the contract of a policy whose ONNX file has none (unitree_rl_lab).
+        since: case of an earlier log of the same robot: say what changed since then, too (docs/experiments.md).
         strict: exit with code 3 if the gap stays unexplained (the patched model is then not to be used); a gap that is
             partly explained is no failure.
     """
@@ -68,20 +72,28 @@ def diagnose(
     if check:
         return _checked(cases, config)
     out = out or Path("diagnosis")
+    recordings: tuple[Path, ...] = ()
+    if model is None and len(cases) > 1 and any(is_recording(path) for path in cases[1:]):
+        cases, recordings = cases[:1], cases[1:]
     if len(cases) == 1 and many.place == "processes":
         case = cases[0] if model is None else _from_recording(cases[0], model, out, overwrite)
         refuse_within(out, case)
         found = None if policy is None else _contract(case, policy, deploy_yaml)
         with steps() as tick:
-            result = gap.run_case(case, out, config, tick, overwrite=overwrite, scene=scene)
+            result = gap.run_case(
+                case, out, config, tick, overwrite=overwrite, scene=scene, recordings=recordings, since=since
+            )
         level = SAID[GapVerdict(result["verdict"])].level
         text = _summary(result, out, config)
+        if since is not None:
+            text = f"{text}\nsince      {result['since']['sentence']}"
         if found is not None:
             text, result = f"{found.sentence}\n{text}", result | {"contract": found.as_dict()}
         return CommandResult(text, result, strict_exit({"level": level}, strict), level)
-    return run_each(
-        "diagnose", cases, out, many, shows="sentence", levels={v.value: said.level for v, said in SAID.items()}
-    )
+    if since is not None or recordings:
+        raise RealsimError("--since and new recordings belong to one case", found=f"{len(cases)} cases")
+    levels = {verdict.value: said.level for verdict, said in SAID.items()}
+    return run_each("diagnose", cases, out, many, shows="sentence", levels=levels)
 
 
 def _checked(cases: tuple[Path, ...], config: DiagnoseConfig) -> CommandResult:

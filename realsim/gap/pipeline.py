@@ -26,6 +26,7 @@ from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects import EFFECTS
 from realsim.gap.evidence.onsets import find_onsets
 from realsim.gap.evidence.where import by_horizon, by_signal, evidence, localise
+from realsim.gap.experiments.proposal import propose, with_text
 from realsim.gap.health import examine
 from realsim.gap.logs.case import Case
 from realsim.gap.logs.repeats import replicates as replicates
@@ -88,7 +89,17 @@ def diagnose(
             "fits": fitter.evaluations,
             **(look(screen, selection) if look else {}),
         }
-    return replace(found, statistics=statistics, cost=cost, provenance=made_by)
+        tick("next experiment", 0.98)
+        rivals = [concluded.fit, *concluded.equivalent] if found.equivalent else []
+        asked = propose(simulator, comparison.noise, rivals, config)
+    return replace(
+        found,
+        advice=with_text(found.advice, asked),
+        statistics=statistics,
+        cost=cost,
+        provenance=made_by,
+        next_experiment=asked,
+    )
 
 
 def limited(case: Case, config: DiagnoseConfig) -> Case:
@@ -96,9 +107,12 @@ def limited(case: Case, config: DiagnoseConfig) -> Case:
     notes = []
     runs = list(case.runs)
     if len(runs) > config.max_runs:
-        keep = np.unique(np.linspace(0, len(runs) - 1, config.max_runs).round().astype(int))
-        notes.append(f"{len(runs)} runs: {len(keep)} of them, evenly spread, are used")
-        runs = [runs[i] for i in keep]
+        added = [r for r in runs if r.name in case.added]
+        others = [r for r in runs if r.name not in case.added]
+        room = max(config.max_runs - len(added), 1)
+        keep = sorted({round(i) for i in np.linspace(0, len(others) - 1, room)}) if others else []
+        notes.append(f"{len(runs)} runs: {len(keep) + len(added)} of them, evenly spread, are used")
+        runs = [*(others[i] for i in keep), *added]
     long = [r.name for r in runs if r.duration > config.max_seconds + 0.5]
     if long:
         notes.append(f"{len(long)} runs are longer than {config.max_seconds:g} s: their beginning is used")

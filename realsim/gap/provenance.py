@@ -12,8 +12,8 @@ from realsim import __version__
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.deviations import read_deviations
 
-NO_ANSWER = ("report", "explanation.py")
-"""Below realsim/gap: what shows an answer and cannot change it."""
+NO_ANSWER = ("report", "explanation.py", "experiments", "drift")
+"""Below realsim/gap: what shows an answer, or asks for another recording, and cannot change verdict or causes."""
 NO_SETTING = ("threads", "report")
 """Settings that cannot change an answer."""
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +12,8 @@ from realsim.files import check_size, inside, output_folder, read_bytes, write_b
 from realsim.gap.answer.camera import with_camera
 from realsim.gap.answer.patch import asset_files
 from realsim.gap.config import DiagnoseConfig
+from realsim.gap.drift.pair import pair_of
+from realsim.gap.drift.since import changed_since
 from realsim.gap.health import examine
 from realsim.gap.logs.case import load_case
 from realsim.gap.pipeline import Progress, diagnose, limited
@@ -24,11 +29,18 @@ def run_case(
     *,
     overwrite: bool = False,
     scene: Path | None = None,
+    recordings: Sequence[Path] = (),
+    since: Path | None = None,
 ) -> dict[str, Any]:
     """Diagnose the case in `folder` and write diagnosis.json, model.xml (patched) and report.html to `out`.
 
-    Where the log has depth frames, their camera is checked against the scene too (`scene`, or else the terrain of
-    model.xml): camera_delay, camera_mount and depth_noise are then among the causes.
+    Where the log has depth frames, their camera is checked against the scene too: camera_delay, camera_mount and
+    depth_noise are then among the causes.
+
+    Args:
+        scene: scene.xml that depth frames are compared with; the terrain of model.xml if None.
+        recordings: runs that were recorded after `realsim excite`; they are not written into the case.
+        since: case of an earlier log of the same robot: what changed since then is reported too.
 
     Returns what diagnosis.json holds. Raises GapError with the reason where a log cannot support a diagnosis.
     """
@@ -36,12 +48,22 @@ def run_case(
     with output_folder(
         Path(out), overwrite=overwrite
     ) as work:  # what cannot be written is refused before the work is done
-        case = load_case(Path(folder))
+        case = load_case(Path(folder), recordings)
+        if since is not None:  # what cannot be compared is refused before the work is done
+            earlier = load_case(Path(since))
+            pair_of(case, earlier, config)
         assets = asset_files(case.spec)
         for name in assets:
             check_size(inside(Path(folder), name))
         camera = check_camera(case, scene)  # seconds; what is wrong with its frames is said before the search
         found = with_camera(diagnose(case, config, progress), camera)
+        if found.next_experiment is not None:
+            where = os.path.relpath(Path(folder).absolute(), Path(out).absolute())
+            asked = found.next_experiment | {"case": Path(where).as_posix()}
+            found = replace(found, next_experiment=asked)
+        if since is not None:
+            changed = changed_since(limited(case, config), limited(earlier, config), config, progress or _quiet)
+            found = replace(found, since={"case": earlier.folder.name, **changed.as_dict()})
         found.write(work)
         assert found.evidence is not None  # `diagnose` fills it
         write_text(work / "model.xml", found.evidence.patched_xml)
@@ -52,6 +74,10 @@ def run_case(
 
             write_report(work / "report.html", found)
     return found.as_dict()
+
+
+def _quiet(what: str, share: float) -> None:
+    del what, share
 
 
 def check_case(folder: Path, config: DiagnoseConfig | None = None) -> dict[str, Any]:

@@ -16,7 +16,7 @@ def case_of(speeds: list[float]) -> SimpleNamespace:
         Run(f"run_{i}", time, (0.3 + 0.01 * i) * np.sin(speed * time)[:, None], {"joint_pos": np.zeros((101, 1))})
         for i, speed in enumerate(speeds)
     ]
-    return SimpleNamespace(runs=runs, joint_names=["axis"])
+    return SimpleNamespace(runs=runs, joint_names=["axis"], added=())
 
 
 def test_few_runs_keep_the_last_one_unseen():

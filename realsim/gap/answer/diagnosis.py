@@ -36,6 +36,8 @@ class Diagnosis:
     """Share of the check's gap above the floor that stays beside causes and everyday deviations."""
     patch: dict[str, Any]
     next_experiment: dict[str, Any] | None = None
+    since: dict[str, Any] | None = None
+    """What changed since an earlier log, where one was given; see `realsim.gap.drift.since`."""
     ranking: tuple[dict[str, Any], ...] = ()
     """All effects tried, with their gains."""
     health: dict[str, Any] = field(default_factory=dict)
@@ -59,6 +61,7 @@ class Diagnosis:
             "shrinkage": self.shrinkage,
             "unexplained_share": self.unexplained_share,
             "next_experiment": self.next_experiment,
+            **({} if self.since is None else {"since": self.since}),
             "patch": self.patch,
             "sentence": self.sentence,
             "advice": self.advice,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 
 from realsim.errors import GapError, RealsimError, did_you_mean
 from realsim.files import inside, read_json, read_text
+from realsim.gap.logs.recordings import read_recordings
 from realsim.gap.logs.resolve import resolve
 from realsim.gap.logs.runs import Layout, layout, read_run
 from realsim.gap.logs.runs import Run as Run
@@ -47,6 +49,8 @@ class Case:
     runs: tuple[Run, ...] = field(repr=False)
     warnings: tuple[str, ...] = ()
     dropped_runs: tuple[str, ...] = ()
+    added: tuple[str, ...] = ()
+    """Runs that were recorded afterwards, to tell causes apart: they are always fitted."""
 
     def __repr__(self) -> str:
         runs = f"{len(self.runs)} runs, {sum(run.duration for run in self.runs):.1f} s"
@@ -98,8 +102,12 @@ class Case:
         return found
 
 
-def load_case(folder: Path) -> Case:
+def load_case(folder: Path, recordings: Sequence[Path] = ()) -> Case:
     """Read a case folder of the contract (log.json, model.xml, runs/*.npz or *.csv).
+
+    Args:
+        recordings: further runs, in files like those of runs/, or folders of `realsim excite` with what was recorded.
+            What is known to differ from model.xml in them stands in experiment.json beside them.
 
     Raises:
         GapError: with the file, what was expected and what was found; names are matched to the closest ones.
@@ -171,11 +179,13 @@ def load_case(folder: Path) -> Case:
             expected=f"one of {', '.join(r.name for r in runs[:20])}",
             hint=did_you_mean(unknown[0], [r.name for r in runs]),
         )
+    added = read_recordings(recordings, want, model, [r.name for r in runs], warnings)
+    runs += added
     if len(runs) == 1:
         warnings.append("only one run: none is left to check the diagnosis on, so it is weaker")
     return Case(
         folder, tuple(joints), tuple(actuators), kind, base, torque, site, tuple(contact), str(log.get("notes", "")),
-        xml, spec, model, runs, tuple(warnings), dropped,
+        xml, spec, model, runs, tuple(warnings), dropped, tuple(r.name for r in added),
     )  # fmt: skip
 
 

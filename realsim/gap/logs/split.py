@@ -33,11 +33,12 @@ def split_runs(case: Case, config: DiagnoseConfig) -> tuple[list[int], list[int]
 
     Where there are enough runs, the one whose regime (speed, posture) is farthest from the others' is held out too:
     a cause must hold beyond the motions that it was found in. Of many runs only some carry the sensitivities: the most
-    lively ones first, repetitions last.
+    lively ones first, repetitions last. Runs that were recorded to tell causes apart (`Case.added`) are always fitted.
     """
     count = len(case.runs)
-    twins = replicates(case)
-    single = [i for i in range(count) if not any(i in g for g in twins)]
+    added = {i for i, run in enumerate(case.runs) if run.name in case.added}
+    twins = [g for g in replicates(case) if not added & set(g)]
+    single = [i for i in range(count) if i not in added and not any(i in g for g in twins)]
     groups = [[i] for i in single] or sorted(twins, key=max)
     spare = count > config.holdout + 1 and (bool(single) or len(twins) > config.holdout)
     kept = groups[-config.holdout :] if config.holdout and spare else []
@@ -50,7 +51,7 @@ def split_runs(case: Case, config: DiagnoseConfig) -> tuple[list[int], list[int]
     fitted = [i for i in range(count) if i not in held]
     if len(fitted) > MOST_FITTED:
         repeated = {i for g in twins for i in g[1:]}
-        order = sorted(fitted, key=lambda i: (i in repeated, -motion[i]))
+        order = sorted(fitted, key=lambda i: (i not in added, i in repeated, -motion[i]))
         fitted = sorted(order[:MOST_FITTED])
     return fitted, held
 

@@ -23,6 +23,7 @@ from realsim.gap.report.health import health_card
 from realsim.gap.report.overlays import overlays_card, path_card
 from realsim.gap.report.plots import how_much_card, what_card, where_card
 from realsim.gap.report.robot import robot_card
+from realsim.gap.report.since import since_card
 from realsim.gap.report.where import evidence_cards
 from realsim.gap.report.words import lead, times
 from realsim.gap.verdicts import SAID, GapVerdict
@@ -45,6 +46,7 @@ def diagnosis_page(found: Diagnosis) -> str:
         _banner(found),
         f"<div {_TRIO}>{first}</div>",
         page.facts(_facts(found)),
+        *since_card(found),
         page.grid(overlays_card(found)),
         *_evidence(found),
     ]

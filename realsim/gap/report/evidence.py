@@ -55,6 +55,10 @@ def _explained(causes: Any) -> str:
     return page.fold("What these effects look like", page.table(["", "what it is", "in a log"], rows)) if rows else ""
 
 
+_ARRAYS = ("rivals", "looked_at")
+"""Of `next_experiment`, for `realsim excite`."""
+
+
 def equivalents_card(found: Diagnosis) -> list[str]:
     """Sets that the log cannot tell from the causes, and what to record next."""
     if not found.equivalent and found.next_experiment is None:
@@ -63,7 +67,7 @@ def equivalents_card(found: Diagnosis) -> list[str]:
     for i, other in enumerate(found.equivalent, 1):
         parts.append(f"<h4>Alternative {i}</h4>" + _cause_table(other))
     if found.next_experiment is not None:
-        rows = [[k.replace("_", " "), _plain(v)] for k, v in found.next_experiment.items()]
+        rows = [[k.replace("_", " "), _plain(v)] for k, v in found.next_experiment.items() if k not in _ARRAYS]
         parts.append("<h4>What to record to decide</h4>" + page.table(["", ""], rows))
     else:
         effects = dict.fromkeys(c["effect"] for s in (found.causes, *found.equivalent) for c in s)
