@@ -15,7 +15,7 @@ import numpy as np
 
 from realsim.errors import GapError
 from realsim.gap.causes.fitted import Cause, spread
-from realsim.gap.causes.linear import Evidence, marginal, posterior, score
+from realsim.gap.causes.linear import Evidence, log_evidence, marginal, posterior
 from realsim.gap.causes.screen import Candidate, Screen, slab
 from realsim.gap.effects.base import Parameter
 from realsim.gap.simulation.simulate import Setting, lookup
@@ -77,7 +77,7 @@ class Joint:
         for candidate in self.screen.candidates:
             if any((candidate.effect, q) in taken for q in candidate.places):
                 continue
-            gain, estimate, _ = score(A[p:, p:], b[p:], candidate.directions, slab(candidate, self.screen))
+            gain, estimate, _ = log_evidence(A[p:, p:], b[p:], candidate.directions, slab(candidate, self.screen))
             found.append((gain, candidate, estimate))
         return sorted(found, key=lambda item: -item[0])
 

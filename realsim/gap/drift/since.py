@@ -11,11 +11,22 @@ from scipy.stats import t as student
 from threadpoolctl import threadpool_limits
 
 from realsim.gap.answer.diagnosis import MODEL_ERROR
-from realsim.gap.answer.verdict import EXCESS, STAYS
-from realsim.gap.causes.equivalent import NO_PREFERENCE
+from realsim.gap.answer.verdict import EXCESS, EXPLAINED
+from realsim.gap.causes.figures import (
+    CAUSE,
+    CAUSE_A_JOINT,
+    CERTAIN,
+    CLEARLY,
+    EQUAL,
+    EQUAL_SHARE,
+    HOLDS,
+    MOST_RUNS,
+    PRICE,
+    REASONABLE,
+)
 from realsim.gap.causes.fit import Fitter
 from realsim.gap.causes.fitted import Z90, Cause
-from realsim.gap.causes.merit import FAR_ABOVE, PRICE, holds, is_gap
+from realsim.gap.causes.leftover import is_gap
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import Selection, select
 from realsim.gap.compare import Comparison
@@ -31,8 +42,6 @@ FINALISTS = 6
 """Possible changes that are fitted by simulation: a budget."""
 SURE = 2.0
 """Standard errors that a change must lie off nothing, as a cause of a diagnosis must."""
-CLEARLY = 0.975
-"""Quantile of Student's t that the mean gain of a change over another must exceed, as in a diagnosis."""
 WORSE = 2.0
 """Times the earlier log's rest beside causes that the later one's must be to say that something stays unexplained."""
 
@@ -74,12 +83,13 @@ def changed_since(
     """
     config = config or DiagnoseConfig()
     pair = pair_of(today, before, config)
-    with threadpool_limits(1, user_api="blas"), Simulator(pair.case, config) as simulator:
+    fitted = [*pair.before, *pair.now]
+    with threadpool_limits(1, user_api="blas"), Simulator(pair.case, config, fitted) as simulator:
         nominal = simulator.simulate()
-        comparison = Comparison(pair.case, simulator.channels, nominal, config)
+        comparison = Comparison(pair.case, simulator.channels, nominal, config, fitted)
         earlier = Screen(simulator, comparison, pair.before, config.effects, tick)
         shared = select(earlier, Fitter(earlier), config, tick)
-        screen = Screen(simulator, comparison, [*pair.before, *pair.now], config.effects, tick)
+        screen = Screen(simulator, comparison, fitted, config.effects, tick)
         joint = _joint(screen, shared, nominal, len(pair.before))
         found, stages, notes = _search(joint, config, tick)
         rivals = _rivals(joint, config, found, stages)
@@ -111,8 +121,7 @@ def _stays(config: DiagnoseConfig, named: bool, then: F64, first: F64, now: F64)
     if not named:
         return is_gap(now / EXCESS) and float(np.median(now)) > WORSE * max(float(np.median(then)), 1.0)
     share = float(np.mean(np.maximum(now - 1, 0))) / max(float(np.mean(first - 1)), 1e-9)
-    limit = config.unexplained_share * (0.5 if now.mean() > FAR_ABOVE else 1.0)
-    return (is_gap(now) and share > limit) or float(np.median(now)) > STAYS
+    return (is_gap(now) and share > config.unexplained_share) or float(np.median(now)) > EXPLAINED
 
 
 def _joint(screen: Screen, shared: Selection, nominal: Sequence[F64], earlier: int) -> Joint:
@@ -120,7 +129,7 @@ def _joint(screen: Screen, shared: Selection, nominal: Sequence[F64], earlier: i
     simulator, comparison = screen.simulator, screen.comparison
     settings = shared.fit.settings()
     if settings:
-        screen.look_from(settings)
+        screen.relinearise(settings)
     form = max((lookup(c.candidate.effect).form for c in shared.fit.causes), default=0.0)
     predictions = simulator.simulate(settings, runs=screen.runs)
     comparison.temper(screen.runs, predictions, [nominal[i] for i in screen.runs], form)
@@ -157,7 +166,7 @@ def _refitted(joint: Joint, config: DiagnoseConfig, current: Changed) -> list[Ch
     fits: list[Changed] = []
     seen: set[tuple[str, tuple[str, ...]]] = set()
     for gain, candidate, estimate in joint.ranked(current):
-        if gain < 0.5 * config.min_gain or len(seen) == FINALISTS:
+        if gain < CLEARLY or len(seen) == FINALISTS:
             break
         key = (candidate.effect, candidate.place)
         if candidate.names != candidate.linear or key in seen or sum(e == key[0] for e, _ in seen) == 2:
@@ -187,19 +196,23 @@ def _doubt(joint: Joint, config: DiagnoseConfig, before: Changed, after: Changed
     """Why the last change of a fit is not believed; empty if it is."""
     cause = after.causes[-1]
     gain = before.misfit - after.misfit
-    if gain < config.min_gain + 2.0 * len(cause.values):
-        return f"the gain of {gain:.1f} is within noise"
+    # A change costs what a cause costs (`realsim.gap.causes.score`).
+    joints = len(joint.screen.simulator.case.joint_names)
+    least = CLEARLY + CAUSE + CAUSE_A_JOINT * joints + PRICE * len(cause.values)
+    if gain < least:
+        return f"it gains {gain:.1f} nats, must gain {least:.1f}"
     parameters = joint.parameters([cause.candidate])
     errors = np.sqrt(np.maximum(np.diag(after.covariance), 1e-30))[-len(cause.values) :]
     rows = [(abs(v), e, p) for v, e, p in zip(cause.values, errors, parameters, strict=True) if p.strength]
     if max((v / e for v, e, _ in rows), default=0.0) < SURE:
         return "too few standard errors off nothing"
-    if max((v / (DAILY * p.nuisance or 0.1 * abs(p.step)) for v, _, p in rows), default=0.0) < config.min_deviation:
+    if max((v / (DAILY * p.nuisance or 0.1 * abs(p.step)) for v, _, p in rows), default=0.0) < REASONABLE:
         return "no larger than what comes and goes from day to day"
     gains = joint.gains(before, after)
-    error = float(gains.std(ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else float(gains.mean()) / 4
-    if not holds(float(gains.mean()), error, float((gains > 0).mean())):
-        return "does not hold on runs left out in turn"
+    if len(gains) > 1:  # of a single run none can be left out
+        error = float(gains.std(ddof=1) / np.sqrt(len(gains)))
+        if gains.mean() <= HOLDS * error or (gains > 0).mean() < MOST_RUNS:
+            return "does not hold on runs left out in turn"
     return ""
 
 
@@ -217,8 +230,8 @@ def _rivals(joint: Joint, config: DiagnoseConfig, found: Changed, stages: Sequen
         loss = _price(fit) - _price(found)
         gains = joint.gains(fit, found)
         error = float(gains.std(ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else np.inf
-        preferred = gains.mean() > float(student.ppf(CLEARLY, max(len(gains) - 1, 1))) * error
-        alike = loss < NO_PREFERENCE or (loss < max(config.equivalent_loss * removed, 8.0) and not preferred)
+        preferred = gains.mean() > float(student.ppf(CERTAIN, max(len(gains) - 1, 1))) * error
+        alike = loss < CLEARLY or (loss < max(EQUAL_SHARE * removed, EQUAL) and not preferred)
         if alike and not _doubt(joint, config, before, fit):
             rivals[key] = fit
     return list(rivals.values())

@@ -100,8 +100,7 @@ class Bench:
                     spread.append(np.stack(columns, axis=1) if columns else np.zeros((width, 0)))
             except GapError as error:
                 return error.message
-            twins = {name: twin for r in rivals for p in r.parts if (twin := simulator.twin(name := p.effect))}
-            return Predicted(experiment, comparison, nominal, motions, spread, twins)
+            return Predicted(experiment, comparison, nominal, motions, spread, _twins(simulator, rivals))
 
     def _aside(self, simulator: Simulator, rival: Rival, axis: F64) -> tuple[list[F64] | str, float]:
         """(prediction at the nearer end of an interval, in standard deviations from the fit)."""
@@ -221,3 +220,16 @@ def _changes(comparison: Comparison, after: Sequence[F64], before: Sequence[F64]
     return np.concatenate(
         [comparison.change(run, y, x).reshape(-1) for run, (y, x) in enumerate(zip(after, before, strict=True))]
     )
+
+
+def _twins(simulator: Simulator, rivals: Sequence[Rival]) -> dict[str, str]:
+    """Effect -> another one that does exactly the same in these logs, at the same place and values."""
+    if any(start.moving for start in simulator.starts):
+        return {}
+    found = {}
+    for part in (p for rival in rivals for p in rival.parts):
+        for place in part.places:
+            for other in lookup(part.effect).suggests(simulator.context, place, part.values):
+                if other.effect != part.effect and (other.place, other.values) == (place, part.values):
+                    found[part.effect] = other.effect
+    return found
