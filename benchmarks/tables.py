@@ -233,6 +233,11 @@ INDEX = (
     ("Error of the metric scale by source of points and poses", "scale_error", "python benchmarks/scale_error.py"),
     ("Contact against the mesh, by representation", "contact", "python benchmarks/contact.py"),
     ("Diagnosis of generated cases, labels withheld", "diagnosis", "python benchmarks/gap_withheld.py --seed SEED"),
+    (
+        "Diagnosis of real logs with known errors in their models",
+        "gap_real",
+        "python benchmarks/gap_real.py score --part report",
+    ),
     ("Diagnosis beside mujoco.sysid", "gap_sysid", "python benchmarks/gap_sysid.py"),
     ("Speed of training", "trainer_speed", "python benchmarks/trainer_speed.py"),
     ("Learning on one CPU core", "trainer_cpu", "python benchmarks/trainer_cpu.py"),
