@@ -300,6 +300,11 @@ INDEX = (
     ("Contact against the mesh, by representation", "contact", "python benchmarks/contact.py"),
     ("Diagnosis of generated cases, labels withheld", "diagnosis", "python benchmarks/gap_withheld.py --seed SEED"),
     ("Answers for 48 logs whose labels are withheld: not scored here", "gap_blind", "realsim diagnose (in the file)"),
+    (
+        "Diagnosis of real logs with known errors in their models",
+        "gap_real",
+        "python benchmarks/gap_real.py score --part report",
+    ),
     ("Diagnosis beside mujoco.sysid", "gap_sysid", "python benchmarks/gap_sysid.py"),
     ("Speed of training", "trainer_speed", "python benchmarks/trainer_speed.py"),
     ("Learning on one CPU core", "trainer_cpu", "python benchmarks/trainer_cpu.py"),

@@ -115,11 +115,11 @@ def test_a_base_that_tilts_or_sinks_is_out_of_balance() -> None:
     assert "fails" in limits.broken({**still, "pos": np.full((3, 1), np.nan)})
 
 
-def test_the_sentence_ends_in_the_experiment() -> None:
-    said = "Cannot tell: A, or B; each explains these runs as well; to tell them apart, record fast steps."
-    assert with_text(said, None) == said
+def test_the_advice_is_the_experiment() -> None:
+    advice = "to tell them apart, record fast steps"
+    assert with_text(advice, None) == advice
     asked = {"text": "a chirp", "excitation": "chirp"}
-    assert with_text(said, asked).endswith("as well; to tell them apart, record a chirp.")
+    assert with_text(advice, asked) == "to tell them apart, record a chirp (realsim excite)"
     nothing = {"text": "no excitation of the library tells these apart", "excitation": None}
-    assert with_text(said, nothing).endswith("as well; no excitation of the library tells these apart.")
+    assert with_text(advice, nothing) == nothing["text"]
     assert with_text("No gap.", asked) == "No gap."
