@@ -9,6 +9,7 @@ import numpy as np
 from realsim.exports.contact.columns import Columns
 from realsim.exports.contact.islands import Island, Terrain
 from realsim.exports.contact.planar import planar
+from realsim.exports.contact.prisms import Prism
 
 CELL = 0.005
 
@@ -29,3 +30,12 @@ def test_many_planes_need_no_image_each() -> None:
     tracemalloc.stop()
     assert len(found.prisms) == tiles**2
     assert peak < 0.4 * tiles**2 * top.nbytes
+
+
+def test_a_part_without_volume_is_known_as_flat() -> None:
+    """MuJoCo refuses to make a hull of it, and a scene with one would not compile."""
+    square = np.array([[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]])
+    slope = square @ [0.3, 0.2]
+    assert Prism(square, slope, slope).flat
+    assert Prism(square * [1, 1e-5], np.ones(4), np.zeros(4)).flat
+    assert not Prism(square, slope + 0.006, slope).flat

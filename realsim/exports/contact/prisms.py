@@ -13,6 +13,7 @@ from realsim.exports.contact.base import Asset, ContactModel, Geom
 from realsim.geometry import R_to_quat, quat_to_R
 
 F64 = NDArray[np.float64]
+FLAT = 1e-4  # metres: corners are written to a hundredth of a millimetre, and MuJoCo finds no hull of a plane
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,12 @@ class Prism:
     def corners(self) -> F64:
         """(2M, 3) all corners."""
         return np.concatenate([np.column_stack([self.outline, z]) for z in (self.top, self.bottom)])
+
+    @property
+    def flat(self) -> bool:
+        """Whether all corners lie in one plane: nothing to collide with."""
+        corners = self.corners - self.corners.mean(0)
+        return bool(np.linalg.svd(corners, compute_uv=False)[-1] < FLAT)
 
 
 def as_contact(name: str, prisms: list[Prism], floor: tuple[Geom, ...], statistics: Mapping[str, Any]) -> ContactModel:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from realsim.exports.contact.islands import Terrain, terrain
@@ -33,4 +33,5 @@ class Shape:
     @cached_property
     def planar(self) -> tuple[PlanarIsland, ...]:
         """Prisms of every island of `fine`."""
-        return tuple(planar(self.fine, island) for island in self.fine.islands)
+        found = (planar(self.fine, island) for island in self.fine.islands)
+        return tuple(replace(p, prisms=type(p.prisms)(q for q in p.prisms if not q.flat)) for p in found)

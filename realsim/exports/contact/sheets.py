@@ -209,7 +209,7 @@ def _slabs(patch: Patch, samples: Samples, caster: _Caster) -> list[Prism]:
             outline = outline[::-1]
         level = np.zeros(len(outline))
         out.append(Prism(outline, level, level - thick))
-    return out
+    return [slab for slab in out if not slab.flat]
 
 
 def _thickness(points: F64, normal: F64, caster: _Caster) -> float:
