@@ -146,7 +146,7 @@ def test_frames_without_depth_say_nothing_and_none_at_all_is_refused():
     some = to_metric(replace(points, frames=(points.frames[0], blind, points.frames[2])), FAST)
     assert np.isnan(some.scale.per_frame[1])
     assert any("f1" in w for w in some.scale.warnings)
-    with pytest.raises(ScaleError, match="cannot be told"):
+    with pytest.raises(ScaleError, match="cannot be determined"):
         to_metric(replace(points, frames=(blind,) * 3), FAST)
 
 

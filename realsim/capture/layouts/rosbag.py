@@ -40,8 +40,8 @@ AHEAD = 64 * 2**10
 
 def recognise(path: Path) -> Recognition:
     source = source_of(path)
-    if source is None or (source.suffix.lower() == ".bag" and b"/device_0/" in _head(source)):
-        return Recognition()  # a recording of a RealSense camera is a bag of its own kind
+    if source is None or (source.suffix.lower() == ".bag" and not _is_ros(source)):
+        return Recognition()
     return Recognition((source.name,), (), score=45)
 
 
@@ -52,12 +52,16 @@ def source_of(path: Path) -> Path | None:
     return single_file(path, SUFFIXES)
 
 
-def _head(path: Path) -> bytes:
+def _is_ros(path: Path) -> bool:
+    """Whether a .bag is ROS 1's and no recording of a RealSense camera, which is a bag with topics of its own: they
+    stand in the first chunk, or, if that is compressed, in the index at the end."""
     try:
         with path.open("rb") as file:
-            return file.read(AHEAD)
-    except OSError:
-        return b""
+            first = file.read(AHEAD)
+            file.seek(max(path.stat().st_size - AHEAD, 0))
+            return first.startswith(b"#ROSBAG") and b"/device_0/" not in first + file.read(AHEAD)
+    except (OSError, RuntimeError):
+        return False
 
 
 def read(path: Path, config: CaptureConfig) -> FrameSet:

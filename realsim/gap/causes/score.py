@@ -28,6 +28,9 @@ from realsim.gap.causes.screen import Screen
 from realsim.gap.simulation.nuisances import MANY_JOINTS
 from realsim.gap.simulation.simulate import lookup
 
+Held = tuple[float, float, float]
+"""(mean, standard error, share positive) of a gain on runs that are left out in turn."""
+
 
 def score(screen: Screen, fit: Fit) -> float:
     """Penalised misfit of a set in nats, lower is better: half the weighted squares that stay beside the nuisance
@@ -50,8 +53,9 @@ def determined(screen: Screen, fit: Fit) -> float:
     return total
 
 
-def doubts(fitter: Fitter, before: Fit, after: Fit) -> list[str]:
-    """What speaks against the further cause of `after`: it gains too little, or not on runs that are left out."""
+def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | None]:
+    """(what speaks against the further cause of `after`: it gains too little, or not on runs that are left out; its
+    gain on those)."""
     found = []
     gain = score(fitter.screen, before) - score(fitter.screen, after)
     least = CLEARLY + SHARE * before.misfit
@@ -60,7 +64,7 @@ def doubts(fitter: Fitter, before: Fit, after: Fit) -> list[str]:
     held = left_out(fitter, before, after)
     if held is not None and not (_holds(*held) or _harmless(fitter, before, *held)):
         found.append("does not hold on runs left out in turn")
-    return found
+    return found, held
 
 
 def _harmless(fitter: Fitter, before: Fit, mean: float, error: float, positive: float) -> bool:
@@ -70,7 +74,7 @@ def _harmless(fitter: Fitter, before: Fit, mean: float, error: float, positive: 
     return few and mean > -error and not is_gap(leftover(fitter.screen, before))
 
 
-def left_out(fitter: Fitter, before: Fit, after: Fit) -> tuple[float, float, float] | None:
+def left_out(fitter: Fitter, before: Fit, after: Fit) -> Held | None:
     """(mean, standard error, share positive) of the gain on each run, fitted to the others; None of a single run."""
     if len(fitter.screen.runs) < 2:
         return None

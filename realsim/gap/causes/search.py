@@ -90,7 +90,7 @@ class Search:
             return False
         fits = [self.fitter.fit(here.causes[:i] + here.causes[i + 1 :]) for i in range(len(here.causes))]
         for less in sorted((f for f in fits if f is not None), key=self._score):
-            if said := doubts(self.fitter, less, here):
+            if said := doubts(self.fitter, less, here)[0]:
                 self._replace(less, "; ".join(said))
                 return True
         return False
@@ -126,8 +126,8 @@ class Search:
         for fit in fits:
             if self._score(before) - self._score(fit) < CLEARLY:
                 break
-            said = doubts(self.fitter, before, fit) if len(fit.causes) > len(before.causes) else []
-            self.trials = with_outcome(self.trials, fit, "; ".join(said) or "accepted")
+            said, held = doubts(self.fitter, before, fit) if len(fit.causes) > len(before.causes) else ([], None)
+            self.trials = with_outcome(self.trials, fit, "; ".join(said) or "accepted", held)
             if not said:
                 self._replace(fit, "")
                 return True

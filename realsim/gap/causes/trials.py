@@ -43,12 +43,15 @@ def trial(before: Fit, fit: Fit, foretold: float) -> Trial:
     return Trial(*where, len(before.causes), foretold, before.misfit - fit.misfit, values=c.named)
 
 
-def with_outcome(trials: Sequence[Trial], fit: Fit, outcome: str) -> list[Trial]:
-    """The rows, the last one of this fit's last cause with its outcome."""
+def with_outcome(
+    trials: Sequence[Trial], fit: Fit, outcome: str, held: tuple[float, float, float] | None
+) -> list[Trial]:
+    """The rows, the last one of this fit's last cause with its outcome and its gain on runs left out in turn."""
     found = list(trials)
     last = fit.causes[-1].candidate.key if fit.causes else None
     for i in reversed(range(len(found))):
         if (found[i].effect, found[i].place, found[i].names) == last:
-            found[i] = replace(found[i], outcome=outcome)
+            mean, error, _ = held or (None, None, None)
+            found[i] = replace(found[i], outcome=outcome, heldout_gain=mean, heldout_se=error)
             break
     return found

@@ -18,6 +18,7 @@ from realsim.gap.camera.recorded import depth_camera, read_frames
 from realsim.gap.effects import EFFECTS
 from realsim.gap.logs.case import load_case
 from realsim.gap.scene.run import check_camera
+from realsim.gap.verdicts import GapVerdict
 
 TRUTHS = {
     "nothing": Truth(),
@@ -69,7 +70,7 @@ def test_values_are_recovered(found: dict[str, CameraFound]) -> None:
 
 
 def test_a_diagnosis_has_the_camera_among_its_causes(found: dict[str, CameraFound]) -> None:
-    plain = Diagnosis("no_gap", "No gap.", (), (), (), {}, 0.0, {})
+    plain = Diagnosis(GapVerdict.NO_GAP, "No gap.", "", (), (), (), {}, 0.0, {})
     assert with_camera(plain, None) is plain
     assert with_camera(plain, found["nothing"]).verdict == "no_gap"
     late = with_camera(plain, found["late"])

@@ -171,7 +171,7 @@ def test_policies_that_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "noise.onnx").write_bytes(b"no network")
     with pytest.raises(GapError, match="not a readable ONNX"):
         load_policy(tmp_path / "noise.onnx")
-    with pytest.raises(GapError, match="says nothing"):
+    with pytest.raises(GapError, match="does not describe"):
         load_policy(onnx_policy(tmp_path / "bare.onnx", 27, {}))
     with pytest.raises(GapError, match="cannot be read"):
         load_policy(onnx_policy(tmp_path / "short.onnx", 27, {"joint_names": "a,b"}))
