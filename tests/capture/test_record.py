@@ -127,7 +127,7 @@ def test_blue_and_red_are_not_exchanged(tmp_path, realsense, monkeypatch):
 
 def test_a_bag_of_something_else_leaves_nothing_behind(tmp_path):
     (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0\n")
-    with pytest.raises(CaptureError, match="not a recording"):
+    with pytest.raises(CaptureError, match=r"not a (readable ROS bag|recording)"):
         read(tmp_path / "a.bag", CaptureConfig())
     import os
 

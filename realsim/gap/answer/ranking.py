@@ -35,9 +35,10 @@ def _row(trials: list[Trial]) -> dict[str, Any]:
     }
 
 
-def _merit(trial: Trial) -> tuple[bool, float]:
-    """What was fitted goes before what was only screened."""
-    return trial.gain is not None, trial.gain if trial.gain is not None else trial.linear_gain
+def _merit(trial: Trial) -> tuple[bool, bool, float]:
+    """What was judged goes before what was only fitted, and that before what was only screened."""
+    gain = trial.linear_gain if trial.gain is None else trial.gain
+    return trial.heldout_gain is not None, trial.gain is not None, gain
 
 
 def _said(trial: Trial) -> dict[str, Any]:
