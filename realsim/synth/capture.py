@@ -59,8 +59,12 @@ def write_capture(
         frame = partial(_write_frame, capture, cameras, depth, color, sensor, config)
         # Arrays of this size release the interpreter lock, so threads share the work; every frame has its own seed.
         with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
-            for _ in track(pool.map(frame, range(len(poses)), poses), "rendering", total=len(poses)):
-                pass
+            try:
+                for _ in track(pool.map(frame, range(len(poses)), poses), "rendering", total=len(poses)):
+                    pass
+            except BaseException:
+                pool.shutdown(cancel_futures=True)  # else an interrupt waits for all frames
+                raise
         off = drift(len(poses), config.pose_error, np.random.default_rng([config.seed, 8]))
         _write_cameras(capture, cameras, T_world_sim @ poses @ off, config)
         about = {"depth": asdict(cameras.depth), "color": asdict(cameras.color), "T_depth_color": cameras.T_depth_color}
