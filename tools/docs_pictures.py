@@ -44,7 +44,7 @@ STEPS = {
         "realsim diagnose --init quadruped/quadruped.xml --out quadruped_case\ncp -r quadruped/runs quadruped_case/"
     ),
     "quadruped_diagnosis": (
-        "realsim diagnose quadruped_case --out quadruped_diagnosis --max-runs 4 --no-baselines "
+        "realsim diagnose quadruped_case --out quadruped_diagnosis --max-runs 4 "
         "--effects payload motor_gain coulomb_friction viscous_friction command_delay"
     ),
     "tuned": "realsim finetune phone_scene --device cpu --worlds 16 --iterations 4 --final-trials 8 --out tuned",

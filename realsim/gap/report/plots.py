@@ -107,8 +107,8 @@ def _by_signal(found: Diagnosis) -> str:
 
 
 def what_card(found: Diagnosis) -> str:
-    """The best effects that were fitted, by what they gain on runs left out of the fit, where the search had these."""
-    left_out = any(r.get("heldout_gain") is not None for r in found.ranking)
+    """The best effects that were fitted, by what they gain on runs left out of the fit where all were judged so."""
+    left_out = all(r.get("heldout_gain") is not None for r in found.ranking if r.get("gain") is not None)
     by = "heldout_gain" if left_out else "gain"
     tried = [r for r in found.ranking if r.get(by) is not None]
     if not tried:
@@ -128,7 +128,7 @@ def what_card(found: Diagnosis) -> str:
         kind = FOUND if r["effect"] in here else RIVAL if r["effect"] in same else OTHER
         mark = {FOUND: "✓ ", RIVAL: "≈ "}.get(kind, "")
         label = rival_label(mark, r)
-        spread = Z90 * (r.get("heldout_se") or 0.0) / best
+        spread = Z90 * (r.get("heldout_se") or 0.0) / best if left_out else 0.0
         value = max(r[by] / best, LEAST_SHOWN)
         bars.append((label, value, value - spread, value + spread, kind, _relative(r[by] / best)))
     end = 1.25 * min(max(b[3] for b in bars), 2.0)
