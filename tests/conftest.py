@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import settings
+
+# A shell that runs tests in the background has them ignore Ctrl-C, and their children too: interrupts are tested.
+with contextlib.suppress(ValueError):  # not the main thread
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
 
 # The same examples at every run, and no wall-clock limits: a busy machine must not fail a law.
 settings.register_profile("realsim", deadline=None, derandomize=True, max_examples=50)
