@@ -45,6 +45,11 @@ class Claim:
     attempt: int
     ticket: Path
 
+    @property
+    def worker(self) -> str:
+        """The machine and process that hold it."""
+        return self.ticket.name.split(".")[2]
+
 
 class Queue:
     """The jobs of a folder."""
@@ -215,7 +220,7 @@ class Queue:
         """Store what became of a job, unless that is somebody else's by now."""
         if not claim.ticket.exists():
             return
-        data = asdict(outcome) | {"format": "realsim.result/1", "attempt": claim.attempt, "worker": worker_name()}
+        data = asdict(outcome) | {"format": "realsim.result/1", "attempt": claim.attempt, "worker": claim.worker}
         write_text(self.folder / claim.key / "result.json", to_json(data))
         with contextlib.suppress(OSError):
             claim.ticket.unlink()
@@ -253,14 +258,9 @@ def _machine() -> str:
         return f"{socket.gethostname().partition('.')[0]}-{uuid.getnode()}"
 
 
-@cache
-def _of_process(process: int) -> str:
-    return f"{_machine()}-{process}.{uuid.uuid4().hex[:6]}"
-
-
 def worker_name() -> str:
-    """A name for this process that no other has."""
-    return _of_process(os.getpid())
+    """A new name at each call. It tells machine and process; threads of one process also need names of their own."""
+    return f"{_machine()}-{os.getpid()}.{uuid.uuid4().hex[:6]}"
 
 
 def _runs(process: int) -> bool:

@@ -36,7 +36,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "--device",
         "cpu",
     ]
-    arguments += ["--trials", "4", "--evaluate-every", "1", "--no-tensorboard"]
+    arguments += ["--trials", "4", "--evaluate-every", "1", "--evaluate-share", "1", "--no-tensorboard"]
     arguments += ["--task-file", str(folder / "task.json"), "--out", str(folder / "run")]
     assert main(arguments) == 0
     return folder / "run"
