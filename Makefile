@@ -11,7 +11,7 @@ demo: venv
 	$(BIN)/realsim demo --out demo_out --overwrite
 
 test: venv
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 lint: venv
 	$(BIN)/ruff format --check .

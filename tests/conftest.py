@@ -12,6 +12,10 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+# Tests run side by side: threads that spin while they wait for one another cost many times the work.
+# Read when torch is loaded.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 # A shell that runs tests in the background has them ignore Ctrl-C, and their children too: interrupts are tested.
 with contextlib.suppress(ValueError):  # not the main thread
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -23,6 +27,12 @@ settings.load_profile("realsim")
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = Path(os.environ.get("REALSIM_SHARED", ROOT.parent / "shared"))
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files with slow tests first: a long one at the end would leave the other workers idle."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
 
 
 @pytest.fixture(scope="session", autouse=True)

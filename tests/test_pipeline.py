@@ -15,25 +15,28 @@ from realsim import pipeline
 from realsim.cli import main
 from realsim.errors import RealsimError
 from realsim.exports.config import SceneConfig
+from realsim.meshing.config import MeshConfig
 from realsim.pipeline import ReconstructConfig, peak_memory_mb, reconstruct
 from realsim.synth.capture import SynthCapture, write_capture
 from realsim.synth.config import SynthConfig
 from realsim.synth.errors import compare
 from realsim.types import Reconstruction
 
-FRAMES = 24
+FRAMES = 16
+SMALL = ("--resolution", "0.02", "--contact-probes", "300")
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> SynthCapture:
     return write_capture(
-        tmp_path_factory.mktemp("synth") / "a", SynthConfig("stakes", FRAMES, poses=True, depth_scale=1.008)
+        tmp_path_factory.mktemp("synth") / "a", SynthConfig("stakes", FRAMES, poses=True, depth_scale=1.008, width=320)
     )
 
 
 @pytest.fixture(scope="module")
 def config(tmp_path_factory: pytest.TempPathFactory) -> ReconstructConfig:
-    return ReconstructConfig(cache=tmp_path_factory.mktemp("cache"), scene=SceneConfig(contact_probes=300))
+    scene, mesh = SceneConfig(contact_probes=300), MeshConfig(resolution=0.02)
+    return ReconstructConfig(cache=tmp_path_factory.mktemp("cache"), scene=scene, mesh=mesh)
 
 
 @pytest.fixture(scope="module")
@@ -41,6 +44,7 @@ def scene(made: SynthCapture, config: ReconstructConfig, tmp_path_factory: pytes
     return reconstruct(made.capture, tmp_path_factory.mktemp("out") / "scene", config)
 
 
+@pytest.mark.slow
 def test_the_scene_is_right(scene: Reconstruction, made: SynthCapture) -> None:
     errors = compare(scene.scene.folder, made.truth)
     assert errors["scale_error"] < 0.003  # the sensor's own 0.8 percent was recovered from the poses
@@ -92,6 +96,7 @@ def test_an_interrupt_leaves_nothing_half_written(
 
     monkeypatch.setattr(pipeline.report, "write_report", stop)
     arguments = ["reconstruct", str(made.capture), "--out", str(tmp_path / "scene"), "--cache", str(config.cache)]
+    arguments += SMALL
     assert main(arguments) == 130
     assert list(tmp_path.iterdir()) == []
     assert "nothing half-written" in capsys.readouterr().err

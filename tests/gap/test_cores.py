@@ -28,7 +28,7 @@ def test_answers_come_in_the_items_order(threads: int) -> None:
 
     def late(i: int) -> int:
         if i < threads:
-            met.wait(20)  # all threads are at work at once
+            met.wait(240)  # all threads are at work at once
         return i * i
 
     assert list(cores.each(late, range(7))) == [i * i for i in range(7)]

@@ -40,11 +40,30 @@ def start(folder: Path, code: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen([sys.executable, "-c", f"CODE = {code!r}\n{WORKER}", str(folder)])
 
 
-def until(condition: Callable[[], object], seconds: float = 20.0) -> None:
-    end = time.monotonic() + seconds
+ENOUGH = 240.0
+"""Seconds after which what is waited for will never happen, on however busy a machine."""
+
+
+def until(condition: Callable[[], object]) -> None:
+    end = time.monotonic() + ENOUGH
     while not condition():
         assert time.monotonic() < end, "it did not happen"
         time.sleep(0.05)
+
+
+def when(condition: Callable[[], object], do: Callable[[], object]) -> None:
+    """Do it in a thread, as soon as the condition holds."""
+
+    def wait() -> None:
+        until(condition)
+        do()
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def sleeps(began: Path) -> str:
+    """Code of a job that says when it begins, and would take longer than anybody waits."""
+    return f"import time; open({str(began)!r}, 'w').close(); time.sleep(600)"
 
 
 @pytest.fixture
@@ -132,10 +151,17 @@ def test_two_workers_share_the_jobs(tmp_path: Path) -> None:
     queue = Queue(tmp_path / "jobs")
     names = [f"job{i}" for i in range(12)]
     keys = [queue.submit(a_job(name)) for name in names]
-    write = f"open({str(tmp_path / 'runs')!r}, 'a').write(sys.argv[1] + '\\n')"
-    code = f"import sys, time; time.sleep(.1); {write}; print('{{}}')"
+    code = f"""
+import os, pathlib, sys, time
+here = pathlib.Path({str(tmp_path)!r})
+(here / f"by-{{os.getppid()}}").touch()
+while len(list(here.glob("by-*"))) < 2:  # whoever comes first leaves a job to the other
+    time.sleep(.02)
+open(here / "runs", "a").write(sys.argv[1] + "\\n")
+print("{{}}")
+"""
     workers = [start(queue.folder, code) for _ in range(2)]
-    assert [worker.wait(60) for worker in workers] == [0, 0]
+    assert [worker.wait(ENOUGH) for worker in workers] == [0, 0]
     assert sorted((tmp_path / "runs").read_text().split()) == sorted(names)
     made_by = {json.loads((queue.folder / key / "result.json").read_text())["worker"] for key in keys}
     assert len(made_by) == 2
@@ -148,7 +174,7 @@ def test_the_job_of_a_killed_worker_is_taken_over(tmp_path: Path) -> None:
     code = f"""
 import sys, time
 open({str(tmp_path / "began")!r}, "a").write("x")
-time.sleep(20 if sys.argv[2] == "1" else 0)
+time.sleep(600 if sys.argv[2] == "1" else 0)
 print('{{"attempt": ' + sys.argv[2] + '}}')
 """
     first = start(queue.folder, code)
@@ -156,7 +182,7 @@ print('{{"attempt": ' + sys.argv[2] + '}}')
     first.send_signal(signal.SIGKILL)
     first.wait()
     second = start(queue.folder, code)
-    assert second.wait(30) == 0
+    assert second.wait(ENOUGH) == 0
     outcome = queue.result(key)
     assert outcome is not None
     assert outcome.result == {"attempt": 2}
@@ -169,7 +195,7 @@ def test_the_command_of_a_killed_worker_ends_with_it_and_leaves_nothing(tmp_path
     queue.submit(Job("a", "synth", ("--out", str(tmp_path / "out" / "a"), "--frames", "500")))
     code = "import sys; from pathlib import Path; from realsim.jobs import *; work(Queue(Path(sys.argv[1])))"
     worker = subprocess.Popen([sys.executable, "-c", code, str(queue.folder)])
-    until(lambda: list((tmp_path / "out").glob(".a.partial-*")), 60)
+    until(lambda: list((tmp_path / "out").glob(".a.partial-*")))
     (command,) = Path(f"/proc/{worker.pid}/task/{worker.pid}/children").read_text().split()
     worker.send_signal(signal.SIGKILL)
     worker.wait()
@@ -209,13 +235,13 @@ def test_a_silent_worker_of_another_machine_loses_its_job_and_does_not_spoil_the
 def test_a_worker_that_lost_its_job_stops_its_command(tmp_path: Path, instead: Callable[[str], None]) -> None:
     queue = Queue(tmp_path)
     key = queue.submit(a_job())
-    instead("import time; time.sleep(60)")
+    instead(sleeps(tmp_path / "began"))
     claim = queue.claim(key)
     assert claim is not None
-    threading.Timer(0.5, lambda: claim.ticket.rename(claim.ticket.with_name("held.2.other-1-1.abc"))).start()
+    when((tmp_path / "began").exists, lambda: claim.ticket.rename(claim.ticket.with_name("held.2.other-1-1.abc")))
     began = time.monotonic()
     carry_out(queue, claim)
-    assert time.monotonic() - began < 20
+    assert time.monotonic() - began < ENOUGH
     assert queue.result(key) is None
     assert queue.running(key) == "other-1-1.abc"
 
@@ -232,11 +258,10 @@ def test_a_job_that_kills_its_workers_is_given_up(tmp_path: Path) -> None:
 def test_an_interrupted_worker_gives_its_job_back(tmp_path: Path) -> None:
     queue = Queue(tmp_path)
     key = queue.submit(a_job())
-    worker = start(tmp_path, "import time; time.sleep(60)")
-    until(lambda: queue.running(key))
-    time.sleep(0.3)
+    worker = start(tmp_path, sleeps(tmp_path / "began"))
+    until((tmp_path / "began").exists)
     worker.send_signal(signal.SIGINT)
-    worker.wait(30)
+    worker.wait(ENOUGH)
     assert (tmp_path / key / "free.0").exists()
     assert queue.result(key) is None
 
@@ -259,11 +284,11 @@ def test_cancelled_jobs_stop_or_do_not_begin(tmp_path: Path, instead: Callable[[
     found = queue.result(waiting)
     assert found is not None
     assert found.exit_code == 130
-    instead("import time; time.sleep(60)")
-    threading.Timer(0.5, lambda: queue.cancel(running)).start()
+    instead(sleeps(tmp_path / "began"))
+    when((tmp_path / "began").exists, lambda: queue.cancel(running))
     began = time.monotonic()
     (outcome,) = work(queue)
-    assert time.monotonic() - began < 20
+    assert time.monotonic() - began < ENOUGH
     assert outcome.result["error"] == "Cancelled"
     instead(SAY)
     assert queue.submit(a_job("waiting")) == waiting, "submitting it again sets it to wait again"

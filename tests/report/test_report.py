@@ -238,7 +238,7 @@ def test_browser_runs_the_page_without_errors(tmp_path: Path) -> None:
         "--virtual-time-budget=2000",
     ]
     command += [f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", f"file://{tmp_path / 'report.html'}"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=500, check=False)
     errors = [line for line in done.stderr.splitlines() if "CONSOLE" in line and ("Error" in line or "error" in line)]
     assert errors == []
     assert "<canvas" in done.stdout

@@ -85,7 +85,8 @@ def test_the_command_says_it_on_the_page_and_in_the_json(
 ) -> None:
     worn, before = logs("wear", replace(LOADED, coulomb={"swing": 0.5})), logs("before", LOADED)
     out = tmp_path / "diagnosis"
-    assert main(["diagnose", str(worn), "--since", str(before), "--out", str(out), "--threads", "1", "--json"]) == 0
+    few = ["--effects", "coulomb_friction", "viscous_friction", "payload", "--threads", "1", "--json"]
+    assert main(["diagnose", str(worn), "--since", str(before), "--out", str(out), *few]) == 0
     said = json.loads(capsys.readouterr().out)["since"]
     assert said["case"] == "before"
     assert said["verdict"] in ("identified", "ambiguous")
