@@ -124,7 +124,7 @@ def success(policy: Path, real: Real | None, trials: int) -> dict[str, Any]:
 
 # ---------------------------------------------------------------- 2. logs and diagnosis
 
-RUNS, SECONDS, RATE = 6, 4.0, 100
+RUNS, SECONDS, RATE = 4, 3.0, 100
 NOISE = {"joint_pos": 3e-4, "joint_vel": 0.01, "joint_torque": 0.1, "base_pos": 3e-4}
 
 
