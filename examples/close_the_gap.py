@@ -7,7 +7,8 @@ The "real" robot is the simulated quadruped with something that its model lacks,
 on the nominal model has to walk 4 m in 10 s. Then, for each robot:
 
 1. The policy's success in simulation and on the robot.
-2. The robot is logged while it stands and sways (no walking needed), and diagnosed with all effects of the library.
+2. The robot is logged while it stands and sways (no walking needed), and diagnosed: with all effects of the library, or
+   with those of `--effects`, which takes less time.
 3. The policy is fine-tuned with the diagnosis: patched, and randomised about what was found. Beside it, the same base,
    samples and seed with randomisation alone.
 4. Both go back to the robot.
@@ -31,6 +32,7 @@ import numpy as np
 import torch
 
 import realsim as rs
+from realsim import DiagnoseConfig
 from realsim.files import to_json, write_text
 from trainer import terrain
 from trainer.evaluate import EvaluationConfig, Setting, evaluate
@@ -273,8 +275,14 @@ class Loop:
     def diagnosed(self, real: Real, folder: Path) -> dict[str, Any]:
         if not (folder / "case" / "log.json").is_file():
             write_case(real, folder / "case")
-        found = rs.diagnose(folder / "case", folder / "diagnosis", overwrite=True)
-        return {"verdict": str(found.verdict), "sentence": found.sentence, "causes": [str(c) for c in found.causes]}
+        config = DiagnoseConfig(effects=tuple(self.args.effects), threads=1)
+        found = rs.diagnose(folder / "case", folder / "diagnosis", config, overwrite=True)
+        return {
+            "effects_considered": list(config.effects),
+            "verdict": str(found.verdict),
+            "sentence": found.sentence,
+            "causes": [str(c) for c in found.causes],
+        }
 
 
 _ARMS = {"patch": "patched by the diagnosis", "random": "with randomisation alone"}
@@ -365,6 +373,7 @@ def main() -> int:
     parser.add_argument("--robots", nargs="+", choices=list(REAL), default=list(REAL))
     parser.add_argument("--iterations", type=int, default=100, help="of each fine-tuning")
     parser.add_argument("--trials", type=int, default=100, help="of each policy on each robot")
+    parser.add_argument("--effects", nargs="*", default=[], help="that the diagnosis considers; all if not given")
     parser.add_argument("--base", type=Path, default=None, help="a policy of this task; one is trained if not given")
     args = parser.parse_args()
     torch.set_num_threads(1)
