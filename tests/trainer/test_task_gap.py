@@ -9,6 +9,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
 
+from realsim.geometry import quat_to_R  # noqa: E402
 from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped  # noqa: E402
 from tests.trainer.task_env import QUIET, env_of, still  # noqa: E402
 from trainer.errors import TrainerError  # noqa: E402
@@ -169,11 +170,27 @@ def test_commands_are_late_by_more_than_a_policy_step(diagnosis):
 
 def test_the_camera_is_as_diagnosed(diagnosis):
     known = load(
-        diagnosis(cause("camera_delay", delay=(0.05, 0.07)), cause("depth_noise", sigma=(0.02, 0.04))), quadruped()
+        diagnosis(cause("camera_delay", delay=(0.05, 0.07)), cause("depth_noise", ratio=(2.0, 4.0))), quadruped()
     )
     depth = with_known(ParkourConfig(), known, PhysicsConfig()).depth
     assert depth.latency == (2, 4)
     assert depth.noise == pytest.approx(0.03)
+
+
+def test_the_camera_stands_where_it_was_found_whatever_the_motion_says(diagnosis):
+    robot = ROBOTS["g1"]()
+    turns = {"turn_x": (0.08, 0.12), "turn_y": (0.0, 0.0), "turn_z": (0.0, 0.0)}
+    shifts = {"shift_x": (0.02, 0.02), "shift_y": (0.0, 0.0), "shift_z": (0.028, 0.032)}
+    causes = [cause("command_delay", delay=(0.01, 0.02)), cause("camera_mount", **turns, **shifts)]
+    known = load(diagnosis(*causes, verdict="unexplained"), robot)
+    assert known.unused == ("command_delay (unexplained)",)
+    before, after = robot.camera, patched(robot, known).camera
+    R = quat_to_R(before.quat)
+    assert after.pos - before.pos == pytest.approx(R @ [0.03, -0.02, 0.0])  # forward, and to the right
+    # About the axis to the right by 0.1 rad, which lifts the view.
+    assert R.T @ quat_to_R(after.quat) @ [1, 0, 0] == pytest.approx([math.cos(0.1), 0.0, math.sin(0.1)])
+    depth = with_known(ParkourConfig(), known, PhysicsConfig()).depth
+    assert (depth.mount_rotation, depth.mount_position) == pytest.approx((0.02, 0.002))
 
 
 def test_worlds_are_drawn_from_what_is_known(diagnosis):

@@ -135,7 +135,10 @@ def with_known(config: ParkourConfig, known: Known, settings: PhysicsConfig) -> 
         low, high = (max(0, round(t / step)) for t in latency)
         depth = replace(depth, latency=(low, max(low, high)))
     if noise is not None:
-        depth = replace(depth, noise=sum(noise) / 2)
+        depth = replace(depth, noise=depth.noise * sum(noise) / 2)
+    if known.mount is not None:  # the robot's camera stands where it was found; what is left is how well that is known
+        half = [(high - low) / 2 for low, high in known.mount]
+        depth = replace(depth, mount_rotation=max(half[:3]), mount_position=max(half[3:]))
     return replace(config, depth=depth)
 
 

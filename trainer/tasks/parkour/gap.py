@@ -13,10 +13,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from realsim.errors import RealsimError
 from realsim.files import read_json
+from realsim.geometry import R_to_quat, exp_so3, quat_to_R
 from trainer.errors import TrainerError
 from trainer.robots import TrainedRobot
+from trainer.robots.base import DepthMount
 from trainer.tasks.parkour.config import Range
 from trainer.tasks.parkour.randomise import Known
 
@@ -24,6 +28,10 @@ Interval = Callable[[str], Range | None]
 """Name of a parameter -> its 90 percent interval, None if the cause does not have it."""
 TAKEN = ("identified", "ambiguous", "partly_explained")
 """Verdicts whose causes hold on the check. Those of `unexplained` are the nearest that was tried, and wrong."""
+CAMERA = ("camera_delay", "camera_mount", "depth_noise")
+"""Effects that recorded depth tells, whatever is said of the motion (`realsim.gap.answer.camera`)."""
+OPENCV_IN_MOUNT = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+"""Columns: a camera's x (right), y (down), z (forward) in the axes of a `DepthMount` (x forward, y left, z up)."""
 
 
 def load(path: str | Path, robot: TrainedRobot) -> Known:
@@ -43,30 +51,41 @@ def load(path: str | Path, robot: TrainedRobot) -> Known:
     if not isinstance(data, dict) or not isinstance(data.get("causes"), list) or "verdict" not in data:
         raise TrainerError("not a diagnosis", file=path, expected="diagnosis.json of `realsim diagnose`")
     try:
-        if data["verdict"] not in TAKEN:
-            return Known(unused=tuple(f"{c.get('effect')} ({data['verdict']})" for c in data["causes"]))
-        sets = [data["causes"], *data.get("equivalent", ())]
+        seen = [c for c in data["causes"] if c.get("effect") in CAMERA]
+        taken = data["verdict"] in TAKEN
+        left = () if taken else tuple(f"{c.get('effect')} ({data['verdict']})" for c in data["causes"] if c not in seen)
+        sets = [data["causes"], *(s + seen for s in data.get("equivalent", ()))] if taken else [seen]
         held = _held_by_model(sets, data.get("patch"), robot)
         alternatives = tuple(_known(causes, robot, held, path) for causes in sets)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise TrainerError(
             "the diagnosis is damaged", file=path, found=f"{type(error).__name__}: {error}", hint="diagnose again"
         ) from error
-    unused = tuple(dict.fromkeys(u for known in alternatives for u in known.unused))
+    unused = tuple(dict.fromkeys([*left, *(u for known in alternatives for u in known.unused)]))
     model = data["patch"] | {"settings": held} if held else None
     first = replace(alternatives[0], unused=unused, model=model)
     return first if len(alternatives) == 1 else replace(first, alternatives=alternatives)
 
 
 def patched(robot: TrainedRobot, known: Known) -> TrainedRobot:
-    """The robot with the part of the diagnosis in its model that only a model can hold."""
-    if known.model is None:
-        return robot
-    from realsim.gap import apply_patch
+    """The robot with the part of the diagnosis that only a model can hold, and its camera where it was found."""
+    if known.model is not None:
+        from realsim.gap import apply_patch
 
-    spec = robot.robot.spec.copy()
-    apply_patch(spec, known.model)
-    return replace(robot, robot=replace(robot.robot, spec=spec))
+        spec = robot.robot.spec.copy()
+        apply_patch(spec, known.model)
+        robot = replace(robot, robot=replace(robot.robot, spec=spec))
+    if known.mount is not None and robot.camera is not None:
+        robot = replace(robot, camera=_moved(robot.camera, known.mount))
+    return robot
+
+
+def _moved(camera: DepthMount, mount: tuple[Range, ...]) -> DepthMount:
+    """The mount turned and shifted by the middle of six ranges (rad, m; the camera's axes)."""
+    middle = np.array([sum(bounds) / 2 for bounds in mount])
+    R = quat_to_R(camera.quat)
+    turned = R @ exp_so3(OPENCV_IN_MOUNT @ middle[:3])
+    return replace(camera, pos=camera.pos + R @ OPENCV_IN_MOUNT @ middle[3:], quat=R_to_quat(turned))
 
 
 def _held_by_model(sets: list[list[dict[str, Any]]], patch: Any, robot: TrainedRobot) -> list[dict[str, Any]]:
@@ -226,13 +245,13 @@ def _gyro(interval: Interval) -> dict[str, Any]:
 
 
 def _axes(interval: Interval, *names: str) -> tuple[Range, ...] | None:
-    """The three intervals, nothing where one is absent; None where all are: the cause says nothing about them."""
+    """The intervals, nothing where one is absent; None where all are: the cause says nothing about them."""
     found = [interval(name) for name in names]
     return tuple(bounds or (0.0, 0.0) for bounds in found) if any(found) else None
 
 
-def _sigma(interval: Interval) -> dict[str, Any]:
-    return {"depth_noise": interval("sigma")}
+def _mount(interval: Interval) -> dict[str, Any]:
+    return {"mount": _axes(interval, "turn_x", "turn_y", "turn_z", "shift_x", "shift_y", "shift_z")}
 
 
 _WHOLE: dict[str, Callable[[Interval], dict[str, Any]]] = {
@@ -244,5 +263,6 @@ _WHOLE: dict[str, Callable[[Interval], dict[str, Any]]] = {
     "com_offset": _com,
     "terrain_scale": lambda interval: {"terrain_scale": interval("ratio")},
     "imu_bias": _gyro,
-    "depth_noise": _sigma,
+    "camera_mount": _mount,
+    "depth_noise": lambda interval: {"depth_noise": interval("ratio")},
 }

@@ -46,7 +46,9 @@ class Known:
     depth_latency: Range | None = None
     """Seconds."""
     depth_noise: Range | None = None
-    """Metres."""
+    """Ratio on the noise of the config."""
+    mount: tuple[Range, ...] | None = None
+    """Turns (rad) and shifts (m) of the depth camera, each about or along its x (right), y (down), z (forward)."""
     unused: tuple[str, ...] = ()
     """Effects of the diagnosis, or parts, that this task cannot express: reported, not dropped silently."""
 
