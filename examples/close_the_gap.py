@@ -120,7 +120,7 @@ def success(policy: Path, real: Real | None, trials: int) -> dict[str, Any]:
         checkpoint.load(policy)[0].act, COURSE, EvaluationConfig(trials=trials, worlds=min(trials, 100)), setting
     )
     last = found.results[0]
-    return {"rate": last.rate, "interval": last.interval, "trials": trials, "reasons": last.reasons,
+    return {"what": real.what, "rate": last.rate, "interval": last.interval, "trials": trials, "reasons": last.reasons,
             "covered": last.covered, "seconds": last.seconds}  # fmt: skip
 
 
@@ -255,6 +255,9 @@ class Loop:
 
     def run(self) -> None:
         base, trials, n = self.args.base or self.out / "base" / "policy.pt", self.args.trials, self.args.iterations
+        options = {"iterations": n, "trials": trials, "effects": self.args.effects, "base": str(self.args.base or "")}
+        if self.results.setdefault("options", options) != options:
+            raise SystemExit(f"{self.out} was begun with {self.results['options']}: use those, or another folder")
         if self.args.base is None:
             self.step("base", "the base policy, on the nominal model",
                       lambda: train(self.out / "base", 400, self.left, replace(EXACT, use=False), None))  # fmt: skip
