@@ -229,6 +229,42 @@ def next_experiment(
     return excite(Path(source), target, config, None, progress, case=folder, overwrite=overwrite)
 
 
+def footholds(
+    case: Case | StrPath,
+    scene: StrPath | None = None,
+    out: StrPath | None = None,
+    *,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+) -> Mapping[str, Any]:
+    """Say what a robot's feet, and its depth camera if it recorded, tell of the scene on which it walked.
+
+    Args:
+        case: a folder with log.json, model.xml and runs/, with base pose, contacts and joint positions in every run;
+            or, where nothing is written, the result of `load_case`.
+        scene: scene.xml on which the robot walked, or its folder; the terrain in the case's model.xml if None.
+        out: gets footholds.json, report.html with the map, and the corrected scene.xml; nothing is written if None.
+        progress: called with what is done and its share, now and then.
+        overwrite: replace an output folder that realsim wrote before.
+
+    Returns:
+        What footholds.json holds: `verdict`, `changed` (names), `footholds`, `camera`, `notes`, ...
+
+    Raises:
+        GapError: the log lacks base pose, contacts or positions, or does not lie on the scene.
+    """
+    from realsim import gap
+    from realsim.gap.scene.run import check_scene, run_scene, terrain_of_case
+    from realsim.gap.scene.terrain import load_terrain
+
+    where = None if scene is None else Path(scene)
+    if out is not None:
+        folder = case.folder if isinstance(case, gap.Case) else Path(case)
+        return run_scene(folder, where, Path(out), progress, overwrite=overwrite)
+    loaded = case if isinstance(case, gap.Case) else gap.load_case(Path(case))
+    return check_scene(loaded, terrain_of_case(loaded) if where is None else load_terrain(where), progress).as_dict()
+
+
 def load_diagnosis(folder: StrPath) -> Diagnosis:
     """Read diagnosis.json of a folder that `diagnose` wrote."""
     from realsim.files import read_json

@@ -35,6 +35,7 @@ def write_bag(
     infos: bool = True,
     clock: Any = lambda t: t,
     definitions: bool = True,
+    intrinsics: Intrinsics = CAMERA,
 ) -> Path:
     """Write a ROS 2 bag (folder) or, with storage `ros1`, a .bag; a single .mcap file with storage `mcap_file`."""
     from rosbags.rosbag1 import Writer as Writer1
@@ -132,8 +133,8 @@ def write_bag(
                         t_["geometry_msgs/msg/TwistWithCovariance"](t_["geometry_msgs/msg/Twist"](zero, zero), none),
                     ), view.time)  # fmt: skip
                 if infos:
-                    send(f"{camera}/depth/camera_info", info(of_depth, CAMERA, stamp), view.time)
-                    send(f"{camera}/color/camera_info", info(of_color, CAMERA, stamp), view.time)
+                    send(f"{camera}/depth/camera_info", info(of_depth, intrinsics, stamp), view.time)
+                    send(f"{camera}/color/camera_info", info(of_color, intrinsics, stamp), view.time)
                 end, message = picture(of_depth, stamp, depth, view.depth)
                 send(f"{camera}/depth/image_rect_raw{end}", message, view.time + 0.002)
                 if color:

@@ -1,12 +1,15 @@
 """What a diagnosis knows replaces what the randomisation guesses; what it cannot say is not dropped silently."""
 
 import json
+import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
 
+from realsim.geometry import quat_to_R  # noqa: E402
 from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped  # noqa: E402
 from tests.trainer.task_env import QUIET, env_of, still  # noqa: E402
 from trainer.errors import TrainerError  # noqa: E402
@@ -15,7 +18,7 @@ from trainer.robots import ROBOTS  # noqa: E402
 from trainer.tasks.parkour import ParkourConfig, ParkourEnv  # noqa: E402
 from trainer.tasks.parkour.build import with_known  # noqa: E402
 from trainer.tasks.parkour.config import DepthConfig, RandomisationConfig  # noqa: E402
-from trainer.tasks.parkour.gap import load  # noqa: E402
+from trainer.tasks.parkour.gap import load, patched  # noqa: E402
 from trainer.tasks.parkour.randomise import Known, informed, limited  # noqa: E402
 from trainer.tasks.parkour.variants import sizes  # noqa: E402
 
@@ -27,9 +30,10 @@ def cause(effect, joints=None, bodies=None, **parameters):
 
 @pytest.fixture
 def diagnosis(tmp_path):
-    def write(*causes, verdict="identified"):
+    def write(*causes, verdict="identified", equivalent=(), patch=None):
         path = tmp_path / "diagnosis.json"
-        path.write_text(json.dumps({"verdict": verdict, "causes": list(causes)}))
+        data = {"verdict": verdict, "causes": list(causes), "equivalent": list(equivalent), "patch": patch}
+        path.write_text(json.dumps(data))
         return path
 
     return write
@@ -69,19 +73,124 @@ def test_an_effect_without_joints_acts_on_all_of_them(diagnosis):
     assert known.kd == dict.fromkeys(range(12), (1.1, 1.2))
 
 
-def test_an_ambiguous_diagnosis_changes_nothing_and_says_so(diagnosis):
-    known = load(diagnosis(cause("command_delay", delay=(0.01, 0.02)), verdict="ambiguous"), quadruped())
+def test_an_unexplained_gap_changes_nothing_and_says_so(diagnosis):
+    known = load(diagnosis(cause("command_delay", delay=(0.01, 0.02)), verdict="unexplained"), quadruped())
     assert known.delay is None
-    assert known.unused == ("command_delay (ambiguous)",)
+    assert known.unused == ("command_delay (unexplained)",)
+
+
+def test_a_partly_explained_gap_is_taken_as_far_as_it_goes(diagnosis):
+    path = diagnosis(cause("command_delay", delay=(0.01, 0.02)), verdict="partly_explained")
+    assert load(path.parent, quadruped()).delay == (0.01, 0.02)
+
+
+def test_each_world_draws_one_of_the_sets_that_explain_the_same(diagnosis):
+    robot = quadruped()
+    joint = robot.joints[2]
+    shared = cause("command_delay", delay=(0.01, 0.01))
+    weak = [shared, cause("stiffness_gain", [joint], ratio=(0.5, 0.6))]
+    stuck = [shared, cause("coulomb_friction", [joint], friction=(1.0, 2.0))]
+    known = load(diagnosis(*weak, verdict="ambiguous", equivalent=[stuck]), robot)
+    env = env_of(replace(QUIET, randomisation=RandomisationConfig(push=0.0)), worlds=200, known=known)
+    env.reset()
+    _, params = env.physics.params[-1]
+    gain, friction = params.kp_scale[:, 2], params.joint_friction[:, 2]
+    weak_ones = gain < 0.65
+    assert 60 < int(weak_ones.sum()) < 140
+    assert ((friction >= 1.0) == ~weak_ones).all()
+    assert set(params.delay_steps.tolist()) == {2}
+
+
+def patch_of(robot, *settings):
+    joints = dict.fromkeys(robot.joints, 30.0)
+    scales = dict.fromkeys(("peak_torque", "speed", "mean_torque", "mean_speed", "torque_range", "inertia"), joints)
+    return {
+        "format": "realsim.gap.patch/2",
+        "settings": [{"effect": e, "place": list(p), "coordinates": c} for e, p, c in settings],
+        "scales": scales,
+    }
+
+
+def test_what_no_range_can_hold_goes_into_the_model(diagnosis):
+    robot = quadruped()
+    knee, everywhere = robot.joints[2], tuple(robot.joints)
+    at = {"x": -0.1, "y": 0.05, "z": 0.1}
+    load_on_trunk = cause("payload", bodies=["trunk"], mass=(1.8, 2.2), x=(-0.1, -0.1), y=(0.05, 0.05), z=(0.1, 0.1))
+    causes = [
+        load_on_trunk,
+        cause("motor_gain", [knee], ratio=(0.45, 0.55)),
+        cause("backlash", [knee], gap=(0.01, 0.02)),
+    ]
+    settings = [
+        ("payload", ("trunk",), {"mass": 2.0, **at}),
+        ("motor_gain", (knee,), {"ratio": math.log(0.5)}),
+        ("backlash", (knee,), {"gap": 0.015}),
+    ]
+    known = load(diagnosis(*causes, patch=patch_of(robot, *settings)), robot)
+    assert known.unused == ("backlash",)  # it would add a joint
+    assert known.payload == pytest.approx((-0.2, 0.2))
+    assert known.kp == known.kd == {2: pytest.approx((0.9, 1.1))}
+    before, after = (r.robot.spec.copy().compile() for r in (robot, patched(robot, known)))
+    trunk = before.body("trunk").id
+    assert after.body_mass[trunk] == pytest.approx(before.body_mass[trunk] + 2.0)
+    moved = (before.body_mass[trunk] * before.body_ipos[trunk] + 2.0 * np.array([*at.values()])) / after.body_mass[
+        trunk
+    ]
+    assert after.body_ipos[trunk] == pytest.approx(moved, abs=1e-9)
+    assert after.actuator_forcerange[2] == pytest.approx(0.5 * before.actuator_forcerange[2])
+    assert after.actuator_forcerange[1] == pytest.approx(before.actuator_forcerange[1])
+    assert len(everywhere) == after.nu == before.nu
+
+
+def test_only_what_all_sets_share_goes_into_the_model(diagnosis):
+    robot = quadruped()
+    weak = cause("motor_gain", [robot.joints[2]], ratio=(0.5, 0.5))
+    patch = patch_of(robot, ("motor_gain", (robot.joints[2],), {"ratio": math.log(0.5)}))
+    known = load(diagnosis(weak, verdict="ambiguous", equivalent=[[cause("command_delay", delay=(0.02, 0.03))]],
+                           patch=patch), robot)  # fmt: skip
+    assert known.model is None
+    assert known.alternatives[0].kp == {2: (0.5, 0.5)}
+    assert known.alternatives[1].kp == {}
+
+
+def test_commands_are_late_by_more_than_a_policy_step(diagnosis):
+    known = load(diagnosis(cause("command_delay", delay=(0.05, 0.05))), quadruped())
+    env = env_of(replace(QUIET, randomisation=RandomisationConfig(push=0.0)), known=known)
+    env.reset()
+    assert set(env.physics.params[-1][1].delay_steps.tolist()) == {2}  # 50 ms: two policy steps wait, 10 ms the engine
+    told = []
+    for action in (1.0, 2.0, 3.0):
+        env.step(torch.full_like(still(env), action))
+        told.append(env.physics.targets.clone())
+    default, scale = torch.tensor(env.physics.robot.default).float(), float(env.body.action_scale[0])
+    assert torch.allclose(told[0], env.physics.state.joint_pos)  # nothing has arrived: the pose of the start is held
+    assert torch.allclose(told[1], told[0])
+    assert torch.allclose(told[2], (default + scale).expand_as(told[2]))
 
 
 def test_the_camera_is_as_diagnosed(diagnosis):
     known = load(
-        diagnosis(cause("camera_delay", delay=(0.05, 0.07)), cause("depth_noise", sigma=(0.02, 0.04))), quadruped()
+        diagnosis(cause("camera_delay", delay=(0.05, 0.07)), cause("depth_noise", ratio=(2.0, 4.0))), quadruped()
     )
     depth = with_known(ParkourConfig(), known, PhysicsConfig()).depth
     assert depth.latency == (2, 4)
     assert depth.noise == pytest.approx(0.03)
+
+
+def test_the_camera_stands_where_it_was_found_whatever_the_motion_says(diagnosis):
+    robot = ROBOTS["g1"]()
+    turns = {"turn_x": (0.08, 0.12), "turn_y": (0.0, 0.0), "turn_z": (0.0, 0.0)}
+    shifts = {"shift_x": (0.02, 0.02), "shift_y": (0.0, 0.0), "shift_z": (0.028, 0.032)}
+    causes = [cause("command_delay", delay=(0.01, 0.02)), cause("camera_mount", **turns, **shifts)]
+    known = load(diagnosis(*causes, verdict="unexplained"), robot)
+    assert known.unused == ("command_delay (unexplained)",)
+    before, after = robot.camera, patched(robot, known).camera
+    R = quat_to_R(before.quat)
+    assert after.pos - before.pos == pytest.approx(R @ [0.03, -0.02, 0.0])  # forward, and to the right
+    # About the axis to the right by 0.1 rad, which lifts the view.
+    assert R.T @ quat_to_R(after.quat) @ [1, 0, 0] == pytest.approx([math.cos(0.1), 0.0, math.sin(0.1)])
+    depth = with_known(ParkourConfig(), known, PhysicsConfig()).depth
+    assert (depth.mount_rotation, depth.mount_position) == pytest.approx((0.02, 0.002))
 
 
 def test_worlds_are_drawn_from_what_is_known(diagnosis):
@@ -104,14 +213,14 @@ def test_worlds_are_drawn_from_what_is_known(diagnosis):
 def test_what_is_taken_in_part_is_named(diagnosis):
     causes = [
         cause("imu_bias", acc_x=(0.1, 0.2), acc_y=(0.0, 0.0), acc_z=(0.0, 0.0)),
-        cause("command_delay", delay=(0.03, 0.04)),
+        cause("command_delay", delay=(-0.02, 0.04)),
     ]
     known = load(diagnosis(*causes), quadruped())
     assert known.gyro is None  # the guessed range stays
     assert known.unused == ("imu_bias (acc_x, acc_y, acc_z)",)
     env = env_of(known=known)
-    assert [text.split(":")[0] for text in env.warnings] == [*known.unused, "command_delay (outside 0 to 20 ms)"]
-    assert limited(Known(delay=(0.01, 0.021)), PhysicsConfig()).unused == ()
+    assert [text.split(":")[0] for text in env.warnings] == [*known.unused, "command_delay (outside 0 to 200 ms)"]
+    assert limited(Known(delay=(0.01, 0.201)), PhysicsConfig()).unused == ()
     gyro = load(diagnosis(cause("imu_bias", gyro_x=(0.1, 0.2))), quadruped())
     assert (gyro.gyro, gyro.unused) == (((0.1, 0.2), (0.0, 0.0), (0.0, 0.0)), ())
 

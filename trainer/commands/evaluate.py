@@ -36,7 +36,7 @@ def evaluate(
         engine: physics engine; by default warp on a GPU and mujoco on the CPU.
         device: cpu, cuda, or auto.
         task_file: JSON with differences from the paper's task; use that of the training.
-        diagnosis: diagnosis.json of `realsim diagnose`.
+        diagnosis: diagnosis.json of `realsim diagnose`, or its folder.
     """
     from trainer.commands import common
     from trainer.commands.task_file import load_task

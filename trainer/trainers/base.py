@@ -50,7 +50,7 @@ class TrainConfig:
     trials: int = 100
     """Trials on each terrain in an evaluation on the way."""
     diagnosis: Path | None = None
-    """diagnosis.json of `realsim diagnose`: its figures replace the assumed ranges of randomisation."""
+    """diagnosis.json of `realsim diagnose`, or its folder: its figures replace the assumed ranges of randomisation."""
     resume: Path | None = None
     """Checkpoint of the same run to resume from."""
     loop: LoopConfig = field(default_factory=LoopConfig)

@@ -156,6 +156,59 @@ def test_millimetres_are_metres(case: Path) -> None:
     shutil.rmtree(case)
 
 
+def _frames_in_a_folder(case: Path, suffix: str) -> Path:
+    path = next((case / "runs").glob("*.npz"))
+    arrays = dict(np.load(path))
+    depth, time = arrays.pop("depth"), arrays.pop("depth_time")
+    np.savez(path, **arrays)
+    folder = case / "runs" / f"{path.stem}_depth"
+    folder.mkdir()
+    lines = ["# time file"]
+    for k, (t, image) in enumerate(zip(time, np.asarray(depth, float), strict=True)):
+        if suffix == ".png":
+            cv2 = pytest.importorskip("cv2", reason="needs the extra `recon`")
+            cv2.imwrite(str(folder / f"{k:04}.png"), np.rint(1000 * np.nan_to_num(image)).astype(np.uint16))
+        else:
+            np.save(folder / f"{k:04}.npy", image)
+        lines.append(f"{t!r} {k:04}{suffix}".replace("np.float64(", "").replace(")", ""))
+    (folder / "depth.txt").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+@pytest.mark.parametrize("suffix", [".png", ".npy"])
+def test_frames_in_a_folder_are_those_of_the_arrays(case: Path, suffix: str) -> None:
+    camera = depth_camera(load_case(case))
+    assert camera is not None
+    before, rays = read_frames(load_case(case), camera, 10, 100)
+    _frames_in_a_folder(case, suffix)
+    after, same = read_frames(load_case(case), camera, 10, 100)
+    assert after[0].time == pytest.approx(before[0].time, abs=1e-9)
+    assert after[0].depth == pytest.approx(before[0].depth, abs=6e-4)
+    assert np.array_equal(rays, same)
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda folder: (folder / "depth.txt").unlink(), "have no times"),
+        (lambda folder: (folder / "depth.txt").write_text("0.1\n"), "line 1 cannot be read"),
+        (lambda folder: (folder / "depth.txt").write_text("0.1 none.npy\n"), "not there"),
+        (lambda folder: (folder / "depth.txt").write_text("# nothing\n"), "no depth frame is listed"),
+        (lambda folder: (folder / "depth.txt").write_text("0.2 0000.npy\n0.1 0001.npy\n"), "does not increase"),
+        (lambda folder: (folder / "0000.npy").write_bytes(b"\x93NUMPY"), "damaged"),
+        (lambda folder: np.save(folder / "0000.npy", np.zeros((3, 3, 3))), "not a depth frame"),
+        (lambda folder: np.save(folder / "0000.npy", np.zeros((3, 3))), "different sizes"),
+    ],
+)
+def test_a_folder_of_frames_that_cannot_be_read_is_refused(case: Path, damage: object, message: str) -> None:
+    damage(_frames_in_a_folder(case, ".npy"))  # type: ignore[operator]
+    loaded = load_case(case)
+    camera = depth_camera(loaded)
+    assert camera is not None
+    with pytest.raises(GapError, match=message):
+        read_frames(loaded, camera, 10, 100)
+
+
 @pytest.mark.parametrize("name", ["camera_delay", "camera_mount", "depth_noise"])
 def test_the_search_over_motions_says_where_they_are_told(name: str) -> None:
     assert "depth frames" in EFFECTS[name].excitation.lower()

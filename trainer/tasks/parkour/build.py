@@ -17,7 +17,8 @@ from trainer.robots import ROBOTS, TrainedRobot
 from trainer.tasks.parkour.config import DepthConfig, ParkourConfig
 from trainer.tasks.parkour.env import ParkourEnv
 from trainer.tasks.parkour.gap import load as load_gap
-from trainer.tasks.parkour.randomise import Known, informed, limited
+from trainer.tasks.parkour.gap import patched
+from trainer.tasks.parkour.randomise import Known, hull, informed, limited
 from trainer.tasks.parkour.variants import scaled, sizes
 from trainer.terrain import Terrain
 
@@ -49,7 +50,8 @@ def make(
         engine: a name of `trainer.physics.ENGINES`.
         caster: a name of `trainer.rays.CASTERS`; None takes `warp` on a GPU and `embree` on the CPU.
         physics: how the engine steps, and the device.
-        diagnosis: `diagnosis.json` of `realsim diagnose`, whose figures replace guessed ranges.
+        diagnosis: `diagnosis.json` of `realsim diagnose`, or its folder: its figures replace guessed ranges, and what
+            no range can hold goes into the robot's model (`trainer.tasks.parkour.gap`).
         seed: of all draws.
 
     Raises:
@@ -64,6 +66,7 @@ def make(
     for terrain in terrains:
         check(terrain)
     known = Known() if diagnosis is None else limited(load_gap(diagnosis, body), settings)
+    body = patched(body, known)
     for effect in known.unused:
         note(f"{diagnosis}: {effect} is not simulated by this task")
     config = with_known(config, known, settings)
@@ -126,12 +129,16 @@ def check_device(device: str) -> None:
 def with_known(config: ParkourConfig, known: Known, settings: PhysicsConfig) -> ParkourConfig:
     """The config with what a diagnosis says about the camera."""
     depth: DepthConfig = config.depth
-    if known.depth_latency is not None:
+    latency, noise = hull(known, "depth_latency"), hull(known, "depth_noise")
+    if latency is not None:
         step = settings.timestep * settings.decimation
-        low, high = (max(0, round(t / step)) for t in known.depth_latency)
+        low, high = (max(0, round(t / step)) for t in latency)
         depth = replace(depth, latency=(low, max(low, high)))
-    if known.depth_noise is not None:
-        depth = replace(depth, noise=known.depth_noise)
+    if noise is not None:
+        depth = replace(depth, noise=depth.noise * sum(noise) / 2)
+    if known.mount is not None:  # the robot's camera stands where it was found; what is left is how well that is known
+        half = [(high - low) / 2 for low, high in known.mount]
+        depth = replace(depth, mount_rotation=max(half[:3]), mount_position=max(half[3:]))
     return replace(config, depth=depth)
 
 

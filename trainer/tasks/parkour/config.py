@@ -227,7 +227,7 @@ class RandomisationConfig:
     joint_friction: Range = (0.0, 0.3)
     """N m."""
     delay: Range = (0.0, 0.02)
-    """Seconds by which commands are late; rounded to physics steps, at most one policy step."""
+    """Seconds by which commands are late, at most 0.2; rounded to physics steps."""
     encoder: float = 0.01
     """rad: plus or minus, constant offset of the joint readings."""
     gyro: float = 0.02

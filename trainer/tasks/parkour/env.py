@@ -22,6 +22,7 @@ from trainer.tasks.parkour.curriculum import Curriculum
 from trainer.tasks.parkour.depth import DepthCamera, DepthWindow
 from trainer.tasks.parkour.floor import RaisedFloor
 from trainer.tasks.parkour.footholds import FootholdProbe
+from trainer.tasks.parkour.line import Line
 from trainer.tasks.parkour.observations import Proprioception, critic_view, layout
 from trainer.tasks.parkour.randomise import Known, Randomiser
 from trainer.tasks.parkour.resets import Course, Stances, poses
@@ -123,10 +124,10 @@ class ParkourEnv:
         self.at_start = torch.zeros(worlds, device=device)
         self.on_goal = torch.zeros(worlds, device=device)
         self.last_action = torch.zeros(worlds, self.num_actions, device=device)
-        servo = sorted(self.randomiser.known.servo) if self.randomiser.active else []
-        self.misread = torch.zeros(worlds, self.num_actions, device=device) if servo else None
+        self.misread = torch.zeros(worlds, self.num_actions, device=device) if self.randomiser.misread else None
         """(N, J) rad that the servos read too much; None where they read right."""
-        self._servo = torch.tensor(servo, dtype=torch.long, device=device)
+        self.line = Line(self.randomiser.latest, worlds, self.num_actions, device) if self.randomiser.latest else None
+        """Commands on their way; None where they are late by a policy step at most, which the engine simulates."""
         self.count = 0
         self.ends: Ends | None = None
         """Episodes that ended at the last step; None if none did."""
@@ -150,7 +151,9 @@ class ParkourEnv:
         if self.randomiser.active:
             self.randomiser.push(self.count, self.generator)
         targets = self.body.default + self.body.action_scale * action
-        state = self.physics.step(targets if self.misread is None else targets - self.misread)
+        if self.misread is not None:
+            targets = targets - self.misread
+        state = self.physics.step(targets if self.line is None else self.line(targets))
         self.count += 1
         self.age = self.age + 1
         signals = self._signals(state, action)
@@ -235,17 +238,19 @@ class ParkourEnv:
         terrain = self.curriculum.terrain(ids) * self.variants
         terrain = terrain + torch.randint(0, self.variants, (len(ids),), generator=self.generator, device=self.device)
         self.terrain_ids[ids] = terrain
-        if self.randomiser.active:
-            encoder, gyro = self.randomiser.reset(ids, self.generator)
-            self.proprioception.encoder_offset[ids], self.proprioception.gyro_offset[ids] = encoder, gyro
+        drawn = self.randomiser.reset(ids, self.generator) if self.randomiser.active else None
+        if drawn is not None:
+            self.proprioception.encoder_offset[ids], self.proprioception.gyro_offset[ids] = drawn.encoder, drawn.gyro
             if self.misread is not None:
-                self.misread[ids[:, None], self._servo] = encoder[:, self._servo]
+                self.misread[ids] = drawn.servo
         position, quaternion, joints, self.elsewhere[ids] = poses(
             terrain, self.course, self.body, self.config.reset, self.generator, self.stances
         )
         floor = self.floor.reset(ids, terrain, self.count * self.policy_dt, self.generator)
         own = floor if self.config.floor.share > 0 else None
         self.physics.reset(ids, position, quaternion, joints, terrain, own)
+        if self.line is not None and drawn is not None:
+            self.line.reset(ids, joints, drawn.late)
         self.command.reset(ids, self.course.goal[terrain, :2], self.generator)
         self.phase.reset(ids)
         self.last_action = self.last_action.index_fill(0, ids, 0.0)  # a copy: it may be the caller's tensor

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,14 +14,21 @@ from trainer.tasks.parkour.draw import symmetric, uniform
 
 _G1_KG = 33.3
 """The mass for which the payload range is meant."""
+LONGEST_DELAY = 10
+"""Policy steps by which commands can be late: 0.2 s, the longest delay that `realsim diagnose` considers."""
 
 
 @dataclass(frozen=True)
 class Known:
-    """What was identified on the robot. None, or an absent joint, leaves the range of the config.
+    """What was found on the robot. None, or an absent joint, leaves the range of the config.
 
     Joint quantities map a joint's index to its range (the 90 percent interval of the diagnosis).
     """
+
+    alternatives: tuple[Known, ...] = ()
+    """Sets of causes that the data cannot tell apart, this one the first: each world draws one. () if there is one."""
+    model: dict[str, Any] | None = None
+    """Patch of the robot's model with what ranges cannot hold; the ranges are about the patched model."""
 
     friction: Range | None = None
     payload: Range | None = None
@@ -37,10 +45,26 @@ class Known:
     gyro: tuple[Range, Range, Range] | None = None
     depth_latency: Range | None = None
     """Seconds."""
-    depth_noise: float | None = None
-    """Metres."""
+    depth_noise: Range | None = None
+    """Ratio on the noise of the config."""
+    mount: tuple[Range, ...] | None = None
+    """Turns (rad) and shifts (m) of the depth camera, each about or along its x (right), y (down), z (forward)."""
     unused: tuple[str, ...] = ()
     """Effects of the diagnosis, or parts, that this task cannot express: reported, not dropped silently."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What the task, not the engine, has to simulate of K worlds' parameters."""
+
+    encoder: Tensor
+    """(K, J) rad, offset of the joint readings."""
+    servo: Tensor
+    """(K, J) rad of it that the servos read too."""
+    gyro: Tensor
+    """(K, 3) rad/s, offset of the angular velocity."""
+    late: Tensor
+    """(K,) policy steps that commands wait before they reach the engine, which may delay them by one more."""
 
 
 class Randomiser:
@@ -49,24 +73,41 @@ class Randomiser:
     def __init__(self, config: RandomisationConfig, known: Known, physics: Physics) -> None:
         self.config, self.known, self.physics = config.at_strength(), limited(known, physics.config), physics
         self.timestep = physics.config.timestep
-        ranges = self._ranges()
-        self._widths = [len(bounds) for bounds in ranges.values()]
-        table = torch.tensor([b for bounds in ranges.values() for b in bounds], device=physics.device)
-        self._low, self._span = table[:, 0], table[:, 1] - table[:, 0]
+        sets = self.known.alternatives or (self.known,)
+        ranges = [self._ranges(known) for known in sets]
+        self._widths = [len(bounds) for bounds in ranges[0].values()]
+        table = torch.tensor([[b for bounds in r.values() for b in bounds] for r in ranges], device=physics.device)
+        self._low, self._span = table[..., 0], table[..., 1] - table[..., 0]
+        self._servo = torch.zeros(len(sets), len(physics.robot.joints), device=physics.device)
+        for row, known in zip(self._servo, sets, strict=True):
+            row[sorted(known.servo)] = 1.0
         self._pushed = torch.arange(physics.num_worlds, device=physics.device)
+        longest = max(r["delay"][0][1] for r in ranges)
+        self.latest = int(self._late(torch.tensor(self._steps(longest)))) if self.active else 0
+        """Policy steps that commands wait at most, see `Drawn.late`."""
 
     @property
     def active(self) -> bool:
         return self.config.use
 
-    def reset(self, ids: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """New parameters for worlds `ids` (K,); returns their (K, J) encoder and (K, 3) gyro offsets."""
+    @property
+    def misread(self) -> bool:
+        """Whether the servos of any world may read an offset."""
+        return self.active and bool(self._servo.any())
+
+    def reset(self, ids: Tensor, generator: torch.Generator) -> Drawn:
+        """New parameters for worlds `ids` (K,)."""
         # One draw for everything: on a GPU each of a dozen small ones would cost as much.
-        drawn = self._low + self._span * uniform((0.0, 1.0), (len(ids), len(self._low)), generator)
+        share = uniform((0.0, 1.0), (len(ids), self._low.shape[1]), generator)
+        count, which = len(self._low), torch.zeros(len(ids), dtype=torch.long, device=share.device)
+        if count > 1:
+            which = torch.randint(0, count, (len(ids),), generator=generator, device=share.device)
+        drawn = self._low[which] + self._span[which] * share
         friction, mass, payload, delay, com, gyro, kp, kd, armature, joint_friction, encoder = drawn.split(
             self._widths, -1
         )
-        steps = (delay[:, 0] / self.timestep).round().clamp(0, self.physics.config.decimation).long()
+        steps = (delay[:, 0] / self.timestep).round().clamp(0, self._steps()).long()
+        late = self._late(steps)
         params = WorldParams(
             friction=friction[:, 0],
             mass_scale=mass[:, 0],
@@ -76,14 +117,23 @@ class Randomiser:
             kd_scale=kd,
             armature_scale=armature,
             joint_friction=joint_friction,
-            delay_steps=steps,
+            delay_steps=steps - late * self.physics.config.decimation,
         )
         self.physics.set_params(ids, params)
-        return encoder, gyro
+        return Drawn(encoder, encoder * self._servo[which], gyro, late)
 
-    def _ranges(self) -> dict[str, list[Range]]:
+    def _steps(self, seconds: float | None = None) -> int:
+        """Physics steps of a delay, within what can be simulated; of the longest if None."""
+        most = LONGEST_DELAY * self.physics.config.decimation
+        return most if seconds is None else min(max(round(seconds / self.timestep), 0), most)
+
+    def _late(self, steps: Tensor) -> Tensor:
+        """Whole policy steps of delays in physics steps; the engine delays by the rest, up to a whole policy step."""
+        return (steps - 1).clamp_min(0) // self.physics.config.decimation
+
+    def _ranges(self, known: Known) -> dict[str, list[Range]]:
         """Quantity -> the ranges of its entries, in the order in which `reset` takes them apart."""
-        c, known, joints = self.config, self.known, range(len(self.physics.robot.joints))
+        c, joints = self.config, range(len(self.physics.robot.joints))
         ratio = _mass(self.physics) / _G1_KG
 
         def each(everywhere: Range, own: dict[int, Range]) -> list[Range]:
@@ -123,14 +173,23 @@ def _mass(physics: Physics) -> float:
 
 
 def limited(known: Known, settings: PhysicsConfig) -> Known:
-    """The same, with a command delay named in `unused` that the engine cannot have in full."""
-    if known.delay is None or all(0 <= round(t / settings.timestep) <= settings.decimation for t in known.delay):
+    """The same, with a command delay named in `unused` that cannot be simulated in full."""
+    most = LONGEST_DELAY * settings.decimation
+    delays = [k.delay for k in (known.alternatives or (known,)) if k.delay is not None]
+    if all(0 <= round(t / settings.timestep) <= most for delay in delays for t in delay):
         return known
-    longest = settings.timestep * settings.decimation
-    part = f"command_delay (outside 0 to {1e3 * longest:g} ms)"
+    part = f"command_delay (outside 0 to {1e3 * most * settings.timestep:g} ms)"
     return known if part in known.unused else replace(known, unused=(*known.unused, part))
+
+
+def hull(known: Known, name: str) -> Range | None:
+    """The range of what is set once for all worlds, over all alternatives; None if one says nothing about it."""
+    found: list[Range | None] = [getattr(k, name) for k in (known.alternatives or (known,))]
+    given = [bounds for bounds in found if bounds is not None]
+    return (min(b[0] for b in given), max(b[1] for b in given)) if len(given) == len(found) else None
 
 
 def informed(config: RandomisationConfig, known: Known) -> RandomisationConfig:
     """The config with the terrain scale of the diagnosis, which has to be known before worlds are made."""
-    return config if known.terrain_scale is None else replace(config, terrain_scale=known.terrain_scale)
+    scale = hull(known, "terrain_scale")
+    return config if scale is None else replace(config, terrain_scale=scale)

@@ -1,0 +1,397 @@
+"""Close the loop: a robot that fails where simulation succeeds, its logs, the cause, and a policy trained for it.
+
+    python examples/close_the_gap.py --out loop                 about two hours of one core, in all; interrupt at will
+    python examples/close_the_gap.py --out loop --minutes 20    stops at the next finished step; run it again to go on
+
+The "real" robot is the simulated quadruped with something that its model lacks, one thing at a time. The policy learnt
+on the nominal model has to walk 4 m in 10 s. Then, for each robot:
+
+1. The policy's success in simulation and on the robot.
+2. The robot is logged while it stands and sways (no walking needed), and diagnosed: with all effects of the library, or
+   with those of `--effects`, which takes less time.
+3. The policy is fine-tuned with the diagnosis: patched, and randomised about what was found. Beside it, the same base,
+   samples and seed with randomisation alone.
+4. Both go back to the robot.
+
+Writes loop/table.txt, loop/results.json and loop/loop.png. Every step keeps its result, and is not done again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+
+import realsim as rs
+from realsim import DiagnoseConfig
+from realsim.files import to_json, write_text
+from trainer import terrain
+from trainer.evaluate import EvaluationConfig, Setting, evaluate
+from trainer.physics import PhysicsConfig
+from trainer.physics.world import world_spec
+from trainer.ppo import checkpoint
+from trainer.ppo.config import LoopConfig, NetworkConfig, PPOConfig
+from trainer.robots import ROBOTS, TrainedRobot
+from trainer.tasks.parkour import ParkourConfig
+from trainer.tasks.parkour.config import (
+    CommandConfig,
+    DepthConfig,
+    ObservationConfig,
+    RandomisationConfig,
+    TerminationConfig,
+)
+from trainer.trainers import Scene, TrainConfig, find
+
+COURSE = terrain.flat()
+ALONE = RandomisationConfig(push=0.0)
+"""The trainer's own ranges: what is guessed where nothing is known."""
+EXACT = RandomisationConfig(
+    friction=(1, 1), mass=(1, 1), payload=(0, 0), com=(0, 0), kp=(1, 1), kd=(1, 1), armature=(1, 1),
+    joint_friction=(0, 0), delay=(0, 0), encoder=0.0, gyro=0.0, push=0.0,
+)  # fmt: skip
+"""A robot that is exactly its model."""
+
+
+def task(random: RandomisationConfig) -> ParkourConfig:
+    """Flat ground needs no camera; the robot is told where the goal lies, as by somebody with a joystick."""
+    return ParkourConfig(
+        command=CommandConfig(speed=(0.6, 0.6)),
+        observation=ObservationConfig(steered=True),
+        depth=DepthConfig(use=False),
+        termination=TerminationConfig(seconds=10.0),
+        randomisation=random,
+    )
+
+
+@dataclass(frozen=True)
+class Real:
+    """What the robot has and its model lacks."""
+
+    what: str
+    change: Callable[[Any], None] = lambda spec: None
+    """Changes a `mujoco.MjSpec` of the robot."""
+    delay: float = 0.0
+    """Seconds by which commands come late."""
+
+    @property
+    def robot(self) -> TrainedRobot:
+        nominal = ROBOTS["quadruped"]()
+        spec = nominal.robot.spec.copy()
+        self.change(spec)
+        return replace(nominal, robot=replace(nominal.robot, spec=spec))
+
+
+def _load(spec: Any) -> None:
+    box = spec.body("trunk").add_body(name="load", pos=[-0.15, 0.06, 0.08])
+    box.mass, box.inertia, box.explicitinertial = 3.0, [0.006, 0.006, 0.006], True
+
+
+def _weak(spec: Any) -> None:
+    for motor in spec.actuators:
+        motor.gainprm, motor.biasprm = 0.65 * motor.gainprm, 0.65 * motor.biasprm
+        motor.forcerange = 0.65 * motor.forcerange
+
+
+REAL = {
+    "payload": Real("carries 3 kg at the back and left of its trunk", _load),
+    "motors": Real("has motors of 65 % of their torque", _weak),
+    "delay": Real("gets its commands 50 ms late", delay=0.05),
+}
+
+
+# ---------------------------------------------------------------- 1. success
+
+
+def success(policy: Path, real: Real | None, trials: int) -> dict[str, Any]:
+    """Trials of a policy on a robot; None is the robot that its model describes."""
+    real = real or Real("is its model")
+    random = replace(EXACT, delay=(real.delay, real.delay))
+    setting = Setting(real.robot, "mujoco", None, task(random), PhysicsConfig(threads=1))
+    found = evaluate(
+        checkpoint.load(policy)[0].act, COURSE, EvaluationConfig(trials=trials, worlds=min(trials, 100)), setting
+    )
+    last = found.results[0]
+    return {"what": real.what, "rate": last.rate, "interval": last.interval, "trials": trials, "reasons": last.reasons,
+            "covered": last.covered, "seconds": last.seconds}  # fmt: skip
+
+
+# ---------------------------------------------------------------- 2. logs and diagnosis
+
+RUNS, SECONDS, RATE = 4, 3.0, 100
+NOISE = {"joint_pos": 3e-4, "joint_vel": 0.01, "joint_torque": 0.1, "base_pos": 3e-4}
+
+
+def write_case(real: Real, folder: Path) -> None:
+    """Runs of the robot and the model that is believed in, as `realsim diagnose` reads them."""
+    (folder / "runs").mkdir(parents=True, exist_ok=True)
+    settings = PhysicsConfig()
+    nominal = ROBOTS["quadruped"]()
+    believed = world_spec(nominal, COURSE, 0, settings)
+    believed.compile()
+    write_text(folder / "model.xml", believed.to_xml())
+    names = list(nominal.joints)
+    write_text(folder / "log.json", to_json({
+        "joint_names": names, "actuator_names": names, "command_kind": "position", "command_hold": "zoh",
+        "base": "floating", "torque_kind": "measured", "imu_site": None, "contact_bodies": [], "notes": "",
+    }))  # fmt: skip
+    model = world_spec(real.robot, COURSE, 0, settings).compile()
+    for run in range(RUNS):
+        np.savez(folder / "runs" / f"run_{run}.npz", **sway(model, nominal, real.delay, np.random.default_rng(run)))
+
+
+def sway(model: Any, robot: TrainedRobot, delay: float, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """One run: the robot stands, then crouches, pitches and rolls, faster from run to run."""
+    data, dt = mujoco.MjData(model), model.opt.timestep
+    data.qpos[:7], data.qpos[7:] = [0, 0, robot.standing_height, 1, 0, 0, 0], robot.default
+    data.ctrl[:] = robot.default
+    mujoco.mj_step(model, data, round(2.0 / dt))  # it has sagged into its servos
+    data.time = 0.0
+    every, late = round(1 / RATE / dt), round(delay / dt)
+    sent = [robot.default] * (late + 1)
+    rates, phases = rng.uniform(0.4, 2.0, 3), rng.uniform(0, 6, 3)
+    legs = np.array([[x, y] for x in (1, -1) for y in (1, -1)])  # FL, FR, RL, RR
+    log: dict[str, list[np.ndarray]] = {n: [] for n in ("time", "command", "joint_pos", "joint_vel", "joint_torque",
+                                                        "base_pos", "base_quat")}  # fmt: skip
+    start = data.qpos.copy()
+    for k in range(round(SECONDS / dt)):
+        if k % every == 0:
+            ramp = np.clip((data.time - 0.4) / 0.5, 0, 1)
+            crouch, pitch, roll = ramp * np.array([0.15, 0.08, 0.07]) * np.sin(2 * np.pi * rates * data.time + phases)
+            bend = crouch + pitch * legs[:, 0]
+            command = robot.default + np.stack([roll + 0 * bend, bend, -2 * bend], axis=1).ravel()
+            truth = {"joint_pos": data.qpos[7:], "joint_vel": data.qvel[6:],
+                     "joint_torque": data.actuator_force, "base_pos": data.qpos[:3]}  # fmt: skip
+            for name, value in truth.items():
+                log[name].append(value + rng.normal(0, NOISE[name], len(value)))
+            log["time"].append(np.array(data.time))
+            log["command"].append(command)
+            log["base_quat"].append(data.qpos[3:7].copy())
+        sent = [*sent[1:], command]
+        data.ctrl[:] = sent[0]
+        mujoco.mj_step(model, data)
+    return {name: np.array(values) for name, values in log.items()} | {"init_qpos": start}
+
+
+# ---------------------------------------------------------------- 3. training
+
+
+def settings(last: Path, iterations: int, random: RandomisationConfig, **more: Any) -> TrainConfig:
+    """One core and small networks (those of benchmarks/trainer_cpu.py)."""
+    return TrainConfig(
+        robot="quadruped",
+        worlds=128,
+        engine="mujoco",
+        device="cpu",
+        threads=1,
+        resume=last if last.is_file() else None,
+        task=task(random),
+        loop=LoopConfig(iterations=iterations, checkpoint_every=25, evaluate_every=0, tensorboard=False),
+        ppo=PPOConfig(
+            networks=NetworkConfig(actor=(128, 64), critic=(128, 64), std=0.6),
+            epochs=4,
+            minibatches=2,
+            entropy_weight=0.0,
+            desired_kl=0.015,
+            learning_rates=(1e-4, 3e-3),
+            symmetry_weight=0.2,
+        ),
+        **more,
+    )
+
+
+def train(out: Path, iterations: int, left: Callable[[], float], random: RandomisationConfig, base: Path | None,
+          diagnosis: Path | None = None) -> bool:  # fmt: skip
+    """Go on until this many iterations have been done in all; False where the time was over before."""
+    last = out / "policy.pt"
+    done = checkpoint.read(last)["training"]["iteration"] if last.is_file() else 0
+    if done >= iterations:
+        return True
+    config = settings(last, iterations, random, diagnosis=diagnosis)
+    config = replace(config, loop=replace(config.loop, minutes=max(0.1, left())))
+    if base is not None and config.resume is None:
+        config = replace(config, strategy="full")
+    result = find("ppo")(Scene((COURSE,)), base if config.resume is None else None, config, out)
+    return result.iterations >= iterations
+
+
+# ---------------------------------------------------------------- the loop
+
+
+class Loop:
+    """The steps in order; each leaves its result in the folder, and the time may be over before any of them."""
+
+    def __init__(self, out: Path, args: argparse.Namespace) -> None:
+        self.out, self.args, self.began = out, args, time.monotonic()
+        self.file = out / "results.json"
+        self.results: dict[str, Any] = json.loads(self.file.read_text()) if self.file.is_file() else {}
+
+    def left(self) -> float:
+        """Minutes."""
+        return float(self.args.minutes - (time.monotonic() - self.began) / 60)
+
+    def step(self, key: str, what: str, work: Callable[[], Any]) -> Any:
+        """The result of a step, from before or now. Raises TimeoutError if it cannot begin in time."""
+        if key not in self.results:
+            if self.left() <= 0:
+                raise TimeoutError
+            print(f"[{(time.monotonic() - self.began) / 60:5.1f} min] {what}", flush=True)
+            began = time.process_time()
+            value = work()
+            if value is False:
+                raise TimeoutError
+            self.results[key] = value if isinstance(value, dict) else {"done": True}
+            self.results[key]["cpu_seconds"] = round(time.process_time() - began, 1)
+            write_text(self.file, to_json(self.results))
+        return self.results[key]
+
+    def run(self) -> None:
+        base, trials, n = self.args.base or self.out / "base" / "policy.pt", self.args.trials, self.args.iterations
+        options = {"iterations": n, "trials": trials, "effects": self.args.effects, "base": str(self.args.base or "")}
+        if self.results.setdefault("options", options) != options:
+            raise SystemExit(f"{self.out} was begun with {self.results['options']}: use those, or another folder")
+        if self.args.base is None:
+            self.step("base", "the base policy, on the nominal model",
+                      lambda: train(self.out / "base", 400, self.left, replace(EXACT, use=False), None))  # fmt: skip
+        self.step("nominal", "the base in simulation", lambda: success(base, None, trials))
+        for name in self.args.robots:
+            real, folder = REAL[name], self.out / name
+            self.step(
+                f"{name}/before", f"the base on the robot that {real.what}", lambda r=real: success(base, r, trials)
+            )
+            self.step(f"{name}/diagnosis", "its logs, and the diagnosis", lambda r=real, f=folder: self.diagnosed(r, f))
+            for arm, diagnosis in (("patch", folder / "diagnosis"), ("random", None)):
+                out = folder / arm
+                self.step(f"{name}/{arm}/training", f"fine-tuning, {_ARMS[arm]}",
+                          lambda o=out, d=diagnosis: train(o, n, self.left, ALONE, base, d))  # fmt: skip
+                self.step(f"{name}/{arm}", "that policy on the robot",
+                          lambda o=out, r=real: success(o / "policy.pt", r, trials))  # fmt: skip
+
+    def diagnosed(self, real: Real, folder: Path) -> dict[str, Any]:
+        if not (folder / "case" / "log.json").is_file():
+            write_case(real, folder / "case")
+        config = DiagnoseConfig(effects=tuple(self.args.effects), threads=1)
+        found = rs.diagnose(folder / "case", folder / "diagnosis", config, overwrite=True)
+        return {
+            "effects_considered": list(config.effects),
+            "verdict": str(found.verdict),
+            "sentence": found.sentence,
+            "causes": [str(c) for c in found.causes],
+        }
+
+
+_ARMS = {"patch": "patched by the diagnosis", "random": "with randomisation alone"}
+
+
+# ---------------------------------------------------------------- table and figure
+
+
+def table(results: dict[str, Any]) -> str:
+    """What came out, by robot; what has not been done is left out."""
+    nominal = results.get("nominal")
+    lines = (
+        []
+        if nominal is None
+        else [f"in simulation, the base succeeds in {_share(nominal)} of {nominal['trials']} trials", ""]
+    )
+    for name, real in REAL.items():
+        before, found = results.get(f"{name}/before"), results.get(f"{name}/diagnosis")
+        if before is None or nominal is None:
+            continue
+        lines.append(f"the robot {real.what}: {_share(before)}")
+        if found is not None:
+            lines.append(f"  diagnosis        {found['verdict']}: {'; '.join(found['causes']) or 'no cause'}")
+        for arm, title in _ARMS.items():
+            after = results.get(f"{name}/{arm}")
+            if after is not None:
+                lines.append(f"  {title:25} {_share(after)}, {regained(nominal, before, after)}")
+    return "\n".join(lines) + "\n"
+
+
+def regained(nominal: dict[str, Any], before: dict[str, Any], after: dict[str, Any]) -> str:
+    """How much of what the effect cost is back."""
+    lost = nominal["rate"] - before["rate"]
+    if lost <= 0:
+        return "nothing was lost"
+    return f"{(after['rate'] - before['rate']) / lost:.0%} of what was lost is regained"
+
+
+def _share(result: dict[str, Any]) -> str:
+    low, high = result["interval"]
+    return f"{result['rate']:.0%} [{low:.0%}, {high:.0%}]"
+
+
+def figure(results: dict[str, Any], path: Path) -> None:
+    """A group of bars a robot, with 95 % intervals."""
+    import cv2
+
+    names = [n for n in REAL if f"{n}/before" in results]
+    bars = (("before", "before", (150, 150, 150)), ("random", "randomisation alone", (60, 140, 230)),
+            ("patch", "diagnosed and patched", (150, 120, 20)))  # fmt: skip
+    width, height, left, low, top = 240 * max(1, len(names)) + 90, 360, 60, 290, 50
+    image = np.full((height, width, 3), 255, np.uint8)
+
+    def text(words: str, x: float, y: float, colour: tuple[int, int, int] = (60, 60, 60)) -> None:
+        cv2.putText(image, words, (int(x), int(y)), cv2.FONT_HERSHEY_SIMPLEX, 0.42, colour, 1, cv2.LINE_AA)
+
+    def up(share: float) -> int:
+        return int(low - share * (low - top))
+
+    for share in (0.0, 0.5, 1.0):
+        cv2.line(image, (left, up(share)), (width - 20, up(share)), (225, 225, 225), 1)
+        text(f"{share:.0%}", 15, up(share) + 4)
+    for i, name in enumerate(names):
+        for k, (key, _, colour) in enumerate(bars):
+            result = results.get(f"{name}/{key}")
+            if result is None:
+                continue
+            x = left + 240 * i + 20 + 65 * k
+            cv2.rectangle(image, (x, up(result["rate"])), (x + 50, low), colour, -1)
+            a, b = result["interval"]
+            cv2.line(image, (x + 25, up(a)), (x + 25, up(b)), (40, 40, 40), 1, cv2.LINE_AA)
+        text(name, left + 240 * i + 80, low + 22)
+    if (nominal := results.get("nominal")) is not None:
+        cv2.line(image, (left, up(nominal["rate"])), (width - 20, up(nominal["rate"])), (60, 160, 60), 1, cv2.LINE_AA)
+        text("in simulation", left + 4, up(nominal["rate"]) - 6, (60, 160, 60))
+    x = float(left)
+    for _, words, colour in bars:
+        text(words, x, height - 15, colour)
+        x += 9.0 * len(words) + 20
+    text("success on the robot", left, 22)
+    cv2.imwrite(str(path), image)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("loop"))
+    parser.add_argument("--minutes", type=float, default=1e6, help="stop at the next step after this time")
+    parser.add_argument("--robots", nargs="+", choices=list(REAL), default=list(REAL))
+    parser.add_argument("--iterations", type=int, default=100, help="of each fine-tuning")
+    parser.add_argument("--trials", type=int, default=100, help="of each policy on each robot")
+    parser.add_argument("--effects", nargs="*", default=[], help="that the diagnosis considers; all if not given")
+    parser.add_argument("--base", type=Path, default=None, help="a policy of this task; one is trained if not given")
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    args.out.mkdir(parents=True, exist_ok=True)
+    loop = Loop(args.out, args)
+    try:
+        loop.run()
+    except TimeoutError:
+        print("the time is over; run it again to go on")
+    said = table(loop.results)
+    write_text(args.out / "table.txt", said)
+    figure(loop.results, args.out / "loop.png")
+    print(said, end="")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
