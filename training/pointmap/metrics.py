@@ -20,10 +20,12 @@ class Figures:
     """Mean of |z - z'| / z' after one median scale for all views."""
     abs_rel_view: float
     """The same with a scale of its own for every view."""
+    flat: float
+    """`abs_rel` of one depth for every pixel: what the figures above are worth."""
     rotation_deg: float
     """Median over pairs of views of the angle between true and predicted relative rotation; nan for one view."""
     still_deg: float
-    """The same of a prediction that nothing has turned: what the figure above is worth."""
+    """The same of a prediction that no camera has turned."""
     direction_deg: float
     """Median angle between true and predicted relative translations, of pairs that moved by more than 2 cm."""
     area: float
@@ -51,18 +53,19 @@ def figures(depth: NDArray, conf: NDArray, T: F64, true_depth: NDArray, true_T: 
     valid = (true_depth > 0) & np.isfinite(depth) & (depth > 0)
     ratio = true_depth[valid] / depth[valid]
     if not len(ratio):
-        return Figures(*[float("nan")] * 8)
+        return Figures(*[float("nan")] * 9)
     error = np.abs(np.where(valid, depth, 0) * np.median(ratio) - true_depth) / np.maximum(true_depth, 1e-6)
     own = [
         np.abs(depth[k][m] * np.median(true_depth[k][m] / depth[k][m]) / true_depth[k][m] - 1)
         for k, m in enumerate(valid)
         if m.any()
     ]
+    flat = np.abs(np.median(true_depth[valid]) / true_depth[valid] - 1)
     turned, still, aside = pose_errors(T, true_T)
     area, oracle = sparsification(error[valid], conf[valid])
     return Figures(
-        float(error[valid].mean()), float(np.concatenate(own).mean()), turned, still, aside, area, oracle,
-        float(conf.mean()),
+        float(error[valid].mean()), float(np.concatenate(own).mean()), float(flat.mean()), turned, still, aside, area,
+        oracle, float(conf.mean()),
     )  # fmt: skip
 
 

@@ -154,7 +154,7 @@ class PointmapNet(nn.Module):
             skips.append(y)
         rows, columns = y.shape[-2:]
         tokens = y.flatten(2).transpose(1, 2) + self.place(_waves(rows, columns, y.device))
-        tokens = torch.cat([self.camera.expand(len(tokens), -1, -1), tokens], 1)
+        tokens = torch.cat([self.camera.expand(tokens.shape[0], -1, -1), tokens], 1)
         for k, block in enumerate(self.blocks):
             over_all = k >= self.shape.frame_blocks and (k - self.shape.frame_blocks) % 2 == 1
             tokens = block(tokens, views if over_all else 1)

@@ -273,13 +273,13 @@ class _Log:
 
     def __init__(self, path: Path | None, every: int) -> None:
         self.path, self.every = path, every
-        self.kept: list[dict[str, float]] = []
+        self.kept: list[dict[str, Tensor | float]] = []
         self.clock = time.monotonic()
 
     def add(self, now: state.State, rate: float, parts: dict[str, Tensor | float], made_ms: float, last: bool) -> None:
         if self.path is None:
             return
-        self.kept.append({**{k: v if isinstance(v, float) else v for k, v in parts.items()}, "made_ms": made_ms})
+        self.kept.append({**parts, "made_ms": made_ms})
         if len(self.kept) < self.every and not last:
             return
         row: dict[str, float] = {"step": now.step, "views": now.views, "minutes": round(now.minutes, 3), "lr": rate}
