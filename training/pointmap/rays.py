@@ -74,7 +74,7 @@ def _round(o: Tensor, d: Tensor) -> tuple[Tensor, Tensor]:
     """Where rays enter and leave the unit circle or ball; behind one another where they miss it."""
     # Unrolled: sums over a first axis of length three are slow.
     a, b, c = (sum(p * q for p, q in zip(u, v, strict=True)) for u, v in ((d, d), (o, d), (o, o)))
-    c = c - 1
+    a, c = a + 1e-9, c - 1  # along the axis of a cylinder a is zero: such a ray is inside for ever, or never
     inside = b * b - a * c
     root = inside.clamp(min=0).sqrt()
     miss = torch.where(inside > 0, 0.0, 2 * FAR)
