@@ -2,7 +2,8 @@
 
     python -m training.pointmap.evaluate --state run                          generated scenes
     python -m training.pointmap.evaluate --model pointmap.onnx \\
-        --captures ../shared/captures/stake_a ../shared/captures/narrow_a     captures, by onnxruntime
+        --captures ../shared/captures/stake_a ../shared/captures/narrow_a     captures with truth, by onnxruntime
+    python -m training.pointmap.evaluate --model pointmap.onnx --real FOLDER  captures without: against their sensor
 
 Every figure is printed beside the bar that it has to meet, and beside what a prediction that knows nothing gets. With
 `--json FILE` the rows are stored too. Captures are never trained on.
@@ -94,9 +95,11 @@ def _medians(values: Sequence[Figures]) -> Row:
     """Means of errors of depth, medians of angles (each a median over pairs already)."""
     out: Row = {}
     for name in ("abs_rel", "abs_rel_view", "flat", "area", "area_oracle", "confidence"):
-        out[name] = float(np.nanmean([getattr(v, name) for v in values]))
+        known = [x for x in (getattr(v, name) for v in values) if np.isfinite(x)]
+        out[name] = float(np.mean(known)) if known else float("nan")
     for name in ("rotation_deg", "still_deg", "direction_deg"):
-        out[name] = float(np.nanmedian([getattr(v, name) for v in values]))
+        known = [x for x in (getattr(v, name) for v in values) if np.isfinite(x)]
+        out[name] = float(np.median(known)) if known else float("nan")
     return {**out, "ause": out["area"] - out["area_oracle"]}
 
 
@@ -112,7 +115,7 @@ class Truth:
     T_mesh_camera: np.ndarray
     """(N, 4, 4)."""
     mesh: Any
-    """open3d's RaycastingScene."""
+    """open3d's RaycastingScene; None where the sensor's own depth has to serve for the truth."""
 
 
 def read(folder: Path) -> Truth:
@@ -141,6 +144,28 @@ def read(folder: Path) -> Truth:
     return Truth(folder.name, kept, np.stack([told @ f.T_world_camera for f in kept]), scene)
 
 
+def read_real(folder: Path) -> Truth:
+    """A capture without truth: its sensor's depth and, if it has them, its poses stand in.
+
+    Raises:
+        CaptureError: not a capture of frames.
+    """
+    from realsim import capture
+    from realsim.capture.config import CaptureConfig
+
+    frames = getattr(capture.read(folder, CaptureConfig(max_frames=60)), "frames", ())
+    kept = tuple(f for f in frames if f.read_color is not None)
+    if not kept:
+        raise CaptureError("not a capture of colour frames", file=folder, expected="frames with colour and depth")
+    unknown = np.full((4, 4), np.nan)
+    return Truth(
+        "/".join(folder.resolve().parts[-2:]),
+        kept,
+        np.stack([unknown if f.T_world_camera is None else f.T_world_camera for f in kept]),
+        None,
+    )
+
+
 def true_depth(truth: Truth, i: int, grid: Any) -> np.ndarray:
     """(H, W) depth of the true surface on the model's grid, 0 where it has none or something else is in front.
 
@@ -150,10 +175,12 @@ def true_depth(truth: Truth, i: int, grid: Any) -> np.ndarray:
     from realsim.feedforward.onnx.preprocess import depth_to_grid
 
     frame, T = truth.frames[i], truth.T_mesh_camera[i]
+    seen = depth_to_grid(frame.depth(), frame.intrinsics, grid)
+    if truth.mesh is None:
+        return seen
     d = grid.camera.rays().astype(np.float64)
     rays = np.concatenate([np.broadcast_to(T[:3, 3], d.shape), d @ T[:3, :3].T], -1)
     z = truth.mesh.cast_rays(rays.astype(np.float32))["t_hit"].numpy()
-    seen = depth_to_grid(frame.depth(), frame.intrinsics, grid)
     hidden = (seen > 0) & (seen < 0.95 * z)
     return np.where(np.isfinite(z) & ~hidden, z, 0.0).astype(np.float32)
 
@@ -163,7 +190,7 @@ def captured(model_file: Path, truth: Truth, views: int = VIEWS) -> Iterator[Row
     from realsim.feedforward.onnx.session import open_model
 
     model = open_model(model_file)
-    for given in BARS:
+    for given in BARS if truth.mesh is not None else ("rgb",):
         for step in STEPS:
             windows = [w for w in _windows(len(truth.frames), views, step) if len(w) > 1]
             values = [_window(model, truth, w, given) for w in windows]
@@ -280,7 +307,11 @@ def line(row: Row) -> str:
     out = []
     for key, value in row.items():
         if isinstance(value, float):
-            bar = f" (bar {bars[key]:g}: {'met' if value <= bars[key] else 'missed'})" if key in bars else ""
+            bar = (
+                f" (bar {bars[key]:g}: {'met' if value <= bars[key] else 'missed'})"
+                if key in bars and np.isfinite(value)
+                else ""
+            )
             out.append(f"{key} {value:.4g}{bar}")
         else:
             out.append(f"{key} {value}")
@@ -295,6 +326,7 @@ def main() -> None:
     parser.add_argument("--state", type=Path, help="folder of a state: generated scenes")
     parser.add_argument("--model", type=Path, help="ONNX file: captures")
     parser.add_argument("--captures", type=Path, nargs="*", default=[])
+    parser.add_argument("--real", type=Path, nargs="*", default=[])
     parser.add_argument("--size", type=int, nargs=2, default=(240, 320))
     parser.add_argument("--scenes", type=int, default=64, help="of every kind")
     parser.add_argument("--views", type=int, default=4)
@@ -316,8 +348,8 @@ def main() -> None:
 
 
 def _rows(o: argparse.Namespace) -> Iterator[Row]:
-    if not o.state and not (o.model and o.captures):
-        raise RealsimError("nothing to measure", expected="--state RUN, or --model FILE.onnx with --captures")
+    if not o.state and not (o.model and (o.captures or o.real)):
+        raise RealsimError("nothing to measure", expected="--state RUN, or --model FILE.onnx with --captures or --real")
     if o.state:
         yield from generated(state.load(o.state).net, tuple(o.size), o.scenes, o.views, o.device)
     for folder in o.captures if o.model else ():
@@ -325,6 +357,8 @@ def _rows(o: argparse.Namespace) -> Iterator[Row]:
         yield from captured(o.model, truth)
         yield from doubts(o.model, truth)
         yield timed(o.model, truth)
+    for folder in o.real if o.model else ():
+        yield from captured(o.model, read_real(folder))
 
 
 if __name__ == "__main__":

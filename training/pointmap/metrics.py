@@ -23,7 +23,7 @@ class Figures:
     flat: float
     """`abs_rel` of one depth for every pixel: what the figures above are worth."""
     rotation_deg: float
-    """Median over pairs of views of the angle between true and predicted relative rotation; nan for one view."""
+    """Median over pairs of views of the angle between true and predicted relative rotation; nan where poses are unknown."""
     still_deg: float
     """The same of a prediction that no camera has turned."""
     direction_deg: float
@@ -71,7 +71,7 @@ def figures(depth: NDArray, conf: NDArray, T: F64, true_depth: NDArray, true_T: 
 
 def pose_errors(T: F64, true_T: F64) -> tuple[float, float, float]:
     """Medians over pairs, degrees: rotation, rotation of the truth itself, direction of translation."""
-    pairs = [(i, j) for i in range(len(T)) for j in range(len(T)) if i < j]
+    pairs = [(i, j) for i in range(len(T)) for j in range(len(T)) if i < j and np.isfinite(true_T[[i, j]]).all()]
     if not pairs:
         return (float("nan"),) * 3
     turned, still, aside = [], [], []

@@ -1,5 +1,7 @@
 """The state of training on disk: pieces small enough to be carried, an index that names them, read without code.
 
+    python -m training.pointmap.state run --out training/pointmap/latest      keep of a whole state the weights
+
 Two ways of keeping it. `weights`: in half precision only, which is all that the network that ships needs; going on
 from it, the optimiser's moments are gathered again while the learning rate warms up. `all`: weights in full and the
 moments in bfloat16, four times as large; going on changes nothing but their rounding.
@@ -7,11 +9,13 @@ moments in bfloat16, four times as large; going on changes nothing but their rou
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import hashlib
 import io
 import json
 import pickle
+import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -133,3 +137,21 @@ def restore(state: State, optimiser: torch.optim.Optimizer) -> bool:
 
 def _parameters(net: nn.Module) -> list[tuple[str, torch.Tensor]]:
     return list(net.state_dict().items())
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("state", type=Path, help="folder of a state")
+    parser.add_argument("--out", type=Path, required=True)
+    o = parser.parse_args()
+    try:
+        files = save(o.out, load(o.state), None, "weights")
+    except RealsimError as error:
+        print(error.render(), file=sys.stderr)
+        sys.exit(2)
+    print(f"{sum(f.stat().st_size for f in files) / 1e6:.1f} MB in {len(files)} files")
+
+
+if __name__ == "__main__":
+    main()

@@ -34,6 +34,7 @@ TRAINING, WITHHELD = 1, 900
 """Seeds of what is trained on (plus the rank) and of what is evaluated on: no layout is in both."""
 UNCALIBRATED = 0.1
 """Share of scenes whose intrinsics are left out."""
+COMPILED = ("none", "rays", "all")
 GIVE_UP = 25
 """Steps in a row without finite gradients after which training stops."""
 
@@ -72,8 +73,8 @@ class Options:
     """Minutes."""
     keep: str = "weights"
     device: str = "auto"
-    compile: bool = False
-    """Fuse the rays and the network by torch.compile: minutes at first, then faster."""
+    compile: str = "none"
+    """What torch.compile fuses: `rays` of the generator, `all` the network too; a minute or more at first."""
     seed: int = 0
 
     def check(self) -> None:
@@ -92,8 +93,9 @@ class Options:
                 raise RealsimError(f"--{name.replace('_', '-')} must be 1 or more", found=str(getattr(self, name)))
         if self.shape not in SHAPES:
             raise RealsimError("no such network", expected=", ".join(SHAPES), found=self.shape)
-        if self.keep not in state.KEPT:
-            raise RealsimError("no such way of keeping", expected=", ".join(state.KEPT), found=self.keep)
+        for name, known in (("keep", state.KEPT), ("compile", COMPILED)):
+            if (found := getattr(self, name)) not in known:
+                raise RealsimError(f"no such choice of --{name}", expected=", ".join(known), found=found)
 
 
 @dataclass(frozen=True)
@@ -141,9 +143,7 @@ def parse(arguments: list[str]) -> Options:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for f in fields(Options):
         name, default = f"--{f.name.replace('_', '-')}", f.default
-        if isinstance(default, bool):
-            parser.add_argument(name, action="store_true")
-        elif isinstance(default, tuple):
+        if isinstance(default, tuple):
             parser.add_argument(name, type=int, nargs="+", default=list(default))
         else:
             kind = Path if f.name in ("out", "resume") else type(default)
@@ -165,10 +165,10 @@ def train(o: Options, rank: Rank) -> state.State:
     now.net.to(rank.device)
     optimiser = torch.optim.AdamW(_groups(now.net, o.decay), lr=o.lr, betas=(0.9, 0.98))
     warm = now.step if o.resume and state.restore(now, optimiser) else now.step + o.warmup
-    run = torch.compile(now.net) if o.compile else now.net
+    run = torch.compile(now.net) if o.compile == "all" else now.net
     made = Generator(
         library(o.scenes, TRAINING + o.seed * 1000 + rank.index * 17), TRAINING + o.seed, rank.device,
-        samples=o.samples, compiled=o.compile,
+        samples=o.samples, compiled=o.compile != "none",
     )  # fmt: skip
     log = _Log(o.out / "curve.jsonl" if rank.index == 0 else None, o.log_every)
     if rank.index == 0:
