@@ -91,7 +91,7 @@ BARE = """
 import sys
 class Absent:
     def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in ("scipy", "mujoco", "open3d", "cv2", "tyro", "rich", "yaml", "trimesh", "onnx"):
+        if name.split(".")[0] in ("scipy", "mujoco", "open3d", "cv2", "tyro", "rich", "yaml", "trimesh"):
             raise ImportError(name)
 sys.meta_path.insert(0, Absent())
 from training.pointmap import evaluate, train

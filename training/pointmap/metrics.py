@@ -23,7 +23,7 @@ class Figures:
     flat: float
     """`abs_rel` of one depth for every pixel: what the figures above are worth."""
     rotation_deg: float
-    """Median over pairs of views of the angle between true and predicted relative rotation; nan where poses are unknown."""
+    """Median over pairs of views of the angle between true and predicted relative rotation; nan without true poses."""
     still_deg: float
     """The same of a prediction that no camera has turned."""
     direction_deg: float
