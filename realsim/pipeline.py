@@ -25,7 +25,7 @@ from realsim.exports.config import SceneConfig
 from realsim.feedforward.config import PointsConfig
 from realsim.files import digest, inside, output_folder, write_bytes
 from realsim.meshing.config import MeshConfig
-from realsim.progress import note
+from realsim.progress import Remaining, note, whole
 from realsim.scale.config import ScaleConfig
 from realsim.types import (
     AlignedScene,
@@ -96,15 +96,39 @@ def reconstruct(source: Path, out: Path, config: ReconstructConfig | None = None
     run = _Run(config)
     with output_folder(out, overwrite=config.overwrite, source=source) as folder:
         data = run.stage("capture", lambda: capture.read(source, config.capture))
-        points, aligned = run.scan(data) if isinstance(data, Scan) else run.frames(data)
-        mesh = run.mesh(aligned)
-        rivals = run.stage("compare", lambda: run.modes(data, points, aligned, mesh)) if config.compare else ()
-        scene = run.export(folder, aligned, mesh)
-        result = Reconstruction(
-            data, points, aligned, mesh, scene, tuple(run.stages), config.seed, config_as_dict(config), rivals
-        )
-        run.stage("report", lambda: report.write_report(folder, result))
+        with whole("reconstruct", usual_seconds(data, config)) as run.remaining:
+            points, aligned = run.scan(data) if isinstance(data, Scan) else run.frames(data)
+            mesh = run.mesh(aligned)
+            rivals = run.stage("compare", lambda: run.modes(data, points, aligned, mesh)) if config.compare else ()
+            scene = run.export(folder, aligned, mesh)
+            result = Reconstruction(
+                data, points, aligned, mesh, scene, tuple(run.stages), config.seed, config_as_dict(config), rivals
+            )
+            run.stage("report", lambda: report.write_report(folder, result))
     return replace(result, scene=_moved(scene, out.absolute()), stages=tuple(run.stages))
+
+
+USUAL = {
+    "points": (5.0, 0.24),
+    "scale": (0.5, 0.06),
+    "align": (1.5, 0.13),
+    "mesh": (8.0, 0.17),
+    "export": (15.0, 0.0),
+    "report": (1.0, 0.0),
+}
+"""Stage -> seconds, and seconds more for each frame, on two cores: benchmarks/results/reconstruct_scaling.json, 60 to
+960 frames; a scan has none. Small captures and the choice of collision geometry: the two captures of the tutorials."""
+
+
+def usual_seconds(data: FrameSet | Scan, config: ReconstructConfig) -> dict[str, float]:
+    """Stage -> seconds that it usually takes, for the time that is left."""
+    frames = 0 if isinstance(data, Scan) else len(data)
+    usual = {stage: once + each * frames for stage, (once, each) in USUAL.items()}
+    if isinstance(data, Scan):
+        del usual["points"], usual["scale"]
+    elif config.compare:
+        usual["compare"] = 2 * (usual["points"] + usual["scale"] + usual["align"] + usual["mesh"])
+    return usual
 
 
 class _Run:
@@ -117,6 +141,7 @@ class _Run:
         onnx = replace(config.points.onnx, kept_in=self.store.folder)
         self.config = replace(config, points=replace(config.points, onnx=onnx))
         self.key = ""
+        self.remaining = Remaining({})
 
     def stage(self, name: str, work: Callable[[], T]) -> T:
         return self._timed(name, lambda: (work(), False))
@@ -195,6 +220,7 @@ class _Run:
 
     def _timed(self, name: str, work: Callable[[], tuple[T, bool]]) -> T:
         note(f"{name} ...")
+        self.remaining.begin(name)
         began = time.perf_counter()
         try:
             # Views are worked on in threads; BLAS threads of its own beside them would wait in loops for each other.
@@ -204,6 +230,7 @@ class _Run:
             raise RealsimError(
                 f"out of memory in stage {name}", hint="use fewer frames (--max-frames) or a coarser --resolution"
             ) from error
+        self.remaining.end(kept=reused)
         seconds = time.perf_counter() - began
         self.stages.append(StageTime(name, seconds, peak_memory_mb(), reused))
         note(f"{name}: {seconds:.1f} s{' (kept from an earlier run)' if reused else ''}")

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterable, Iterator, Sized
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sized
 from contextlib import contextmanager, suppress
+from datetime import timedelta
 from typing import IO, TypeVar
 
 from rich.console import Console
@@ -13,12 +14,15 @@ from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    ProgressColumn,
     SpinnerColumn,
+    Task,
     TaskID,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.text import Text
 
 from realsim.errors import printable
 
@@ -117,3 +121,71 @@ def steps() -> Iterator[Callable[[str, float], None]]:
             bar.update(tasks[what], completed=share)
 
         yield tick
+
+
+TRUST = 10.0
+"""Seconds of usual work that a job's own pace must have been seen for until it counts half."""
+
+
+class Remaining:
+    """The time that a job of several stages will still take.
+
+    What its stages usually take, times how much slower (or faster) the stages so far have been than usual.
+    """
+
+    def __init__(self, usual: Mapping[str, float], clock: Callable[[], float] = time.monotonic) -> None:
+        """`usual`: stage -> seconds, in any order. A stage that is not among them counts for nothing."""
+        self.waiting = dict(usual)
+        self.clock = clock
+        self.stage, self.usual, self.began = "", 0.0, clock()
+        self.seen, self.took = 0.0, 0.0
+
+    def begin(self, stage: str) -> None:
+        """A stage begins; the one before has ended."""
+        self.stage, self.usual, self.began = stage, self.waiting.pop(stage, 0.0), self.clock()
+
+    def end(self, kept: bool = False) -> None:
+        """The stage has ended. `kept`: its result was there already, which tells nothing about the pace."""
+        if self.usual and not kept:
+            self.seen, self.took = self.seen + self.usual, self.took + self.clock() - self.began
+        self.stage, self.usual = "", 0.0
+
+    def seconds(self) -> float:
+        """How many it will still take."""
+        now = self.clock() - self.began if self.usual else 0.0
+        pace = (TRUST + self.took) / (TRUST + self.seen)
+        if now > pace * self.usual:  # it has taken longer than it should: so will the rest
+            pace = (TRUST + self.took + now) / (TRUST + self.seen + self.usual)
+        return max(pace * self.usual - now, 0.0) + pace * sum(self.waiting.values())
+
+
+class _Whole(ProgressColumn):
+    """The time that the job as a whole will still take."""
+
+    max_refresh = 0.5
+
+    def __init__(self, remaining: Remaining) -> None:
+        super().__init__()
+        self.remaining = remaining
+
+    def render(self, task: Task) -> Text:
+        left = self.remaining.seconds()
+        task.completed = (task.elapsed or 0.0) / max((task.elapsed or 0.0) + left, 1e-9)
+        return Text(f"about {timedelta(seconds=round(left))} left: {self.remaining.stage}", style="progress.remaining")
+
+
+@contextmanager
+def whole(what: str, usual: Mapping[str, float]) -> Iterator[Remaining]:
+    """One bar for a job of several stages, below which those of its stages come and go.
+
+    Args:
+        usual: stage -> seconds that it usually takes; see Remaining, which is yielded and must be told of each stage.
+    """
+    remaining = Remaining(usual)
+    if not visible():
+        yield remaining
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), _Whole(remaining))
+    with Progress(*columns, console=console, transient=True) as bar:
+        bar.add_task(what, total=1.0)
+        yield remaining
