@@ -47,17 +47,17 @@ def test_a_step_is_done_once_and_none_begins_when_the_time_is_over(tmp_path: Pat
 
 
 def test_the_table_says_what_was_regained(tmp_path: Path) -> None:
-    def result(rate: float) -> dict[str, object]:
-        return {"rate": rate, "interval": (rate - 0.05, rate + 0.05), "trials": 100}
+    def result(rate: float, speed: float) -> dict[str, object]:
+        return {"rate": rate, "interval": (rate - 0.05, rate + 0.05), "speed": speed, "trials": 100}
 
     found = {"verdict": "identified", "causes": ["command_delay: delay 0.05 s"]}
-    results = {"nominal": result(0.9), "delay/before": result(0.1), "delay/diagnosis": found,
-               "delay/patch": result(0.8), "delay/random": result(0.3), "motors/before": result(0.9),
-               "motors/patch": result(0.9)}  # fmt: skip
+    results = {"nominal": result(0.9, 0.5), "delay/before": result(0.1, 0.3), "delay/diagnosis": found,
+               "delay/patch": result(0.8, 0.4), "delay/random": result(0.3, 0.2), "motors/before": result(0.9, 0.5),
+               "motors/patch": result(0.9, 0.5)}  # fmt: skip
     said = EXAMPLE["table"](results)
     assert "identified: command_delay" in said
-    assert "88% of what was lost is regained" in said
-    assert "25% of what was lost is regained" in said
+    assert "regained: success 88%, speed 50%" in said
+    assert "regained: success 25%, speed -50%" in said
     assert "nothing was lost" in said
     assert "payload" not in said
     EXAMPLE["figure"](results, tmp_path / "loop.png")
