@@ -35,21 +35,26 @@ def rows(results: dict[str, Any]) -> list[dict[str, Any]]:
         if "nominal" not in results or None in parts.values():
             continue
         before, nominal, options = parts["before"], results["nominal"], results["options"]
-        lost = nominal["rate"] - before["rate"]
         row: dict[str, Any] = {"robot": name, "truth": before["what"], "iterations": options["iterations"]}
         row |= {"effects_considered": options["effects"] or "all"}
         row |= {"verdict": parts["diagnosis"]["verdict"], "causes": parts["diagnosis"]["causes"]}
         row |= {"nominal": _short(nominal), "before": _short(before)}
         for arm in ("patch", "random"):
             row[arm] = _short(parts[arm])
-            row[f"regained_{arm}"] = round((parts[arm]["rate"] - before["rate"]) / lost, 3) if lost > 0 else None
+            row[f"regained_{arm}"] = {what: _regained(nominal, before, parts[arm], what) for what in ("rate", "speed")}
         row["cpu_seconds"] = {k: v["cpu_seconds"] for k, v in results.items() if k.startswith(f"{name}/")}
         found.append(row)
     return found
 
 
+def _regained(nominal: dict[str, Any], before: dict[str, Any], after: dict[str, Any], what: str) -> float | None:
+    """Share of what was lost; None where nothing was."""
+    lost = nominal[what] - before[what]
+    return round((after[what] - before[what]) / lost, 3) if lost > 0 else None
+
+
 def _short(trials: dict[str, Any]) -> dict[str, Any]:
-    kept = {k: trials[k] for k in ("rate", "trials", "reasons", "seconds", "covered")}
+    kept = {k: trials[k] for k in ("rate", "speed", "trials", "reasons", "seconds", "covered")}
     return kept | {"interval": [round(v, 4) for v in trials["interval"]]}
 
 

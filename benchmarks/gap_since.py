@@ -5,6 +5,7 @@
 Draws robots of one or two joints (`benchmarks.gap_truth`) that have one cause at both times, and records them twice on
 other commands; in every second pair another cause has come up in between. Counts how often the change is named (alone,
 or among changes that fit as well), how often its interval holds the truth, and how often one is named that is none.
+Rows of another engine are measured again.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from benchmarks.store import Store
 from realsim.errors import RealsimError
 from realsim.gap import DiagnoseConfig, load_case
 from realsim.gap.drift.since import changed_since
+from realsim.gap.provenance import engine
 
 RESULTS = Path(__file__).parent / "results" / "gap_since.json"
 SHARED = ("viscous_friction", "stiffness_gain", "coulomb_friction", "motor_gain", None)
@@ -65,7 +67,7 @@ def one_pair(seed: int, index: int) -> dict[str, Any]:
     began = time.process_time()
     with tempfile.TemporaryDirectory() as work:
         robot, both, changed = record(seed, index, Path(work))
-        row = {"seed": seed, "pair": index, "robot": robot, "both": [_short(c) for c in both],
+        row = {"seed": seed, "pair": index, "engine": engine(), "robot": robot, "both": [_short(c) for c in both],
                "truth": [_short(c) for c in changed]}  # fmt: skip
         try:
             today, before = (load_case(Path(work) / name) for name in ("today", "before"))
@@ -123,7 +125,7 @@ def main() -> int:
     parser.add_argument("--store", type=Path, default=RESULTS)
     args = parser.parse_args()
     store, began = Store(args.store, ("seed", "pair")), time.monotonic()
-    done = {r["pair"] for r in store.rows if r["seed"] == args.seed}
+    done = {r["pair"] for r in store.rows if r["seed"] == args.seed and r.get("engine") == engine()}
     for index in range(args.pairs):
         wanted = ("pendulum", "arm2")[index // 2 % 2] in args.robots
         if index not in done and wanted and time.monotonic() - began < 60 * args.minutes:

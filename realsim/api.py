@@ -167,6 +167,7 @@ def diagnose(
     overwrite: bool = False,
     recordings: Sequence[StrPath] = (),
     since: StrPath | None = None,
+    scene: StrPath | None = None,
 ) -> Diagnosis:
     """Say where a robot's logs differ from its simulator, which unmodelled effect causes it, and how much it matters.
 
@@ -179,6 +180,8 @@ def diagnose(
         recordings: runs that were recorded after `next_experiment`: files, or the folder of an experiment. Of a case
             that is given as a folder.
         since: a case of an earlier log of the same robot; what changed is under `since` of `data`. Needs `out`.
+        scene: scene.xml that the depth frames of the log are compared with; the terrain of the case's model if None.
+            Depth frames are only looked at with `out`.
 
     Raises:
         GapError: the log cannot support a diagnosis, with the reason.
@@ -189,10 +192,14 @@ def diagnose(
         folder = case.folder if isinstance(case, gap.Case) else Path(case)
         new = [Path(r) for r in recordings]
         earlier = None if since is None else Path(since)
-        data = gap.run_case(folder, Path(out), config, progress, overwrite=overwrite, recordings=new, since=earlier)
+        terrain = None if scene is None else Path(scene)
+        data = gap.run_case(
+            folder, Path(out), config, progress, overwrite=overwrite, scene=terrain, recordings=new, since=earlier
+        )
         return Diagnosis.of(data, Path(out))
-    if since is not None:
-        raise GapError("since needs an output folder", expected="rs.diagnose(case, out, since=earlier)")
+    for name, given in (("since", since), ("scene", scene)):
+        if given is not None:
+            raise GapError(f"{name} needs an output folder", expected=f"rs.diagnose(case, out, {name}=...)")
     loaded = case if isinstance(case, gap.Case) else gap.load_case(Path(case), [Path(r) for r in recordings])
     return Diagnosis.of(gap.diagnose(loaded, config, progress).as_dict())
 
