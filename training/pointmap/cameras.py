@@ -60,7 +60,7 @@ def path(draw: Draw, scenes: int, views: int) -> tuple[Tensor, Tensor]:
         return look_at(where, target[:, None] + u * drift[:, None] + 2 * shaken[..., 3:6], roll)
 
     # What the hand does while the shutter is open: a few per cent of the way, and some of the shake.
-    later = at(s + draw.uniform(0, 0.12, b, 1) / views, shake + draw.log_uniform(0.0003, 0.012, b, 1, 1))
+    later = at(s + draw.uniform(0, 0.06, b, 1) / views, shake + draw.log_uniform(0.0002, 0.008, b, 1, 1))
     return at(s, shake), later
 
 

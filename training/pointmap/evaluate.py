@@ -138,7 +138,7 @@ def read(folder: Path) -> Truth:
     kept = tuple(f for f in getattr(frames, "frames", ()) if f.T_world_camera is not None)
     if not kept:
         raise CaptureError("the capture has no poses", file=folder, expected="poses of its frames")
-    mesh = o3d.io.read_triangle_mesh(str(folder / "gt" / "gt_mesh.ply"))
+    mesh = o3d.io.read_triangle_mesh(folder / "gt" / "gt_mesh.ply")
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(mesh))
     return Truth(folder.name, kept, np.stack([told @ f.T_world_camera for f in kept]), scene)

@@ -102,9 +102,10 @@ class PointmapNet(nn.Module):
                 nn.init.trunc_normal_(m.weight, std=0.02)
                 nn.init.zeros_(m.bias)
         nn.init.trunc_normal_(self.camera, std=0.02)
-        for head in (self.last[-1], self.pose[-1]):
-            nn.init.normal_(head.weight, std=1e-3)
-            nn.init.zeros_(head.bias)
+        for head in (self.last, self.pose):
+            weight, bias = list(head.parameters())[-2:]
+            nn.init.normal_(weight, std=1e-3)
+            nn.init.zeros_(bias)
 
     def forward(self, images: Tensor, depths: Tensor, K: Tensor) -> Prediction:
         """The prediction; its unit is that of `depths` where there are any.

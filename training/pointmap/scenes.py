@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -18,8 +19,12 @@ OBJECTS, FLOOR, WALL, CEILING = 5, 5, 6, 7
 """Materials of a scene: the first OBJECTS are shared by its primitives, then the room's."""
 WITHOUT_DEPTH = 0.5
 """Share of scenes whose depth input is empty."""
+MAX_REUSE = 64
+"""Looks at one rendered batch."""
 CPU_RAYS, GPU_RAYS = 4096, 2**20
 """Rays at once: what fits into a CPU's second cache, or into a few gigabytes with 54 primitives a ray."""
+Cast = Callable[[rays.Solids, Tensor, Tensor], tuple[Tensor, Tensor]]
+"""`rays.nearest`, or the same compiled."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +118,7 @@ class Generator:
     @torch.no_grad()
     def render(self, index: int, scenes: int, views: int, size: tuple[int, int]) -> Rendered:
         """What is slow: light and depth, before any camera has looked at them."""
-        draw = Draw.of(self.seed, 2 * index, self.device)
+        draw = Draw.of(self.seed, index, self.device)
         K = cameras.intrinsics(draw, scenes, size)
         T, later = cameras.path(draw, scenes, views)
         light, depth = self._render(draw, self._world(draw, T), K, T, later, size)
@@ -123,7 +128,7 @@ class Generator:
     @torch.no_grad()
     def observe(self, made: Rendered, index: int, again: int = 0) -> Batch:
         """Pictures and sensor depth of what was rendered; each `again` is another exposure, noise and sensor."""
-        draw = Draw.of(self.seed, (2 * index + 1) * 64 + again, self.device)
+        draw = Draw.of(self.seed + 1_000_000, MAX_REUSE * index + again, self.device)
         images = sensor.picture(draw, made.light)
         measured = sensor.depth(draw, made.depth, made.K[:, 0, 0, 0])
         blind = draw.chance(WITHOUT_DEPTH, len(images), 1) | draw.chance(0.08, *images.shape[:2])
@@ -197,9 +202,7 @@ class Generator:
 
     def _light(self, world: _World, o: Tensor, d: Tensor, pixel: Tensor) -> tuple[Tensor, Tensor]:
         """Light (B, N, 3) that arrives along rays, and depth (B, N), 0 for the sky."""
-        scene, first = world.solids, rays.nearest
-        if self.compiled:
-            first = _compiled()
+        scene, first = world.solids, _compiled() if self.compiled else rays.nearest
         t, which = first(scene, o, d)
         t_room, face = rays.walls(scene, o, d)
         room = t_room < t
@@ -224,11 +227,11 @@ class Generator:
         return torch.where(sky[..., None], 1.5 * glow, light), torch.where(sky, 0.0, t)
 
     @staticmethod
-    def _arriving(world: _World, first: object, p: Tensor, n: Tensor, d: Tensor, gloss: Tensor) -> Tensor:
+    def _arriving(world: _World, first: Cast, p: Tensor, n: Tensor, d: Tensor, gloss: Tensor) -> Tensor:
         """(B, N, 3) light on the surface: the lamp with its shadow and highlight, two spots, and from all around."""
         to_lamp = world.lamp[:, None] - p
         beam = rays.unit_length(to_lamp)
-        hit, _ = first(world.solids, p + 2e-3 * n, to_lamp)  # type: ignore[operator]
+        hit, _ = first(world.solids, p + 2e-3 * n, to_lamp)
         lit = rays.dot(n, beam).clamp(min=0) * (hit > 1)[..., None]
         half = rays.unit_length(beam - rays.unit_length(d))
         shine = gloss[..., None] * rays.dot(n, half).clamp(min=0) ** 30 * (hit > 1)[..., None] * 4
@@ -265,5 +268,5 @@ class _World:
 
 
 @cache
-def _compiled() -> object:
+def _compiled() -> Cast:
     return torch.compile(rays.nearest)

@@ -26,7 +26,7 @@ def picture(draw: Draw, light: Tensor) -> Tensor:
     x = x + (read**2 + shot**2 * x.clamp(min=0)).sqrt() * draw.normal(1, *x.shape)
     curve = draw.uniform(0.4, 0.55, b, 1, 1, 1, 1)
     x = x.clamp(0, 1) ** curve
-    x = jpeg(x.flatten(0, 1), draw.log_uniform(0.3, 4.0, b, 1).expand(b, v).flatten()).reshape(x.shape)
+    x = jpeg(x.flatten(0, 1), draw.log_uniform(0.05, 1.5, b, 1).expand(b, v).flatten()).reshape(x.shape)
     return (x.clamp(0, 1) * 255).round() / 255
 
 

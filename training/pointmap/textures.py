@@ -51,7 +51,7 @@ def materials(draw: Draw, scenes: int, count: int) -> Materials:
         pattern=draw.choice(_WEIGHTS, scenes, count),
         colors=torch.cat([first, second], 2).clamp(0.01, 0.95),
         size=draw.log_uniform(0.03, 0.8, scenes, count),
-        grain=draw.log_uniform(0.02, 0.5, scenes, count),
+        grain=draw.log_uniform(0.04, 0.8, scenes, count),
         bump=draw.log_uniform(0.005, 0.25, scenes, count),
         gloss=torch.where(draw.chance(0.3, scenes, count), draw.uniform(0.05, 0.5, scenes, count), 0.0),
     )

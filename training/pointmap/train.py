@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import torch
 import torch.distributed as dist
@@ -28,7 +29,7 @@ from training.pointmap import loss, state
 from training.pointmap.draw import Draw
 from training.pointmap.layouts import library
 from training.pointmap.network import PATCH, SHAPES, PointmapNet, count
-from training.pointmap.scenes import Batch, Generator
+from training.pointmap.scenes import MAX_REUSE, Batch, Generator
 
 TRAINING, WITHHELD = 1, 900
 """Seeds of what is trained on (plus the rank) and of what is evaluated on: no layout is in both."""
@@ -91,6 +92,8 @@ class Options:
         for name in ("samples", "reuse", "scenes", "log_every"):
             if getattr(self, name) < 1:
                 raise RealsimError(f"--{name.replace('_', '-')} must be 1 or more", found=str(getattr(self, name)))
+        if self.reuse > MAX_REUSE:
+            raise RealsimError("--reuse is too large", expected=f"at most {MAX_REUSE}", found=str(self.reuse))
         if self.shape not in SHAPES:
             raise RealsimError("no such network", expected=", ".join(SHAPES), found=self.shape)
         for name, known in (("keep", state.KEPT), ("compile", COMPILED)):
@@ -165,7 +168,7 @@ def train(o: Options, rank: Rank) -> state.State:
     now.net.to(rank.device)
     optimiser = torch.optim.AdamW(_groups(now.net, o.decay), lr=o.lr, betas=(0.9, 0.98))
     warm = now.step if o.resume and state.restore(now, optimiser) else now.step + o.warmup
-    run = torch.compile(now.net) if o.compile == "all" else now.net
+    run: Any = torch.compile(now.net) if o.compile == "all" else now.net
     made = Generator(
         library(o.scenes, TRAINING + o.seed * 1000 + rank.index * 17), TRAINING + o.seed, rank.device,
         samples=o.samples, compiled=o.compile != "none",
@@ -217,7 +220,7 @@ def _groups(net: PointmapNet, decay: float) -> list[dict]:
             {"params": flat, "weight_decay": 0.0}]  # fmt: skip
 
 
-def _step(run: torch.nn.Module, batch: Batch, draw: Draw) -> dict[str, Tensor]:
+def _step(run: Any, batch: Batch, draw: Draw) -> dict[str, Tensor]:
     """Gradients of one batch, and the terms of its loss, those of scenes with and without depth apart."""
     device = batch.depth.device
     K = torch.where(draw.chance(UNCALIBRATED, len(batch.K), 1, 1, 1), 0.0, batch.K)
