@@ -95,7 +95,7 @@ def test_values_are_fitted_anew_without_each_run(fitter: Fitter) -> None:
     assert len(set(left.values[:, 0])) == 3
     assert left.values[:, 0] == pytest.approx(fit.causes[0].values[0], rel=0.1)
     assert left.after.mean() < 2.0
-    gain, error = left.gained_over([100.0] * 3)
+    gain, error = left.gained_over(leave_out(fitter.screen, fitter, fitter.nominal()))
     assert gain > 3.0 > error
 
 
