@@ -13,6 +13,7 @@ from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
 from realsim.gap.answer.conclusion import _again, _beside_imitations, _lasting
 from realsim.gap.answer.leaveout import better, discrepancy, leave_out
 from realsim.gap.causes.fit import Cause, Fitter
+from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.screen import Screen
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.simulate import Simulator
@@ -172,3 +173,16 @@ def test_what_is_better_is_better_by_more_than_its_scatter(fitter: Fitter) -> No
     assert gain > 3 * error > 0
     assert better(screen.comparison, runs, nominal, nominal) == (0.0, 0.0)
     assert (discrepancy(screen.comparison, runs, half) <= discrepancy(screen.comparison, runs, nominal)).all()
+
+
+@pytest.mark.parametrize(("elsewhere", "linear"), [(0.5, True), (-9.0, False)])
+def test_what_stays_is_judged_with_one_set_of_deviations_for_all_runs(
+    fitter: Fitter, monkeypatch: pytest.MonkeyPatch, elsewhere: float, linear: bool
+) -> None:
+    """Deviations that explain the first run, and a half of the others or nothing of them."""
+    screen, fit = fitter.screen, fitter.nominal()
+    gap = [screen.comparison.residual(run, y) for run, y in zip(screen.runs, fit.predictions, strict=True)]
+    simulated = [np.nanmean(r**2 / screen.comparison.tolerance(run)) for run, r in zip(screen.runs, gap, strict=True)]
+    monkeypatch.setattr(screen, "fitted", lambda k, x: gap[k] * (1.0 if k == 0 else elsewhere))
+    expected = [0.0, *(s / 4 for s in simulated[1:])] if linear else simulated
+    assert leftover(screen, fit) == pytest.approx(expected)
