@@ -18,7 +18,7 @@ from realsim.gap.answer.leaveout import LeftOut, better, leave_out
 from realsim.gap.answer.verdict import Fitted, Judgement, judge
 from realsim.gap.causes.fitted import Z90, Cause
 from realsim.gap.causes.leftover import is_gap, leftover, nuisance_settings
-from realsim.gap.causes.starts import suggested
+from realsim.gap.causes.starts import contains, suggested
 from realsim.gap.compare import Comparison
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.evidence.onsets import find_onsets
@@ -167,18 +167,14 @@ def _as_good(screen: Any, fitter: Any, trials: Sequence[Any], fit: Any, left: Le
 
 
 def _again(screen: Any, rival: Any, fit: Any) -> bool:
-    """Whether a rival says nothing new: one of its causes does nothing, or it is the plain law under a richer name."""
+    """Whether a rival says nothing new: one of its causes does nothing, or contains one that is named."""
     runs, simulator, comparison = list(screen.runs), screen.simulator, screen.comparison
     nothing = [screen.comparison.residual(r, y) for r, y in zip(runs, screen.nominal, strict=True)]
     for cause in rival.causes:
         alone = errors(simulator, comparison, cause.settings(), runs)
         if alone is not None and _apart(comparison, runs, alone, nothing) < NOTHING:
             return True
-    ours = {c.candidate.effect for c in fit.causes}
-    if not any(lookup(c.candidate.effect).plain in ours for c in rival.causes):
-        return False
-    theirs, mine = (errors(simulator, comparison, f.settings(), runs) for f in (rival, fit))
-    return theirs is not None and mine is not None and _apart(comparison, runs, theirs, mine) < NOTHING
+    return any(contains(c.candidate, o.candidate) for c in rival.causes for o in fit.causes)
 
 
 def _apart(comparison: Comparison, runs: Sequence[int], a: Sequence[F64], b: Sequence[F64]) -> float:
