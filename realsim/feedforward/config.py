@@ -45,6 +45,8 @@ class PointsConfig:
     """Refine given poses against the depth."""
     correct_depth_bias: bool = True
     """With metric poses given, recover the depth sensor's scale bias from multi-view consistency and correct it."""
+    learned_matches: bool = True
+    """Where poses are estimated and features leave the frames in pieces, ask the learned matcher (XFeat)."""
     onnx: OnnxConfig = field(default_factory=OnnxConfig)
     seed: Annotated[int, tyro.conf.Suppress] = 0
     """Seed of everything random in this stage."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -113,7 +114,7 @@ def _estimated(frames: FrameSet, config: PointsConfig) -> Solution:
     if len(frames) == 1:
         return Solution((0,), np.eye(4)[None], world_is_capture=False, statistics={"poses": "one frame"})
     chosen, evidence, registration, noted = _registered(frames.frames, Evidence.of(frames.frames, config.seed))
-    result = estimate(evidence.views, config.seed)
+    result = estimate(evidence.views, config.seed, config.learned_matches)
     found: dict[str, Any] = {"T_world_camera": result.T_world_camera, "statistics": {}, "warnings": ()}
     if result.statistics.get("by_shape"):  # without features nothing has looked at all views at once yet
         used = [chosen[i] for i in result.used]
@@ -167,4 +168,10 @@ def _told(noted: Mapping[str, Any]) -> tuple[str, ...]:
     )
 
 
-BACKEND = Backend(solve, pointmaps)
+def _inputs(config: PointsConfig) -> tuple[Path, ...]:
+    from realsim.feedforward import matcher
+
+    return matcher.FILES if config.learned_matches else ()
+
+
+BACKEND = Backend(solve, pointmaps, _inputs)

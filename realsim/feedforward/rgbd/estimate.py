@@ -12,6 +12,7 @@ from realsim.feedforward.rgbd.bundle import Adjusted, Observations, adjust
 from realsim.feedforward.rgbd.follow import SIGMA_INVERSE, SIGMA_PX, Landmarks, follow
 from realsim.feedforward.rgbd.graph import Edge, components, optimise
 from realsim.feedforward.rgbd.keyframes import by_matching
+from realsim.feedforward.rgbd.learned import join_pieces
 from realsim.feedforward.rgbd.loops import Joined, join
 from realsim.feedforward.rgbd.overlap import FINE, overlap
 from realsim.feedforward.rgbd.pairs import (
@@ -56,14 +57,17 @@ class Estimate:
     warnings: tuple[str, ...] = ()
 
 
-def estimate(views: Sequence[View], seed: int) -> Estimate:
+def estimate(views: Sequence[View], seed: int, learned: bool = True) -> Estimate:
     """Poses of the largest set of views that can be connected.
+
+    Args:
+        learned: ask the learned matcher where features leave the views in pieces.
 
     Raises:
         PoseError: fewer than two views hang together.
     """
     keys, followers = by_matching(views, seed)
-    found, landmarks = _estimate_together([views[k] for k in keys], seed)
+    found, landmarks = _estimate_together([views[k] for k in keys], seed, learned)
     T = {keys[i]: pose for i, pose in zip(found.used, found.T_world_camera, strict=True)}
     lost = {keys[i]: why for i, why in found.lost.items()}
     lost |= {k: lost[key] for k, (key, _) in followers.items() if key in lost}
@@ -79,22 +83,25 @@ def estimate(views: Sequence[View], seed: int) -> Estimate:
     return Estimate(tuple(used), invert_T(poses[0]) @ poses, lost, statistics, found.warnings)
 
 
-def _estimate_together(views: Sequence[View], seed: int) -> tuple[Estimate, Landmarks | None]:
+def _estimate_together(views: Sequence[View], seed: int, learned: bool) -> tuple[Estimate, Landmarks | None]:
     """All views in one adjustment, in the first one's camera; what it stands on, if these are features."""
-    net = connect(views, seed)
+    net = connect(views, seed, learned)
+    views = net.views
     joined = join(views, net.edges)
     used, T, edges = joined.used, joined.T, joined.edges
     lost = _lost(views, net, joined)
     chosen = [views[i] for i in used]
     statistics: dict[str, Any] = {"pairs": len(edges), "refused_links": len(joined.refused)}
     statistics["parts"] = [len(p) for p in joined.parts if len(p) > 1]
+    if net.learned:
+        statistics["learned_pairs"] = len(net.learned)
     local = {int(v): k for k, v in enumerate(used)}
     first = [Match(local[m.i], local[m.j], m.a, m.b, m.T_i_j) for m in net.matches if _fits(m, T, local)]
     landmarks = None
     if net.matches:
         if first:
             T = bundle(chosen, T, build_tracks(chosen, first)).T_world_camera
-        landmarks, more = bundle_again(chosen, T)
+        landmarks, more = bundle_again(chosen, T, [m for m in first if (int(used[m.i]), int(used[m.j])) in net.learned])
         if landmarks is not None:
             T = landmarks.T_world_camera
         statistics |= more
@@ -102,7 +109,7 @@ def _estimate_together(views: Sequence[View], seed: int) -> tuple[Estimate, Land
         here = [Edge(local[e.i], local[e.j], e.T_i_j, e.weight, e.root) for e in edges]
         T, closed = close_loops(chosen, T, here)
         statistics |= {"pairs": len(closed), "by_shape": True}
-    return Estimate(tuple(int(i) for i in used), T, lost, statistics, _said(views, joined)), landmarks
+    return Estimate(tuple(int(i) for i in used), T, lost, statistics, tuple(net.said) + _said(views, joined)), landmarks
 
 
 @dataclass(frozen=True)
@@ -115,11 +122,17 @@ class Net:
     """Features behind the edges that have any."""
     doubts: dict[tuple[int, int], str]
     """Pairs whose features match but whose depth says otherwise."""
+    views: list[View]
+    """The views, some with more features than before."""
+    learned: set[tuple[int, int]]
+    """Pairs that the learned matcher matched."""
+    said: list[str]
+    """Of the learned matcher, for people."""
 
 
-def connect(views: Sequence[View], seed: int) -> Net:
-    """Every believable pair, by features first; by shape where features leave the sequence in pieces."""
-    net = Net([], [], {})
+def connect(views: Sequence[View], seed: int, learned: bool = True) -> Net:
+    """Every believable pair, by features; by learned ones and by shape where these leave the sequence in pieces."""
+    net = Net([], [], {}, list(views), set(), [])
     for i, j in track(candidates(views, seed), "pairs"):
         found = by_features(views, i, j, seed)
         if found is None:
@@ -133,8 +146,20 @@ def connect(views: Sequence[View], seed: int) -> Net:
                 f"{len(matched.a)} features match {{}}, but at that motion {1 - fit.agreement:.0%} of the depth is "
                 "impossible: something was moved between the frames?"
             )
+    if learned:
+        _connect_by_learning(net, seed)
     _connect_by_shape(views, net, seed)
     return net
+
+
+def _connect_by_learning(net: Net, seed: int) -> None:
+    """Add pairs of the learned matcher, and the features that it found to the views."""
+    found = join_pieces(net.views, net.edges, seed)
+    net.views[:] = found.views
+    net.matches.extend(found.matches)
+    net.edges.extend(map(as_edge, found.matches))
+    net.learned.update((m.i, m.j) for m in found.matches)
+    net.said.extend(found.said())
 
 
 def _connect_by_shape(views: Sequence[View], net: Net, seed: int) -> None:
@@ -213,9 +238,14 @@ def bundle(views: Sequence[View], T: F64, tracks: Tracks) -> Adjusted:
     return adjust(first.T_world_camera, first.points, Observations(seen.camera, seen.point, seen.measured, sigma))
 
 
-def bundle_again(views: Sequence[View], T: F64) -> tuple[Landmarks | None, dict[str, Any]]:
-    """Match all overlapping pairs anew under guidance of the poses, which closes loops, and adjust."""
+def bundle_again(views: Sequence[View], T: F64, kept: Sequence[Match] = ()) -> tuple[Landmarks | None, dict[str, Any]]:
+    """Match all overlapping pairs anew under guidance of the poses, which closes loops, and adjust.
+
+    Args:
+        kept: matches of features that have no descriptor; they stay as they are.
+    """
     matches = [m for i, j in neighbours(views, T) if (m := guided(views, i, j, invert_T(T[i]) @ T[j])) is not None]
+    matches += kept
     if not matches:
         return None, {}
     tracks = build_tracks(views, matches)

@@ -73,7 +73,7 @@ def by_features(views: Sequence[View], i: int, j: int, seed: int) -> tuple[Match
     fit = overlap(views[i], views[j], found.T_i_j)
     if not believable(fit):
         # Few matches close together leave the far end of the picture loose; surfaces can hold it, if it is true.
-        found = _tightened(views, found) or found
+        found = tightened(views, found) or found
         fit = overlap(views[i], views[j], found.T_i_j)
     return found, fit
 
@@ -90,7 +90,7 @@ def as_edge(found: Match) -> Edge:
     return Edge(found.i, found.j, found.T_i_j, float(len(found.a)), whitening(0.02 * spread, 0.01 * spread))
 
 
-def _tightened(views: Sequence[View], found: Match) -> Match | None:
+def tightened(views: Sequence[View], found: Match) -> Match | None:
     """The same matches with the motion that they and the surfaces agree on; None if most matches must give way."""
     A, B = views[found.i], views[found.j]
     P, Q = A.points[found.a], B.points[found.b]

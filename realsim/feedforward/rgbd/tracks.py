@@ -46,6 +46,27 @@ class View:
     descriptors: F32
     """(K, 128) of unit length."""
     has_color: bool
+    frame: Frame | None = None
+    """Where it is from, if its picture may be looked at again."""
+    noise: F64 | None = None
+    """(K,) localisation noise of each feature over that of SIFT; None: 1."""
+
+    def extended(self, xy: F64, z: F64, noise: float) -> View:
+        """With further features after its own, that have no descriptor: nothing is matched to them.
+
+        Args:
+            xy: (M, 2) on the plane z = 1.
+            z: (M,) sensor depth, metres.
+            noise: their localisation noise over that of SIFT.
+        """
+        own = np.ones(len(self.z)) if self.noise is None else self.noise
+        return replace(
+            self,
+            xy=np.concatenate([self.xy, xy]),
+            z=np.concatenate([self.z, z]),
+            descriptors=np.concatenate([self.descriptors, np.zeros((len(z), 128), np.float32)]),
+            noise=np.concatenate([own, np.full(len(z), noise)]),
+        )
 
     @property
     def points(self) -> F64:
@@ -77,20 +98,35 @@ def prepare(frames: Sequence[Frame]) -> list[View]:
 
 
 def _view(frame: Frame) -> View:
-    depth = np.where((d := frame.depth()) > NEAR, d, 0).astype(np.float32)
-    depth[~(depth < FAR)] = 0
-    inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
+    inverse = _inverse(frame)
     camera, small, normal = _surface(inverse, frame.intrinsics)
     color = frame.color()
     xy, z, descriptors = np.zeros((0, 2)), np.zeros(0), np.zeros((0, 128), np.float32)
     if color is not None:
         uv, descriptors = _features(color)
-        c = frame.color_intrinsics or frame.intrinsics
-        xy, z = _in_depth_camera((uv - (c.cx, c.cy)) / (c.fx, c.fy), inverse, frame)
+        xy, z = _located(frame, inverse, uv)
         keep = z > 0
         xy, z, descriptors = xy[keep], z[keep], descriptors[keep]
     f = 0.5 * (frame.intrinsics.fx + frame.intrinsics.fy)
-    return View(frame.name, camera, f, small, normal, xy, z, descriptors, color is not None)
+    return View(frame.name, camera, f, small, normal, xy, z, descriptors, color is not None, frame)
+
+
+def _inverse(frame: Frame) -> F32:
+    """(H, W) inverse depth, 0 where there is none to be trusted."""
+    depth = np.where((d := frame.depth()) > NEAR, d, 0).astype(np.float32)
+    depth[~(depth < FAR)] = 0
+    return np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
+
+
+def points_of(frame: Frame, uv: F64) -> tuple[F64, F64]:
+    """Positions (K, 2) on the plane z = 1 and sensor depths (K,) of pixels (K, 2) of the colour image; depth 0 where
+    there is no smooth surface."""
+    return _located(frame, _inverse(frame), uv)
+
+
+def _located(frame: Frame, inverse: F32, uv: F64) -> tuple[F64, F64]:
+    c = frame.color_intrinsics or frame.intrinsics
+    return _in_depth_camera((uv - (c.cx, c.cy)) / (c.fx, c.fy), inverse, frame)
 
 
 def _in_depth_camera(rays: F64, inverse: F32, frame: Frame) -> tuple[F64, F64]:
@@ -255,7 +291,7 @@ class Tracks:
     z: F64
     """(M,) sensor depth, metres."""
     focal: F64
-    """(M,) pixels."""
+    """(M,) pixels, over the feature's noise."""
     count: int
     feature: NDArray[np.int64]
     """(M,) which feature of its view."""
@@ -293,6 +329,9 @@ def build_tracks(views: Sequence[View], matches: Sequence[Match]) -> Tracks:
     xy = np.concatenate([v.xy for v in views])[feature] if total else np.zeros((0, 2))
     z = np.concatenate([v.z for v in views])[feature] if total else np.zeros(0)
     focal = np.array([v.focal for v in views])[owner]
+    if any(v.noise is not None for v in views):
+        every = np.concatenate([np.ones(len(v.z)) if v.noise is None else v.noise for v in views])
+        focal = focal / every[feature]
     count = int(point[-1]) + 1 if len(point) else 0
     return Tracks(owner, point, xy, z, focal, count, feature - start[owner])
 
@@ -323,7 +362,7 @@ class Evidence:
     def without_color(self) -> Evidence:
         """The same views without their features: surfaces alone."""
         xy, z, none = np.zeros((0, 2)), np.zeros(0), np.zeros((0, 128), np.float32)
-        return Evidence([replace(v, xy=xy, z=z, descriptors=none) for v in self.views], self.seed)
+        return Evidence([replace(v, xy=xy, z=z, descriptors=none, noise=None) for v in self.views], self.seed)
 
     def subset(self, keep: Sequence[int]) -> Evidence:
         """The same for some of the views, renumbered; their matches are kept."""

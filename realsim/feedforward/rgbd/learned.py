@@ -1,0 +1,145 @@
+"""Pairs of frames that classical features cannot join are shown to a learned matcher (`realsim.feedforward.matcher`).
+
+It is asked only where features leave the frames in pieces, and only about frames of different pieces: near ones first,
+farther ones where the pieces still stand apart. What it proposes is judged as everything else is: one rigid motion must
+explain the matched points, and the two depth images must agree at that motion. A capture that features hold together
+is not touched.
+
+Its keypoints become features of the views, without a classical descriptor: nothing is matched to them later. They are
+localised to a pixel and a half instead of a third of one, and count accordingly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.feedforward import matcher
+from realsim.feedforward.rgbd.graph import Edge, components
+from realsim.feedforward.rgbd.overlap import overlap
+from realsim.feedforward.rgbd.pairs import ALL_PAIRS, WINDOW, as_edge, believable, tightened
+from realsim.feedforward.rgbd.tracks import Match, View, points_of, rigid_ransac
+from realsim.progress import track
+
+MOST = 1024
+"""Keypoints with depth that take part; the cost of a pair grows with their square."""
+NEAR = 2
+"""Frames this many steps apart are asked even if the pieces are joined by now: one link cannot be checked."""
+NOISE = 4.0
+"""Localisation noise of its keypoints over that of SIFT. Set on the rendered stake_a: reprojection errors by the true
+poses have a median of 1.6 pixels against 0.5 (neighbours), 1.9 against 0.9 (three frames apart)."""
+TRIALS = 1000
+"""Samples of three matches: of the proposed ones a third may be right."""
+LEAST = 24
+"""Matches that one motion must explain; twice as many as of SIFT, because four times as many are proposed."""
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What the learned matcher added."""
+
+    views: list[View]
+    """All views; those in `matches` have more features than before, the old ones first."""
+    matches: list[Match]
+    asked: int = 0
+    """Pairs."""
+    unavailable: str | None = None
+    """Why it could not be asked although it would have been."""
+
+    def said(self) -> list[str]:
+        """For people; nothing where it changed nothing."""
+        if self.unavailable is not None:
+            return [f"frames that features do not connect were not shown to the learned matcher: {self.unavailable}"]
+        if not self.matches:
+            return []
+        names = [self.views[k].name for k in sorted({k for m in self.matches for k in (m.i, m.j)})]
+        few = ", ".join(names[:4]) + (" ..." if len(names) > 4 else "")
+        return [
+            f"features found too little in some pairs of frames; a learned matcher joined {len(self.matches)} of the "
+            f"{self.asked} that it was asked about ({few}), and the depth agrees"
+        ]
+
+
+def join_pieces(views: Sequence[View], edges: Sequence[Edge], seed: int) -> Learned:
+    """Ask about near pairs of frames that `edges` leave in different pieces."""
+    n = len(views)
+    piece = _pieces(n, edges)
+    reach = n if n <= ALL_PAIRS else WINDOW + 1
+    seeing = [k for k in range(n) if views[k].has_color and views[k].frame is not None]
+    pairs = [(i, j) for i in seeing for j in seeing if i < j < i + reach and piece[i] != piece[j]]
+    if not pairs:
+        return Learned(list(views), [])
+    why = matcher.missing()
+    if why is not None:
+        return Learned(list(views), [], unavailable=why)
+    shown = list(views)
+    matches: list[Match] = []
+    keypoints: dict[int, matcher.Keypoints] = {}
+    asked = 0
+    for i, j in track(sorted(pairs, key=lambda p: (p[1] - p[0], p)), "hard matches"):
+        if j - i > NEAR:
+            now = _pieces(n, [*edges, *map(as_edge, matches)])
+            if now[i] == now[j]:
+                continue
+        for k in {i, j} - keypoints.keys():
+            shown[k], keypoints[k] = _look(views[k])
+        asked += 1
+        found = _match(shown, keypoints, i, j, seed)
+        if found is not None:
+            matches.append(found)
+    return Learned(*_trimmed(views, shown, matches), asked)
+
+
+def _pieces(n: int, edges: Sequence[Edge]) -> NDArray[np.int64]:
+    """(N,) the piece that each view belongs to."""
+    label = np.zeros(n, np.int64)
+    for k, part in enumerate(components(n, edges)):
+        label[part] = k
+    return label
+
+
+def _look(view: View) -> tuple[View, matcher.Keypoints]:
+    """The view with the keypoints that have depth after its own features, and these keypoints."""
+    assert view.frame is not None
+    color = view.frame.color()
+    assert color is not None
+    found = matcher.extract(color)
+    xy, z = points_of(view.frame, found.uv)
+    keep = np.flatnonzero(z > 0)[:MOST]
+    return view.extended(xy[keep], z[keep], NOISE), found.subset(keep)
+
+
+def _match(
+    shown: Sequence[View], keypoints: Mapping[int, matcher.Keypoints], i: int, j: int, seed: int
+) -> Match | None:
+    """What the matcher says of a pair, if one motion explains enough of it and the depth images agree."""
+    a, b = keypoints[i], keypoints[j]
+    proposed = matcher.match(a, b)
+    if len(proposed) < LEAST:
+        return None
+    proposed += np.array([len(shown[i].z) - len(a.uv), len(shown[j].z) - len(b.uv)])  # they are a view's last features
+    P, Q = shown[i].points[proposed[:, 0]], shown[j].points[proposed[:, 1]]
+    motion = rigid_ransac(P, Q, np.random.default_rng((seed, i, j)), TRIALS)
+    if motion is None:
+        return None
+    T, inlier = motion
+    first, second = proposed[inlier].T
+    # Its points are rough and often close together: surfaces hold the far end of the picture.
+    match = tightened(shown, Match(i, j, first, second, T))
+    good = match is not None and len(match.a) >= LEAST and believable(overlap(shown[i], shown[j], match.T_i_j))
+    return match if good else None
+
+
+def _trimmed(views: Sequence[View], shown: Sequence[View], matches: Sequence[Match]) -> tuple[list[View], list[Match]]:
+    """Views with those keypoints only that take part in a match, and the matches renumbered."""
+    out, number = list(views), {}
+    for k in {k for m in matches for k in (m.i, m.j)}:
+        own = len(views[k].z)
+        used = np.unique(np.concatenate([m.a if m.i == k else m.b for m in matches if k in (m.i, m.j)]))
+        number[k] = np.full(len(shown[k].z), -1)
+        number[k][used] = own + np.arange(len(used))
+        out[k] = views[k].extended(shown[k].xy[used], shown[k].z[used], NOISE)
+    return out, [replace(m, a=number[m.i][m.a], b=number[m.j][m.b]) for m in matches]
