@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -54,6 +54,8 @@ class Estimate:
     """Index -> why it is not used."""
     statistics: dict[str, Any]
     warnings: tuple[str, ...] = ()
+    links: tuple[Edge, ...] = ()
+    """Pairs that were believed, indices of the views that were given."""
 
 
 def estimate(views: Sequence[View], seed: int) -> Estimate:
@@ -76,7 +78,8 @@ def estimate(views: Sequence[View], seed: int) -> Estimate:
     used = sorted(T)
     poses = np.stack([T[k] for k in used])
     statistics = found.statistics | ({"keyframes": len(keys)} if followers else {})
-    return Estimate(tuple(used), invert_T(poses[0]) @ poses, lost, statistics, found.warnings)
+    links = tuple(replace(e, i=keys[e.i], j=keys[e.j]) for e in found.links)
+    return Estimate(tuple(used), invert_T(poses[0]) @ poses, lost, statistics, found.warnings, links)
 
 
 def _estimate_together(views: Sequence[View], seed: int) -> tuple[Estimate, Landmarks | None]:
@@ -102,7 +105,8 @@ def _estimate_together(views: Sequence[View], seed: int) -> tuple[Estimate, Land
         here = [Edge(local[e.i], local[e.j], e.T_i_j, e.weight, e.root) for e in edges]
         T, closed = close_loops(chosen, T, here)
         statistics |= {"pairs": len(closed), "by_shape": True}
-    return Estimate(tuple(int(i) for i in used), T, lost, statistics, _said(views, joined)), landmarks
+    said = _said(views, joined)
+    return Estimate(tuple(int(i) for i in used), T, lost, statistics, said, tuple(joined.edges)), landmarks
 
 
 @dataclass(frozen=True)
