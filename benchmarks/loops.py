@@ -57,12 +57,13 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """The fifty. A step is 0.4 m of way, on stairs and along stakes 0.3 m."""
-    once = {"corridor": (42, 7), "ring": (40, 6), "stairwell": (40, 6), "stake_row": (24, 6)}
-    for terrain, (frames, count) in once.items():
+    """The fifty. A step is 0.4 m of way, along stakes and on stairs that are climbed twice 0.3 m."""
+    # A gap of exactly one flight or bay would look as if nothing were missing: no frame could tell.
+    once = {"corridor": (42, 8, 7), "ring": (40, 8, 6), "stairwell": (40, 5, 6), "stake_row": (24, 6, 6)}
+    for terrain, (frames, gap, count) in once.items():
         for seed in range(count):
-            yield Case(terrain, False, seed, frames, gap=(8 if terrain != "stake_row" else 6) * (seed % 2))
-    back = {"corridor": (60, 5), "ring": (64, 5), "stairwell": (56, 5), "stake_row": (48, 5), "mixed": (48, 5)}
+            yield Case(terrain, False, seed, frames, gap=gap * (seed % 2))
+    back = {"corridor": (60, 5), "ring": (64, 5), "stairwell": (84, 5), "stake_row": (48, 5), "mixed": (48, 5)}
     for terrain, (frames, count) in back.items():
         for seed in range(100, 100 + count):
             yield Case(terrain, True, seed, frames, shuffled=terrain == "mixed" and seed >= 103)
@@ -171,8 +172,8 @@ def revisits(views: Sequence[Any], truth: np.ndarray, order: np.ndarray) -> list
     from realsim.geometry import invert_T
 
     pairs = [(i, j) for j in range(len(views)) for i in range(j) if apart(i, j, truth, order)]
-    near = [(i, j) for i, j in pairs if np.linalg.norm(truth[i, :3, 3] - truth[j, :3, 3]) < 2.0]
-    return [p for p in near if overlap(views[p[0]], views[p[1]], invert_T(truth[p[0]]) @ truth[p[1]], 4).fraction > 0.3]
+    near = [(i, j) for i, j in pairs if np.linalg.norm(truth[i, :3, 3] - truth[j, :3, 3]) < 3.0]
+    return [p for p in near if overlap(views[p[0]], views[p[1]], invert_T(truth[p[0]]) @ truth[p[1]], 4).fraction > 0.2]
 
 
 def apart(i: int, j: int, truth: np.ndarray, order: np.ndarray) -> bool:

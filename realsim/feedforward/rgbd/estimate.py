@@ -12,10 +12,12 @@ from realsim.feedforward.rgbd.bundle import Adjusted, Observations, adjust
 from realsim.feedforward.rgbd.follow import SIGMA_INVERSE, SIGMA_PX, Landmarks, follow
 from realsim.feedforward.rgbd.graph import Edge, components, optimise
 from realsim.feedforward.rgbd.keyframes import by_matching
-from realsim.feedforward.rgbd.loops import Joined, join
+from realsim.feedforward.rgbd.loops import Joined, in_order, join
 from realsim.feedforward.rgbd.overlap import FINE, overlap
 from realsim.feedforward.rgbd.pairs import (
     MIN_AGREEMENT,
+    WINDOW,
+    ambiguous,
     as_edge,
     believable,
     by_features,
@@ -142,17 +144,21 @@ def connect(views: Sequence[View], seed: int) -> Net:
 
 
 def _connect_by_shape(views: Sequence[View], net: Net, seed: int) -> None:
-    """Add edges by shape between neighbours in the sequence that lie in different parts."""
-    label = np.zeros(len(views), int)
-    for k, part in enumerate(components(len(views), net.edges)):
-        label[part] = k
+    """Add edges by shape between neighbours in the sequence that lie in different parts.
+
+    Of a sequence in order the parts are those that neighbours hold: what only looks alike connects nothing.
+    """
     n = len(views)
+    near = [e for e in net.edges if e.j - e.i <= WINDOW] if in_order(n, net.edges) else net.edges
+    label = np.zeros(n, int)
+    for k, part in enumerate(components(n, near)):
+        label[part] = k
     loose = [(i, j) for i in range(n) for j in range(i + 1, min(i + 1 + SHAPE_WINDOW, n)) if label[i] != label[j]]
     features = {k: shape_features(views[k]) for k in sorted({k for pair in loose for k in pair})}
     for i, j in track(loose, "shapes"):
         starts = shape_starts(features[i], features[j], np.random.default_rng((seed, i, j)))
         edge = by_shape(views, i, j, starts)
-        if edge is not None:
+        if edge is not None and not ambiguous(views, edge):
             net.edges.append(edge)
 
 
