@@ -27,9 +27,10 @@ LOOSE = 0.02
 
 RIVAL_M = 0.3
 """Metres by which a registration by shape is shifted to see whether it falls into another place: a tread's depth."""
-RIVAL = 0.7
-"""Share of its weight from which another place that fits counts. On rendered stairwells registration stops one or two
-treads off with 0.7 to 1.5 times the weight of the truth."""
+RIVAL, RIVAL_AGREEMENT = 0.7, 0.03
+"""Share of a registration's weight from which another place counts that fits too, and how much less depth may agree
+there. On rendered stairwells registration stops one or two treads off with 0.7 to 1.5 times the weight of the truth
+and no contradiction; a room with three boxes contradicts a shift by 0.07."""
 
 Pair = tuple[int, int]
 
@@ -173,12 +174,13 @@ def ambiguous(views: Sequence[View], edge: Edge) -> bool:
     Registration starts anew from six shifted positions; one that ends elsewhere and fits is a rival.
     """
     A, B = views[edge.i], views[edge.j]
+    least = overlap(A, B, edge.T_i_j).agreement - RIVAL_AGREEMENT
     for shift in RIVAL_M * np.vstack([np.eye(3), -np.eye(3)]):
         T, _, rms = register(A, B, make_T(None, shift) @ edge.T_i_j, (COARSE[0], COARSE[-2]))
         if not np.isfinite(rms) or np.linalg.norm(T[:3, 3] - edge.T_i_j[:3, 3]) < RIVAL_M / 3:
             continue
         fit = overlap(A, B, T)
-        if fit.agreement > MIN_AGREEMENT and 1e3 * fit.fraction * fit.agreement > RIVAL * edge.weight:
+        if fit.agreement > least and 1e3 * fit.fraction * fit.agreement > RIVAL * edge.weight:
             return True
     return False
 
