@@ -45,7 +45,7 @@ def write_capture(
         RealsimError: unknown terrain, or the folder exists and `overwrite` is not set.
     """
     config = config or SynthConfig()
-    terrain = terrain or make_terrain(config.terrain, config.seed)
+    terrain = terrain or make_terrain(config.terrain, config.seed, config.once)
     rng = np.random.default_rng([config.seed, 4])
     drawn = float(rng.uniform(0.99, 1.01))
     T_world_sim = _random_world(rng)
@@ -74,9 +74,13 @@ def write_capture(
 
 
 def _poses(terrain: Terrain, config: SynthConfig, rng: np.random.Generator) -> F64:
+    count = config.frames + config.gap
     if terrain.eyes is None or terrain.aims is None:
-        return walk(terrain.bounds, config.frames, rng, both_sides=config.both_sides)
-    return follow_route(terrain.eyes, terrain.aims, config.frames, rng)
+        poses = walk(terrain.bounds, count, rng, both_sides=config.both_sides)
+    else:
+        poses = follow_route(terrain.eyes, terrain.aims, count, rng)
+    middle = config.frames // 2
+    return np.delete(poses, np.s_[middle : middle + config.gap], axis=0)
 
 
 def _write_frame(

@@ -18,6 +18,10 @@ class SynthConfig:
     """Write the true poses into the capture (trajectory.log)."""
     both_sides: bool = False
     """Walk along both sides of the terrain instead of one."""
+    once: bool = False
+    """Go through a place that repeats without coming back to where the camera was: there is no loop to close."""
+    gap: int = 0
+    """Frames that are missing in the middle, as where a person looked away while walking on."""
     sensor: Literal["d435i", "kinect"] = "d435i"
     """`d435i`: depth aligned to colour, written as an Open3D dataset. `kinect`: written in the layout of 7-Scenes, with
     colour that is not registered to depth: focal length, centre and position differ, undocumented as there."""
@@ -38,6 +42,8 @@ class SynthConfig:
             raise ValueError("frames must lie between 1 and 100000")
         if not (80 <= self.width <= 1920 and self.width % 4 == 0):
             raise ValueError("width must be a multiple of 4 from 80 to 1920")
+        if not 0 <= self.gap <= 100_000:
+            raise ValueError("gap must lie between 0 and 100000")
         if not 0 <= self.pose_error <= 1:
             raise ValueError("pose_error must lie between 0 and 1 m")
         if self.depth_scale is not None and not 0.5 <= self.depth_scale <= 2:

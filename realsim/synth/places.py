@@ -1,7 +1,8 @@
 """Places that repeat: where one metre looks like another, a reconstruction must not take one for the other.
 
 Every bay of a corridor, every flight of a stairwell and every stake of a row is the same solid with the same texture;
-only the way that the camera came tells them apart. Each function takes a generator and returns a `Place`.
+only the way that the camera came tells them apart. Each function takes a generator, and whether the camera goes
+through `once` (so that nothing it sees late is what it saw early), and returns a `Place`.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ def _bay(pitch: float, width: float, height: float) -> list[Solid]:
     return out
 
 
-def corridor(rng: np.random.Generator) -> Place:
+def corridor(rng: np.random.Generator, once: bool = False) -> Place:
     """A straight corridor of equal bays. The camera goes in, walks a third of the way back, and on to the end."""
     pitch, width, bays = rng.uniform(2.0, 2.6), rng.uniform(1.7, 2.2), 9
     bay = _bay(pitch, width, 2.5)
@@ -68,7 +69,7 @@ def corridor(rng: np.random.Generator) -> Place:
     last = (bays - 0.5) * pitch
     solids += [end.moved(np.eye(3), (x, 0, 0)) for x in (-pitch / 2 - 0.05, last + 0.05)]
     solids += _ends((-pitch / 2 + 0.3, 0, 0), (last - 0.3, 0, 0))
-    way = np.array([0.0, 0.5, 0.28, 1.0]) * (last - 2.2)
+    way = np.array([0.0, 1.0] if once else [0.0, 0.5, 0.28, 1.0]) * (last - 2.2)
     x = _through(way, 0.8)
     side = rng.choice([-1.0, 1.0])
     eyes = np.column_stack([x, np.full(len(x), -0.2 * side), np.full(len(x), EYE)])
@@ -77,8 +78,9 @@ def corridor(rng: np.random.Generator) -> Place:
     return Place(tuple(solids), eyes, aims, lamps)
 
 
-def ring(rng: np.random.Generator) -> Place:
-    """A corridor around a square block, all four sides alike. The camera goes around and a few metres further."""
+def ring(rng: np.random.Generator, once: bool = False) -> Place:
+    """A corridor around a square block, all four sides alike. The camera goes around and a few metres further;
+    `once`, along three of the sides."""
     pitch, width, bays = rng.uniform(2.0, 2.4), rng.uniform(1.7, 2.0), 3
     inner = bays * pitch / 2
     middle = inner + width / 2
@@ -98,7 +100,7 @@ def ring(rng: np.random.Generator) -> Place:
     solids += _ends((-inner, -middle, 0), (inner, middle, 0))
     corners = middle * np.array([[-0.6, -1], [1, -1], [1, 1], [-1, 1], [-1, -1], [0.7, -1]])
     eyes, aims = [], []
-    for a, b in pairwise(corners):
+    for a, b in pairwise(corners[:4] if once else corners):
         length = float(np.linalg.norm(b - a))
         along = (b - a) / length
         for s in np.arange(0.9, length - 0.2, 0.7):
@@ -111,7 +113,7 @@ def ring(rng: np.random.Generator) -> Place:
     return Place(tuple(solids), np.array(eyes), np.array(aims), np.array(lamps))
 
 
-def stairwell(rng: np.random.Generator) -> Place:
+def stairwell(rng: np.random.Generator, once: bool = False) -> Place:
     """Equal flights that turn around a square well. The camera climbs, comes back down a flight, and climbs on."""
     steps, rise, tread, width = 8, rng.uniform(0.155, 0.175), rng.uniform(0.27, 0.3), rng.uniform(1.1, 1.3)
     run, flights = steps * tread, 7
@@ -138,12 +140,12 @@ def stairwell(rng: np.random.Generator) -> Place:
         for s in (-0.5, -0.2, 0.1, 0.4) if k < flights - 2 else ():
             eyes.append(R @ [s * run, -half + 0.1, z + EYE + (s + 0.5) * up])
             aims.append(R @ [s * run + 1.4, -half - 0.15 + max(0.0, s + 0.2), z + EYE + (s + 0.5) * up - 0.45])
-    order = _back_and_forth(len(eyes), 0.45, 0.25)
+    order = np.arange(len(eyes)) if once else _back_and_forth(len(eyes), 0.45, 0.25)
     solids += _ends((-half, -half, 0), (half, half, 0))
     return Place(tuple(solids), np.array(eyes)[order], np.array(aims)[order], np.array(lamps))
 
 
-def stake_row(rng: np.random.Generator) -> Place:
+def stake_row(rng: np.random.Generator, once: bool = False) -> Place:
     """A row of equal stakes. The camera passes them sideways, there, back and there again."""
     pitch, count = rng.uniform(0.36, 0.46), 22
     length = count * pitch
@@ -153,7 +155,7 @@ def stake_row(rng: np.random.Generator) -> Place:
     wall = box("wall", (length + 4, 0.1, 2.5), "wall", "scenery")
     solids.append(wall.moved(np.eye(3), (length / 2, 1.8, 0)))
     solids += _ends((-0.6, 0, 0), ((count - 0.2) * pitch, 0, 0))
-    x = _through(np.array([0.0, 0.7, 0.15, 1.0]) * (count - 4) * pitch, 0.35)
+    x = _through(np.array([0.0, 1.0] if once else [0.0, 0.7, 0.15, 1.0]) * (count - 4) * pitch, 0.35)
     eyes = np.column_stack([x, np.full(len(x), -1.2), np.full(len(x), EYE)])
     aims = np.column_stack([x + 0.4, np.full(len(x), 0.1), np.full(len(x), 0.15)])
     lamps = np.array([[k * 2 * pitch, -0.5, 2.4] for k in range(count // 2)])

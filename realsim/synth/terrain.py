@@ -43,15 +43,18 @@ class Terrain:
         return [s for s in self.solids if s.role in roles]
 
 
-def make_terrain(name: str, seed: int) -> Terrain:
+def make_terrain(name: str, seed: int, once: bool = False) -> Terrain:
     """The terrain `name` of `TERRAINS` or `PLACES` with everything random drawn from `seed`.
+
+    Args:
+        once: the camera goes through a place of `PLACES` without coming back to where it was.
 
     Raises:
         UnknownNameError: no such terrain; the message lists those that are.
     """
     rng = np.random.default_rng([seed, 1])
     if name in PLACES:
-        return _placed(name, PLACES[name](rng))
+        return _placed(name, PLACES[name](rng, once))
     obstacles, length = TERRAINS[name](rng)
     sx, sy, sz = np.asarray(PLATFORM) + rng.uniform(-0.01, 0.01, 3)
     start = box("start_platform", (sx, sy, sz), "wood", "start").moved(rz(rng.uniform(-0.02, 0.02)), (-sx / 2, 0, 0))

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+import rooms
 
 from realsim.feedforward.rgbd.graph import Edge, whitening
 from realsim.feedforward.rgbd.loops import join
-from realsim.feedforward.rgbd.tracks import View
+from realsim.feedforward.rgbd.pairs import ambiguous, by_shape
+from realsim.feedforward.rgbd.tracks import View, prepare
 from realsim.geometry import exp_so3, invert_T, make_T
 from realsim.types import F64, Intrinsics
 
@@ -79,3 +82,41 @@ def test_neighbours_two_steps_apart_bridge_a_gap() -> None:
     found = join(blind(30), cut + bridge)
     assert len(found.used) == 30
     assert errors(found.T, T).max() < 1e-3
+
+
+def test_a_break_is_not_bridged_by_a_jump_where_likeness_misleads() -> None:
+    T = there_and_back(40)[:20]  # one way; behind frame 9 a stretch is missing
+    T = np.concatenate([T[:10], make_T(None, [3.0, 0, 0]) @ T[10:]])
+    chain_ = [e for e in chain(T) if e.i != 9]
+    bridge = [edge(T, i, j, -2.2) for i, j in ((9, 10), (8, 10), (9, 11))]  # a bay too near: a step of 1.2 m
+    wrong = [edge(T, i, i + 6, 1.2) for i in range(4)]
+    found = join(blind(20), chain_ + bridge + wrong)
+    assert [len(p) for p in found.parts] == [10, 10]
+    honest = join(blind(20), chain_ + bridge)  # nothing speaks against likeness here
+    assert len(honest.used) == 20
+
+
+def test_without_order_one_link_joins_where_no_likeness_is_false() -> None:
+    T = there_and_back(40)[np.random.default_rng(1).permutation(40)]
+    near = np.linalg.norm(T[:, None, :3, 3] - T[None, :, :3, 3], axis=-1) < 0.9
+    half = T[:, 0, 3] > 4.0
+    pairs = [(i, j) for i in range(40) for j in range(i + 1, 40) if near[i, j] and half[i] == half[j]]
+    ends = min((i, j) for i in range(40) for j in range(i + 1, 40) if near[i, j] and half[i] != half[j])
+    links = [edge(T, i, j) for i, j in pairs]
+    found = join(blind(40), [*links, edge(T, *ends)])
+    assert len(found.used) == 40
+    assert errors(found.T, T).max() < 1e-3
+
+
+def test_stairs_fit_a_step_further_as_well_a_room_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    def registered(shift: float) -> tuple[list[View], Edge]:
+        poses = [make_T(exp_so3([-0.45, 0, 0]), at) for at in ([0, -1.3, 0], [0.05, -1.3, 0.1])]
+        views = prepare([rooms.frame(k, T, color=False) for k, T in enumerate(poses)])
+        found = by_shape(views, 0, 1, [make_T(None, [0, 0, shift])])
+        assert found is not None
+        return views, found
+
+    assert not ambiguous(*registered(0.1))
+    steps = [[[-4, -0.17 * (k + 1), 0.6 + 0.3 * k], [4, 0, 0.9 + 0.3 * k]] for k in range(20)]
+    monkeypatch.setattr(rooms, "BOXES", np.array(steps))
+    assert ambiguous(*registered(0.1))

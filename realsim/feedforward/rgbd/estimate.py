@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,12 @@ from realsim.feedforward.rgbd.follow import SIGMA_INVERSE, SIGMA_PX, Landmarks, 
 from realsim.feedforward.rgbd.graph import Edge, components, optimise
 from realsim.feedforward.rgbd.keyframes import by_matching
 from realsim.feedforward.rgbd.learned import join_pieces
-from realsim.feedforward.rgbd.loops import Joined, join
+from realsim.feedforward.rgbd.loops import Joined, in_order, join
 from realsim.feedforward.rgbd.overlap import FINE, overlap
 from realsim.feedforward.rgbd.pairs import (
     MIN_AGREEMENT,
+    WINDOW,
+    ambiguous,
     as_edge,
     believable,
     by_features,
@@ -55,6 +57,8 @@ class Estimate:
     """Index -> why it is not used."""
     statistics: dict[str, Any]
     warnings: tuple[str, ...] = ()
+    links: tuple[Edge, ...] = ()
+    """Pairs that were believed, indices of the views that were given."""
 
 
 def estimate(views: Sequence[View], seed: int, learned: bool = True) -> Estimate:
@@ -80,7 +84,8 @@ def estimate(views: Sequence[View], seed: int, learned: bool = True) -> Estimate
     used = sorted(T)
     poses = np.stack([T[k] for k in used])
     statistics = found.statistics | ({"keyframes": len(keys)} if followers else {})
-    return Estimate(tuple(used), invert_T(poses[0]) @ poses, lost, statistics, found.warnings)
+    links = tuple(replace(e, i=keys[e.i], j=keys[e.j]) for e in found.links)
+    return Estimate(tuple(used), invert_T(poses[0]) @ poses, lost, statistics, found.warnings, links)
 
 
 def _estimate_together(views: Sequence[View], seed: int, learned: bool) -> tuple[Estimate, Landmarks | None]:
@@ -109,7 +114,8 @@ def _estimate_together(views: Sequence[View], seed: int, learned: bool) -> tuple
         here = [Edge(local[e.i], local[e.j], e.T_i_j, e.weight, e.root) for e in edges]
         T, closed = close_loops(chosen, T, here)
         statistics |= {"pairs": len(closed), "by_shape": True}
-    return Estimate(tuple(int(i) for i in used), T, lost, statistics, tuple(net.said) + _said(views, joined)), landmarks
+    said = tuple(net.said) + _said(views, joined)
+    return Estimate(tuple(int(i) for i in used), T, lost, statistics, said, tuple(joined.edges)), landmarks
 
 
 @dataclass(frozen=True)
@@ -163,17 +169,21 @@ def _connect_by_learning(net: Net, seed: int) -> None:
 
 
 def _connect_by_shape(views: Sequence[View], net: Net, seed: int) -> None:
-    """Add edges by shape between neighbours in the sequence that lie in different parts."""
-    label = np.zeros(len(views), int)
-    for k, part in enumerate(components(len(views), net.edges)):
-        label[part] = k
+    """Add edges by shape between neighbours in the sequence that lie in different parts.
+
+    Of a sequence in order the parts are those that neighbours hold: what only looks alike connects nothing.
+    """
     n = len(views)
+    near = [e for e in net.edges if e.j - e.i <= WINDOW] if in_order(n, net.edges) else net.edges
+    label = np.zeros(n, int)
+    for k, part in enumerate(components(n, near)):
+        label[part] = k
     loose = [(i, j) for i in range(n) for j in range(i + 1, min(i + 1 + SHAPE_WINDOW, n)) if label[i] != label[j]]
     features = {k: shape_features(views[k]) for k in sorted({k for pair in loose for k in pair})}
     for i, j in track(loose, "shapes"):
         starts = shape_starts(features[i], features[j], np.random.default_rng((seed, i, j)))
         edge = by_shape(views, i, j, starts)
-        if edge is not None:
+        if edge is not None and not ambiguous(views, edge):
             net.edges.append(edge)
 
 

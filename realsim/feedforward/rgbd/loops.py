@@ -3,8 +3,9 @@
 Frames that follow each other and match are linked; that is a chain of pieces whose shape is known but for a slow drift.
 A link between frames far apart in the sequence is a claim: one door looks like the next. Claims that place one piece
 (or one part of it) on another in the same way are one loop. A loop is believed if enough independent frames say so,
-more than say otherwise; if it asks for no more than the drift that a chain has; and if, once it is closed, no surface
-stands where another frame looked through. Pieces that nothing joins stay apart and are reported.
+more than say otherwise; if it asks for no more than the drift that a chain has, and for no jump between frames that
+follow each other; and if, once it is closed, no surface stands where another frame looked through. Whether likeness can
+be trusted at all is measured on the claims that chains can check. Pieces that nothing joins stay apart and are said.
 """
 
 from __future__ import annotations
@@ -37,6 +38,19 @@ LINKS = 3
 """Independent links, each of other frames on both sides, that a loop within a piece needs."""
 ASKED = 12
 """Pairs of frames that are asked whether a closed loop violates free space."""
+PACE = 1.25
+"""Times the longest step of the chains that frames across a break may be apart, a step: a person walks on as before."""
+LEAP = 1.5
+"""Times the length of all but the longest tenth of steps, from which a link to the next frame is a claim as well. Set
+on a rendered corridor with a gap, where a false link across it makes a step twice as long as the others."""
+HONEST = 0.75
+"""Least share of true links of a kind, among those that can be checked, where the others are worth looking at. In
+rendered corridors and stairwells 0 to 15 of 100 far links are true, of walks around a terrain all."""
+PROVEN, PROVEN_SHARE = 20, 0.95
+"""Links that could be checked, and the share of true ones, from which looking alike is being the same: one link needs
+no second, and no step is too long."""
+STEPS = range(1, WINDOW + 2)
+"""Kinds of links: so many steps apart in the sequence; the last are all that are more than the window."""
 
 
 @dataclass(frozen=True)
@@ -99,26 +113,50 @@ def join(views: Sequence[View], edges: Sequence[Edge]) -> Joined:
         PoseError: fewer than two views hang together.
     """
     n = len(views)
-    chains, kept = _chains(n, edges)
-    links = [e for e in edges if e.j - e.i > 1 and not any(e is k for k in kept)]
-    believed: list[Edge] = []
-    honest = {far: _honest(chains, edges, far) for far in (False, True)}
-    # Where no such link can be checked, a sequence in order is not broken for likeness; one without order has no more.
-    ordered = 2 * sum(e.j - e.i == 1 for e in edges) > n - 1
+    ordered = in_order(n, edges)
+    chains, kept = _chains(n, edges, steady=False)
+    pace = _pace(kept) if ordered else np.inf
+    if ordered and not _proven(chains, edges, pace, ordered) and _doubtful(chains, edges, pace):
+        chains, kept = _chains(n, edges, steady=True)
+        pace = _pace(kept)
+    fixed = _pairs(kept)
+    links = [e for e in edges if (e.i, e.j) not in fixed]
+    checked = [_checked(chains, edges, step, pace) for step in STEPS]
 
     def trusted(e: Edge) -> bool:
-        told = honest[e.j - e.i > WINDOW]
-        return told if told is not None else not ordered
+        """Where things that look alike are often not the same, another likeness proves nothing. Where no likeness can
+        be checked, a sequence in order is not broken for one; a sequence without order has nothing else."""
+        true, false = checked[_step(e) - 1]
+        return true >= HONEST * (true + false) if true + false else not ordered
 
     between = [e for e in links if chains.piece[e.i] != chains.piece[e.j]]
     refused = [e for e in between if not trusted(e)]
-    inside = [e for e in links if chains.piece[e.i] == chains.piece[e.j]]
-    links = inside + [e for e in between if trusted(e)]
-    for loop in _between(views, chains, links):
+    links = [e for e in links if chains.piece[e.i] == chains.piece[e.j] or trusted(e)]
+    believed: list[Edge] = []
+    for loop in _between(views, chains, links, 2, pace):
         believed += loop.edges
-    for loop, good in _within(views, chains, links):
+    if _proven(chains, edges, pace, ordered):
+        for loop in _between(views, chains, links, 1, pace):
+            believed += loop.edges
+    joined = _pairs(believed)
+    for loop, good in _within(views, chains, [e for e in links if (e.i, e.j) not in joined]):
         (believed if good else refused).extend(loop.edges)
     return _placed(n, kept + believed, refused)
+
+
+def in_order(n: int, edges: Sequence[Edge]) -> bool:
+    """Whether the sequence is a way through the place: most frames match the next."""
+    return 2 * sum(e.j - e.i == 1 for e in edges) > n - 1
+
+
+def _pairs(edges: Sequence[Edge]) -> set[tuple[int, int]]:
+    return {(min(e.i, e.j), max(e.i, e.j)) for e in edges}
+
+
+def _pace(kept: Sequence[Edge]) -> float:
+    """Metres that two frames may be apart for each step between them in the sequence."""
+    steps = [float(np.linalg.norm(e.T_i_j[:3, 3])) for e in kept if e.j - e.i == 1]
+    return PACE * max(steps, default=np.inf)
 
 
 def _placed(n: int, edges: list[Edge], refused: list[Edge]) -> Joined:
@@ -149,8 +187,8 @@ def _solved(used: NDArray[np.int64], edges: Sequence[Edge]) -> tuple[list[Edge],
     return inner, T, chi > max(EDGE_LIMIT, 4 * float(np.median(chi))) if len(chi) else np.zeros(0, bool)
 
 
-def _chains(n: int, edges: Sequence[Edge]) -> tuple[Chains, list[Edge]]:
-    """Pieces by neighbours in the sequence, the closest first, and the edges that hold them.
+def _chains(n: int, edges: Sequence[Edge], steady: bool) -> tuple[Chains, list[Edge]]:
+    """Pieces by neighbours in the sequence, the closest first, and the edges that hold them; `steady`: without leaps.
 
     The nearer two frames are in the sequence, the less another place can pass for the one that they share: links one
     step apart make the chain, links of more steps have to agree with it.
@@ -162,19 +200,61 @@ def _chains(n: int, edges: Sequence[Edge]) -> tuple[Chains, list[Edge]]:
         inside = [e for e in here if chains.piece[e.i] == chains.piece[e.j]]
         kept += [e for e in inside if _drifted(chains, e)]
         if step == 1:
-            kept += here
+            kept += _steady(here) if steady else here
         chains = _chained(n, kept)
     return chains, kept
 
 
-def _honest(chains: Chains, edges: Sequence[Edge], far: bool) -> bool | None:
-    """Whether links of a kind (near in the sequence or far) that the chains can check are true more often than not.
+def _steady(steps: Sequence[Edge]) -> list[Edge]:
+    """Links to the next frame that are no leaps."""
+    length = np.array([np.linalg.norm(e.T_i_j[:3, 3]) for e in steps])
+    limit = LEAP * np.quantile(length, 0.9) + SLACK_M if len(steps) else 0
+    return [e for e, m in zip(steps, length, strict=True) if m < limit]
 
-    Where most things that look alike are not the same, another likeness proves nothing. None: none can be checked.
+
+def _proven(chains: Chains, edges: Sequence[Edge], pace: float, ordered: bool) -> bool:
+    """Whether what looks alike in this place is the same. Of a sequence in order only links far apart can show it."""
+    true, false = np.sum([_checked(chains, edges, step, pace) for step in (STEPS[-1:] if ordered else STEPS)], axis=0)
+    return bool(true >= PROVEN and true >= PROVEN_SHARE * (true + false))
+
+
+def _doubtful(chains: Chains, edges: Sequence[Edge], pace: float) -> bool:
+    """Whether anything that looks alike in this place is shown to be something else."""
+    return any(_checked(chains, edges, step, pace)[1] for step in STEPS)
+
+
+def _step(e: Edge) -> int:
+    """Steps between two frames in the sequence; all that are more than the window are one kind."""
+    return min(e.j - e.i, WINDOW + 1)
+
+
+def _checked(chains: Chains, edges: Sequence[Edge], step: int, pace: float) -> tuple[int, int]:
+    """Numbers of links so many steps apart that the chains show to be true, and to be false.
+
+    Inside a piece a link agrees with the chain or not. Between pieces it is false if it asks for a jump.
     """
-    inside = [e for e in edges if chains.piece[e.i] == chains.piece[e.j] and e.j - e.i > 1]
-    true = [_drifted(chains, e) for e in inside if (e.j - e.i > WINDOW) == far]
-    return 2 * sum(true) >= len(true) if true else None
+    links = [e for e in edges if _step(e) == step]
+    inside = [_drifted(chains, e) for e in links if chains.piece[e.i] == chains.piece[e.j]]
+    jumps = [_jumps(chains, _moved(chains, e), e, pace) for e in links if chains.piece[e.i] != chains.piece[e.j]]
+    return sum(inside), len(inside) - sum(inside) + sum(jumps)
+
+
+def _moved(chains: Chains, e: Edge) -> F64:
+    """(N, 4, 4) poses with the second frame's piece put where a link says."""
+    X = chains.T[e.i] @ e.T_i_j @ invert_T(chains.T[e.j])
+    second = chains.piece == chains.piece[e.j]
+    after = chains.T.copy()
+    after[second] = X @ after[second]
+    return after
+
+
+def _jumps(chains: Chains, T: F64, e: Edge, pace: float) -> bool:
+    """Whether two frames that follow each other, of the two pieces that a link joins, are too far apart in T."""
+    both = np.flatnonzero(np.isin(chains.piece, [chains.piece[e.i], chains.piece[e.j]]))
+    turn = np.flatnonzero(np.diff(chains.piece[both]))
+    a, b = both[turn], both[turn + 1]
+    apart = np.linalg.norm(T[b, :3, 3] - T[a, :3, 3], axis=1)
+    return bool((apart > pace * (b - a) + SLACK_M).any())
 
 
 def _chained(n: int, edges: list[Edge]) -> Chains:
@@ -224,8 +304,8 @@ def _agree(chains: Chains, e: Edge, f: Edge) -> bool:
     return bool(np.linalg.norm(cycle[:3, 3]) < max(m1, m2) and angle_deg(cycle[:3, :3]) < max(d1, d2))
 
 
-def _between(views: Sequence[View], chains: Chains, links: Sequence[Edge]) -> Iterable[Loop]:
-    """Joins pieces, the best supported first; `chains` follows."""
+def _between(views: Sequence[View], chains: Chains, links: Sequence[Edge], least: int, pace: float) -> Iterable[Loop]:
+    """Joins pieces that at least `least` independent links join, the best supported first; `chains` follows."""
     while True:
         open_ = [e for e in links if chains.piece[e.i] != chains.piece[e.j]]
         loops = _loops(chains, open_)
@@ -235,14 +315,14 @@ def _between(views: Sequence[View], chains: Chains, links: Sequence[Edge]) -> It
             rivals = sum(o.support for o in loops if o is not loop and _same(chains, o, loop))
             small = min((chains.piece == a).sum(), (chains.piece == b).sum())
             # A piece of one or two frames cannot say more than once what a longer one has to say twice.
-            if loop.support < min(2, small) or loop.support <= rivals:
+            if loop.support < min(least, small) or loop.support <= rivals:
                 continue
             best = max(loop.edges, key=lambda e: e.weight)
-            X = chains.T[best.i] @ best.T_i_j @ invert_T(chains.T[best.j])
             moved = chains.piece == b
-            after = chains.T.copy()
-            after[moved] = X @ after[moved]
-            if not _free(views, after, np.flatnonzero(chains.piece == a), np.flatnonzero(moved), loop):
+            after = _moved(chains, best)
+            if _jumps(chains, after, best, pace) or not _free(
+                views, after, np.flatnonzero(chains.piece == a), np.flatnonzero(moved), loop
+            ):
                 continue
             chains.T, chains.piece = after, np.where(moved, a, chains.piece)
             yield loop
