@@ -13,7 +13,7 @@ from realsim.capture.config import CaptureConfig
 from realsim.capture.consistency import GOOD, Agreement, check_agreement
 from realsim.capture.poses import PoseReport, settle_poses
 from realsim.capture.selection import pick
-from realsim.capture.survey import Look, blurred, duplicates, survey
+from realsim.capture.survey import Look, blurred, duplicates, smeared, survey
 from realsim.capture.units import check_unit
 from realsim.errors import CaptureError
 from realsim.types import F32, Dropped, Frame, FrameSet
@@ -90,7 +90,7 @@ def finish(raw: FrameSet, config: CaptureConfig) -> Finished:
     agreement, pose_note = check_agreement(capture)
     # Metric poses that agree with the depth have confirmed its unit.
     confirmed = agreement is not None and capture.poses_metric and agreement.as_read >= GOOD
-    notes = [pose_note] if confirmed else [unit_note, pose_note]
+    notes = [pose_note, smeared(looks)] if confirmed else [unit_note, pose_note, smeared(looks)]
     capture = replace(
         capture,
         frames=_files_named_once([_limited(f, config) for f in capture.frames]),

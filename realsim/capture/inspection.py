@@ -79,6 +79,9 @@ def inspect_frames(finished: Finished, recognition: Recognition) -> Inspection:
         "intrinsics": {k: round(getattr(camera, k), 3) for k in ("fx", "fy", "cx", "cy")},
         "cameras": len(cameras),
     }
+    widths = [look.edge_px for look in looks if look.edge_px is not None]
+    if widths:
+        frames["edges_px"] = _spread(widths, 1)
     shares = np.array([look.valid_share for look in looks])
     coverage = round(float(shares.mean()), 3)
     depth = {

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.capture.assemble import one_line
+from realsim.capture.blur import SMEARED, edge_width
 from realsim.capture.config import CaptureConfig
 from realsim.errors import CaptureError, RealsimError
 from realsim.progress import track
@@ -59,6 +60,8 @@ class Look:
     """(24, 32) brightness (depth where there is no colour), mean 0 and deviation 1: how the view looks."""
     sizes: tuple[tuple[int, int], tuple[int, int] | None]
     """(width, height) of depth and of colour."""
+    edge_px: float | None = None
+    """Width of the sharpest edges of the colour image, pixels (see `blur.edge_width`); None where there are none."""
 
 
 def survey(frames: Sequence[Frame], config: CaptureConfig) -> tuple[list[Look], list[Dropped]]:
@@ -90,13 +93,13 @@ def look_at(frame: Frame, config: CaptureConfig) -> Look:
     if frame.read_confidence is not None:
         _check_size("confidence", frame.read_confidence(), (camera.width, camera.height))
     digest = hashlib.blake2b(np.ascontiguousarray(depth).data, digest_size=16)
-    sharp = None
+    sharp = edge = None
     if color is not None:
         of_color = frame.color_intrinsics or camera
         _check_size("colour", color, (of_color.width, of_color.height))
         digest.update(np.ascontiguousarray(color).data)
         gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
-        sharp = sharpness(gray)
+        sharp, edge = sharpness(gray), edge_width(gray)
         small = cv2.resize(gray.astype(np.float32), THUMBNAIL, interpolation=cv2.INTER_AREA)
     else:
         small = cv2.resize(depth, THUMBNAIL, interpolation=cv2.INTER_NEAREST)
@@ -113,6 +116,7 @@ def look_at(frame: Frame, config: CaptureConfig) -> Look:
         digest.hexdigest(),
         ((small - small.mean()) / (small.std() + 1e-6)).astype(np.float32),
         (_size(depth), None if color is None else _size(color)),
+        edge,
     )
 
 
@@ -144,7 +148,7 @@ def duplicates(looks: Sequence[Look]) -> list[Dropped]:
 
 
 def blurred(looks: Sequence[Look]) -> list[Dropped]:
-    """Frames that are much less sharp than the median of the frames around them."""
+    """Frames that are much less sharp than the median of the frames around them, and have no sharp edges."""
     out = []
     values = [look.sharpness for look in looks]
     for i, look in enumerate(looks):
@@ -152,12 +156,27 @@ def blurred(looks: Sequence[Look]) -> list[Dropped]:
         known = [v for v in around if v is not None]
         if look.sharpness is None or len(known) < 2:
             continue
+        if look.edge_px is not None and look.edge_px < SMEARED:
+            continue  # other content, not blur
         usual = float(np.median(known))
         share = look.sharpness / max(usual, FEATURELESS)
         # Beside pictures of a plain wall nothing can be told.
         if usual > FEATURELESS and share < BLURRED:
-            out.append(Dropped(look.name, f"blurred: {share:.0%} of its neighbours' sharpness"))
+            edges = "" if look.edge_px is None else f", edges {look.edge_px:.0f} pixels wide"
+            out.append(Dropped(look.name, f"blurred: {share:.0%} of its neighbours' sharpness{edges}"))
     return out
+
+
+def smeared(looks: Sequence[Look]) -> str | None:
+    """A warning where most pictures of a capture are blurred, which no comparison between them can tell."""
+    widths = [look.edge_px for look in looks if look.edge_px is not None]
+    if not widths or float(np.median(widths)) < SMEARED:
+        return None
+    count = sum(w >= SMEARED for w in widths)
+    return (
+        f"{count} of {len(looks)} pictures are blurred: their sharpest edges are {np.median(widths):.0f} pixels wide, "
+        f"those of sharp pictures less than {SMEARED:.0f}. More light, or slower movement, gives better poses"
+    )
 
 
 def _check_size(what: str, image: F32 | U8, expected: tuple[int, int]) -> None:

@@ -98,8 +98,7 @@ def _estimate_together(views: Sequence[View], seed: int, learned: bool) -> tuple
     chosen = [views[i] for i in used]
     statistics: dict[str, Any] = {"pairs": len(edges), "refused_links": len(joined.refused)}
     statistics["parts"] = [len(p) for p in joined.parts if len(p) > 1]
-    if net.learned:
-        statistics["learned_pairs"] = len(net.learned)
+    statistics |= net.told
     local = {int(v): k for k, v in enumerate(used)}
     first = [Match(local[m.i], local[m.j], m.a, m.b, m.T_i_j) for m in net.matches if _fits(m, T, local)]
     landmarks = None
@@ -134,11 +133,13 @@ class Net:
     """Pairs that the learned matcher matched."""
     said: list[str]
     """Of the learned matcher, for people."""
+    told: dict[str, int]
+    """The same in figures; empty where it was not asked."""
 
 
 def connect(views: Sequence[View], seed: int, learned: bool = True) -> Net:
     """Every believable pair, by features; by learned ones and by shape where these leave the sequence in pieces."""
-    net = Net([], [], {}, list(views), set(), [])
+    net = Net([], [], {}, list(views), set(), [], {})
     for i, j in track(candidates(views, seed), "pairs"):
         found = by_features(views, i, j, seed)
         if found is None:
@@ -166,6 +167,8 @@ def _connect_by_learning(net: Net, seed: int) -> None:
     net.edges.extend(map(as_edge, found.matches))
     net.learned.update((m.i, m.j) for m in found.matches)
     net.said.extend(found.said())
+    if found.asked:
+        net.told.update(learned_asked=found.asked, learned_pairs=len(found.matches))
 
 
 def _connect_by_shape(views: Sequence[View], net: Net, seed: int) -> None:
