@@ -164,6 +164,7 @@ def _assemble(
             "after": 1 - checked.fraction,
             "fraction": checked.fraction,
             "ci90": list(checked.ci90),
+            "beside_deviations": list(checked.beside90) if checked.beside90 and checked.ci90[0] <= 0 else None,
             "above_floor": checked.above_floor,
             "runs": list(checked.runs),
             "unseen": checked.unseen,

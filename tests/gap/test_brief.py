@@ -67,5 +67,11 @@ def test_size_is_in_the_signal_s_unit_beside_the_motion() -> None:
     assert before[0] == "joint position off by 51 mrad rms; the motion is 0.41 rad rms"
 
 
+def test_what_holds_beside_everyday_deviations_only_is_said_so() -> None:
+    found = data("identified", 1)
+    found["shrinkage"] |= {"beside_deviations": [0.41, 0.47]}
+    assert ("", "of what everyday deviations leave there, 41 % to 47 % goes") in brief(found)["size"]
+
+
 def test_no_gap_has_no_size() -> None:
     assert brief(data("no_gap", 0))["size"] == []

@@ -13,6 +13,7 @@ from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
 from realsim.gap.answer.conclusion import _again, _beside_imitations, _lasting
 from realsim.gap.answer.leaveout import better, discrepancy, leave_out
 from realsim.gap.causes.fit import Cause, Fitter
+from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.screen import Screen
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.simulate import Simulator
@@ -95,7 +96,7 @@ def test_values_are_fitted_anew_without_each_run(fitter: Fitter) -> None:
     assert len(set(left.values[:, 0])) == 3
     assert left.values[:, 0] == pytest.approx(fit.causes[0].values[0], rel=0.1)
     assert left.after.mean() < 2.0
-    gain, error = left.gained_over([100.0] * 3)
+    gain, error = left.gained_over(leave_out(fitter.screen, fitter, fitter.nominal()))
     assert gain > 3.0 > error
 
 
@@ -172,3 +173,16 @@ def test_what_is_better_is_better_by_more_than_its_scatter(fitter: Fitter) -> No
     assert gain > 3 * error > 0
     assert better(screen.comparison, runs, nominal, nominal) == (0.0, 0.0)
     assert (discrepancy(screen.comparison, runs, half) <= discrepancy(screen.comparison, runs, nominal)).all()
+
+
+@pytest.mark.parametrize(("elsewhere", "linear"), [(0.5, True), (-9.0, False)])
+def test_what_stays_is_judged_with_one_set_of_deviations_for_all_runs(
+    fitter: Fitter, monkeypatch: pytest.MonkeyPatch, elsewhere: float, linear: bool
+) -> None:
+    """Deviations that explain the first run, and a half of the others or nothing of them."""
+    screen, fit = fitter.screen, fitter.nominal()
+    gap = [screen.comparison.residual(run, y) for run, y in zip(screen.runs, fit.predictions, strict=True)]
+    simulated = [np.nanmean(r**2 / screen.comparison.tolerance(run)) for run, r in zip(screen.runs, gap, strict=True)]
+    monkeypatch.setattr(screen, "fitted", lambda k, x: gap[k] * (1.0 if k == 0 else elsewhere))
+    expected = [0.0, *(s / 4 for s in simulated[1:])] if linear else simulated
+    assert leftover(screen, fit) == pytest.approx(expected)

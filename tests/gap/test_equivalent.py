@@ -11,6 +11,7 @@ from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
 from realsim.gap.causes.fit import Cause, Fitter
 from realsim.gap.causes.proposals import by_effect, by_likeness, by_widening
 from realsim.gap.causes.screen import Screen
+from realsim.gap.causes.select import _richer
 from realsim.gap.compare import Comparison
 from realsim.gap.effects import EFFECTS
 from realsim.gap.simulation.simulate import Simulator
@@ -40,6 +41,37 @@ def test_a_law_that_contains_another_is_compared_with_it_both_ways(arm: Case) ->
     (back,) = by_widening(fitter, replace(fitter.nominal(), causes=(plain,)))
     assert back.causes[0].candidate.key == full.key
     assert back.causes[0].named["coulomb"] == 0.4
+
+
+def test_of_laws_that_the_runs_do_not_tell_apart_only_the_plain_one_is_said(arm: Case) -> None:
+    with Simulator(arm, CONFIG) as simulator:
+        comparison = Comparison(arm, simulator.channels, simulator.simulate(), CONFIG)
+        effects = ("stribeck_friction", "coulomb_friction", "armature")
+        fitter = Fitter(Screen(simulator, comparison, range(3), effects))
+    nominal, by_effect = fitter.nominal(), {}
+    for c in fitter.screen.candidates:
+        by_effect.setdefault(c.effect, Cause(c, (0.0,) * len(c.names)))
+    plain, rich, other = (
+        replace(nominal, causes=tuple(by_effect[n] for n in names))
+        for names in (
+            ("coulomb_friction", "armature"),
+            ("stribeck_friction", "armature"),
+            ("stribeck_friction",),
+        )
+    )
+    assert _richer(rich, plain)
+    assert not _richer(plain, rich)
+    assert not _richer(other, replace(nominal, causes=(by_effect["armature"],)))
+    assert not _richer(plain, plain)
+
+
+def test_what_an_effect_is_taken_for_is_among_what_it_suggests(arm: Case) -> None:
+    with Simulator(arm, CONFIG) as simulator:
+        context = simulator.context
+    for effect in (e for e in EFFECTS.values() if e.taken_for):
+        for place in effect.places(context):
+            values = {p.name: p.default + 0.3 * p.step for p in effect.parameters(context, place)}
+            assert set(effect.taken_for) <= {s.effect for s in effect.suggests(context, place, values)}
 
 
 @pytest.mark.parametrize("name", ["command_delay", "observation_delay"])

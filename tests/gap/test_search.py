@@ -100,9 +100,12 @@ def _damped(fitter: Fitter, damping: float = 0.01) -> list[Setting]:
 def test_slopes_are_taken_anew_only_beside_causes_that_move_the_robot_otherwise(fitter: Fitter, monkeypatch) -> None:
     screen, looks = fitter.screen, []
     column = screen._column
+    monkeypatch.setattr(screen, "_about", Recent(2))
     monkeypatch.setattr(screen, "_column", lambda atom, *more: looks.append(atom) or column(atom, *more))
     read = ("joint_offset", (screen.simulator.context.driven[0],), {"reading_offset": 0.02})
-    for causes, anew in [([], 0), ([read], 0), (_damped(fitter), 1), ([*_damped(fitter, 0.011), read], 0), ([], 1)]:
+    slower = [*_damped(fitter), ("armature", (screen.simulator.context.driven[0],), {"armature": 0.01})]
+    steps = [([], 0), ([read], 0), (_damped(fitter), 1), ([*_damped(fitter, 0.011), read], 0), (slower, 1)]
+    for causes, anew in [*steps, (_damped(fitter), 0), ([], 1)]:
         looks.clear()
         screen.relinearise(causes)
         assert bool(looks) == bool(anew), causes

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -53,6 +54,13 @@ def test_identified_is_the_sentence_of_the_promise() -> None:
     assert say("identified", [KNEE]) == (
         "left knee: Coulomb friction 1.9 N m [1.6, 2.2] is missing; adding it removes 83 % [74, 88] of the squared "
         "error on runs it has not seen."
+    )
+
+
+def test_what_holds_beside_everyday_deviations_only_is_said_so() -> None:
+    check = replace(shrunk(-0.04, -0.05, -0.02), beside=0.8, beside90=(0.41, 0.47))
+    assert say("identified", [KNEE], of=check).endswith(
+        "removes 41 % to 47 % of what everyday deviations leave on runs it has not seen, and −4 % [−5, −2] of all."
     )
 
 

@@ -47,6 +47,8 @@ def _size(data: Mapping[str, Any]) -> list[Row]:
             ("check", f"{share(shrunk['fraction'])} of the squared error goes, 90 % interval {share(low)} to "
              f"{share(high)}, {on_what(shrunk)}")
         )  # fmt: skip
+        if beside := shrunk.get("beside_deviations"):
+            rows.append(("", f"of what everyday deviations leave there, {share(beside[0])} to {share(beside[1])} goes"))
     by_size = sorted(shrunk["per_signal"].items(), key=lambda item: -item[1]["rms_before"] / item[1]["floor"])
     for i, (signal, v) in enumerate(by_size[:MOST_SIGNALS]):
         now = f", now {amount(v['rms_after'], v['unit'])}" if causes else ""

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from realsim.errors import GapError
+from realsim.gap.causes.leftover import is_gap
 from realsim.gap.compare import Comparison
 from realsim.gap.evidence.blackbox import predict
 from realsim.gap.simulation.channels import unit_of
@@ -71,6 +72,20 @@ class Check:
     signals: tuple[SignalError, ...]
     structure: float = 0.0
     """Share of what is left beside causes and deviations that a black box still predicts."""
+    beside90: tuple[float, float] | None = None
+    """90 percent interval of the share that the causes remove beside everyday deviations; None where that cannot be
+    simulated."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the causes surely reduce the error.
+
+        As the patch stands; or beside everyday deviations, where these explain the rest: on a robot with many joints
+        and feet they make most of the error, and a cause without them may even leave more.
+        """
+        if self.beside90 is None or is_gap(np.array([self.beside])):
+            return self.ci90[0] > 0
+        return max(self.ci90[0], self.beside90[0]) > 0
 
     @property
     def fraction(self) -> float:
@@ -102,21 +117,31 @@ def check(
     resamples: int,
     seed: int,
     structure: float = 0.0,
+    nothing: Sequence[F64] | None = None,
 ) -> Check:
-    """From (B, C) residuals a run: nominal, patched, and patched with everyday deviations."""
-    x, y = (_blocks(comparison, r, runs) for r in (before, after))
-    pick = np.random.default_rng(seed).integers(0, len(x), (resamples, len(x)))
-    fractions = 1 - y[pick].sum(axis=1) / np.maximum(x[pick].sum(axis=1), 1e-12)
+    """From (B, C) residuals a run: nominal, patched, and patched with everyday deviations; `nothing`: these alone."""
+    drawn = (comparison, runs, resamples, seed)
     return Check(
         runs=tuple(comparison.case.runs[i].name for i in runs),
         kind=kind,
         before=mean_square(comparison, before, runs),
         after=mean_square(comparison, after, runs),
         beside=mean_square(comparison, beside, runs),
-        ci90=(float(np.quantile(fractions, 0.05)), float(np.quantile(fractions, 0.95))),
+        ci90=_gone(before, after, *drawn),
         signals=_signals(comparison, runs, before, after),
         structure=structure,
+        beside90=_gone(nothing, beside, *drawn) if nothing is not None else None,
     )
+
+
+def _gone(
+    x: Sequence[F64], y: Sequence[F64], comparison: Comparison, runs: Sequence[int], resamples: int, seed: int
+) -> tuple[float, float]:
+    """90 percent interval of the share of x's squared error that is not in y, by a bootstrap over blocks."""
+    before, after = (_blocks(comparison, r, runs) for r in (x, y))
+    pick = np.random.default_rng(seed).integers(0, len(before), (resamples, len(before)))
+    fractions = 1 - after[pick].sum(axis=1) / np.maximum(before[pick].sum(axis=1), 1e-12)
+    return float(np.quantile(fractions, 0.05)), float(np.quantile(fractions, 0.95))
 
 
 def errors(

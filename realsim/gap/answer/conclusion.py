@@ -18,6 +18,7 @@ from realsim.gap.answer.leaveout import LeftOut, better, leave_out
 from realsim.gap.answer.verdict import Fitted, Judgement, judge
 from realsim.gap.causes.fitted import Z90, Cause
 from realsim.gap.causes.leftover import is_gap, leftover, nuisance_settings
+from realsim.gap.causes.starts import contains, suggested
 from realsim.gap.compare import Comparison
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.evidence.onsets import find_onsets
@@ -25,9 +26,6 @@ from realsim.gap.simulation.simulate import lookup
 from realsim.gap.verdicts import GapVerdict
 from realsim.types import F64
 
-IMITATIONS = {"load_friction": ("stiffness_gain", "motor_gain")}
-"""Effect -> others that are compared with it at the same places whenever it is named: on a joint that holds or lifts,
-friction of r times the torque moves it as a drive that is weaker by 1 + r."""
 RIVALS = 3
 """Single causes that are compared by left-out runs beside a rest: a budget."""
 SIMPLER = 1.0
@@ -76,7 +74,7 @@ def conclude(
     changed = fit is not selection.fit
     given = [] if changed else [f for f in selection.equivalent if not _again(screen, f, fit)]
     fit, left, others = _beside_imitations(screen, fitter, fit, left, given, notes)
-    checked, warnings = _checked(config, screen, fit, left, held, nominal)
+    checked, warnings = _checked(config, screen, fit, selection.nominal, left, held, nominal)
     fitted = _fitted(screen, fit, nominal)
     ends = _at_an_end(screen, fit)
     judgement = judge(fitted, checked, len(fit.causes), len(others), ends, config.unexplained_share)
@@ -94,15 +92,12 @@ def conclude(
 
 def _lasting(screen: Any, fitter: Any, fit: Any, nominal: Any, notes: list[str]) -> tuple[Any, LeftOut | None]:
     """The causes without those that do not help to predict left-out runs."""
-    comparison, runs = screen.comparison, list(screen.runs)
     while fit.causes:
         left = leave_out(screen, fitter, fit)
-        if len(runs) < 2:
+        if len(screen.runs) < 2:
             return fit, left
         if len(fit.causes) == 1:
-            nothing = [comparison.residual(r, y) for r, y in zip(runs, screen.nominal, strict=True)]
-            before = [mean_square(comparison, [r], [run]) for r, run in zip(nothing, runs, strict=True)]
-            if left.gained_over(before)[0] > 0:
+            if left.gained_over(leave_out(screen, fitter, nominal))[0] > 0:
                 return fit, left
             notes.append(f"{_name(fit.causes[0])} fits best, and makes left-out runs worse: no cause")
             return nominal, None
@@ -111,7 +106,7 @@ def _lasting(screen: Any, fitter: Any, fit: Any, nominal: Any, notes: list[str])
             less = fitter.fit([c for j, c in enumerate(fit.causes) if j != i])
             if less is None:
                 continue
-            gain, error = left.gained_over(leave_out(screen, fitter, less).after)
+            gain, error = left.gained_over(leave_out(screen, fitter, less))
             if gain <= max(SIMPLER * error, WORTH) and (weakest is None or gain < weakest[0]):
                 weakest = (gain, less, cause)
         if weakest is None:
@@ -124,18 +119,18 @@ def _lasting(screen: Any, fitter: Any, fit: Any, nominal: Any, notes: list[str])
 def _beside_imitations(
     screen: Any, fitter: Any, fit: Any, left: LeftOut | None, given: Sequence[Any], notes: list[str]
 ) -> tuple[Any, LeftOut | None, list[Any]]:
-    """(fit, left-out runs, others) once each cause was compared with what is known to imitate it at the same place."""
+    """(fit, left-out runs, others) once each cause was compared with what its effect is taken for."""
     others = list(given)
     if left is None or len(screen.runs) < 2:
         return fit, left, others
     for cause in list(fit.causes):
         rest_of = [c for c in fit.causes if c is not cause]
-        for name in IMITATIONS.get(cause.candidate.effect, ()):
-            if any(c.candidate.effect == name for f in others for c in f.causes):
-                continue
-            start = -float(np.log1p(max(cause.values[0], -0.9)))
-            same = [c for c in screen.candidates if (c.effect, c.places) == (name, cause.candidate.places)]
-            rival = fitter.fit([*rest_of, Cause(same[0], (start,))]) if same and len(same[0].names) == 1 else None
+        taken_for = lookup(cause.candidate.effect).taken_for
+        for candidate, (start, *_) in suggested(screen, cause) if taken_for else ():
+            known = any(c.candidate.effect == candidate.effect for f in others for c in f.causes)
+            rival = None
+            if candidate.effect in taken_for and not known:
+                rival = fitter.fit([*rest_of, Cause(candidate, tuple(start))])
             if rival is None:
                 continue
             theirs = leave_out(screen, fitter, rival)
@@ -172,18 +167,14 @@ def _as_good(screen: Any, fitter: Any, trials: Sequence[Any], fit: Any, left: Le
 
 
 def _again(screen: Any, rival: Any, fit: Any) -> bool:
-    """Whether a rival says nothing new: one of its causes does nothing, or it is the plain law under a richer name."""
+    """Whether a rival says nothing new: one of its causes does nothing, or contains one that is named."""
     runs, simulator, comparison = list(screen.runs), screen.simulator, screen.comparison
     nothing = [screen.comparison.residual(r, y) for r, y in zip(runs, screen.nominal, strict=True)]
     for cause in rival.causes:
         alone = errors(simulator, comparison, cause.settings(), runs)
         if alone is not None and _apart(comparison, runs, alone, nothing) < NOTHING:
             return True
-    ours = {c.candidate.effect for c in fit.causes}
-    if not any(lookup(c.candidate.effect).plain in ours for c in rival.causes):
-        return False
-    theirs, mine = (errors(simulator, comparison, f.settings(), runs) for f in (rival, fit))
-    return theirs is not None and mine is not None and _apart(comparison, runs, theirs, mine) < NOTHING
+    return any(contains(c.candidate, o.candidate) for c in rival.causes for o in fit.causes)
 
 
 def _apart(comparison: Comparison, runs: Sequence[int], a: Sequence[F64], b: Sequence[F64]) -> float:
@@ -219,6 +210,7 @@ def _checked(
     config: DiagnoseConfig,
     screen: Any,
     fit: Any,
+    nothing: Any,
     left: LeftOut | None,
     held: Sequence[int],
     nominal: Sequence[F64],
@@ -226,7 +218,7 @@ def _checked(
     """The check on the runs held out; where there is none, or it shows no gap, on the fitted runs left out in turn."""
     warnings = _read_onsets(screen, fit, held, nominal)
     if held:
-        found = _check_on(config, screen, fit, held, "validation", nominal, None)
+        found = _check_on(config, screen, fit, nothing, held, "validation", nominal, None)
         if not fit.causes or is_gap(np.array([found.before])):
             return found, warnings
         warnings.append(NO_GAP_THERE)
@@ -238,13 +230,14 @@ def _checked(
             + (", each predicted by values fitted to the others" if len(runs) > 1 else "")
         )
     after = None if left is None else list(left.residuals)
-    return _check_on(config, screen, fit, runs, kind, nominal, after), warnings
+    return _check_on(config, screen, fit, nothing, runs, kind, nominal, after), warnings
 
 
 def _check_on(
     config: DiagnoseConfig,
     screen: Any,
     fit: Any,
+    nothing: Any,
     runs: Sequence[int],
     kind: str,
     nominal: Sequence[F64],
@@ -261,7 +254,8 @@ def _check_on(
     structure = 0.0
     if kind == "validation" and (mine := _beside(screen, fit, screen.runs)) is not None:
         structure = predictable(simulator, comparison, list(screen.runs), mine, runs, beside)
-    return check(comparison, runs, kind, before, after, beside, config.bootstrap, config.seed, structure)
+    alone = _beside(screen, nothing, runs) if fit.causes else None
+    return check(comparison, runs, kind, before, after, beside, config.bootstrap, config.seed, structure, alone)
 
 
 def _beside(screen: Any, fit: Any, runs: Sequence[int]) -> list[F64] | None:

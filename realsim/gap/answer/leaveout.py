@@ -15,6 +15,7 @@ import numpy as np
 from realsim.errors import GapError
 from realsim.gap.answer.check import BLOCK_SECONDS, errors, mean_square
 from realsim.gap.causes.fitted import Z90, causes_of
+from realsim.gap.causes.leftover import reasonable
 from realsim.gap.compare import CORRELATION, Comparison
 from realsim.gap.effects.base import Parameter
 from realsim.gap.simulation.simulate import Setting, lookup
@@ -31,21 +32,20 @@ class LeftOut:
     """Of the K fitted runs, each left out in turn."""
 
     residuals: tuple[F64, ...]
-    """(B, C) a run, by values fitted to the others."""
+    """(B, C) a run, by values fitted to the others; without everyday deviations, as the patch will be used."""
     after: F64
-    """(K,) mean square in units of the floor."""
+    """(K,) mean square in units of the floor beside the everyday deviations that the other runs make most probable."""
     values: F64
     """(K, m) the values of all causes in a row."""
     sigmas: F64
     """(m,) standard errors under the discrepancy that the fit leaves, or by the jackknife, whichever is larger."""
 
-    def gained_over(self, others: Sequence[float] | F64) -> tuple[float, float]:
+    def gained_over(self, other: LeftOut) -> tuple[float, float]:
         """(mean, standard error) over runs of the logarithm of the ratio of errors: one run that diverges counts once.
 
-        Args:
-            others: (K,) mean squares of another simulator in units of the floor.
+        Both beside everyday deviations: without them, what they do to the motion may be far more than a cause's share.
         """
-        ratios = np.log(np.maximum(others, 1e-9) / np.maximum(self.after, 1e-9))
+        ratios = np.log(np.maximum(other.after, 1e-9) / np.maximum(self.after, 1e-9))
         error = float(ratios.std(ddof=1) / np.sqrt(len(ratios))) if len(ratios) > 1 else 0.0
         return float(ratios.mean()), error
 
@@ -61,29 +61,37 @@ def leave_out(screen: Any, fitter: Any, fit: Any) -> LeftOut:
     candidates = [c.candidate for c in fit.causes]
     z = np.array([v for c in fit.causes for v in c.values])
     parameters = _parameters(screen, candidates)
-    base = errors(simulator, comparison, fit.settings(), runs)
+    prior = fitter.prior_beside(candidates)
+    deviations = screen.settings(fit.about)
+    base = errors(simulator, comparison, [*fit.settings(), *deviations], runs)
     if base is None:
         raise GapError("the simulator fails with the values found", hint="look at the units of the log")
-    slopes = _slopes(screen, candidates, parameters, z, base)
-    prior = fitter.prior_beside(candidates)
+    slopes = _slopes(screen, candidates, parameters, z, base, deviations)
     active = np.flatnonzero(prior > 0)
     steps = np.array([abs(p.step) for p in parameters])
-    normal = _Normal(screen, base, slopes, active, prior[active], steps)
-    every = normal.step(range(len(runs)))
+    # Deviations count from what is most usual, those in the simulation included.
+    shift = fit.about - fit.evidence.centre
+    normal = _Normal(screen, [r + screen.fitted(k, shift) for k, r in enumerate(base)], slopes, active, prior, steps)
+    every = normal.solve(range(len(runs)))[: len(z)]
     few = len(runs) < 2
-    values, residuals = [], []
+    values, residuals, after = [], [], []
     for k, run in enumerate(runs):
-        moved = z if few else z + _bounded(normal.step([i for i in range(len(runs)) if i != k]) - every, z, parameters)
+        x = normal.solve([i for i in range(len(runs)) if i != k or few])
+        moved = z + _bounded(x[: len(z)] - every, z, parameters)
         settings = [s for c in causes_of(candidates, moved) for s in c.settings()]
-        found = errors(simulator, comparison, settings, [run])
+        found = errors(simulator, comparison, [*settings, *deviations], [run])
+        plain = errors(simulator, comparison, settings, [run]) if deviations else found
         values.append(moved if found is not None else z)
-        residuals.append(found[0] if found is not None else base[k])
-    after = np.array([mean_square(comparison, [r], [run]) for r, run in zip(residuals, runs, strict=True)])
+        residuals.append(plain[0] if plain is not None else base[k])
+        y = np.zeros(len(prior))
+        y[active] = reasonable(x[len(z) :], prior[active])
+        rest = (found[0] if found is not None else base[k]) + screen.fitted(k, shift - y)
+        after.append(mean_square(comparison, [rest], [run]))
     sigmas = np.sqrt(np.maximum(np.diag(normal.covariance()), 0.0))
     if len(runs) > 2:
         spread = np.array(values) - np.mean(values, axis=0)
         sigmas = np.maximum(sigmas, np.sqrt((len(runs) - 1) / len(runs) * (spread**2).sum(axis=0)))
-    return LeftOut(tuple(residuals), after, np.array(values), sigmas)
+    return LeftOut(tuple(residuals), np.array(after), np.array(values), sigmas)
 
 
 def better(
@@ -125,7 +133,7 @@ class _Normal:
         self, screen: Any, base: Sequence[F64], slopes: Sequence[F64], active: Any, prior: F64, steps: F64
     ) -> None:
         self.count = len(steps)
-        self._penalty = np.concatenate([1 / (WIDE * steps) ** 2, 1 / prior**2])
+        self._penalty = np.concatenate([1 / (WIDE * steps) ** 2, 1 / prior[active] ** 2])
         comparison, runs = screen.comparison, list(screen.runs)
         columns = [np.hstack([J, screen.columns(k, active)]) for k, J in enumerate(slopes)]
         rest = discrepancy(comparison, runs, base)
@@ -137,26 +145,28 @@ class _Normal:
                 weight = np.where(np.isfinite(r), weight, 0.0).reshape(-1, 1)
                 self._A.append((X.T @ (weight * X)).astype(float))
                 self._b.append(np.asarray(X.T @ (weight[:, 0] * np.nan_to_num(r).reshape(-1)), float))
-            x = self._solve(range(len(runs)))
+            x = self.solve(range(len(runs)))
             left = [r - (X @ x).reshape(r.shape) for r, X in zip(base, columns, strict=True)]
             rest = discrepancy(comparison, runs, left)
-
-    def step(self, which: Sequence[int] | range) -> F64:
-        """(m,) change of the values that these runs ask for."""
-        return self._solve(which)[: self.count]
 
     def covariance(self) -> F64:
         """(m, m) of the values, deviations integrated out."""
         A = np.sum(self._A, axis=0) + np.diag(self._penalty)
         return np.asarray(np.linalg.pinv(A, hermitian=True))[: self.count, : self.count]
 
-    def _solve(self, which: Sequence[int] | range) -> F64:
+    def solve(self, which: Sequence[int] | range) -> F64:
+        """(m + active,) change of the values that these runs ask for, and the deviations beside it."""
         A = np.sum([self._A[k] for k in which], axis=0) + np.diag(self._penalty)
         return np.asarray(np.linalg.lstsq(A, np.sum([self._b[k] for k in which], axis=0), rcond=None)[0])
 
 
 def _slopes(
-    screen: Any, candidates: Sequence[Any], parameters: Sequence[Parameter], z: F64, base: Sequence[F64]
+    screen: Any,
+    candidates: Sequence[Any],
+    parameters: Sequence[Parameter],
+    z: F64,
+    base: Sequence[F64],
+    beside: Sequence[Setting],
 ) -> list[F64]:
     """(B * C, m) a run: change of the prediction by each value; nothing where neither side can be simulated."""
     runs, found = list(screen.runs), [np.zeros((r.size, len(z))) for r in base]
@@ -167,7 +177,7 @@ def _slopes(
             if not p.bounds[0] <= moved[i] <= p.bounds[1]:
                 continue
             settings: list[Setting] = [s for c in causes_of(candidates, moved) for s in c.settings()]
-            there = errors(screen.simulator, screen.comparison, settings, runs)
+            there = errors(screen.simulator, screen.comparison, [*settings, *beside], runs)
             if there is not None:
                 for k, (a, b) in enumerate(zip(base, there, strict=True)):
                     found[k][:, i] = np.nan_to_num((a - b) / width).reshape(-1)
@@ -177,7 +187,7 @@ def _slopes(
 
 def _bounded(step: F64, z: F64, parameters: Sequence[Parameter]) -> F64:
     far = FARTHEST * np.array([abs(p.step) for p in parameters])
-    low, high = np.array([p.bounds for p in parameters]).T
+    low, high = np.array([p.bounds for p in parameters]).reshape(-1, 2).T
     return np.asarray(np.clip(z + np.clip(step, -far, far), low, high) - z)
 
 

@@ -56,7 +56,13 @@ def sentence(
         )
     said = "; ".join(phrase(c) for c in causes)
     gain = f"removes {removed(checked)} of the squared error on {_runs(checked)}"
-    if checked.ci90[0] <= 0:
+    if checked.ci90[0] <= 0 and checked.holds:
+        low, high = checked.beside90 or checked.ci90
+        gain = (
+            f"removes {share(low)} to {share(high)} of what everyday deviations leave on {_runs(checked)}, and "
+            f"{removed(checked)} of all"
+        )
+    elif not checked.holds:
         gain = f"does not surely reduce the squared error on {_runs(checked)} (by {removed(checked)})"
     if verdict is GapVerdict.AMBIGUOUS:
         stays = f" What stays: {errors_of(checked)}." if len(judgement.reasons) > 1 else ""

@@ -64,7 +64,7 @@ def judge(
         said = f"{fitted.left.mean():.2f} times the noise floor stays beside everyday deviations ({fitted.before:.1f} "
         return Judgement(verdict, (f"{said}without them)",))
     low, high = checked.ci90
-    if low <= 0:
+    if not checked.holds:
         doubt = f"the causes do not hold: of the check's squared error {checked.fraction:.0%} goes, 90 % interval "
         return Judgement(GapVerdict.UNEXPLAINED, (came, f"{doubt}{low:.0%} to {high:.0%}"), ends)
     if ends:

@@ -29,15 +29,16 @@ def nuisance_settings(screen: Screen, fit: Fit, scale: float = 1.0) -> list[Sett
 
 def leftover(screen: Screen, fit: Fit) -> F64:
     """(runs,) mean square in units of the tolerance that stays beside causes and everyday deviations."""
-    x = deviations(screen, fit)
-    result = []
+    further = fit.evidence.centre + deviations(screen, fit) - fit.about
+    simulated: list[float] = []
+    moved: list[float] = []
     for k, run in enumerate(screen.runs):
-        simulated = screen.comparison.residual(run, fit.predictions[k])
-        moved = simulated - screen.fitted(k, fit.evidence.centre + x - fit.about)
-        # Where the linear rest is no good, the simulation itself counts.
-        squares = [float(np.nanmean(r**2 / screen.comparison.tolerance(run))) for r in (simulated, moved)]
-        result.append(min(squares))
-    return np.array(result)
+        r = screen.comparison.residual(run, fit.predictions[k])
+        for found, rest in ((simulated, r), (moved, r - screen.fitted(k, further))):
+            found.append(float(np.nanmean(rest**2 / screen.comparison.tolerance(run))))
+    # The most probable deviations are linear about those that were simulated. A robot has one set of them in all runs:
+    # where the linear ones leave more on the whole, they are beyond what slopes can tell, and the simulated ones count.
+    return np.array(min(moved, simulated, key=np.mean))
 
 
 def is_gap(left: F64) -> bool:

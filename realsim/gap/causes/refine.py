@@ -9,7 +9,7 @@ import numpy as np
 from realsim.gap.causes.figures import FINALISTS, NEIGHBOURS, SHARPEST, TOO_LONG
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
-from realsim.gap.causes.score import near, score
+from realsim.gap.causes.score import asked, near, score
 from realsim.gap.causes.windows import adjusted, at_other_bodies
 from realsim.gap.evidence.onsets import find_onsets
 from realsim.gap.simulation.simulate import lookup
@@ -49,16 +49,20 @@ def refined(fitter: Fitter, base: Fit, fits: list[Fit]) -> tuple[Fit, list[Fit]]
 
     Beside a large gap every tolerance is wide, and rivals look alike that the small rest tells apart.
     """
+    screen = fitter.screen
+    gap = is_gap(leftover(screen, base))
+    if not gap:  # the weights stay as they are: what would not win if it came much nearer is not looked at again
+        now, least = score(screen, base), asked(base)
+        fits = [f for f in fits if now - score(screen, f) + near(base.misfit - f.misfit) > least]
     if not fits:
         return base, fits
-    screen = fitter.screen
     jagged = screen.simulator.context.touches
     close = [f for f in fits if f.misfit - fits[0].misfit <= near(base.misfit - fits[0].misfit)][:FINALISTS]
     names = fits[0].causes[-1].candidate.names
     if "since" in names or ("start" in names and jagged):  # what lifts a foot or starts a swing, no slope foretells
         here = adjusted(fitter, fits[0])
         close += [here, *(adjusted(fitter, f) for f in at_other_bodies(screen, fitter, here))]
-    if is_gap(leftover(screen, base)):
+    if gap:
         fitter.reweighted(fits[0])
         again = [fit for f in close if (fit := _anew(fitter, f)) is not None] or [fitter.remeasure(fits[0])]
     else:

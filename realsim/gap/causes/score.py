@@ -53,12 +53,16 @@ def determined(screen: Screen, fit: Fit) -> float:
     return total
 
 
+def asked(before: Fit) -> float:
+    """Nats by which a further cause must lower the score of a set."""
+    return CLEARLY + SHARE * before.misfit
+
+
 def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | None]:
     """(what speaks against the further cause of `after`: it gains too little, or not on runs that are left out; its
     gain on those)."""
     found = []
-    gain = score(fitter.screen, before) - score(fitter.screen, after)
-    least = CLEARLY + SHARE * before.misfit
+    gain, least = score(fitter.screen, before) - score(fitter.screen, after), asked(before)
     if gain < least:
         found.append(f"gains {gain:.1f} nats, must gain {least:.1f}")
     held = left_out(fitter, before, after)

@@ -22,6 +22,7 @@ from realsim.gap.effects import EFFECTS, ON_REQUEST
 from realsim.gap.effects.base import Effect, Parameter, Place
 from realsim.gap.simulation.groups import like_joints
 from realsim.gap.simulation.nuisances import NUISANCES
+from realsim.gap.simulation.recent import Recent
 from realsim.gap.simulation.simulate import Setting, Simulator, lookup
 from realsim.types import F32, F64
 
@@ -79,6 +80,8 @@ class Screen:
         self._version = -1
         self._seen_beside: set[tuple[str, Place]] = set()
         """(effect, place) of the causes that move the robot otherwise, about which slopes were taken last."""
+        self._about: Recent[list[F32] | None] = Recent(2)
+        """Columns with slopes about causes, those of the set before the present one too."""
         self._lock = threading.Lock()
         """Held where the normal matrices are made anew."""
         self._A: list[F64] = []
@@ -146,10 +149,19 @@ class Screen:
         moving = {(name, place) for name, place, values in settings if self.simulator.moves((name, place, values))}
         if moving == self._seen_beside:
             return
+        # The search often comes back to a set, with values that differ a little.
+        columns = self._about.get(frozenset(moving), lambda: self._taken_about(settings))
+        if columns is not None:
+            self._columns, self._seen_beside = columns, moving
+            self.comparison.version += 1
+
+    def _taken_about(self, settings: Sequence[Setting]) -> list[F32] | None:
+        """The columns with slopes about these causes; None if they cannot be simulated."""
         there = self.simulator.simulate(settings, runs=self.runs)
         base = self.simulator.simulate(settings, runs=self.runs, coarse=self.coarse) if self.coarse > 1 else there
         if not all(np.isfinite(y).all() for y in (*there, *base)):
-            return
+            return None
+        found = [c.copy() for c in self._columns]
         others = [
             i
             for i, atom in enumerate(self.atoms)
@@ -157,10 +169,9 @@ class Screen:
         ]
         changes = self.simulator.cores.each(lambda i: self._column(self.atoms[i], base, there, settings), others)
         for i, change in zip(others, changes, strict=True):
-            for k, columns in enumerate(self._columns):
+            for k, columns in enumerate(found):
                 columns[:, i] = change[k] if change else 0.0
-        self.comparison.version += 1
-        self._seen_beside = moving
+        return found
 
     def _column(
         self, atom: Atom, base: list[F64], fine: list[F64], settings: Sequence[Setting] = ()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.score import alike, near, score
@@ -56,17 +56,17 @@ def _alike(search: Search, nominal: Fit) -> tuple[Fit, list[Fit]]:
     again = (fitter.looked_at(f, f.causes) for f in others)
     others = [f for f in again if f is not None and f.misfit - best.misfit < near(removed)]
     same = [best, *(f for f in others if alike(fitter, best, f, removed))]
-    best, *rest = sorted(same, key=lambda f: score(fitter.screen, f))
-    return fitter.spread(best), [f for f in rest if not _richer(f, best)]
+    # A law that holds another as a special case always fits as well: where the runs do not ask for it, the plain one is
+    # said, and it alone.
+    plain = [f for f in same if not any(_richer(f, o) for o in same)]
+    best, *rest = sorted(plain, key=lambda f: score(fitter.screen, f))
+    return fitter.spread(best), rest
 
 
-def _richer(fit: Fit, best: Fit) -> bool:
-    """Whether a set has a law that holds one of the best set as a special case, and so always fits as well."""
-    return any(contains(c.candidate, o.candidate) for c in fit.causes for o in best.causes)
-
-
-def without_causes(selection: Selection) -> Selection:
-    """The same search that came to nothing: what it found does not hold."""
-    found = ", ".join(dict.fromkeys(c.candidate.effect for c in selection.fit.causes))
-    note = f"{found} fits best, and makes the unseen run worse: no cause"
-    return replace(selection, fit=selection.nominal, equivalent=[], gains={}, notes=[*selection.notes, note])
+def _richer(fit: Fit, other: Fit) -> bool:
+    """Whether a set is the other one with a law in a cause's place that holds it as a special case."""
+    ours, theirs = (
+        [c.candidate for c in a.causes if not b.has(c.candidate.effect, c.candidate.place)]
+        for a, b in ((fit, other), (other, fit))
+    )
+    return bool(ours) and all(any(contains(c, o) for o in theirs) for c in ours)

@@ -123,6 +123,9 @@ class Effect:
     """A more usual effect that may do the same."""
     suggests: Callable[[Context, Place, dict[str, float]], Sequence[Suggestion]] = lambda *_: ()
     """From values that were found at a place: what else may explain the same."""
+    taken_for: tuple[str, ...] = ()
+    """Effects among those suggested that are held against it by left-out runs whenever it is named: on a model that is
+    not exact, a little of what it does beside them outweighs the evidence of noise alone."""
 
     def __post_init__(self) -> None:
         """Whoever asks for parameters gets the user's sizes of everyday deviations, where the context has any."""

@@ -45,6 +45,7 @@ EFFECT = Effect(
     excited_by=_excited,
     apply=_apply,
     suggests=_suggests,
+    taken_for=("stiffness_gain", "motor_gain"),
     stepwise=True,
     patchable=False,
 )
