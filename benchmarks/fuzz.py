@@ -2,7 +2,7 @@
 
     python benchmarks/fuzz.py                       # 1,000 captures and scans, 500 cases, 300 recordings, 200 others
     python benchmarks/fuzz.py --only cases --trials 50
-    python benchmarks/fuzz.py --again               # only what failed before, after a reader was mended
+    python benchmarks/fuzz.py --again               # only what failed or was silent before, after a reader was mended
     python benchmarks/fuzz.py --show cases 17       # one trial here and now, with its traceback
 
 Every trial copies a sound example (fuzz_sources.py), damages it (fuzz_damage.py) and reads it (fuzz_readers.py) in a
@@ -11,6 +11,7 @@ process with a limit on time and memory. Its outcome is one of
     refused    an error with file, expectation and finding
     said       read, and what a user is told differs from what is told of the sound example
     same       read, and the same values came out
+    renamed    read, and the same values came out under other names or in another order: runs of a case, which have none
     silent     read, other values came out, and not a word: most are numbers that could as well be true; they are listed
     control    control characters in what goes to the terminal
     traceback  any other exception, a crash, or out of memory
@@ -34,7 +35,7 @@ import time
 import traceback
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import IO, Any
@@ -53,8 +54,9 @@ from realsim.errors import printable
 RESULTS = Path(__file__).parent / "results" / "fuzz.json"
 SECONDS, MEMORY = 90.0, 6 * 2**30
 """Limits of one trial. Sound examples take a second, the first of a process (imports) 20 on a busy machine."""
-OUTCOMES = ("refused", "said", "same", "silent", "control", "traceback", "hang")
+OUTCOMES = ("refused", "said", "same", "renamed", "silent", "control", "traceback", "hang")
 WRONG = ("control", "traceback", "hang")
+AGAIN = (*WRONG, "silent")
 
 
 def attempt(kind: str, source: str, seed: int, number: int, work: Path) -> dict[str, Any]:
@@ -164,10 +166,21 @@ def judge(row: dict[str, Any], sound: dict[str, Any]) -> dict[str, Any]:
         outcome = "refused"
     elif Counter(row["said"]) != Counter(sound["said"]) or row["refused"]:
         outcome = "said"
+    elif changed:
+        outcome = "renamed" if row["kind"] == "cases" and runs(row["found"]) == runs(sound["found"]) else "silent"
     else:
-        outcome = "silent" if changed else "same"
+        outcome = "same"
     kept = {k: row[k] for k in ("kind", "number", "source", "damage", "seconds")}
-    return kept | {"outcome": outcome} | ({"changed": changed} if outcome == "silent" else {})
+    return kept | {"outcome": outcome} | ({"changed": changed} if outcome in ("renamed", "silent") else {})
+
+
+def runs(found: Mapping[str, str]) -> Counter[tuple[str, ...]]:
+    """The values of a case run by run, whatever the runs are called; what belongs to no run is one more."""
+    parts: dict[str, list[str]] = {}
+    for name, value in sorted(found.items()):
+        what, of, run = name.partition(" of ")
+        parts.setdefault(run if of and run != "the model" else "", []).append(f"{what} {value}")
+    return Counter(map(tuple, parts.values()))
 
 
 def build(kind: str, work: Path) -> list[str]:
@@ -200,7 +213,7 @@ def run(kinds: list[str], seed: int, trials: int | None, work: Path, again: bool
         sound: dict[str, Any] = {}
         for number in range(trials or TARGETS[kind][0]):
             row = done.get((kind, number))
-            if row is None or (again and row["outcome"] in WRONG):
+            if row is None or (again and row["outcome"] in AGAIN):
                 source = names[number % len(names)]
                 if source not in sound:
                     sound[source] = workers.run(kind, source, seed, -1)
@@ -218,16 +231,17 @@ def run(kinds: list[str], seed: int, trials: int | None, work: Path, again: bool
 
 
 def report(rows: list[dict[str, Any]]) -> None:
-    """Counts by kind, and the silent ones by what was done to what."""
+    """Counts by kind, and by what was done to what: what only has other names, and what has other values."""
     for kind in dict.fromkeys(row["kind"] for row in rows):
         part = Counter(row["outcome"] for row in rows if row["kind"] == kind)
         print(f"{kind:<12}" + "  ".join(f"{name} {part[name]}" for name in OUTCOMES))
-    silent = Counter(
-        (row["source"], row["damage"], ", ".join(row["changed"][:3])) for row in rows if row["outcome"] == "silent"
-    )
-    print(f"\nsilent ({silent.total()}):")
-    for (source, what, changed), count in sorted(silent.items()):
-        print(printable(f"  {count:>3} x {source}: {what} -> {changed}"))
+    for outcome in ("renamed", "silent"):
+        found = Counter(
+            (row["source"], row["damage"], ", ".join(row["changed"][:3])) for row in rows if row["outcome"] == outcome
+        )
+        print(f"\n{outcome} ({found.total()}):")
+        for (source, what, changed), count in sorted(found.items()):
+            print(printable(f"  {count:>3} x {source}: {what} -> {changed}"))
 
 
 def main() -> None:
@@ -235,7 +249,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=list(TARGETS), choices=list(TARGETS))
     parser.add_argument("--trials", type=int, help="fewer or more of each kind; nothing is stored then")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--again", action="store_true", help="repeat the trials that failed")
+    parser.add_argument("--again", action="store_true", help="repeat the trials that failed or were silent")
     parser.add_argument("--show", nargs=2, metavar=("KIND", "NUMBER"), help="run one trial in this process")
     parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "realsim-fuzz")
     arguments = parser.parse_args()

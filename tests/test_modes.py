@@ -28,7 +28,7 @@ from realsim.types import Reconstruction
 pytest.importorskip("onnx", reason="models for these tests are made with onnx (extra dev)")
 from benchmarks.simulated_model import Answers, Shape, write_model
 
-CAPTURE = SynthConfig("boxes", 9, depth_scale=1.006, seed=3)
+CAPTURE = SynthConfig("boxes", 9, depth_scale=1.006, seed=3, width=320)
 UNIT = 0.31
 SIZE = (238, 322)
 

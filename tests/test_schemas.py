@@ -91,7 +91,7 @@ def test_captures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.slow
 def test_a_demonstration(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("REALSIM_CACHE", str(tmp_path / "cache"))
-    made = said(capsys, "demo", "--out", tmp_path / "demo", "--frames", 12, "--with-poses", "--robot", "quadruped")
+    made = said(capsys, "demo", "--out", tmp_path / "demo", "--frames", 8, "--with-poses", "--robot", "quadruped")
     assert abs(made["errors"]["scale_error"]) < 0.05
 
 

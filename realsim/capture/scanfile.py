@@ -140,7 +140,10 @@ def read_stl(path: Path) -> RawScan:
     raw = _load(path)
     points, index = np.unique(raw.points, axis=0, return_inverse=True)
     triangles = None if raw.triangles is None else index.ravel()[raw.triangles].astype(np.int32)
-    return replace(raw, points=points, triangles=triangles, normals=None, colors=None)
+    notes = raw.notes
+    if triangles is not None and (flat := int((triangles == np.roll(triangles, 1, axis=1)).any(axis=1).sum())):
+        notes = (*notes, f"{flat} of {len(triangles)} triangles have no area: the file may be damaged there")
+    return replace(raw, points=points, triangles=triangles, normals=None, colors=None, notes=notes)
 
 
 def read_glb(path: Path) -> RawScan:

@@ -48,6 +48,17 @@ def corners(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return first[np.lexsort(first.T)]
 
 
+def test_triangles_without_area_are_said(tmp_path):
+    """What a disk has overwritten with zeros."""
+    file = tmp_path / "a.stl"
+    terrain().export(file)
+    assert not any("no area" in said for said in scan_of(file).assumptions)
+    data = bytearray(file.read_bytes())
+    data[84 + 50 * 3 : 84 + 50 * 6] = bytes(150)
+    file.write_bytes(data)
+    assert any(said.startswith("3 of") and "no area" in said for said in scan_of(file).assumptions)
+
+
 @pytest.mark.parametrize("suffix", ["ply", "obj", "stl", "glb"])
 def test_meshes_round_trip(suffix, tmp_path):
     mesh = terrain()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -206,9 +207,15 @@ def test_one_run_only_is_said(case: Path) -> None:
     assert any("only one run" in w for w in found.health["warnings"])
 
 
+def repeated(case: Path, name: str, differs: float) -> None:
+    """The first run once more, with positions that differ by so much."""
+    arrays = dict(np.load(case / "runs" / "run_01.npz"))
+    np.savez(case / "runs" / f"{name}.npz", **arrays | {"joint_pos": arrays["joint_pos"] + differs})
+
+
 def test_many_runs_are_subsampled_and_said(case: Path) -> None:
     for i in range(20):
-        shutil.copy(case / "runs" / "run_01.npz", case / "runs" / f"more_{i:02d}.npz")
+        repeated(case, f"more_{i:02d}", 1e-5 * (i + 1))
     found = diagnose(load_case(case), DiagnoseConfig(effects=("command_delay",), max_runs=4))
     assert any("24 runs" in w for w in found.health["warnings"])
 
@@ -369,8 +376,35 @@ def test_settings_that_would_fail_late_are_refused_at_once(wrong: dict[str, floa
 
 
 def test_replicates_are_found(case: Path) -> None:
-    shutil.copy(case / "runs" / "run_01.npz", case / "runs" / "run_09.npz")
+    repeated(case, "run_09", 1e-5)
     assert replicates(load_case(case)) == [[0, 4]]
+
+
+def test_the_same_recording_twice_is_one_run(case: Path) -> None:
+    """Else a run that is left out for the check could be one of those that were fitted."""
+    repeated(case, "run_09", 0.0)
+    loaded = load_case(case)
+    assert "run_09" not in [r.name for r in loaded.runs]
+    assert loaded.dropped_runs == ("run_09.npz: the same samples as run_01",)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda a: a | {"joint_vel": a["joint_vel"].astype(str)}, "plain numbers"),
+        (
+            lambda a: a | {"joint_vel": np.where(a["time"][:, None] > 1, np.float64(1e300), a["joint_vel"])},
+            "no robot has",
+        ),
+        (lambda a: a | {"command": np.where(a["time"][:, None] > 1, -1e9, a["command"])}, "no robot has"),
+    ],
+)
+def test_values_that_are_damage_drop_their_run(case: Path, change: Callable, said: str) -> None:
+    file = case / "runs" / "run_02.npz"
+    np.savez(file, **change(dict(np.load(file))))
+    (why,) = load_case(case).dropped_runs
+    assert why.startswith("run_02.npz: ")
+    assert said in why
 
 
 def test_unknown_effect_gives_the_closest() -> None:

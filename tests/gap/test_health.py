@@ -15,6 +15,7 @@ import pytest
 from realsim.errors import GapError
 from realsim.gap import Case, DiagnoseConfig, Run, load_case
 from realsim.gap.health import examine, gathered
+from realsim.gap.health.conventions import log_conventions
 from realsim.gap.simulation.simulate import Simulator
 
 from .truth import Truth
@@ -130,6 +131,20 @@ def test_what_is_odd_is_said(good: Case, change: Callable[[Run], Run], said: str
     import re
 
     assert any(re.search(said, w) for w in health(spoiled(good, change))["warnings"])
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (with_signal("joint_vel", column(0, np.zeros_like)), "joint_vel of shoulder is not the slope"),
+        (with_signal("joint_vel", column(1, np.negative)), "joint_vel of elbow is not the slope"),
+    ],
+)
+def test_a_run_that_is_unlike_the_others_is_said(good: Case, change: Callable[[Run], Run], said: str) -> None:
+    first, *others = good.runs
+    warnings = log_conventions(good.with_runs((change(first), *others)))
+    assert any(w.startswith(f"{first.name}: {said}") for w in warnings)
+    assert all(w.startswith(f"{first.name}: ") for w in warnings)
 
 
 def test_a_run_cut_out_of_motion_does_not_begin_at_rest(good: Case) -> None:

@@ -208,7 +208,6 @@ def test_worlds_go_on_after_a_checkpoint_unless_asked(tmp_path: Path, restart: b
     assert began == ([0, 2, 4] if restart else [0])
 
 
-@pytest.mark.timeout(900)  # three minutes on one busy core
 def test_point_mass_is_learnt_from_depth() -> None:
     """Only the image says where the goal is; 2.0 would be a whole episode on it, doing nothing earns 0.0."""
     r = runner(worlds=64)

@@ -130,11 +130,14 @@ def _refuse_what_is_not_a_number(path: Path, policy: Policy) -> None:
 
 def _layout(data: Mapping[str, Any]) -> ObservationLayout:
     depth = data["depth"]
+    names = [*(name for part in ("actor", "critic") for name, _ in data[part]), *data["actions"]]
+    if not all(isinstance(name, str) and name for name in names):
+        raise TypeError("the layout names terms and joints by text")
     return ObservationLayout(
-        actor=tuple((str(name), int(width)) for name, width in data["actor"]),
-        critic=tuple((str(name), int(width)) for name, width in data["critic"]),
+        actor=tuple((name, int(width)) for name, width in data["actor"]),
+        critic=tuple((name, int(width)) for name, width in data["critic"]),
         depth=None if depth is None else (int(depth[0]), int(depth[1]), int(depth[2])),
-        actions=tuple(map(str, data["actions"])),
+        actions=tuple(data["actions"]),
         depth_stride=int(data["depth_stride"]),
     )
 

@@ -42,7 +42,7 @@ def log_conventions(case: Case) -> list[str]:
         scales = {"deg/s": DEG, "rpm": 30 / np.pi, "-1": -1.0}
         for j, joint in enumerate(case.joint_names):
             _refuse_unit(case, "joint_vel", joint, velocity[:, j], slope[:, j], scales, "the positions' slope")
-    return _base(case)
+    return _runs_apart(case) + _base(case)
 
 
 def nominal_conventions(simulator: Simulator, nominal: list[F64]) -> list[str]:
@@ -96,6 +96,30 @@ def disagreement(values: F64, like: F64) -> float:
     a, b = values[good] - values[good].mean(), like[good] - like[good].mean()
     size = float(np.sqrt(np.mean(b**2)))
     return float(np.sqrt(np.mean((a - b) ** 2))) / size if size > 1e-3 else 0.0
+
+
+def _runs_apart(case: Case) -> list[str]:
+    """Runs whose velocities have nothing to do with their positions, where the others' have: a sign, a dead sensor."""
+    if not case.has("joint_vel"):
+        return []
+    ends = np.cumsum([len(r.time) for r in case.runs])[:-1]
+    velocities, slopes = np.split(_all(case, "joint_vel"), ends), np.split(_slopes(case), ends)
+    found = []
+    for j, joint in enumerate(case.joint_names):
+        apart = np.array([disagreement(v[:, j], s[:, j]) for v, s in zip(velocities, slopes, strict=True)])
+        moved = np.array([_spread(s[:, j]) for s in slopes])
+        if np.median(apart) < PLAIN:
+            found += [
+                f"{case.runs[i].name}: joint_vel of {joint} is not the slope of its positions; in other runs it is"
+                for i in np.flatnonzero((apart > WRONG) & (moved > np.median(moved) / 2))  # slow motion drowns in noise
+            ]
+    return found
+
+
+def _spread(values: F64) -> float:
+    """Standard deviation of what is finite; 0 where nothing is."""
+    good = values[np.isfinite(values)]
+    return float(good.std()) if len(good) else 0.0
 
 
 def _asked(case: Case, joint: str, servo: str) -> F64:

@@ -197,13 +197,20 @@ def _read_runs(folder: Path, want: Layout, warnings: list[str]) -> tuple[tuple[R
     twice = sorted({f.stem for f in files if sum(g.stem == f.stem for g in files) > 1})
     if twice:
         raise GapError("two files of one run", file=folder, found=", ".join(twice), hint="keep the .npz or the .csv")
-    runs, dropped, first = [], [], None
+    runs: list[Run] = []
+    dropped, first = [], None
     for file in files:
         try:
-            runs.append(read_run(file, want, warnings))
+            run = read_run(file, want, warnings)
         except RealsimError as error:
             first = first or error
             dropped.append(f"{file.name}: {error.message}")
+            continue
+        same = next((r.name for r in runs if r.same_samples(run)), None)
+        if same is None:
+            runs.append(run)
+        else:  # it would count twice, and be no check of the other
+            dropped.append(f"{file.name}: the same samples as {same}")
     if not runs:
         assert first is not None
         raise first

@@ -33,6 +33,8 @@ OFF_AFTER = 0.1
 """Seconds without any command from which on a drive is off; shorter gaps are lost messages, and a command holds."""
 MAX_SAMPLES = 5_000_000
 LEAST_SAMPLES = 20
+LARGEST = 1e6
+"""No joint, motor or accelerometer reads as much in SI units: such values are damage (benchmarks/fuzz.py: 1e300)."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,13 @@ class Run:
             command=self.command[keep],
             signals={name: values[keep] for name, values in self.signals.items()},
             enabled=None if self.enabled is None else self.enabled[keep],
+        )
+
+    def same_samples(self, other: Run) -> bool:
+        """Whether these are the samples of one recording."""
+        mine, theirs = ([r.time, r.command, *(r.signals[k] for k in sorted(r.signals))] for r in (self, other))
+        return self.signals.keys() == other.signals.keys() and all(
+            np.array_equal(a, b, equal_nan=True) for a, b in zip(mine, theirs, strict=True)
         )
 
     @property
@@ -146,15 +155,14 @@ def _read_npz(path: Path) -> dict[str, F64]:
     for name, values in read_npz(path).items():
         if name in FRAMES:
             continue
-        try:
-            arrays[name] = np.asarray(values, dtype=np.float64)
-        except (TypeError, ValueError) as error:
+        if values.dtype.kind not in "fiub":  # text, too: what was written as text may have been cut
             raise GapError(
                 "not a readable .npz of plain numbers",
                 file=path,
                 expected="arrays of numbers",
                 found=f"{name} of type {values.dtype}",
-            ) from error
+            )
+        arrays[name] = np.asarray(values, dtype=np.float64)
     return arrays
 
 
@@ -168,12 +176,14 @@ def _checked(path: Path, data: dict[str, F64], want: Layout, warnings: list[str]
     if count > MAX_SAMPLES:
         raise GapError("the run is too long", file=path, expected=f"at most {MAX_SAMPLES} samples", found=str(count))
     _check_shape(path, "command", data["command"], (count, len(want.names["command"])))
+    _check_size(path, "command", data["command"])
     signals = {}
     for name in SIGNAL_SHAPES:
         if name in data and not want.names[name]:
             warnings.append(f"{path.name}: {name} is left out: contact_bodies in log.json is empty")
         elif name in data:
             _check_shape(path, name, data[name], (count, len(want.names[name])))
+            _check_size(path, name, data[name])
             signals[name] = np.where(np.isfinite(data[name]), data[name], np.nan)
     empty = ~np.isfinite(signals["joint_pos"]).any(axis=0)
     if empty.any():
@@ -239,6 +249,14 @@ def _trusted(time: F64, path: Path, warnings: list[str]) -> Any:
 def _check_shape(path: Path, name: str, array: F64, want: tuple[int, int]) -> None:
     if array.shape != want:
         raise GapError(f"{name} has the wrong shape", file=path, expected=str(want), found=str(array.shape))
+
+
+def _check_size(path: Path, name: str, array: F64) -> None:
+    largest = float(np.abs(array[np.isfinite(array)]).max(initial=0.0))
+    if largest > LARGEST:
+        raise GapError(
+            f"{name} holds values that no robot has", file=path, expected=f"up to {LARGEST:g}", found=f"{largest:g}"
+        )
 
 
 def _commanded(time: F64, data: Mapping[str, F64], path: Path, warnings: list[str]) -> tuple[F64, Any]:
