@@ -109,7 +109,7 @@ def test_two_processes_share_the_work_where_only_torch_is_installed(tmp_path: Pa
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     shared = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "OMP_NUM_THREADS": "1"}
-    arguments = [sys.executable, "-c", BARE, *SMALL, "--out", str(tmp_path), "--steps", "2"]
+    arguments = [sys.executable, "-c", BARE, *SMALL, "--out", str(tmp_path), "--steps", "2", "--cooldown", "9"]
     root = Path(__file__).resolve().parents[2]
     jobs = [
         subprocess.Popen(

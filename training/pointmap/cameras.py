@@ -36,7 +36,7 @@ def intrinsics(draw: Draw, scenes: int, size: tuple[int, int]) -> Tensor:
 def path(draw: Draw, scenes: int, views: int) -> tuple[Tensor, Tensor]:
     """(B, V, 4, 4) camera to world, OpenCV axes, world z up, and (B, V, 4, 4) the same a short time later.
 
-    An eye moves along a bent line, by centimetres or by metres in all; the point looked at moves with it in part.
+    An eye moves along a bent line; the point looked at moves with it in part, and sways.
     """
     b = scenes
     hand = draw.chance(0.6, b)
@@ -45,10 +45,11 @@ def path(draw: Draw, scenes: int, views: int) -> tuple[Tensor, Tensor]:
     target = torch.stack([draw.normal(0.9, b), draw.normal(0.35, b), draw.uniform(0.0, 0.5, b)], -1)
     eye = torch.stack([far * angle.cos(), far * angle.sin(), height], -1) + target * target.new_tensor([1, 1, 0])
     turn = angle + math.pi / 2 * draw.below(2, b) + draw.normal(0.5, b)  # across the line of sight, or along it
-    length = draw.log_uniform(0.08, 2.5, b)
+    # From one view to the next 6 to 70 cm: neighbours in a walk, and every fourth of them.
+    length = draw.log_uniform(0.06, 0.7, b) * max(views - 1, 1)
     step = torch.stack([turn.cos(), turn.sin(), draw.normal(0.15, b)], -1) * length[:, None]
     bend = draw.normal(0.2, b, 3) * length[:, None]
-    drift = draw.uniform(0.0, 1.2, b, 1) * step * step.new_tensor([1, 1, 0.2]) + draw.normal(0.1, b, 3)
+    drift = draw.uniform(0.0, 1.2, b, 1) * step * step.new_tensor([1, 1, 0.2]) + draw.normal(0.3, b, 3)
     s = torch.linspace(-0.5, 0.5, views, device=draw.device) + draw.uniform(-0.25, 0.25, b, views) / views
     shake = draw.log_uniform(0.003, 0.05, b, 1, 1) * draw.normal(1, b, views, 7)
     roll = draw.normal(0.06, b, 1) + shake[..., 6]

@@ -179,7 +179,7 @@ class Generator:
             time = 0.0 if k == 0 else k / self.samples
             shift = draw.uniform(-0.5, 0.5, b, 2) * (k > 0)
             d = cameras.rays(K, size, shift).reshape(b, h * w, 3)
-            step = max(1, self.chunk // b)
+            step = -(-h * w // max(1, -(-b * h * w // self.chunk)))  # chunks of one size: the compiler knows it then
             for i in range(v):
                 R, origin = self._between(T[:, i], later[:, i], time)
                 turned = d @ R.transpose(1, 2)
@@ -269,4 +269,5 @@ class _World:
 
 @cache
 def _compiled() -> Cast:
+    torch._dynamo.config.recompile_limit = 64  # scenes and rays come in a few sizes; beyond it, it would give up
     return torch.compile(rays.nearest)

@@ -12,12 +12,15 @@ from training.pointmap.draw import Draw
 def picture(draw: Draw, light: Tensor) -> Tensor:
     """(B, V, 3, H, W) 0..1 as a camera delivers linear light of that shape: exposure, defocus, noise, tone, JPEG.
 
-    Most are exposed well, some are night, some burnt out; exposure and white balance differ a little between views.
+    Most are exposed well, some are night, some burnt out; exposure and white balance differ a little between views. Of
+    views among good ones, one in twelve is dark or burnt out and one in sixteen out of focus: they are what the
+    confidence has to tell apart.
     """
     b, v = light.shape[:2]
     middle = light.mean((1, 2, 3, 4)).clamp(min=1e-3)
     aim = torch.where(draw.chance(0.12, b), draw.log_uniform(0.01, 1.2, b), draw.log_uniform(0.12, 0.4, b))
     gain = (aim / middle)[:, None] * (1 + draw.normal(0.08, b, v)).clamp(0.6, 1.5)
+    gain = gain * torch.where(draw.chance(1 / 12, b, v), draw.log_uniform(0.02, 12, b, v), 1.0)
     white = (1 + draw.normal(0.08, b, 1, 3)) * (1 + draw.normal(0.01, b, v, 3))
     x = light * gain[..., None, None, None] * white[..., None, None]
     x = _vignette(x, draw.uniform(0, 0.4, b))
@@ -37,13 +40,16 @@ def _vignette(x: Tensor, strength: Tensor) -> Tensor:
 
 
 def _defocus(draw: Draw, x: Tensor) -> Tensor:
-    """A blur of one width a scene: a third are blurred at all."""
+    """A blur of one width a scene, in a third of them, and a wide one of single views."""
     b, v, c, h, w = x.shape
-    sigma = torch.where(draw.chance(0.35, b), draw.log_uniform(0.3, 1.8, b), 1e-3).repeat_interleave(v * c)
-    at = torch.arange(-4, 5, device=x.device)
+    sigma = torch.where(draw.chance(0.35, b, 1), draw.log_uniform(0.3, 1.8, b, 1), 1e-3)
+    sigma = torch.where(draw.chance(1 / 16, b, v), draw.log_uniform(1.0, 4.0, b, v), sigma)
+    sigma = sigma.flatten().repeat_interleave(c)
+    reach = 8
+    at = torch.arange(-reach, reach + 1, device=x.device)
     kernel = torch.exp(-0.5 * (at / sigma[:, None]) ** 2)
     kernel = kernel / kernel.sum(1, keepdim=True)
-    flat = F.pad(x.reshape(1, -1, h, w), (4, 4, 4, 4), mode="replicate")
+    flat = F.pad(x.reshape(1, -1, h, w), (reach,) * 4, mode="replicate")
     flat = F.conv2d(flat, kernel[:, None, None], groups=len(sigma))
     return F.conv2d(flat, kernel[:, None, :, None], groups=len(sigma)).reshape(x.shape)
 

@@ -178,7 +178,7 @@ def train(o: Options, rank: Rank) -> state.State:
         print(
             f"{count(now.net) / 1e6:.1f} M parameters, {rank.count} x {rank.device}, from step {now.step}", flush=True
         )
-    first, before, saved, failed, over = now.step, now.minutes, begun, 0, False
+    first, before, saved, failed, over, spent = now.step, now.minutes, begun, 0, False, 0.0
     while not over:
         render, again = divmod(now.step, o.reuse)
         views = o.views[int(Draw.of(o.seed, render, "cpu").below(len(o.views), 1))]
@@ -188,15 +188,14 @@ def train(o: Options, rank: Rank) -> state.State:
             rendered = made.render(index, o.images // views, views, (o.height, o.width))
         batch = made.observe(rendered, index, again)
         clock = _since(clock, rank.device)
-        spent = (time.monotonic() - begun) / 60
         rate = o.lr * min(1.0, (now.step + 1 - first) / o.warmup if warm > first else 1.0)
         if o.cooldown:
             rate *= min(1.0, max(o.minutes - spent, 0) / o.cooldown)
         for group in optimiser.param_groups:
             group["lr"] = rate
         parts = _step(run, batch, Draw.of(o.seed + 5, now.step * rank.count + rank.index, rank.device))
-        over = spent >= o.minutes or (o.steps > 0 and now.step + 1 - first >= o.steps)
-        norm, over = _gather(now.net, over, rank)
+        norm, spent = _gather(now.net, (time.monotonic() - begun) / 60, rank)
+        over = spent >= o.minutes or 0 < o.steps <= now.step + 1 - first
         failed = 0 if norm < float("inf") else failed + 1
         if failed >= GIVE_UP:
             raise RealsimError(
@@ -205,7 +204,7 @@ def train(o: Options, rank: Rank) -> state.State:
         if not failed:
             optimiser.step()
         now.step, now.views = now.step + 1, now.views + batch.depth.shape[0] * views * rank.count
-        now.minutes = before + (time.monotonic() - begun) / 60
+        now.minutes = before + spent
         log.add(now, rate, {**parts, "gradient": norm}, clock, over)
         if rank.index == 0 and (over or time.monotonic() - saved > 60 * o.save_every):
             state.save(o.out, now, optimiser, o.keep)
@@ -249,19 +248,20 @@ def _mean(values: Tensor) -> Tensor:
     return values.mean() if len(values) else values.new_tensor(float("nan"))
 
 
-def _gather(net: PointmapNet, over: bool, rank: Rank) -> tuple[float, bool]:
-    """Mean gradients over all processes, clipped; their norm, and whether any process is at its end."""
+def _gather(net: PointmapNet, minutes: float, rank: Rank) -> tuple[float, float]:
+    """Mean gradients over all processes, clipped; their norm, and the mean of the processes' clocks: what depends on
+    time has to be the same everywhere."""
     grads = [p.grad for p in net.parameters() if p.grad is not None]
     if rank.count > 1:
-        flat = torch.cat([*(g.flatten() for g in grads), grads[0].new_tensor([float(over)])])
+        flat = torch.cat([*(g.flatten() for g in grads), grads[0].new_tensor([minutes])])
         dist.all_reduce(flat)
+        minutes = float(flat[-1]) / rank.count
         at = 0
         for g in grads:
             g.copy_((flat[at : at + g.numel()] / rank.count).reshape(g.shape))
             at += g.numel()
-        over = bool(flat[-1] > 0)
     norm = float(torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0))
-    return (norm if norm < float("inf") else float("inf")), over
+    return (norm if norm < float("inf") else float("inf")), minutes
 
 
 def _since(clock: float, device: torch.device) -> float:
