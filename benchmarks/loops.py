@@ -95,7 +95,8 @@ def main(options: Options) -> None:
 
 def rendered(case: Case, options: Options, folder: Path) -> Path:
     """The capture of a case; one that is there is taken as it is."""
-    from realsim.synth import SynthConfig, write_capture
+    from realsim.synth.capture import write_capture
+    from realsim.synth.config import SynthConfig
 
     out = folder / f"{case.name}-{options.width}"
     if (out / "truth").is_dir():
@@ -204,10 +205,12 @@ def table(rows: Sequence[Row]) -> list[str]:
         "| place | way | places | wrong | loops kept | frames placed | in pieces, said | trajectory, worst |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    known = {c.name: c for c in cases()}
+    stored = {row["place"]: row for row in rows}
     groups: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        case = known[row["place"]]
+    for case in cases():
+        if case.name not in stored:
+            continue
+        row = stored[case.name]
         way = "random order" if case.shuffled else "back" if case.back else "once, a gap" if case.gap else "once"
         groups.setdefault((case.terrain, way), []).append(row)
     return lines + [_line(name, way, group) for (name, way), group in groups.items()] + [_line("all", "", list(rows))]

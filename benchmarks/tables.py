@@ -20,6 +20,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import base_policy, gap_score, reconstruct
+from benchmarks import loops as places
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -216,6 +217,11 @@ def captures() -> list[str]:
     return head + reconstruct.readme_table(stored("reconstruct")["rows"])
 
 
+def loops() -> list[str]:
+    """What became of places that look alike, by kind of place."""
+    return places.table(stored("loops")["rows"])
+
+
 VERDICTS = {"good": "good", "look": "check first", "bad": "do not use", "refused": "refused"}
 
 
@@ -310,6 +316,7 @@ INDEX = (
     ("Learning on one CPU core", "trainer_cpu", "python benchmarks/trainer_cpu.py"),
     ("First learning rate of fine-tuning", "trainer_tune", "python benchmarks/trainer_tune.py"),
     ("Places that repeat, and an unregistered Kinect", "captures", "python benchmarks/captures.py"),
+    ("Loops in places that look alike", "loops", "python benchmarks/loops.py"),
     ("Captures that real sensors and apps wrote", "real_captures", "python benchmarks/real_captures.py"),
     ("Mistakes between a policy and its robot", "gap_contract", "python benchmarks/gap_contract.py --seed 2000"),
     ("Damaged input: tracebacks, hangs, silent changes", "fuzz", "python benchmarks/fuzz.py"),
@@ -378,6 +385,7 @@ KEYS = {
     "trainer_speed": ("case",),
     "trainer_tune": ("start", "speed", "seed"),
     "training_gpu": ("case",),
+    "loops": ("place",),
 }
 """File -> the values that tell its rows apart; each row says by `run` or `commit` what made it."""
 
@@ -414,6 +422,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "captures": captures,
     "contact": contact,
     "real captures": real_captures,
+    "loops": loops,
     "diagnosis by set": diagnosis_by_set,
     "diagnosis by robot": diagnosis_by_robot,
     "diagnosis by seed": diagnosis_intervals,

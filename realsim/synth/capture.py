@@ -49,7 +49,7 @@ def write_capture(
     rng = np.random.default_rng([config.seed, 4])
     drawn = float(rng.uniform(0.99, 1.01))
     T_world_sim = _random_world(rng)
-    poses = _poses(terrain, config, rng)
+    poses = camera_poses(terrain, config, rng)
     scale = drawn if config.depth_scale is None else config.depth_scale
     sensor = DepthSensor(scale)
     cameras = rig(config.sensor, config.width, np.random.default_rng([config.seed, 7]))
@@ -73,7 +73,8 @@ def write_capture(
     return SynthCapture(folder / "capture", folder / "truth")
 
 
-def _poses(terrain: Terrain, config: SynthConfig, rng: np.random.Generator) -> F64:
+def camera_poses(terrain: Terrain, config: SynthConfig, rng: np.random.Generator) -> F64:
+    """(config.frames, 4, 4) poses of the camera's way, simulation frame."""
     count = config.frames + config.gap
     if terrain.eyes is None or terrain.aims is None:
         poses = walk(terrain.bounds, count, rng, both_sides=config.both_sides)

@@ -96,6 +96,16 @@ def test_a_break_is_not_bridged_by_a_jump_where_likeness_misleads() -> None:
     assert len(honest.used) == 20
 
 
+def test_a_break_is_bridged_where_likeness_has_proven_true() -> None:
+    T = there_and_back(60)[[*range(16), *range(50, 60)]]  # 2.4 m further on while nothing was recorded
+    chain_ = [e for e in chain(T) if e.i != 15]
+    true = [edge(T, i, i + k) for k in (5, 6) for i in range(16 - k)]
+    again = [edge(T, 9 - k, 16 + k) for k in range(5)]
+    assert len(join(blind(26), chain_ + true + again).used) == 26
+    few = join(blind(26), chain_ + true[:4] + again)
+    assert [len(p) for p in few.parts] == [16, 10]
+
+
 def test_without_order_one_link_joins_where_no_likeness_is_false() -> None:
     T = there_and_back(40)[np.random.default_rng(1).permutation(40)]
     near = np.linalg.norm(T[:, None, :3, 3] - T[None, :, :3, 3], axis=-1) < 0.9

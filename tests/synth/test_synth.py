@@ -12,11 +12,12 @@ import pytest
 
 from realsim.errors import RealsimError, UnknownNameError
 from realsim.geometry import exp_so3, is_rotation, make_T, transform
-from realsim.synth import TERRAINS, SynthConfig, compare, write_capture
-from realsim.synth.camera import INTRINSICS, DepthSensor, look_at, walk
+from realsim.synth import PLACES, TERRAINS, SynthConfig, compare, write_capture
+from realsim.synth.camera import INTRINSICS, DepthSensor, follow_route, look_at, walk
+from realsim.synth.capture import camera_poses
 from realsim.synth.errors import read_surface
 from realsim.synth.render import Renderer
-from realsim.synth.terrain import make_terrain, top_centroid
+from realsim.synth.terrain import Terrain, make_terrain, top_centroid
 from realsim.synth.truth import read_truth
 from realsim.types import Intrinsics
 
@@ -60,6 +61,30 @@ def test_walk_is_rigid_and_starts_behind_the_start_platform() -> None:
     assert poses[0, 2, 1] < 0  # the image's y points down
     assert (poses[:, 1, 3] > 0.5).any()
     assert (poses[:, 1, 3] < -0.5).any()
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_places_that_are_gone_through_once_do_not_come_back(name: str) -> None:
+    way = [follow_route(t.eyes, t.aims, 60, np.random.default_rng(0))[:, :3, 3] for t in _both_ways(name)]
+    back = [_comes_back(eyes) for eyes in way]
+    assert back == [True, False]
+
+
+def _both_ways(name: str) -> list[Terrain]:
+    return [make_terrain(name, 0, once) for once in (False, True)]
+
+
+def _comes_back(eyes: np.ndarray) -> bool:
+    apart = np.linalg.norm(eyes[:, None] - eyes[None], axis=-1)
+    return bool((apart[np.triu_indices(len(eyes), 12)] < 0.6).any())
+
+
+def test_a_gap_takes_frames_out_of_the_middle() -> None:
+    config = SynthConfig("corridor", frames=6, gap=4)
+    rng = np.random.default_rng
+    terrain = make_terrain("corridor", 0)
+    whole = camera_poses(terrain, replace(config, frames=10, gap=0), rng(0))
+    np.testing.assert_array_equal(camera_poses(terrain, config, rng(0)), whole[[0, 1, 2, 7, 8, 9]])
 
 
 def test_depth_is_that_of_the_floor() -> None:

@@ -115,8 +115,8 @@ def join(views: Sequence[View], edges: Sequence[Edge]) -> Joined:
     n = len(views)
     ordered = in_order(n, edges)
     chains, kept = _chains(n, edges, steady=False)
-    pace = _pace(kept) if ordered else np.inf
-    if ordered and not _proven(chains, edges, pace, ordered) and _doubtful(chains, edges, pace):
+    pace = _pace(kept) if ordered and not _proven(chains, edges, np.inf, ordered) else np.inf
+    if np.isfinite(pace) and _doubtful(chains, edges, pace):
         chains, kept = _chains(n, edges, steady=True)
         pace = _pace(kept)
     fixed = _pairs(kept)
