@@ -249,6 +249,31 @@ def _real_capture(row: Row) -> str:
     )
 
 
+def hard_matches() -> list[str]:
+    """Captures that are hard to match, without and with the learned matcher."""
+    lines = [
+        "| capture | changed | frames placed | ATE | worst step | seconds | pairs asked, joined |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    rows = stored("matching")["rows"]
+    for row in (r for r in rows if r["learned"]):
+        key = [row[k] for k in ("capture", "kind", "frames")]
+        pair = [next(r for r in rows if [r[k] for k in ("capture", "kind", "frames")] == key and not r["learned"]), row]
+        asked = row.get("asked", 0)
+        both = pair if asked else pair[1:]
+        placed = " / ".join(str(r["placed"]) for r in both)
+        figures = [
+            " / ".join(f"{r[k]:.0f}{unit}" if k in r else "-" for r in both)
+            for k, unit in (("ate_mm", " mm"), ("worst_step_mm", " mm"), ("seconds", ""))
+        ]
+        change = "" if row["kind"] == "as it is" else row["kind"]
+        joined = f"{asked}, {row.get('joined', 0)}" if asked else "not asked"
+        lines.append(
+            f"| {row['capture']} | {change} | {placed} of {row['frames']} | {' | '.join(figures)} | {joined} |"
+        )
+    return lines
+
+
 def contact() -> list[str]:
     """Measured contact by representation."""
     return list(stored("contact")["summary"])
@@ -318,6 +343,11 @@ INDEX = (
     ("Places that repeat, and an unregistered Kinect", "captures", "python benchmarks/captures.py"),
     ("Loops in places that look alike", "loops", "python benchmarks/loops.py"),
     ("Captures that real sensors and apps wrote", "real_captures", "python benchmarks/real_captures.py"),
+    (
+        "Frames that are hard to match, with and without the learned matcher",
+        "matching",
+        "python benchmarks/matching.py",
+    ),
     ("Mistakes between a policy and its robot", "gap_contract", "python benchmarks/gap_contract.py --seed 2000"),
     ("Damaged input: tracebacks, hangs, silent changes", "fuzz", "python benchmarks/fuzz.py"),
     ("Recordings that decide between causes", "gap_next", "python benchmarks/gap_next.py --seed 27"),
@@ -377,6 +407,7 @@ KEYS = {
     "gap_real": ("case", "engine"),
     "gap_since": ("seed", "pair"),
     "gap_sysid": ("case",),
+    "matching": ("capture", "kind", "learned", "frames"),
     "real_captures": ("capture",),
     "reconstruct": ("capture", "method"),
     "reconstruct_scaling": ("frames", "poses"),
@@ -423,6 +454,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "contact": contact,
     "real captures": real_captures,
     "loops": loops,
+    "hard matches": hard_matches,
     "diagnosis by set": diagnosis_by_set,
     "diagnosis by robot": diagnosis_by_robot,
     "diagnosis by seed": diagnosis_intervals,

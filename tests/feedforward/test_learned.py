@@ -18,7 +18,7 @@ from realsim.errors import ModelError
 from realsim.feedforward import matcher
 from realsim.feedforward.config import PointsConfig
 from realsim.feedforward.rgbd import learned
-from realsim.feedforward.rgbd.tracks import build_tracks, prepare
+from realsim.feedforward.rgbd.tracks import Match, build_tracks, prepare
 from realsim.geometry import angle_deg, invert_T
 from realsim.types import Frame
 
@@ -160,3 +160,14 @@ def test_without_its_package_it_is_said(dark: list[Frame], monkeypatch: pytest.M
     found = learned.join_pieces(prepare(dark), [], seed=0)
     assert not found.matches
     assert any('pip install "realsim[matching]"' in line for line in found.said())
+
+
+def test_two_pieces_are_not_joined_by_one_link() -> None:
+    def link(i: int, j: int) -> Match:
+        return Match(i, j, np.arange(30), np.arange(30), np.eye(4))
+
+    piece = np.array([0, 0, 0, 1, 1, 2])
+    assert learned._supported([link(2, 3)], piece) == []
+    assert learned._supported([link(2, 3), link(2, 4)], piece) == []
+    assert len(learned._supported([link(2, 4), link(1, 3)], piece)) == 2
+    assert [(m.i, m.j) for m in learned._supported([link(2, 3), link(4, 5)], piece)] == [(4, 5)]

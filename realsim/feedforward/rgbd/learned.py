@@ -59,7 +59,7 @@ class Learned:
         few = ", ".join(names[:4]) + (" ..." if len(names) > 4 else "")
         return [
             f"features found too little in some pairs of frames; a learned matcher joined {len(self.matches)} of the "
-            f"{self.asked} that it was asked about ({few}), and the depth agrees"
+            f"{self.asked} that it was shown ({few}), and the depth agrees"
         ]
 
 
@@ -90,7 +90,21 @@ def join_pieces(views: Sequence[View], edges: Sequence[Edge], seed: int) -> Lear
         found = _match(shown, keypoints, i, j, seed)
         if found is not None:
             matches.append(found)
-    return Learned(*_trimmed(views, shown, matches), asked)
+    return Learned(*_trimmed(views, shown, _supported(matches, piece)), asked)
+
+
+def _supported(matches: Sequence[Match], piece: NDArray[np.int64]) -> list[Match]:
+    """Matches that do not join two pieces alone: where frames are missing, the next place may only look like this one.
+
+    Pieces of several frames have to say it twice, by different frames on both sides; one frame cannot.
+    """
+    out: list[Match] = []
+    for a, b in sorted({(min(p), max(p)) for m in matches for p in [(int(piece[m.i]), int(piece[m.j]))]}):
+        group = [m for m in matches if {piece[m.i], piece[m.j]} == {a, b}]
+        support = min(len({k for m in group for k in (m.i, m.j) if piece[k] == p}) for p in (a, b))
+        if support >= min(2, int((piece == a).sum()), int((piece == b).sum())):
+            out += group
+    return sorted(out, key=lambda m: (m.i, m.j))
 
 
 def _pieces(n: int, edges: Sequence[Edge]) -> NDArray[np.int64]:
