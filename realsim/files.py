@@ -15,7 +15,7 @@ import time
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from glob import escape as glob_escape
 from pathlib import Path
 from typing import Any
@@ -376,6 +376,29 @@ def inside(root: Path, name: str) -> Path:
             "a path leads out of its folder", file=root, found=name, expected="a relative path inside it"
         )
     return target
+
+
+def file_digests(folder: Path) -> dict[str, str]:
+    """Path below a folder -> SHA-256 of every file in it, in order."""
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def edited_files(folder: Path, digests: Any) -> tuple[str, ...]:
+    """Of `file_digests`, as a report has kept them: the files that have other content now, or are gone.
+
+    Files that came later are no concern of the report. What is no such map (a report of an older version) knows none.
+    """
+    known = digests if isinstance(digests, Mapping) else {}
+    found = []
+    for name, value in known.items():
+        path = inside(folder, name)
+        if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != value:
+            found.append(str(name))
+    return tuple(found)
 
 
 def digest(*parts: Any) -> str:

@@ -6,7 +6,7 @@ from a run of its own and what it finds in a folder have one type.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from html import escape
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.errors import RealsimError
-from realsim.files import read_json
+from realsim.files import edited_files, read_json
 from realsim.gap.verdicts import GapVerdict
 
 __all__ = [
@@ -114,6 +114,8 @@ class Scene:
     frames_dropped: Mapping[str, str] = field(default_factory=dict)
     """Name of a frame -> why it was left out."""
     warnings: tuple[str, ...] = ()
+    edited: tuple[str, ...] = ()
+    """Files that were changed or removed since the report was written: its figures are not theirs."""
     report: Mapping[str, Any] = field(default_factory=dict)
     """All of report.json (or contact.json)."""
     details: Any = None
@@ -192,6 +194,7 @@ class Scene:
 def _scene(kind: type[Scene], folder: Path, data: Any, contact: Any, details: Any) -> Scene:
     verdict = data.get("verdict") or {}
     scale, frames = data.get("scale"), data.get("frames") or {}
+    edited = edited_files(folder, data.get("files"))
     level = verdict.get("level")
     return kind(
         folder=folder,
@@ -213,10 +216,17 @@ def _scene(kind: type[Scene], folder: Path, data: Any, contact: Any, details: An
         goal=_site(data.get("goal")),
         frames_used=len(frames.get("used", ())),
         frames_dropped={d["name"]: d["reason"] for d in frames.get("dropped", ())},
-        warnings=tuple(data.get("warnings", ())),
+        warnings=(*data.get("warnings", ()), *([said_of_edited(edited)] if edited else [])),
+        edited=edited,
         report=data,
         details=details,
     )
+
+
+def said_of_edited(names: Sequence[str]) -> str:
+    """A warning about files of a scene that are no longer those of its report."""
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return f"{', '.join(names[:3])}{more}: changed since the report was written, whose figures are of what was there"
 
 
 def _site(data: Mapping[str, Any] | None) -> Site | None:

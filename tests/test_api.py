@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -44,6 +45,24 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_import_loads_nothing_heavy() -> None:
     done = run(f"import realsim, sys; print([m for m in {HEAVY!r} if m in sys.modules])")
     assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_a_scene_that_was_edited_is_said(scene: rs.Scene, tmp_path: Path) -> None:
+    folder = tmp_path / "scene"
+    shutil.copytree(scene.folder, folder)
+    (folder / "mine.txt").write_text("came later")
+    assert rs.load_scene(folder).edited == rs.export(folder, "obj", tmp_path / "out").edited == ()
+    text = (folder / "scene.xml").read_text()
+    (folder / "scene.xml").write_text(text.replace("</mujoco>", "<!-- higher --></mujoco>"))
+    edited = rs.load_scene(folder)
+    assert edited.edited == ("scene.xml",)
+    assert any(w.startswith("scene.xml: changed since") for w in edited.warnings)
+    written = rs.export(folder, "obj", tmp_path / "edited")
+    assert written.edited == ("scene.xml",)
+    assert json.loads((tmp_path / "edited" / "obj" / "export.json").read_text())["edited"] == ["scene.xml"]
+    (folder / "scene.xml").write_text(text)
+    (folder / "mesh.glb").unlink()
+    assert rs.load_scene(folder).edited == ("mesh.glb",)
 
 
 def test_every_name_is_there_and_no_module_takes_its_place() -> None:

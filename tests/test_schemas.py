@@ -77,22 +77,16 @@ def test_diagnoses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.slow
-def test_captures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A whole reconstruction, small: three frames of a demonstration do not make a good scene, and it says so."""
-    made = said(capsys, "synth", "--out", tmp_path / "synth", "--frames", 8, "--width", 320, "--with-poses")
-    assert said(capsys, "inspect", made["capture"])["layout"]
-    scene = said(
-        capsys, "reconstruct", made["capture"], "--out", tmp_path / "scene", "--resolution", 0.02,
-        "--contact-probes", 100, "--no-cache",
-    )  # fmt: skip
-    assert scene["verdict"]["level"] in ("good", "look", "bad")
-
-
-@pytest.mark.slow
-def test_a_demonstration(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_captures(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A demonstration, and its capture again: the stages are kept."""
     monkeypatch.setenv("REALSIM_CACHE", str(tmp_path / "cache"))
     made = said(capsys, "demo", "--out", tmp_path / "demo", "--frames", 8, "--with-poses", "--robot", "quadruped")
     assert abs(made["errors"]["scale_error"]) < 0.05
+    capture = tmp_path / "demo" / "frames" / "capture"
+    assert said(capsys, "inspect", capture)["layout"]
+    scene = said(capsys, "reconstruct", capture, "--out", tmp_path / "scene", "--robot", "quadruped")
+    assert scene["verdict"]["level"] in ("good", "look", "bad")
+    assert said(capsys, "synth", "--out", tmp_path / "synth", "--frames", 2, "--width", 80)["capture"]
 
 
 def test_a_viewer_that_is_closed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import sys
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -64,10 +67,17 @@ def demo(
         *_table(errors, sensor, poses),
         "",
         f"report  {out / 'scene' / 'report.html'}   open it in a browser",
-        f"scene   {out / 'scene' / 'scene.xml'}   python -m mujoco.viewer --mjcf={out / 'scene' / 'scene.xml'}",
+        f"scene   {out / 'scene' / 'scene.xml'}   {_python()} -m mujoco.viewer --mjcf={out / 'scene' / 'scene.xml'}",
     ]
     data = {"errors": errors, "sensor_scale": sensor, "seconds": seconds, "scene": str(out / "scene")}
     return CommandResult("\n".join(lines), data)
+
+
+def _python() -> str:
+    """What to type for the Python that has MuJoCo: `make demo` runs one that is on nobody's PATH."""
+    if shutil.which("python") == sys.executable:
+        return "python"
+    return min(sys.executable, os.path.relpath(sys.executable), key=len)
 
 
 def _table(errors: dict[str, Any], sensor: float, poses: bool) -> list[str]:

@@ -12,6 +12,7 @@ from realsim.commands.many import run_each
 from realsim.errors import RealsimError
 from realsim.exports import ALL, EXPORTERS, export_scene
 from realsim.jobs import ManyConfig
+from realsim.results import said_of_edited
 
 FORMATS = "all|mjcf,warp,usd,urdf,sdf,terrain,glb,obj,stl,ply,heightmap"
 """What --help shows; a test holds it to EXPORTERS."""
@@ -58,9 +59,12 @@ def export(
         more = f" and {len(others)} more file{'s' if len(others) > 1 else ''}" if others else ""
         lines.append(f"{name:<10} {first}{more}")
     lines += [f"{name:<10} left out: {reason}" for name, reason in written.skipped.items()]
+    if written.edited:
+        lines.append(f"note       {said_of_edited(written.edited)}")
     data = {
         "folder": str(out or scene / "export"),
         "formats": {name: [str(p) for p in paths] for name, paths in written.items()},
         "skipped": written.skipped,
+        "edited": list(written.edited),
     }
     return CommandResult("\n".join(lines), data)

@@ -14,7 +14,7 @@ from realsim.exports.contact.heatmap import heatmap_png
 from realsim.exports.ground import GroundLevel, ground_level, hidden_cm2
 from realsim.exports.mend import read_mesh
 from realsim.exports.scene import write_terrain
-from realsim.files import to_json, write_bytes, write_text
+from realsim.files import file_digests, to_json, write_bytes, write_text
 from realsim.progress import note
 from realsim.types import SceneFiles
 
@@ -67,7 +67,7 @@ def contact_mesh(
     contact |= {"hidden_cm2": hidden, "mended": notes}
     contact["missing_area_cm2"] = round(contact["missing_area_cm2"] + hidden, 2)
     contact["verdict"] = contact_verdict(contact, config.contact_tolerance)
-    write_text(folder / "contact.json", to_json(contact))
+    write_text(folder / "contact.json", to_json(contact | {"files": file_digests(folder)}))
     if files.contact_map is not None:
         write_bytes(folder / "contact.png", heatmap_png(files.contact_map))
     return replace(files, contact=contact)

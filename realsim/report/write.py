@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from realsim.errors import RealsimError
-from realsim.files import to_json, write_text
+from realsim.files import file_digests, to_json, write_text
 from realsim.report.document import reconstruction_page
 from realsim.report.picture import draw
 from realsim.report.summary import Made, summary
@@ -25,7 +25,8 @@ def write_report(folder: Path, result: Reconstruction, *, picture: bool = True) 
         picture: draw the scene with MuJoCo for the page.
     """
     judgement, made = judge(result), Made.now()
-    write_text(folder / "report.json", to_json(summary(result, judgement, made)))
+    written = {"files": file_digests(folder)}
+    write_text(folder / "report.json", to_json(summary(result, judgement, made) | written))
     drawn = _drawn(folder / result.scene.scene_xml.name) if picture else None
     write_text(folder / "report.html", reconstruction_page(folder, result, judgement, made, drawn))
 

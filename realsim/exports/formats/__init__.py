@@ -12,7 +12,7 @@ from pathlib import Path
 from realsim import __version__
 from realsim.errors import MissingExtraError, explain_missing_packages
 from realsim.exports.formats.scene import SceneOnDisk, load_scene
-from realsim.files import output_folder, refuse_existing, to_json, write_text
+from realsim.files import edited_files, output_folder, read_json, refuse_existing, to_json, write_text
 from realsim.progress import track
 from realsim.registry import Registry
 
@@ -39,7 +39,8 @@ EXPORTERS = Registry(
 ALL = "all"
 """In place of a list of names: every format."""
 MARK = "export.json"
-"""In every folder that an export wrote: which format, and of which version."""
+"""In every folder that an export wrote: which format, of which version, and what of the scene had been edited."""
+REPORTS = ("report.json", "contact.json")
 
 
 class Exported(dict[str, list[Path]]):
@@ -47,10 +48,15 @@ class Exported(dict[str, list[Path]]):
 
     skipped: Mapping[str, str]
     """With "all": format -> why it was left out (a package that is not installed)."""
+    edited: tuple[str, ...]
+    """Files of the scene that were changed since its report was written."""
 
-    def __init__(self, written: Mapping[str, list[Path]], skipped: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self, written: Mapping[str, list[Path]], skipped: Mapping[str, str] | None = None, edited: Sequence[str] = ()
+    ) -> None:
         super().__init__(written)
         self.skipped = dict(skipped or {})
+        self.edited = tuple(edited)
 
 
 def export_scene(scene: Path, to: Sequence[str], out: Path | None = None, *, overwrite: bool = False) -> Exported:
@@ -70,6 +76,8 @@ def export_scene(scene: Path, to: Sequence[str], out: Path | None = None, *, ove
     every = list(to) == [ALL]
     exporters = {name: EXPORTERS[name] for name in (EXPORTERS if every else to)}
     loaded = load_scene(scene)
+    report = next((read_json(scene / name) for name in REPORTS if (scene / name).is_file()), None)
+    edited = edited_files(scene, report.get("files")) if isinstance(report, Mapping) else ()
     target = scene / "export" if out is None else out
     for name in exporters:
         refuse_existing(target / name, overwrite)
@@ -81,11 +89,11 @@ def export_scene(scene: Path, to: Sequence[str], out: Path | None = None, *, ove
                 output_folder(target / name, overwrite=overwrite) as folder,
             ):
                 files = exporter(loaded, folder)
-                write_text(folder / MARK, to_json({"format": name, "realsim": __version__}))
+                write_text(folder / MARK, to_json({"format": name, "realsim": __version__, "edited": edited}))
         except MissingExtraError as error:
             if not every:
                 raise
             skipped[name] = f"{error.message} ({error.hint})"
         else:
             written[name] = [target / name / path.relative_to(folder) for path in files]
-    return Exported(written, skipped)
+    return Exported(written, skipped, edited)
