@@ -303,21 +303,21 @@ def timed(model_file: Path, truth: Truth) -> Row:
 
 def line(row: Row) -> str:
     """A row for a person, with its bars."""
-    bars = BARS.get(str(row.get("given")), {})
     out = []
     for key, value in row.items():
-        if isinstance(value, float):
-            bar = (
-                f" (bar {bars[key]:g}: {'met' if value <= bars[key] else 'missed'})"
-                if key in bars and np.isfinite(value)
-                else ""
-            )
-            out.append(f"{key} {value:.4g}{bar}")
-        else:
-            out.append(f"{key} {value}")
+        out.append(f"{key} {value:.4g}{_judged(row, key, value)}" if isinstance(value, float) else f"{key} {value}")
     if "seconds" in row:
         out.append(f"bar {BAR_SECONDS:g} s for 60 frames on two free cores")
     return "  ".join(out)
+
+
+def _judged(row: Row, key: str, value: float) -> str:
+    bar = BARS.get(str(row.get("given")), {}).get(key)
+    if bar is None or not np.isfinite(value):
+        return ""
+    if key == "rotation_deg" and row["still_deg"] <= bar:
+        return f" (bar {bar:g}: says nothing, no motion at all meets it)"
+    return f" (bar {bar:g}: {'met' if value <= bar else 'missed'})"
 
 
 def main() -> None:
