@@ -255,19 +255,20 @@ def hard_matches() -> list[str]:
         "| capture | changed | frames placed | ATE | worst step | seconds | pairs asked, joined |",
         "|---|---|---|---|---|---|---|",
     ]
-    rows = stored("matching")["rows"]
-    for row in (r for r in rows if r["learned"]):
-        key = [row[k] for k in ("capture", "kind", "frames")]
-        pair = [next(r for r in rows if [r[k] for k in ("capture", "kind", "frames")] == key and not r["learned"]), row]
-        asked = row.get("asked", 0)
-        both = pair if asked else pair[1:]
+    pairs: dict[tuple[Any, ...], dict[bool, Row]] = {}
+    for row in stored("matching")["rows"]:
+        pairs.setdefault((row["capture"], row["kind"], row["frames"]), {})[row["learned"]] = row
+    for pair in (p for p in pairs.values() if len(p) == 2):
+        row = pair[True]
+        asked = row.get("asked")  # not stored where nothing was placed
+        both = [row] if asked == 0 else [pair[False], row]
         placed = " / ".join(str(r["placed"]) for r in both)
         figures = [
             " / ".join(f"{r[k]:.0f}{unit}" if k in r else "-" for r in both)
             for k, unit in (("ate_mm", " mm"), ("worst_step_mm", " mm"), ("seconds", ""))
         ]
         change = "" if row["kind"] == "as it is" else row["kind"]
-        joined = f"{asked}, {row.get('joined', 0)}" if asked else "not asked"
+        joined = "not asked" if asked == 0 else f"{asked}, {row['joined']}" if asked else "-"
         lines.append(
             f"| {row['capture']} | {change} | {placed} of {row['frames']} | {' | '.join(figures)} | {joined} |"
         )
