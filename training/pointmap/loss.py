@@ -9,9 +9,9 @@ from torch.nn import functional as F
 from training.pointmap.network import REFERENCE, Prediction
 from training.pointmap.scenes import Batch
 
-WEIGHTS = {"depth": 1.0, "likelihood": 0.3, "slope": 1.0, "rays": 1.0, "rotation": 1.0, "translation": 1.0}
-"""Of the terms of `terms`. Relative errors of depth, angles in radians and tangents of rays are of one size, so all
-weigh the same; the likelihood, which is a logarithm, less."""
+WEIGHTS = {"depth": 1.0, "likelihood": 0.3, "slope": 1.0, "rays": 1.0, "rotation": 3.0, "translation": 3.0}
+"""Of the terms of `terms`. Three for the poses: with one, after 120 steps on 48 scenes of two views (one seed, the same
+scenes), rotation, translation and depth were all worse: 0.185, 0.093, 0.177 instead of 0.143, 0.082, 0.168."""
 FAR = 20.0
 """Metres: true depth beyond it is not learnt."""
 

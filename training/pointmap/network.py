@@ -99,12 +99,14 @@ class PointmapNet(nn.Module):
     def _initialise(self) -> None:
         for m in self.modules():
             if isinstance(m, nn.Linear):
-                nn.init.trunc_normal_(m.weight, std=0.02)
+                # With the usual 0.02 and damped residuals the poses stood still: after 120 steps on 48 scenes of two
+                # views the rotation's loss was 0.302 of 0.321 at the start, with these 0.185 (README.md).
+                nn.init.trunc_normal_(m.weight, std=m.in_features**-0.5)
                 nn.init.zeros_(m.bias)
         nn.init.trunc_normal_(self.camera, std=0.02)
-        for head in (self.last, self.pose):
+        for head, std in ((self.last, 1e-3), (self.pose, 1e-2)):
             weight, bias = list(head.parameters())[-2:]
-            nn.init.normal_(weight, std=1e-3)
+            nn.init.normal_(weight, std=std)
             nn.init.zeros_(bias)
 
     def forward(self, images: Tensor, depths: Tensor, K: Tensor) -> Prediction:
@@ -228,7 +230,7 @@ class _Block(nn.Module):
         self.norm1, self.norm2 = nn.LayerNorm(dim), nn.LayerNorm(dim)
         self.qkv, self.out = nn.Linear(dim, 3 * dim), nn.Linear(dim, dim)
         self.wide, self.back = nn.Linear(dim, 4 * dim), nn.Linear(4 * dim, dim)
-        self.scale1, self.scale2 = (nn.Parameter(torch.full((dim,), 0.1)) for _ in range(2))
+        self.scale1, self.scale2 = (nn.Parameter(torch.ones(dim)) for _ in range(2))
 
     def forward(self, tokens: Tensor, views: int) -> Tensor:
         """Tokens (B V, N, C) looking at each other within groups of `views` consecutive entries."""
