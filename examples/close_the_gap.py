@@ -49,6 +49,7 @@ from trainer.tasks.parkour.config import (
     RandomisationConfig,
     TerminationConfig,
 )
+from trainer.tasks.parkour.terminations import SUCCESS
 from trainer.trainers import Scene, TrainConfig, find
 
 COURSE = terrain.flat()
@@ -114,8 +115,8 @@ REAL = {
 def success(policy: Path, real: Real | None, trials: int) -> dict[str, Any]:
     """Trials of a policy on a robot; None is the robot that its model describes.
 
-    `rate` of the trials that arrive in time with its `interval`; `speed` in m/s towards the goal, failures included,
-    which still tells policies apart where all of them arrive.
+    `rate` of the trials that arrive in time with its `interval`; `speed` in m/s towards the goal, which still tells
+    policies apart where all of them arrive: a trial that fails has taken all of its time.
     """
     real = real or Real("is its model")
     random = replace(EXACT, delay=(real.delay, real.delay))
@@ -124,12 +125,13 @@ def success(policy: Path, real: Real | None, trials: int) -> dict[str, Any]:
     env = trial_env(COURSE, config.worlds, config, setting)
     found = run(checkpoint.load(policy)[0].act, env, trials)
     last = summarise(COURSE, "trained", found, env, config)
+    time_taken = torch.where(found.outcome == SUCCESS, found.seconds, setting.task.termination.seconds)
     way = float(np.linalg.norm((COURSE.goal.centre - COURSE.start.centre)[:2]))
     return {
         "what": real.what,
         "rate": last.rate,
         "interval": last.interval,
-        "speed": float((way * found.covered / found.seconds).mean()),
+        "speed": float((way * found.covered / time_taken).mean()),
         "trials": trials,
         "reasons": last.reasons,
         "covered": last.covered,
@@ -268,7 +270,7 @@ class Loop:
 
     def run(self) -> None:
         base, trials, n = self.args.base or self.out / "base" / "policy.pt", self.args.trials, self.args.iterations
-        options = {"iterations": n, "trials": trials, "effects": self.args.effects, "base": str(self.args.base or "")}
+        options = {"iterations": n, "trials": trials, "base": str(self.args.base or "")}
         if self.results.setdefault("options", options) != options:
             raise SystemExit(f"{self.out} was begun with {self.results['options']}: use those, or another folder")
         if self.args.base is None:
