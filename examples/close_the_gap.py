@@ -1,6 +1,6 @@
 """Close the loop: a robot that fails where simulation succeeds, its logs, the cause, and a policy trained for it.
 
-    python examples/close_the_gap.py --out loop                 about two hours of one core, in all; interrupt at will
+    python examples/close_the_gap.py --out loop                 some 20 minutes of a free core; interrupt at will
     python examples/close_the_gap.py --out loop --minutes 20    stops at the next finished step; run it again to go on
 
 The "real" robot is the simulated quadruped with something that its model lacks, one thing at a time. The policy learnt
@@ -347,13 +347,13 @@ def _share(result: dict[str, Any]) -> str:
 
 
 def figure(results: dict[str, Any], path: Path) -> None:
-    """A group of bars a robot, with 95 % intervals."""
+    """A group of bars a robot, with 95 % intervals, and the speed under each."""
     import cv2
 
     names = [n for n in REAL if f"{n}/before" in results]
     bars = (("before", "before", (150, 150, 150)), ("random", "randomisation alone", (60, 140, 230)),
             ("patch", "diagnosed and patched", (150, 120, 20)))  # fmt: skip
-    width, height, left, low, top = 240 * max(1, len(names)) + 90, 360, 60, 290, 50
+    width, height, left, low, top = 240 * max(1, len(names)) + 90, 380, 60, 290, 50
     image = np.full((height, width, 3), 255, np.uint8)
 
     def text(words: str, x: float, y: float, colour: tuple[int, int, int] = (60, 60, 60)) -> None:
@@ -372,9 +372,10 @@ def figure(results: dict[str, Any], path: Path) -> None:
                 continue
             x = left + 240 * i + 20 + 65 * k
             cv2.rectangle(image, (x, up(result["rate"])), (x + 50, low), colour, -1)
+            text(f"{result['speed']:.2f} m/s", x - 4, low + 16)
             a, b = result["interval"]
             cv2.line(image, (x + 25, up(a)), (x + 25, up(b)), (40, 40, 40), 1, cv2.LINE_AA)
-        text(name, left + 240 * i + 80, low + 22)
+        text(name, left + 240 * i + 85, low + 38)
     if (nominal := results.get("nominal")) is not None:
         cv2.line(image, (left, up(nominal["rate"])), (width - 20, up(nominal["rate"])), (60, 160, 60), 1, cv2.LINE_AA)
         text("in simulation", left + 4, up(nominal["rate"]) - 6, (60, 160, 60))
