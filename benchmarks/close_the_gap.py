@@ -36,7 +36,7 @@ def rows(results: dict[str, Any]) -> list[dict[str, Any]]:
             continue
         before, nominal, options = parts["before"], results["nominal"], results["options"]
         row: dict[str, Any] = {"robot": name, "truth": before["what"], "iterations": options["iterations"]}
-        row |= {"effects_considered": options["effects"] or "all"}
+        row |= {"effects_considered": parts["diagnosis"].get("effects_considered") or "all"}
         row |= {"verdict": parts["diagnosis"]["verdict"], "causes": parts["diagnosis"]["causes"]}
         row |= {"nominal": _short(nominal), "before": _short(before)}
         for arm in ("patch", "random"):

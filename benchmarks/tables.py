@@ -319,6 +319,33 @@ def drift() -> list[str]:
     return lines
 
 
+def closing() -> list[str]:
+    """What fine-tuning with a diagnosis and with randomisation alone regained, robot by robot."""
+    lines = [
+        "| the robot | diagnosis | before | randomisation alone | regained | diagnosed and patched | regained |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for r in stored("close_the_gap")["rows"]:
+        causes = [re.sub(r" at ([^:]*,[^:]*,[^:]*,[^:]*):", _counted, c) for c in r["causes"]]
+        said = f"{r['verdict']}: {'; '.join(causes)}" if causes else r["verdict"]
+        cells = [_walked(r["before"])]
+        for arm in ("random", "patch"):
+            back = r[f"regained_{arm}"]
+            cells += [_walked(r[arm]), f"{100 * back['rate']:.0f} %, {100 * back['speed']:.0f} %"]
+        lines.append(f"| {r['truth']} | {said} | {' | '.join(cells)} |")
+    return lines
+
+
+def _counted(places: re.Match[str]) -> str:
+    """Many places as their number."""
+    return f" at {places[1].count(',') + 1} places:"
+
+
+def _walked(r: Row) -> str:
+    low, high = r["interval"]
+    return f"{100 * r['rate']:.0f} % [{100 * low:.0f}, {100 * high:.0f}], {r['speed']:.2f} m/s"
+
+
 # ---------------------------------------------------------------- the index
 
 INDEX = (
@@ -363,6 +390,7 @@ INDEX = (
         "footholds",
         "python -m benchmarks.footholds",
     ),
+    ("Fine-tuning with a diagnosis, beside randomisation alone", "close_the_gap", "python benchmarks/close_the_gap.py"),
     (
         "Pretraining and fine-tuning on one GPU, an earlier recipe",
         "training_gpu",
@@ -402,6 +430,7 @@ FOOTHOLDS = {
 KEYS = {
     "base_policy": ("course", "seed"),
     "captures": ("kind", "seed", "method"),
+    "close_the_gap": ("robot", "iterations"),
     "contact": ("terrain", "representation"),
     "fuzz": ("kind", "seed"),
     "diagnosis": ("seed", "case"),
@@ -467,6 +496,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "footholds": footholds,
     "experiments": experiments,
     "drift": drift,
+    "closing the loop": closing,
     "index": index,
 }
 MARKED = re.compile(r"(<!-- figures: ([a-z ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
