@@ -120,13 +120,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=40)
     parser.add_argument("--pairs", type=int, default=20)
+    parser.add_argument("--only", nargs="*", type=int, help="of these, the pairs to measure now; all if not given")
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--robots", nargs="*", default=["pendulum", "arm2"])
     parser.add_argument("--store", type=Path, default=RESULTS)
     args = parser.parse_args()
     store, began = Store(args.store, ("seed", "pair")), time.monotonic()
     done = {r["pair"] for r in store.rows if r["seed"] == args.seed and r.get("engine") == engine()}
-    for index in range(args.pairs):
+    for index in args.only or range(args.pairs):
         wanted = ("pendulum", "arm2")[index // 2 % 2] in args.robots
         if index not in done and wanted and time.monotonic() - began < 60 * args.minutes:
             print(json.dumps(store.add(one_pair(args.seed, index))), flush=True)

@@ -315,7 +315,8 @@ def drift() -> list[str]:
     for r in sorted(rows, key=lambda r: (not r["truth"], r["pair"])):
         sets = " or ".join(" with ".join(s) for s in r.get("sets", []) if s)
         both, truth = ", ".join(r["both"]) or "none", ", ".join(r["truth"]) or "none"
-        lines.append(f"| {r['robot']} | {both} | {truth} | {r['verdict']}{f': {sets}' if sets else ''} |")
+        old = "" if "engine" in r else " (by the search before)"
+        lines.append(f"| {r['robot']} | {both} | {truth} | {r['verdict']}{f': {sets}' if sets else ''}{old} |")
     return lines
 
 
