@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import tyro
 
 from realsim import pipeline
-from realsim.commands import CommandResult
+from realsim.commands import CommandResult, verdict_lines
 from realsim.errors import RealsimError, require
 from realsim.files import read_json
 from realsim.progress import note
@@ -40,6 +40,7 @@ def demo(
     """
     require("recon", "realsim demo")
     from realsim.exports.config import SceneConfig
+    from realsim.report.verdict import judge
     from realsim.synth.capture import write_capture
     from realsim.synth.config import SynthConfig
     from realsim.synth.errors import compare
@@ -59,7 +60,10 @@ def demo(
     reused = sum(s.reused for s in result.stages)
     errors = compare(out / "scene", made.truth)
     sensor = float(read_json(made.truth / "truth.json")["depth_scale"])
+    verdict = judge(result).as_dict()
     lines = [
+        *verdict_lines(verdict),
+        "",
         f"rendered {frames} frames in {rendered:.1f} s, reconstructed them in {seconds:.1f} s"
         + (f" ({reused} of {len(result.stages)} stages kept from an earlier run)" if reused else "")
         + ("" if poses else ", camera poses unknown"),
@@ -69,8 +73,9 @@ def demo(
         f"report  {out / 'scene' / 'report.html'}   open it in a browser",
         f"scene   {out / 'scene' / 'scene.xml'}   {_python()} -m mujoco.viewer --mjcf={out / 'scene' / 'scene.xml'}",
     ]
-    data = {"errors": errors, "sensor_scale": sensor, "seconds": seconds, "scene": str(out / "scene")}
-    return CommandResult("\n".join(lines), data)
+    data = {"verdict": verdict, "errors": errors, "sensor_scale": sensor, "seconds": seconds}
+    data |= {"scene": str(out / "scene")}
+    return CommandResult("\n".join(lines), data, level=verdict["level"])
 
 
 def _python() -> str:
