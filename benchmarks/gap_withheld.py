@@ -18,6 +18,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.gap_score import BARS, MixedEnginesError, one_engine, score, table
 from benchmarks.gap_truth.cases import Draw, make_case, plan
 from benchmarks.store import described_run
+from realsim.files import to_json, write_text
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.provenance import provenance
+
+STORED = Path(__file__).parent / "results" / "diagnosis.json"
 
 
 def main() -> int:
@@ -39,6 +43,7 @@ def main() -> int:
     parser.add_argument("--work", type=Path, default=Path("out/gap_withheld"))
     parser.add_argument("--store", type=Path, help="file for the figures (default: figures.json in --work)")
     parser.add_argument("--note", default="", help="what else to know of the figures; kept with them")
+    parser.add_argument("--keep", metavar="COMMIT", help="add the cases to results/diagnosis.json, as of this engine")
     parser.add_argument("--score", action="store_true", help="only score what --work holds already")
     parser.add_argument(
         "--developed-on", nargs="*", default=[], help="cases whose failures were looked at: also without"
@@ -66,6 +71,8 @@ def main() -> int:
     store = args.store or args.work / "figures.json"
     store.parent.mkdir(parents=True, exist_ok=True)
     store.write_text(json.dumps(figures, indent=1) + "\n")
+    if args.keep:
+        keep(args.keep, args.seed, labels, found, figures)
     return 0
 
 
@@ -78,6 +85,53 @@ def make_all(args: argparse.Namespace) -> dict[str, dict[str, Any]]:
         list(pool.map(_make, [(i, draw, str(args.work)) for i, draw in todo]))
     names = {f"case_{i:03d}" for i, _ in todo}
     return {n: label for n, label in read_labels(args.work).items() if n in names}
+
+
+KEPT = (
+    "note", "ci90_holds_truth", "gap_gone_median_where_right", "baselines", "outside_said", "confounded_named",
+    "single_top1_with_equivalents", "double_both_found_with_equivalents",
+)  # fmt: skip
+"""Figures of a set that its rows do not give."""
+
+
+def keep(
+    commit: str, seed: int, labels: dict[str, Any], found: dict[str, Any], figures: dict[str, Any], path: Path = STORED
+) -> None:
+    """Add the diagnosed cases of a seed to the stored ones; a seed that is there already is replaced whole."""
+    data = json.loads(path.read_text())
+    run = figures["run"]
+    made = {"seed": seed, "cases": len(found), "scored_by": {k: run[k] for k in ("commit", "cpu", "cores")}}
+    data["sets"] = [s for s in data["sets"] if s["seed"] != seed] + [made | {k: figures[k] for k in KEPT}]
+    rows = [r for r in data.pop("rows") if r["seed"] != seed]
+    rows += [kept_row(labels[n], found[n]) | {"seed": seed, "case": n, "commit": commit} for n in sorted(found)]
+    day = datetime.now(UTC).strftime("%Y-%m-%d")
+    data["days"] = [*dict.fromkeys([*data["days"], day])]
+    sets, head = data.pop("sets"), json.dumps(data).removesuffix("}")
+    write_text(path, f'{head}, "sets": [\n{_lines(sets)}\n],\n"rows": [\n{_lines(rows)}\n]}}\n')
+
+
+def _lines(items: list[dict[str, Any]]) -> str:
+    """An item a line."""
+    return ",\n".join(json.dumps(json.loads(to_json(item)), ensure_ascii=False) for item in items)
+
+
+def kept_row(label: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:
+    """A case as it is stored: causes as effect@places."""
+
+    def short(cause: dict[str, Any]) -> str:
+        return f"{cause['effect']}@{'+'.join(cause.get('joints') or cause.get('bodies') or [])}"
+
+    return {
+        "cls": label["cls"],
+        "robot": label["robot"],
+        "truth": [short(e) for e in label["effects"]],
+        "verdict": found["verdict"],
+        "causes": [short(c) for c in found["causes"]],
+        "equivalent": [[short(c) for c in group] for group in found["equivalent"]],
+        "unexplained_share": found.get("unexplained_share"),
+        "visibility": [round(float(v), 1) for v in label["visibility"]],
+        "cpu_seconds": found.get("cpu_seconds"),
+    }
 
 
 def read_labels(work: Path) -> dict[str, dict[str, Any]]:

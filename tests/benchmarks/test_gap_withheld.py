@@ -16,7 +16,7 @@ from benchmarks.gap_truth.motions import sample_times
 from benchmarks.gap_truth.plant import Plant
 from benchmarks.gap_truth.robots import ROBOTS
 from benchmarks.gap_truth.truth import Truth
-from benchmarks.gap_withheld import read_found, sysid_baseline
+from benchmarks.gap_withheld import KEPT, keep, read_found, sysid_baseline
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -159,3 +159,20 @@ def test_two_causes_are_alike_only_if_every_run_is() -> None:
     truths = [Truth(len(robot.joints)), greased]
     assert same_log(label, robot, sensors, site, truths, [calm])
     assert not same_log(label, robot, sensors, site, truths, [calm, calm, calm, calm, calm, wild])
+
+
+def test_kept_cases_replace_those_of_the_same_seed(tmp_path: Path) -> None:
+    path = tmp_path / "diagnosis.json"
+    old = [{"seed": 5, "case": "case_009"}, {"seed": 4}]
+    path.write_text(json.dumps({"days": [], "sets": [{"seed": 5}], "rows": old}))
+    causes = [{"effect": "armature", "joints": ["a", "b"], "bodies": []}]
+    label = {"cls": "single", "robot": "arm2", "effects": causes, "visibility": [np.float64(2.345)]}
+    found = {"verdict": "identified", "causes": causes, "equivalent": []}
+    figures = dict.fromkeys(KEPT) | {"run": {"commit": "c", "cpu": "x", "cores": 2}}
+    keep("abc", 5, {"case_000": label}, {"case_000": found}, figures, path)
+    stored = json.loads(path.read_text())
+    assert [(r["seed"], r.get("case")) for r in stored["rows"]] == [(4, None), (5, "case_000")]
+    assert [(s["seed"], s["cases"]) for s in stored["sets"]] == [(5, 1)]
+    row = stored["rows"][1]
+    assert (row["truth"], row["causes"], row["commit"]) == (["armature@a+b"], ["armature@a+b"], "abc")
+    assert row["visibility"] == [2.3]
