@@ -378,13 +378,10 @@ def inside(root: Path, name: str) -> Path:
     return target
 
 
-def file_digests(folder: Path) -> dict[str, str]:
-    """Path below a folder -> SHA-256 of every file in it, in order."""
-    return {
-        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
+def file_digests(folder: Path, *, without: Sequence[str] = ()) -> dict[str, str]:
+    """Path below a folder -> SHA-256 of every file in it, in order; not of those `without`, paths below it."""
+    paths = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*")) if path.is_file()}
+    return {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in paths.items() if name not in without}
 
 
 def edited_files(folder: Path, digests: Any) -> tuple[str, ...]:

@@ -72,6 +72,7 @@ def test_stages_that_nobody_expects_take_nothing() -> None:
 def test_bars_of_stages_come_and_go_below_that_of_the_job(monkeypatch: pytest.MonkeyPatch) -> None:
     screen = io.StringIO()
     monkeypatch.setattr(progress, "console", Console(file=screen, force_terminal=True, width=120))
+    monkeypatch.setattr(progress, "_quiet", False)
     with whole("reconstruct", USUAL) as left:
         for stage in USUAL:
             left.begin(stage)

@@ -25,7 +25,7 @@ def write_report(folder: Path, result: Reconstruction, *, picture: bool = True) 
         picture: draw the scene with MuJoCo for the page.
     """
     judgement, made = judge(result), Made.now()
-    written = {"files": file_digests(folder)}
+    written = {"files": file_digests(folder, without=("report.json", "report.html"))}
     write_text(folder / "report.json", to_json(summary(result, judgement, made) | written))
     drawn = _drawn(folder / result.scene.scene_xml.name) if picture else None
     write_text(folder / "report.html", reconstruction_page(folder, result, judgement, made, drawn))

@@ -195,7 +195,7 @@ def test_the_command_of_a_killed_worker_ends_with_it_and_leaves_nothing(tmp_path
     queue.submit(Job("a", "synth", ("--out", str(tmp_path / "out" / "a"), "--frames", "500")))
     code = "import sys; from pathlib import Path; from realsim.jobs import *; work(Queue(Path(sys.argv[1])))"
     worker = subprocess.Popen([sys.executable, "-c", code, str(queue.folder)])
-    until(lambda: list((tmp_path / "out").glob(".a.partial-*")))
+    until(lambda: list((tmp_path / "out").glob(".a.partial-*/*")))  # it is at work
     (command,) = Path(f"/proc/{worker.pid}/task/{worker.pid}/children").read_text().split()
     worker.send_signal(signal.SIGKILL)
     worker.wait()
