@@ -160,9 +160,8 @@ def fit(bench: Bench) -> Baseline:
 
     x, best = np.clip(np.zeros(len(free)), low + 1e-3, None), None
     for late in range(LATEST + 1):
-        found = least_squares(
-            residual, x, bounds=(low - 1e-9, np.full(len(free), 3.0)), diff_step=2e-3, max_nfev=EVALUATIONS, args=(late,)
-        )
+        bounds = (low - 1e-9, np.full(len(free), 3.0))
+        found = least_squares(residual, x, bounds=bounds, diff_step=2e-3, max_nfev=EVALUATIONS, args=(late,))
         x = np.clip(found.x, low + 1e-6, 2.99)
         if best is not None and found.cost > 0.995 * best[0].cost:
             break
