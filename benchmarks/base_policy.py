@@ -4,7 +4,7 @@
     python benchmarks/base_policy.py --policy base/policy.pt --trials 200
 
 All courses run in one batch of worlds, which takes as long as one of them. Courses have seeds from 900 on: the
-curriculum's grid uses others. Randomisation is that of --task-file, without pushes. Prints a table and stores the
+curriculum's grid uses others. Randomisation is that of --task-file, without pushes unless --pushes asks for them. Prints a table and stores the
 counts of every course.
 """
 
@@ -49,6 +49,8 @@ class Options:
     """Of the trials."""
     task_file: Path = ROOT / "training" / "g1" / "task.json"
     """The task as it was trained."""
+    pushes: bool = False
+    """Push the robot as in training."""
     device: str = "auto"
     """torch device."""
     out: Path = ROOT / "benchmarks" / "results" / "base_policy.json"
@@ -68,7 +70,7 @@ def main(options: Options) -> None:
     }
     lands |= {name: terrains.named(name) for name in terrains.TESTS}
     count = options.trials * len(lands)
-    config = EvaluationConfig(trials=count, worlds=count, seed=options.seed)
+    config = EvaluationConfig(trials=count, worlds=count, seed=options.seed, pushes=options.pushes)
     env = make(
         trial_config(load_task(options.task_file), config),
         list(lands.values()),

@@ -4,6 +4,9 @@ A convolutional stem down to patches of 16 pixels; blocks of attention within ea
 over all of them (alternating attention as in VGGT, Wang et al. 2025); a convolutional decoder with the stem's features
 beside it. No view is special: the order of views changes nothing but the order of the answers (Pi3, Wang et al. 2025).
 Depth, and the intrinsics, may be zero: then they are unknown (MapAnything, Keetha et al. 2025).
+
+Poses are not regressed. The network says which patches of two views show the same place (a softmax over all patches and
+"none of them", as SuperGlue, Sarlin et al. 2020); `poses` solves for the rest.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from realsim.errors import RealsimError
+from training.pointmap import poses
 
 PATCH = 16
 """Pixels; height and width are multiples of it."""
@@ -65,6 +69,9 @@ class Prediction:
     """(B, V, 3, 3) camera to a world of its own."""
     t: Tensor
     """(B, V, 3)."""
+    matches: Tensor
+    """(B, V, V, N, N + 1) logarithm of the probability that patch n of view i shows the place that is in the middle of
+    patch m of view j; the last entry: view j does not show it. Patches row by row."""
 
     def points(self) -> Tensor:
         """(B, V, H, W, 3) in each camera's frame."""
@@ -72,6 +79,8 @@ class Prediction:
         return torch.cat([self.rays * z, z], -1)
 
 
+DESCRIPTOR = 128
+"""Numbers that tell a patch from others."""
 REFERENCE = 0.05
 """Relative error of depth at which the confidence is one half."""
 
@@ -87,27 +96,24 @@ class PointmapNet(nn.Module):
             [_Down(_INPUTS, a), _Down(a, b), _Down(b, c), nn.Conv2d(c, shape.dim, 3, stride=2, padding=1)]
         )
         self.place = nn.Linear(16, shape.dim)
-        self.camera = nn.Parameter(torch.zeros(1, 1, shape.dim))
         blocks = shape.frame_blocks + 2 * shape.pairs
         self.blocks = nn.ModuleList(_Block(shape.dim, shape.heads) for _ in range(blocks))
         self.norm = nn.LayerNorm(shape.dim)
         self.up = nn.ModuleList([_Up(shape.dim, c, c), _Up(c, b, b), _Up(b, a, a)])
         self.last = nn.Sequential(nn.Conv2d(a + _INPUTS, a, 3, padding=1), nn.GELU(), nn.Conv2d(a, 5, 3, padding=1))
-        self.pose = nn.Sequential(nn.Linear(shape.dim, shape.dim), nn.GELU(), nn.Linear(shape.dim, 9))
+        self.describe = nn.Linear(shape.dim, DESCRIPTOR + 1)
+        self.sharpness = nn.Parameter(torch.tensor(3.0))
         self._initialise()
 
     def _initialise(self) -> None:
         for m in self.modules():
             if isinstance(m, nn.Linear):
-                # With the usual 0.02 and damped residuals the poses stood still: after 120 steps on 48 scenes of two
-                # views the rotation's loss was 0.302 of 0.321 at the start, with these 0.185 (README.md).
+                # With the usual 0.02 and damped residuals views hardly looked at each other (README.md).
                 nn.init.trunc_normal_(m.weight, std=m.in_features**-0.5)
                 nn.init.zeros_(m.bias)
-        nn.init.trunc_normal_(self.camera, std=0.02)
-        for head, std in ((self.last, 1e-3), (self.pose, 1e-2)):
-            weight, bias = list(head.parameters())[-2:]
-            nn.init.normal_(weight, std=std)
-            nn.init.zeros_(bias)
+        weight, bias = list(self.last.parameters())[-2:]
+        nn.init.normal_(weight, std=1e-3)
+        nn.init.zeros_(bias)
 
     def forward(self, images: Tensor, depths: Tensor, K: Tensor) -> Prediction:
         """The prediction; its unit is that of `depths` where there are any.
@@ -124,18 +130,21 @@ class PointmapNet(nn.Module):
         relative = (log_d - unit[:, None, None, None]) * there
         place, rays = self._directions(K, h, w)
         x = torch.cat([images * 4 - 2, relative[:, :, None], there[:, :, None], place, rays], 2).flatten(0, 1)
-        maps, camera = self._features(x, v)
+        maps, patches = self._features(x, v)
         delta, log_z, gate, log_error = maps.unflatten(0, (b, v)).split([2, 1, 1, 1], 2)
         # Without intrinsics: the middle of the lenses that were trained on.
         known = (K[..., 0, 0] > 0).float()[..., None, None, None]
         base = known * rays + (1 - known) * place * 0.6
         trust = torch.sigmoid(gate[:, :, 0] + 2) * there
         z = trust * relative + (1 - trust) * (log_z[:, :, 0] + 0.7 * (1 - there.amax((1, 2, 3)))[:, None, None, None])
-        R, t = self._poses(camera.unflatten(0, (b, v)))
-        return Prediction(
-            (base + delta).permute(0, 1, 3, 4, 2), z + unit[:, None, None, None], log_error[:, :, 0],
-            R, t * unit.exp()[:, None, None],
-        )  # fmt: skip
+        rays, z = (base + delta).permute(0, 1, 3, 4, 2), z + unit[:, None, None, None]
+        matches = self._matches(patches.unflatten(0, (b, v)))
+        with torch.no_grad():  # matches and points have losses of their own
+            middle = (slice(PATCH // 2, None, PATCH),) * 2
+            far = z[:, :, *middle].exp()[..., None]
+            points = torch.cat([rays[:, :, *middle] * far, far], -1).flatten(2, 3)
+            R, t = poses.solve(points, matches[..., :-1].exp())
+        return Prediction(rays, z, log_error[:, :, 0], R, t, matches)
 
     @staticmethod
     def _directions(K: Tensor, h: int, w: int) -> tuple[Tensor, Tensor]:
@@ -150,37 +159,30 @@ class PointmapNet(nn.Module):
         return place.expand(*K.shape[:2], 2, h, w), torch.stack([x, y], 2)
 
     def _features(self, x: Tensor, views: int) -> tuple[Tensor, Tensor]:
-        """Maps (B V, 5, H, W) and camera tokens (B V, C) of the stem's input (B V, _INPUTS, H, W)."""
+        """Maps (B V, 5, H, W) and patches (B V, N, C) of the stem's input (B V, _INPUTS, H, W)."""
         skips, y = [x], x
         for layer in self.down:
             y = layer(y)
             skips.append(y)
         rows, columns = y.shape[-2:]
         tokens = y.flatten(2).transpose(1, 2) + self.place(_waves(rows, columns, y.device))
-        tokens = torch.cat([self.camera.expand(tokens.shape[0], -1, -1), tokens], 1)
         for k, block in enumerate(self.blocks):
             over_all = k >= self.shape.frame_blocks and (k - self.shape.frame_blocks) % 2 == 1
             tokens = block(tokens, views if over_all else 1)
         tokens = self.norm(tokens)
-        y = tokens[:, 1:].transpose(1, 2).unflatten(2, (rows, columns))
+        y = tokens.transpose(1, 2).unflatten(2, (rows, columns))
         for layer, skip in zip(self.up, (skips[3], skips[2], skips[1]), strict=True):
             y = layer(y, skip)
         y = F.interpolate(y, scale_factor=2.0, mode="bilinear")
-        return self.last(torch.cat([y, x], 1)).float(), tokens[:, 0]
+        return self.last(torch.cat([y, x], 1)).float(), tokens
 
-    def _poses(self, tokens: Tensor) -> tuple[Tensor, Tensor]:
-        """Rotations from two columns (Zhou et al. 2019) and translations, of camera tokens (B, V, C)."""
-        nine = self.pose(tokens).float()
-        a = nine[..., :3] + nine.new_tensor([1.0, 0.0, 0.0])
-        b = nine[..., 3:6] + nine.new_tensor([0.0, 1.0, 0.0])
-        x = a / (a * a).sum(-1, keepdim=True).clamp(min=1e-12).sqrt()
-        y = b - (x * b).sum(-1, keepdim=True) * x
-        y = y / (y * y).sum(-1, keepdim=True).clamp(min=1e-12).sqrt()
-        z = torch.stack(
-            [x[..., 1] * y[..., 2] - x[..., 2] * y[..., 1], x[..., 2] * y[..., 0] - x[..., 0] * y[..., 2],
-             x[..., 0] * y[..., 1] - x[..., 1] * y[..., 0]], -1,
-        )  # fmt: skip
-        return torch.stack([x, y, z], -1), nine[..., 6:]
+    def _matches(self, patches: Tensor) -> Tensor:
+        """Log-probabilities (B, V, V, N, N + 1) of patches (B, V, N, C), see `Prediction`."""
+        told = self.describe(patches).float()
+        code, none = F.normalize(told[..., :-1], dim=-1), told[..., -1]
+        alike = self.sharpness.exp() * torch.einsum("binc,bjmc->bijnm", code, code)
+        none = none[:, :, None, :, None] + 0 * alike[..., :1]  # broadcast, for any number of views in the graph
+        return torch.cat([alike, none], -1).log_softmax(-1)
 
 
 def _waves(rows: int, columns: int, device: torch.device) -> Tensor:
