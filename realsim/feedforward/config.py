@@ -14,7 +14,7 @@ class OnnxConfig:
     """The backends `onnx` and `onnx+depth`."""
 
     model: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """ONNX file of a feed-forward model, for the backends onnx and onnx+depth."""
+    """ONNX file of a feed-forward model, for the backends onnx and onnx+depth (default: the small one that ships)."""
     provider: str | None = None
     """Execution provider of onnxruntime: cpu, cuda, coreml, ... (default: the fastest that is installed)."""
     max_views: int | None = None

@@ -42,6 +42,7 @@ def perfect(batch: Batch, scale: float = 1.0) -> Prediction:
         torch.zeros_like(z),
         batch.T[..., :3, :3],
         scale * batch.T[..., :3, 3],
+        loss.partners(batch)[0].clamp(min=1e-6).log(),
     )
 
 
@@ -96,6 +97,7 @@ def test_every_error_has_its_term(batch: Batch) -> None:
         "rays": replace(right, rays=right.rays + 0.1),
         "rotation": replace(right, R=right.R[:, [1, 0, 2]]),
         "translation": replace(right, t=2 * right.t),
+        "matches": replace(right, matches=right.matches.roll(1, -1)),
     }
     base = loss.terms(right, batch)
     for name, out in wrong.items():

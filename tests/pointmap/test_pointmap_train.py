@@ -132,7 +132,7 @@ def test_the_exported_file_is_what_realsim_reads(tmp_path: Path) -> None:
     from realsim import feedforward
     from realsim.feedforward.config import OnnxConfig, PointsConfig
     from realsim.types import Frame, FrameSet, Intrinsics
-    from training.pointmap import export
+    from training.pointmap import export, shipped
 
     net = run("--out", str(tmp_path / "run"), "--steps", "2").net
     batch = Generator(library(4, 1, ("clutter",)), 1, samples=1).batch(0, 1, 3, (48, 64))
@@ -145,8 +145,12 @@ def test_the_exported_file_is_what_realsim_reads(tmp_path: Path) -> None:
     capture = FrameSet(tuple(frames), Path("made"), "test")
     sizes = []
     for precision in export.PRECISIONS:
-        made = export.write(net, tmp_path / f"{precision}.onnx", (32, 48), precision)
+        made = export.write(state.State(net), tmp_path / f"{precision}.onnx", (32, 48), precision)
         sizes.append(made.megabytes)
+        for (name, kept), (_, trained) in zip(
+            shipped.load(made.path).net.state_dict().items(), net.state_dict().items(), strict=True
+        ):
+            torch.testing.assert_close(kept, trained, rtol=1e-3, atol=5e-3 * float(trained.abs().max()), msg=name)
         config = PointsConfig(backend="onnx", onnx=OnnxConfig(model=made.path, drop_least_sure=0))
         solution = feedforward.solve(capture, config)
         maps = feedforward.pointmaps(capture, solution, config)

@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from realsim.errors import ModelError, RealsimError
 from realsim.files import write_bytes
 from tools.export_onnx.common import ExportFailed, Family, Options, export
-from training.pointmap import state
+from training.pointmap import shipped, state
 from training.pointmap.network import PATCH, PointmapNet
 
 PRECISIONS = ("float32", "float16", "int8")
@@ -60,8 +60,8 @@ class Stored:
     """Output -> largest relative difference from torch, of the output's own spread."""
 
 
-def write(net: PointmapNet, out: Path, size: tuple[int, int], precision: str = "float32") -> Stored:
-    """Export, compare with torch, store the weights in `precision`.
+def write(now: state.State, out: Path, size: tuple[int, int], precision: str = "float32") -> Stored:
+    """Export the state's network, compare with torch, store the weights in `precision`.
 
     Raises:
         RealsimError: no such precision or size, or a graph that says something else than torch.
@@ -76,12 +76,13 @@ def write(net: PointmapNet, out: Path, size: tuple[int, int], precision: str = "
         "family": "realsim-pointmap",
     }  # fmt: skip
     free = {name: {1: "views"} for name in ("images", "depths", "intrinsics", *OUTPUTS)}
-    family = Family(Exported(net.cpu().eval()), OUTPUTS, metadata, free, extra=_others, exporter="torchscript")
+    family = Family(Exported(now.net.cpu().eval()), OUTPUTS, metadata, free, extra=_others, exporter="torchscript")
     options = Options("", out, size=size, views=3, tolerance=2e-3)
     try:
         off = export(family, options)
     except ExportFailed as error:
         raise ModelError("the network cannot be exported", file=out, found=str(error)) from error
+    shipped.describe(out, now)
     if precision != "float32":
         plain = _outputs(out, size)
         _store(out, precision)
@@ -161,7 +162,7 @@ def main() -> None:
     parser.add_argument("--precision", choices=PRECISIONS, default="float16")
     o = parser.parse_args()
     try:
-        made = write(state.load(o.state).net, o.out, tuple(o.size), o.precision)
+        made = write(state.load(o.state), o.out, tuple(o.size), o.precision)
     except RealsimError as error:
         print(error.render(), file=sys.stderr)
         sys.exit(2)

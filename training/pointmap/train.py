@@ -25,7 +25,7 @@ import torch.distributed as dist
 from torch import Tensor
 
 from realsim.errors import RealsimError
-from training.pointmap import loss, state
+from training.pointmap import loss, shipped, state
 from training.pointmap.draw import Draw
 from training.pointmap.layouts import library
 from training.pointmap.network import PATCH, SHAPES, PointmapNet, count
@@ -164,7 +164,7 @@ def train(o: Options, rank: Rank) -> state.State:
     o.check()
     begun = time.monotonic()
     torch.manual_seed(o.seed)
-    now = state.load(o.resume) if o.resume else state.State(PointmapNet(SHAPES[o.shape]))
+    now = _begin(o)
     now.net.to(rank.device)
     optimiser = torch.optim.AdamW(_groups(now.net, o.decay), lr=o.lr, betas=(0.9, 0.98))
     warm = now.step if o.resume and state.restore(now, optimiser) else now.step + o.warmup
@@ -210,6 +210,12 @@ def train(o: Options, rank: Rank) -> state.State:
             state.save(o.out, now, optimiser, o.keep)
             saved = time.monotonic()
     return now
+
+
+def _begin(o: Options) -> state.State:
+    if o.resume is None:
+        return state.State(PointmapNet(SHAPES[o.shape]))
+    return shipped.load(o.resume) if o.resume.suffix == ".onnx" else state.load(o.resume)
 
 
 def _groups(net: PointmapNet, decay: float) -> list[dict]:

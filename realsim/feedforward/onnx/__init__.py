@@ -63,19 +63,25 @@ def pointmaps(frames: FrameSet, solution: Solution, config: PointsConfig) -> Poi
     )
 
 
+SHIPPED = Path(__file__).with_name("realsim_pointmap.onnx")
+"""What runs where the configuration names no model; CARD.md beside it says what it can do."""
+
+
 def model_file(config: PointsConfig) -> Path:
-    """The model that the configuration names.
+    """The model that the configuration names, or the one that ships.
 
     Raises:
-        ModelError: none.
+        ModelError: the one that ships is not there.
     """
-    if config.onnx.model is None:
+    if config.onnx.model is None and not SHIPPED.is_file():
         raise ModelError(
             f"the backend {config.backend} needs a model",
-            expected="--model FILE.onnx",
-            hint="docs/choosing.md lists some",
+            file=SHIPPED,
+            expected="the model that ships with realsim, or --model FILE.onnx",
+            found="neither",
+            hint="install realsim again; docs/choosing.md lists other models",
         )
-    return config.onnx.model
+    return config.onnx.model or SHIPPED
 
 
 def model_files(config: PointsConfig) -> tuple[Path, ...]:
