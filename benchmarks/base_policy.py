@@ -1,11 +1,11 @@
 """How far a base policy comes without fine-tuning: generated courses of six families, and the thirteen tests.
 
     python benchmarks/base_policy.py                        the policy that ships, 40 trials a course
-    python benchmarks/base_policy.py --policy base/policy.pt --trials 200
+    python benchmarks/base_policy.py --policy base/policy.pt --trials 100
 
 All courses run in one batch of worlds, which takes as long as one of them. Courses have seeds from 900 on: the
-curriculum's grid uses others. Randomisation is that of --task-file, without pushes unless --pushes asks for them. Prints a table and stores the
-counts of every course.
+curriculum's grid uses others. Everything is run twice: with little randomisation (0.3 of its width, no pushes), and
+with all of it and pushes. Prints a table and stores the counts of every course.
 """
 
 from __future__ import annotations
@@ -23,18 +23,24 @@ import tyro
 from benchmarks.store import Store
 from trainer import terrain as terrains
 from trainer.commands.common import load_policy
-from trainer.commands.task_file import load_task
 from trainer.evaluate import EvaluationConfig, run, trial_config, wilson
 from trainer.physics import PhysicsConfig
 from trainer.policies import base_of
 from trainer.ppo.distributed import pick_device
-from trainer.tasks.parkour import make
+from trainer.tasks.parkour import ParkourConfig, make
+from trainer.tasks.parkour.config import RandomisationConfig
 from trainer.tasks.parkour.terminations import OUTCOMES
 
 ROOT = Path(__file__).resolve().parents[1]
 FAMILIES = (*terrains.CURRICULUM, "mixed")
 DIFFICULTIES = (0.5, 0.8)
 FIRST_SEED = 900
+KEY = ("course", "setting", "seed")
+SETTINGS = {
+    "mild": (ParkourConfig(randomisation=RandomisationConfig(strength=0.3, push_seconds=0.0)), False),
+    "full": (ParkourConfig(), True),
+}
+"""Name -> the task that policies are judged in, and whether the robot is pushed."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +53,8 @@ class Options:
     """Of each family and difficulty."""
     seed: int = 7
     """Of the trials."""
-    task_file: Path = ROOT / "training" / "g1" / "task.json"
-    """The task as it was trained."""
-    pushes: bool = False
-    """Push the robot as in training."""
+    settings: tuple[str, ...] = ("mild", "full")
+    """See SETTINGS."""
     device: str = "auto"
     """torch device."""
     out: Path = ROOT / "benchmarks" / "results" / "base_policy.json"
@@ -69,10 +73,21 @@ def main(options: Options) -> None:
         for k in range(options.courses)
     }
     lands |= {name: terrains.named(name) for name in terrains.TESTS}
+    store = Store(options.out, KEY)
+    store.facts = {"policy": file.name}
+    for setting in options.settings:
+        for row in rows(lands, setting, policy, device, options):
+            store.add(row)
+    print("\n".join(table(store.rows)))
+
+
+def rows(lands: dict[str, Any], setting: str, policy: Any, device: Any, options: Options) -> list[dict[str, Any]]:
+    """Counts of outcomes on every course."""
+    task, pushes = SETTINGS[setting]
     count = options.trials * len(lands)
-    config = EvaluationConfig(trials=count, worlds=count, seed=options.seed, pushes=options.pushes)
+    config = EvaluationConfig(trials=count, worlds=count, seed=options.seed, pushes=pushes)
     env = make(
-        trial_config(load_task(options.task_file), config),
+        trial_config(task, config),
         list(lands.values()),
         robot=policy.robot,
         worlds=count,
@@ -82,39 +97,43 @@ def main(options: Options) -> None:
     )
     outcome = run(policy.act, env, count).outcome.tolist()
     names = list(lands)  # world k is on course k modulo their number
-    rows = [
+    return [
         {
             "course": name,
+            "setting": setting,
             "trials": options.trials,
             **Counter(OUTCOMES[o] for o in outcome[i :: len(names)]),
             "seed": options.seed,
         }
         for i, name in enumerate(names)
     ]
-    store = Store(options.out, ("course", "seed"))
-    store.facts = {"policy": file.name, "task": str(options.task_file)}
-    for row in rows:
-        store.add(row)
-    print("\n".join(table(rows)))
 
 
-def grouped(rows: list[dict[str, Any]]) -> dict[str, tuple[int, int]]:
-    """(successes, trials) by family and difficulty, or by test."""
+def grouped(rows: list[dict[str, Any]], setting: str) -> dict[str, tuple[int, int]]:
+    """(successes, trials) in a setting by family and difficulty, or by test."""
     sums: dict[str, tuple[int, int]] = {}
     for row in rows:
-        name = ":".join(row["course"].split(":")[:2])
-        won, count = sums.get(name, (0, 0))
-        sums[name] = won + row.get("success", 0), count + row["trials"]
+        if row["setting"] == setting:
+            name = ":".join(row["course"].split(":")[:2])
+            won, count = sums.get(name, (0, 0))
+            sums[name] = won + row.get("success", 0), count + row["trials"]
     return sums
 
 
 def table(rows: list[dict[str, Any]]) -> list[str]:
-    """A line for each family and difficulty, and for each test, with Wilson's interval."""
-    lines = ["| courses | success | 95 % interval | trials |", "|---|---|---|---|"]
-    for name, (won, count) in grouped(rows).items():
-        low, high = wilson(won, count)
-        lines.append(f"| {name} | {100 * won / count:.1f} % | {100 * low:.0f} to {100 * high:.0f} % | {count} |")
+    """A line for each family and difficulty, and for each test, with Wilson's intervals of 95 %."""
+    mild, full = (grouped(rows, setting) for setting in SETTINGS)
+    lines = ["| courses | little randomisation | all of it, and pushes | trials |", "|---|---|---|---|"]
+    for name in mild:
+        lines.append(f"| {name} | {_share(mild[name])} | {_share(full.get(name, (0, 0)))} | {mild[name][1]} |")
     return lines
+
+
+def _share(counts: tuple[int, int]) -> str:
+    if not counts[1]:
+        return "not run"
+    low, high = wilson(*counts)
+    return f"{100 * counts[0] / counts[1]:.1f} % [{100 * low:.0f}, {100 * high:.0f}]"
 
 
 if __name__ == "__main__":

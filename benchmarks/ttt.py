@@ -25,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import tyro
 
+from benchmarks.base_policy import SETTINGS
 from benchmarks.store import Row, Store
 from trainer import terrain as terrains
 from trainer.commands.common import load_policy
@@ -35,8 +36,6 @@ from trainer.physics import PhysicsConfig
 from trainer.policies import base_of
 from trainer.ppo.config import LoopConfig, PPOConfig
 from trainer.ppo.distributed import pick_device
-from trainer.tasks.parkour import ParkourConfig
-from trainer.tasks.parkour.config import RandomisationConfig
 from trainer.terrain.scene import load as load_scene
 from trainer.trainers import Scene, TrainConfig, find
 
@@ -45,8 +44,6 @@ Source = Literal["exact", "rgbd", "lidar", "phone", "hand"]
 Method = Literal["base", "ttt1", "ttt13", "scratch"]
 WATCHED = 250
 """Trials in an evaluation on the way: as long as one of 100, and at 97 % uncertain by one point instead of two."""
-MILD = ParkourConfig(randomisation=RandomisationConfig(strength=0.3, push_seconds=0.0))
-"""What policies are judged in, and then in `ParkourConfig()`: full randomisation, with pushes."""
 KEY = ("test", "method", "source", "strategy", "minutes", "seed")
 
 
@@ -203,7 +200,8 @@ def judged(file: Path, test: str, options: Options, *, robust: bool = True) -> R
     device = pick_device(options.device)
     policy = load_policy(file).to(device)
 
-    def trials(task: ParkourConfig, pushes: bool) -> Result:
+    def trials(name: str) -> Result:
+        task, pushes = SETTINGS[name]
         setting = Setting(
             policy.robot,
             "warp" if device.type == "cuda" else "mujoco",
@@ -213,10 +211,10 @@ def judged(file: Path, test: str, options: Options, *, robust: bool = True) -> R
         many = EvaluationConfig(options.trials, min(options.trials, 1000), options.seed + 7, pushes=pushes)
         return evaluate(policy.act, terrains.named(test), many, setting).results[0]
 
-    plain = trials(MILD, False)
+    plain = trials("mild")
     row: Row = {"trials": plain.trials, "won": plain.successes, "covered": round(plain.covered, 3)}
     row |= {"causes": dict(plain.reasons), "device": str(device)}
-    return row | {"won_robust": trials(ParkourConfig(), True).successes} if robust else row
+    return row | {"won_robust": trials("full").successes} if robust else row
 
 
 # ---------------------------------------------------------------- tables
