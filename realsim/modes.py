@@ -4,21 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.errors import RealsimError
 from realsim.types import F64, AlignedScene, Mode, Pointmaps, TerrainMesh
 
 MODES = ("onnx", "onnx+depth", "rgbd")
 SAMPLES = 20_000
 
 
-def others(delivered: str, with_model: bool) -> tuple[str, ...]:
-    """The modes that are compared with the delivered one.
-
-    Raises:
-        RealsimError: there is no other one without a model.
-    """
-    if not with_model:
-        raise RealsimError("a comparison needs a model", expected="--model FILE.onnx", hint="or leave out --compare")
+def others(delivered: str) -> tuple[str, ...]:
+    """The modes that are compared with the delivered one."""
     return tuple(m for m in MODES if m != delivered)
 
 

@@ -91,8 +91,6 @@ def reconstruct(source: Path, out: Path, config: ReconstructConfig | None = None
             behind at `out`.
     """
     config = (config or ReconstructConfig()).seeded()
-    if config.compare:
-        modes.others(config.points.backend, config.points.onnx.model is not None)  # refused now, not after the work
     run = _Run(config)
     with output_folder(out, overwrite=config.overwrite, source=source) as folder:
         data = run.stage("capture", lambda: capture.read(source, config.capture))
@@ -203,7 +201,7 @@ class _Run:
         if isinstance(data, Scan) or points is None:
             raise RealsimError("a scan has one source of points only", file=data.source, hint="leave out --compare")
         rows = [modes.figures(points, aligned, mesh, sum(s.seconds for s in self.stages))]
-        for backend in modes.others(points.backend, self.config.points.onnx.model is not None):
+        for backend in modes.others(points.backend):
             rival = _Run(replace(self.config, points=replace(self.config.points, backend=backend)))
             try:
                 found, scene = rival.frames(data)

@@ -11,8 +11,8 @@ import pytest
 from realsim import capture
 from realsim.capture.config import CaptureConfig
 from realsim.cli import main
-from realsim.errors import RealsimError
 from realsim.exports.config import SceneConfig
+from realsim.feedforward import onnx as onnx_backend
 from realsim.feedforward.config import OnnxConfig, PointsConfig
 from realsim.feedforward.onnx.preprocess import make_grid, to_tensor
 from realsim.feedforward.onnx.spec import Port, Spec
@@ -97,9 +97,10 @@ def test_the_report_compares_the_sources_of_points(scene: Reconstruction) -> Non
     assert "Sources of points compared" in (scene.scene.folder / "report.html").read_text()
 
 
-def test_a_comparison_needs_a_model(made: SynthCapture, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(RealsimError, match="--model"):
-        reconstruct(made.capture, tmp_path / "scene", ReconstructConfig(compare=True))
+def test_an_installation_without_the_model_that_ships(
+    made: SynthCapture, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(onnx_backend, "SHIPPED", made.capture / "gone.onnx")
     assert main(["reconstruct", str(made.capture), "--out", str(tmp_path / "s"), "--backend", "onnx"]) == 2
     assert "--model" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -20,6 +20,7 @@ from benchmarks.simulated_model import Shape, write_model
 from realsim import feedforward, scale
 from realsim.cli import main
 from realsim.errors import CaptureError, ModelError, PoseError, RealsimError
+from realsim.feedforward import onnx as onnx_backend
 from realsim.feedforward.config import OnnxConfig, PointsConfig
 from realsim.feedforward.onnx import session
 from realsim.feedforward.onnx.inspect import inspect_model
@@ -81,7 +82,11 @@ def test_an_absent_file_and_a_cut_one(good: Path, capsys: pytest.CaptureFixture[
     assert "not an ONNX file" in capsys.readouterr().err
 
 
-def test_no_model_given(frames: list[Frame]) -> None:
+def test_no_model_given_and_none_installed(
+    frames: list[Frame], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    assert feedforward.inputs(PointsConfig(backend="onnx")) == (onnx_backend.SHIPPED,)
+    monkeypatch.setattr(onnx_backend, "SHIPPED", tmp_path / "gone.onnx")
     with pytest.raises(ModelError, match=r"--model"):
         feedforward.inputs(PointsConfig(backend="onnx"))
     with pytest.raises(ModelError, match=r"--model"):

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from realsim import modes
-from realsim.errors import RealsimError
 from realsim.report import write_report
 from realsim.types import Mode
 
@@ -47,7 +46,5 @@ def test_the_distance_of_two_surfaces_is_that_between_them(tmp_path: Path) -> No
 
 
 def test_what_is_compared() -> None:
-    assert modes.others("onnx", True) == ("onnx+depth", "rgbd")
-    assert modes.others("colmap", True) == ("onnx", "onnx+depth", "rgbd")
-    with pytest.raises(RealsimError, match="--model"):
-        modes.others("rgbd", False)
+    assert modes.others("onnx") == ("onnx+depth", "rgbd")
+    assert modes.others("colmap") == ("onnx", "onnx+depth", "rgbd")

@@ -77,7 +77,9 @@ def load(path: Path) -> State:
         raise RealsimError("cannot be read", file=path, found=str(error)) from error
     notes = {p.key: p.value for p in model.metadata_props}
     if KEY not in notes:
-        raise RealsimError("not a file of this training", file=path, expected="an ONNX file of training.pointmap.export")
+        raise RealsimError(
+            "not a file of this training", file=path, expected="an ONNX file of training.pointmap.export"
+        )
     try:
         about = json.loads(notes[KEY])
         net = PointmapNet(Shape(**{**about["shape"], "stem": tuple(about["shape"]["stem"])}))
