@@ -27,7 +27,10 @@ LINES = 120
 MIDDLE = 800
 """Of larger pictures so many pixels in the middle are looked at: a phone's would take a fifth of a second."""
 LEAST = 30
-"""Edges that a direction needs."""
+"""Edges that a direction needs; dark pictures have few. Not set on any data. 12 pictures of narrow_a and mixed_a, in
+four lights, sharp and smeared over 9 and 15 pixels: without it 15 of 75 verdicts are wrong, with it 4 of 51, and the
+rest get none. 10 of a RealSense: 19 of 84 without, 12 of 62 with it. From 60 on also sharp pictures in good light get
+none."""
 SHARPEST = 20
 """Percentile of the widths that counts."""
 

@@ -40,6 +40,7 @@ def build(aligned: AlignedScene, config: MeshConfig) -> TerrainMesh:
         resolution, noise, name = evidence.resolution, evidence.noise, config.method
         surface = method(aligned, evidence)
         statistics = dict(evidence.statistics)
+        warnings += evidence.warnings
     surface, islands = drop_islands(surface, config.min_island)
     surface = tidy(surface)
     if len(surface.triangles) == 0:

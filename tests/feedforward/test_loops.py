@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import rooms
 
+from realsim.feedforward.rgbd import shapes
 from realsim.feedforward.rgbd.graph import Edge, whitening
 from realsim.feedforward.rgbd.loops import join
 from realsim.feedforward.rgbd.pairs import ambiguous, by_shape
@@ -130,3 +131,23 @@ def test_stairs_fit_a_step_further_as_well_a_room_does_not(monkeypatch: pytest.M
     steps = [[[-4, -0.17 * (k + 1), 0.6 + 0.3 * k], [4, 0, 0.9 + 0.3 * k]] for k in range(20)]
     monkeypatch.setattr(rooms, "BOXES", np.array(steps))
     assert ambiguous(*registered(0.1))
+
+
+def test_a_registration_that_puts_surfaces_into_free_space_joins_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first frame's surfaces fit the others' 1.2 m off, in the same wrong place twice: mostly floor on floor."""
+    monkeypatch.setattr(shapes, "ambiguous", lambda *_: False)
+    T = [make_T(exp_so3([-0.6, 0, 0]), [x, -1.1, 0.0]) for x in (-1.4, -0.7, -0.6, -0.5)]
+    believed, refused = shapes.links(prepare([rooms.frame(k, pose, color=False) for k, pose in enumerate(T)]), [], 0)
+    off = [np.linalg.norm((invert_T(e.T_i_j) @ invert_T(T[e.i]) @ T[e.j])[:3, 3]) for e in [*believed, *refused]]
+    assert {(e.i, e.j) for e in refused} == {(0, 1), (0, 2)}
+    assert min(off[len(believed) :]) > 1
+    assert len(believed) == 3
+    assert max(off[: len(believed)]) < 0.01
+
+
+def test_a_link_by_shape_that_no_third_frame_sees_joins_nothing() -> None:
+    T = [make_T(exp_so3([-0.6, 0, 0]), [x, -1.1, 0.0]) for x in (-0.6, -0.5)]
+    views = prepare([rooms.frame(k, pose, color=False) for k, pose in enumerate(T)])
+    believed, refused = shapes.links(views, [], 0)
+    assert not believed
+    assert [(e.i, e.j) for e in refused] == [(0, 1)]

@@ -76,17 +76,20 @@ def scene(
     seed: int = 0,
     bounds: Sequence[Sequence[float]] = ((-0.8, -0.8, -0.1), (0.8, 0.8, 0.8)),
     T_sim_world: np.ndarray | None = None,
+    passing: Sequence[Box | Ball] = (),
 ) -> AlignedScene:
     """Rendered views with inverse-depth noise (1/m) and flying pixels half way across every depth edge.
 
-    `poses` are T_sim_camera; with `T_sim_world` the capture world differs from the simulation frame.
+    `poses` are T_sim_camera; with `T_sim_world` the capture world differs from the simulation frame. Of `passing` each
+    view sees the one of its number.
     """
     T_sim_world = np.eye(4) if T_sim_world is None else T_sim_world
     rng = np.random.default_rng(seed)
     views, rays = [], CAMERA.rays().astype(float)
-    for T in poses:
+    for k, T in enumerate(poses):
         direction = rays @ T[:3, :3].T
-        z = np.min([floor_hit(T[:3, 3], direction), *[s.hit(T[:3, 3], direction) for s in shapes]], axis=0)
+        there = [*shapes, *passing[k : k + 1]]
+        z = np.min([floor_hit(T[:3, 3], direction), *[s.hit(T[:3, 3], direction) for s in there]], axis=0)
         z = np.where(z < 6, z, 0)
         jump = np.abs(np.diff(z, axis=1)) > 0.05
         half = 0.5 * (z[:, 1:] + z[:, :-1])

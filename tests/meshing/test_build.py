@@ -53,6 +53,16 @@ def test_vertical_faces_stay_vertical(block: tuple[AlignedScene, TerrainMesh]) -
     assert abs(np.average(centre[wall, 0], weights=area[wall]) - 0.25) < 0.002
 
 
+def test_somebody_who_walks_by_is_left_out_and_said(block: tuple[AlignedScene, TerrainMesh]) -> None:
+    assert block[1].warnings == ()
+    path = [Box((x, 0.4, 0.0), (x + 0.2, 0.55, 0.7)) for x in np.linspace(-0.7, 0.5, 12)]
+    mesh = build(scene([BLOCK], ring(), noise=0.0015, passing=path), CONFIG)
+    assert any("looked through" in w for w in mesh.warnings)
+    surface = seen(mesh)
+    lost = distance([BLOCK], surface.sample(20_000, 0)) > 0.03
+    assert lost.mean() < 0.05
+
+
 def test_same_input_same_bytes(block: tuple[AlignedScene, TerrainMesh]) -> None:
     again = build(block[0], CONFIG)
     for name in ("vertices", "triangles", "invented", "colors"):

@@ -10,24 +10,21 @@ import numpy as np
 
 from realsim.feedforward.rgbd.bundle import Adjusted, Observations, adjust
 from realsim.feedforward.rgbd.follow import SIGMA_INVERSE, SIGMA_PX, Landmarks, follow
-from realsim.feedforward.rgbd.graph import Edge, components, optimise
+from realsim.feedforward.rgbd.graph import Edge, optimise
 from realsim.feedforward.rgbd.keyframes import by_matching
 from realsim.feedforward.rgbd.learned import join_pieces
-from realsim.feedforward.rgbd.loops import Joined, in_order, join
+from realsim.feedforward.rgbd.loops import Joined, join
 from realsim.feedforward.rgbd.overlap import FINE, overlap
 from realsim.feedforward.rgbd.pairs import (
     MIN_AGREEMENT,
-    WINDOW,
-    ambiguous,
     as_edge,
     believable,
     by_features,
     by_shape,
     candidates,
     guided,
-    shape_features,
-    shape_starts,
 )
+from realsim.feedforward.rgbd.shapes import links
 from realsim.feedforward.rgbd.tracks import Match, Tracks, View, build_tracks
 from realsim.geometry import invert_T
 from realsim.progress import track
@@ -37,8 +34,6 @@ WORTH_TELLING = 3
 """Frames from which a piece that is left out is named as one."""
 SUSPICIOUS = 20
 """From this many features that match although the depth contradicts them, a dropped frame's reason mentions them."""
-SHAPE_WINDOW = 2
-"""Frames that features do not connect are compared by shape with this many that follow."""
 NEIGHBOURS = 8
 """After the first solution each frame is matched again with this many that share the most surface with it."""
 SHAPE_NEIGHBOURS = 5
@@ -155,7 +150,7 @@ def connect(views: Sequence[View], seed: int, learned: bool = True) -> Net:
             )
     if learned:
         _connect_by_learning(net, seed)
-    _connect_by_shape(views, net, seed)
+    _connect_by_shape(net, seed)
     return net
 
 
@@ -171,23 +166,12 @@ def _connect_by_learning(net: Net, seed: int) -> None:
         net.told.update(learned_asked=found.asked, learned_pairs=len(found.matches))
 
 
-def _connect_by_shape(views: Sequence[View], net: Net, seed: int) -> None:
-    """Add edges by shape between neighbours in the sequence that lie in different parts.
-
-    Of a sequence in order the parts are those that neighbours hold: what only looks alike connects nothing.
-    """
-    n = len(views)
-    near = [e for e in net.edges if e.j - e.i <= WINDOW] if in_order(n, net.edges) else net.edges
-    label = np.zeros(n, int)
-    for k, part in enumerate(components(n, near)):
-        label[part] = k
-    loose = [(i, j) for i in range(n) for j in range(i + 1, min(i + 1 + SHAPE_WINDOW, n)) if label[i] != label[j]]
-    features = {k: shape_features(views[k]) for k in sorted({k for pair in loose for k in pair})}
-    for i, j in track(loose, "shapes"):
-        starts = shape_starts(features[i], features[j], np.random.default_rng((seed, i, j)))
-        edge = by_shape(views, i, j, starts)
-        if edge is not None and not ambiguous(views, edge):
-            net.edges.append(edge)
+def _connect_by_shape(net: Net, seed: int) -> None:
+    """Add pairs by shape that a third frame confirms."""
+    believed, refused = links(net.views, net.edges, seed)
+    net.edges.extend(believed)
+    for e in refused:
+        net.doubts.setdefault((e.i, e.j), "by shape alone it fits {}, which no third frame confirms")
 
 
 def close_loops(views: Sequence[View], T: F64, edges: list[Edge]) -> tuple[F64, list[Edge]]:

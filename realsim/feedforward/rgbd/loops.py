@@ -53,6 +53,11 @@ STEPS = range(1, WINDOW + 2)
 """Kinds of links: so many steps apart in the sequence; the last are all that are more than the window."""
 
 
+def drift(way: float, turn: float) -> tuple[float, float]:
+    """Metres and degrees by which matched frames may be off after so many metres and degrees."""
+    return SLACK_M + DRIFT * way, SLACK_DEG + TURN_DRIFT * turn
+
+
 @dataclass(frozen=True)
 class Loop:
     """Links that say the same."""
@@ -84,10 +89,7 @@ class Chains:
 
     def apart(self, a: int, b: int) -> tuple[float, float]:
         """Metres and degrees by which the motion from frame a to frame b of one piece may be off."""
-        return (
-            SLACK_M + DRIFT * abs(self.way[b] - self.way[a]),
-            SLACK_DEG + TURN_DRIFT * abs(self.turn[b] - self.turn[a]),
-        )
+        return drift(abs(self.way[b] - self.way[a]), abs(self.turn[b] - self.turn[a]))
 
 
 @dataclass(frozen=True)
