@@ -10,8 +10,9 @@ import pytest
 from realsim.gap import Case, DiagnoseConfig, load_case
 from realsim.gap.causes.figures import CLEARLY, UNUSUAL
 from realsim.gap.causes.fit import Cause, Fit, Fitter
-from realsim.gap.causes.score import alike, doubts, left_out, score
+from realsim.gap.causes.score import alike, asked_for, doubts, left_out, score
 from realsim.gap.causes.screen import Screen
+from realsim.gap.causes.search import Search
 from realsim.gap.causes.select import Selection, select
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.simulate import Simulator
@@ -113,6 +114,38 @@ def test_a_run_is_left_out_with_values_that_are_fitted_to_the_others(fitter: Fit
     e, x = whole.evidence, few.screen.nuisances(others.evidence, others.prior)
     direct = 0.5 * float(e.c[0] - 2 * e.b[0] @ x + x @ e.A[0] @ x)
     assert fitter.left_out(all_runs, all_runs.prior)[0] == pytest.approx(direct, rel=0.1)
+
+
+def test_a_run_is_left_out_beside_the_deviations_of_its_fit(fitter: Fitter, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fit stays what it was where the search has since moved the deviations that it simulates."""
+    soft = fit(fitter, stiffness_gain=-0.3)
+    before = fitter.left_out(soft, soft.prior)
+    moved = fitter.about.copy()
+    moved[next(i for i, a in enumerate(fitter.screen.atoms) if a.effect == "link_inertia")] = 0.1
+    monkeypatch.setattr(fitter, "about", moved)
+    assert fitter.left_out(soft, soft.prior) == pytest.approx(before)
+    assert fitter.about is moved
+
+
+def test_the_search_ends_where_no_set_could_be_named(fitter: Fitter) -> None:
+    nothing, soft = fitter.nominal(), fit(fitter, stiffness_gain=-0.3)
+    search = Search(fitter, 3, nothing)
+    assert not search._hopeless(np.full(3, 101.0))
+    search.best = soft
+    assert search._hopeless(np.full(3, 91.0))  # three causes as good as this one leave 73 % of the gap
+    assert not search._hopeless(np.full(3, 81.0))  # or 51 %
+    search.most = 1
+    assert search._hopeless(np.full(3, 81.0))
+
+
+def test_a_law_that_contains_another_is_said_where_the_runs_ask_for_it(
+    fitter: Fitter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain, rich = fit(fitter, stiffness_gain=-0.3), fit(fitter, stiffness_gain=-0.3, armature=0.05)
+    assert asked_for(fitter, plain, rich)
+    assert not asked_for(fitter, plain, plain)
+    monkeypatch.setattr("realsim.gap.causes.score.left_out", lambda *_: (-5.0, 1.0, 0.3))
+    assert not asked_for(fitter, plain, rich)
 
 
 def test_the_score_prefers_fewer_causes_fewer_places_and_usual_effects(fitter: Fitter) -> None:

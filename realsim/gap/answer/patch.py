@@ -9,11 +9,10 @@ from typing import Any
 from realsim.errors import GapError, UnknownNameError
 from realsim.gap.causes.fit import Fit
 from realsim.gap.effects import EFFECTS
-from realsim.gap.effects.external_force import EVER
 from realsim.gap.logs.case import Case
 from realsim.gap.logs.resolve import resolve
 from realsim.gap.simulation.context import Context, build_context
-from realsim.gap.simulation.edit import Edit, Pulse, Signals
+from realsim.gap.simulation.edit import Edit, Signals
 from realsim.gap.simulation.simulate import Setting, Simulator
 
 FORMAT, EARLIER = "realsim.gap.patch/2", "realsim.gap.patch/1"
@@ -61,15 +60,14 @@ def make_patch(simulator: Simulator, fit: Fit) -> dict[str, Any]:
         ],
         "scales": _scales(simulator.context),
         "wrappers": wrappers(signals, simulator.onsets),
-        "how": [_how(setting) for setting in settings],
+        "how": [_how(simulator, setting) for setting in settings],
     }
 
 
-def _how(setting: Setting) -> dict[str, Any]:
-    name, place, values = setting
-    effect = EFFECTS[name]
-    passing = name == "external_force" and bool({"start", "end", "lasts"} & set(values))
-    means = "model" if effect.patchable and not passing else "wrapper"
+def _how(simulator: Simulator, setting: Setting) -> dict[str, Any]:
+    name, place, _ = setting
+    passing = any(not p.always for p in simulator.edited([setting]).signals.pulses)
+    means = "model" if EFFECTS[name].patchable and not passing else "wrapper"
     return {"effect": name, "place": list(place), "means": means}
 
 
@@ -91,7 +89,7 @@ def wrappers(signals: Signals, onsets: dict[str, float] | None = None) -> dict[s
         found["position_torque"] = {"value": dict(signals.position_torque), "unit": "N m"}
     if signals.load_friction:
         found["load_friction"] = {"value": dict(signals.load_friction), "unit": "ratio"}
-    passing = [p for p in signals.pulses if not _always(p)]
+    passing = [p for p in signals.pulses if not p.always]
     if passing:
         value = [
             {"actuator": p.actuator, "start_s": p.start, "end_s": p.end, "since_onset": p.by_onset} for p in passing
@@ -100,10 +98,6 @@ def wrappers(signals: Signals, onsets: dict[str, float] | None = None) -> dict[s
         if any(p.by_onset for p in passing):
             found["external_force"]["onsets_s"] = dict(onsets or {})
     return {name: {**said, "what": _WRAPPER[name]} for name, said in found.items()}
-
-
-def _always(pulse: Pulse) -> bool:
-    return pulse.start <= 0 and pulse.end >= EVER
 
 
 def _scales(context: Context) -> dict[str, Any]:
@@ -193,7 +187,7 @@ def _hold_forces(edit: Edit) -> None:
     """A force that acts always needs no control: its actuator has it as a constant."""
     import mujoco
 
-    for pulse in [p for p in edit.signals.pulses if _always(p)]:
+    for pulse in [p for p in edit.signals.pulses if p.always]:
         actuator = edit.spec.actuator(pulse.actuator)
         actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         bias, gain = actuator.biasprm, actuator.gainprm

@@ -13,11 +13,6 @@ from realsim.gap.logs.repeats import replicates
 from realsim.gap.verdicts import GapVerdict
 
 Cause = dict[str, Any]
-_ABSOLUTE = {"torque_limit", "torque_speed_limit", "joint_compliance", "terrain_wobble"}
-_SIGNED = {
-    "joint_offset", "imu_bias", "com_offset", "terrain_tilt", "terrain_height", "link_geometry", "external_force",
-}  # fmt: skip
-"""Quantities whose sign is a direction: they are missing either way, not too large in the model."""
 SIGNALS = {
     "joint_pos": "joint position",
     "joint_vel": "joint velocity",
@@ -147,32 +142,28 @@ def _same(a: Cause, b: Cause) -> bool:
 
 def phrase(cause: Cause) -> str:
     """left knee: Coulomb friction 1.9 N m [1.6, 2.2] is missing."""
-    effect, parameters = cause["effect"], cause["parameters"]
-    title = EFFECTS[effect].title if effect in EFFECTS else effect.replace("_", " ")
+    effect, parameters = EFFECTS[cause["effect"]], cause["parameters"]
     names = ", ".join(_plain(n) for n in cause.get("joints") or cause.get("bodies") or [])
     place = f"{names}: " if names else ""
-    if effect == "load_friction":
+    if effect.of_torque:
         parameters = {n: _of_torque(p) for n, p in parameters.items()}
-    size = _size(parameters)
-    first = next(iter(parameters.values()))
-    if effect in _ABSOLUTE:
-        return f"{place}a {title} of {size} is missing"
+    name, first = next(iter(parameters.items()))
+    negative = first["value"] < 0
+    where = _at(parameters) if effect.absolute else ""
+    sized = {name: first} if where else parameters
+    if word := effect.comparatives[0 if negative else 1]:
+        what = names if effect.absolute else f"{place}{effect.title}"
+        return f"{what} is {_size(sized, -1 if negative else 1)} {word} than in the model{where}"
+    size = _size(sized)
+    if effect.absolute:
+        return f"{place}a {effect.title} of {size}{where} is missing"
     if first["unit"] == "ratio" and len(parameters) == 1:
-        return f"{place}{title} is {size} the model's"
-    if effect == "payload":
-        where = _at(parameters)
-        mass = {"mass": first}
-        if first["value"] < 0:
-            return f"{names} is {_size(mass, -1)} lighter than in the model{where}"
-        return f"{place}a payload of {_size(mass)}{where} is missing"
-    if effect == "terrain_height":
-        way, sign = ("lower", -1) if first["value"] < 0 else ("higher", 1)
-        return f"{place}{title} is {_size(parameters, sign)} {way} than in the model"
-    if first["value"] < 0 and len(parameters) == 1 and effect not in _SIGNED:
-        return f"{place}{title} is {_size(parameters, -1)} too large in the model"
+        return f"{place}{effect.title} is {size} the model's"
+    if negative and len(parameters) == 1 and not effect.directed:
+        return f"{place}{effect.title} is {_size(parameters, -1)} too large in the model"
     notes = [p["note"] for p in parameters.values() if p.get("note")]
     note = f" ({'; '.join(notes)})" if notes else ""
-    return f"{place}{title} {size} is missing{note}"
+    return f"{place}{effect.title} {size} is missing{note}"
 
 
 def _of_torque(parameter: dict[str, Any]) -> dict[str, Any]:

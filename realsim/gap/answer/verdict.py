@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from realsim.gap.answer.check import Check
+from realsim.gap.causes.figures import NAMED_SHARE
 from realsim.gap.causes.leftover import is_gap
 from realsim.gap.verdicts import GapVerdict
 from realsim.types import F64
@@ -18,10 +19,6 @@ cases without a gap."""
 EXPLAINED = 15.0
 """Mean square in units of the floor that may stay beside causes that explain the gap, all fitted runs but the worst
 together, and in the check. Above it a cause is not wrong, but something else is there too. Set on generated cases."""
-HELD_SHARE = 1 / 3
-"""Share of the squared error of the check that causes must remove to be named beside a rest. A cause that changes the
-motion by as much as the model is wrong by anyway removes about half. Set on the development logs of real robots: right
-causes removed 40 and 46 % or nearly all, wrong ones 1, 15 and 18 %."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +68,7 @@ def judge(
         doubt = f"{', '.join(ends)}: as far as the library goes, so it stands for something else"
         return Judgement(GapVerdict.UNEXPLAINED, (came, doubt), ends)
     stays = rest(fitted, checked, unexplained_share)
-    if stays and checked.fraction < HELD_SHARE:
+    if stays and checked.fraction < NAMED_SHARE:
         return Judgement(GapVerdict.UNEXPLAINED, (came, stays, f"only {checked.fraction:.0%} of the check is removed"))
     if others:
         return Judgement(GapVerdict.AMBIGUOUS, tuple(r for r in (came, stays) if r))

@@ -77,11 +77,17 @@ class Fitter(GaussNewton):
     @contextmanager
     def nuisances_reset(self) -> Iterator[None]:
         """Fits in here are made as after `reset_nuisances`, under the present weights."""
-        bent, self.about = self.about, self._nuisances_of_sensors()
+        with self._beside(self._nuisances_of_sensors()):
+            yield
+
+    @contextmanager
+    def _beside(self, about: F64) -> Iterator[None]:
+        """Simulations in here contain these nuisances, whatever the search has come to since."""
+        own, self.about = self.about, about
         try:
             yield
         finally:
-            self.about = bent
+            self.about = own
 
     def with_own_nuisances(self, fit: Fit, rounds: int = 4) -> Fit:
         """Causes and small deviations where they belong beside each other, found in turn; for this fit alone."""
@@ -196,9 +202,16 @@ class Fitter(GaussNewton):
         One Gauss-Newton step from the values that suit all runs leads to those that suit the others; the run that is
         left out is simulated with them.
 
+        The simulations contain the nuisances that the fit was measured beside: its predictions do, and what moves by
+        other nuisances would be taken for the runs' own.
+
         Args:
             beside: (p,) prior of a rival's deviations. What is a cause there is a deviation here, within reason.
         """
+        with self._beside(fit.about):
+            return self._left_out(fit, beside)
+
+    def _left_out(self, fit: Fit, beside: F64) -> F64:
         screen, runs, m = self.screen, range(len(self.screen.runs)), sum(len(c.values) for c in fit.causes)
         candidates = [c.candidate for c in fit.causes]
         z, e = np.array([v for c in fit.causes for v in c.values]), fit.evidence

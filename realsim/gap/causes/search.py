@@ -13,13 +13,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from realsim.gap.causes.figures import CLEARLY, EXPANSIONS, RUNNER_SHARE, RUNNERS_UP
+from realsim.gap.causes.figures import CLEARLY, EXPANSIONS, NAMED_SHARE, RUNNER_SHARE, RUNNERS_UP
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.proposals import ADD, EXCHANGE, Propose, ranked
 from realsim.gap.causes.refine import prepared, refined
 from realsim.gap.causes.score import doubts, near, score, searched
 from realsim.gap.causes.trials import Trial, screened, trial, with_outcome
+from realsim.types import F64
 
 Tick = Callable[[str, float], None]
 
@@ -34,6 +35,8 @@ class Search:
     best: Fit
     """The set with the lowest score of those that nothing speaks against."""
     seen: dict[frozenset, Fit] = field(default_factory=dict)
+    gap: float = 0.0
+    """Mean square above the floor that stays beside everyday deviations alone."""
     expanded: set[frozenset] = field(default_factory=set)
     """Full keys of the sets whose neighbours were fitted."""
     trials: list[Trial] = field(default_factory=list)
@@ -54,15 +57,27 @@ class Search:
 
     def _next(self) -> Fit | None:
         """The best set; once its neighbours are known and it leaves a gap, the next best that removes something."""
+        left = leftover(self.fitter.screen, self.fitter.remeasure(self.best))
+        if self._hopeless(left):
+            return None
         if self.best.full_key not in self.expanded:
             return self.best
-        if not is_gap(leftover(self.fitter.screen, self.fitter.remeasure(self.best))):
+        if not is_gap(left):
             return None
         self.seen = {k: self.fitter.looked_at(f, f.causes) or f for k, f in self.seen.items()}
         nothing = self.seen[frozenset()].misfit
         least = RUNNER_SHARE * (nothing - min(f.misfit for f in self.seen.values()))
         worth = [f for f in self.seen.values() if len(f.causes) < self.most and f.full_key not in self.expanded]
         return min((f for f in worth if nothing - f.misfit > least), key=self._score, default=None)
+
+    def _hopeless(self, left: F64) -> bool:
+        """Whether nothing in the library fits: with all the causes that a set may have, each as good as those so far,
+        it would still not remove the share of the gap above the floor that causes must to be named."""
+        if not self.best.causes:
+            self.gap = max(left.mean() - 1, 0.0)
+            return False
+        stays = (left.mean() - 1) / self.gap if self.gap else 0.0
+        return bool(max(stays, 0.0) ** (self.most / len(self.best.causes)) > 1 - NAMED_SHARE)
 
     def _expand(self, here: Fit) -> bool:
         """Fit a set's neighbours; whether one of them is better than the best set."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from realsim.gap.causes.fit import Fit, Fitter
-from realsim.gap.causes.score import alike, near, score
+from realsim.gap.causes.score import alike, asked_for, near, score
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.search import Search, Tick
 from realsim.gap.causes.starts import contains
@@ -56,10 +56,11 @@ def _alike(search: Search, nominal: Fit) -> tuple[Fit, list[Fit]]:
     again = (fitter.looked_at(f, f.causes) for f in others)
     others = [f for f in again if f is not None and f.misfit - best.misfit < near(removed)]
     same = [best, *(f for f in others if alike(fitter, best, f, removed))]
-    # A law that holds another as a special case always fits as well: where the runs do not ask for it, the plain one is
-    # said, and it alone.
-    plain = [f for f in same if not any(_richer(f, o) for o in same)]
-    best, *rest = sorted(plain, key=lambda f: score(fitter.screen, f))
+    # A law that holds another as a special case always fits as well: only one of the two is said, the plain one unless
+    # the runs ask for more.
+    pairs = [(f, o, asked_for(fitter, o, f)) for f in same for o in same if _richer(f, o)]
+    gone = [plain if needed else rich for rich, plain, needed in pairs]
+    best, *rest = sorted((f for f in same if not any(f is g for g in gone)), key=lambda f: score(fitter.screen, f))
     return fitter.spread(best), rest
 
 

@@ -12,11 +12,10 @@ from realsim.gap.causes.figures import GRID, LEAD, MARGIN, SHORTEST, SLIDES, TIM
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import deviations
 from realsim.gap.causes.screen import Candidate, Screen
-from realsim.gap.effects.external_force import EFFECT, NEAR
 from realsim.gap.simulation.context import base_body
+from realsim.gap.simulation.edit import NEAR
+from realsim.gap.simulation.simulate import lookup
 from realsim.types import F64
-
-FORCE = ("fx", "fy", "fz")
 
 
 @dataclass(frozen=True)
@@ -70,8 +69,8 @@ def _by_place(
     """The best window of each body's force on one clock, where it says much more than a force that acts always."""
     whole_runs = own_time(screen)
     found = []
-    for place in dict.fromkeys(a.place for a in screen.atoms if a.effect == EFFECT.name):
-        at = {n: screen.index[key] for n in ("fx", "fy", "fz") if (key := (EFFECT.name, place, n)) in screen.index}
+    for name, place in dict.fromkeys((a.effect, a.place) for a in screen.atoms if lookup(a.effect).passing):
+        at = {a.parameter.name: i for i, a in enumerate(screen.atoms) if (a.effect, a.place) == (name, place)}
         axes, index = tuple(at), list(at.values())  # a planar arm cannot feel a force across its plane
         info, score = _by_time(screen, clock, index, left, weights)
         total = (info, score) if clock == whole_runs else _by_time(screen, whole_runs, index, left, weights)
@@ -80,7 +79,7 @@ def _by_place(
         gain, start, end, force = _best_window(info, score, scale, screen.comparison.config.bin_seconds, clock.latest)
         if gain > TIMES * whole + MARGIN:
             directions = np.eye(len(screen.atoms))[:, index]
-            candidate = Candidate(EFFECT.name, (place,), (*axes, *clock.edges), directions, axes)
+            candidate = Candidate(name, (place,), (*axes, *clock.edges), directions, axes)
             found.append((gain, candidate, dict(zip(axes, force, strict=True)) | clock.values(start, end)))
     return found
 
@@ -91,7 +90,8 @@ def adjusted(fitter: Fitter, fit: Fit) -> Fit:
     A push that lifts a foot has no response in proportion to itself, so that what is found on slopes may be off.
     """
     best = fit
-    edges = [n for n in ("start", "end", "since", "lasts") if n in fit.causes[-1].candidate.names]
+    candidate = fit.causes[-1].candidate
+    edges = [n for n in lookup(candidate.effect).passing if n in candidate.names]
     for size in SLIDES:
         moves = [(name, move) for name in (*edges, "force") for move in (size, -size)]
         while True:
@@ -115,7 +115,8 @@ def at_other_bodies(screen: Screen, fitter: Fitter, fit: Fit) -> list[Fit]:
     cause, others = fit.causes[-1], fit.causes[:-1]
     case = screen.simulator.case
     base = case.model.body(base_body(case)).name if case.floating else ""
-    like = [c for c in screen.candidates if c.effect == cause.candidate.effect and c.names == FORCE]
+    whole = max((c.names for c in screen.candidates if c.effect == cause.candidate.effect), key=len)
+    like = [c for c in screen.candidates if c.effect == cause.candidate.effect and c.names == whole]
     elsewhere = [replace(c, names=cause.candidate.names) for c in like if c.places != cause.candidate.places]
     moved = fitter.each(lambda c: fitter.looked_at(fit, (*others, Cause(c, cause.values))), elsewhere)
     fits = sorted((f for f in moved if f is not None), key=lambda f: f.misfit)
@@ -129,7 +130,8 @@ def _moved(fitter: Fitter, fit: Fit, change: tuple[str, float]) -> Fit | None:
     if name == "since" and abs(cause.named[name] + move) > NEAR:
         return None
     if name == "force":
-        values = tuple(v * (1 + move) if n in FORCE else v for n, v in cause.named.items())
+        passing = lookup(cause.candidate.effect).passing
+        values = tuple(v if n in passing else v * (1 + move) for n, v in cause.named.items())
     else:
         values = tuple(v + move * (n == name) for n, v in cause.named.items())
     return fitter.looked_at(fit, (*fit.causes[:-1], replace(cause, values=values)))

@@ -8,29 +8,6 @@ from typing import Any
 from realsim.gap.effects import EFFECTS
 
 Change = dict[str, Any]
-MAY_BE = {
-    "coulomb_friction": "wear, dirt or a tighter seal",
-    "stribeck_friction": "wear or lack of grease",
-    "viscous_friction": "grease that is colder or warmer",
-    "load_friction": "wear of the gear",
-    "backlash": "wear of the gear",
-    "joint_compliance": "a loose or worn gear or belt",
-    "payload": "something that was mounted or removed",
-    "com_offset": "something that was moved",
-    "link_inertia": "a part that was exchanged",
-    "armature": "a motor or gear that was exchanged",
-    "motor_gain": "a motor that was exchanged, or is hot or weak",
-    "stiffness_gain": "a servo that was exchanged or set otherwise",
-    "damping_gain": "a servo that was exchanged or set otherwise",
-    "torque_limit": "a current limit, or a motor that is hot",
-    "joint_offset": "an encoder that was mounted anew or slipped",
-    "command_delay": "other software or another bus",
-    "observation_delay": "other software or another bus",
-    "imu_bias": "temperature of the IMU",
-    "ground_friction": "another floor or worn feet",
-    "contact_compliance": "another floor or worn feet",
-}
-"""What a change of an effect usually is. Not tested: what the logs name is the effect."""
 
 
 def sentence(verdict: str, changes: Sequence[Change], equivalent: Sequence[Sequence[Change]]) -> str:
@@ -44,7 +21,7 @@ def sentence(verdict: str, changes: Sequence[Change], equivalent: Sequence[Seque
     if verdict == "unexplained":
         near = f" The nearest is {said}: it may only imitate the change." if changes else ""
         return f"Something changed that no effect of this library explains.{near}"
-    hints = [MAY_BE[c["effect"]] for c in changes if c["effect"] in MAY_BE]
+    hints = [by for c in changes if (by := EFFECTS[c["effect"]].changed_by)]
     return f"{said}{f' (often {hints[0]})' if len(hints) == 1 == len(changes) else ''}."
 
 

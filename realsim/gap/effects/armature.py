@@ -31,6 +31,7 @@ EFFECT = Effect(
     description="The inertia of the rotor seen through the gear is not the model's.",
     signature="Error in proportion to acceleration, the same in every pose; overshoot after steps.",
     excitation="Fast changes of velocity.",
+    changed_by="a motor or gear that was exchanged",
     places=each_joint,
     parameters=_parameters,
     excited_by=_excited,

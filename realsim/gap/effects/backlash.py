@@ -36,6 +36,7 @@ EFFECT = Effect(
     description="The link is free to move within a gap before the motor takes it along. The gap is its full width.",
     signature="The link jumps by the gap when the load changes sign; motor and link encoders differ by up to the gap.",
     excitation="Load that changes sign; output-side encoders.",
+    changed_by="wear of the gear",
     places=each_joint,
     parameters=_parameters,
     excited_by=_excited,

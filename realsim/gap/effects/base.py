@@ -123,6 +123,18 @@ class Effect:
     """A more usual effect that may do the same."""
     suggests: Callable[[Context, Place, dict[str, float]], Sequence[Suggestion]] = lambda *_: ()
     """From values that were found at a place: what else may explain the same."""
+    passing: tuple[str, ...] = ()
+    """Parameters that say when it acts; without them it acts always."""
+    absolute: bool = False
+    """Whether it is said as a thing of its size (a torque limit of 3 N m) and not as more or less of something."""
+    directed: bool = False
+    """Whether its sign is a direction: then it is missing either way, and never too large in the model."""
+    of_torque: bool = False
+    """Whether its ratio is a share of the drive's torque."""
+    comparatives: tuple[str, str] = ("", "")
+    """What the robot is than the model where the first parameter is negative and where it is positive."""
+    changed_by: str = ""
+    """What a change of it between two logs of one robot usually is. Not tested: what the logs name is the effect."""
     taken_for: tuple[str, ...] = ()
     """Effects among those suggested that are held against it by left-out runs whenever it is named: on a model that is
     not exact, a little of what it does beside them outweighs the evidence of noise alone."""

@@ -37,6 +37,7 @@ EFFECT = Effect(
     signature="The same lag at all joints and speeds; error in proportion to the speed of the command; IMU and base "
     "lag with the joints.",
     excitation="Commands that change; an IMU or base pose tells it from a delay of the joint readings.",
+    changed_by="other software or another bus",
     places=everywhere,
     parameters=_parameters,
     excited_by=always,

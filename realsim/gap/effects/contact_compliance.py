@@ -34,6 +34,7 @@ EFFECT = Effect(
     description="The time constant of the ground's contact (MuJoCo's solref) is larger: a mat, grass, rubber feet.",
     signature="Softer touchdown, the base sinks and sways with the load; joints are right.",
     excitation="Load changes and touchdowns.",
+    changed_by="another floor or worn feet",
     places=_places,
     parameters=_parameters,
     excited_by=_excited,

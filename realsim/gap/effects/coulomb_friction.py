@@ -38,6 +38,7 @@ EFFECT = Effect(
     description="A constant torque against the motion, and sticking at rest.",
     signature="An error of constant size that changes sign with the velocity; flats at reversals; hysteresis at rest.",
     excitation="Slow motion with reversals, from both sides.",
+    changed_by="wear, dirt or a tighter seal",
     places=each_joint,
     parameters=_parameters,
     excited_by=_excited,

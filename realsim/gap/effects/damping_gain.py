@@ -56,6 +56,7 @@ EFFECT = Effect(
     signature="Lag in proportion to speed, both ways; overshoot after steps; shows in the drive's torque, "
     "unlike viscous friction.",
     excitation="Fast motion; measured torque tells it from viscous friction.",
+    changed_by="a servo that was exchanged or set otherwise",
     places=each_joint,
     parameters=_parameters,
     excited_by=_excited,

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
 from realsim.gap.simulation.context import Context
-from realsim.gap.simulation.edit import Pulse
+from realsim.gap.simulation.edit import EVER, NEAR, Pulse
 
 FOREVER = 1e6
-NEAR = 0.3
-"""Seconds by which an onset that was read off a log may be wrong."""
-EVER = 1e5
-"""A force that lasts longer than this many seconds counts as always acting."""
+PASSING = ("start", "end", "since", "lasts")
 
 
 def _places(context: Context) -> list[Place]:
@@ -58,6 +55,8 @@ EFFECT = Effect(
     signature="An error with no command behind it, in one direction of the world whatever the pose; of a push, one "
     "that begins suddenly and dies away.",
     excitation="Several poses tell a constant force from a payload; replicates tell a passing one from the command.",
+    directed=True,
+    passing=PASSING,
     places=_places,
     parameters=_parameters,
     excited_by=_excited,

@@ -32,6 +32,7 @@ EFFECT = Effect(
     description="The sliding friction coefficient of all contacts is scaled.",
     signature="Feet slide where the model's stick (or the reverse): drift of base position and yaw under shear load.",
     excitation="Shear forces near the friction limit.",
+    changed_by="another floor or worn feet",
     places=_places,
     parameters=_parameters,
     excited_by=_excited,

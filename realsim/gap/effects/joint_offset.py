@@ -33,6 +33,8 @@ EFFECT = Effect(
     "one that is logged (`reading_offset`).",
     signature="A constant error of a joint, or gravity loads and foot positions that belong to another angle.",
     excitation="Gravity on the joint, or feet on the ground.",
+    changed_by="an encoder that was mounted anew or slipped",
+    directed=True,
     places=each_joint,
     parameters=_parameters,
     excited_by=_excited,

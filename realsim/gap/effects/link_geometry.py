@@ -44,6 +44,7 @@ EFFECT = Effect(
     description="A link's length differs along the direction to its far end.",
     signature="Feet and tool stand elsewhere than the joint angles say; the gravity torque of what it carries changes.",
     excitation="Feet on the ground with base pose, or a loaded link.",
+    directed=True,
     places=_places,
     parameters=_parameters,
     excited_by=_excited,

@@ -32,6 +32,7 @@ EFFECT = Effect(
     description="The inertia tensor of a body is scaled; mass and centre of mass stay.",
     signature="Error in proportion to angular acceleration of that link, whatever joint turns it; no effect at rest.",
     excitation="Fast angular acceleration about several axes.",
+    changed_by="a part that was exchanged",
     places=_places,
     parameters=_parameters,
     excited_by=_excited,

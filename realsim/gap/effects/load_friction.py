@@ -40,6 +40,8 @@ EFFECT = Effect(
     signature="Like Coulomb friction, but larger where the load is; lifting and lowering differ, an unloaded joint is "
     "right.",
     excitation="The same motion under different loads.",
+    changed_by="wear of the gear",
+    of_torque=True,
     places=each_joint,
     parameters=_parameters,
     excited_by=_excited,

@@ -34,6 +34,7 @@ EFFECT = Effect(
     description="The whole force of the actuator is scaled (torque constant, supply voltage, gear efficiency).",
     signature="More sag under load and slower response at once: stiffness and damping change by the same ratio.",
     excitation="Load or acceleration.",
+    changed_by="a motor that was exchanged, or is hot or weak",
     places=each_joint,
     parameters=_parameters,
     excited_by=_excited,

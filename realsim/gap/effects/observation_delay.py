@@ -36,6 +36,7 @@ EFFECT = Effect(
     description="Joint positions, velocities and torques are logged a fixed time after they were true; the IMU is not.",
     signature="The same lag at all joints and speeds, while IMU and base pose are on time.",
     excitation="Motion; an IMU or base pose tells it from a delay of the command.",
+    changed_by="other software or another bus",
     places=everywhere,
     parameters=_parameters,
     excited_by=always,

@@ -82,6 +82,9 @@ EFFECT = Effect(
     signature="More sag in every pose that carries it, in the joints between it and the base; slower acceleration; "
     "more weight on the feet.",
     excitation="Gravity in several poses; accelerations tell it from a constant force.",
+    changed_by="something that was mounted or removed",
+    comparatives=("lighter", ""),
+    absolute=True,
     places=_places,
     parameters=_parameters,
     excited_by=_excited,

@@ -33,6 +33,7 @@ EFFECT = Effect(
     description="The servo turns position error into torque with another gain than the model's.",
     signature="Steady position error under load scales with 1/ratio; fast motion changes less than with a motor gain.",
     excitation="Load at rest or slow motion.",
+    changed_by="a servo that was exchanged or set otherwise",
     places=each_joint,
     parameters=_parameters,
     excited_by=_excited,

@@ -93,6 +93,7 @@ EFFECT = Effect(
     description="Dry friction is higher near rest and falls to its level in motion over the Stribeck velocity.",
     signature="Stick and jerk at slow reversals; fast motion is right.",
     excitation="Very slow motion with reversals beside fast motion.",
+    changed_by="wear or lack of grease",
     places=each_joint,
     parameters=_parameters,
     variants=(("static_friction", "stribeck_velocity"), ("static_friction", "coulomb", "stribeck_velocity")),

@@ -55,6 +55,7 @@ EFFECT = Effect(
     description="The ground as a whole is tilted about the world's x and y axes (for a fixed base: its mount).",
     signature="The base leans by the tilt in every pose; uphill and downhill legs carry different loads.",
     excitation="Standing; base pose or IMU.",
+    directed=True,
     places=everywhere,
     parameters=_parameters,
     excited_by=_excited,

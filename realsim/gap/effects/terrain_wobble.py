@@ -54,6 +54,7 @@ EFFECT = Effect(
     description="A support sinks or rocks on a spring and damper when it is loaded.",
     signature="The base sinks and leans toward a leg as load moves onto it, and swings after load changes.",
     excitation="Load moving on and off that support.",
+    absolute=True,
     places=_places,
     parameters=_parameters,
     excited_by=_excited,

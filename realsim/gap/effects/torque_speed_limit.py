@@ -55,6 +55,7 @@ EFFECT = Effect(
     description="The highest torque falls linearly with speed to zero at the no-load speed.",
     signature="Slow motion is right under any load; fast motion is cut at its peaks, more so against load.",
     excitation="High speed and high torque at the same time.",
+    absolute=True,
     places=each_joint,
     parameters=_parameters,
     excited_by=_excited,

@@ -56,6 +56,7 @@ EFFECT = Effect(
     description="A torque against the motion in proportion to speed (grease, back-EMF through the gear).",
     signature="Lag that grows with speed; nothing at rest; the drive's torque shows it, a damping gain's does not.",
     excitation="Several speeds; measured torque tells it from a damping gain.",
+    changed_by="grease that is colder or warmer",
     places=each_joint,
     parameters=_parameters,
     excited_by=_excited,

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 
 STIFFEST = 2.2
 """Time steps in which a constraint gives way at the fastest; below 2, MuJoCo takes 2."""
+NEAR = 0.3
+"""Seconds by which an onset that was read off a log may be wrong."""
+EVER = 1e5
+"""A force that lasts longer than this many seconds counts as always acting."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +31,11 @@ class Pulse:
     """Seconds of each run, or since its onset."""
     by_onset: bool = False
     """Whether it comes at a moment of its own in each run, and in some not at all (realsim.gap.evidence.onsets)."""
+
+    @property
+    def always(self) -> bool:
+        """Whether it acts throughout every run."""
+        return self.start <= 0 and self.end >= EVER
 
 
 @dataclass
