@@ -20,6 +20,8 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+import numpy as np
+
 from benchmarks.store import Store
 from realsim.capture import CaptureConfig, read
 from realsim.exports.config import SceneConfig
@@ -36,14 +38,16 @@ FRAMES_A_SECOND = 10.0
 SHOWN = ("scale_error", "tilt_deg", "yaw_deg", "origin_mm", "tops_mm", "f_score_1cm", "f_score_2cm")
 
 
-def as_bag(frames: FrameSet, path: Path) -> Path:
-    """An MCAP file with the frames, their cameras and poses."""
+def as_bag(frames: FrameSet, path: Path, truth: Path) -> Path:
+    """An MCAP file with the frames, their cameras and poses: in a world whose z is up, as ROS has it (REP 103)."""
+    T_sim_world = np.asarray(json.loads((truth / "truth.json").read_text())["T_sim_world"])
     views = []
     for i, frame in enumerate(frames.frames):
         color = frame.color()
         assert color is not None
         assert frame.T_world_camera is not None
-        views.append(View(frame.T_world_camera, frame.depth(), color, 1_700_000_000.0 + i / FRAMES_A_SECOND))
+        at = 1_700_000_000.0 + i / FRAMES_A_SECOND
+        views.append(View(T_sim_world @ frame.T_world_camera, frame.depth(), color, at))
     camera = frames.frames[0].intrinsics
     return write_bag(path, views, storage="mcap_file", color="jpeg", intrinsics=camera)
 
@@ -53,7 +57,7 @@ def measure(terrain: str, count: int, work: Path) -> list[dict[str, Any]]:
     made = write_capture(work / "made", SynthConfig(terrain, count, poses=True))
     frames = read(made.capture, CaptureConfig())
     assert isinstance(frames, FrameSet)
-    bag = as_bag(frames, work / "walk.mcap")
+    bag = as_bag(frames, work / "walk.mcap", made.truth)
     rows = []
     for source, path in (("folder", made.capture), ("bag", bag)):
         began = time.process_time()

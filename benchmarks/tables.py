@@ -384,6 +384,7 @@ INDEX = (
         "matching",
         "python benchmarks/matching.py",
     ),
+    ("The same frames as a folder and as a ROS bag", "bag_scene", "python benchmarks/bag_scene.py"),
     ("Mistakes between a policy and its robot", "gap_contract", "python benchmarks/gap_contract.py --seed 2000"),
     ("Damaged input: tracebacks, hangs, silent changes", "fuzz", "python benchmarks/fuzz.py"),
     ("Recordings that decide between causes", "gap_next", "python benchmarks/gap_next.py --seed 27"),
@@ -401,6 +402,15 @@ INDEX = (
         "realsim pretrain, realsim finetune (in the file)",
     ),
 )
+
+
+def bags() -> list[str]:
+    """The same frames as a folder and as a bag."""
+    lines = ["| terrain | read from | verdict | F at 1 cm | tops off | tilt | CPU seconds |", "|---|---|---|---|---|---|---|"]
+    for r in stored("bag_scene")["rows"]:
+        figures = f"{r['f_score_1cm']:.3f} | {r['tops_mm']:.2f} mm | {r['tilt_deg']:.3f}°"
+        lines.append(f"| {r['terrain']} | {r['source']} | {r['verdict']} | {figures} | {r['cpu_seconds']:.0f} |")
+    return lines
 
 
 def footholds() -> list[str]:
@@ -432,6 +442,7 @@ FOOTHOLDS = {
 
 
 KEYS = {
+    "bag_scene": ("terrain", "frames", "source"),
     "base_policy": base_policy.KEY,
     "captures": ("kind", "seed", "method"),
     "close_the_gap": ("robot", "iterations"),
@@ -493,6 +504,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "real captures": real_captures,
     "loops": loops,
     "hard matches": hard_matches,
+    "bags": bags,
     "diagnosis by set": diagnosis_by_set,
     "diagnosis by robot": diagnosis_by_robot,
     "diagnosis by seed": diagnosis_intervals,
