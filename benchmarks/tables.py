@@ -406,7 +406,7 @@ INDEX = (
 
 def bags() -> list[str]:
     """The same frames as a folder and as a bag."""
-    lines = ["| terrain | read from | verdict | F at 1 cm | tops off | tilt | CPU seconds |", "|---|---|---|---|---|---|---|"]
+    lines = ["| terrain | read from | verdict | F at 1 cm | tops off | tilt | CPU seconds |", "|" + "---|" * 7]
     for r in stored("bag_scene")["rows"]:
         figures = f"{r['f_score_1cm']:.3f} | {r['tops_mm']:.2f} mm | {r['tilt_deg']:.3f}°"
         lines.append(f"| {r['terrain']} | {r['source']} | {r['verdict']} | {figures} | {r['cpu_seconds']:.0f} |")
