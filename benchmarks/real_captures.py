@@ -67,7 +67,7 @@ def measured(name: str, case: Case, work: Path, scene: Path) -> Row:
     """One row."""
     source = SHARED / case.source
     if name == "slambook":  # has no file with its camera, which the book prints
-        copy = work / name
+        copy = work / f"{name}-capture"
         copy.mkdir()
         for part in ("color", "depth"):
             (copy / part).symlink_to(source / part)

@@ -12,6 +12,7 @@ from realsim.exports.contact.rays import Rays
 from realsim.types import TerrainMesh
 
 F64 = NDArray[np.float64]
+F32 = NDArray[np.float32]
 MAX_CELLS = 4_000_000
 MAX_LAYERS = 8
 NARROW = 0.02  # metres: a gap lower than this is closed, nothing that matters fits in
@@ -26,17 +27,17 @@ class Columns:
     """(2,) x y of the centre of cell [0, 0], metres."""
     cell: float
     """Metres between cell centres."""
-    top: F64
+    top: F32
     """(L, rows, columns) z where interval l ends above; NaN where the column has fewer intervals."""
     top_seen: NDArray[np.bool_]
     """(L, rows, columns) whether that end above is a surface that was measured."""
-    bottom: F64
+    bottom: F32
     """(L, rows, columns) z where it ends below; -inf where it reaches the ground."""
     bottom_seen: NDArray[np.bool_]
     """(L, rows, columns) whether that end below is a surface that was measured, not one that was filled in."""
 
     @property
-    def lowest(self) -> F64:
+    def lowest(self) -> F32:
         """(rows, columns) z where the lowest interval ends above: the ground, where it was seen."""
         return np.take_along_axis(self.top, self._last, 0)[0]
 
@@ -102,14 +103,14 @@ def crossings(
     return ray[~again], z[~again], up[~again], seen[~again]
 
 
-Intervals = tuple[F64, F64, NDArray[np.int32], NDArray[np.int32]]
+Intervals = tuple[F32, F32, NDArray[np.int32], NDArray[np.int32]]
 """Tops, bottoms, crossing that is the top, crossing that is the bottom (-1: none), each (L, count)."""
 
 
 def _intervals(ray: NDArray[np.int64], z: F64, up: NDArray[np.bool_], count: int) -> Intervals:
     """Walk down all columns at once, crossing by crossing. Layers are added as they are needed: most of a room has one
-    or two, and MAX_LAYERS of a fine grid would take gigabytes."""
-    top, bottom = np.full((1, count), np.nan), np.full((1, count), -np.inf)
+    or two, and MAX_LAYERS of a fine grid would take gigabytes. Single precision is a micrometre here."""
+    top, bottom = np.full((1, count), np.nan, np.float32), np.full((1, count), -np.inf, np.float32)
     above, below = np.full((1, count), -1, np.int32), np.full((1, count), -1, np.int32)
     depth, layer = np.zeros(count, np.int16), np.full(count, -1, np.int8)
     first = np.r_[True, np.diff(ray) != 0]
@@ -123,7 +124,9 @@ def _intervals(ray: NDArray[np.int64], z: F64, up: NDArray[np.bool_], count: int
         begins = opens | sheet
         layer[r[begins]] += 1
         if int(layer[r].max(initial=0)) == len(top):
-            top, bottom = (np.vstack([a, np.full((1, count), v)]) for a, v in ((top, np.nan), (bottom, -np.inf)))
+            top, bottom = (
+                np.vstack([a, np.full((1, count), v, np.float32)]) for a, v in ((top, np.nan), (bottom, -np.inf))
+            )
             above, below = (np.vstack([a, np.full((1, count), -1, np.int32)]) for a in (above, below))
         top[layer[r[begins]], r[begins]] = np.where(sheet, height + SHEET, height)[begins]
         above[layer[r[begins]], r[begins]] = now[begins]
@@ -134,7 +137,7 @@ def _intervals(ray: NDArray[np.int64], z: F64, up: NDArray[np.bool_], count: int
     return top, bottom, above, below
 
 
-def _tidy(top: F64, bottom: F64, above: NDArray[np.int32], below: NDArray[np.int32], ground_z: float) -> Intervals:
+def _tidy(top: F32, bottom: F32, above: NDArray[np.int32], below: NDArray[np.int32], ground_z: float) -> Intervals:
     """Close gaps that are too narrow for anything, downwards from the topmost interval. In place."""
     for k in range(len(top) - 1, 0, -1):
         narrow = np.isfinite(top[k]) & (bottom[k - 1] - top[k] < NARROW)
