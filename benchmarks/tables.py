@@ -133,7 +133,7 @@ def diagnosis_intervals() -> list[str]:
 
 
 FRESH = 202
-"""The seed that the present search was measured on."""
+"""The last seed that the search was measured on with enough cases for a table; its engine is named beside it."""
 
 
 def readme() -> list[str]:
@@ -147,7 +147,8 @@ def readme() -> list[str]:
     }  # fmt: skip
     latest = [row for row in stored("diagnosis")["rows"] if row["seed"] == FRESH]
     fresh = counts(latest)
-    measured_on = f"seed {FRESH}, drawn after the search was settled: {robots(latest)}"
+    engine = ", ".join(dict.fromkeys(row["commit"] for row in latest))
+    measured_on = f"seed {FRESH}, drawn after the search was settled, by {engine}: {robots(latest)}"
     contact = next(line for line in stored("contact")["summary"] if line.startswith("| `auto` | 13 exact")).split("|")
     seconds = [r["seconds"] for rows in scenes.values() for r in rows]
     rows = [
