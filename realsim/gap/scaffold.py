@@ -27,7 +27,7 @@ TO_DO = """# What is left to do
 {base}| imu_gyro, imu_acc | (T, 3) | rad/s, m/s^2 with gravity; optional, at imu_site |
 
 In .csv files the columns are `time`, `command_ACTUATOR`, `joint_pos_JOINT`, ...: here `{first}`.
-Other names and units go into columns.json. All of it is explained in docs/gap.md of realsim.
+Other names and units go into columns.json. All of it is explained in docs/diagnose.md of realsim.
 """
 BASE = "| base_pos, base_quat | (T, 3), (T, 4) | m, w x y z; optional |\n"
 

@@ -1,4 +1,4 @@
-"""A proposal as a case folder (docs/gap.md): log.json, model.xml with its files, runs/*.npz, and why."""
+"""A proposal as a case folder (docs/diagnose.md): log.json, model.xml with its files, runs/*.npz, and why."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ def run_scene(
     """Write footholds.json, report.html and the corrected scene.xml to `out`; returns what footholds.json holds.
 
     Args:
-        folder: a case (docs/gap.md).
+        folder: a case (docs/diagnose.md).
         scene: scene.xml or its folder; the terrain of the case's model.xml if None.
     """
     with output_folder(Path(out), overwrite=overwrite, source=Path(folder)) as work:
