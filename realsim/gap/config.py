@@ -35,7 +35,7 @@ class DiagnoseConfig:
     seed: int = 0
     """Seed of everything random."""
     deviations: Path | None = None
-    """JSON with standard deviations of everyday deviations that are known better than the library's (docs/diagnose.md)."""
+    """JSON with standard deviations of everyday deviations that you know better than the library (docs/diagnose.md)."""
     report: bool = True
     """Write report.html beside diagnosis.json."""
 
