@@ -190,7 +190,7 @@ def readme() -> list[str]:
         (
             "Policy: G1 crosses unseen courses of difficulty 0.5 / 0.8, mean and worst of six families",
             " / ".join(_families(difficulty) for difficulty in ("0.5", "0.8")),
-            "the base that ships, not fine-tuned, in simulation; 33 minutes of training on one GPU",
+            "the base that ships, not fine-tuned, in simulation; 31 minutes of training on one GPU",
         ),
     ]
     return ["| | figure | measured on |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]

@@ -36,7 +36,7 @@ def terms(out: Prediction, batch: Batch) -> dict[str, Tensor]:
     weight = valid.sum().clamp(min=1)
     error = off.abs().clamp(max=2)
     expected = out.log_error.clamp(-4, 4)
-    # The width follows the error and not the other way round: its gradient was 20 times that of all other terms.
+    # The width follows the error and not the other way round: at first it would weigh six times the depth's own term.
     likelihood = torch.where(valid, error.detach() / REFERENCE * (-expected).exp() + expected, 0.0)
     true_rays = batch.local_points()[..., :2] / batch.depth.clamp(min=0.05)[..., None]
     rays = ((out.rays - true_rays).abs().sum(-1) * valid).sum() / weight
