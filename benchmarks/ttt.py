@@ -168,6 +168,7 @@ def trained(job: Job, options: Options) -> tuple[Path, Row]:
         seed=options.seed,
         trials=WATCHED,
         task=task,
+        trial_task=SETTINGS["mild"][0],
         loop=LoopConfig(
             iterations=100_000,
             minutes=options.minutes,

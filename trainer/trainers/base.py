@@ -58,6 +58,8 @@ class TrainConfig:
     tuning: StrategyConfig = field(default_factory=StrategyConfig)
     task: Annotated[ParkourConfig, tyro.conf.Suppress] = field(default_factory=ParkourConfig)
     """The task; from Python, or from a file (--task-file)."""
+    trial_task: Annotated[ParkourConfig | None, tyro.conf.Suppress] = None
+    """The task in which evaluations on the way are run, from Python; None for that of the training."""
 
     def __post_init__(self) -> None:
         if self.worlds < 0:

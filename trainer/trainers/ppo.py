@@ -137,7 +137,9 @@ def start(scene: Scene, file: Path | None, plan: Plan, rank: Rank) -> Runner:
 
 def trials(scene: Scene, plan: Plan) -> loop.Evaluate:
     """Success rate in the same trials whenever it is asked for; worlds of its own, made when first asked."""
-    setting = Setting(plan.robot, plan.engine, None, plan.task, plan.physics, plan.config.diagnosis)
+    task = plan.config.trial_task or plan.task
+    task = replace(task, depth=replace(task.depth, use=plan.task.depth.use))
+    setting = Setting(plan.robot, plan.engine, None, task, plan.physics, plan.config.diagnosis)
     settings = EvaluationConfig(trials=plan.config.trials, worlds=min(plan.config.trials, 250), seed=plan.config.seed)
     envs: list[tuple[ParkourEnv, dict[str, object]]] = []
 
