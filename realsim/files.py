@@ -148,16 +148,25 @@ def read_npz(path: Path, limit: int = MAX_BINARY_BYTES) -> dict[str, np.ndarray]
         ) from error
 
 
-def damaged_member(path: Path) -> str | None:
-    """The first member of a zip archive whose checksum is wrong; None if all are right, or if it is no archive at all.
+def archive_damage(path: Path) -> str | None:
+    """What is wrong with a zip archive: the first member that does not read back as it was written, or its directory.
 
-    torch reads arrays without looking at the checksums that it wrote with them: a flipped bit is another number.
+    None if every member is right, or if the file does not begin as an archive does. torch reads arrays without looking
+    at the checksums that it wrote with them: a flipped bit is another number. What cannot be checked is damage too, as
+    torch may read it all the same.
     """
+    if read_head(path, 4) != b"PK\x03\x04":
+        return None
+    name = "the list of members"
     try:
         with zipfile.ZipFile(path) as archive:
-            return archive.testzip()
-    except (*_DAMAGED, NotImplementedError):
-        return None
+            for name in archive.namelist():
+                with archive.open(name) as member:
+                    while member.read(2**20):
+                        pass
+    except _DAMAGED as error:
+        return f"{name}: {str(error) or type(error).__name__}"
+    return None
 
 
 def to_json(value: Any) -> str:

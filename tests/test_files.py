@@ -255,3 +255,24 @@ def test_parents_made_for_an_output_that_failed_are_gone(tmp_path: Path) -> None
     with pytest.raises(OSError, match="disk"), files.output_folder(tmp_path / "a" / "b" / "c"):
         raise OSError("disk")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_member_that_cannot_be_checked_hides_no_damage(tmp_path: Path) -> None:
+    """An unknown way of packing ended the search, and the flipped bit in the next member was read as a number."""
+    path = tmp_path / "a.pt"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("first", b"1234")
+        archive.writestr("second", b"5678")
+    sound = path.read_bytes()
+    assert files.archive_damage(path) is None
+    path.write_bytes(sound.replace(b"5678", b"5679"))
+    assert "second" in (files.archive_damage(path) or "")
+    broken = bytearray(sound.replace(b"5678", b"5679"))
+    entry = sound.index(b"PK\x01\x02")
+    broken[entry + 10 : entry + 12] = broken[8:10] = b"\x63\x00"  # packed in way 99
+    path.write_bytes(broken)
+    assert "first" in (files.archive_damage(path) or "")
+    path.write_bytes(sound[:-30])  # the list of members is cut off
+    assert "list of members" in (files.archive_damage(path) or "")
+    path.write_bytes(b"an old .pt is no archive")
+    assert files.archive_damage(path) is None

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from realsim.errors import GapError, extra
-from realsim.files import check_size, damaged_member
+from realsim.files import archive_damage, check_size
 from realsim.logs.readers.csvfile import trimmed
 from realsim.logs.recording import Reader, Recording, Window, has_suffix, no_samples, refuse_more
 from realsim.logs.tables import table
@@ -19,8 +19,8 @@ from realsim.logs.tables import table
 def read(path: Path, window: Window) -> list[Recording]:
     torch = extra("torch", "train", "reading .pt")
     check_size(path)
-    if (member := damaged_member(path)) is not None:
-        raise GapError("the file is damaged", file=path, found=f"a wrong checksum of {member}", hint="copy it again")
+    if (damage := archive_damage(path)) is not None:
+        raise GapError("the file is damaged", file=path, found=damage, hint="copy it again")
     try:
         value = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # pickle's, zip's and torch's own
