@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import torch
 
-from realsim.files import check_size, damaged_member, write_bytes
+from realsim.files import archive_damage, check_size, write_bytes
 from trainer.errors import TrainerError
 from trainer.ppo import policy as policies
 from trainer.ppo.config import NetworkConfig, StrategyConfig
@@ -76,8 +76,8 @@ def load(path: Path, device: str | torch.device = "cpu") -> tuple[Policy, dict[s
 def read(path: Path) -> dict[str, Any]:
     """The dictionary of a checkpoint, on the CPU, after its format and version were checked."""
     check_size(path, MAX_BYTES)
-    if (member := damaged_member(path)) is not None:
-        raise _damaged(path, f"a wrong checksum of {member}")
+    if (damage := archive_damage(path)) is not None:
+        raise _damaged(path, damage)
     try:
         data = torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
