@@ -23,6 +23,8 @@ def recognise(path: Path, name: str, layouts: Mapping[str, Layout]) -> tuple[Lay
     if not path.exists():
         known = f"a folder with frames (layouts: {', '.join(layouts)}), a recording, or a scan"
         raise CaptureError("the capture does not exist", file=path, expected=known, hint="check the path")
+    if not (path.is_dir() or path.is_file()):
+        raise CaptureError("neither a file nor a folder", file=path, expected="a folder with frames, or a file")
     if path.is_dir() and not any(path.iterdir()):
         raise CaptureError("the folder is empty", file=path, expected="a folder with a capture in it")
     if name != "auto":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+import threading
 
 import cv2
 import numpy as np
@@ -562,6 +563,24 @@ def test_a_bag_that_is_a_link_to_itself(tmp_path):
     (tmp_path / "a.bag").symlink_to("a.bag")
     with pytest.raises(RealsimError, match="cannot be read"):
         read(tmp_path, CONFIG)
+
+
+@pytest.mark.parametrize("name", ["a.bag", "a.mcap", "a.db3", "a.ply", "a.r3d", "a.zip"])
+def test_a_pipe_is_not_waited_for(tmp_path, name):
+    """Nobody writes into it: opening it to look at its first bytes never ended."""
+    os.mkfifo(tmp_path / name)
+    for path in (tmp_path, tmp_path / name):
+        done = []
+
+        def attempt(path=path, done=done):
+            with pytest.raises(RealsimError):
+                read(path, CONFIG)
+            done.append(path)
+
+        thread = threading.Thread(target=attempt, daemon=True)
+        thread.start()
+        thread.join(30)
+        assert done == [path]
 
 
 def test_an_error_of_the_disk_is_said(tmp_path):

@@ -23,8 +23,8 @@ from realsim.capture.layouts.realsense import cache_folder
 from realsim.capture.listing import Pair, single_file
 from realsim.capture.rosimages import COLORS, DEPTHS, camera_of, color_of, depth_of, encoding, seen_from
 from realsim.capture.transforms import Tree, matrix
-from realsim.errors import CaptureError
-from realsim.files import digest, output_folder, read_json, to_json, write_bytes, write_text
+from realsim.errors import CaptureError, RealsimError
+from realsim.files import digest, output_folder, read_head, read_json, to_json, write_bytes, write_text
 from realsim.types import F64, Dropped, FrameSet, Intrinsics
 
 SUFFIXES = (".mcap", ".db3", ".bag")
@@ -56,12 +56,11 @@ def _is_ros(path: Path) -> bool:
     """Whether a .bag is ROS 1's and no recording of a RealSense camera, which is a bag with topics of its own: they
     stand in the first chunk, or, if that is compressed, in the index at the end."""
     try:
-        with path.open("rb") as file:
-            first = file.read(AHEAD)
-            file.seek(max(path.stat().st_size - AHEAD, 0))
-            return first.startswith(b"#ROSBAG") and b"/device_0/" not in first + file.read(AHEAD)
-    except (OSError, RuntimeError):
+        first = read_head(path, AHEAD)
+        last = read_head(path, AHEAD, max(path.stat().st_size - AHEAD, 0))
+    except (RealsimError, OSError, RuntimeError):
         return False
+    return first.startswith(b"#ROSBAG") and b"/device_0/" not in first + last
 
 
 def read(path: Path, config: CaptureConfig) -> FrameSet:
