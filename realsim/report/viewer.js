@@ -113,20 +113,36 @@
       return [Math.min(1, h / w) / half, Math.min(1, w / h) / half];
     }
 
-    // As near as a window of this shape shows every point, with a little air, more of it under the buttons.
+    // As near as every point is seen between the buttons above and those below, with a little air.
     function fitting(rise, turn) {
-      const { back, right, up } = axes({ rise, turn }), [fx, fy] = focal();
+      const { back, right, up } = axes({ rise, turn }), [fx, fy] = focal(), h = host.clientHeight || 1;
+      // The middle of the window is 0 and its edges are 1: what the buttons leave free above and below.
+      const above = 1 - 2 * (bar.offsetTop + bar.offsetHeight) / h, below = 2 * views.offsetTop / h - 1;
       const seen = points.map(p => [right, up, back].map(a => dot(a, p)));
-      // Towards the middle of what is seen; twice, because near points spread further.
+      // Towards the middle of what is seen; again and again, because near points spread further.
       let target = [0, 1, 2].map(k => middle(seen.map(p => p[k]))), distance = radius * 3;
       for (let again = 0; again < 3; again++) {
         const shift = [0, 1].map(k => middle(seen.map(p => (p[k] - target[k]) / (distance - p[2] + target[2]))));
+        shift[1] -= (above - below) / 2 / fy;
         target = [target[0] + shift[0] * distance, target[1] + shift[1] * distance, target[2]];
-        distance = 1.04 * Math.max(...seen.map(p => p[2] - target[2]
-          + Math.max(Math.abs(p[0] - target[0]) * fx, Math.abs(p[1] - target[1]) * fy * 1.12)));
+        distance = 1.04 * Math.max(...seen.map(p => p[2] - target[2] + Math.max(Math.abs(p[0] - target[0]) * fx,
+          (p[1] - target[1]) * fy / above, (target[1] - p[1]) * fy / below)));
       }
       return { target: [0, 1, 2].map(k => right[k] * target[0] + up[k] * target[1] + back[k] * target[2]), distance };
     }
+    const bar = host.appendChild(document.createElement("div"));
+    bar.className = "layers";
+    for (const name of new Set(layers.map(l => l.name))) {
+      const group = layers.filter(l => l.name === name);
+      bar.append(button(name, group[0].visible, e => {
+        for (const l of group) l.visible = !l.visible;
+        e.target.setAttribute("aria-pressed", group[0].visible); redraw();
+      }));
+    }
+    const views = host.appendChild(document.createElement("div"));
+    views.className = "views";
+    const look = (rise, angle) => () => { camera = home(rise, angle); redraw(); };
+    views.append(button("top", null, look(1.5, -Math.PI / 2)), button("side", null, look(0.05, -Math.PI / 2)), button("reset", null, look(0.62, first)));
     let camera = home(), waiting = false;
 
     function draw() {
@@ -193,19 +209,6 @@
     canvas.addEventListener("contextmenu", e => e.preventDefault());
     canvas.addEventListener("wheel", e => { e.preventDefault(); zoom(Math.exp(e.deltaY * 0.001)); redraw(); }, { passive: false });
 
-    const bar = host.appendChild(document.createElement("div"));
-    bar.className = "layers";
-    for (const name of new Set(layers.map(l => l.name))) {
-      const group = layers.filter(l => l.name === name);
-      bar.append(button(name, group[0].visible, e => {
-        for (const l of group) l.visible = !l.visible;
-        e.target.setAttribute("aria-pressed", group[0].visible); redraw();
-      }));
-    }
-    const views = host.appendChild(document.createElement("div"));
-    views.className = "views";
-    const look = (rise, angle) => () => { camera = home(rise, angle); redraw(); };
-    views.append(button("top", null, look(1.5, -Math.PI / 2)), button("side", null, look(0.05, -Math.PI / 2)), button("reset", null, look(0.62, first)));
     new ResizeObserver(redraw).observe(host);
     redraw();
   }
