@@ -73,7 +73,7 @@ class Axes:
         x: Range,
         y: Range,
         *,
-        width: float = 460,
+        width: float = 400,
         height: float = 230,
         equal: bool = False,
         x_label: str = "",

@@ -21,6 +21,7 @@ from .test_layouts import CONFIG, frames_of
 from .writers import (
     ODOMETRY,
     OF_COLOR,
+    WRITERS,
     millimetres,
     record3d_members,
     write_arkitscenes,
@@ -35,14 +36,7 @@ from .writers import (
 )
 
 UP_Y = ("polycam", "scannerapp", "record3d", "record3d_exr", "stray")
-PHONES = {
-    "polycam": write_polycam,
-    "scannerapp": write_scannerapp,
-    "record3d": write_record3d,
-    "record3d_exr": write_record3d_exr,
-    "stray": write_stray,
-    "arkitscenes": write_arkitscenes,
-}
+PHONES = {name: WRITERS[name] for name in (*UP_Y, "arkitscenes")}
 
 
 def test_opengl_axes_by_hand():

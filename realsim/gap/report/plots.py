@@ -133,7 +133,8 @@ def what_card(found: Diagnosis) -> str:
         bars.append((label, value, value - spread, value + spread, kind, _relative(r[by] / best)))
     end = 1.25 * min(max(b[3] for b in bars), 2.0)
     per = 2 if end > 1.5 else 4
-    ticks = [(k / per, f"{100 * k // per} %") for k in range(int(per * end) + 1)]
+    # None at the end: its text would stand beyond the plot.
+    ticks = [(k / per, f"{100 * k // per} %") for k in range(math.ceil(per * end))]
     picture = _labelled_bars(bars, (-0.1 * end, end), "", ticks)
     legend = [("in the diagnosis", FOUND)] if here else []
     legend += [("explains the log as well", RIVAL)] if same else []
