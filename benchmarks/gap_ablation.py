@@ -27,7 +27,7 @@ from scipy.stats import binomtest
 
 from benchmarks.gap_pool import Job, diagnose_all, read
 from benchmarks.gap_score import hit, same, top1
-from benchmarks.gap_truth.cases import Draw, make_case, plan
+from benchmarks.gap_truth.cases import Draw, make_labelled, plan, read_labels
 from realsim.files import to_json, write_text
 
 FULL = "full"
@@ -53,7 +53,7 @@ def main() -> int:
             for line in pool.map(_make, [(i, d, args.work) for i, d in draws]):
                 print(line, flush=True)
         return 0
-    labels = {f.stem: json.loads(f.read_text()) for f in sorted((args.work / "labels").glob("*.json"))}
+    labels = read_labels(args.work)
     if args.do == "run":
         variants = [FULL, *(f"without {w}" for w in args.without), *(f"with {s}" for s in args.settings)]
         # Case by case over all variants: what is done after some time can be compared.
@@ -63,17 +63,7 @@ def main() -> int:
 
 
 def _make(todo: tuple[int, Draw, Path]) -> str:
-    index, draw, work = todo
-    name = f"case_{index:03d}"
-    if (work / "labels" / f"{name}.json").is_file():
-        return f"{name}: made before"
-    try:
-        label = make_case(draw, work / "cases" / name)
-    except RuntimeError as error:
-        return f"{name}: {error}"
-    (work / "labels").mkdir(parents=True, exist_ok=True)
-    write_text(work / "labels" / f"{name}.json", json.dumps(label, indent=1, default=float) + "\n")
-    return f"{name}: {draw.stratum} {draw.robot}"
+    return make_labelled(*todo)
 
 
 def _job(work: Path, variant: str, name: str) -> Job:

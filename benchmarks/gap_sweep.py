@@ -11,7 +11,6 @@ and 3. Only one of the two is changed at a time. All levels are of one engine, o
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 from concurrent.futures import ProcessPoolExecutor
@@ -22,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.gap_pool import Job, diagnose_all, read
 from benchmarks.gap_score import MixedEnginesError, one_engine, score
-from benchmarks.gap_truth.cases import Draw, make_case, plan
+from benchmarks.gap_truth.cases import Draw, make_labelled, plan, read_labels
 from realsim.files import to_json, write_text
 
 LEVELS = {"deviations_0.5": (0.5, 1.0), "as_drawn": (1.0, 1.0), "deviations_2": (2.0, 1.0), "deviations_4": (4.0, 1.0),
@@ -53,7 +52,7 @@ def main() -> int:
             for line in pool.map(_make, todo):
                 print(line, flush=True)
         return 0
-    labels = {level: _labels(args.work / level) for level in args.levels}
+    labels = {level: read_labels(args.work / level) for level in args.levels}
     if args.do == "run":
         # Case by case over all levels: what is done after some time is a fair sample of each.
         order = sorted((name, level) for level in args.levels for name in labels[level])
@@ -64,21 +63,8 @@ def main() -> int:
 
 def _make(todo: tuple[int, Draw, str, Path]) -> str:
     index, draw, level, work = todo
-    name, folder = f"case_{index:03d}", work / level
-    if (folder / "labels" / f"{name}.json").is_file():
-        return f"{level}/{name}: made before"
     deviations, noise = LEVELS[level]
-    try:
-        label = make_case(draw, folder / "cases" / name, deviations=deviations, noise=noise)
-    except RuntimeError as error:
-        return f"{level}/{name}: {error}"
-    (folder / "labels").mkdir(parents=True, exist_ok=True)
-    write_text(folder / "labels" / f"{name}.json", json.dumps(label, indent=1, default=float) + "\n")
-    return f"{level}/{name}: {draw.stratum} {draw.robot}"
-
-
-def _labels(folder: Path) -> dict[str, dict[str, Any]]:
-    return {f.stem: json.loads(f.read_text()) for f in sorted((folder / "labels").glob("*.json"))}
+    return f"{level}/{make_labelled(index, draw, work / level, deviations, noise)}"
 
 
 def _job(folder: Path, name: str) -> Job:

@@ -29,7 +29,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.gap_score import hit, top1
-from benchmarks.gap_withheld import read_labels
+from benchmarks.gap_truth.cases import read_labels
 from benchmarks.store import Store
 from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
 from realsim.gap.answer.check import mean_square

@@ -25,7 +25,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.gap_score import BARS, MixedEnginesError, one_engine, score, table
-from benchmarks.gap_truth.cases import Draw, make_case, plan
+from benchmarks.gap_truth.cases import make_labelled, plan, read_labels
 from benchmarks.store import described_run
 from realsim.files import to_json, write_text
 from realsim.gap.config import DiagnoseConfig
@@ -79,10 +79,10 @@ def main() -> int:
 def make_all(args: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Write the cases below work/cases and the labels to work/labels, a folder that the diagnosis is never told of."""
     todo = [(i, d) for i, d in enumerate(plan(args.cases, args.seed)) if not args.robots or d.robot in args.robots]
-    labels_folder = args.work / "labels"
-    labels_folder.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(args.jobs) as pool:
-        list(pool.map(_make, [(i, draw, str(args.work)) for i, draw in todo]))
+        numbers, draws = zip(*todo, strict=True) if todo else ((), ())
+        for line in pool.map(make_labelled, numbers, draws, [args.work] * len(todo)):
+            print(line, file=sys.stderr, flush=True)
     names = {f"case_{i:03d}" for i, _ in todo}
     return {n: label for n, label in read_labels(args.work).items() if n in names}
 
@@ -134,11 +134,6 @@ def kept_row(label: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def read_labels(work: Path) -> dict[str, dict[str, Any]]:
-    """Case -> its label."""
-    return {f.stem: json.loads(f.read_text()) for f in sorted((work / "labels").glob("*.json"))}
-
-
 def sysid_baseline(work: Path, names: list[str]) -> dict[str, list[int]]:
     """[hits, of] of `mujoco.sysid`, where gap_sysid.py has been run on some of the cases."""
     rows = [json.loads(f.read_text()) for n in names if (f := work / "sysid" / f"{n}.json").is_file()]
@@ -156,20 +151,6 @@ def read_found(work: Path, names: list[str]) -> dict[str, dict[str, Any]]:
             made = {"provenance": refusal.get("provenance")}
             found[name] = {"verdict": "refused", "causes": [], "equivalent": [], **made}
     return found
-
-
-def _make(job: tuple[int, Draw, str]) -> None:
-    index, draw, work = job
-    name = f"case_{index:03d}"
-    label_file = Path(work) / "labels" / f"{name}.json"
-    if label_file.is_file():
-        return
-    try:
-        label = make_case(draw, Path(work) / "cases" / name)
-    except RuntimeError as error:
-        print(f"{name}: {error}", file=sys.stderr)
-        return
-    label_file.write_text(json.dumps(label, indent=1, default=float) + "\n")
 
 
 def diagnose_all(args: argparse.Namespace, names: list[str]) -> float:

@@ -17,6 +17,7 @@ from benchmarks.gap_truth.motions import KINDS, motion, sample_times
 from benchmarks.gap_truth.plant import Plant, Trace
 from benchmarks.gap_truth.robots import ROBOTS, Robot
 from benchmarks.gap_truth.truth import Truth
+from realsim.files import write_text
 
 STRATA = {"none": 0.2, "single": 0.4, "double": 0.15, "outside": 0.125, "confounded": 0.125}
 """Stratum -> share of the cases."""
@@ -71,6 +72,28 @@ def _shares(shares: dict[str, float], count: int) -> list[str]:
     edges = np.round(np.cumsum(list(shares.values())) * count).astype(int)
     names = list(shares)
     return [names[int(np.searchsorted(edges, i, side="right"))] for i in range(count)]
+
+
+def make_labelled(index: int, draw: Draw, work: Path, deviations: float = 1.0, noise: float = 1.0) -> str:
+    """Case number `index` of a benchmark's folder, with its label apart from it; what to say of it.
+
+    One that is labelled is left alone, so that a run goes on where it ended.
+    """
+    name = f"case_{index:03d}"
+    file = work / "labels" / f"{name}.json"
+    if file.is_file():
+        return f"{name}: made before"
+    try:
+        label = make_case(draw, work / "cases" / name, deviations=deviations, noise=noise)
+    except RuntimeError as error:
+        return f"{name}: {error}"
+    write_text(file, json.dumps(label, indent=1, default=float) + "\n")
+    return f"{name}: {draw.stratum} {draw.robot}"
+
+
+def read_labels(work: Path) -> dict[str, Any]:
+    """Label by name of all cases of a benchmark's folder."""
+    return {f.stem: json.loads(f.read_text()) for f in sorted((work / "labels").glob("*.json"))}
 
 
 def make_case(draw: Draw, folder: Path, runs: int = 6, deviations: float = 1.0, noise: float = 1.0) -> dict[str, Any]:
