@@ -1,4 +1,11 @@
-"""How benchmarks/fuzz.py reads what it damaged: every reader of realsim, with all that it says."""
+"""How benchmarks/fuzz.py reads what it damaged: every reader of realsim, with all that it says.
+
+One library is not the real one: `pyrealsense2`, which decodes a RealSense camera's own .bag, is replaced by the tests'
+stand-in (tests/capture/fake_realsense.py), whose ".bag" is a NumPy archive. Trials of the source `realsense` therefore
+damage and read that archive: they try realsim's recognition of the file and what it makes of the library's frames and
+errors, and say nothing of how librealsense reads a damaged bag. Bags of ROS 1 and 2 and MCAP are real files, written
+and read by the real libraries.
+"""
 
 from __future__ import annotations
 
