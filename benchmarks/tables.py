@@ -19,7 +19,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks import base_policy, gap_score, reconstruct
+from benchmarks import base_policy, gap_score, reconstruct, ttt
 from benchmarks import loops as places
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -207,6 +207,11 @@ def base() -> list[str]:
     return base_policy.table(stored("base_policy")["rows"])
 
 
+def tuned() -> list[str]:
+    """The thirteen tests before and after fine-tuning on each."""
+    return ttt.table(stored("ttt")["rows"])
+
+
 def _span(values: list[float], form: str) -> str:
     low, high = form.format(min(values)), form.format(max(values))
     return low if low == high else f"{low} to {high}"
@@ -392,6 +397,7 @@ INDEX = (
     ("Recordings that decide between causes", "gap_next", "python benchmarks/gap_next.py --seed 27"),
     ("Changes between two logs of one robot", "gap_since", "python benchmarks/gap_since.py --seed 40"),
     ("The base policy without fine-tuning", "base_policy", "python benchmarks/base_policy.py"),
+    ("Fine-tuning on one test for four minutes", "ttt", "python benchmarks/ttt.py run --minutes 4"),
     (
         "Footholds: what a log says of the terrain",
         "footholds",
@@ -468,6 +474,7 @@ KEYS = {
     "trainer_speed": ("case",),
     "trainer_tune": ("start", "speed", "seed"),
     "training_gpu": ("case",),
+    "ttt": ttt.KEY,
     "loops": ("place",),
 }
 """File -> the values that tell its rows apart; each row says by `run` or `commit` what made it."""
@@ -512,6 +519,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "diagnosis by robot": diagnosis_by_robot,
     "diagnosis by seed": diagnosis_intervals,
     "base policy": base,
+    "test-time training": tuned,
     "footholds": footholds,
     "experiments": experiments,
     "drift": drift,
