@@ -4,8 +4,9 @@
     python benchmarks/gap_ablation.py run --without realsim.gap.causes.proposals:by_likeness --jobs 16 --minutes 9
     python benchmarks/gap_ablation.py score
 
-`run` diagnoses with the full engine and once without each function given (it proposes nothing then), or with other
-settings (`--with max_causes=1`). `score` compares case by case: a case is right if the verdict is, and with it the
+`run` diagnoses with the full engine and once without each function given (it proposes nothing then), with another
+figure in its place (`--without realsim.gap.causes.figures:SHARPEST=1.0`), or with other settings
+(`--with max_causes=1`). `score` compares case by case: a case is right if the verdict is, and with it the
 cause where there is one. Rules that every diagnosis reports beside its own answer (the largest fit of a single cause)
 are compared by the first cause. No other engine's answers are taken in.
 """
@@ -128,10 +129,12 @@ def _score(args: argparse.Namespace, labels: Mapping[str, Mapping[str, Any]]) ->
         theirs = {n: {"causes": [c]} for n, a in single.items() if (c := (a.get("baselines") or {}).get(rule))}
         rows[f"first cause, against: {rule}"] = _compared(labels, single, theirs, _first)
     print(f"engine {next(iter(engines))}: {len(full)} cases")
-    print(f"{'':<60} {'with':>8} {'without':>8} {'only with':>10} {'only without':>13} {'p':>7}")
+    titles = f"{'with':>8} {'without':>8} {'only with':>10} {'only without':>13} {'p':>7} {'other':>6} {'CPU s':>12}"
+    print(f"{'':<60} {titles}")
     for name, row in rows.items():
         shares = [f"{row[k][0]}/{row[k][1]}" for k in ("with", "without")]
         only = f"{row['right_only_with']:>10} {row['right_only_without']:>13} {row['p']:>7.4f}"
+        only += f" {row['other_answer']:>6} {'/'.join(map(str, row['cpu_seconds'])):>12}"
         print(f"{name:<60} {shares[0]:>8} {shares[1]:>8} {only}")
     store = args.store or args.work / "figures.json"
     write_text(store, to_json({"engine": next(iter(engines)), "seed": args.seed, "compared": rows}))
@@ -145,7 +148,17 @@ def _first(label: Mapping[str, Any], answer: Mapping[str, Any]) -> bool:
 def _compared(
     labels: Mapping[str, Any], full: Answers, other: Answers, good: Callable[[Any, Any], bool]
 ) -> dict[str, Any]:
-    return mcnemar([(good(labels[n], full[n]), good(labels[n], other[n])) for n in full if n in other])
+    both = [n for n in full if n in other]
+    row = mcnemar([(good(labels[n], full[n]), good(labels[n], other[n])) for n in both])
+    row["other_answer"] = sum(_said(full[n]) != _said(other[n]) for n in both)
+    row["cpu_seconds"] = [round(sum(a[n].get("cpu_seconds") or 0.0 for n in both)) for a in (full, other)]
+    return row
+
+
+def _said(answer: Mapping[str, Any]) -> Any:
+    """Verdict and causes by effect and place."""
+    causes = [(c["effect"], tuple(c.get("joints") or c.get("bodies") or ())) for c in answer["causes"]]
+    return answer.get("verdict"), causes
 
 
 if __name__ == "__main__":

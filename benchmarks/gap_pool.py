@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import json
 import os
@@ -26,7 +27,8 @@ class Job:
     settings: dict[str, Any] = field(default_factory=dict)
     """Of DiagnoseConfig, where they are not the defaults."""
     without: str = ""
-    """`module:function` of the engine that is taken out: it proposes nothing."""
+    """`module:function` of the engine that is taken out (it proposes nothing), or `module:FIGURE=value` that it has
+    instead; several with commas between them."""
 
 
 def diagnose_all(jobs: Sequence[Job], processes: int, minutes: float = float("inf")) -> None:
@@ -83,18 +85,24 @@ def _nothing(*_: Any, **__: Any) -> Any:
 
 
 def take_out(name: str) -> None:
-    """Replace a function of the engine by one that yields nothing, in every module and table that holds it."""
-    module, _, function = name.partition(":")
-    wanted = getattr(importlib.import_module(module), function)
+    """Replace a function of the engine by one that yields nothing, or a figure by another value, in every module and
+    table that holds it."""
+    module, _, what = name.partition(":")
+    attribute, _, value = what.partition("=")
+    wanted = getattr(importlib.import_module(module), attribute)
     importlib.import_module("realsim.gap.pipeline")
     for holder in [m for n, m in sys.modules.items() if n.startswith("realsim.gap")]:
-        for attribute, value in list(vars(holder).items()):
-            if value is wanted:
-                setattr(holder, attribute, _nothing)
-            elif isinstance(value, list | tuple) and any(v is wanted for v in value):
-                setattr(holder, attribute, type(value)(v for v in value if v is not wanted))
-            elif isinstance(value, dict) and any(v is wanted for v in value.values()):
-                setattr(holder, attribute, {k: v for k, v in value.items() if v is not wanted})
+        if value:
+            if attribute in vars(holder):
+                setattr(holder, attribute, ast.literal_eval(value))
+            continue
+        for known, held in list(vars(holder).items()):
+            if held is wanted:
+                setattr(holder, known, _nothing)
+            elif isinstance(held, list | tuple) and any(v is wanted for v in held):
+                setattr(holder, known, type(held)(v for v in held if v is not wanted))
+            elif isinstance(held, dict) and any(v is wanted for v in held.values()):
+                setattr(holder, known, {k: v for k, v in held.items() if v is not wanted})
 
 
 def _answer(found: Any) -> dict[str, Any]:
@@ -113,8 +121,8 @@ def _diagnose(job: Job) -> str:
     shutil.rmtree(job.out, ignore_errors=True)
     job.out.mkdir(parents=True)
     name = f"{job.out.parent.name}/{job.out.name}"
-    if job.without:
-        take_out(job.without)
+    for name_of_part in filter(None, job.without.split(",")):
+        take_out(name_of_part)
     try:
         config = DiagnoseConfig(threads=1, report=False, **job.settings)
         found = diagnose(load_case(job.case), config, look=first_choices)

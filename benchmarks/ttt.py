@@ -34,7 +34,7 @@ from trainer.commands.task_file import load_task
 from trainer.evaluate import EvaluationConfig, Result, Setting, evaluate
 from trainer.physics import PhysicsConfig
 from trainer.policies import base_of
-from trainer.ppo.config import LoopConfig, PPOConfig
+from trainer.ppo.config import LoopConfig, PPOConfig, StrategyConfig
 from trainer.ppo.distributed import pick_device
 from trainer.terrain.scene import load as load_scene
 from trainer.trainers import Scene, TrainConfig, find
@@ -58,6 +58,8 @@ class Options:
     """What ttt1 changes."""
     minutes: float = 5.0
     """Of training, each."""
+    noise: float = 0.3
+    """Exploration noise of ttt1 and ttt13 at the start, and the most that it may grow to."""
     stop_after: float = float("inf")
     """Begin no training after so many minutes."""
     stop_at_target: bool = False
@@ -176,7 +178,8 @@ def trained(job: Job, options: Options) -> tuple[Path, Row]:
             stop_at_target=options.stop_at_target,
             tensorboard=False,
         ),
-        ppo=PPOConfig(symmetry="augmentation", epochs=3),
+        ppo=PPOConfig(symmetry="augmentation", epochs=3, std_limits=(1.0, 0.35 if scratch else options.noise)),
+        tuning=StrategyConfig(start_std=options.noise),
     )
     result = find("ppo")(Scene(lands), None if scratch else base, config, options.work / job.name)
     figures = {
@@ -186,6 +189,7 @@ def trained(job: Job, options: Options) -> tuple[Path, Row]:
         "worlds": result.worlds,
         "training_seconds": round(result.seconds, 1),
         "helped": task.floor.share > 0,
+        "noise": None if scratch else options.noise,
     }
     return result.policy, figures
 
