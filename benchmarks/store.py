@@ -72,7 +72,7 @@ def described_run() -> dict[str, Any]:
         "cores": os.cpu_count(),
         "load_before": round(os.getloadavg()[0], 2),
         "system": platform.system(),
-        "commit": _commit(),
+        "commit": os.environ.get("REALSIM_COMMIT") or _commit(),
         **_gpu(),
         "versions": versions(),
     }
