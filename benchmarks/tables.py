@@ -19,12 +19,12 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks import base_policy, gap_score, reconstruct, ttt
+from benchmarks import base_policy, gap_real, gap_score, reconstruct, ttt
 from benchmarks import loops as places
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
-PAGES = ("README.md", "docs/figures.md", "docs/captures.md", "benchmarks/results/README.md")
+PAGES = ("README.md", "docs/figures.md", "docs/gap_figures.md", "docs/captures.md", "benchmarks/results/README.md")
 Row = dict[str, Any]
 
 
@@ -289,6 +289,39 @@ def contact() -> list[str]:
     return list(stored("contact")["summary"])
 
 
+REAL = {
+    "confident_and_wrong": ("`identified` with a wrong cause", "at most 8 %"),
+    "first_right": ("right cause first under a verdict that names one", "75 %"),
+    "right_where_a_cause_is_named": ("right cause first, of the answers that name one", ""),
+    "double_both_right": ("both of two errors", ""),
+    "nothing_put_in_nothing_named": ("nothing put in, nothing named", "80 %"),
+}
+VISIBLE = (1.0, 1.5, 2.5, 4.0, 8.0)
+"""Lower ends of classes: rms change of the motion over the rms that the baseline leaves."""
+
+
+def real_logs() -> list[str]:
+    """Known errors in real logs: the measures with their bars, by log, and by how visible the largest error is."""
+    rows = stored("gap_real")["rows"]
+    found = gap_real.figures(rows)
+
+    def of(share: list[int]) -> str:
+        return f"{share[0]} of {share[1]}" + (f" ({share[0] / share[1]:.0%})" if share[1] else "")
+
+    lines = ["| measure | result | bar |", "|---|---|---|"]
+    lines += [f"| {title} | {of(found[name])} | {bar} |" for name, (title, bar) in REAL.items()]
+    lines += [f"| right cause first, {log} | {of(share)} | |" for log, share in found["first_right_by_log"].items()]
+    for low, high in zip(VISIBLE, (*VISIBLE[1:], float("inf")), strict=True):
+        part = [r for r in rows if r["visibility"] and low <= max(r["visibility"]) < high]
+        right = [sum(r["first_right"] and r["verdict"] in gap_real.NAMES for r in part), len(part)]
+        title = f"{low:g} to {high:g}" if high < float("inf") else f"{low:g} and more"
+        lines.append(f"| right and named, change {title} times what the baseline leaves | {of(right)} | |")
+    for cls, verdicts in found["verdicts"].items():
+        said = ", ".join(f"{count} `{verdict}`" for verdict, count in verdicts.items())
+        lines.append(f"| verdicts, {cls} | {said} | |")
+    return lines
+
+
 def experiments() -> list[str]:
     """Every ambiguous case, whatever became of it, and the sums."""
     rows = [r for r in stored("gap_next")["rows"] if r["verdict"] == "ambiguous"]
@@ -397,7 +430,7 @@ INDEX = (
     ("Recordings that decide between causes", "gap_next", "python benchmarks/gap_next.py --seed 27"),
     ("Changes between two logs of one robot", "gap_since", "python benchmarks/gap_since.py --seed 40"),
     ("The base policy without fine-tuning", "base_policy", "python benchmarks/base_policy.py"),
-    ("Fine-tuning on one test for four minutes", "ttt", "python benchmarks/ttt.py run --minutes 4"),
+    ("Fine-tuning on one test", "ttt", "python benchmarks/ttt.py run --minutes 5"),
     (
         "Footholds: what a log says of the terrain",
         "footholds",
@@ -521,12 +554,13 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "base policy": base,
     "test-time training": tuned,
     "footholds": footholds,
+    "real logs": real_logs,
     "experiments": experiments,
     "drift": drift,
     "closing the loop": closing,
     "index": index,
 }
-MARKED = re.compile(r"(<!-- figures: ([a-z ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+MARKED = re.compile(r"(<!-- figures: ([a-z -]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def filled(text: str) -> str:
