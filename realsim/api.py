@@ -111,9 +111,11 @@ def contact(
     from realsim.exports import contact_mesh
     from realsim.exports.config import SceneConfig
     from realsim.files import output_folder
+    from realsim.report.contact_page import write_contact_page
 
     with output_folder(Path(out), overwrite=overwrite, source=Path(mesh)) as folder:
-        contact_mesh(Path(mesh), folder, config or SceneConfig(), unit=unit, up=up, ground_z=ground_z)
+        files = contact_mesh(Path(mesh), folder, config or SceneConfig(), unit=unit, up=up, ground_z=ground_z)
+        write_contact_page(folder, files)
     return Scene.read(Path(out))
 
 

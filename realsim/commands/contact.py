@@ -30,7 +30,7 @@ def contact(
 
     Args:
         meshes: .ply, .obj, .stl, .glb or .off; with several, each gets a folder of its name below --out.
-        out: gets scene.xml, the mesh, contact.json and contact.png.
+        out: gets scene.xml, the mesh, contact.json, contact.png and a page, report.html.
         unit: unit of the file; by default metres, but a mesh of more than 50 m is then refused.
         up: axis of the file that points up.
         ground_z: height of the ground in metres; by default the mesh's own floor, otherwise its lowest point.
@@ -43,10 +43,12 @@ def contact(
         return run_each("contact", meshes, out, many, shows="scene_xml")
     require("recon", "realsim contact")
     from realsim.exports import contact_mesh
+    from realsim.report.contact_page import write_contact_page
 
     (mesh,) = meshes
     with output_folder(out, overwrite=overwrite, source=mesh) as folder:
         files = contact_mesh(mesh, folder, config, unit=unit, up=up, ground_z=ground_z)
+        write_contact_page(folder, files)
     c = dict(files.contact)
     sides, drop = c["sides"], c["drop"]
     beside = "too few side faces to measure"
@@ -55,6 +57,7 @@ def contact(
     lines = [
         *verdict_lines(c["verdict"]),
         f"scene          {out / 'scene.xml'}",
+        f"report         {out / 'report.html'}",
         f"ground         {c['ground']}",
         f"representation {c['representation']}, {sum(c['geoms'].values())} geoms",
         f"error          {c['median_mm']:.1f} mm median, {c['p95_mm']:.1f} mm at the 95th percentile",
@@ -66,5 +69,11 @@ def contact(
         *(f"note           {warning}" for warning in files.warnings),
     ]
     verdict = c["verdict"]
-    data = {"verdict": verdict, "scene_xml": str(out / "scene.xml"), "contact": c, "warnings": list(files.warnings)}
+    data = {
+        "verdict": verdict,
+        "scene_xml": str(out / "scene.xml"),
+        "report": str(out / "report.html"),
+        "contact": c,
+        "warnings": list(files.warnings),
+    }
     return CommandResult("\n".join(lines), data, strict_exit(verdict, strict), verdict["level"])

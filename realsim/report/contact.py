@@ -2,31 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from realsim.report import page, raster, svg
 from realsim.report.topdown import ROLE_INK
-from realsim.types import F64, Platform, Reconstruction
+from realsim.types import F64, Platform, Reconstruction, SceneFiles
 
 _RANGE = 0.015  # metres at which the colour is full
 
 
 def contact_card(result: Reconstruction) -> list[str]:
     """The measured error of the collision geometry as a map and in figures; empty where nothing was measured."""
-    contact = result.scene.contact
-    if result.scene.contact_map is None or "median_mm" not in contact:
+    scene = result.scene
+    if scene.contact_map is None or "median_mm" not in scene.contact:
         return []
+    return map_card(scene, result.aligned.platforms, rows(scene.contact))
+
+
+def map_card(scene: SceneFiles, platforms: Sequence[Platform], table: Sequence[tuple[str, str]] = ()) -> list[str]:
+    """The map of the error with the platforms' outlines, and a table below it."""
+    assert scene.contact_map is not None
     bar = svg.color_bar(-1e3 * _RANGE, 1e3 * _RANGE, "mm", raster.SIGNED, "error")
     note = (
         "A ball of 1 cm was lowered onto the collision geometry everywhere: height of the first touch minus the "
         "surface. Red: contact with no surface there (phantom). Blue: surface without contact (missing)."
     )
-    body = (
-        _map(result.scene.contact_map, result.aligned.platforms) + bar + page.table(("figure", "value"), _rows(result))
-    )
-    return [page.card("Contact against the scan", body, note)]
+    body = _map(scene.contact_map, platforms) + bar + (page.table(("figure", "value"), table) if table else "")
+    return [page.card("Contact against the surface", body, note)]
 
 
 def _map(contact_map: F64, platforms: Sequence[Platform]) -> str:
@@ -42,10 +47,10 @@ def _map(contact_map: F64, platforms: Sequence[Platform]) -> str:
     return axes.svg("map of the contact error")
 
 
-def _rows(result: Reconstruction) -> list[tuple[str, str]]:
-    c = result.scene.contact
+def rows(c: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """(figure, value) of the measure of a scene's contact."""
     geoms = ", ".join(_counted(n, kind) for kind, n in dict(c.get("geoms", {})).items())
-    rows = [
+    found = [
         ("representation", f"{c['representation']} ({geoms})"),
         ("error, median", f"{c['median_mm']:.2f} mm"),
         ("error, 95th percentile", f"{c['p95_mm']:.1f} mm"),
@@ -56,21 +61,21 @@ def _rows(result: Reconstruction) -> list[tuple[str, str]]:
     ]
     if "drop" in c:
         off = c["drop"]["phantom_share"] + c["drop"]["missing_share"]
-        rows.insert(4, ("heights off by more than 2 cm", f"{off:.1%}"))
+        found.insert(4, ("heights off by more than 2 cm", f"{off:.1%}"))
     if c.get("sides", {}).get("stopped") is not None:
         sides = c["sides"]
         counts = (
             f"{sides['stopped']:.1%} of {sides['rays']}; {sides['through']:.1%} through, {sides['early']:.1%} early"
         )
-        rows.append(("rays from the side that stop where they should", counts))
+        found.append(("rays from the side that stop where they should", counts))
     if "phantom_over_gaps_cm2" in c:
-        rows.append(("phantom surface over gaps wider than a foot", f"{c['phantom_over_gaps_cm2']:.0f} cm²"))
+        found.append(("phantom surface over gaps wider than a foot", f"{c['phantom_over_gaps_cm2']:.0f} cm²"))
     follow, kept = (c.get(f"unseen_undersides_{k}_cm2", 0.0) for k in ("at_side_faces", "as_filled"))
     if follow or kept:
-        rows.append(("unseen undersides", f"{follow + kept:.0f} cm², {follow:.0f} of them placed where the sides end"))
+        found.append(("unseen undersides", f"{follow + kept:.0f} cm², {follow:.0f} of them placed where the sides end"))
     if "step_cost_vs_plane" in c:
-        rows.append(("time of a simulation step", f"{c['step_cost_vs_plane']:.2f} times that on a plane, G1 standing"))
-    return rows
+        found.append(("time of a simulation step", f"{c['step_cost_vs_plane']:.2f} times that on a plane, G1 standing"))
+    return found
 
 
 def _counted(n: int, kind: str) -> str:

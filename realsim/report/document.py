@@ -38,9 +38,9 @@ def reconstruction_page(
     body = [
         page.verdict(judgement.level, judgement.headline, judgement.reasons, judgement.next_steps),
         page.facts(_facts(result)),
-        page.columns(_picture_card(picture), [_use_card(folder)])
+        page.columns(_picture_card(picture), [use_card(folder)])
         if picture is not None
-        else page.grid(_use_card(folder)),
+        else page.grid(use_card(folder)),
         page.grid(
             page.card("The scene and its collision geometry (orange)", view, drag, wide=True),
             page.card("From above", map_from_above(result.aligned, result.mesh), wide=True),
@@ -233,10 +233,12 @@ _FILES = {
     "mesh.ply": "the measured surface",
     "mesh.glb": "the same for viewers and Blender",
     "report.json": "all figures of this page",
+    "contact.json": "all figures of this page",
 }
 
 
-def _use_card(folder: Path) -> str:
+def use_card(folder: Path) -> str:
+    """Commands and lines to copy, and the files that lie beside the page."""
     shell = "python -m mujoco.viewer --mjcf=scene.xml\nrealsim view .\nrealsim export . --to usd,urdf"
     python = 'import mujoco\n\nmodel = mujoco.MjModel.from_xml_path("scene.xml")'
     files = [(name, what) for name, what in _FILES.items() if (folder / name).is_file()]
