@@ -19,13 +19,17 @@ from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
+from PIL import Image, ImageSequence
 
 from realsim.report.picture import draw
 from realsim.types import U8
+from trainer.replay import write_gif
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGES = ROOT / "docs" / "images"
 MOST_BYTES = 150_000
+FPS = 12.5
+"""Of a .gif, as `realsim play` has it."""
 
 STEPS = {
     "synthetic": "realsim synth --terrain mixed --frames 40 --with-poses --out synthetic",
@@ -49,6 +53,11 @@ STEPS = {
     ),
     "tuned": "realsim finetune phone_scene --device cpu --worlds 16 --iterations 4 --final-trials 8 --out tuned",
     "training.html": "realsim training report tuned --out training.html",
+    "stakes": "python benchmarks/ttt.py prepare --sources rgbd --tests stake3 --work stakes --store stakes/rows.json",
+    "crossing.gif": (
+        "realsim play stakes/scenes/rgbd/stake3/scene --out crossing.gif "
+        f"--policy {ROOT}/trainer/policies/g1_parkour.pt"
+    ),
     "trial.mp4": "realsim play phone_scene --policy tuned/policy.pt --out trial.mp4",
 }
 """What a step makes -> its commands, as the tutorials have them, run in WORK with the repository's examples/ beside."""
@@ -62,7 +71,7 @@ class Picture:
     needs: tuple[str, ...]
     """Steps in the order in which they are run."""
     take: Callable[[Path], U8]
-    """WORK -> (H, W, 3) RGB."""
+    """WORK -> (H, W, 3) RGB; of a .gif (T, H, W, 3)."""
 
 
 def page(html: str, top: int, bottom: int, left: int = 60, right: int = 1220) -> Callable[[Path], U8]:
@@ -104,6 +113,15 @@ def trial(work: Path) -> U8:
     return _beside([frames[int(k * (len(frames) - 1))] for k in (0.0, 0.4, 0.7, 0.95)], 280)
 
 
+def crossing(work: Path) -> U8:
+    """What the camera saw, beside the robot on the scene that was made of it."""
+    color = work / "stakes" / "scenes" / "rgbd" / "stake3" / "frames" / "capture" / "color"
+    seen = [_rgb(cv2.imread(str(f))) for f in sorted(color.iterdir())]
+    video = Image.open(work / "crossing.gif")
+    robot = [np.asarray(f.convert("RGB")) for f in ImageSequence.Iterator(video)]
+    return np.stack([_beside([seen[i * len(seen) // len(robot)], f], 202) for i, f in enumerate(robot)])
+
+
 PHONE = ("synthetic", "phone", "phone_scene")
 SCAN = ("boston", "scan.ply", "scan_scene")
 SERVO = ("servo", "servo_case", "servo_diagnosis")
@@ -111,6 +129,7 @@ QUADRUPED = ("quadruped", "quadruped_case", "quadruped_diagnosis")
 TUNED = (*PHONE, "tuned")
 PICTURES = (
     Picture("demo.jpg", PHONE, frame_and_scene),
+    Picture("crossing.gif", ("stakes", "crossing.gif"), crossing),
     Picture("diagnosis.jpg", SERVO, page("servo_diagnosis/report.html", 0, 900)),
     Picture("tutorials/phone_report.jpg", PHONE, page("phone_scene/report.html", 0, 935)),
     Picture("tutorials/phone_map.jpg", PHONE, page("phone_scene/report.html", 940, 2010)),
@@ -140,9 +159,9 @@ def run(step: str, work: Path) -> None:
         return
     for command in STEPS[step].splitlines():
         print(f"$ {command}", flush=True)
-        words = command.replace("examples/", f"{ROOT / 'examples'}/").split()
+        words = command.split()
         if words[0] == "python":
-            words[0] = sys.executable
+            words[:2] = [sys.executable, str(ROOT / words[1])]
         elif words[0] == "realsim":
             words[:1] = [sys.executable, "-m", "realsim"]
         path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
@@ -165,8 +184,12 @@ def _beside(images: list[U8], height: int) -> U8:
 
 
 def _write(path: Path, image: U8) -> None:
-    """As JPEG, at the best quality that keeps it small."""
+    """As JPEG, at the best quality that keeps it small; several as .gif, as `realsim play` writes them."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    if image.ndim == 4:
+        write_gif(list(image), path, FPS)
+        print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1000:.0f} kB", flush=True)
+        return
     for quality in (88, 80, 72, 64, 56):
         _, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
         if len(data) <= MOST_BYTES:

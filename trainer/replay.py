@@ -31,6 +31,8 @@ START, GOAL = (0.75, 0.35, 0.3, 1.0), (0.3, 0.5, 0.75, 1.0)
 """Colours of the marks on the platforms, red and blue as in the paper."""
 MARK_THICKNESS = 0.002
 """Metres."""
+BELOW = 0.02
+"""Metres by which the ground is drawn lower where a measured surface lies on it."""
 
 FORMATS = Registry(
     "replay format",
@@ -126,7 +128,7 @@ def video(
     frames = _frames(recording, robot, terrain, size, fps, distance)
     with explain_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        (_write_gif if gif else _write_mp4)(frames, path, fps)
+        (write_gif if gif else _write_mp4)(frames, path, fps)
     return path
 
 
@@ -163,7 +165,10 @@ def _frames(
 
 
 def scene_model(robot: TrainedRobot, terrain: Terrain, size: tuple[int, int]) -> Any:
-    """The simulated world as a model that can be drawn: light, sky, chequered ground, the robot's collision shapes."""
+    """The simulated world as a model that can be drawn: light, sky, chequered ground, the robot's collision shapes.
+
+    Of a reconstructed scene the measured surface is drawn in its colours, not what stands for it in contacts.
+    """
     import mujoco
 
     spec = world_spec(robot, terrain, slots_for([terrain]), PhysicsConfig())
@@ -185,8 +190,11 @@ def scene_model(robot: TrainedRobot, terrain: Terrain, size: tuple[int, int]) ->
         geom.group = 0  # a scene's collision geometry is in a group that MuJoCo does not draw by default
         if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
             geom.material, geom.rgba = "tiles", [1, 1, 1, 1]
+            geom.pos = geom.pos - np.array([0, 0, BELOW if terrain.drawn else 0.0])
         else:
-            geom.rgba = [0.72, 0.6, 0.45, 1]
+            geom.rgba = [0.72, 0.6, 0.45, 0 if terrain.drawn else 1]
+    if terrain.drawn is not None:
+        _draw_surface(spec, terrain.drawn)
     for platform, colour in ((terrain.start, START), (terrain.goal, GOAL)):
         half = [*(platform.size / 2), MARK_THICKNESS]
         turn = [np.cos(platform.yaw / 2), 0, 0, np.sin(platform.yaw / 2)]
@@ -196,6 +204,23 @@ def scene_model(robot: TrainedRobot, terrain: Terrain, size: tuple[int, int]) ->
         )  # fmt: skip
     spec.worldbody.add_light(pos=SUN, dir=-SUN, type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     return spec.compile()
+
+
+def _draw_surface(spec: Any, file: Path) -> None:
+    """A mesh that collides with nothing, with the texture that lies beside it."""
+    import mujoco
+
+    spec.add_mesh(name="surface", file=str(file.resolve()), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+    material = spec.add_material(name="surface", specular=0, shininess=0)
+    picture = file.with_suffix(".png")
+    if picture.is_file():
+        spec.add_texture(name="surface", type=mujoco.mjtTexture.mjTEXTURE_2D, file=str(picture.resolve()))
+        textures = list(material.textures)
+        textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "surface"
+        material.textures = textures
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_MESH, meshname="surface", material="surface", contype=0, conaffinity=0
+    )
 
 
 def _write_mp4(frames: list[NDArray[np.uint8]], path: Path, fps: float) -> None:
@@ -210,7 +235,8 @@ def _write_mp4(frames: list[NDArray[np.uint8]], path: Path, fps: float) -> None:
     writer.release()
 
 
-def _write_gif(frames: list[NDArray[np.uint8]], path: Path, fps: float) -> None:
+def write_gif(frames: list[NDArray[np.uint8]], path: Path, fps: float) -> None:
+    """(H, W, 3) RGB frames of one size as an endless animation."""
     from PIL import Image
 
     # One palette for all and no dithering: what does not move is then the same in every frame, and costs nothing.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,8 @@ class Terrain:
     """Whether touching the ground ends an episode (false on flat practice ground)."""
     contact: Any = None
     """Contact geometry of a reconstructed scene: `mujoco.MjSpec`, its world geoms taken instead of `boxes`."""
+    drawn: Path | None = None
+    """visual.obj of a reconstructed scene (with visual.png beside it): drawn instead of the contact geometry."""
     family: str = ""
     difficulty: float = 0.0
     """0 easiest to 1 hardest, for generated terrain."""

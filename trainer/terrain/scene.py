@@ -60,6 +60,7 @@ def load(folder: str | Path) -> Terrain:
         goal=goal,
         floor_z=floor,
         contact=_contact(folder, floor),
+        drawn=folder / "visual.obj" if (folder / "visual.obj").is_file() else None,
         family="scene",
         facts={"length": length},
     )
