@@ -83,7 +83,7 @@ class WarpPhysics:
         self._qpos[ids] = self._sound_qpos[ids] = qpos
         self._previous[ids] = qpos[:, 7:]
         for tensor in (self._qvel, self._sound_qvel, self._warmstart, *self._zeroed_at_reset):
-            tensor[ids] = 0
+            tensor.index_fill_(0, ids, 0)  # an assignment would copy the zero from the host
         self._move_terrain(ids, terrain_ids)
         if floor_z is not None:
             wp.to_torch(self._data.geom_xpos)[ids, self._ground_geom, 2] = floor_z.to(self.device)
@@ -269,12 +269,17 @@ class WarpPhysics:
         )
 
     def _launch(self, graph: Any, eager: Any) -> None:
-        """On torch's current stream, so that order needs no waiting."""
+        """On torch's current stream, so that order needs no waiting; into torch's graph while it captures one."""
         if graph is None:
             with wp.ScopedDevice(self._device):
                 eager()
+            return
+        stream = wp.stream_from_torch(torch.cuda.current_stream(self.device))
+        if stream.is_capturing:
+            with wp.ScopedStream(stream, sync_enter=False):
+                eager()
         else:
-            wp.capture_launch(graph, stream=wp.stream_from_torch(torch.cuda.current_stream(self.device)))
+            wp.capture_launch(graph, stream=stream)
 
     def _move_terrain(self, ids: Tensor, terrain_ids: Tensor) -> None:
         """Fixed geoms keep the pose that is in the data: the engine computes it only once."""

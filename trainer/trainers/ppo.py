@@ -110,6 +110,7 @@ def start(scene: Scene, file: Path | None, plan: Plan, rank: Rank) -> Runner:
         rows=scene.rows,
         diagnosis=config.diagnosis,
         seed=config.seed,
+        graphs=config.graphs,
     )
     if config.resume is not None:
         policy, _ = checkpoint.load(config.resume)
