@@ -14,8 +14,6 @@ T = TypeVar("T")
 
 _SIZES = (32, 128, 512, 2048)
 """Numbers of rows for which functions are captured, beside that of all worlds."""
-_pool: list[Any] = []
-"""The one memory pool of all graphs: they run one after another on one stream."""
 
 
 @dataclass
@@ -45,6 +43,8 @@ class Graph(Generic[T]):
         self.function, self.generator, self.use, self.calls = function, generator, use, calls
         self._called: Counter[tuple[int, ...]] = Counter()
         self._captured: dict[tuple[int, ...], _Captured] = {}
+        self._place: dict[str, Any] = {}
+        """Memory and stream of the captures: those of this function share them, as only one runs at a time."""
 
     def __call__(self, *inputs: Any, **sizes: int) -> T:
         key = tuple(sizes.values())
@@ -61,11 +61,13 @@ class Graph(Generic[T]):
         return captured.outputs
 
     def _capture(self, inputs: tuple[Any, ...], sizes: dict[str, int]) -> _Captured:
+        device = self.generator.device
+        if not self._place:
+            self._place = {"pool": torch.cuda.graph_pool_handle(), "stream": torch.cuda.Stream(device)}
         graph = torch.cuda.CUDAGraph()
         graph.register_generator_state(self.generator)
-        if not _pool:
-            _pool.append(torch.cuda.graph_pool_handle())
-        with torch.cuda.graph(graph, pool=_pool[0], capture_error_mode="thread_local"):
+        # Other threads, such as that which watches over NCCL, may go on meanwhile.
+        with torch.cuda.device(device), torch.cuda.graph(graph, capture_error_mode="thread_local", **self._place):
             outputs = self.function(*inputs, **sizes)
         return _Captured(graph, list(_tensors(inputs)), outputs)
 
