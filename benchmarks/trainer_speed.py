@@ -269,6 +269,8 @@ def compare(config: Config, rank: Rank) -> None:
                 memory = 0.0 if t["gpu_memory_gib"] is None else t["gpu_memory_gib"]
                 check = f"reward {t['reward']:.4f}, {t['episodes']:.0f} episodes of {t['length']:.1f} steps"
                 lines.append(f"{name} {seconds} {t['first_iterations_s']:6.1f}s {memory:6.1f}GiB  {check}")
+                shares = [f"{part} {1e3 * s:.0f}" for part, s in by_size(t.get("parts_s", {}))]
+                lines += [f"{'':16}ms, waiting for each: {' | '.join(shares)}"] if shares else []
             except Exception as error:  # the others are still worth having
                 traceback.print_exc()
                 result["training"] = {"failed": f"{type(error).__name__}: {error}"}

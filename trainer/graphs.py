@@ -10,6 +10,8 @@ from typing import Any, Generic, TypeVar
 import torch
 from torch import Tensor
 
+from trainer.errors import TrainerError
+
 T = TypeVar("T")
 
 _SIZES = (32, 128, 512, 2048)
@@ -66,9 +68,18 @@ class Graph(Generic[T]):
             self._place = {"pool": torch.cuda.graph_pool_handle(), "stream": torch.cuda.Stream(device)}
         graph = torch.cuda.CUDAGraph()
         graph.register_generator_state(self.generator)
-        # Other threads, such as that which watches over NCCL, may go on meanwhile.
-        with torch.cuda.device(device), torch.cuda.graph(graph, capture_error_mode="thread_local", **self._place):
-            outputs = self.function(*inputs, **sizes)
+        try:
+            # Other threads, such as that which watches over NCCL, may go on meanwhile.
+            with torch.cuda.device(device), torch.cuda.graph(graph, capture_error_mode="thread_local", **self._place):
+                outputs = self.function(*inputs, **sizes)
+        except RuntimeError as error:
+            if "out of memory" in str(error).lower():
+                raise  # who asked can try again with fewer worlds
+            raise TrainerError(
+                f"{self.function.__qualname__} cannot be made a CUDA graph",
+                found=str(error).partition("\n")[0],
+                hint="train without graphs: --no-graphs",
+            ) from error
         return _Captured(graph, list(_tensors(inputs)), outputs)
 
 
