@@ -3,6 +3,7 @@
     python benchmarks/trainer_speed.py                                     one GPU, G1, 4096 worlds x 24 steps, depth
     torchrun --nproc-per-node 2 benchmarks/trainer_speed.py                the same on each of two GPUs
     python benchmarks/trainer_speed.py --engine mujoco --worlds 128        the CPU engine, beside plain mujoco.rollout
+    python benchmarks/trainer_speed.py --compare 4096 8192                 the task as CUDA graphs and without them
 
 An iteration is timed as it is trained, waiting for the device only at its end. Where the time goes is measured in more
 iterations that wait after every part: their sum is more than the iteration took. Robots act at random, as an untrained
@@ -11,10 +12,12 @@ policy does, on the curriculum's 200 terrains, so that many lie on the ground: p
 
 from __future__ import annotations
 
+import gc
 import os
 import platform
 import sys
 import time
+import traceback
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -41,6 +44,8 @@ from trainer.terrain import flat, grid
 
 RESULTS = Path(__file__).parent / "results" / "trainer_speed.json"
 ROWS = 10
+WARM = 6
+"""Iterations before the clock starts where there may be graphs: by then those of the usual sizes are captured."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +68,10 @@ class Config:
     """Iterations timed, after the first."""
     split: int = 3
     """Iterations in which every part is timed; 0 for none."""
+    graphs: bool = True
+    """On a GPU, the task around the physics as CUDA graphs."""
+    compare: tuple[int, ...] = ()
+    """Instead of one run: these numbers of worlds, each without and with graphs."""
     bfloat16: bool = False
     """Networks of the update in bfloat16."""
     physics_only: bool = False
@@ -122,6 +131,9 @@ def main(config: Config) -> None:
         config.threads or max(1, len(os.sched_getaffinity(0)) // int(os.environ.get("WORLD_SIZE", 1)))
     )
     with ranks("cpu" if config.engine == "mujoco" and config.device == "auto" else config.device) as rank:
+        if config.compare:
+            compare(config, rank)
+            return
         result: dict[str, Any] = {"config": asdict(replace(config, out=Path())), "machine": machine(rank)}
         for name, section in (("engine", engine_alone), ("training", training)):
             if name == "training" and config.physics_only:
@@ -223,6 +235,7 @@ def training(config: Config, rank: Rank) -> dict[str, Any]:
     wait(rank.device)
     built = time.perf_counter() - began
     first = timed(runner, 1, rank)[0]
+    timed(runner, WARM if config.graphs else 0, rank)  # graphs are captured
     each = timed(runner, config.iterations, rank)
     mean = float(all_sum(torch.tensor(sum(each) / len(each), device=rank.device))) / rank.count
     samples = config.worlds * config.steps * rank.count
@@ -240,24 +253,110 @@ def training(config: Config, rank: Rank) -> dict[str, Any]:
     return result
 
 
+def compare(config: Config, rank: Rank) -> None:
+    """Iterations without and with graphs, one after the other; ends with a short table."""
+    lines = [
+        f"{'worlds':>7} {'graphs':>7} {'collect':>9} {'update':>9} {'samples/s':>11} {'first':>7} {'memory':>9}  check"
+    ]
+    for worlds in config.compare:
+        for graphs in (False, True):
+            own = replace(config, worlds=worlds, graphs=graphs, compare=())
+            result: dict[str, Any] = {"config": asdict(replace(own, out=Path())), "machine": machine(rank)}
+            name = f"{worlds:>7} {'on' if graphs else 'off':>7}"
+            try:
+                t = result["training"] = halves(own, rank)
+                seconds = f"{t['collect_s']:8.3f}s {t['update_s']:8.3f}s {t['samples_a_second']:11,.0f}"
+                memory = 0.0 if t["gpu_memory_gib"] is None else t["gpu_memory_gib"]
+                check = f"reward {t['reward']:.4f}, {t['episodes']:.0f} episodes of {t['length']:.1f} steps"
+                lines.append(f"{name} {seconds} {t['first_iterations_s']:6.1f}s {memory:6.1f}GiB  {check}")
+                shares = [f"{part} {1e3 * s:.0f}" for part, s in by_size(t.get("parts_s", {}))]
+                lines += [f"{'':16}ms, waiting for each: {' | '.join(shares)}"] if shares else []
+            except Exception as error:  # the others are still worth having
+                traceback.print_exc()
+                result["training"] = {"failed": f"{type(error).__name__}: {error}"}
+                lines.append(f"{name} failed: {type(error).__name__}: {str(error)[:150]}")
+            store(replace(own, label=config.label + f"graphs_{'on' if graphs else 'off'}_{worlds}"), result, rank)
+            gc.collect()  # a runner and its graphs hold each other
+            if rank.device.type == "cuda":
+                torch.cuda.empty_cache()
+    try:
+        lines.append(differences(config, rank))
+    except Exception as error:
+        traceback.print_exc()
+        lines.append(f"graphs were not compared bit by bit: {type(error).__name__}: {str(error)[:150]}")
+    print("\n".join(["", f"{result['machine']['gpu'] or 'CPU'}, {config.steps} steps an iteration", *lines]))
+
+
+def differences(config: Config, rank: Rank, worlds: int = 300, steps: int = 60) -> str:
+    """Whether graphs give the same bits. Robots stand as if frozen: the engine's own sums have no fixed order."""
+    task = ParkourConfig()
+    task = replace(
+        task, depth=replace(task.depth, use=config.depth), termination=replace(task.termination, seconds=1.0)
+    )
+    envs = [environment(replace(config, worlds=worlds, graphs=graphs), rank, task) for graphs in (False, True)]
+    envs[0].padded = envs[1].padded
+    for env in envs:
+        env.physics.step = lambda targets, env=env: env.physics.state
+        env.reset()
+    rng, ended = torch.Generator(rank.device).manual_seed(0), 0
+    for step in range(steps):
+        actions = torch.randn(worlds, envs[0].num_actions, generator=rng, device=rank.device)
+        off, on = (env.step(actions) for env in envs)
+        for name in ("actor", "critic", "depth", "reward", "terminated", "truncated"):
+            a, b = (getattr(s.observation if hasattr(s.observation, name) else s, name) for s in (off, on))
+            if a is not None and not torch.equal(a, b):
+                worst = float((a.float() - b.float()).abs().max())
+                rows = int((a != b).flatten(1).any(1).sum() if a.ndim > 1 else (a != b).sum())
+                return f"graphs change {name} of {rows} worlds at step {step}, by at most {worst:.3g}"
+        ended += off.ended or 0
+    return (
+        f"graphs change no bit of observations, rewards and ends in {steps} steps of {worlds} worlds, {ended} restarts"
+    )
+
+
+def halves(config: Config, rank: Rank) -> dict[str, Any]:
+    """Seconds of collecting and of updating, and figures of the episodes: without and with graphs they must agree."""
+    runner = prepared(config, rank)
+    first = sum(timed(runner, WARM, rank))
+    rows = [runner.iterate() for _ in range(config.iterations)]
+    mean = {
+        name: sum(row[name] for row in rows) / len(rows) for name in ("collect_s", "update_s", "reward", "episodes")
+    }
+    ended = [row for row in rows if row["episodes"]]
+    mean["length"] = sum(row["length"] * row["episodes"] for row in ended) / max(
+        sum(row["episodes"] for row in ended), 1
+    )
+    seconds = mean["collect_s"] + mean["update_s"]
+    result: dict[str, Any] = {"first_iterations_s": first, "iteration_s": seconds, **mean}
+    result |= {"slowest_collect_s": max(row["collect_s"] for row in rows)}
+    result |= {"samples_a_second": config.worlds * config.steps * rank.count / seconds}
+    result |= {"gpu_memory_gib": used_memory(rank.device)}
+    if config.split:
+        result["parts_s"] = parts(runner, config.split, rank)
+    return result
+
+
 def prepared(config: Config, rank: Rank) -> Runner:
     """Environment, policy and learner, as `realsim pretrain` makes them."""
     task = ParkourConfig()
-    task = replace(task, depth=replace(task.depth, use=config.depth))
-    terrains = courses(config)
-    env = make(
+    env = environment(config, rank, replace(task, depth=replace(task.depth, use=config.depth)))
+    learner = PPOConfig(steps=config.steps, bfloat16=config.bfloat16)
+    policy = policies.new(env.layout, learner.networks, config.robot, 0)
+    return Runner(env, policy, learner, rank=rank)
+
+
+def environment(config: Config, rank: Rank, task: ParkourConfig) -> ParkourEnv:
+    return make(
         task,
-        terrains,
+        courses(config),
         robot=config.robot,
         worlds=config.worlds,
         engine=config.engine,
         physics=settings(config, rank),
         rows=ROWS if config.terrain == "grid" else 1,
         seed=rank.index,
+        graphs=config.graphs,
     )
-    learner = PPOConfig(steps=config.steps, bfloat16=config.bfloat16)
-    policy = policies.new(env.layout, learner.networks, config.robot, 0)
-    return Runner(env, policy, learner, rank=rank)
 
 
 def timed(runner: Runner, iterations: int, rank: Rank) -> list[float]:
@@ -278,6 +377,17 @@ def parts(runner: Runner, iterations: int, rank: Rank) -> dict[str, float]:
     assert isinstance(env, ParkourEnv)
     watch = Stopwatch(lambda: wait(rank.device))
     watch.watch(env.physics, "step", "physics")
+    if env.graphs:  # what is inside a graph cannot be told apart
+        watch.watch(env, "_acting", "graph: targets, pushes")
+        watch.watch(env, "_looking", "graph: observations, rewards, rays")
+        watch.watch(env, "_restarting", "graph: resets")
+        watch.watch(env, "step", "between the graphs")
+        watch.watch(runner, "_acting", "graph: inference")
+        watch.watch(runner, "_keeping", "graph: storage")
+        watch.watch(runner.ppo, "finish", "storage")
+        watch.watch(runner.ppo, "update", "update")
+        watch.watch(runner, "iterate", "the rest")
+        return split(runner, iterations, watch)
     for method in ("reset", "set_params", "set_velocity"):
         watch.watch(env.physics, method, "resets: engine")
     casters = {id(c): c for c in (getattr(env.camera, "caster", None), getattr(env.probe, "caster", None)) if c}
@@ -291,6 +401,10 @@ def parts(runner: Runner, iterations: int, rank: Rank) -> dict[str, float]:
         watch.watch(runner.rollout, method, "storage")
     watch.watch(runner.ppo, "update", "update")
     watch.watch(runner, "iterate", "the rest")
+    return split(runner, iterations, watch)
+
+
+def split(runner: Runner, iterations: int, watch: Stopwatch) -> dict[str, float]:
     for _ in range(iterations):
         runner.iterate()
     return {part: seconds / iterations for part, seconds in watch.seconds.items()}

@@ -53,21 +53,23 @@ class BoxCaster:
 class FakePhysics:
     """Keeps a state of tensors. `motion(physics)`, if given, changes it at every step."""
 
-    def __init__(self, robot, terrains, worlds: int = 4, motion=None) -> None:
+    def __init__(self, robot, terrains, worlds: int = 4, motion=None, device: str = "cpu") -> None:
         self.robot, self.terrains, self.num_worlds, self.motion = robot, terrains, worlds, motion
         self.config = PhysicsConfig()
-        self.device, self.policy_dt = torch.device("cpu"), 0.02
+        self.device, self.policy_dt = torch.device(device), 0.02
         self.overflowed = self.solver_limited = 0
         self.state = empty_state(robot, worlds, self.device)
         self.targets = None
-        self.terrain_ids = torch.zeros(worlds, dtype=torch.long)
+        self.terrain_ids = torch.zeros(worlds, dtype=torch.long, device=device)
+        spread = [[0.15, 0.1], [0.15, -0.1], [-0.15, 0.1], [-0.15, -0.1]][: len(robot.feet)]
+        self.spread, self.upright = torch.tensor(spread, device=device), torch.tensor([1.0, 0, 0, 0], device=device)
         self.params: list = []
         self.pushed: list = []
         self.reset(
-            torch.arange(worlds),
-            torch.tensor([0.0, 0.0, robot.standing_height]).repeat(worlds, 1),
-            torch.tensor([1.0, 0, 0, 0]).repeat(worlds, 1),
-            torch.tensor(robot.default).float().repeat(worlds, 1),
+            torch.arange(worlds, device=device),
+            torch.tensor([0.0, 0.0, robot.standing_height], device=device).repeat(worlds, 1),
+            self.upright.repeat(worlds, 1),
+            torch.tensor(robot.default, device=device).float().repeat(worlds, 1),
             self.terrain_ids.clone(),
         )
 
@@ -78,20 +80,19 @@ class FakePhysics:
         return self.state
 
     def reset(self, ids, base_pos, base_quat, joint_pos, terrain_ids, floor_z=None):
-        s, feet = self.state, len(self.robot.feet)
+        s = self.state
         s.base_pos[ids], s.base_quat[ids], s.joint_pos[ids] = base_pos, base_quat, joint_pos
         s.torso_pos[ids], s.camera_pos[ids] = base_pos, base_pos
         s.torso_quat[ids], s.camera_quat[ids] = base_quat, base_quat
         depth = -float(np.mean(self.robot.soles[0][:, 2]))
-        spread = torch.tensor([[0.15, 0.1], [0.15, -0.1], [-0.15, 0.1], [-0.15, -0.1]])[:feet]
-        s.foot_pos[ids, :, :2] = base_pos[:, None, :2] + spread
+        s.foot_pos[ids, :, :2] = base_pos[:, None, :2] + self.spread
         s.foot_pos[ids, :, 2] = (base_pos[:, 2] - self.robot.standing_height + depth)[:, None]
-        s.foot_quat[ids] = torch.tensor([1.0, 0, 0, 0])
+        s.foot_quat[ids] = self.upright
         for name in ("base_lin_vel", "base_ang_vel", "joint_vel", "joint_acc", "joint_torque", "foot_lin_vel"):
-            getattr(s, name)[ids] = 0.0
-        s.foot_force[ids] = 20.0
+            getattr(s, name).index_fill_(0, ids, 0.0)
+        s.foot_force.index_fill_(0, ids, 20.0)
         for name in ("ground_contact", "other_contact", "diverged"):
-            getattr(s, name)[ids] = False
+            getattr(s, name).index_fill_(0, ids, False)
         self.terrain_ids[ids] = terrain_ids
         self.floor_z = floor_z
 

@@ -25,6 +25,7 @@ class PointMass:
     """`VecEnv` of point masses; `goal_sign` restricts where goals lie (a "terrain")."""
 
     warnings = ()
+    graphs = False
 
     def __init__(self, worlds: int = 32, max_steps: int = 20, seed: int = 0, goal: float | None = None) -> None:
         self.num_worlds, self.num_actions = worlds, 2

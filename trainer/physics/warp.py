@@ -20,7 +20,7 @@ from trainer.errors import TrainerError
 from trainer.physics import warp_kernels as kernels
 from trainer.physics.base import MAX_SPEED, PhysicsConfig, State, WorldParams, empty_state
 from trainer.physics.static_geoms import StaticGeoms
-from trainer.physics.warp_params import BATCHED, WorldFields
+from trainer.physics.warp_params import BATCHED, TERRAIN_FIELDS, WorldFields
 from trainer.physics.world import GROUND, check_order, slots_for, world_spec
 from trainer.robots import TrainedRobot
 from trainer.terrain import Terrain
@@ -83,10 +83,10 @@ class WarpPhysics:
         self._qpos[ids] = self._sound_qpos[ids] = qpos
         self._previous[ids] = qpos[:, 7:]
         for tensor in (self._qvel, self._sound_qvel, self._warmstart, *self._zeroed_at_reset):
-            tensor[ids] = 0
+            tensor.index_fill_(0, ids, 0)  # an assignment would copy the zero from the host
         self._move_terrain(ids, terrain_ids)
         if floor_z is not None:
-            wp.to_torch(self._data.geom_xpos)[ids, self._ground_geom, 2] = floor_z.to(self.device)
+            self._geoms["geom_xpos"][ids, self._ground_geom, 2] = floor_z.to(self.device)
         self._launch(self._refresh_graph, self._refresh)
 
     def set_velocity(self, ids: Tensor, base_lin_vel: Tensor, base_ang_vel: Tensor) -> None:
@@ -154,6 +154,8 @@ class WarpPhysics:
         self._fields = WorldFields(model, self._host, self.robot, self.device)
         self._static = StaticGeoms.of(self._host, self.terrains, self.device)
         self._ground_geom = self._host.geom(GROUND).id
+        self._geoms = {name: wp.to_torch(getattr(data, name)) for name in ("geom_xpos", "geom_xmat")}
+        self._geoms |= {name: wp.to_torch(getattr(model, name)) for name in TERRAIN_FIELDS}
         self._kind = wp.array(_kinds(self._host, self.robot), dtype=int)
         self._foot_bodies = wp.array([self._host.body(f).id for f in self.robot.feet], dtype=int)
         self._foot_joints = wp.array(_joints_to(self._host, self.robot.feet), dtype=int)
@@ -269,22 +271,27 @@ class WarpPhysics:
         )
 
     def _launch(self, graph: Any, eager: Any) -> None:
-        """On torch's current stream, so that order needs no waiting."""
+        """On torch's current stream, so that order needs no waiting; into torch's graph while it captures one."""
         if graph is None:
             with wp.ScopedDevice(self._device):
                 eager()
+            return
+        stream = wp.stream_from_torch(torch.cuda.current_stream(self.device))
+        if stream.is_capturing:
+            with wp.ScopedStream(stream, sync_enter=False):
+                eager()
         else:
-            wp.capture_launch(graph, stream=wp.stream_from_torch(torch.cuda.current_stream(self.device)))
+            wp.capture_launch(graph, stream=stream)
 
     def _move_terrain(self, ids: Tensor, terrain_ids: Tensor) -> None:
         """Fixed geoms keep the pose that is in the data: the engine computes it only once."""
-        table, rows = self._static, ids[:, None]
-        wp.to_torch(self._data.geom_xpos)[rows, table.geoms] = table.pos[terrain_ids]
-        wp.to_torch(self._data.geom_xmat)[rows, table.geoms] = table.mat[terrain_ids]
+        table, rows, view = self._static, ids[:, None], self._geoms
+        view["geom_xpos"][rows, table.geoms] = table.pos[terrain_ids]
+        view["geom_xmat"][rows, table.geoms] = table.mat[terrain_ids]
         half = table.half[terrain_ids]
-        wp.to_torch(self._model.geom_size)[rows, table.slots] = half
-        wp.to_torch(self._model.geom_rbound)[rows, table.slots] = half.norm(dim=-1)
-        wp.to_torch(self._model.geom_aabb)[rows, table.slots, 1] = half
+        view["geom_size"][rows, table.slots] = half
+        view["geom_rbound"][rows, table.slots] = half.norm(dim=-1)
+        view["geom_aabb"][rows, table.slots, 1] = half
 
 
 def _device(name: str) -> Any:

@@ -82,7 +82,8 @@ class PPO:
     @torch.no_grad()
     def act(self, observation: Observation, generator: torch.Generator) -> Action:
         """Sample actions (N, J)."""
-        mean, log_std = self.policy(observation.actor, observation.depth), self.log_std
+        # The parameter is within its bounds (`keep_within`), which change; a CUDA graph keeps those of its capture.
+        mean, log_std = self.policy(observation.actor, observation.depth), self.policy.get_parameter("log_std")
         action = gaussian.sample(mean, log_std, generator)
         return Action(action, mean, gaussian.log_prob(action, mean, log_std))
 
@@ -95,7 +96,7 @@ class PPO:
         mean = all_mean(a.mean())
         n = all_sum(torch.tensor(float(a.numel()), device=a.device))
         variance = all_sum((a - mean).square().sum()) / (n - 1)
-        rollout.advantage = (a - mean) / (variance.sqrt() + 1e-8)
+        a.sub_(mean).div_(variance.sqrt() + 1e-8)
 
     def update(self, rollout: Rollout, generator: torch.Generator, critic_only: bool = False) -> dict[str, Tensor]:
         """All epochs over a finished rollout; the mean of every loss, on the device.

@@ -10,13 +10,14 @@ import torch
 from torch import Tensor
 
 from trainer.errors import TrainerError
-from trainer.ppo.algorithm import PPO, Augment, Loss, bootstrap
+from trainer.graphs import Graph, places, room
+from trainer.ppo.algorithm import PPO, Action, Augment, Loss, bootstrap
 from trainer.ppo.amp import StylePrior
 from trainer.ppo.config import PPOConfig
 from trainer.ppo.distributed import Rank, all_sum, broadcast, gather
 from trainer.ppo.policy import Policy, check_layout
 from trainer.ppo.storage import Rollout
-from trainer.tasks import Observation, VecEnv
+from trainer.tasks import Observation, Step, VecEnv
 
 
 class Runner:
@@ -62,12 +63,17 @@ class Runner:
         self.samples = 0
         self.observation: Observation | None = None
         self.episodes = _Episodes(env.num_worlds, rank.device)
+        self.padded = env.graphs
+        """Whether batches have one of a few sizes, instead of as many rows as are needed."""
+        self._step = torch.zeros(1, dtype=torch.long, device=rank.device)
+        self._acting = Graph(self._act, self.rng, env.graphs, calls=2)
+        self._keeping = Graph(self._keep, self.rng, env.graphs, calls=2)
 
     def begin(self) -> None:
         """Start all worlds anew: at the start and on a resume."""
         self.observation = self.env.reset()
         self.rollout.restart()
-        self.episodes = _Episodes(self.env.num_worlds, self.rank.device)
+        self.episodes.restart()
 
     def iterate(self) -> dict[str, float]:
         """One iteration; its losses, the environment's log, mean reward, episode figures and seconds."""
@@ -140,22 +146,15 @@ class Runner:
         """Fill the rollout; what the environment logged, on the device."""
         assert self.observation is not None
         logs: dict[str, list[float | Tensor]] = {}
-        for step in range(self.config.steps):
-            seen = self.rollout.see(step, self.observation)
-            action = self.ppo.act(seen, self.rng)
-            value = self.policy.critic.of(seen)
+        self._step.zero_()
+        for _ in range(self.config.steps):
+            action, value = self._acting(self.observation)
             result = self.env.step(action.sample)
-            reward, done = result.reward, result.terminated | result.truncated
-            self.episodes.add(reward, done)
-            if self.prior is not None and result.amp is not None:
-                reward = reward + self.prior.reward(result.amp)
-            late = result.truncated & ~result.terminated
-            if result.final_observation is not None and len(ids := late.nonzero().squeeze(-1)):
-                # The environment has waited for the device at this step already: asking which worlds costs little.
-                final = torch.zeros_like(value)
-                final[ids] = self.policy.critic.of(result.final_observation.map(lambda x, ids=ids: x[ids]))
-                reward = bootstrap(reward, final, late, self.config.gamma)
-            self.rollout.add(step, action.sample, action.mean, action.log_prob, value, reward, done)
+            prior = self.prior if result.amp is not None else None
+            style = None if prior is None else prior.reward(result.amp)  # type: ignore[arg-type]
+            rows = self._late(result)
+            final = result.final_observation if rows else None
+            self._keeping(action, value, result.reward, style, result.terminated, result.truncated, final, rows=rows)
             self.observation = result.observation
             for name, entry in result.log.items():
                 logs.setdefault(name, []).append(entry)
@@ -165,6 +164,44 @@ class Runner:
             f"env/{k}": torch.stack([torch.as_tensor(x, device=device) for x in v]).float().nanmean()
             for k, v in logs.items()
         }
+
+    def _late(self, result: Step) -> int:
+        """How many rows hold the worlds whose time ran out at this step."""
+        if result.final_observation is None:
+            return 0
+        if self.padded:
+            worlds = self.env.num_worlds
+            return room(worlds if result.ended is None else result.ended, worlds)
+        # The environment has waited for the device at this step already: asking it again costs little.
+        return int((result.truncated & ~result.terminated).sum())
+
+    def _act(self, observation: Observation) -> tuple[Action, Tensor]:
+        """What the policy does, and the value; the observation is kept."""
+        seen = self.rollout.see(self._step, observation)
+        return self.ppo.act(seen, self.rng), self.policy.critic.of(seen)
+
+    def _keep(
+        self,
+        action: Action,
+        value: Tensor,
+        reward: Tensor,
+        style: Tensor | None,
+        terminated: Tensor,
+        truncated: Tensor,
+        final: Observation | None,
+        rows: int,
+    ) -> None:
+        """What came of an action; the last observation of worlds whose time ran out, at most `rows`, is valued."""
+        done, late = terminated | truncated, truncated & ~terminated
+        self.episodes.add(reward, done)
+        reward = reward if style is None else reward + style
+        if final is not None:
+            ids, _ = places(late, rows)
+            last = torch.zeros_like(value)
+            last[ids] = self.policy.critic.of(final.map(lambda x: x[ids]))
+            reward = bootstrap(reward, last, late, self.config.gamma)
+        self.rollout.add(self._step, action.sample, action.mean, action.log_prob, value, reward, done)
+        self._step += 1
 
     def _wait(self) -> None:
         if self.rank.device.type == "cuda":
@@ -177,22 +214,26 @@ class _Episodes:
     def __init__(self, worlds: int, device: torch.device) -> None:
         self.running = torch.zeros(2, worlds, device=device)
         self.sums = torch.zeros(3, device=device)
-        self.reward = torch.zeros((), device=device)
-        self.steps = 0
+        self.reward, self.steps = torch.zeros((), device=device), torch.zeros((), device=device)
+
+    def restart(self) -> None:
+        """All worlds begin anew, and so do the figures."""
+        for tensor in (self.running, self.sums, self.reward, self.steps):
+            tensor.zero_()
 
     def add(self, reward: Tensor, done: Tensor) -> None:
         self.running += torch.stack([reward, torch.ones_like(reward)])
         ended = done.float()
         self.sums += torch.cat([self.running @ ended, ended.sum()[None]])
         self.running *= 1 - ended
-        self.reward = self.reward + reward.mean()
+        self.reward += reward.mean()
         self.steps += 1
 
     def take(self) -> dict[str, Tensor]:
         """Means since the last call (not-a-number where no episode ended)."""
-        sums, self.sums = self.sums, torch.zeros_like(self.sums)
-        reward, self.reward = self.reward / self.steps, torch.zeros_like(self.reward)
-        self.steps = 0
+        sums, reward = self.sums.clone(), self.reward / self.steps
+        for tensor in (self.sums, self.reward, self.steps):
+            tensor.zero_()
         return {"reward": reward, "return": sums[0] / sums[2], "length": sums[1] / sums[2], "episodes": sums[2]}
 
 

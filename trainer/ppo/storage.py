@@ -10,6 +10,9 @@ from torch import Tensor
 
 from trainer.tasks import Observation, ObservationLayout
 
+Row = int | Tensor
+"""Row of a buffer: a number, or a tensor (1,) on the device, which a CUDA graph can read."""
+
 
 @dataclass
 class Batch:
@@ -53,14 +56,14 @@ class Frames:
         self.first.fill_(self.past)
         self.ready = True
 
-    def add(self, step: int, stack: Tensor) -> None:
+    def add(self, step: Row, stack: Tensor) -> None:
         """Keep what is new in the stacks (N, M, H, W) of this step."""
-        self.frames[self.past + step] = stack if self.whole else stack[:, 0]
+        self.frames[self.past + step] = (stack if self.whole else stack[:, 0]).to(self.dtype)
         self.firsts[step] = self.first
 
-    def ended(self, step: int, done: Tensor) -> None:
+    def ended(self, step: Row, done: Tensor) -> None:
         """Worlds (N,) bool that begin a new episode after this step."""
-        self.first.masked_fill_(done, self.past + step + 1)
+        self.first.mul_(~done).add_(done * (self.past + step + 1))
 
     def carry(self) -> None:
         """Make room for the next iteration; keep the frames that its stacks reach back to."""
@@ -100,17 +103,17 @@ class Rollout:
         if self.frames is not None:
             self.frames.restart()
 
-    def see(self, step: int, observation: Observation) -> Observation:
+    def see(self, step: Row, observation: Observation) -> Observation:
         """Keep an observation before the environment overwrites it; gives it as it will be seen in the update."""
         self.actor[step], self.critic[step] = observation.actor, observation.critic
         depth = observation.depth
         if self.frames is not None and depth is not None:
             self.frames.add(step, depth)
             depth = depth.to(self.frames.dtype)
-        return Observation(self.actor[step], self.critic[step], depth)
+        return Observation(observation.actor, observation.critic, depth)
 
     def add(
-        self, step: int, action: Tensor, mean: Tensor, log_prob: Tensor, value: Tensor, reward: Tensor, done: Tensor
+        self, step: Row, action: Tensor, mean: Tensor, log_prob: Tensor, value: Tensor, reward: Tensor, done: Tensor
     ) -> None:
         """Keep what was done at this step and what came of it: (N, J), (N, J), (N,), (N,), (N,), (N,) bool."""
         self.action[step], self.mean[step] = action, mean
@@ -121,8 +124,8 @@ class Rollout:
 
     def finish(self, last_value: Tensor, gamma: float, lam: float) -> None:
         """Compute returns and advantages; `last_value` (N,) is the value of the observation after the last step."""
-        self.advantage = advantages(self.reward, self.value, self.done, last_value, gamma, lam)
-        self.returns = self.advantage + self.value
+        self.advantage.copy_(advantages(self.reward, self.value, self.done, last_value, gamma, lam))
+        torch.add(self.advantage, self.value, out=self.returns)
 
     def carry(self) -> None:
         """The samples have been used: ready for the next iteration."""

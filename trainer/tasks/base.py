@@ -32,6 +32,11 @@ class ObservationLayout:
     def critic_width(self) -> int:
         return sum(width for _, width in self.critic)
 
+    def zeros(self, worlds: int, device: torch.device) -> Observation:
+        """Room for what `worlds` worlds observe."""
+        actor, critic = (torch.zeros(worlds, width, device=device) for width in (self.actor_width, self.critic_width))
+        return Observation(actor, critic, self.depth and torch.zeros(worlds, *self.depth, device=device))
+
 
 @dataclass
 class Observation:
@@ -48,10 +53,17 @@ class Observation:
         """The same with `f` applied to every tensor."""
         return Observation(f(self.actor), f(self.critic), None if self.depth is None else f(self.depth))
 
+    def tensors(self) -> list[Tensor]:
+        """Those that there are."""
+        return [x for x in (self.actor, self.critic, self.depth) if x is not None]
+
 
 @dataclass
 class Step:
-    """Result of one policy step; worlds that ended are already reset and `observation` is of the new episode."""
+    """Result of one policy step; worlds that ended are already reset and `observation` is of the new episode.
+
+    An environment with `graphs` writes the tensors of its next step over these.
+    """
 
     observation: Observation
     reward: Tensor
@@ -62,11 +74,13 @@ class Step:
     """(N,) bool: time ran out; its value is bootstrapped from `final_observation`."""
     final_observation: Observation | None
     """The true last observation of worlds that ended at this step (rows of other worlds are unspecified); None if none
-    did."""
+    did. The next step at which some do may write over it."""
     amp: Tensor | None = None
     """(N, S) transition features for the discriminator; None when AMP is off."""
     log: dict[str, float] = field(default_factory=dict)
     """Means for TensorBoard: reward terms, success rate, terrain level, failures by reason, resets after divergence."""
+    ended: int | None = None
+    """How many worlds ended, if the environment has asked the device."""
 
 
 class VecEnv(Protocol):
@@ -79,6 +93,8 @@ class VecEnv(Protocol):
     policy_dt: float
     max_steps: int
     """Policy steps of a whole episode."""
+    graphs: bool
+    """Whether a step is made of CUDA graphs (`trainer.graphs`); a learner's part of it then is, too."""
 
     @property
     def warnings(self) -> tuple[str, ...]:

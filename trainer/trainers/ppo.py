@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -55,6 +56,7 @@ def train(scene: Scene, policy: Path | None, config: TrainConfig, out: Path) -> 
                 plan = _with_fewer_worlds(plan, error, rank)
                 warnings.append(f"the GPU's memory was not enough: {plan.worlds} worlds instead of {2 * plan.worlds}")
                 note(warnings[-1])
+                gc.collect()  # an environment and its graphs hold each other
                 torch.cuda.empty_cache()
         onnx: Path | None = None
         if rank.first:
@@ -110,6 +112,7 @@ def start(scene: Scene, file: Path | None, plan: Plan, rank: Rank) -> Runner:
         rows=scene.rows,
         diagnosis=config.diagnosis,
         seed=config.seed,
+        graphs=config.graphs,
     )
     if config.resume is not None:
         policy, _ = checkpoint.load(config.resume)

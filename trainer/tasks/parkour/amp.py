@@ -48,9 +48,11 @@ class Transitions:
 
     def advance(self, s: Signals, body: Body) -> Tensor:
         """(N, S) from the pose before to this one."""
-        before, self.last = self.last, of_signals(s, body)
-        return torch.cat([before, self.last], -1)
+        now = of_signals(s, body)
+        pair = torch.cat([self.last, now], -1)
+        self.last.copy_(now)
+        return pair
 
     def restart(self, ids: Tensor, s: Signals, body: Body) -> None:
         """Worlds `ids` are in a new pose; `s` has their rows only."""
-        self.last = self.last.index_copy(0, ids, of_signals(s, body))
+        self.last.index_copy_(0, ids, of_signals(s, body))

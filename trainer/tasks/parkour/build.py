@@ -40,6 +40,7 @@ def make(
     rows: int = 1,
     diagnosis: str | Path | None = None,
     seed: int = 0,
+    graphs: bool = False,
 ) -> ParkourEnv:
     """A parkour environment.
 
@@ -53,6 +54,7 @@ def make(
         diagnosis: `diagnosis.json` of `realsim diagnose`, or its folder: its figures replace guessed ranges, and what
             no range can hold goes into the robot's model (`trainer.tasks.parkour.gap`).
         seed: of all draws.
+        graphs: on a GPU, make steps CUDA graphs: what a `Step` holds is then overwritten by the next.
 
     Raises:
         TrainerError: a terrain that cannot be a course, no such device, a diagnosis of another robot.
@@ -84,6 +86,7 @@ def make(
         variants=len(scales),
         known=known,
         seed=seed,
+        graphs=graphs,
     )
 
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from trainer.physics import State
 from trainer.tasks.parkour.config import CommandConfig
-from trainer.tasks.parkour.draw import uniform
+from trainer.tasks.parkour.draw import rand, uniform
 from trainer.tasks.parkour.signals import Command
 from trainer.tasks.rotations import heading_of, into_heading
 
@@ -24,7 +24,7 @@ class GoalCommand:
         """New goals (K, 2) for worlds (K,); draws their speeds."""
         self.goal[ids] = goals
         speed = uniform(self.config.speed, (len(ids),), generator)
-        stand = torch.rand(len(ids), generator=generator, device=generator.device) < self.config.standing
+        stand = rand((len(ids),), generator) < self.config.standing
         self.limit[ids] = torch.where(stand, torch.zeros_like(speed), speed)
 
     def __call__(self, state: State) -> Command:

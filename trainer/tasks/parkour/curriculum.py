@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from trainer.errors import TrainerError
+from trainer.tasks.parkour.draw import randint
 
 DEMOTE = 0.5
 """An episode that ends with less than this share of the way covered moves its world one row down."""
@@ -25,7 +26,7 @@ class Curriculum:
         self.column = torch.arange(worlds, device=device) % self.columns
         # The easy half first: the harder rows have to be earned.
         top = max(1, (rows + 1) // 2)
-        self.row = torch.randint(0, top, (worlds,), generator=generator, device=device)
+        self.row = randint(0, top, worlds, generator)
 
     def update(self, ids: Tensor, success: Tensor, covered: Tensor, generator: torch.Generator) -> None:
         """Move worlds `ids` (K,) after episodes that succeeded (K,) bool or covered a share (K,) of the way.
@@ -33,7 +34,7 @@ class Curriculum:
         Who masters the last row is sent to a random one, so that no row is forgotten.
         """
         row = self.row[ids] + success.long() - ((covered < DEMOTE) & ~success).long()
-        anywhere = torch.randint(0, self.rows, (len(ids),), generator=generator, device=self.row.device)
+        anywhere = randint(0, self.rows, len(ids), generator)
         self.row[ids] = torch.where(row >= self.rows, anywhere, row.clamp_min(0))
 
     def terrain(self, ids: Tensor) -> Tensor:

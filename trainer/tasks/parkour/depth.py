@@ -16,7 +16,7 @@ from trainer.physics import State
 from trainer.rays import RayCaster
 from trainer.robots import DepthMount
 from trainer.tasks.parkour.config import DepthConfig
-from trainer.tasks.parkour.draw import symmetric
+from trainer.tasks.parkour.draw import rand, randint, randn, symmetric
 from trainer.tasks.rotations import from_vector, multiply, rotate
 
 
@@ -91,10 +91,9 @@ class DepthCamera:
     def _spoil(self, depth: Tensor, generator: torch.Generator) -> Tensor:
         c = self.config
         if c.noise > 0:
-            draw = torch.randn(depth.shape, generator=generator, device=depth.device)
-            depth = (depth + c.noise * depth.square() * draw).clamp_min(1e-3)
+            depth = (depth + c.noise * depth.square() * randn(tuple(depth.shape), generator)).clamp_min(1e-3)
         if c.dropout > 0:
-            lost = torch.rand(depth.shape, generator=generator, device=depth.device) < c.dropout
+            lost = rand(tuple(depth.shape), generator) < c.dropout
             depth = torch.where(lost, torch.zeros_like(depth), depth)
         return depth
 
@@ -108,19 +107,19 @@ class DepthWindow:
         self.back = torch.arange(config.frames, device=device) * config.stride
         self.late = torch.zeros(worlds, dtype=torch.long, device=device)
         self.latency = config.latency
-        self.head = 0
+        self.head = torch.zeros(1, dtype=torch.long, device=device)
         self._worlds = torch.arange(worlds, device=device)
 
     def push(self, images: Tensor) -> None:
         """Append the newest image (N, h, w) of every world."""
-        self.head = (self.head + 1) % self.length
-        self.ring[:, self.head] = images
+        self.head.add_(1).remainder_(self.length)
+        self.ring.index_copy_(1, self.head, images[:, None])
 
     def restart(self, ids: Tensor, images: Tensor, generator: torch.Generator) -> None:
         """Worlds `ids` begin with (K, h, w) as if they had always seen it, with a new latency."""
         self.ring[ids] = images[:, None]
         low, high = self.latency
-        self.late[ids] = torch.randint(low, high + 1, (len(ids),), generator=generator, device=generator.device)
+        self.late[ids] = randint(low, high + 1, len(ids), generator)
 
     def window(self, ids: Tensor | None = None) -> Tensor:
         """(N, m, h, w), newest first; or (K, m, h, w) of worlds `ids`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -11,6 +12,7 @@ import torch
 from torch import Tensor
 
 from trainer.errors import TrainerError
+from trainer.graphs import Graph, places, room
 from trainer.physics import Physics, State
 from trainer.rays import RayCaster
 from trainer.tasks.base import Observation, Step
@@ -20,6 +22,7 @@ from trainer.tasks.parkour.commands import GoalCommand
 from trainer.tasks.parkour.config import ParkourConfig
 from trainer.tasks.parkour.curriculum import Curriculum
 from trainer.tasks.parkour.depth import DepthCamera, DepthWindow
+from trainer.tasks.parkour.draw import Dice, randint
 from trainer.tasks.parkour.floor import RaisedFloor
 from trainer.tasks.parkour.footholds import FootholdProbe
 from trainer.tasks.parkour.line import Line
@@ -52,10 +55,31 @@ class Ends:
     """(K,) index of the terrain."""
 
 
+@dataclass
+class _Moment:
+    """What the task makes of a policy step, before worlds that ended start anew; rows are worlds."""
+
+    observation: Observation
+    reward: Tensor
+    amp: Tensor | None
+    outcome: Tensor
+    trial: Tensor
+    """(N,) outcome of what counts as a trial."""
+    covered: Tensor
+    way: Tensor
+    """(N,) the same share for the curriculum."""
+    terminated: Tensor
+    truncated: Tensor
+    ended: Tensor
+    """() how many worlds did."""
+
+
 class ParkourEnv:
     """A batch of worlds; a `trainer.tasks.VecEnv`. Build it with `trainer.tasks.parkour.make`.
 
-    `step` waits for the device once, to learn which worlds have ended.
+    A step has four parts: `_before` the engine's step, that, `_after` it, and `_again` for worlds that ended. With
+    `graphs` each is a CUDA graph. All that lives from one step to the next stays where it is, and `step` waits for the
+    device once, to learn how many worlds have ended.
     """
 
     def __init__(
@@ -69,6 +93,7 @@ class ParkourEnv:
         variants: int = 1,
         known: Known | None = None,
         seed: int = 0,
+        graphs: bool = False,
     ) -> None:
         """A task over an engine.
 
@@ -80,6 +105,7 @@ class ParkourEnv:
             rows: rows of the curriculum grid; 1 for terrains without an order.
             known: what a gap diagnosis knows about the robot.
             seed: of all draws.
+            graphs: make steps CUDA graphs, if the device is one for them; see `Step`.
         """
         self.physics, self.config, self.variants = physics, config, variants
         self.device, self.num_worlds, self.policy_dt = physics.device, physics.num_worlds, physics.policy_dt
@@ -93,7 +119,7 @@ class ParkourEnv:
                 expected=f"termination.seconds of at least {physics.policy_dt:g}",
                 found=f"{config.termination.seconds:g}",
             )
-        self.generator = torch.Generator(device=device)
+        self.generator = Dice(device)
         self.generator.manual_seed(seed)
         self.course = Course.of(physics.terrains, device)
         self.curriculum = Curriculum(len(physics.terrains) // variants, rows, worlds, device, self.generator)
@@ -129,8 +155,18 @@ class ParkourEnv:
         self.line = Line(self.randomiser.latest, worlds, self.num_actions, device) if self.randomiser.latest else None
         """Commands on their way; None where they are late by a policy step at most, which the engine simulates."""
         self.count = 0
+        self.clock = torch.zeros((), dtype=torch.long, device=device)
+        """() the same, as the device knows it."""
         self.ends: Ends | None = None
         """Episodes that ended at the last step; None if none did."""
+        self.graphs = graphs and device.type == "cuda"
+        self.padded = self.graphs
+        """Whether batches have one of a few sizes, instead of as many rows as are needed."""
+        self._actions = torch.zeros_like(self.last_action)
+        self._final = self.layout.zeros(worlds, device)
+        self._acting = Graph(self._before, self.generator, self.graphs)
+        self._looking = Graph(self._after, self.generator, self.graphs)
+        self._restarting = Graph(self._again, self.generator, self.graphs)
 
     # ------------------------------------------------------------ the two methods of a VecEnv
 
@@ -139,46 +175,24 @@ class ParkourEnv:
         everyone = torch.arange(self.num_worlds, device=self.device)
         signals = self._restart(everyone)
         if self.config.reset.spread_ages:
-            self.age = torch.randint(
-                0, self.max_steps, (self.num_worlds,), generator=self.generator, device=self.device
-            )
-            self.shortened = self.age > 0
+            self.age.copy_(randint(0, self.max_steps, self.num_worlds, self.generator))
+            torch.gt(self.age, 0, out=self.shortened)
         return Observation(self.proprioception.read(), self._critic_view(signals), self._window())
 
     def step(self, actions: Tensor) -> Step:
         """One policy step with actions (N, J): joint targets are default + scale * action."""
-        action = actions.clamp(-self.config.action_limit, self.config.action_limit)
-        if self.randomiser.active:
-            self.randomiser.push(self.count, self.generator)
-        targets = self.body.default + self.body.action_scale * action
-        if self.misread is not None:
-            targets = targets - self.misread
-        state = self.physics.step(targets if self.line is None else self.line(targets))
+        self._actions.copy_(actions)
+        self.physics.step(self._acting(pushes=self.randomiser.pushes(None if self.padded else self.count)))
         self.count += 1
-        self.age = self.age + 1
-        signals = self._signals(state, action)
-        outcome = self._judge(signals)
-        reward, terms = self.rewards(signals)
-        self.last_action = action
-        observation = self._observe(signals)
-        amp = None if self.transitions is None else self.transitions.advance(signals, self.body)
-        covered = self.course.covered(state.base_pos[:, :2].nan_to_num(), self.terrain_ids)
-        # What counts as a trial: from the start platform, in full time, without help from a raised floor.
-        no_trial = (self.shortened & (outcome == TIMEOUT)) | (self.elsewhere & (outcome > DIVERGED))
-        helped = self.floor.touched & (outcome == SUCCESS)
-        trial = outcome.masked_fill(helped, TIMEOUT).masked_fill(no_trial, RUNNING)
-        self.tally.add(terms, trial, covered, self.age * self.policy_dt, self.terrain_ids)
-        terminated = (outcome != RUNNING) & (outcome < TIMEOUT)
-        truncated = outcome >= TIMEOUT
-        final, self.ends = None, None
-        ids = outcome.nonzero().squeeze(-1)  # the one wait for the device
-        if len(ids):
-            final = observation
-            self.ends = self._ends(ids, outcome, covered)
-            way = covered.masked_fill(no_trial, 1.0)[ids]  # what was no trial leaves its world in its row
-            self.curriculum.update(ids, trial[ids] == SUCCESS, way, self.generator)
-            observation = self._replaced(observation, ids, self._restart(ids))
-        return Step(observation, reward, terminated, truncated, final, amp, self._log())
+        now = self._looking()
+        observation, ended = now.observation, int(now.ended)  # the one wait for the device
+        self.ends = None
+        if ended:
+            rows = room(ended, self.num_worlds) if self.padded else ended
+            observation, ends = self._restarting(now, rows=rows)
+            self.ends = Ends(*(getattr(ends, f.name)[:ended] for f in fields(Ends)))
+        final = self._final if ended else None
+        return Step(observation, now.reward, now.terminated, now.truncated, final, now.amp, self._log(), ended)
 
     def state_dict(self) -> dict[str, Any]:
         """Curriculum and random generator."""
@@ -193,6 +207,7 @@ class ParkourEnv:
         self.curriculum.load_state_dict(state["curriculum"])
         self.generator.set_state(state["generator"].cpu())
         self.count = int(state["count"])
+        self.clock.fill_(self.count)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -208,11 +223,61 @@ class ParkourEnv:
 
     # ------------------------------------------------------------ parts of a step
 
-    def _signals(self, state: State, action: Tensor) -> Signals:
+    def _before(self, pushes: int) -> Tensor:
+        """(N, J) joint targets for the engine, after this step's pushes."""
+        self._actions.clamp_(-self.config.action_limit, self.config.action_limit)
+        if pushes:
+            self.randomiser.push(self.clock, pushes, self.generator)
+        targets = self.body.default + self.body.action_scale * self._actions
+        if self.misread is not None:
+            targets = targets - self.misread
+        return targets if self.line is None else self.line(targets)
+
+    def _after(self) -> _Moment:
+        """Rewards, ends and observations in the engine's state."""
+        state = self.physics.state
+        self.clock += 1
+        self.age += 1
+        signals = self._signals(state)
+        outcome = self._judge(signals)
+        reward, terms = self.rewards(signals)
+        observation = self._observe(signals)
+        self.last_action.copy_(self._actions)
+        amp = None if self.transitions is None else self.transitions.advance(signals, self.body)
+        covered = self.course.covered(state.base_pos[:, :2].nan_to_num(), self.terrain_ids)
+        # What counts as a trial: from the start platform, in full time, without help from a raised floor.
+        no_trial = (self.shortened & (outcome == TIMEOUT)) | (self.elsewhere & (outcome > DIVERGED))
+        helped = self.floor.touched & (outcome == SUCCESS)
+        trial = outcome.masked_fill(helped, TIMEOUT).masked_fill(no_trial, RUNNING)
+        self.tally.add(terms, trial, covered, self.age * self.policy_dt, self.terrain_ids)
+        way = covered.masked_fill(no_trial, 1.0)  # what was no trial leaves its world in its row
+        over = outcome != RUNNING
+        terminated, truncated = over & (outcome < TIMEOUT), outcome >= TIMEOUT
+        return _Moment(observation, reward, amp, outcome, trial, covered, way, terminated, truncated, over.sum())
+
+    def _again(self, now: _Moment, rows: int) -> tuple[Observation, Ends]:
+        """New episodes where some ended: (N) observations with theirs, and (rows) of the ends.
+
+        With more rows than ends the last world that ended takes part several times, with the same draws: it is written
+        several times what it is written once, and no other world is touched.
+        """
+        ids, which = places(now.outcome != RUNNING, rows)
+        ends = self._ends(ids, now.outcome, now.covered)
+        for final, newest in zip(self._final.tensors(), now.observation.tensors(), strict=True):
+            final[ids] = newest[ids]
+        with self.generator.repeated(which) if self.padded else nullcontext():
+            self.curriculum.update(ids, now.trial[ids] == SUCCESS, now.way[ids], self.generator)
+            signals = self._restart(ids)
+        new = Observation(self.proprioception.read(ids), self._critic_view(signals, ids), self._window(ids))
+        for old, first in zip(now.observation.tensors(), new.tensors(), strict=True):
+            old[ids] = first
+        return now.observation, ends
+
+    def _signals(self, state: State) -> Signals:
         contact = state.foot_force > self.config.reward.contact_force
         phase = self.phase.advance(contact)
         footholds = self.probe(state, self.terrain_ids)
-        signals = derive(state, self.command(state), footholds, contact, phase, action, self.last_action)
+        signals = derive(state, self.command(state), footholds, contact, phase, self._actions, self.last_action)
         signals.floor_touched = self.floor.touch(state.ground_contact)
         return signals
 
@@ -220,9 +285,9 @@ class ParkourEnv:
         dt, near = self.policy_dt, self.config.termination.stuck_radius
         here = s.state.base_pos[:, :2]
         nearby = (here - self.origin).norm(dim=-1) < near
-        self.at_start = torch.where(nearby, self.at_start + dt, torch.zeros_like(self.at_start))
+        self.at_start.add_(dt).mul_(nearby)
         arrived = self.course.on_goal(here, s.state.foot_pos[..., :2], self.terrain_ids)
-        self.on_goal = torch.where(arrived, self.on_goal + dt, torch.zeros_like(self.on_goal))
+        self.on_goal.add_(dt).mul_(arrived)
         fails = self.course.ground_fails[self.terrain_ids] & ~self.floor.raised
         clocks = Clocks(self.at_start, self.on_goal, fails, self.floor.height, self.command.limit > 0)
         return judge(s, clocks, self.age, self.max_steps, self.body, self.config.termination)
@@ -236,7 +301,7 @@ class ParkourEnv:
     def _restart(self, ids: Tensor) -> Signals:
         """New episodes in worlds `ids` (K,); the signals of their first moment (K rows)."""
         terrain = self.curriculum.terrain(ids) * self.variants
-        terrain = terrain + torch.randint(0, self.variants, (len(ids),), generator=self.generator, device=self.device)
+        terrain = terrain + randint(0, self.variants, len(ids), self.generator)
         self.terrain_ids[ids] = terrain
         drawn = self.randomiser.reset(ids, self.generator) if self.randomiser.active else None
         if drawn is not None:
@@ -246,15 +311,14 @@ class ParkourEnv:
         position, quaternion, joints, self.elsewhere[ids] = poses(
             terrain, self.course, self.body, self.config.reset, self.generator, self.stances
         )
-        floor = self.floor.reset(ids, terrain, self.count * self.policy_dt, self.generator)
+        floor = self.floor.reset(ids, terrain, self.clock.double() * self.policy_dt, self.generator)
         own = floor if self.config.floor.share > 0 else None
         self.physics.reset(ids, position, quaternion, joints, terrain, own)
         if self.line is not None and drawn is not None:
             self.line.reset(ids, joints, drawn.late)
         self.command.reset(ids, self.course.goal[terrain, :2], self.generator)
         self.phase.reset(ids)
-        self.last_action = self.last_action.index_fill(0, ids, 0.0)  # a copy: it may be the caller's tensor
-        for clock in (self.age, self.at_start, self.on_goal):
+        for clock in (self.last_action, self.age, self.at_start, self.on_goal):
             clock.index_fill_(0, ids, 0)
         self.shortened.index_fill_(0, ids, False)
         self.origin[ids] = position[:, :2]
@@ -275,13 +339,6 @@ class ParkourEnv:
         if self.transitions is not None:
             self.transitions.restart(ids, signals, self.body)
         return signals
-
-    def _replaced(self, o: Observation, ids: Tensor, signals: Signals) -> Observation:
-        """`o` with the rows of worlds `ids` of their new episodes; `o` itself stays what it was."""
-        actor = o.actor.index_copy(0, ids, self.proprioception.read(ids))
-        critic = o.critic.index_copy(0, ids, self._critic_view(signals, ids))
-        depth = None if o.depth is None else o.depth.index_copy(0, ids, self._window(ids))  # type: ignore[arg-type]
-        return Observation(actor, critic, depth)
 
     def _critic_view(self, s: Signals, ids: Tensor | None = None) -> Tensor:
         terrain_ids = self.terrain_ids if ids is None else self.terrain_ids[ids]

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from trainer.tasks.parkour.config import FloorConfig
+from trainer.tasks.parkour.draw import rand
 from trainer.terrain import Terrain
 
 _LOW = 0.005
@@ -29,12 +30,12 @@ class RaisedFloor:
         self.touched = torch.zeros(worlds, dtype=torch.bool, device=device)
         """(N,) whether a raised floor was touched in this episode."""
 
-    def reset(self, ids: Tensor, terrain: Tensor, seconds: float, generator: torch.Generator) -> Tensor:
+    def reset(self, ids: Tensor, terrain: Tensor, seconds: float | Tensor, generator: torch.Generator) -> Tensor:
         """(K,) heights for new episodes of worlds `ids` on terrains (K,), `seconds` of simulation into the training."""
         self.touched.index_fill_(0, ids, False)
         real = self.real[terrain]
         if self.config.share > 0:
-            chosen = torch.rand(len(ids), generator=generator, device=ids.device) < self.config.share
+            chosen = rand((len(ids),), generator) < self.config.share
             top = torch.full_like(real, -self.config.top)
             height = torch.lerp(top, real, self._sunk(terrain, seconds))
             raised = chosen & self.fails[terrain] & (height > real + _LOW)
@@ -50,7 +51,7 @@ class RaisedFloor:
         self.touched |= now
         return now
 
-    def _sunk(self, terrain: Tensor, seconds: float) -> Tensor:
+    def _sunk(self, terrain: Tensor, seconds: float | Tensor) -> Tensor:
         """(K,) share of the way down to the real floor."""
         c = self.config
         share = self.difficulty[terrain] / c.difficulty if c.difficulty > 0 else torch.zeros_like(self.real[terrain])

@@ -20,7 +20,7 @@ class Line:
 
     def __call__(self, targets: Tensor) -> Tensor:
         """Take new targets (N, J) in rad; those that arrive now (N, J)."""
-        self._ring = torch.cat([targets[None], self._ring[:-1]])
+        self._ring.copy_(torch.cat([targets[None], self._ring[:-1]]))
         return self._ring[self._late, self._worlds]
 
     def reset(self, ids: Tensor, pose: Tensor, late: Tensor) -> None:

@@ -101,7 +101,7 @@ class Proprioception:
     def push(self, s: Signals, body: Body, generator: torch.Generator) -> None:
         """Append the newest measurement of every world."""
         newest = self._measured(s, body, generator)
-        self.window = torch.cat([self.window[:, 1:], newest[:, None]], 1)
+        self.window.copy_(torch.cat([self.window[:, 1:], newest[:, None]], 1))
 
     def restart(self, ids: Tensor, s: Signals, body: Body, generator: torch.Generator) -> None:
         """Worlds `ids` begin as if they had always been like this; `s` has their rows only."""

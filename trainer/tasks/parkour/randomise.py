@@ -10,7 +10,7 @@ from torch import Tensor
 
 from trainer.physics import Physics, PhysicsConfig, WorldParams
 from trainer.tasks.parkour.config import RandomisationConfig, Range
-from trainer.tasks.parkour.draw import symmetric, uniform
+from trainer.tasks.parkour.draw import randint, symmetric, uniform
 
 _G1_KG = 33.3
 """The mass for which the payload range is meant."""
@@ -81,7 +81,6 @@ class Randomiser:
         self._servo = torch.zeros(len(sets), len(physics.robot.joints), device=physics.device)
         for row, known in zip(self._servo, sets, strict=True):
             row[sorted(known.servo)] = 1.0
-        self._pushed = torch.arange(physics.num_worlds, device=physics.device)
         longest = max(r["delay"][0][1] for r in ranges)
         self.latest = int(self._late(torch.tensor(self._steps(longest)))) if self.active else 0
         """Policy steps that commands wait at most, see `Drawn.late`."""
@@ -99,9 +98,9 @@ class Randomiser:
         """New parameters for worlds `ids` (K,)."""
         # One draw for everything: on a GPU each of a dozen small ones would cost as much.
         share = uniform((0.0, 1.0), (len(ids), self._low.shape[1]), generator)
-        count, which = len(self._low), torch.zeros(len(ids), dtype=torch.long, device=share.device)
-        if count > 1:
-            which = torch.randint(0, count, (len(ids),), generator=generator, device=share.device)
+        which = torch.zeros(len(ids), dtype=torch.long, device=share.device)
+        if len(self._low) > 1:
+            which = randint(0, len(self._low), len(ids), generator)
         drawn = self._low[which] + self._span[which] * share
         friction, mass, payload, delay, com, gyro, kp, kd, armature, joint_friction, encoder = drawn.split(
             self._widths, -1
@@ -153,17 +152,26 @@ class Randomiser:
             "encoder": each((-c.encoder, c.encoder), known.encoder),
         }
 
-    def push(self, step: int, generator: torch.Generator) -> None:
-        """Kick every world once in `push_seconds`, a different few at each step: fixed sizes, nothing to look up."""
+    def pushes(self, step: int | None = None) -> int:
+        """How many worlds are kicked at a step; at most if None."""
         period = round(self.config.push_seconds / self.physics.policy_dt)
-        if period <= 0 or self.config.push <= 0:
-            return
-        ids = self._pushed[step % period :: period]
-        if len(ids) == 0:
-            return
+        if not self.active or period <= 0 or self.config.push <= 0:
+            return 0
+        return len(range(0 if step is None else step % period, self.physics.num_worlds, period))
+
+    def push(self, step: Tensor, count: int, generator: torch.Generator) -> None:
+        """Kick every world once in `push_seconds`, a different few at each step ().
+
+        Args:
+            count: `pushes` of this step, or the most of any step.
+        """
+        period, worlds = round(self.config.push_seconds / self.physics.policy_dt), self.physics.num_worlds
+        ids = step % period + period * torch.arange(count, device=step.device)
+        kick = symmetric(self.config.push, (count, 2), generator) * (ids < worlds)[:, None]
+        ids = ids % worlds  # beyond the last world another one takes part that gets no kick
         state = self.physics.state
         velocity = state.base_lin_vel[ids].clone()
-        velocity[:, :2] += symmetric(self.config.push, (len(ids), 2), generator)
+        velocity[:, :2] += kick
         self.physics.set_velocity(ids, velocity, state.base_ang_vel[ids].clone())
 
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from trainer.rays import RayCaster
 from trainer.tasks.parkour.body import Body
 from trainer.tasks.parkour.config import ResetConfig
-from trainer.tasks.parkour.draw import symmetric
+from trainer.tasks.parkour.draw import rand, symmetric
 from trainer.tasks.rotations import about_z
 from trainer.terrain import Terrain
 from trainer.terrain.course import PLATFORM
@@ -144,7 +144,7 @@ def poses(
     yaw = course.yaw[terrain_ids] + symmetric(config.yaw, (count,), generator)
     along = torch.zeros(count, dtype=torch.bool, device=position.device)
     if stances is not None:
-        dice = torch.rand(count, 2, generator=generator, device=position.device)
+        dice = rand((count, 2), generator)
         found = stances.count[terrain_ids]
         along = (dice[:, 0] < config.along) & (found > 0)
         place = stances.pose[terrain_ids, (dice[:, 1] * found).long()]

@@ -151,8 +151,8 @@ class PhaseClock:
 
     def advance(self, contact: Tensor) -> Tensor:
         """(N, F) seconds in the present phase, this step included."""
-        self.time = torch.where(contact == self.contact, self.time, torch.zeros_like(self.time)) + self.dt
-        self.contact = contact
+        self.time.mul_(contact == self.contact).add_(self.dt)
+        self.contact.copy_(contact)
         return self.time
 
     def reset(self, ids: Tensor) -> None:

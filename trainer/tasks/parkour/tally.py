@@ -33,7 +33,7 @@ class Tally:
         self._outcomes = torch.zeros(kinds, len(OUTCOMES), device=device)
         self._covered = torch.zeros(kinds, device=device)
         self._age = torch.zeros((), device=device)
-        self.steps = 0
+        self._steps = torch.zeros((), device=device)
         self.diverged = 0
         """Worlds that diverged in all reports so far."""
 
@@ -45,7 +45,7 @@ class Tally:
         self._outcomes += kind.T @ (outcome[:, None] == self._codes).float()
         self._covered += (covered * ended) @ kind
         self._age += (seconds * ended).sum()
-        self.steps += 1
+        self._steps += 1
 
     def report(
         self, row: Tensor, terrain_ids: Tensor, counters: Mapping[str, float], divergence_limit: float
@@ -64,19 +64,19 @@ class Tally:
         """
         kind = (self.family[terrain_ids][:, None] == self._kinds).float()
         rows = (row.float() @ kind) / kind.sum(0)
-        parts = [self._rewards / self.steps, self._age[None], row.float().mean()[None]]
+        parts = [self._rewards / self._steps, self._age[None], row.float().mean()[None], self._steps[None]]
         values = torch.cat(parts).tolist()
         table = torch.cat([self._outcomes, self._covered[:, None], rows[:, None]], 1).tolist()
-        rewards, (seconds, level) = values[: len(self.terms)], values[len(self.terms) :]
+        rewards, (seconds, level, steps) = values[: len(self.terms)], values[len(self.terms) :]
         sums = [sum(column) for column in zip(*table, strict=True)]
         outcomes = dict(zip(OUTCOMES, sums, strict=False))
         diverged = outcomes["diverged"]
         self.diverged += int(diverged)
-        if diverged > max(_FEW, divergence_limit * self.worlds * self.steps):
+        if diverged > max(_FEW, divergence_limit * self.worlds * steps):
             raise TrainerError(
                 "the simulation diverges too often",
                 expected=f"at most {divergence_limit:.1%} of world steps",
-                found=f"{int(diverged)} of {self.worlds * self.steps}",
+                found=f"{int(diverged)} of {int(self.worlds * steps)}",
                 hint="a smaller physics timestep, or softer randomisation of gains and masses",
             )
         log = {f"reward/{name}": value for name, value in zip(self.terms, rewards, strict=True)}
@@ -90,8 +90,7 @@ class Tally:
             log[f"family/{name}/covered"] = _ratio(own[len(OUTCOMES)], count)
             log[f"family/{name}/row"] = own[len(OUTCOMES) + 1]
             log[f"family/{name}/episodes"] = count
-        self.steps = 0
-        for tensor in (self._rewards, self._outcomes, self._covered, self._age):
+        for tensor in (self._rewards, self._outcomes, self._covered, self._age, self._steps):
             tensor.zero_()
         return log
 

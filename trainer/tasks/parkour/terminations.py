@@ -76,6 +76,7 @@ def judge(s: Signals, clocks: Clocks, age: Tensor, max_steps: int, body: Body, c
     """(N,) outcome code of each world at this step."""
     done = torch.stack([f(s, clocks, body, c) for f in CAUSES.values()], -1)
     failure = done.float().argmax(-1) + 1
-    code = torch.where(age >= max_steps, TIMEOUT, RUNNING)
-    code = torch.where(clocks.on_goal > c.goal_seconds, SUCCESS, code)
+    # Filled in, not chosen by `where`: that copies its numbers from the host, and waits.
+    code = torch.full_like(age, RUNNING).masked_fill(age >= max_steps, TIMEOUT)
+    code = code.masked_fill(clocks.on_goal > c.goal_seconds, SUCCESS)
     return torch.where(done.any(-1), failure, code)
