@@ -78,7 +78,7 @@ class Graph(Generic[T]):
             raise TrainerError(
                 f"{self.function.__qualname__} cannot be made a CUDA graph",
                 found=str(error).partition("\n")[0],
-                hint="train without graphs: --no-graphs",
+                hint="train without --graphs",
             ) from error
         return _Captured(graph, list(_tensors(inputs)), outputs)
 
