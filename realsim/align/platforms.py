@@ -15,6 +15,8 @@ from realsim.types import F64, Platform
 
 LEAST_SIDE, LEAST_AREA = 0.30, 0.15
 """Metres and m²: two feet and some room. What is smaller is an obstacle, however level."""
+FOOT = 0.08
+"""Metres about a point within which its slope is taken."""
 JOIN = 0.05
 """Metres: platform points closer than this, and on one plane, belong to one face."""
 
@@ -49,7 +51,7 @@ def find_faces(cloud: Cloud, labels: Labels) -> list[Face]:
     index = np.flatnonzero(labels == Label.PLATFORM)
     regions = [index[part] for part in _connected(cloud.points[index], max(JOIN, 2 * cloud.voxel))]
     parts = [region[part] for region in regions for part in split(cloud.points[region], cloud.voxel)]
-    parts = [p for p in parts if large(cloud.points[p, :2], cloud.voxel)]
+    parts = [p for p in parts if large(cloud.points[p, :2], cloud.voxel) and _level(cloud.points[p])]
     taken = np.unique(np.concatenate(parts)) if parts else np.zeros(0, np.intp)
     parts += [tread for tread in treads(cloud) if not np.isin(tread, taken).any()]
     return sorted((_face(cloud.take(p)) for p in parts), key=lambda f: -f.area)
@@ -63,6 +65,18 @@ def large(xy: F64, cell: float) -> bool:
         return False
     _, sides, _ = cv2.minAreaRect(xy.astype(np.float32))
     return min(sides) > LEAST_SIDE and _seen_area(xy, cell) > LEAST_AREA
+
+
+def _level(points: F64) -> bool:
+    """Whether a face is level where one stands on it: a ring of tilted tops is so only as a whole."""
+    from scipy.spatial import cKDTree
+
+    from realsim.align.geometric import LEVEL_DEG, plane_of
+
+    tree = cKDTree(points[:, :2])
+    under = tree.query_ball_point(points[:: max(1, len(points) // 50), :2], FOOT)
+    slopes = [np.hypot(*plane_of(points[near])[0]) for near in under if len(near) > 10]
+    return bool(np.degrees(np.arctan(np.median(slopes))) < LEVEL_DEG)
 
 
 def _seen_area(xy: F64, cell: float) -> float:

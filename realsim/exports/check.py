@@ -12,28 +12,29 @@ from realsim.errors import ExportError
 from realsim.exports.mjcf import platform_names
 from realsim.types import Platform
 
-SETTLE = 1.0  # seconds
+SETTLE, REST = 1.0, 0.2  # seconds of falling and coming to rest, and of being at rest
+KINDS = ("sphere", "box")
 RADIUS = 0.04  # of the sphere, and half the box's side
 DROP = 0.02  # metres above the platform
 
 
-def check_scene(scene_xml: Path, platforms: Sequence[Platform], tolerance: float, robot: str | None) -> dict[str, Any]:
+def check_scene(scene_xml: Path, platforms: Sequence[Platform], robot: str | None) -> dict[str, Any]:
     """Compile the scene from its file, step it, and drop a sphere and a box on every platform.
 
     Args:
-        tolerance: metres by which a dropped object may come to rest above or below the platform's height.
         robot: name of the root body that has to be standing after the steps, or None.
 
     Returns:
         JSON-able: `steps`, `seconds`, and `drops`, one {platform, object, error_m} each, where the error is the
-        resting height of the object's lowest point above the platform's centroid.
+        resting height of the object's lowest point, had it landed level, above the platform's centroid; the worst
+        of the time in which it should be at rest.
 
     Raises:
-        ExportError: it does not compile, diverges, the robot falls, or an object does not rest on its platform.
+        ExportError: it does not compile, diverges, or the robot falls.
     """
     model = _compile(scene_xml)
     result = _step(model, scene_xml, robot)
-    return result | {"drops": _drop(scene_xml, platforms, tolerance, robot)}
+    return result | {"drops": _drop(scene_xml, platforms, robot)}
 
 
 def _compile(scene_xml: Path) -> Any:
@@ -56,8 +57,7 @@ def _step(model: Any, scene_xml: Path, robot: str | None) -> dict[str, Any]:
     before = data.body(robot).xpos.copy() if robot else np.zeros(3)
     steps = round(SETTLE / model.opt.timestep)
     mujoco.mj_step(model, data, nstep=steps)
-    if not np.isfinite(data.qpos).all() or any(w.number for w in data.warning):
-        raise ExportError("the scene does not step", file=scene_xml, found="the simulation diverged")
+    _converged(data, scene_xml)
     result: dict[str, Any] = {"steps": steps, "seconds": SETTLE}
     if robot:
         moved = float(np.abs(data.body(robot).xpos - before).max())
@@ -73,47 +73,51 @@ def _step(model: Any, scene_xml: Path, robot: str | None) -> dict[str, Any]:
     return result
 
 
-def _drop(scene_xml: Path, platforms: Sequence[Platform], tolerance: float, robot: str | None) -> list[dict[str, Any]]:
+def _converged(data: Any, scene_xml: Path) -> None:
+    if not np.isfinite(data.qpos).all() or any(w.number for w in data.warning):
+        raise ExportError("the scene does not step", file=scene_xml, found="the simulation diverged")
+
+
+def _drop(scene_xml: Path, platforms: Sequence[Platform], robot: str | None) -> list[dict[str, Any]]:
     """All objects at once; they touch the terrain and not each other, and the robot is away."""
     import mujoco
 
     spec = mujoco.MjSpec.from_file(str(scene_xml))
     if robot:
         _remove_robot(spec, robot)
-    names = platform_names(platforms)
-    for name, platform in zip(names, platforms, strict=True):
-        _add_object(spec, f"sphere on {name}", mujoco.mjtGeom.mjGEOM_SPHERE, platform)
-        _add_object(spec, f"box on {name}", mujoco.mjtGeom.mjGEOM_BOX, platform)
+    dropped = [(name, kind, p) for name, p in zip(platform_names(platforms), platforms, strict=True) for kind in KINDS]
+    for name, kind, platform in dropped:
+        _add_object(spec, f"{kind} on {name}", kind, platform)
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, nstep=round(SETTLE / model.opt.timestep))
-    drops = []
-    for name, platform in zip(names, platforms, strict=True):
-        for kind in ("sphere", "box"):
-            body = data.body(f"{kind} on {name}")
-            error = float(body.xpos[2]) - RADIUS - float(platform.centroid[2])
-            speed = float(np.linalg.norm(body.cvel[3:]))
-            if not abs(error) <= tolerance or not speed < 0.05:
-                raise ExportError(
-                    f"the {kind} dropped on {name} does not rest on it",
-                    file=scene_xml,
-                    expected=f"{float(platform.centroid[2]):.3f} m within {tolerance * 1000:.0f} mm, at rest",
-                    found=f"{error * 1000:+.1f} mm beside it, {speed:.2f} m/s after {SETTLE:g} s",
-                    hint="look at collision geometry (group 3) and platform sites (group 4) in the viewer",
-                )
-            drops.append({"platform": name, "object": kind, "error_m": error})
-    return drops
+    bodies = [model.body(f"{kind} on {name}").id for name, kind, _ in dropped]
+    level = np.array([RADIUS + p.centroid[2] for _, _, p in dropped])
+    errors = []
+    for _ in range(round(REST / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+        errors.append(data.xpos[bodies, 2] - level)
+    _converged(data, scene_xml)
+    worst = np.abs(errors).argmax(0)
+    return [
+        {"platform": name, "object": kind, "error_m": float(errors[worst[i]][i])}
+        for i, (name, kind, _) in enumerate(dropped)
+    ]
 
 
-def _add_object(spec: Any, name: str, kind: Any, platform: Platform) -> None:
+def _add_object(spec: Any, name: str, kind: str, platform: Platform) -> None:
+    """Free to fall and to lie down, and not to travel: on a tilted top a sphere rolls and says nothing of the height
+    at the place where it was dropped."""
+    import mujoco
+
     x, y, z = platform.centroid
     body = spec.worldbody.add_body(name=name, pos=[x, y, z + RADIUS + DROP])
-    body.add_freejoint()
+    body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1])
+    body.add_joint(type=mujoco.mjtJoint.mjJNT_BALL)
     # Their contype is 0: they are touched by the terrain (contype 1, against their conaffinity 1) and not by each
-    # other. Rolling friction keeps the sphere where it is on a top that is a fraction of a degree off level.
-    body.add_geom(
-        type=kind, size=[RADIUS] * 3, mass=0.5, contype=0, conaffinity=1, condim=6, friction=[1.0, 0.02, 0.02]
-    )
+    # other. Without friction (condim 1, and theirs counts) the box turns until it lies flat.
+    shape = mujoco.mjtGeom.mjGEOM_SPHERE if kind == "sphere" else mujoco.mjtGeom.mjGEOM_BOX
+    body.add_geom(type=shape, size=[RADIUS] * 3, mass=0.5, contype=0, conaffinity=1, condim=1, priority=1)
 
 
 def _remove_robot(spec: Any, root: str) -> None:

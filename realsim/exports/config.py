@@ -24,8 +24,6 @@ class SceneConfig:
     """Largest number of 1 cm columns in a convex decomposition; its time grows faster than their number."""
     robot: Annotated[str | None, tyro.conf.arg(metavar="{g1,quadruped,menagerie:NAME}")] = None
     """Robot to put on the start platform."""
-    drop_tolerance: float = 0.030
-    """Largest difference between the resting height of an object dropped on a platform and the platform, metres."""
 
     def __post_init__(self) -> None:
         if not 0.002 <= self.hfield_resolution <= 0.5:
@@ -36,5 +34,3 @@ class SceneConfig:
             raise ValueError("contact_probes must lie between 100 and 100000")
         if not 0.001 <= self.convex_threshold <= 0.2:
             raise ValueError("convex_threshold must lie between 0.001 and 0.2 metres")
-        if self.drop_tolerance <= 0:
-            raise ValueError("drop_tolerance must be positive")

@@ -33,7 +33,7 @@ def write_scene(folder: Path, aligned: AlignedScene, mesh: TerrainMesh, config: 
         folder: exists; nothing in it is kept if the export fails (the caller makes the folder whole or not at all).
 
     Raises:
-        ExportError: the scene does not compile, step, or hold what is dropped on its platforms.
+        ExportError: the scene does not compile or step, or the robot does not stand.
         RealsimError: a file cannot be written.
     """
     start = aligned.platform("start")
@@ -93,7 +93,7 @@ def write_terrain(
         write_bytes(folder / name, data)
     path = folder / "scene.xml"
     write_text(path, xml)
-    checks = check_scene(path, platforms, config.drop_tolerance, robot.root if robot else None)
+    checks = check_scene(path, platforms, robot.root if robot else None)
     touches = fitted.fidelity.touches
     return SceneFiles(
         folder,

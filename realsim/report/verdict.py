@@ -292,11 +292,12 @@ def _upward(result: Reconstruction) -> F64:
 
 
 def _physics(result: Reconstruction) -> Iterator[Check]:
-    errors = [abs(float(d["error_m"])) for d in result.scene.checks.get("drops", ()) if "error_m" in d]
-    if errors:
-        yield graded(
-            "Resting height of dropped objects (worst error)", max(errors), 0.008, 0.03, millimetres, advice=_TOUCH
-        )
+    drops = [d for d in result.scene.checks.get("drops", ()) if "error_m" in d]
+    if drops:
+        worst = max(drops, key=lambda d: abs(d["error_m"]))
+        name = "Resting height of dropped objects (worst error)"
+        advice = f"{_TOUCH}; the {worst['object']} on {worst['platform']} is the worst"
+        yield graded(name, abs(worst["error_m"]), 0.008, 0.03, millimetres, advice=advice)
 
 
 def _warnings(result: Reconstruction) -> Iterator[Check]:

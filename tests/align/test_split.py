@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from realsim.align.platforms import _level, large
 from realsim.align.split import split
 
 Rectangle = tuple[float, float, float, float, float]
@@ -69,3 +70,13 @@ def test_a_hole_in_what_was_seen_does_not_divide() -> None:
     hole = (np.abs(points[:, 0] - 0.45) < 0.04) & (np.abs(points[:, 1] - 0.4) < 0.05)
     (part,) = split(points[~hole])
     assert len(part) > 0.97 * (~hole).sum()
+
+
+def test_a_ring_of_tilted_tops_is_no_level_face() -> None:
+    """As a whole it has no slope, and a band of it at one height is large enough for a platform."""
+    r, turn = np.meshgrid(np.arange(0.6, 1.1, 0.02), np.arange(0, 2 * np.pi, 0.02))
+    ring = np.column_stack([(r * np.cos(turn)).ravel(), (r * np.sin(turn)).ravel(), (0.25 + 0.36 * r).ravel()])
+    ring = np.random.default_rng(0).permutation(ring[np.abs(ring[:, 2] - 0.55) < 0.02])
+    assert large(ring[:, :2], 0.02)
+    assert not _level(ring)
+    assert _level(surface((0, 0, 0.6, 0.32, 0.3), noise=0.003))

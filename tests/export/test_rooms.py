@@ -41,6 +41,14 @@ def test_sheets_stop_what_comes_from_the_side_and_from_above(name: str) -> None:
     assert found.figures["leaks"] <= 0.02 * found.figures["leak_objects"]
 
 
+def test_a_wall_is_thin_behind() -> None:
+    """Nobody saw its back: it takes no more of what is there than it must."""
+    touch = SimTouch(spec_of(sheets(Shape(ROOMS["corridor"](), 0.0), CONFIG)), BALL, batch=2)
+    beside = np.array([[0.0, 0.8 + 0.003, 1.0], [0.0, 0.8 + 0.006 + 0.01 + 0.002, 1.0]])
+    inside, behind = touch.clearance(beside, np.tile(FACING_UP, (2, 1)))
+    assert inside < 0 < behind
+
+
 @pytest.mark.parametrize(("name", "place"), [("table", [0.0, 0.0, 0.4]), ("chair", [0.0, 0.0, 0.2])])
 def test_the_space_below_stays_free(name: str, place: list[float]) -> None:
     free = []

@@ -152,11 +152,27 @@ def test_a_scene_without_colours_or_platforms(tmp_path: Path) -> None:
     assert not (tmp_path / "visual.png").exists()
 
 
-def test_a_platform_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_a_platform_that_is_not_there_is_a_finding(tmp_path: Path) -> None:
+    """Nothing is held 20 cm above the floor: the scene is written, and its check says by how much."""
     aligned, mesh = two_platforms()
     wrong = replace(aligned, platforms=(*aligned.platforms, platform(1, -0.4, 0.2, -0.1)))
-    with pytest.raises(ExportError, match="sphere dropped on platform_0"):
-        write_scene(tmp_path, wrong, mesh, SceneConfig())
+    drops = write_scene(tmp_path, wrong, mesh, SceneConfig()).checks["drops"]
+    there = {d["object"]: d["error_m"] for d in drops if d["platform"] == "platform_0"}
+    assert there == pytest.approx({"sphere": -0.2, "box": -0.2}, abs=0.003)
+    assert max(abs(d["error_m"]) for d in drops if d["platform"] != "platform_0") < 0.003
+
+
+@pytest.mark.parametrize("degrees", [0, 8, 20])
+def test_a_drop_on_a_tilted_top_says_how_high_it_is_there(tmp_path: Path, degrees: float) -> None:
+    """A sphere would roll off it; what lies on a plane of tilt t has its centre r / cos t above the plane."""
+    top = box(0, 0, 0.8, 0.8, 0.0)
+    high = top.vertices[:, 2] > -0.01
+    top.vertices[high, 2] += np.tan(np.radians(degrees)) * top.vertices[high, 0]
+    mesh = terrain_mesh([top])
+    files = write_scene(tmp_path, scene(mesh, (platform(0, 0, 0.8, 0.0, "start"),)), mesh, SceneConfig())
+    raised = 0.04 / np.cos(np.radians(degrees)) - 0.04
+    for drop in files.checks["drops"]:
+        assert drop["error_m"] == pytest.approx(raised, abs=0.003)
 
 
 def test_unknown_contact_lists_those_that_are(tmp_path: Path) -> None:

@@ -23,16 +23,14 @@ from realsim.exports.contact.prisms import Prism, as_geom
 from realsim.exports.contact.shape import Shape
 
 F64 = NDArray[np.float64]
-# Set while looking at three real scans (Kinect stairs, a LiDAR room, a phone scan of a chair); WALL on a corridor.
-# Nothing independent tests them: what `sheets` gains is measured scene by scene against the other representations.
-FELT = 0.012  # metres: surface that lies farther from every solid is not carried by it
+# Set while looking at three real scans (Kinect stairs, a LiDAR room, a phone scan of a chair), FELT also at two more
+# (boxes on a floor, slambook). What `sheets` gains is measured scene by scene against the other representations.
+FELT = 0.006  # metres: surface that lies farther from every solid is not carried by it
 FRONT = 0.03  # metres before a seen face where there is air
 INSIDE = 0.01  # metres inside a solid: less is an edge that is off
 SEEN = 0.5  # share of a solid's outside
 THICK = 0.04  # metres of a sheet that holds things up: what falls fast sinks centimetres into a soft contact
-WALL = 0.015  # metres of one that is upright: its rim is seen from above
-THIN = 0.006  # metres of a sheet that has air behind it
-PLANE = 0.008  # metres that a sheet may lie off its surface
+THIN = 0.006  # metres of a sheet that has air behind it, and of one that is upright: its rim is seen from above
 EDGE, BULGE = 1.0, 1.0  # cells by which outlines are simplified, and by which convex parts may bulge over them
 MOST = 300_000  # samples
 
@@ -42,7 +40,7 @@ def sheets(shape: Shape, config: SceneConfig) -> ContactModel:
     whole, mesh = shape.fine, shape.mesh
     vertices, seen = mesh.vertices, mesh.seen
     area = float(np.linalg.norm(np.cross(*_sides(vertices, seen)), axis=1).sum()) / 2
-    spacing = max(0.01, 0.5 * mesh.resolution, float(np.sqrt(area / MOST)))
+    spacing = max(0.01, float(np.sqrt(area / MOST)))
     samples = sampled(vertices, seen, spacing)
     solids = [prism for island in shape.planar for prism in island.prisms]
     kept = [prism for prism in solids if _is_solid(prism, samples)]
@@ -53,8 +51,8 @@ def sheets(shape: Shape, config: SceneConfig) -> ContactModel:
     count = 0
     for prism in kept:
         _add(geoms, assets, as_geom(f"part_{len(geoms)}", prism))
-    for patch in patches(lost, PLANE):
-        for slab in _slabs(patch, lost, caster):
+    for patch in patches(lost, whole.tolerance):
+        for slab in _slabs(patch, lost, caster, whole.tolerance):
             _add(geoms, assets, as_geom(f"sheet_{len(geoms)}", slab, patch.axes.T, patch.origin))
             count += 1
     statistics = whole.statistics | {
@@ -182,8 +180,9 @@ class _Caster:
         return self.scene.compute_distance(query).numpy().astype(np.float64)  # type: ignore[attr-defined]
 
 
-def _slabs(patch: Patch, samples: Samples, caster: _Caster) -> list[Prism]:
-    """Convex sheets behind a patch, in its own frame: u, v, and the normal as z."""
+def _slabs(patch: Patch, samples: Samples, caster: _Caster, tolerance: float) -> list[Prism]:
+    """Convex sheets behind a patch, in its own frame: u, v, and the normal as z; `tolerance` metres that its points
+    may lie off its plane."""
     from scipy import ndimage
 
     cell = samples.spacing / 2
@@ -198,8 +197,8 @@ def _slabs(patch: Patch, samples: Samples, caster: _Caster) -> list[Prism]:
     rows, columns = np.nonzero(near)
     at = patch.origin + (lower + cell * np.column_stack([columns, rows])) @ patch.axes[:2]
     normal = patch.axes[2]
-    t, cosine = caster.cast(at + 2 * PLANE * normal, -normal)
-    mask[rows, columns] = (np.abs(t - 2 * PLANE) < 1.5 * PLANE) & (cosine < 0)
+    t, cosine = caster.cast(at + 2 * tolerance * normal, -normal)
+    mask[rows, columns] = (np.abs(t - 2 * tolerance) < 1.5 * tolerance) & (cosine < 0)
     thick = _thickness(points, normal, caster)
     out = []
     for part in convex_parts(outlines(mask, EDGE), BULGE):
@@ -214,7 +213,7 @@ def _slabs(patch: Patch, samples: Samples, caster: _Caster) -> list[Prism]:
 
 def _thickness(points: F64, normal: F64, caster: _Caster) -> float:
     """Metres of a sheet: THICK, or less where another face behind it was seen, SHEET where it was seen from below."""
-    most = SHEET if normal[2] < -0.5 else THICK if normal[2] > 0.5 else WALL
+    most = SHEET if normal[2] < -0.5 else THICK if normal[2] > 0.5 else THIN
     t, cosine = caster.cast(points - 0.003 * normal, -normal)
     # A face that is left there was seen from behind: solid in between. One that is met from its front has air.
     room = np.where(cosine > 0, t + 0.003, t - FRONT)

@@ -30,7 +30,7 @@ VIOLATED, SPARE = 2.0, 0.02
 first quartile), and so much more. Set on the rendered stake_a, narrow_a and mixed_a without colour, every 3rd and 6th
 frame (true: 0 to 0.024, false: 0.026 and more), and on an iPhone's LiDAR (quartile 0.03, true mostly to 0.08, false
 0.085 and 0.12). On five rendered places that it was not set on: 134 of 152 true links kept, 0 of 2 false ones; most
-of the 18 because no third frame overlaps (measured with the first shift of `pairs.RIVAL_M` alone)."""
+of the 18 because no third frame overlaps."""
 
 
 def links(views: Sequence[View], edges: Sequence[Edge], seed: int) -> tuple[list[Edge], list[Edge]]:
