@@ -27,9 +27,9 @@ from trainer.replay import write_gif
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGES = ROOT / "docs" / "images"
-MOST_BYTES = 150_000
-FPS = 12.5
-"""Of a .gif, as `realsim play` has it."""
+MOST_BYTES, MOST_BYTES_GIF = 150_000, 1_000_000
+EVERY, FPS = 4, 12.5 / 4
+"""Of a .gif: one frame of so many that `realsim play` wrote, and how many a second."""
 
 STEPS = {
     "synthetic": "realsim synth --terrain mixed --frames 40 --with-poses --out synthetic",
@@ -55,8 +55,7 @@ STEPS = {
     "training.html": "realsim training report tuned --out training.html",
     "stakes": "python benchmarks/ttt.py prepare --sources rgbd --tests stake3 --work stakes --store stakes/rows.json",
     "crossing.gif": (
-        "realsim play stakes/scenes/rgbd/stake3/scene --out crossing.gif "
-        f"--policy {ROOT}/trainer/policies/g1_parkour.pt"
+        "realsim play stakes/scenes/rgbd/stake3/scene --policy trainer/policies/g1_parkour.pt --out crossing.gif"
     ),
     "trial.mp4": "realsim play phone_scene --policy tuned/policy.pt --out trial.mp4",
 }
@@ -119,7 +118,8 @@ def crossing(work: Path) -> U8:
     seen = [_rgb(cv2.imread(str(f))) for f in sorted(color.iterdir())]
     video = Image.open(work / "crossing.gif")
     robot = [np.asarray(f.convert("RGB")) for f in ImageSequence.Iterator(video)]
-    return np.stack([_beside([seen[i * len(seen) // len(robot)], f], 202) for i, f in enumerate(robot)])
+    shown = range(0, len(robot), EVERY)
+    return np.stack([_beside([seen[i * len(seen) // len(robot)], robot[i]], 180) for i in shown])
 
 
 PHONE = ("synthetic", "phone", "phone_scene")
@@ -159,9 +159,10 @@ def run(step: str, work: Path) -> None:
         return
     for command in STEPS[step].splitlines():
         print(f"$ {command}", flush=True)
-        words = command.split()
+        own = ("examples/", "benchmarks/", "trainer/")
+        words = [str(ROOT / word) if word.startswith(own) else word for word in command.split()]
         if words[0] == "python":
-            words[:2] = [sys.executable, str(ROOT / words[1])]
+            words[0] = sys.executable
         elif words[0] == "realsim":
             words[:1] = [sys.executable, "-m", "realsim"]
         path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
