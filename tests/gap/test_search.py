@@ -176,5 +176,5 @@ def test_no_friction_at_all_is_an_answer_and_twice_the_range_is_none() -> None:
 
 def test_a_strength_at_an_end_of_its_range_is_no_answer(fitter: Fitter) -> None:
     fit = replace(fitter.nominal(), causes=(_cause(fitter, "motor_gain", -0.9),), at_bounds=("ratio",))
-    assert _at_an_end(fitter.screen, fit) == ["ratio"]
-    assert _at_an_end(fitter.screen, replace(fit, at_bounds=("stribeck_velocity",))) == []
+    assert _at_an_end(fit) == ["ratio"]
+    assert _at_an_end(replace(fit, at_bounds=("stribeck_velocity",))) == []

@@ -76,7 +76,7 @@ def conclude(
     fit, left, others = _beside_imitations(screen, fitter, fit, left, given, notes)
     checked, warnings = _checked(config, screen, fit, selection.nominal, left, held, nominal)
     fitted = _fitted(screen, fit, nominal)
-    ends = _at_an_end(screen, fit)
+    ends = _at_an_end(fit)
     judgement = judge(fitted, checked, len(fit.causes), len(others), ends, config.unexplained_share)
     if judgement.verdict is GapVerdict.PARTLY_EXPLAINED and left is not None:
         others = _as_good(screen, fitter, selection.trials, fit, left)
@@ -151,12 +151,10 @@ def _as_good(screen: Any, fitter: Any, trials: Sequence[Any], fit: Any, left: Le
     if len(fit.causes) != 1 or len(screen.runs) < 2:
         return []
     own = fit.causes[0].candidate
-    tried = [t for t in trials if t.stage == 0 and t.gain is not None and t.effect != own.effect]
+    tried = [t for t in trials if t.stage == 0 and t.gain is not None and t.candidate.effect != own.effect]
     found: list[Any] = []
     for trial in sorted(tried, key=lambda t: -t.gain)[:RIVALS]:
-        same = [c for c in screen.candidates if (c.effect, c.place) == (trial.effect, trial.place)]
-        same = [c for c in same if set(c.names) == set(trial.values)]
-        rival = fitter.fit([Cause(same[0], tuple(trial.values[n] for n in same[0].names))]) if same else None
+        rival = fitter.fit([Cause(trial.candidate, trial.values)])
         if rival is None or _again(screen, rival, fit):
             continue
         theirs = leave_out(screen, fitter, rival)
@@ -192,14 +190,9 @@ def _fitted(screen: Any, fit: Any, nominal: Sequence[F64]) -> Fitted:
     return Fitted(float(before.mean()), left, share)
 
 
-def _at_an_end(screen: Any, fit: Any) -> list[str]:
+def _at_an_end(fit: Any) -> list[str]:
     """Strengths at an end of their range; a law's shape may be at one, as where dry friction has no dip."""
-    strengths = {
-        p.name
-        for c in fit.causes
-        for p in lookup(c.candidate.effect).parameters(screen.simulator.context, c.candidate.place)
-        if p.strength
-    }
+    strengths = {p.name for c in fit.causes for p in c.candidate.parameters if p.strength}
     return [name for name in fit.at_bounds if name in strengths]
 
 

@@ -14,11 +14,12 @@ import numpy as np
 
 from realsim.errors import GapError
 from realsim.gap.answer.check import BLOCK_SECONDS, errors, mean_square
-from realsim.gap.causes.fitted import Z90, causes_of
+from realsim.gap.causes.fitted import causes_of
 from realsim.gap.causes.leftover import reasonable
+from realsim.gap.causes.screen import parameters_of
 from realsim.gap.compare import CORRELATION, Comparison
 from realsim.gap.effects.base import Parameter
-from realsim.gap.simulation.simulate import Setting, lookup
+from realsim.gap.simulation.simulate import Setting
 from realsim.types import F64
 
 FARTHEST = 2.0
@@ -60,7 +61,7 @@ def leave_out(screen: Any, fitter: Any, fit: Any) -> LeftOut:
     runs, simulator = list(screen.runs), screen.simulator
     candidates = [c.candidate for c in fit.causes]
     z = np.array([v for c in fit.causes for v in c.values])
-    parameters = _parameters(screen, candidates)
+    parameters = parameters_of(candidates)
     prior = fitter.prior_beside(candidates)
     deviations = screen.settings(fit.about)
     base = errors(simulator, comparison, [*fit.settings(), *deviations], runs)
@@ -113,17 +114,6 @@ def discrepancy(comparison: Comparison, runs: Sequence[int], residuals: Sequence
     """(C,) root mean square of a residual beyond the floor: what the model still gets wrong, by channel."""
     squares = np.concatenate([r**2 - comparison.floor(run) for run, r in zip(runs, residuals, strict=True)])
     return np.sqrt(np.maximum(np.nanmean(squares, axis=0), 0.0))
-
-
-def clear(fit: Any, screen: Any, found: LeftOut) -> list[bool]:
-    """Whether the 90 percent interval of some strength of each cause excludes nothing, under the discrepancy."""
-    result, i = [], 0
-    for cause in fit.causes:
-        n = len(cause.values)
-        rows = zip(cause.values, found.sigmas[i : i + n], _parameters(screen, [cause.candidate]), strict=True)
-        result.append(any(p.strength and abs(v) > Z90 * s for v, s, p in rows))
-        i += n
-    return result
 
 
 class _Normal:
@@ -189,12 +179,3 @@ def _bounded(step: F64, z: F64, parameters: Sequence[Parameter]) -> F64:
     far = FARTHEST * np.array([abs(p.step) for p in parameters])
     low, high = np.array([p.bounds for p in parameters]).reshape(-1, 2).T
     return np.asarray(np.clip(z + np.clip(step, -far, far), low, high) - z)
-
-
-def _parameters(screen: Any, candidates: Sequence[Any]) -> list[Parameter]:
-    """Of all values in a row."""
-    found = []
-    for c in candidates:
-        every = {p.name: p for p in lookup(c.effect).parameters(screen.simulator.context, c.place)}
-        found += [every[n] for n in c.names]
-    return found

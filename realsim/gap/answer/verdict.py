@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from realsim.gap.answer.check import Check
-from realsim.gap.causes.figures import NAMED_SHARE
+from realsim.gap.causes import figures
 from realsim.gap.causes.leftover import is_gap
 from realsim.gap.verdicts import GapVerdict
 from realsim.types import F64
@@ -68,7 +68,7 @@ def judge(
         doubt = f"{', '.join(ends)}: as far as the library goes, so it stands for something else"
         return Judgement(GapVerdict.UNEXPLAINED, (came, doubt), ends)
     stays = rest(fitted, checked, unexplained_share)
-    if stays and checked.fraction < NAMED_SHARE:
+    if stays and checked.fraction < figures.NAMED_SHARE:
         return Judgement(GapVerdict.UNEXPLAINED, (came, stays, f"only {checked.fraction:.0%} of the check is removed"))
     if others:
         return Judgement(GapVerdict.AMBIGUOUS, tuple(r for r in (came, stays) if r))

@@ -9,13 +9,14 @@ from dataclasses import replace
 import numpy as np
 
 from realsim.errors import GapError
-from realsim.gap.causes.figures import LIKELIER, POLISH, SETTLED, SWITCHED
+from realsim.gap.causes import figures
 from realsim.gap.causes.fitted import Cause as Cause
 from realsim.gap.causes.fitted import Fit as Fit
 from realsim.gap.causes.fitted import causes_of, form, spread
-from realsim.gap.causes.gauss_newton import FULL, Fidelity, GaussNewton, widest
+from realsim.gap.causes.gauss_newton import FULL, Fidelity, GaussNewton, clip, widest
 from realsim.gap.causes.leftover import deviations, reasonable
 from realsim.gap.causes.linear import posterior
+from realsim.gap.causes.screen import parameters_of
 from realsim.gap.effects.base import Parameter
 from realsim.gap.simulation.nuisances import LIKE_A_CAUSE, NUISANCES
 from realsim.types import F64
@@ -29,7 +30,7 @@ class Fitter(GaussNewton):
 
     def nominal(self) -> Fit:
         """No cause at all."""
-        return self._measure((), None)
+        return self._measure(())
 
     def with_likelier_solver(self, fit: Fit) -> Fit:
         """With the solver's other friction cone and the like, each where it explains most of the gap by itself.
@@ -41,8 +42,8 @@ class Fitter(GaussNewton):
             if not (atom.parameter.whole and fit.prior[i] > 0):
                 continue
             old = self.about
-            cost, share = self._cost(fit), 1.0 if fit.causes else SWITCHED
-            least = LIKELIER if fit.causes else 0.0
+            cost, share = self._cost(fit), 1.0 if fit.causes else figures.SWITCHED
+            least = figures.LIKELIER if fit.causes else 0.0
             self.about = old.copy()
             self.about[i] = sum(atom.parameter.bounds) - old[i]
             moved = self._or_none(fit)
@@ -112,7 +113,7 @@ class Fitter(GaussNewton):
 
     def remeasure(self, fit: Fit) -> Fit:
         """The same fit under the present weights and nuisances."""
-        new = self._measure(fit.causes, None)
+        new = self._measure(fit.causes)
         return replace(new, covariance=fit.covariance, at_bounds=fit.at_bounds)
 
     def looked_at(self, fit: Fit, causes: Sequence[Cause]) -> Fit | None:
@@ -139,7 +140,7 @@ class Fitter(GaussNewton):
         for share in (1.0, 0.5):
             self.about = self.screen.possible(old + share * (x - old))
             moved = self._or_none(fit)
-            if moved is not None and self._cost(moved) < (0.98 if old.any() else SETTLED) * cost:
+            if moved is not None and self._cost(moved) < (0.98 if old.any() else figures.SETTLED) * cost:
                 return moved, True
         self.about = old
         return fit, False
@@ -177,22 +178,21 @@ class Fitter(GaussNewton):
         promise, they are taken over narrower differences; what sticks and slips has dents that wide ones do not see.
         """
         candidates = [c.candidate for c in causes]
-        parameters = self._parameters(candidates)
         fidelity = self._fidelity(causes, rough, coarse)
         first = [[v for c in causes for v in c.values], *starts]
-        z = self._best_start(candidates, parameters, first, fidelity)
+        z = self._best_start(candidates, first, fidelity)
         if z is None and fidelity.coarse > 1:
             fidelity = Fidelity(fidelity.few)
-            z = self._best_start(candidates, parameters, first, fidelity)
+            z = self._best_start(candidates, first, fidelity)
         if z is None:
             return None
-        z, value, slopes = self._descend(candidates, z, None, parameters, fidelity, iterations, target, nearer)
+        z, value, slopes = self._descend(candidates, z, None, fidelity, iterations, target, nearer)
         if fidelity.coarse > 1:
             fidelity = Fidelity(fidelity.few)
             if value <= target and self._predict(candidates, z, fidelity) is not None:
-                z, value, slopes = self._descend(candidates, z, slopes, parameters, fidelity, POLISH)
+                z, value, slopes = self._descend(candidates, z, slopes, fidelity, figures.POLISH)
         try:
-            return self._measure(causes_of(candidates, z), parameters, slopes, fidelity)
+            return self._measure(causes_of(candidates, z), True, slopes, fidelity)
         except GapError:  # on a run that a rough fit did not look at
             return None
 
@@ -216,8 +216,8 @@ class Fitter(GaussNewton):
         candidates = [c.candidate for c in fit.causes]
         z, e = np.array([v for c in fit.causes for v in c.values]), fit.evidence
         A, b = list(e.A), list(e.b)
-        parameters = self._parameters(candidates)
-        slopes = self._slopes(candidates, z, parameters, list(fit.predictions)) if m else None
+        parameters = parameters_of(candidates)
+        slopes = self._slopes(candidates, z, list(fit.predictions)) if m else None
         prior = np.append(fit.prior, [4 * abs(p.step) for p in parameters]) if slopes else fit.prior
         if slopes:
             for k, D in enumerate(slopes):
@@ -236,9 +236,8 @@ class Fitter(GaussNewton):
             here, i = e, k
             if slopes:
                 most = widest(z, parameters)
-                moved = self._predict(
-                    candidates, self._clip(z + np.clip(step, -most, most), parameters), Fidelity((k,))
-                )
+                nearest = clip(z + np.clip(step, -most, most), parameters)
+                moved = self._predict(candidates, nearest, Fidelity((k,)))
                 if moved is not None:
                     here, i = screen.evidence(moved, (k,), fit.about), 0
                     here = here.moved(np.full(len(fit.prior), e.centre) - here.centre)
@@ -250,18 +249,18 @@ class Fitter(GaussNewton):
         """The same fit with its covariance from slopes taken at its very values."""
         if not fit.causes:
             return fit
-        return self._measure(fit.causes, self._parameters([c.candidate for c in fit.causes]), None)
+        return self._measure(fit.causes, True)
 
     # ------------------------------------------------------------ inside
 
     def _measure(
         self,
         causes: tuple[Cause, ...],
-        parameters: list[Parameter] | None,
+        spread_too: bool = False,
         slopes: list[F64] | None = None,
         fidelity: Fidelity = FULL,
     ) -> Fit:
-        """The fit with its evidence; `slopes` (of the runs looked at) are taken by differences if there are none."""
+        """The fit with its evidence, and its covariance if asked for, from `slopes` (of the runs looked at)."""
         candidates = [c.candidate for c in causes]
         z = np.array([v for c in causes for v in c.values])
         prior = self.prior_beside(candidates)
@@ -272,9 +271,10 @@ class Fitter(GaussNewton):
         evidence = self.screen.evidence(predicted, None, about)
         covariance = np.zeros((len(z), len(z)))
         at_bounds: list[str] = []
-        if parameters:
+        if spread_too:
+            parameters = parameters_of(candidates)
             if slopes is None:
-                slopes, fidelity = self._slopes(candidates, z, parameters, predicted), FULL
+                slopes, fidelity = self._slopes(candidates, z, predicted), FULL
             if slopes is not None:
                 seen = predicted if fidelity.few is None else [predicted[k] for k in fidelity.few]
                 covariance = spread(*self._local(candidates, seen, slopes, fidelity), parameters)

@@ -9,12 +9,12 @@ from typing import TypeVar
 import numpy as np
 
 from realsim.errors import GapError
-from realsim.gap.causes.figures import NARROWER, NARROWEST, PACES, PROMISED, WIDE
-from realsim.gap.causes.fitted import Cause
-from realsim.gap.causes.screen import Candidate, Screen
+from realsim.gap.causes import figures
+from realsim.gap.causes.fitted import Cause, causes_of
+from realsim.gap.causes.screen import Candidate, Screen, parameters_of
 from realsim.gap.effects.base import Parameter
 from realsim.gap.simulation.recent import Recent
-from realsim.gap.simulation.simulate import Setting, lookup
+from realsim.gap.simulation.simulate import lookup
 from realsim.types import F64
 
 Item = TypeVar("Item")
@@ -65,7 +65,6 @@ class GaussNewton:
         candidates: Sequence[Candidate],
         z: F64,
         slopes: list[F64] | None,
-        parameters: list[Parameter],
         fidelity: Fidelity,
         iterations: int,
         target: float = np.inf,
@@ -74,19 +73,20 @@ class GaussNewton:
         """(values, misfit, slopes) after some damped steps; slopes that are given are taken as good enough."""
         value = self._misfit(candidates, z, fidelity)
         assert value is not None
-        given, fresh, damping, width = slopes is not None, False, 1e-3, WIDE
+        parameters = parameters_of(candidates)
+        given, fresh, damping, width = slopes is not None, False, 1e-3, figures.WIDE
         for k in range(iterations):
             base = self._predict(candidates, z, fidelity)
             assert base is not None
             if slopes is None:
-                slopes, fresh = self._slopes(candidates, z, parameters, base, fidelity, width), True
+                slopes, fresh = self._slopes(candidates, z, base, fidelity, width), True
                 if slopes is None:
                     break
-            step, promised = self._newton(candidates, z, parameters, base, slopes, damping, fidelity)
+            step, promised = self._newton(candidates, z, base, slopes, damping, fidelity)
             on_the_way = bool((np.abs(step) >= widest(z, parameters)).any())
             before = value
             for shrink in (1.0, 0.4, 0.1):
-                trial = self._clip(z + shrink * step, parameters)
+                trial = clip(z + shrink * step, parameters)
                 new = self._misfit(candidates, trial, fidelity)
                 if new is not None and new < value - 1e-3:
                     moved = self._predict(candidates, trial, fidelity)
@@ -98,9 +98,11 @@ class GaussNewton:
             gained = before - value
             if gained <= 0 and not fresh and not given:
                 slopes = None  # the secants have gone stale: take slopes again before giving up
-            elif nearer and gained <= 0 and fresh and promised > PROMISED and width > NARROWEST:
-                slopes, width = None, width * NARROWER  # the valley is narrower than the slopes' differences
-            elif gained < 0.02 + 1e-4 * abs(value) or (k and not on_the_way and value - PACES * gained > target):
+            elif nearer and gained <= 0 and fresh and promised > figures.PROMISED and width > figures.NARROWEST:
+                slopes, width = None, width * figures.NARROWER  # the valley is narrower than the slopes' differences
+            elif gained < 0.02 + 1e-4 * abs(value) or (
+                k and not on_the_way and value - figures.PACES * gained > target
+            ):
                 break
         return z, value, slopes
 
@@ -123,39 +125,13 @@ class GaussNewton:
 
         return self._fidelities.get(key, made)
 
-    def _parameters(self, candidates: Sequence[Candidate]) -> list[Parameter]:
-        found = []
-        for c in candidates:
-            every = {p.name: p for p in lookup(c.effect).parameters(self.screen.simulator.context, c.place)}
-            found += [every[n] for n in c.names]
-        return found
-
     def _best_start(
-        self,
-        candidates: Sequence[Candidate],
-        parameters: list[Parameter],
-        starts: Sequence[Sequence[float]],
-        fidelity: Fidelity,
+        self, candidates: Sequence[Candidate], starts: Sequence[Sequence[float]], fidelity: Fidelity
     ) -> F64 | None:
-        best: tuple[float, F64] | None = None
-        begun = [self._clip(np.array(start, float), parameters) for start in starts]
+        begun = [clip(np.array(start, float), parameters_of(candidates)) for start in starts]
         values = self.each(lambda z: self._misfit(candidates, z, fidelity), begun)
-        for z, value in zip(begun, values, strict=True):
-            if value is not None and (best is None or value < best[0]):
-                best = (value, z)
-        return None if best is None else best[1]
-
-    def _clip(self, z: F64, parameters: list[Parameter]) -> F64:
-        return np.clip(z, [p.bounds[0] for p in parameters], [p.bounds[1] for p in parameters])
-
-    def _settings(self, candidates: Sequence[Candidate], z: F64) -> list[Setting]:
-        settings = self.screen.settings(self._about(candidates))
-        i = 0
-        for c in candidates:
-            named = {n: float(v) for n, v in zip(c.names, z[i : i + len(c.names)], strict=True)}
-            settings += c.settings(named)
-            i += len(c.names)
-        return settings
+        runs = [(value, k) for k, value in enumerate(values) if value is not None]
+        return begun[min(runs)[1]] if runs else None
 
     def _runs(self, fidelity: Fidelity) -> list[int]:
         return self.screen.runs if fidelity.few is None else [self.screen.runs[k] for k in fidelity.few]
@@ -168,7 +144,9 @@ class GaussNewton:
 
     def _simulated(self, candidates: Sequence[Candidate], z: F64, fidelity: Fidelity) -> list[F64] | None:
         try:
-            made = self.screen.simulator.simulate(self._settings(candidates, z), self._runs(fidelity), fidelity.coarse)
+            settings = self.screen.settings(self._about(candidates))
+            settings += [s for c in causes_of(candidates, z) for s in c.settings()]
+            made = self.screen.simulator.simulate(settings, self._runs(fidelity), fidelity.coarse)
         except GapError:
             return None
         if fidelity.offset:
@@ -179,13 +157,7 @@ class GaussNewton:
         """A parameter that is a cause is not a nuisance at the same time, nor is one that does the same."""
         prior = self.screen.prior.copy()
         for c in candidates:
-            like = {p.name: p.like for p in lookup(c.effect).parameters(self.screen.simulator.context, c.place)}
-            for place in c.places:
-                for name in c.names:
-                    for effect, parameter in [(c.effect, name), like[name] or (c.effect, name)]:
-                        i = self.screen.index.get((effect, place, parameter))
-                        if i is not None:
-                            prior[i] = 0.0
+            prior[self.screen.atoms_of(c)] = 0.0
         return prior
 
     def _misfit(self, candidates: Sequence[Candidate], z: F64, fidelity: Fidelity = FULL) -> float | None:
@@ -199,12 +171,13 @@ class GaussNewton:
         self,
         candidates: Sequence[Candidate],
         z: F64,
-        parameters: list[Parameter],
         base: list[F64],
         fidelity: Fidelity = FULL,
-        width: float = WIDE,
+        width: float = figures.WIDE,
     ) -> list[F64] | None:
         """(B * C, m) a run: change of the prediction per unit, by differences this share of a step wide."""
+
+        parameters = parameters_of(candidates)
 
         def slope(j: int) -> list[F64] | None:
             p = parameters[j]
@@ -270,13 +243,13 @@ class GaussNewton:
         self,
         candidates: Sequence[Candidate],
         z: F64,
-        parameters: list[Parameter],
         base: list[F64],
         slopes: list[F64],
         damping: float,
         fidelity: Fidelity,
     ) -> tuple[F64, float]:
         """(m,) Levenberg-Marquardt's step, and the log-likelihood that it promises to first order."""
+        parameters = parameters_of(candidates)
         info, scores = self._local(candidates, base, slopes, fidelity)
         scale = np.array([abs(p.step) for p in parameters])
         ridge = np.diag(damping * np.diag(info) + 0.05 / scale**2)
@@ -292,6 +265,11 @@ class GaussNewton:
         most = widest(z, parameters)
         step = np.clip(step, -most, most)
         return step, float(step @ gradient - 0.5 * step @ info @ step)
+
+
+def clip(z: F64, parameters: Sequence[Parameter]) -> F64:
+    """(m,) the nearest values within the parameters' ranges."""
+    return np.clip(z, [p.bounds[0] for p in parameters], [p.bounds[1] for p in parameters])
 
 
 def widest(z: F64, parameters: Sequence[Parameter]) -> F64:

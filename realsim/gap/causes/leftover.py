@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.gap.causes.figures import GATE_MEAN, GATE_MEDIAN, REASONABLE
+from realsim.gap.causes import figures
 from realsim.gap.causes.fitted import Fit
 from realsim.gap.causes.screen import Screen
 from realsim.gap.simulation.simulate import Setting
@@ -18,7 +18,7 @@ def deviations(screen: Screen, fit: Fit) -> F64:
 
 def reasonable(x: F64, prior: F64) -> F64:
     """(atoms,) deviations, none larger than a few standard deviations `prior`."""
-    return np.clip(x, -REASONABLE * prior, REASONABLE * prior)
+    return np.clip(x, -figures.REASONABLE * prior, figures.REASONABLE * prior)
 
 
 def nuisance_settings(screen: Screen, fit: Fit, scale: float = 1.0) -> list[Setting]:
@@ -44,4 +44,4 @@ def leftover(screen: Screen, fit: Fit) -> F64:
 def is_gap(left: F64) -> bool:
     """Whether what stays beside the nuisance parameters (runs,) is more than a floor's worth, in most runs or on the
     whole; a single run near a resonance blows up small deviations."""
-    return bool(np.median(left) > GATE_MEDIAN or left.mean() > GATE_MEAN)
+    return bool(np.median(left) > figures.GATE_MEDIAN or left.mean() > figures.GATE_MEAN)

@@ -12,7 +12,7 @@ from itertools import islice
 
 import numpy as np
 
-from realsim.gap.causes.figures import ABRUPT_SIZES, BENT_SIZES, KEPT, KEPT_FEET, PROBED, PROBED_FEET, SIZES, STANDS_OUT
+from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.linear import log_evidence
 from realsim.gap.causes.screen import Candidate, Screen, slab
@@ -28,14 +28,14 @@ def alone(screen: Screen, current: Fit, candidates: Iterable[Candidate]) -> Iter
     """(gain, candidate, estimate) of each by the linear screen if there were no small deviations beside it."""
     A, b = np.sum(current.evidence.A, axis=0), np.sum(current.evidence.b, axis=0)
     for c in candidates:
-        gain, estimate, _ = log_evidence(A, b, c.directions, slab(c, screen))
+        gain, estimate, _ = log_evidence(A, b, c.directions, slab(c))
         yield gain, c, estimate
 
 
 def probed_ground(screen: Screen, fitter: Fitter, current: Fit, order: Iterable[Candidate]) -> list[Probe]:
     """The best places for higher or lower ground. `order`: all candidates, those to look at first before the others."""
     single = (c for c in order if lookup(c.effect).scope == "terrain" and len(c.places) == len(c.names) == 1)
-    return _probed_feet(fitter, current, islice(single, PROBED_FEET))
+    return _probed_feet(fitter, current, islice(single, figures.PROBED_FEET))
 
 
 def probed_footing(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:
@@ -43,7 +43,7 @@ def probed_footing(screen: Screen, fitter: Fitter, current: Fit, candidates: Ite
     if not screen.simulator.context.touches:
         return []
     moving = (c for c in candidates if len(c.places) == 1 and c.names == lookup(c.effect).footing)
-    return _probed_feet(fitter, current, islice(moving, PROBED_FEET))
+    return _probed_feet(fitter, current, islice(moving, figures.PROBED_FEET))
 
 
 def _probed_feet(fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:
@@ -53,7 +53,7 @@ def _probed_feet(fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) 
 
     screen = fitter.screen
     forwards = [(c, _along(screen, c, np.zeros(len(c.linear)))) for c in candidates]
-    return _probed(fitter, gain, forwards)[:KEPT_FEET]
+    return _probed(fitter, gain, forwards)[: figures.KEPT_FEET]
 
 
 def probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Candidate]) -> list[Probe]:
@@ -70,15 +70,15 @@ def probed(screen: Screen, fitter: Fitter, current: Fit, candidates: Iterable[Ca
             gain = np.inf if lookup(c.effect).abrupt else by_itself
             if gain > best.get((c.effect, c.place), (-np.inf,))[0]:
                 best[c.effect, c.place] = gain, c, estimate
-    order = sorted(best.values(), key=lambda item: -item[0])[:PROBED]
+    order = sorted(best.values(), key=lambda item: -item[0])[: figures.PROBED]
     gain_of = partial(fitter.coarse_gain, current.causes)
     probes = _probed(fitter, gain_of, [(c, _along(screen, c, estimate)) for _, c, estimate in order])
-    out = standing_out(screen, current)[:PROBED_FEET] if screen.simulator.context.touches else []
-    probes += _probed(fitter, gain_of, [(c, _along(screen, c, estimate)) for c, estimate in out], BENT_SIZES)
+    out = standing_out(screen, current)[: figures.PROBED_FEET] if screen.simulator.context.touches else []
+    probes += _probed(fitter, gain_of, [(c, _along(screen, c, estimate)) for c, estimate in out], figures.BENT_SIZES)
     found: dict[str, Probe] = {}
     for probe in sorted(probes, key=lambda p: -p[0]):
         found.setdefault(probe[1].effect, probe)
-    return list(found.values())[:KEPT]
+    return list(found.values())[: figures.KEPT]
 
 
 def standing_out(screen: Screen, current: Fit) -> list[tuple[Candidate, F64]]:
@@ -91,7 +91,7 @@ def standing_out(screen: Screen, current: Fit) -> list[tuple[Candidate, F64]]:
     best: dict[tuple[str, Place], tuple[float, Candidate, F64]] = {}
     for c in screen.candidates:
         involved = c.directions.any(axis=1)
-        far = float(np.sum(z[involved] ** 2)) - STANDS_OUT**2 * len(c.linear)
+        far = float(np.sum(z[involved] ** 2)) - figures.STANDS_OUT**2 * len(c.linear)
         if _worth_a_look(c) and far > best.get((c.effect, c.place), (0.0,))[0]:
             best[c.effect, c.place] = far, c, c.directions.T @ x / np.sum(c.directions**2, axis=0)
     return [(c, estimate) for _, c, estimate in sorted(best.values(), key=lambda item: -item[0])]
@@ -115,9 +115,7 @@ def _probed(
 
 def _along(screen: Screen, candidate: Candidate, estimate: F64) -> F64:
     """(m,) the direction of an estimate, a step long; that of the first parameter where it is nothing."""
-    parameters = lookup(candidate.effect).parameters(screen.simulator.context, candidate.place)
-    every = {p.name: abs(p.step) for p in parameters}
-    steps = np.array([every[n] for n in candidate.linear])
+    steps = np.array([abs(p.step) for p in candidate.parameters if p.name in candidate.linear])
     size = float(np.linalg.norm(estimate / steps))
     return estimate / size if size else np.eye(len(steps))[0] * steps
 
@@ -130,17 +128,15 @@ def _sized(
     sizes: tuple[float, ...],
 ) -> Probe:
     """The best of some sizes; beyond the largest, as long as that gains."""
-    effect = lookup(candidate.effect)
-    sizes = sizes or (ABRUPT_SIZES if effect.abrupt else SIZES)
-    parameters = {p.name: p for p in effect.parameters(screen.simulator.context, candidate.place)}
-    start = {n: parameters[n].default for n in candidate.names}
+    sizes = sizes or (figures.ABRUPT_SIZES if lookup(candidate.effect).abrupt else figures.SIZES)
+    start = {p.name: p.default for p in candidate.parameters}
 
     def values(factor: float) -> dict[str, float]:
         return start | {n: float(v) for n, v in zip(candidate.linear, unit * factor, strict=True)}
 
     def gain(factor: float) -> float:
         named = values(factor)
-        if any(not parameters[n].bounds[0] <= named[n] <= parameters[n].bounds[1] for n in candidate.linear):
+        if any(not p.bounds[0] <= named[p.name] <= p.bounds[1] for p in candidate.parameters):
             return -np.inf
         return gain_of(Cause(candidate, tuple(named[n] for n in candidate.names)))
 

@@ -7,18 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from realsim.gap.causes.figures import (
-    ALIKE,
-    ALONE,
-    FINALISTS,
-    FORETOLD,
-    MORE,
-    MOST_ALIKE,
-    MOST_ALONE,
-    SMALL,
-    WORTH,
-    WORTH_SHARE,
-)
+from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.linear import log_evidence, marginal
@@ -53,12 +42,12 @@ def by_slopes(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     screen = fitter.screen
     order = ranked(screen, here)
     best = order[0][0] if order else 0.0
-    least = max(WORTH, WORTH_SHARE * best)  # far behind, only what is far from linear can still win
+    least = max(figures.WORTH, figures.WORTH_SHARE * best)  # far behind, only what is far from linear can still win
     chosen: list[Candidate] = []
     for gain, candidate, estimate in order:
         count = sum(c.effect == candidate.effect for c in chosen)
-        most = 1 if len(chosen) >= FINALISTS else 3 if len(chosen) < 3 else 2
-        if gain < least or len(chosen) == FINALISTS + MORE:
+        most = 1 if len(chosen) >= figures.FINALISTS else 3 if len(chosen) < 3 else 2
+        if gain < least or len(chosen) == figures.FINALISTS + figures.MORE:
             break
         if count < most and not any(nested(candidate, c) for c in chosen):
             chosen.append(candidate)
@@ -71,9 +60,9 @@ def by_size(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     total = 0.5 * float(sum(here.evidence.c))
     best: dict[str, Scored] = {}
     for gain, c, estimate in alone(screen, here, screen.candidates):
-        if gain > max(ALONE * total, best.get(c.effect, (0.0,))[0]) and not _taken(c, here):
+        if gain > max(figures.ALONE * total, best.get(c.effect, (0.0,))[0]) and not _taken(c, here):
             best[c.effect] = gain, c, estimate
-    for gain, c, estimate in sorted(best.values(), key=lambda item: -item[0])[:MOST_ALONE]:
+    for gain, c, estimate in sorted(best.values(), key=lambda item: -item[0])[: figures.MOST_ALONE]:
         yield _further(fitter, here, c, estimate, gain)
 
 
@@ -90,8 +79,8 @@ def by_simulation(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     order = ranked(screen, here)
     free = [c for _, c, _ in order]
     found = [*probed_ground(screen, fitter, here, free), *probed_footing(screen, fitter, here, free)]
-    foretold = bool(order) and order[0][0] > FORETOLD * here.misfit
-    if not foretold and leftover(screen, here).mean() > SMALL:
+    foretold = bool(order) and order[0][0] > figures.FORETOLD * here.misfit
+    if not foretold and leftover(screen, here).mean() > figures.SMALL:
         found += probed(screen, fitter, here, free)
     for gain, candidate, values in found:
         yield _further(fitter, here, candidate, values, gain)
@@ -107,7 +96,7 @@ def by_likeness(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
         order = ranked(screen, rest) if rest is not None else []
         own = next((gain for gain, c, _ in order if c.key == cause.candidate.key), 0.0)
         likely = [(c, e) for gain, c, e in order if gain > max(own - near(own), 0.0) and not _taken(c, here)]
-        for c, estimate in likely[:MOST_ALIKE]:
+        for c, estimate in likely[: figures.MOST_ALIKE]:
             if c.names == c.linear:
                 found.append(Cause(c, tuple(float(x) for x in estimate)))
         for other in found:
@@ -142,7 +131,7 @@ def by_widening(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     for i, cause in enumerate(here.causes):
         full = fullest(fitter.screen, cause.candidate)
         if full is not None:
-            yield _instead(here, i, full, [list(extended(fitter.screen, cause, full).values)])
+            yield _instead(here, i, full, [extended(cause, full)])
         for candidate, values in suggested(fitter.screen, cause):
             if contains(candidate, cause.candidate):
                 yield _instead(here, i, candidate, values)
@@ -167,7 +156,7 @@ def ranked(screen: Screen, here: Fit) -> list[Scored]:
             (candidate.effect, p) in taken or (lookup(candidate.effect).plain, p) in taken for p in candidate.places
         ):
             continue  # a law that contains one of the causes takes its place: see `by_widening`
-        size = slab(candidate, screen)
+        size = slab(candidate)
         scored = [(*log_evidence(A, b, candidate.directions, size)[:2], misfit - least) for A, b, misfit in about]
         gain, estimate = max(((gain - behind, estimate) for gain, estimate, behind in scored), key=lambda g: g[0])
         found.append((gain, candidate, estimate))
@@ -196,12 +185,12 @@ def _alike(fitter: Fitter, here: Fit, cause: Cause) -> list[Cause]:
             continue
         coefficients = np.linalg.solve(info + 1e-9 * np.trace(info) * np.eye(len(info)), inside)
         share = float(inside @ coefficients) / size
-        if share > ALIKE:
+        if share > figures.ALIKE:
             found.append((share - 0.01 * len(c.names), c, coefficients))
     first: dict[tuple, Cause] = {}
     for _, c, x in sorted(found, key=lambda item: -item[0]):  # the simplest form of each
         first.setdefault((c.effect, c.place), Cause(c, tuple(float(value) for value in x)))
-    return list(first.values())[:MOST_ALIKE]
+    return list(first.values())[: figures.MOST_ALIKE]
 
 
 def _others(here: Fit, i: int) -> list[Cause]:

@@ -6,13 +6,12 @@ from functools import partial
 
 import numpy as np
 
-from realsim.gap.causes.figures import FINALISTS, NEIGHBOURS, SHARPEST, TOO_LONG
+from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.score import asked, near, score
 from realsim.gap.causes.windows import adjusted, at_other_bodies
 from realsim.gap.evidence.onsets import find_onsets
-from realsim.gap.simulation.simulate import lookup
 
 
 def prepared(fitter: Fitter, fit: Fit) -> Fit:
@@ -28,7 +27,7 @@ def prepared(fitter: Fitter, fit: Fit) -> Fit:
         if not simulator.onsets:  # a lasting cause drowns a push until it is known
             simulator.onsets = find_onsets(screen.comparison, simulator.simulate(settings), screen.runs)
         finer = context.timestep / simulator.edited(settings).spec.option.timestep
-        if len(context.driven) * finer < TOO_LONG:
+        if len(context.driven) * finer < figures.TOO_LONG:
             screen.relinearise(settings)
         fit = fitter.with_likelier_solver(fitter.remeasure(fit))
     fit = fitter.reweighted(fit)
@@ -39,7 +38,7 @@ def prepared(fitter: Fitter, fit: Fit) -> Fit:
         fitter.slight = True  # nuisance parameters could explain it: no large gap drowns a smaller cause
     elif not fitter.slight:
         share = float(np.sqrt(left.mean()))  # half way: what stays is in part no noise
-        screen.comparison.sharpen(float(np.clip(share, SHARPEST, 1.0)))
+        screen.comparison.sharpen(float(np.clip(share, figures.SHARPEST, 1.0)))
         fit = fitter.remeasure(fit)
     return fit
 
@@ -57,7 +56,7 @@ def refined(fitter: Fitter, base: Fit, fits: list[Fit]) -> tuple[Fit, list[Fit]]
     if not fits:
         return base, fits
     jagged = screen.simulator.context.touches
-    close = [f for f in fits if f.misfit - fits[0].misfit <= near(base.misfit - fits[0].misfit)][:FINALISTS]
+    close = [f for f in fits if f.misfit - fits[0].misfit <= near(base.misfit - fits[0].misfit)][: figures.FINALISTS]
     names = fits[0].causes[-1].candidate.names
     if "since" in names or ("start" in names and jagged):  # what lifts a foot or starts a swing, no slope foretells
         here = adjusted(fitter, fits[0])
@@ -77,11 +76,11 @@ def _anew(fitter: Fitter, fit: Fit) -> Fit | None:
     if not screen.simulator.context.touches:
         return fitter.fit(fit.causes, rough=True)
     *others, cause = fit.causes
-    parameters = lookup(cause.candidate.effect).parameters(screen.simulator.context, cause.candidate.place)
-    strength = {p.name for p in parameters if p.strength}
+    strength = {p.name for p in cause.candidate.parameters if p.strength}
     done = [v for c in others for v in c.values]
     starts = [
-        [*done, *(v * factor if name in strength else v for name, v in cause.named.items())] for factor in NEIGHBOURS
+        [*done, *(v * factor if name in strength else v for name, v in cause.named.items())]
+        for factor in figures.NEIGHBOURS
     ]
     with fitter.nuisances_reset():
         again = fitter.fit(fit.causes, starts, rough=True)

@@ -8,14 +8,14 @@ selection needs is in A = G'WG, b = G'Wr, c = r'Wr of each run.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from realsim.errors import GapError
-from realsim.gap.causes.figures import SHIFT
+from realsim.gap.causes import figures
 from realsim.gap.causes.linear import Evidence, posterior
 from realsim.gap.compare import Comparison
 from realsim.gap.effects import EFFECTS, ON_REQUEST
@@ -42,12 +42,16 @@ class Candidate:
 
     effect: str
     places: tuple[Place, ...]
-    names: tuple[str, ...]
-    """Parameters that are fitted."""
+    parameters: tuple[Parameter, ...]
+    """Those that are fitted."""
     directions: F64
     """(p, m) columns over atoms: what one unit of each parameter does, to first order."""
     linear: tuple[str, ...]
     """The m parameters that have a direction (others act only at second order)."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.parameters)
 
     @property
     def place(self) -> Place:
@@ -304,6 +308,13 @@ class Screen:
         """(B * C, m) of some atoms on screened run k."""
         return self._columns[k][:, list(index)]
 
+    def atoms_of(self, candidate: Candidate) -> list[int]:
+        """The atoms that are this cause, and those that do the same."""
+        own = [(candidate.effect, p.name) for p in candidate.parameters]
+        alike = [p.like for p in candidate.parameters if p.like]
+        keys = [(effect, place, name) for effect, name in own + alike for place in candidate.places]
+        return [self.index[k] for k in keys if k in self.index]
+
     # ------------------------------------------------------------ candidates
 
     def _candidates(self, chosen: Sequence[str]) -> list[Candidate]:
@@ -325,24 +336,20 @@ class Screen:
         return found
 
     def _candidate(self, effect: Effect, group: tuple[Place, ...], variant: tuple[str, ...]) -> Candidate | None:
-        parameters = effect.parameters(self.simulator.context, group[0])
-        names = variant or tuple(p.name for p in parameters)
+        every = {
+            p.name: p for p in effect.parameters(self.simulator.context, tuple(n for place in group for n in place))
+        }
+        parameters = tuple(every[name] for name in variant or every)
         directions, linear = [], []
-        for name in names:
+        for p in parameters:
             column = np.zeros(len(self.atoms))
-            for place in group:
-                i = self.index.get((effect.name, place, name))
-                if i is not None:
-                    column[i] = 1.0
-                like = next(p.like for p in parameters if p.name == name)
-                if like is not None and (i := self.index.get((like[0], place, like[1]))) is not None:
-                    column[i] = 1.0
+            column[self.atoms_of(Candidate(effect.name, group, (p,), column, ()))] = 1.0
             if column.any():
                 directions.append(column)
-                linear.append(name)
+                linear.append(p.name)
         if not directions:
             return None
-        return Candidate(effect.name, group, names, np.stack(directions, axis=1), tuple(linear))
+        return Candidate(effect.name, group, parameters, np.stack(directions, axis=1), tuple(linear))
 
 
 def _has_slope(p: Parameter) -> bool:
@@ -354,12 +361,12 @@ def _placeless(effect: Effect) -> bool:
     return effect.scope == "global"
 
 
-def slab(candidate: Candidate, screen: Screen) -> F64:
+def slab(candidate: Candidate) -> F64:
     """(m,) prior size of a cause's parameters: the step that is worth calling a gap, generously."""
-    effect = lookup(candidate.effect)
-    parameters = {p.name: p for p in effect.parameters(screen.simulator.context, candidate.place)}
-    sizes = []
-    for name in candidate.linear:
-        p = parameters[name]
-        sizes.append(SHIFT if p.shape else 2.0 * abs(p.step))
-    return np.array(sizes)
+    fitted = [p for p in candidate.parameters if p.name in candidate.linear]
+    return np.array([figures.SHIFT if p.shape else 2.0 * abs(p.step) for p in fitted])
+
+
+def parameters_of(candidates: Iterable[Candidate]) -> list[Parameter]:
+    """Of all values in a row."""
+    return [p for c in candidates for p in c.parameters]

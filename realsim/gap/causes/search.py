@@ -13,16 +13,33 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from realsim.gap.causes.figures import CLEARLY, EXPANSIONS, NAMED_SHARE, RUNNER_SHARE, RUNNERS_UP
+from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.proposals import ADD, EXCHANGE, Propose, ranked
 from realsim.gap.causes.refine import prepared, refined
-from realsim.gap.causes.score import doubts, near, score, searched
-from realsim.gap.causes.trials import Trial, screened, trial, with_outcome
+from realsim.gap.causes.score import Held, doubts, near, score, searched
+from realsim.gap.causes.screen import Candidate
 from realsim.types import F64
 
 Tick = Callable[[str, float], None]
+
+
+@dataclass
+class Trial:
+    """A further cause beside a set: a row of the ranking."""
+
+    candidate: Candidate
+    stage: int
+    """Causes of the set."""
+    linear_gain: float
+    """Log-evidence gain by the linear screen."""
+    outcome: str = "refitted"
+    gain: float | None = None
+    """Gain of the fit, or None if it was only screened."""
+    values: tuple[float, ...] = ()
+    held: Held | None = None
+    """Gain on runs left out in turn, where that was looked at."""
 
 
 @dataclass
@@ -44,12 +61,15 @@ class Search:
 
     def run(self, tick: Tick) -> None:
         self._keep(self.best)
-        self.trials = screened(ranked(self.fitter.screen, self.best))
+        best: dict[str, Trial] = {}
+        for gain, c, _ in ranked(self.fitter.screen, self.best):
+            best.setdefault(c.effect, Trial(c, 0, gain, "screened"))
+        self.trials = list(best.values())
         in_vain = 0
-        for k in range(EXPANSIONS):
-            tick("search for causes", k / EXPANSIONS)
+        for k in range(figures.EXPANSIONS):
+            tick("search for causes", k / figures.EXPANSIONS)
             here = self._next()
-            if here is None or in_vain > RUNNERS_UP:
+            if here is None or in_vain > figures.RUNNERS_UP:
                 break
             self.expanded.add(here.full_key)
             in_vain = 0 if self._expand(here) else in_vain + (here.key != self.best.key)
@@ -66,7 +86,7 @@ class Search:
             return None
         self.seen = {k: self.fitter.looked_at(f, f.causes) or f for k, f in self.seen.items()}
         nothing = self.seen[frozenset()].misfit
-        least = RUNNER_SHARE * (nothing - min(f.misfit for f in self.seen.values()))
+        least = figures.RUNNER_SHARE * (nothing - min(f.misfit for f in self.seen.values()))
         worth = [f for f in self.seen.values() if len(f.causes) < self.most and f.full_key not in self.expanded]
         return min((f for f in worth if nothing - f.misfit > least), key=self._score, default=None)
 
@@ -77,7 +97,7 @@ class Search:
             self.gap = max(left.mean() - 1, 0.0)
             return False
         stays = (left.mean() - 1) / self.gap if self.gap else 0.0
-        return bool(max(stays, 0.0) ** (self.most / len(self.best.causes)) > 1 - NAMED_SHARE)
+        return bool(max(stays, 0.0) ** (self.most / len(self.best.causes)) > 1 - figures.NAMED_SHARE)
 
     def _expand(self, here: Fit) -> bool:
         """Fit a set's neighbours; whether one of them is better than the best set."""
@@ -133,16 +153,21 @@ class Search:
                 if fit is not None:
                     fits.append(fit)
                     self._keep(fit)
-                    self.trials += [trial(base, fit, p.foretold)] if moves is ADD else []
+                    if moves is ADD:
+                        cause, gain = fit.causes[-1], base.misfit - fit.misfit
+                        self.trials.append(
+                            Trial(cause.candidate, len(base.causes), p.foretold, gain=gain, values=cause.values)
+                        )
         return base, sorted(fits, key=self._score)
 
     def _better(self, before: Fit, fits: Sequence[Fit]) -> bool:
         """Whether one of the fits takes the place of the best set."""
         for fit in fits:
-            if self._score(before) - self._score(fit) < CLEARLY:
+            if self._score(before) - self._score(fit) < figures.CLEARLY:
                 break
             said, held = doubts(self.fitter, before, fit) if len(fit.causes) > len(before.causes) else ([], None)
-            self.trials = with_outcome(self.trials, fit, "; ".join(said) or "accepted", held)
+            for trial in [t for t in self.trials if t.candidate.key == fit.causes[-1].candidate.key][-1:]:
+                trial.outcome, trial.held = "; ".join(said) or "accepted", held
             if not said:
                 self._replace(fit, "")
                 return True

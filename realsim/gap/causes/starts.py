@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.gap.causes.figures import LEVER
+from realsim.gap.causes import figures
 from realsim.gap.causes.fitted import Cause
 from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.simulation.simulate import lookup
@@ -18,27 +18,25 @@ def starts(screen: Screen, candidate: Candidate, guess: Guess) -> list[list[floa
     """Values of all the candidate's parameters, about the screen's estimate or as they were simulated."""
     if isinstance(guess, dict):
         return [[float(guess[n]) for n in candidate.names]]
-    effect, context = lookup(candidate.effect), screen.simulator.context
-    parameters = {p.name: p for p in effect.parameters(context, candidate.place)}
     linear = dict(zip(candidate.linear, guess, strict=True))
     found = []
     for factor in (1.0, 0.4):
         values = []
-        for name in candidate.names:
-            p, slope = parameters[name], linear.get(name, 0.0)
+        for p in candidate.parameters:
+            slope = linear.get(p.name, 0.0)
             value = p.default + (slope * factor if p.default == 0 else 0.0)
             if p.shape:  # the slope is a shift of the body's centre of mass, by what sits there
                 body = screen.simulator.case.model.body(candidate.place[0])
                 lever = slope * body.mass[0] / (linear.get("mass", 1.0) or 1.0)
-                value = p.default + float(np.clip(lever, -LEVER, LEVER))
+                value = p.default + float(np.clip(lever, -figures.LEVER, figures.LEVER))
             if p.bounds[0] == 0 and value < 0.1 * p.step:
                 value = 0.3 * p.step * factor
             values.append(float(value))
         found.append(values)
-    first = parameters[candidate.names[0]]
+    first = candidate.parameters[0]
     if first.bounds[0] == 0:  # one-sided effects are the least linear: start small and large too
         found += [[factor * first.step, *found[0][1:]] for factor in (0.25, 1.0, 2.0)]
-    elif effect.scope == "global" and len(candidate.names) == 1:  # slipping sets in at a threshold
+    elif lookup(candidate.effect).scope == "global" and len(candidate.names) == 1:  # slipping sets in at a threshold
         found += [[factor * first.step] for factor in (0.5, 1.0, 1.5)]
     return found
 
@@ -71,8 +69,6 @@ def contains(rich: Candidate, plain: Candidate) -> bool:
     return lookup(rich.effect).plain == plain.effect and rich.places == plain.places
 
 
-def extended(screen: Screen, cause: Cause, full: Candidate) -> Cause:
+def extended(cause: Cause, full: Candidate) -> list[float]:
     """The cause's values as the start of the fuller form."""
-    parameters = lookup(full.effect).parameters(screen.simulator.context, full.place)
-    defaults = {p.name: p.default for p in parameters}
-    return Cause(full, tuple(cause.named.get(n, defaults[n]) for n in full.names))
+    return [cause.named.get(p.name, p.default) for p in full.parameters]

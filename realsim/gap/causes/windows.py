@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from realsim.gap.causes.figures import GRID, LEAD, MARGIN, SHORTEST, SLIDES, TIMES
+from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import deviations
 from realsim.gap.causes.screen import Candidate, Screen
+from realsim.gap.effects.base import Place
 from realsim.gap.simulation.context import base_body
 from realsim.gap.simulation.edit import NEAR
 from realsim.gap.simulation.simulate import lookup
@@ -30,7 +31,7 @@ class Clock:
 
     def values(self, start: float, end: float) -> dict[str, float]:
         first, second = self.edges
-        return {first: start - LEAD, second: end - start} if second == "lasts" else {first: start, second: end}
+        return {first: start - figures.LEAD, second: end - start} if second == "lasts" else {first: start, second: end}
 
 
 def own_time(screen: Screen) -> Clock:
@@ -44,8 +45,8 @@ def clocks(screen: Screen) -> list[Clock]:
     onsets = screen.simulator.onsets
     names = [screen.simulator.case.runs[r].name for r in screen.runs]
     if any(n in onsets for n in names):
-        zero = {k: onsets[n] - LEAD for k, n in enumerate(names) if n in onsets}
-        found.append(Clock(zero, ("since", "lasts"), LEAD + NEAR))
+        zero = {k: onsets[n] - figures.LEAD for k, n in enumerate(names) if n in onsets}
+        found.append(Clock(zero, ("since", "lasts"), figures.LEAD + NEAR))
     return found
 
 
@@ -70,18 +71,24 @@ def _by_place(
     whole_runs = own_time(screen)
     found = []
     for name, place in dict.fromkeys((a.effect, a.place) for a in screen.atoms if lookup(a.effect).passing):
-        at = {a.parameter.name: i for i, a in enumerate(screen.atoms) if (a.effect, a.place) == (name, place)}
-        axes, index = tuple(at), list(at.values())  # a planar arm cannot feel a force across its plane
+        candidate, index = _candidate(screen, name, place, clock.edges)
         info, score = _by_time(screen, clock, index, left, weights)
         total = (info, score) if clock == whole_runs else _by_time(screen, whole_runs, index, left, weights)
         scale = np.array([abs(screen.atoms[i].parameter.step) for i in index])
         whole = float(_gain(total[0].sum(axis=0), total[1].sum(axis=0), scale)[0])
         gain, start, end, force = _best_window(info, score, scale, screen.comparison.config.bin_seconds, clock.latest)
-        if gain > TIMES * whole + MARGIN:
-            directions = np.eye(len(screen.atoms))[:, index]
-            candidate = Candidate(name, (place,), (*axes, *clock.edges), directions, axes)
-            found.append((gain, candidate, dict(zip(axes, force, strict=True)) | clock.values(start, end)))
+        if gain > figures.TIMES * whole + figures.MARGIN:
+            found.append((gain, candidate, dict(zip(candidate.linear, force, strict=True)) | clock.values(start, end)))
     return found
+
+
+def _candidate(screen: Screen, name: str, place: Place, edges: tuple[str, ...]) -> tuple[Candidate, list[int]]:
+    """(a force with these edges, the atoms of its axes): a planar arm cannot feel a force across its plane."""
+    at = {a.parameter.name: i for i, a in enumerate(screen.atoms) if (a.effect, a.place) == (name, place)}
+    every = {p.name: p for p in lookup(name).parameters(screen.simulator.context, place)}
+    parameters = tuple(every[n] for n in (*at, *edges))
+    index = list(at.values())
+    return Candidate(name, (place,), parameters, np.eye(len(screen.atoms))[:, index], tuple(at)), index
 
 
 def adjusted(fitter: Fitter, fit: Fit) -> Fit:
@@ -92,7 +99,7 @@ def adjusted(fitter: Fitter, fit: Fit) -> Fit:
     best = fit
     candidate = fit.causes[-1].candidate
     edges = [n for n in lookup(candidate.effect).passing if n in candidate.names]
-    for size in SLIDES:
+    for size in figures.SLIDES:
         moves = [(name, move) for name in (*edges, "force") for move in (size, -size)]
         while True:
             tried = list(fitter.each(partial(_moved, fitter, best), moves))
@@ -115,9 +122,10 @@ def at_other_bodies(screen: Screen, fitter: Fitter, fit: Fit) -> list[Fit]:
     cause, others = fit.causes[-1], fit.causes[:-1]
     case = screen.simulator.case
     base = case.model.body(base_body(case)).name if case.floating else ""
-    whole = max((c.names for c in screen.candidates if c.effect == cause.candidate.effect), key=len)
-    like = [c for c in screen.candidates if c.effect == cause.candidate.effect and c.names == whole]
-    elsewhere = [replace(c, names=cause.candidate.names) for c in like if c.places != cause.candidate.places]
+    name, edges = cause.candidate.effect, cause.candidate.names[len(cause.candidate.linear) :]
+    places = dict.fromkeys(a.place for a in screen.atoms if a.effect == name and a.place != cause.candidate.place)
+    like = [_candidate(screen, name, place, edges)[0] for place in places]
+    elsewhere = [c for c in like if c.names == cause.candidate.names]
     moved = fitter.each(lambda c: fitter.looked_at(fit, (*others, Cause(c, cause.values))), elsewhere)
     fits = sorted((f for f in moved if f is not None), key=lambda f: f.misfit)
     return fits[:1] + [f for f in fits[1:] if f.causes[-1].candidate.place == (base,)]
@@ -176,7 +184,7 @@ def _best_window(
     """(gain, start, end, force) of the window in which a constant force says most, begun at the `latest` then."""
     zero = np.zeros((1, *info.shape[1:]))
     total, tally = np.cumsum(np.concatenate([zero, info]), axis=0), np.cumsum(np.vstack([zero[:, 0], score]), axis=0)
-    shortest, step = int(SHORTEST / width), max(int(GRID / width), 1)
+    shortest, step = int(figures.SHORTEST / width), max(int(figures.GRID / width), 1)
 
     def best(starts: Any, ends: Any) -> tuple[float, int, int, F64]:
         first, last = (a.ravel() for a in np.meshgrid(starts, ends, indexing="ij"))

@@ -12,18 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from realsim.gap.answer.diagnosis import MODEL_ERROR
 from realsim.gap.answer.verdict import EXCESS, EXPLAINED
-from realsim.gap.causes.figures import (
-    CAUSE,
-    CAUSE_A_JOINT,
-    CERTAIN,
-    CLEARLY,
-    EQUAL,
-    EQUAL_SHARE,
-    HOLDS,
-    MOST_RUNS,
-    PRICE,
-    REASONABLE,
-)
+from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fitter
 from realsim.gap.causes.fitted import Z90, Cause
 from realsim.gap.causes.leftover import is_gap
@@ -166,7 +155,7 @@ def _refitted(joint: Joint, config: DiagnoseConfig, current: Changed) -> list[Ch
     fits: list[Changed] = []
     seen: set[tuple[str, tuple[str, ...]]] = set()
     for gain, candidate, estimate in joint.ranked(current):
-        if gain < CLEARLY or len(seen) == FINALISTS:
+        if gain < figures.CLEARLY or len(seen) == FINALISTS:
             break
         key = (candidate.effect, candidate.place)
         if candidate.names != candidate.linear or key in seen or sum(e == key[0] for e, _ in seen) == 2:
@@ -189,7 +178,7 @@ def _refitted(joint: Joint, config: DiagnoseConfig, current: Changed) -> list[Ch
 
 
 def _price(fit: Changed) -> float:
-    return fit.misfit + PRICE * sum(len(c.values) for c in fit.causes)
+    return fit.misfit + figures.PRICE * sum(len(c.values) for c in fit.causes)
 
 
 def _doubt(joint: Joint, config: DiagnoseConfig, before: Changed, after: Changed) -> str:
@@ -198,20 +187,20 @@ def _doubt(joint: Joint, config: DiagnoseConfig, before: Changed, after: Changed
     gain = before.misfit - after.misfit
     # A change costs what a cause costs (`realsim.gap.causes.score`).
     joints = len(joint.screen.simulator.case.joint_names)
-    least = CLEARLY + CAUSE + CAUSE_A_JOINT * joints + PRICE * len(cause.values)
+    least = figures.CLEARLY + figures.CAUSE + figures.CAUSE_A_JOINT * joints + figures.PRICE * len(cause.values)
     if gain < least:
         return f"it gains {gain:.1f} nats, must gain {least:.1f}"
-    parameters = joint.parameters([cause.candidate])
+    parameters = cause.candidate.parameters
     errors = np.sqrt(np.maximum(np.diag(after.covariance), 1e-30))[-len(cause.values) :]
     rows = [(abs(v), e, p) for v, e, p in zip(cause.values, errors, parameters, strict=True) if p.strength]
     if max((v / e for v, e, _ in rows), default=0.0) < SURE:
         return "too few standard errors off nothing"
-    if max((v / (DAILY * p.nuisance or 0.1 * abs(p.step)) for v, _, p in rows), default=0.0) < REASONABLE:
+    if max((v / (DAILY * p.nuisance or 0.1 * abs(p.step)) for v, _, p in rows), default=0.0) < figures.REASONABLE:
         return "no larger than what comes and goes from day to day"
     gains = joint.gains(before, after)
     if len(gains) > 1:  # of a single run none can be left out
         error = float(gains.std(ddof=1) / np.sqrt(len(gains)))
-        if gains.mean() <= HOLDS * error or (gains > 0).mean() < MOST_RUNS:
+        if gains.mean() <= figures.HOLDS * error or (gains > 0).mean() < figures.MOST_RUNS:
             return "does not hold on runs left out in turn"
     return ""
 
@@ -230,8 +219,8 @@ def _rivals(joint: Joint, config: DiagnoseConfig, found: Changed, stages: Sequen
         loss = _price(fit) - _price(found)
         gains = joint.gains(fit, found)
         error = float(gains.std(ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else np.inf
-        preferred = gains.mean() > float(student.ppf(CERTAIN, max(len(gains) - 1, 1))) * error
-        alike = loss < CLEARLY or (loss < max(EQUAL_SHARE * removed, EQUAL) and not preferred)
+        preferred = gains.mean() > float(student.ppf(figures.CERTAIN, max(len(gains) - 1, 1))) * error
+        alike = loss < figures.CLEARLY or (loss < max(figures.EQUAL_SHARE * removed, figures.EQUAL) and not preferred)
         if alike and not _doubt(joint, config, before, fit):
             rivals[key] = fit
     return list(rivals.values())
@@ -244,7 +233,7 @@ def _described(joint: Joint, found: Changed) -> list[dict[str, Any]]:
     for cause in found.causes:
         c = cause.candidate
         start, parameters = joint.before(c), {}
-        for p, value in zip(joint.parameters([c]), cause.values, strict=True):
+        for p, value in zip(c.parameters, cause.values, strict=True):
             own = MODEL_ERROR * value if p.strength else 0.0
             sigma = float(np.sqrt(errors.pop(0) ** 2 + (DAILY * p.nuisance) ** 2 + own**2))
             known = p.strength or joint.has(c)
