@@ -14,12 +14,10 @@ import numpy as np
 
 from realsim.errors import GapError
 from realsim.gap.answer.check import BLOCK_SECONDS, errors, mean_square
-from realsim.gap.causes.fitted import causes_of
+from realsim.gap.causes.fitted import at, parameters_of, values_of
 from realsim.gap.causes.leftover import reasonable
-from realsim.gap.causes.screen import parameters_of
 from realsim.gap.compare import CORRELATION, Comparison
 from realsim.gap.effects.base import Parameter
-from realsim.gap.simulation.simulate import Setting
 from realsim.types import F64
 
 FARTHEST = 2.0
@@ -59,15 +57,14 @@ def leave_out(screen: Any, fitter: Any, fit: Any) -> LeftOut:
     """
     comparison: Comparison = screen.comparison
     runs, simulator = list(screen.runs), screen.simulator
-    candidates = [c.candidate for c in fit.causes]
-    z = np.array([v for c in fit.causes for v in c.values])
-    parameters = parameters_of(candidates)
-    prior = fitter.prior_beside(candidates)
+    z, parameters = values_of(fit.causes), parameters_of(fit.causes)
+    prior = fitter.prior_beside(fit.causes)
     deviations = screen.settings(fit.about)
     base = errors(simulator, comparison, [*fit.settings(), *deviations], runs)
     if base is None:
         raise GapError("the simulator fails with the values found", hint="look at the units of the log")
-    slopes = _slopes(screen, candidates, parameters, z, base, deviations)
+    with fitter.beside(fit.about):
+        slopes = fitter.slopes(fit.causes, fit.predictions) or [np.zeros((r.size, len(z))) for r in base]
     active = np.flatnonzero(prior > 0)
     steps = np.array([abs(p.step) for p in parameters])
     # Deviations count from what is most usual, those in the simulation included.
@@ -79,7 +76,7 @@ def leave_out(screen: Any, fitter: Any, fit: Any) -> LeftOut:
     for k, run in enumerate(runs):
         x = normal.solve([i for i in range(len(runs)) if i != k or few])
         moved = z + _bounded(x[: len(z)] - every, z, parameters)
-        settings = [s for c in causes_of(candidates, moved) for s in c.settings()]
+        settings = [s for c in at(fit.causes, moved) for s in c.settings()]
         found = errors(simulator, comparison, [*settings, *deviations], [run])
         plain = errors(simulator, comparison, settings, [run]) if deviations else found
         values.append(moved if found is not None else z)
@@ -148,31 +145,6 @@ class _Normal:
         """(m + active,) change of the values that these runs ask for, and the deviations beside it."""
         A = np.sum([self._A[k] for k in which], axis=0) + np.diag(self._penalty)
         return np.asarray(np.linalg.lstsq(A, np.sum([self._b[k] for k in which], axis=0), rcond=None)[0])
-
-
-def _slopes(
-    screen: Any,
-    candidates: Sequence[Any],
-    parameters: Sequence[Parameter],
-    z: F64,
-    base: Sequence[F64],
-    beside: Sequence[Setting],
-) -> list[F64]:
-    """(B * C, m) a run: change of the prediction by each value; nothing where neither side can be simulated."""
-    runs, found = list(screen.runs), [np.zeros((r.size, len(z))) for r in base]
-    for i, p in enumerate(parameters):
-        for width in (0.1 * p.step, -0.1 * p.step):
-            moved = z.copy()
-            moved[i] += width
-            if not p.bounds[0] <= moved[i] <= p.bounds[1]:
-                continue
-            settings: list[Setting] = [s for c in causes_of(candidates, moved) for s in c.settings()]
-            there = errors(screen.simulator, screen.comparison, [*settings, *beside], runs)
-            if there is not None:
-                for k, (a, b) in enumerate(zip(base, there, strict=True)):
-                    found[k][:, i] = np.nan_to_num((a - b) / width).reshape(-1)
-                break
-    return found
 
 
 def _bounded(step: F64, z: F64, parameters: Sequence[Parameter]) -> F64:

@@ -40,31 +40,20 @@ set can come to it. A cause that changes the motion by as much as the model is w
 on the development logs of real robots: right causes removed 40 and 46 % or nearly all, wrong ones 1, 15 and 18 %."""
 
 # ---------------------------------------------------------------- the search
-EXPANSIONS, RUNNERS_UP, RUNNER_SHARE = 8, 2, 0.25
-"""Sets whose neighbours are looked at; those of them in a row that may be no better than the best set; and the share
-of the gap that such a set must remove, of what the best removes. Budget."""
+EXPANSIONS = 8
+"""Sets whose neighbours are looked at. Budget."""
 NEAR, NEAR_SHARE = 20.0, 0.15
 """Nats, and share of what the best removes, within which a fit can still catch up with the best by fitting further.
 Budget."""
 WORTH, WORTH_SHARE, FINALISTS, MORE = 10.0, 0.04, 5, 4
 """Candidates of the linear screen that are fitted: those above WORTH nats and this share of the leader, FINALISTS of
 them, then the best place of up to MORE further effects. Budget."""
-ALONE, MOST_ALONE = 0.3, 2
-"""Share of the misfit that an effect must explain without any nuisance parameter to be fitted whatever the screen
-says, and how many such effects are fitted. Beside a large gap the screen may share a cause out among many nuisance
-parameters. Budget."""
 ALIKE, MOST_ALIKE = 0.95, 3
 """Squared cosine above which two sensitivities count as the same, and rivals of this kind that are fitted.
 Budget."""
-FORETOLD, SMALL = 0.2, 3.0
-"""Slopes are believed where the best candidate removes this share of the misfit by them, or where less than SMALL
-times the floor stays. Else candidates are simulated. Set on generated quadrupeds."""
-PROBED, PROBED_FEET, KEPT, KEPT_FEET, STANDS_OUT = 60, 12, 5, 3, 2.5
-"""Candidates that are simulated, those of them that move the ground or a foot or whose nuisance parameter is
-STANDS_OUT standard deviations off, and those that are then fitted. Budget."""
-SIZES, ABRUPT_SIZES, BENT_SIZES = (1.5, -1.5), (2.0, 0.7, -0.7, -2.0), (0.5, 1.5)
-"""Sizes at which they are simulated, in steps of the parameter: of any effect, of one that shows nothing below a
-threshold, of one whose nuisance parameter already points the way. Not tuned."""
+PROBED, KEPT, SIZES = 12, 3, (2.0, 0.7, -0.7, -2.0)
+"""Candidates of an effect that are simulated where no slope foretells it, those of them that are then fitted, and the
+sizes at which they are simulated, in steps of the parameter. Budget."""
 NEIGHBOURS = (0.65, 0.8, 0.9, 1.1, 1.25, 1.5)
 """Factors on a cause's strength from which a fit begins anew where feet slip and land: the misfit is jagged there.
 Set on generated quadrupeds."""
@@ -79,12 +68,11 @@ SLIDES = (0.3, 0.1, 0.03)
 """Steps in which the edges of a window are moved (s) and its force changed (share). Budget."""
 
 # ---------------------------------------------------------------- fits
-WIDE, NARROWER, NARROWEST = 0.1, 0.2, 0.01
-"""Share of a step over which slopes are taken; factor on it where a promising step gains nothing; the least share.
-Wide differences see through sticking friction; a payload's mass and place on a pendulum need narrow ones."""
-PACES, PROMISED, POLISH = 6.0, 1.0, 2
-"""A fit ends where this many more steps as good as the last would not reach its target; nats that a step must
-promise for slopes to be taken again; steps with the model's own time step after a fit with a coarser one. Budget."""
+WIDE = 0.1
+"""Share of a step over which slopes are taken: wide differences see through sticking friction."""
+PACES, POLISH = 6.0, 2
+"""A fit ends where this many more steps as good as the last would not reach its target; steps with the model's own
+time step after a fit with a coarser one. Budget."""
 SETTLED, SWITCHED, LIKELIER = 0.6, 0.5, 40.0
 """Share of the weighted squares that nuisance parameters may leave to be simulated and not only linear; the same for
 the other friction cone, which has no slope; nats that it must bring beside causes. Set on generated quadrupeds."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 import numpy as np
@@ -12,11 +12,10 @@ from realsim.errors import GapError
 from realsim.gap.causes import figures
 from realsim.gap.causes.fitted import Cause as Cause
 from realsim.gap.causes.fitted import Fit as Fit
-from realsim.gap.causes.fitted import causes_of, form, spread
+from realsim.gap.causes.fitted import at, form, parameters_of, spread, values_of
 from realsim.gap.causes.gauss_newton import FULL, Fidelity, GaussNewton, clip, widest
 from realsim.gap.causes.leftover import deviations, reasonable
 from realsim.gap.causes.linear import posterior
-from realsim.gap.causes.screen import parameters_of
 from realsim.gap.effects.base import Parameter
 from realsim.gap.simulation.nuisances import LIKE_A_CAUSE, NUISANCES
 from realsim.types import F64
@@ -46,7 +45,7 @@ class Fitter(GaussNewton):
             least = figures.LIKELIER if fit.causes else 0.0
             self.about = old.copy()
             self.about[i] = sum(atom.parameter.bounds) - old[i]
-            moved = self._or_none(fit)
+            moved = self.looked_at(fit, fit.causes)
             if moved is not None and fit.misfit - moved.misfit > least and self._cost(moved) < share * cost:
                 fit = moved
             else:
@@ -76,15 +75,9 @@ class Fitter(GaussNewton):
         return self.remeasure(fit)
 
     @contextmanager
-    def nuisances_reset(self) -> Iterator[None]:
-        """Fits in here are made as after `reset_nuisances`, under the present weights."""
-        with self._beside(self._nuisances_of_sensors()):
-            yield
-
-    @contextmanager
-    def _beside(self, about: F64) -> Iterator[None]:
-        """Simulations in here contain these nuisances, whatever the search has come to since."""
-        own, self.about = self.about, about
+    def beside(self, about: F64 | None = None) -> Iterator[None]:
+        """Simulations in here contain these nuisances; if None, those after `reset_nuisances`."""
+        own, self.about = self.about, self._nuisances_of_sensors() if about is None else about
         try:
             yield
         finally:
@@ -92,8 +85,8 @@ class Fitter(GaussNewton):
 
     def with_own_nuisances(self, fit: Fit, rounds: int = 4) -> Fit:
         """Causes and small deviations where they belong beside each other, found in turn; for this fit alone."""
-        about, best = self.about, fit
-        try:
+        best = fit
+        with self.beside(self.about), suppress(GapError):  # where the robot falls, what was best until then counts
             for _ in range(rounds):
                 fit, moved = self._fit_nuisances(self.remeasure(fit))
                 if moved and fit.causes:
@@ -101,10 +94,6 @@ class Fitter(GaussNewton):
                 best = min(best, fit, key=lambda f: f.misfit)
                 if not moved:
                     break
-        except GapError:
-            pass  # the robot falls beside other deviations: what was best until then counts
-        finally:
-            self.about = about
         return best
 
     def _nuisances_of_sensors(self) -> F64:
@@ -118,15 +107,10 @@ class Fitter(GaussNewton):
 
     def looked_at(self, fit: Fit, causes: Sequence[Cause]) -> Fit | None:
         """These causes at their very values, without a search, under the fit's weights; None if the robot falls."""
-        return self._or_none(replace(fit, causes=tuple(causes)))
-
-    def coarse_gain(self, causes: Sequence[Cause], further: Cause) -> float:
-        """Gain in log-likelihood by a further cause at its very values, as a rough search sees it."""
-        fidelity = self._fidelity([*causes, further], rough=True, coarse=True)
-        candidates, z = [c.candidate for c in causes], [v for c in causes for v in c.values]
-        before = self._misfit(candidates, np.array(z), fidelity)
-        after = self._misfit([*candidates, further.candidate], np.array([*z, *further.values]), fidelity)
-        return -np.inf if before is None or after is None else before - after
+        try:
+            return self.remeasure(replace(fit, causes=tuple(causes)))
+        except GapError:
+            return None
 
     def _fit_nuisances(self, fit: Fit) -> tuple[Fit, bool]:
         """Nuisances at their most probable values beside the causes, by simulation; whether they moved.
@@ -139,18 +123,11 @@ class Fitter(GaussNewton):
         old, cost = self.about, self._cost(fit)
         for share in (1.0, 0.5):
             self.about = self.screen.possible(old + share * (x - old))
-            moved = self._or_none(fit)
+            moved = self.looked_at(fit, fit.causes)
             if moved is not None and self._cost(moved) < (0.98 if old.any() else figures.SETTLED) * cost:
                 return moved, True
         self.about = old
         return fit, False
-
-    def _or_none(self, fit: Fit) -> Fit | None:
-        """`remeasure`, or None where the robot falls."""
-        try:
-            return self.remeasure(fit)
-        except GapError:
-            return None
 
     def _cost(self, fit: Fit) -> float:
         """Weighted squared residual of the simulation itself, and the nuisances' price."""
@@ -168,31 +145,28 @@ class Fitter(GaussNewton):
         rough: bool = False,
         coarse: bool = False,
         target: float = np.inf,
-        nearer: bool = False,
     ) -> Fit | None:
         """The best values near the causes' own and the further `starts` (all values in a row); None if none runs.
 
         A `rough` fit looks at some of the runs while it searches, and is measured on all of them; it is broken off
         once it would not come down to the misfit `target` (of the runs it looks at) at its present pace. A `coarse`
-        one takes the screen's coarser time step while it searches. `nearer`: where a step gains nothing of what slopes
-        promise, they are taken over narrower differences; what sticks and slips has dents that wide ones do not see.
+        one takes the screen's coarser time step while it searches.
         """
-        candidates = [c.candidate for c in causes]
         fidelity = self._fidelity(causes, rough, coarse)
-        first = [[v for c in causes for v in c.values], *starts]
-        z = self._best_start(candidates, first, fidelity)
-        if z is None and fidelity.coarse > 1:
+        first = [list(values_of(causes)), *starts]
+        here = self._best_start(causes, first, fidelity)
+        if here is None and fidelity.coarse > 1:
             fidelity = Fidelity(fidelity.few)
-            z = self._best_start(candidates, first, fidelity)
-        if z is None:
+            here = self._best_start(causes, first, fidelity)
+        if here is None:
             return None
-        z, value, slopes = self._descend(candidates, z, None, fidelity, iterations, target, nearer)
+        here, misfit, slopes = self._descend(here, None, fidelity, iterations, target)
         if fidelity.coarse > 1:
             fidelity = Fidelity(fidelity.few)
-            if value <= target and self._predict(candidates, z, fidelity) is not None:
-                z, value, slopes = self._descend(candidates, z, slopes, fidelity, figures.POLISH)
+            if misfit <= target and self._predict(here, fidelity) is not None:
+                here, misfit, slopes = self._descend(here, slopes, fidelity, figures.POLISH)
         try:
-            return self._measure(causes_of(candidates, z), True, slopes, fidelity)
+            return self._measure(here, True, slopes, fidelity)
         except GapError:  # on a run that a rough fit did not look at
             return None
 
@@ -208,79 +182,64 @@ class Fitter(GaussNewton):
         Args:
             beside: (p,) prior of a rival's deviations. What is a cause there is a deviation here, within reason.
         """
-        with self._beside(fit.about):
+        with self.beside(fit.about):
             return self._left_out(fit, beside)
 
     def _left_out(self, fit: Fit, beside: F64) -> F64:
-        screen, runs, m = self.screen, range(len(self.screen.runs)), sum(len(c.values) for c in fit.causes)
-        candidates = [c.candidate for c in fit.causes]
-        z, e = np.array([v for c in fit.causes for v in c.values]), fit.evidence
-        A, b = list(e.A), list(e.b)
-        parameters = parameters_of(candidates)
-        slopes = self._slopes(candidates, z, list(fit.predictions)) if m else None
-        prior = np.append(fit.prior, [4 * abs(p.step) for p in parameters]) if slopes else fit.prior
+        z, e, A, b, prior = values_of(fit.causes), fit.evidence, fit.evidence.A, fit.evidence.b, fit.prior
+        parameters, few = parameters_of(fit.causes), len(fit.prior)
+        slopes = self.slopes(fit.causes, fit.predictions) if fit.causes else None
         if slopes:
-            for k, D in enumerate(slopes):
-                run = screen.runs[k]
-                w = screen.comparison.weights[run].reshape(-1)
-                r = np.nan_to_num(screen.residual(k, fit.predictions[k], fit.about - e.centre)).reshape(-1)
-                across = screen.weighted(k).T @ D
-                A[k] = np.block([[e.A[k], across], [across.T, D.T @ (w[:, None] * D)]])
-                b[k] = np.append(e.b[k], D.T @ (w * r))
+            e, A, b = self._normal(fit.causes, fit.predictions, slopes)
+            prior = np.append(prior, [4 * abs(p.step) for p in parameters])
         found = []
-        for k in runs:
-            others = [i for i in runs if i != k]
+        for k in range(len(A)):
+            others = [i for i in range(len(A)) if i != k]
             x, _ = posterior(np.sum([A[i] for i in others], axis=0), np.sum([b[i] for i in others], axis=0), prior)
-            x, step = x[: len(fit.prior)], x[len(fit.prior) :]
+            x, step = x[:few], x[few:]
             x = np.where((fit.prior > 0) & (beside == 0), reasonable(x, fit.prior), x)
             here, i = e, k
             if slopes:
                 most = widest(z, parameters)
-                nearest = clip(z + np.clip(step, -most, most), parameters)
-                moved = self._predict(candidates, nearest, Fidelity((k,)))
+                there = at(fit.causes, clip(z + np.clip(step, -most, most), parameters))
+                moved = self._predict(there, Fidelity((k,)))
                 if moved is not None:
-                    here, i = screen.evidence(moved, (k,), fit.about), 0
-                    here = here.moved(np.full(len(fit.prior), e.centre) - here.centre)
-            b_k, A_k = here.b[i], here.A[i]
-            found.append(0.5 * float(here.c[i] - 2 * b_k @ x + x @ A_k @ x))
+                    here, i = self.screen.evidence(moved, (k,), fit.about), 0
+                    here = here.moved(np.full(few, e.centre) - here.centre)
+            found.append(0.5 * float(here.c[i] - 2 * here.b[i] @ x + x @ here.A[i] @ x))
         return np.array(found)
 
     def spread(self, fit: Fit) -> Fit:
         """The same fit with its covariance from slopes taken at its very values."""
-        if not fit.causes:
-            return fit
-        return self._measure(fit.causes, True)
+        return self._measure(fit.causes, True) if fit.causes else fit
 
     # ------------------------------------------------------------ inside
 
     def _measure(
         self,
-        causes: tuple[Cause, ...],
+        causes: Sequence[Cause],
         spread_too: bool = False,
         slopes: list[F64] | None = None,
         fidelity: Fidelity = FULL,
     ) -> Fit:
         """The fit with its evidence, and its covariance if asked for, from `slopes` (of the runs looked at)."""
-        candidates = [c.candidate for c in causes]
-        z = np.array([v for c in causes for v in c.values])
-        prior = self.prior_beside(candidates)
-        predicted = self._predict(candidates, z)
+        prior, about = self.prior_beside(causes), self._about(causes)
+        predicted = self._predict(causes)
         if predicted is None:
             raise GapError("the simulator fails with the values found", hint="look at the units of the log")
-        about = self._about(candidates)
         evidence = self.screen.evidence(predicted, None, about)
+        z, parameters = values_of(causes), parameters_of(causes)
         covariance = np.zeros((len(z), len(z)))
         at_bounds: list[str] = []
-        if spread_too:
-            parameters = parameters_of(candidates)
+        if spread_too and parameters:
             if slopes is None:
-                slopes, fidelity = self._slopes(candidates, z, predicted), FULL
+                slopes, fidelity = self.slopes(causes, predicted), FULL
             if slopes is not None:
                 seen = predicted if fidelity.few is None else [predicted[k] for k in fidelity.few]
-                covariance = spread(*self._local(candidates, seen, slopes, fidelity), parameters)
+                covariance = spread(*self._local(causes, seen, slopes, fidelity), parameters)
             at_bounds = [p.name for p, v in zip(parameters, z, strict=True) if _at_bound(p, float(v))]
         misfit = self.screen.misfit(evidence, prior)
-        return Fit(causes, misfit, covariance, tuple(predicted), about, evidence, prior, tuple(at_bounds))
+        return Fit(tuple(causes), misfit, covariance, tuple(predicted), about, evidence, prior, tuple(at_bounds))
 
 
 def _at_bound(p: Parameter, value: float) -> bool:

@@ -11,8 +11,6 @@ from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.linear import log_evidence, marginal
-from realsim.gap.causes.probes import alone, probed, probed_footing, probed_ground
-from realsim.gap.causes.score import near
 from realsim.gap.causes.screen import Candidate, Screen, slab
 from realsim.gap.causes.starts import Guess, contains, extended, fullest, nested, starts, suggested
 from realsim.gap.causes.windows import window_candidates
@@ -54,18 +52,6 @@ def by_slopes(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
             yield _further(fitter, here, candidate, estimate, gain)
 
 
-def by_size(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
-    """One more cause: what explains much of the gap all by itself, when no nuisance parameter shares it."""
-    screen = fitter.screen
-    total = 0.5 * float(sum(here.evidence.c))
-    best: dict[str, Scored] = {}
-    for gain, c, estimate in alone(screen, here, screen.candidates):
-        if gain > max(figures.ALONE * total, best.get(c.effect, (0.0,))[0]) and not _taken(c, here):
-            best[c.effect] = gain, c, estimate
-    for gain, c, estimate in sorted(best.values(), key=lambda item: -item[0])[: figures.MOST_ALONE]:
-        yield _further(fitter, here, c, estimate, gain)
-
-
 def by_window(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     """One more cause: a force that acts for a while."""
     for gain, candidate, values in window_candidates(fitter.screen, here):
@@ -74,33 +60,52 @@ def by_window(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
 
 
 def by_simulation(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
-    """One more cause: what slopes do not foretell, looked at by simulation at a few sizes."""
-    screen = fitter.screen
-    order = ranked(screen, here)
-    free = [c for _, c, _ in order]
-    found = [*probed_ground(screen, fitter, here, free), *probed_footing(screen, fitter, here, free)]
-    foretold = bool(order) and order[0][0] > figures.FORETOLD * here.misfit
-    if not foretold and leftover(screen, here).mean() > figures.SMALL:
-        found += probed(screen, fitter, here, free)
-    for gain, candidate, values in found:
-        yield _further(fitter, here, candidate, values, gain)
+    """One more cause: what no slope foretells (whether a foot meets other ground, whether a drive saturates), looked at
+    by simulation at a few sizes."""
+    abrupt: dict[str, list[tuple[Candidate, F64]]] = {}
+    for _, c, estimate in ranked(fitter.screen, here):
+        effect = lookup(c.effect)
+        stands = fitter.screen.simulator.context.touches and c.names == effect.footing
+        if len(c.places) == 1 and (effect.abrupt or stands):
+            abrupt.setdefault(c.effect, []).append((c, estimate))
+    for candidates in abrupt.values():
+        looks = fitter.each(lambda item: _sized(fitter, here, *item), candidates[: figures.PROBED])
+        for gain, cause in sorted(looks, key=lambda item: -item[0])[: figures.KEPT]:
+            if gain > figures.WORTH:
+                yield _further(fitter, here, cause.candidate, cause.named, gain)
+
+
+def _sized(fitter: Fitter, here: Fit, candidate: Candidate, estimate: F64) -> tuple[float, Cause]:
+    """(gain in log-likelihood, the candidate at the best of some sizes along its estimate); beyond the largest, as long
+    as that gains, and nearer: a little beyond the right height a foot meets other ground."""
+    steps = np.array([abs(p.step) for p in candidate.parameters if p.name in candidate.linear])
+    size = np.linalg.norm(estimate / steps)
+    unit = dict(
+        zip(candidate.linear, estimate / size if size > 1e-3 else steps * (np.arange(len(steps)) == 0), strict=True)
+    )
+
+    def cause(factor: float) -> Cause:
+        return Cause(candidate, tuple(p.default + factor * float(unit.get(p.name, 0.0)) for p in candidate.parameters))
+
+    def gain(factor: float) -> float:
+        there = cause(factor)
+        if any(not p.bounds[0] <= v <= p.bounds[1] for p, v in zip(candidate.parameters, there.values, strict=True)):
+            return -np.inf
+        moved = fitter.looked_at(here, (*here.causes, there))  # a foot may meet the ground in one run only
+        return here.misfit - moved.misfit if moved else -np.inf
+
+    most, best = max((gain(factor), factor) for factor in figures.SIZES)
+    for further in (2.0, 0.75):
+        while most > 0 and (more := gain(further * best)) > most:
+            most, best = more, further * best
+    return most, cause(best)
 
 
 def by_likeness(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
-    """Another cause in the place of each: what does the same to first order, and what is as likely beside the rest."""
-    screen = fitter.screen
+    """Another cause in the place of each: what does the same to first order."""
     for i, cause in enumerate(here.causes):
-        others = _others(here, i)
-        found = _alike(fitter, here, cause)
-        rest = fitter.fit(others, iterations=2) if others else fitter.looked_at(here, ())
-        order = ranked(screen, rest) if rest is not None else []
-        own = next((gain for gain, c, _ in order if c.key == cause.candidate.key), 0.0)
-        likely = [(c, e) for gain, c, e in order if gain > max(own - near(own), 0.0) and not _taken(c, here)]
-        for c, estimate in likely[: figures.MOST_ALIKE]:
-            if c.names == c.linear:
-                found.append(Cause(c, tuple(float(x) for x in estimate)))
-        for other in found:
-            yield Proposal((*others, other))
+        for other in _alike(fitter, here, cause):
+            yield Proposal((*_others(here, i), other))
 
 
 def by_simulation_instead(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
@@ -203,5 +208,5 @@ def _taken(c: Candidate, here: Fit) -> bool:
     return any(set(o.place) & set(c.place) or not o.place for o in mine)
 
 
-ADD: Sequence[Propose] = (by_slopes, by_size, by_window, by_simulation, by_widening)
+ADD: Sequence[Propose] = (by_slopes, by_window, by_simulation, by_widening)
 EXCHANGE: Sequence[Propose] = (by_effect, by_likeness, by_simulation_instead)

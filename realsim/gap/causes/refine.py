@@ -65,7 +65,7 @@ def refined(fitter: Fitter, base: Fit, fits: list[Fit]) -> tuple[Fit, list[Fit]]
         fitter.reweighted(fits[0])
         again = [fit for f in close if (fit := _anew(fitter, f)) is not None] or [fitter.remeasure(fits[0])]
     else:
-        with fitter.nuisances_reset():
+        with fitter.beside():
             again = [fitter.with_own_nuisances(f, rounds=2) for f in close]
     return fitter.remeasure(base), sorted(again, key=partial(score, screen))
 
@@ -82,6 +82,6 @@ def _anew(fitter: Fitter, fit: Fit) -> Fit | None:
         [*done, *(v * factor if name in strength else v for name, v in cause.named.items())]
         for factor in figures.NEIGHBOURS
     ]
-    with fitter.nuisances_reset():
+    with fitter.beside():
         again = fitter.fit(fit.causes, starts, rough=True)
         return again and fitter.with_own_nuisances(again, rounds=2)

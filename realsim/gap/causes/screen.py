@@ -8,7 +8,7 @@ selection needs is in A = G'WG, b = G'Wr, c = r'Wr of each run.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -365,8 +365,3 @@ def slab(candidate: Candidate) -> F64:
     """(m,) prior size of a cause's parameters: the step that is worth calling a gap, generously."""
     fitted = [p for p in candidate.parameters if p.name in candidate.linear]
     return np.array([figures.SHIFT if p.shape else 2.0 * abs(p.step) for p in fitted])
-
-
-def parameters_of(candidates: Iterable[Candidate]) -> list[Parameter]:
-    """Of all values in a row."""
-    return [p for c in candidates for p in c.parameters]

@@ -16,7 +16,7 @@ import numpy as np
 from realsim.errors import GapError
 from realsim.gap.causes.fitted import Cause, spread
 from realsim.gap.causes.linear import Evidence, log_evidence, marginal, posterior
-from realsim.gap.causes.screen import Candidate, Screen, parameters_of, slab
+from realsim.gap.causes.screen import Candidate, Screen, slab
 from realsim.gap.effects.base import Parameter
 from realsim.gap.simulation.simulate import Setting
 from realsim.types import F64
@@ -84,7 +84,7 @@ class Joint:
     def fit(self, causes: Sequence[Cause], iterations: int = ITERATIONS) -> Changed | None:
         """The best values near those given, by Gauss-Newton over the simulation; None where it cannot run."""
         candidates = [c.candidate for c in causes]
-        parameters = parameters_of(candidates)
+        parameters = [p for c in candidates for p in c.parameters]
         low, high = self._bounds(candidates, parameters)
         z = np.clip(np.array([v for c in causes for v in c.values]), low, high)
         here = self.at(candidates, z)
