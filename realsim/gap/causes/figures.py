@@ -59,9 +59,9 @@ NEIGHBOURS = (0.65, 0.8, 0.9, 1.1, 1.25, 1.5)
 Set on generated quadrupeds."""
 
 # ---------------------------------------------------------------- forces that act for a while
-GRID, LEAD, SHORTEST = 0.1, 0.2, 0.2
-"""Seconds: of the grid on which windows begin and end at first, before an onset at which one may begin, of the
-shortest. Not tuned."""
+BRIEF = 0.2
+"""Seconds of the shortest force, before an onset at which one may begin, and twice the grid on which windows begin and
+end at first. Not tuned."""
 MARGIN, TIMES = 20.0, 1.5
 """Nats, and factor, by which a window must explain more than the same force throughout. Not tuned."""
 SLIDES = (0.3, 0.1, 0.03)

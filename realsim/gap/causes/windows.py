@@ -29,65 +29,49 @@ class Clock:
     latest: float = np.inf
     """s at which a window may begin at the latest."""
 
-    def values(self, start: float, end: float) -> dict[str, float]:
-        first, second = self.edges
-        return {first: start - figures.LEAD, second: end - start} if second == "lasts" else {first: start, second: end}
-
-
-def own_time(screen: Screen) -> Clock:
-    """Seconds since each run began."""
-    return Clock(dict.fromkeys(range(len(screen.runs)), 0.0), ("start", "end"))
+    def values(self, start: float, end: float) -> tuple[float, float]:
+        return (start, end) if self.latest == np.inf else (start - figures.BRIEF, end - start)
 
 
 def clocks(screen: Screen) -> list[Clock]:
     """The runs' own time; and since something sudden began in them, where it does."""
-    found = [own_time(screen)]
     onsets = screen.simulator.onsets
     names = [screen.simulator.case.runs[r].name for r in screen.runs]
-    if any(n in onsets for n in names):
-        zero = {k: onsets[n] - figures.LEAD for k, n in enumerate(names) if n in onsets}
-        found.append(Clock(zero, ("since", "lasts"), figures.LEAD + NEAR))
-    return found
+    since = {k: onsets[n] - figures.BRIEF for k, n in enumerate(names) if n in onsets}
+    own = Clock(dict.fromkeys(range(len(screen.runs)), 0.0), ("start", "end"))
+    return [own, Clock(since, ("since", "lasts"), figures.BRIEF + NEAR)] if since else [own]
 
 
 def window_candidates(screen: Screen, fit: Fit, most: int = 2) -> list[tuple[float, Candidate, dict[str, float]]]:
-    """(gain, candidate, start values) of forces that act for a while, where that says much more than acting always.
+    """(gain, candidate, start values) of forces that act for a while, where that says much more than acting always: the
+    best few bodies on each clock.
 
     The response to a force that lasts much longer than the servos' settling is nearly the constant force's response
     cut to the window, so that no further simulation is needed to find the window; the fit then simulates it.
     """
     left, weights = _left(screen, fit)
-    chosen = []
+    chosen, always = [], {}
     for clock in clocks(screen):
-        found = _by_place(screen, clock, left, weights)
+        found = []
+        for name, place in dict.fromkeys((a.effect, a.place) for a in screen.atoms if lookup(a.effect).passing):
+            candidate, index = _candidate(screen, name, place, clock.edges)
+            info, score = _by_time(screen, clock, index, left, weights)
+            scale = np.array([abs(screen.atoms[i].parameter.step) for i in index])
+            whole = always.setdefault((name, place), float(_gain(info.sum(axis=0), score.sum(axis=0), scale)[0]))
+            width = screen.comparison.config.bin_seconds
+            gain, start, end, force = _best_window(info, score, scale, width, clock.latest)
+            if gain > figures.TIMES * whole + figures.MARGIN:
+                values = zip(candidate.names, (*force, *clock.values(start, end)), strict=True)
+                found.append((gain, candidate, dict(values)))
         chosen += sorted(found, key=lambda item: -item[0])[:most]
     return chosen
-
-
-def _by_place(
-    screen: Screen, clock: Clock, left: list[F64], weights: list[F64]
-) -> list[tuple[float, Candidate, dict[str, float]]]:
-    """The best window of each body's force on one clock, where it says much more than a force that acts always."""
-    whole_runs = own_time(screen)
-    found = []
-    for name, place in dict.fromkeys((a.effect, a.place) for a in screen.atoms if lookup(a.effect).passing):
-        candidate, index = _candidate(screen, name, place, clock.edges)
-        info, score = _by_time(screen, clock, index, left, weights)
-        total = (info, score) if clock == whole_runs else _by_time(screen, whole_runs, index, left, weights)
-        scale = np.array([abs(screen.atoms[i].parameter.step) for i in index])
-        whole = float(_gain(total[0].sum(axis=0), total[1].sum(axis=0), scale)[0])
-        gain, start, end, force = _best_window(info, score, scale, screen.comparison.config.bin_seconds, clock.latest)
-        if gain > figures.TIMES * whole + figures.MARGIN:
-            found.append((gain, candidate, dict(zip(candidate.linear, force, strict=True)) | clock.values(start, end)))
-    return found
 
 
 def _candidate(screen: Screen, name: str, place: Place, edges: tuple[str, ...]) -> tuple[Candidate, list[int]]:
     """(a force with these edges, the atoms of its axes): a planar arm cannot feel a force across its plane."""
     at = {a.parameter.name: i for i, a in enumerate(screen.atoms) if (a.effect, a.place) == (name, place)}
     every = {p.name: p for p in lookup(name).parameters(screen.simulator.context, place)}
-    parameters = tuple(every[n] for n in (*at, *edges))
-    index = list(at.values())
+    parameters, index = tuple(every[n] for n in (*at, *edges)), list(at.values())
     return Candidate(name, (place,), parameters, np.eye(len(screen.atoms))[:, index], tuple(at)), index
 
 
@@ -184,7 +168,7 @@ def _best_window(
     """(gain, start, end, force) of the window in which a constant force says most, begun at the `latest` then."""
     zero = np.zeros((1, *info.shape[1:]))
     total, tally = np.cumsum(np.concatenate([zero, info]), axis=0), np.cumsum(np.vstack([zero[:, 0], score]), axis=0)
-    shortest, step = int(figures.SHORTEST / width), max(int(figures.GRID / width), 1)
+    shortest, step = int(figures.BRIEF / width), max(int(figures.BRIEF / 2 / width), 1)
 
     def best(starts: Any, ends: Any) -> tuple[float, int, int, F64]:
         first, last = (a.ravel() for a in np.meshgrid(starts, ends, indexing="ij"))
