@@ -12,7 +12,7 @@ from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.linear import log_evidence, marginal
 from realsim.gap.causes.screen import Candidate, Screen, slab
-from realsim.gap.causes.starts import Guess, contains, extended, fullest, nested, starts, suggested
+from realsim.gap.causes.starts import Guess, nested, starts, suggested
 from realsim.gap.causes.windows import window_candidates
 from realsim.gap.simulation.simulate import lookup
 from realsim.types import F64
@@ -123,31 +123,13 @@ def by_simulation_instead(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
 
 
 def by_effect(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
-    """Another cause in the place of each: what its effect suggests, which is one that does the same by its nature, the
-    same at another place, or other values of its own."""
+    """Another cause in the place of each: with all its effect's parameters, or what the effect suggests, which is a law
+    that contains it, one that does the same by its nature, the same at another place, or other values of its own."""
     for i, cause in enumerate(here.causes):
-        for candidate, values in suggested(fitter.screen, cause):
-            if not contains(candidate, cause.candidate):
-                yield _instead(here, i, candidate, values)
-
-
-def by_widening(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
-    """Each cause with all its effect's parameters, or as a special case of the law that contains it."""
-    for i, cause in enumerate(here.causes):
-        full = fullest(fitter.screen, cause.candidate)
-        if full is not None:
-            yield _instead(here, i, full, [extended(cause, full)])
-        for candidate, values in suggested(fitter.screen, cause):
-            if contains(candidate, cause.candidate):
-                yield _instead(here, i, candidate, values)
-
-
-def _instead(here: Fit, i: int, candidate: Candidate, values: Sequence[Sequence[float]]) -> Proposal:
-    """A candidate in the place of the i-th cause, from some values of its parameters."""
-    others = _others(here, i)
-    done = tuple(v for c in others for v in c.values)
-    first, *more = values
-    return Proposal((*others, Cause(candidate, tuple(first))), tuple((*done, *v) for v in more))
+        others = _others(here, i)
+        done = tuple(v for c in others for v in c.values)
+        for candidate, (first, *more) in suggested(fitter.screen, cause):
+            yield Proposal((*others, Cause(candidate, tuple(first))), tuple((*done, *v) for v in more))
 
 
 def ranked(screen: Screen, here: Fit) -> list[Scored]:
@@ -160,7 +142,7 @@ def ranked(screen: Screen, here: Fit) -> list[Scored]:
         if any(
             (candidate.effect, p) in taken or (lookup(candidate.effect).plain, p) in taken for p in candidate.places
         ):
-            continue  # a law that contains one of the causes takes its place: see `by_widening`
+            continue  # a law that contains one of the causes takes its place: see `by_effect`
         size = slab(candidate)
         scored = [(*log_evidence(A, b, candidate.directions, size)[:2], misfit - least) for A, b, misfit in about]
         gain, estimate = max(((gain - behind, estimate) for gain, estimate, behind in scored), key=lambda g: g[0])
@@ -208,5 +190,5 @@ def _taken(c: Candidate, here: Fit) -> bool:
     return any(set(o.place) & set(c.place) or not o.place for o in mine)
 
 
-ADD: Sequence[Propose] = (by_slopes, by_window, by_simulation, by_widening)
+ADD: Sequence[Propose] = (by_slopes, by_window, by_simulation)
 EXCHANGE: Sequence[Propose] = (by_effect, by_likeness, by_simulation_instead)

@@ -99,13 +99,17 @@ class Screen:
         for effect in [*(EFFECTS[n] for n in chosen), *NUISANCES.values()]:
             places = effect.places(context)
             if not places:
-                self.skipped[effect.name] = effect.excited_by(context, ()).reason if _placeless(effect) else "no place"
+                self.skipped[effect.name] = (
+                    effect.excited_by(context, ()).reason if effect.scope == "global" else "no place"
+                )
             for place in places:
                 excitation = effect.excited_by(context, place)
                 if not excitation.yes:
                     self.skipped.setdefault(effect.name, excitation.reason)
                     continue
-                wanted += [Atom(effect.name, place, p) for p in effect.parameters(context, place) if _has_slope(p)]
+                # Shape parameters (a Stribeck velocity, where a payload sits) do nothing on their own.
+                slopes = [p for p in effect.parameters(context, place) if p.strength and p.like is None]
+                wanted += [Atom(effect.name, place, p) for p in slopes]
         self.nominal = simulator.simulate(runs=self.runs)
         # Slopes of a large robot bear a coarser step: it halves the time, and both ends of the difference share it.
         self.coarse = 2 if simulator.case.model.nv >= 5 and context.timestep <= 0.0025 else 1
@@ -350,15 +354,6 @@ class Screen:
         if not directions:
             return None
         return Candidate(effect.name, group, parameters, np.stack(directions, axis=1), tuple(linear))
-
-
-def _has_slope(p: Parameter) -> bool:
-    """Shape parameters (a Stribeck velocity, where a payload sits) do nothing on their own."""
-    return p.strength and p.like is None
-
-
-def _placeless(effect: Effect) -> bool:
-    return effect.scope == "global"
 
 
 def slab(candidate: Candidate) -> F64:

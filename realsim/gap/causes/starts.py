@@ -41,17 +41,15 @@ def starts(screen: Screen, candidate: Candidate, guess: Guess) -> list[list[floa
     return found
 
 
-def fullest(screen: Screen, candidate: Candidate) -> Candidate | None:
-    """The same effect at the same place with the most parameters, if that is more than it has."""
-    more = [c for c in screen.candidates if nested(c, candidate) and len(c.names) > len(candidate.names)]
-    return max(more, key=lambda c: len(c.names)) if more else None
-
-
 def suggested(screen: Screen, cause: Cause) -> list[tuple[Candidate, list[list[float]]]]:
-    """(candidate, values to begin from) of what the cause's effect suggests in its place."""
-    context = screen.simulator.context
+    """(candidate, values to begin from) of what may stand in a cause's place: the same with all its parameters, and
+    what its effect suggests."""
+    own = cause.candidate
     found: dict[tuple, tuple[Candidate, list[list[float]]]] = {}
-    for other in lookup(cause.candidate.effect).suggests(context, cause.candidate.place, cause.named):
+    more = [c for c in screen.candidates if nested(c, own) and len(c.names) > len(own.names)]
+    for full in sorted(more, key=lambda c: -len(c.names))[:1]:
+        found[full.key] = full, [[cause.named.get(p.name, p.default) for p in full.parameters]]
+    for other in lookup(own.effect).suggests(screen.simulator.context, own.place, cause.named):
         for c in screen.candidates:
             if (c.effect, c.place) == (other.effect, other.place) and set(c.names) == set(other.values):
                 found.setdefault(c.key, (c, []))[1].append([other.values[n] for n in c.names])
@@ -67,8 +65,3 @@ def nested(a: Candidate, b: Candidate) -> bool:
 def contains(rich: Candidate, plain: Candidate) -> bool:
     """Whether one law holds the other as a special case, at the same place."""
     return lookup(rich.effect).plain == plain.effect and rich.places == plain.places
-
-
-def extended(cause: Cause, full: Candidate) -> list[float]:
-    """The cause's values as the start of the fuller form."""
-    return [cause.named.get(p.name, p.default) for p in full.parameters]
