@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -130,6 +131,17 @@ class Comparison:
             self.weights.append(1.0 / (self.variance(i) + CORRELATION * d**2))
             self.weights[i][self._counts[i] == 0] = 0.0
         self.version += 1
+
+    @contextmanager
+    def allowing(self, detail: F64) -> Iterator[None]:
+        """Errors in here count against slow structure of this size, (C,)."""
+        kept = self.weights
+        self.set_detail([detail for _ in kept])
+        try:
+            yield
+        finally:
+            self.weights = kept
+            self.version += 1
 
     def temper(self, runs: Sequence[int], simulated: Sequence[F64], nominal: Sequence[F64], form: float) -> None:
         """Weigh errors against the gap that is still there: a model that explains most of it is good enough for now.

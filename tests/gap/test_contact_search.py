@@ -10,7 +10,7 @@ import pytest
 
 from realsim.gap import Case, DiagnoseConfig
 from realsim.gap.causes.fit import Cause, Fit, Fitter
-from realsim.gap.causes.probes import probed, probed_ground, standing_out
+from realsim.gap.causes.proposals import by_simulation
 from realsim.gap.causes.refine import prepared, refined
 from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.compare import Comparison
@@ -37,22 +37,6 @@ def at(fitter: Fitter, effect: str, place: str, value: float) -> Fit:
     fit = fitter.looked_at(fitter.nominal(), [Cause(candidate(fitter, effect, place), (value,))])
     assert fit is not None
     return fit
-
-
-def test_a_tilt_stands_out_in_its_sense(quadruped: Case) -> None:  # noqa: F811
-    case = logged(logged(quadruped, []), [("terrain_tilt", (), {"roll": 0.03, "pitch": -0.02})])
-    with fitter_for(case, ("terrain_tilt", "joint_offset")) as fitter:
-        nominal = fitter.nominal()
-        found = {c.effect: (c, estimate) for c, estimate in reversed(standing_out(fitter.screen, nominal))}
-        tilt, estimate = found["terrain_tilt"]
-        truth = {"roll": 0.03, "pitch": -0.02}
-        assert all(np.sign(e) == np.sign(truth[n]) for n, e in zip(tilt.names, estimate, strict=True))
-        assert "terrain_tilt" in [c.effect for _, c, _ in probed(fitter.screen, fitter, nominal, [])]
-
-
-def test_nothing_stands_out_where_nothing_is(quadruped: Case) -> None:  # noqa: F811
-    with fitter_for(logged(quadruped, []), ("terrain_tilt", "joint_offset", "damping_gain")) as fitter:
-        assert standing_out(fitter.screen, fitter.nominal()) == []
 
 
 def test_a_second_fit_begins_beside_the_values_at_which_a_first_one_got_stuck(quadruped: Case) -> None:  # noqa: F811
@@ -97,9 +81,9 @@ def test_slopes_are_not_taken_anew_where_a_law_makes_every_step_much_finer(
 def test_a_height_is_found_short_of_one_at_which_the_foot_meets_other_ground(quadruped: Case) -> None:  # noqa: F811
     case = logged(logged(quadruped, []), [("terrain_height", ("block_2",), {"height": -0.0155})])
     with fitter_for(case, ("terrain_height",)) as fitter:
-        _, best, start = probed_ground(fitter.screen, fitter, fitter.nominal(), fitter.screen.candidates)[0]
-    assert best.place == ("block_2",)
-    assert start == {"height": pytest.approx(-0.015)}
+        best = next(by_simulation(fitter, fitter.nominal())).causes[0]
+    assert best.candidate.place == ("block_2",)
+    assert best.named == {"height": pytest.approx(-0.015)}
 
 
 def test_a_richer_law_must_be_clearly_better_where_feet_slip(quadruped: Case) -> None:  # noqa: F811

@@ -17,7 +17,7 @@ from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
 from realsim.gap.causes.fit import Cause, Fitter
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.linear import Evidence
-from realsim.gap.causes.proposals import by_widening
+from realsim.gap.causes.proposals import by_effect
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.search import Search
 from realsim.gap.compare import Comparison
@@ -200,7 +200,7 @@ def test_a_richer_law_takes_the_place_of_the_plain_one(arm: Case) -> None:
     of = {(c.effect, c.place, len(c.names)): c for c in screen.candidates}
     plain = fitter.fit([Cause(of["coulomb_friction", ("shoulder",), 1], (1.0,))])
     assert plain is not None
-    (proposal,) = by_widening(fitter, plain)
+    (proposal,) = by_effect(fitter, plain)
     found = fitter.fit(proposal.causes, proposal.starts)
     assert found is not None
     assert [c.candidate.effect for c in found.causes] == ["stribeck_friction"]

@@ -170,43 +170,42 @@ class Fitter(GaussNewton):
         except GapError:  # on a run that a rough fit did not look at
             return None
 
+    def without_each(self, fit: Fit) -> Iterator[tuple[F64, tuple[Cause, ...]]]:
+        """((p,) nuisances, causes) fitted to all runs but one, each in turn, beside the nuisances of the fit: one
+        Gauss-Newton step leads from the values that suit all runs to those that suit the others."""
+        z, parameters, p = values_of(fit.causes), parameters_of(fit.causes), len(fit.prior)
+        A, b, prior = fit.evidence.A, fit.evidence.b, fit.prior
+        with self.beside(fit.about):
+            slopes = self.slopes(fit.causes, fit.predictions)
+            if slopes:
+                _, A, b = self._normal(fit.causes, fit.predictions, slopes)
+                prior = np.append(prior, [4 * abs(p.step) for p in parameters])
+        for k in range(len(A)):
+            others = [i for i in range(len(A)) if i != k] or [k]
+            x, _ = posterior(np.sum([A[i] for i in others], axis=0), np.sum([b[i] for i in others], axis=0), prior)
+            most = widest(z, parameters)
+            step = np.clip(x[p:], -most, most) if slopes else 0.0
+            yield x[:p], at(fit.causes, clip(z + step, parameters))
+
+    def of_run(self, fit: Fit, causes: Sequence[Cause], k: int) -> F64:
+        """(T, C) prediction of screened run k with these values, beside the nuisances of the fit; the fit's own where
+        that fails."""
+        with self.beside(fit.about):
+            moved = self._predict(causes, Fidelity((k,))) if causes else None
+        return moved[0] if moved else fit.predictions[k]
+
     def left_out(self, fit: Fit, beside: F64) -> F64:
         """(runs,) half the weighted squares of each run, with values and deviations fitted to all the other runs.
-
-        One Gauss-Newton step from the values that suit all runs leads to those that suit the others; the run that is
-        left out is simulated with them.
-
-        The simulations contain the nuisances that the fit was measured beside: its predictions do, and what moves by
-        other nuisances would be taken for the runs' own.
 
         Args:
             beside: (p,) prior of a rival's deviations. What is a cause there is a deviation here, within reason.
         """
-        with self.beside(fit.about):
-            return self._left_out(fit, beside)
-
-    def _left_out(self, fit: Fit, beside: F64) -> F64:
-        z, e, A, b, prior = values_of(fit.causes), fit.evidence, fit.evidence.A, fit.evidence.b, fit.prior
-        parameters, few = parameters_of(fit.causes), len(fit.prior)
-        slopes = self.slopes(fit.causes, fit.predictions) if fit.causes else None
-        if slopes:
-            e, A, b = self._normal(fit.causes, fit.predictions, slopes)
-            prior = np.append(prior, [4 * abs(p.step) for p in parameters])
         found = []
-        for k in range(len(A)):
-            others = [i for i in range(len(A)) if i != k]
-            x, _ = posterior(np.sum([A[i] for i in others], axis=0), np.sum([b[i] for i in others], axis=0), prior)
-            x, step = x[:few], x[few:]
+        for k, (x, causes) in enumerate(self.without_each(fit)):
             x = np.where((fit.prior > 0) & (beside == 0), reasonable(x, fit.prior), x)
-            here, i = e, k
-            if slopes:
-                most = widest(z, parameters)
-                there = at(fit.causes, clip(z + np.clip(step, -most, most), parameters))
-                moved = self._predict(there, Fidelity((k,)))
-                if moved is not None:
-                    here, i = self.screen.evidence(moved, (k,), fit.about), 0
-                    here = here.moved(np.full(few, e.centre) - here.centre)
-            found.append(0.5 * float(here.c[i] - 2 * here.b[i] @ x + x @ here.A[i] @ x))
+            here = self.screen.evidence([self.of_run(fit, causes, k)], (k,), fit.about)
+            here = here.moved(np.full(len(x), fit.evidence.centre) - here.centre)
+            found.append(0.5 * float(here.c[0] - 2 * here.b[0] @ x + x @ here.A[0] @ x))
         return np.array(found)
 
     def spread(self, fit: Fit) -> Fit:

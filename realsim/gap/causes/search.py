@@ -19,6 +19,7 @@ from realsim.gap.causes.proposals import ADD, EXCHANGE, Proposal, Propose, ranke
 from realsim.gap.causes.refine import prepared, refined
 from realsim.gap.causes.score import Held, doubts, near, score, searched
 from realsim.gap.causes.screen import Candidate
+from realsim.types import F64
 
 Tick = Callable[[str, float], None]
 
@@ -64,7 +65,8 @@ class Search:
         expanded: set[frozenset] = set()
         for k in range(figures.EXPANSIONS):
             tick("search for causes", k / figures.EXPANSIONS)
-            if self._hopeless() or self.best.full_key in expanded:
+            left = leftover(self.fitter.screen, self.fitter.remeasure(self.best))
+            if self._hopeless(left) or self.best.full_key in expanded:
                 break
             expanded.add(self.best.full_key)
             # Each of several causes was chosen while another one was missing: they are exchanged before one is added.
@@ -74,14 +76,13 @@ class Search:
                 break
         self.best = prepared(self.fitter, self.best)
 
-    def _hopeless(self) -> bool:
+    def _hopeless(self, left: F64) -> bool:
         """Whether nothing in the library fits: with all the causes that a set may have, each as good as those so far,
         it would still not remove the share of the gap above the floor that causes must to be named."""
-        left = leftover(self.fitter.screen, self.fitter.remeasure(self.best)).mean() - 1
         if not self.best.causes:
-            self.gap = max(left, 0.0)
+            self.gap = max(left.mean() - 1, 0.0)
             return False
-        stays = left / self.gap if self.gap else 0.0
+        stays = (left.mean() - 1) / self.gap if self.gap else 0.0
         return bool(max(stays, 0.0) ** (self.most / len(self.best.causes)) > 1 - figures.NAMED_SHARE)
 
     def _dropped(self) -> bool:
