@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import numpy as np
 import pytest
 
 from realsim.gap import Case, DiagnoseConfig
@@ -48,18 +47,6 @@ def test_a_second_fit_begins_beside_the_values_at_which_a_first_one_got_stuck(qu
         cause = fits[0].causes[0]
         assert cause.candidate.effect == "coulomb_friction"
         assert abs(cause.values[0] - 1.0) < 0.2
-
-
-def test_causes_and_deviations_are_settled_together_and_nothing_else_moves(quadruped: Case) -> None:  # noqa: F811
-    deviations = [("motor_gain", (j,), {"ratio": 0.04}) for j in ("fl_thigh", "hr_calf")]
-    cause = ("coulomb_friction", ("fl_calf",), {"friction": 1.0})
-    case = logged(logged(quadruped, []), [cause, *deviations])
-    with fitter_for(case, ("coulomb_friction", "motor_gain")) as fitter:
-        before, about = at(fitter, "coulomb_friction", "fl_calf", 0.8), fitter.about.copy()
-        after = fitter.with_own_nuisances(before)
-        assert np.array_equal(fitter.about, about)
-        assert after.misfit < before.misfit
-        assert 0.8 < after.causes[0].values[0] < 1.1
 
 
 def test_slopes_are_not_taken_anew_where_a_law_makes_every_step_much_finer(

@@ -130,19 +130,6 @@ def test_an_accelerometer_is_read_before_the_command_acts_or_after(arm: Case) ->
     assert np.linalg.norm(before, axis=1)[steps].max() < gravity + 0.3 * jump[steps].min()
 
 
-def test_an_imus_delay_gives_way_to_late_commands(arm: Case) -> None:
-    case = dataclasses.replace(arm, imu_site="wrist")
-    runs = [dataclasses.replace(r, signals=r.signals | {"imu_acc": np.zeros((len(r.time), 3))}) for r in case.runs]
-    late = logged(case.with_runs(tuple(runs)), [("command_delay", (), {"delay": 0.015})])
-    screen = screened(late, ("command_delay",))
-    fitter = Fitter(screen)
-    delay, phase = screen.index["imu_delay", (), "delay"], screen.index["imu_phase", (), "phase"]
-    fitter.about[[delay, phase]] = 0.005, 0.3
-    straight = fitter.reset_nuisances(fitter.nominal())
-    assert straight.about[delay] == 0.0
-    assert straight.about[phase] == 0.3
-
-
 def test_slopes_are_taken_anew_beside_a_cause(arm: Case) -> None:
     screen = screened(arm, ("armature", "motor_gain"))
     cause = ("motor_gain", ("shoulder",), {"ratio": -0.5})

@@ -14,7 +14,7 @@ import numpy as np
 
 from realsim.gap.answer.check import BLOCK_SECONDS, errors, mean_square
 from realsim.gap.causes.fitted import values_of
-from realsim.gap.causes.leftover import deviations, reasonable
+from realsim.gap.causes.leftover import reasonable, rests
 from realsim.gap.compare import CORRELATION, Comparison
 from realsim.types import F64
 
@@ -48,23 +48,18 @@ def leave_out(screen: Any, fitter: Any, fit: Any) -> LeftOut:
     Errors count by the noise floor and by what the fit leaves in each channel beside everyday deviations.
     """
     comparison: Comparison = screen.comparison
-    runs, further = list(screen.runs), fit.evidence.centre + deviations(screen, fit) - fit.about
-    rest = [
-        comparison.residual(run, y) - screen.fitted(k, further)
-        for k, (run, y) in enumerate(zip(runs, fit.predictions, strict=True))
-    ]
+    runs = list(screen.runs)
     values, residuals, after = [], [], []
-    with comparison.allowing(np.hypot(comparison.noise.detail, discrepancy(comparison, runs, rest))):
-        with fitter.beside(fit.about):
-            fit = fitter.spread(fitter.remeasure(fit))
+    rest = discrepancy(comparison, runs, rests(screen, fit))
+    with comparison.allowing(np.hypot(comparison.noise.detail, rest)):
+        fit = fitter.spread(fitter.remeasure(fit))
         for k, (x, causes) in enumerate(fitter.without_each(fit)):
             predicted = fitter.of_run(fit, causes, k)
-            further = fit.evidence.centre + reasonable(x, fit.prior) - fit.about
-            rest = comparison.residual(runs[k], predicted) - screen.fitted(k, further)
-            after.append(mean_square(comparison, [rest], [runs[k]]))
+            left = screen.residual(k, predicted, fit.evidence.centre + reasonable(x, fit.prior))
+            after.append(mean_square(comparison, [left], [runs[k]]))
             values.append(values_of(causes))
             settings = [s for c in causes for s in c.settings()]
-            plain = errors(screen.simulator, comparison, settings, [runs[k]]) if fit.about.any() else None
+            plain = errors(screen.simulator, comparison, settings, [runs[k]]) if screen.solver else None
             residuals.append(plain[0] if plain else comparison.residual(runs[k], predicted))
     sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     if len(runs) > 2:

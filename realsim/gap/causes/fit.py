@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 import numpy as np
@@ -14,10 +13,9 @@ from realsim.gap.causes.fitted import Cause as Cause
 from realsim.gap.causes.fitted import Fit as Fit
 from realsim.gap.causes.fitted import at, form, parameters_of, spread, values_of
 from realsim.gap.causes.gauss_newton import FULL, Fidelity, GaussNewton, clip, widest
-from realsim.gap.causes.leftover import deviations, reasonable
+from realsim.gap.causes.leftover import reasonable
 from realsim.gap.causes.linear import posterior
 from realsim.gap.effects.base import Parameter
-from realsim.gap.simulation.nuisances import LIKE_A_CAUSE, NUISANCES
 from realsim.types import F64
 
 
@@ -37,73 +35,36 @@ class Fitter(GaussNewton):
         What is one or the other is tried, not sloped: beside slipping feet its slope says little of it, and lower
         friction imitates it. Beside causes the gap is theirs, and what stays of it may be the solver's.
         """
-        for i, atom in enumerate(self.screen.atoms):
-            if not (atom.parameter.whole and fit.prior[i] > 0):
+        screen = self.screen
+        for i, (effect, place, p) in enumerate((a.effect, a.place, a.parameter) for a in screen.atoms):
+            if not p.whole:
                 continue
-            old = self.about
-            cost, share = self._cost(fit), 1.0 if fit.causes else figures.SWITCHED
-            least = figures.LIKELIER if fit.causes else 0.0
-            self.about = old.copy()
-            self.about[i] = sum(atom.parameter.bounds) - old[i]
-            moved = self.looked_at(fit, fit.causes)
-            if moved is not None and fit.misfit - moved.misfit > least and self._cost(moved) < share * cost:
+            before, prior = screen.solver, screen.prior[i]
+            other = (effect, place, {p.name: p.bounds[1]})
+            screen.solver = [s for s in before if s != other] if other in before else [*before, other]
+            screen.prior[i] = p.nuisance if other in before else 0.0
+            moved, cost = self.looked_at(fit, fit.causes), self._cost(fit)
+            most = cost - 2 * figures.LIKELIER if fit.causes else figures.SWITCHED * cost
+            if moved is not None and self._cost(moved) < most:
                 fit = moved
             else:
-                self.about = old
+                screen.solver, screen.prior[i] = before, prior
         return fit
+
+    def _cost(self, fit: Fit) -> float:
+        """Weighted squared residual of the simulation itself."""
+        comparison = self.screen.comparison
+        rows = zip(self.screen.runs, fit.predictions, strict=True)
+        return float(sum(np.nansum(comparison.weights[run] * comparison.residual(run, y) ** 2) for run, y in rows))
 
     def reweighted(self, fit: Fit) -> Fit:
-        """Weigh errors against what this fit leaves, put the nuisances where they belong, and measure it anew."""
-        for _ in range(2):
-            self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal, form(fit))
-            fit, moved = self._fit_nuisances(self.remeasure(fit))
-            if not moved:
-                break
-        return fit
-
-    def reset_nuisances(self, fit: Fit) -> Fit:
-        """Back to robots without deviations (the solver's and the sensors' stay): a gap is left all the same.
-
-        Small deviations that were bent to imitate a cause would hide it from its own rivals.
-        """
-        straight = self._nuisances_of_sensors()
-        if np.array_equal(straight, self.about):
-            return fit
-        self.about = straight
-        fit = self.remeasure(fit)
+        """Weigh errors against what this fit leaves, and measure it anew."""
         self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal, form(fit))
         return self.remeasure(fit)
 
-    @contextmanager
-    def beside(self, about: F64 | None = None) -> Iterator[None]:
-        """Simulations in here contain these nuisances; if None, those after `reset_nuisances`."""
-        own, self.about = self.about, self._nuisances_of_sensors() if about is None else about
-        try:
-            yield
-        finally:
-            self.about = own
-
-    def with_own_nuisances(self, fit: Fit, rounds: int = 4) -> Fit:
-        """Causes and small deviations where they belong beside each other, found in turn; for this fit alone."""
-        best = fit
-        with self.beside(self.about), suppress(GapError):  # where the robot falls, what was best until then counts
-            for _ in range(rounds):
-                fit, moved = self._fit_nuisances(self.remeasure(fit))
-                if moved and fit.causes:
-                    fit = self.fit(fit.causes, iterations=3) or fit
-                best = min(best, fit, key=lambda f: f.misfit)
-                if not moved:
-                    break
-        return best
-
-    def _nuisances_of_sensors(self) -> F64:
-        staying = NUISANCES.keys() - LIKE_A_CAUSE
-        return np.where([a.effect in staying for a in self.screen.atoms], self.about, 0.0)
-
     def remeasure(self, fit: Fit) -> Fit:
-        """The same fit under the present weights and nuisances."""
-        new = self._measure(fit.causes)
-        return replace(new, covariance=fit.covariance, at_bounds=fit.at_bounds)
+        """The same fit under the present weights."""
+        return replace(self._measure(fit.causes), covariance=fit.covariance, at_bounds=fit.at_bounds)
 
     def looked_at(self, fit: Fit, causes: Sequence[Cause]) -> Fit | None:
         """These causes at their very values, without a search, under the fit's weights; None if the robot falls."""
@@ -111,31 +72,6 @@ class Fitter(GaussNewton):
             return self.remeasure(replace(fit, causes=tuple(causes)))
         except GapError:
             return None
-
-    def _fit_nuisances(self, fit: Fit) -> tuple[Fit, bool]:
-        """Nuisances at their most probable values beside the causes, by simulation; whether they moved.
-
-        They only move if that explains most of what is left: beside a large gap, many small deviations would be bent
-        to imitate it.
-        """
-        x = deviations(self.screen, fit)
-        x = np.where(self.screen.simulable & (np.abs(x) > 0.05 * fit.prior), x, 0.0)
-        old, cost = self.about, self._cost(fit)
-        for share in (1.0, 0.5):
-            self.about = self.screen.possible(old + share * (x - old))
-            moved = self.looked_at(fit, fit.causes)
-            if moved is not None and self._cost(moved) < (0.98 if old.any() else figures.SETTLED) * cost:
-                return moved, True
-        self.about = old
-        return fit, False
-
-    def _cost(self, fit: Fit) -> float:
-        """Weighted squared residual of the simulation itself, and the nuisances' price."""
-        total = float(np.sum((self.about[fit.prior > 0] / fit.prior[fit.prior > 0]) ** 2))
-        for run, y in zip(self.screen.runs, fit.predictions, strict=True):
-            r = self.screen.comparison.residual(run, y)
-            total += float(np.nansum(self.screen.comparison.weights[run] * r**2))
-        return total
 
     def fit(
         self,
@@ -171,15 +107,14 @@ class Fitter(GaussNewton):
             return None
 
     def without_each(self, fit: Fit) -> Iterator[tuple[F64, tuple[Cause, ...]]]:
-        """((p,) nuisances, causes) fitted to all runs but one, each in turn, beside the nuisances of the fit: one
-        Gauss-Newton step leads from the values that suit all runs to those that suit the others."""
+        """((p,) nuisances, causes) fitted to all runs but one, each in turn: one Gauss-Newton step from the values that
+        suit all runs leads to those that suit the others."""
         z, parameters, p = values_of(fit.causes), parameters_of(fit.causes), len(fit.prior)
         A, b, prior = fit.evidence.A, fit.evidence.b, fit.prior
-        with self.beside(fit.about):
-            slopes = self.slopes(fit.causes, fit.predictions)
-            if slopes:
-                _, A, b = self._normal(fit.causes, fit.predictions, slopes)
-                prior = np.append(prior, [4 * abs(p.step) for p in parameters])
+        slopes = self.slopes(fit.causes, fit.predictions)
+        if slopes:
+            _, A, b = self._normal(fit.causes, fit.predictions, slopes)
+            prior = np.append(prior, [4 * abs(p.step) for p in parameters])
         for k in range(len(A)):
             others = [i for i in range(len(A)) if i != k] or [k]
             x, _ = posterior(np.sum([A[i] for i in others], axis=0), np.sum([b[i] for i in others], axis=0), prior)
@@ -188,10 +123,8 @@ class Fitter(GaussNewton):
             yield x[:p], at(fit.causes, clip(z + step, parameters))
 
     def of_run(self, fit: Fit, causes: Sequence[Cause], k: int) -> F64:
-        """(T, C) prediction of screened run k with these values, beside the nuisances of the fit; the fit's own where
-        that fails."""
-        with self.beside(fit.about):
-            moved = self._predict(causes, Fidelity((k,))) if causes else None
+        """(T, C) prediction of screened run k with these values; the fit's own where that fails."""
+        moved = self._predict(causes, Fidelity((k,))) if causes else None
         return moved[0] if moved else fit.predictions[k]
 
     def left_out(self, fit: Fit, beside: F64) -> F64:
@@ -203,7 +136,7 @@ class Fitter(GaussNewton):
         found = []
         for k, (x, causes) in enumerate(self.without_each(fit)):
             x = np.where((fit.prior > 0) & (beside == 0), reasonable(x, fit.prior), x)
-            here = self.screen.evidence([self.of_run(fit, causes, k)], (k,), fit.about)
+            here = self.screen.evidence([self.of_run(fit, causes, k)], (k,))
             here = here.moved(np.full(len(x), fit.evidence.centre) - here.centre)
             found.append(0.5 * float(here.c[0] - 2 * here.b[0] @ x + x @ here.A[0] @ x))
         return np.array(found)
@@ -222,11 +155,11 @@ class Fitter(GaussNewton):
         fidelity: Fidelity = FULL,
     ) -> Fit:
         """The fit with its evidence, and its covariance if asked for, from `slopes` (of the runs looked at)."""
-        prior, about = self.prior_beside(causes), self._about(causes)
+        prior = self.prior_beside(causes)
         predicted = self._predict(causes)
         if predicted is None:
             raise GapError("the simulator fails with the values found", hint="look at the units of the log")
-        evidence = self.screen.evidence(predicted, None, about)
+        evidence = self.screen.evidence(predicted)
         z, parameters = values_of(causes), parameters_of(causes)
         covariance = np.zeros((len(z), len(z)))
         at_bounds: list[str] = []
@@ -238,7 +171,7 @@ class Fitter(GaussNewton):
                 covariance = spread(*self._local(causes, seen, slopes, fidelity), parameters)
             at_bounds = [p.name for p, v in zip(parameters, z, strict=True) if _at_bound(p, float(v))]
         misfit = self.screen.misfit(evidence, prior)
-        return Fit(tuple(causes), misfit, covariance, tuple(predicted), about, evidence, prior, tuple(at_bounds))
+        return Fit(tuple(causes), misfit, covariance, tuple(predicted), evidence, prior, tuple(at_bounds))
 
 
 def _at_bound(p: Parameter, value: float) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
-from realsim.gap.causes.score import asked, near, score
+from realsim.gap.causes.score import near, score
 from realsim.gap.causes.windows import adjusted, at_other_bodies
 from realsim.gap.evidence.onsets import find_onsets
 
@@ -33,7 +33,7 @@ def prepared(fitter: Fitter, fit: Fit) -> Fit:
     fit = fitter.reweighted(fit)
     left = leftover(screen, fit)
     if is_gap(left):
-        return fitter.reset_nuisances(fit)
+        return fit
     if not fit.causes:
         fitter.slight = True  # nuisance parameters could explain it: no large gap drowns a smaller cause
     elif not fitter.slight:
@@ -48,40 +48,24 @@ def refined(fitter: Fitter, base: Fit, fits: list[Fit]) -> tuple[Fit, list[Fit]]
 
     Beside a large gap every tolerance is wide, and rivals look alike that the small rest tells apart.
     """
-    screen = fitter.screen
-    gap = is_gap(leftover(screen, base))
-    if not gap:  # the weights stay as they are: what would not win if it came much nearer is not looked at again
-        now, least = score(screen, base), asked(base)
-        fits = [f for f in fits if now - score(screen, f) + near(base.misfit - f.misfit) > least]
-    if not fits:
+    screen, jagged = fitter.screen, fitter.screen.simulator.context.touches
+    if not fits or not is_gap(leftover(screen, base)):
         return base, fits
-    jagged = screen.simulator.context.touches
     close = [f for f in fits if f.misfit - fits[0].misfit <= near(base.misfit - fits[0].misfit)][: figures.FINALISTS]
     names = fits[0].causes[-1].candidate.names
     if "since" in names or ("start" in names and jagged):  # what lifts a foot or starts a swing, no slope foretells
         here = adjusted(fitter, fits[0])
         close += [here, *(adjusted(fitter, f) for f in at_other_bodies(screen, fitter, here))]
-    if gap:
-        fitter.reweighted(fits[0])
-        again = [fit for f in close if (fit := _anew(fitter, f)) is not None] or [fitter.remeasure(fits[0])]
-    else:
-        with fitter.beside():
-            again = [fitter.with_own_nuisances(f, rounds=2) for f in close]
+    fitter.reweighted(fits[0])
+    again = [fit for f in close if (fit := _anew(fitter, f)) is not None] or [fitter.remeasure(fits[0])]
     return fitter.remeasure(base), sorted(again, key=partial(score, screen))
 
 
 def _anew(fitter: Fitter, fit: Fit) -> Fit | None:
-    """The set fitted again; where feet slip and land from several strengths, beside its own nuisance parameters."""
-    screen = fitter.screen
-    if not screen.simulator.context.touches:
-        return fitter.fit(fit.causes, rough=True)
+    """The set fitted again; where feet slip and land from several strengths."""
     *others, cause = fit.causes
     strength = {p.name for p in cause.candidate.parameters if p.strength}
     done = [v for c in others for v in c.values]
-    starts = [
-        [*done, *(v * factor if name in strength else v for name, v in cause.named.items())]
-        for factor in figures.NEIGHBOURS
-    ]
-    with fitter.beside():
-        again = fitter.fit(fit.causes, starts, rough=True)
-        return again and fitter.with_own_nuisances(again, rounds=2)
+    factors = figures.NEIGHBOURS if fitter.screen.simulator.context.touches else ()
+    starts = [[*done, *(v * f if n in strength else v for n, v in cause.named.items())] for f in factors]
+    return fitter.fit(fit.causes, starts, rough=True)

@@ -136,8 +136,8 @@ class Screen:
         self.prior = np.array([a.parameter.nuisance for a in self.atoms])
         self.usual = np.array([a.parameter.usual for a in self.atoms])
         """(p,) what the small deviations may scatter about instead of zero."""
-        self.simulable = np.array([not (lookup(a.effect).stepwise or a.parameter.fine) for a in self.atoms])
-        """(p,) False for atoms that cost steps one by one, or many of them: as nuisances they stay linear."""
+        self.solver: list[Setting] = []
+        """How the solver works where that is told from the model's own way: part of every prediction."""
         self.candidates = self._candidates(chosen)
 
     def _varied(self, count: int = 3) -> tuple[int, ...] | None:
@@ -215,14 +215,9 @@ class Screen:
             return [c.reshape(-1).astype(np.float32) for c in change]
         return None
 
-    def evidence(
-        self, simulated: Sequence[F64], few: tuple[int, ...] | None = None, about: F64 | None = None
-    ) -> Evidence:
-        """Normal equations of the residual about these predictions: one a screened run (or one of the `few`).
-
-        `about`: (p,) the small deviations that are in the predictions already; x counts from their centre all the same,
-        the likelier one where there are two.
-        """
+    def evidence(self, simulated: Sequence[F64], few: tuple[int, ...] | None = None) -> Evidence:
+        """Normal equations of the residual about these predictions: one a screened run (or one of the `few`); x counts
+        from the small deviations' centre, the likelier one where there are two."""
         with self._lock:
             if self._version != self.comparison.version:
                 self._weigh()
@@ -230,7 +225,7 @@ class Screen:
         which = range(len(self.runs)) if few is None else few
         for k, y in zip(which, simulated, strict=True):
             run, GW = self.runs[k], self._weighted[k]
-            r = self.residual(k, y, about)
+            r = self.residual(k, y)
             W = np.where(np.isfinite(r), self.comparison.weights[run], 0.0)
             r = np.nan_to_num(r)
             b.append(r.reshape(-1) @ GW)
@@ -255,10 +250,10 @@ class Screen:
             return [evidence]
         return [evidence, evidence.moved(self.usual - 2 * np.asarray(evidence.centre))]
 
-    def residual(self, k: int, simulated: F64, about: F64 | None = None) -> F64:
-        """(B, C) residual of screened run k as it would be without the small deviations that were simulated."""
+    def residual(self, k: int, simulated: F64, x: F64 | float = 0.0) -> F64:
+        """(B, C) residual of screened run k, once small deviations x are added."""
         r = self.comparison.residual(self.runs[k], simulated)
-        return r if about is None or not about.any() else r + self.fitted(k, about)
+        return r - self.fitted(k, np.asarray(x)) if np.any(x) else r
 
     def covariance(self, evidence: Evidence, prior: F64, runs: Sequence[int] | None = None) -> F64:
         """(p, p) posterior covariance of the nuisances on these screened runs (all if None).
@@ -292,12 +287,6 @@ class Screen:
     def weighted(self, k: int) -> F64:
         """(B * C, p) of all atoms on screened run k, times the present weights."""
         return self._weighted[k]
-
-    def possible(self, x: F64) -> F64:
-        """The nearest coordinates that can be simulated."""
-        whole = np.array([a.parameter.whole for a in self.atoms])
-        low, high = np.array([a.parameter.bounds for a in self.atoms]).T
-        return np.asarray(np.clip(np.where(whole, np.round(x), x), low, high))
 
     def settings(self, x: F64) -> list[Setting]:
         """Atoms with these coordinates (0: left out) as settings for the simulator."""

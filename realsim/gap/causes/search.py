@@ -70,8 +70,8 @@ class Search:
                 break
             expanded.add(self.best.full_key)
             # Each of several causes was chosen while another one was missing: they are exchanged before one is added.
-            several = len(self.best.causes) > 1
-            moves = (self._dropped, self._exchanged, self._added) if several else (self._added, self._exchanged)
+            moves = [self._dropped, self._exchanged, self._added] if len(self.best.causes) > 1 else [self._added]
+            moves += [self._exchanged] if len(self.best.causes) == 1 else []
             if not any(move() for move in moves):
                 break
         self.best = prepared(self.fitter, self.best)
@@ -101,31 +101,27 @@ class Search:
         if len(here.causes) == self.most:
             return False
         fits: list[Fit] = []
-        with self.fitter.beside():  # beside nuisance parameters that no cause has bent yet
-            base = self.fitter.looked_at(here, here.causes) or here
-            for p in self._proposed(ADD, base):
-                least = min((searched(self.fitter.screen, f) for f in fits), default=np.inf)
-                target = least + near(searched(self.fitter.screen, base) - least)
-                fit = self.fitter.fit(p.causes, p.starts, 8, rough=True, coarse=True, target=target)
-                if fit is not None:
-                    fits.append(fit)
-                    self._keep(fit)
-                    c, gain = fit.causes[-1], base.misfit - fit.misfit
-                    row = Trial(c.candidate, len(base.causes), p.foretold, gain=gain, values=c.values)
-                    self.trials.append(row)
-        return self._better(*refined(self.fitter, base, sorted(fits, key=self._score)))
+        for p in self._proposed(ADD, here):
+            least = min((searched(self.fitter.screen, f) for f in fits), default=np.inf)
+            target = least + near(searched(self.fitter.screen, here) - least)
+            fit = self.fitter.fit(p.causes, p.starts, 8, rough=True, coarse=True, target=target)
+            if fit is not None:
+                fits.append(fit)
+                self._keep(fit)
+                c, gain = fit.causes[-1], here.misfit - fit.misfit
+                self.trials.append(Trial(c.candidate, len(here.causes), p.foretold, gain=gain, values=c.values))
+        return self._better(*refined(self.fitter, here, sorted(fits, key=self._score)))
 
     def _exchanged(self) -> bool:
         """Whether another cause in the place of one is better."""
         self.best = here = prepared(self.fitter, self.best)
         fits: list[Fit] = []
-        with self.fitter.beside():
-            target = here.misfit + near(self.seen[frozenset()].misfit - here.misfit)
-            for p in self._proposed(EXCHANGE, here):
-                fit = self.fitter.fit(p.causes, p.starts, 8, target=target)
-                if fit is not None:
-                    fits.append(fit)
-                    self._keep(fit)
+        target = here.misfit + near(self.seen[frozenset()].misfit - here.misfit)
+        for p in self._proposed(EXCHANGE, here):
+            fit = self.fitter.fit(p.causes, p.starts, 8, target=target)
+            if fit is not None:
+                fits.append(fit)
+                self._keep(fit)
         return self._better(here, sorted(fits, key=self._score))
 
     def _proposed(self, moves: Sequence[Propose], here: Fit) -> Iterator[Proposal]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Cause, Fit, Fitter
-from realsim.gap.causes.leftover import deviations
+from realsim.gap.causes.leftover import rests
 from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.effects.base import Place
 from realsim.gap.simulation.context import base_body
@@ -130,13 +130,10 @@ def _moved(fitter: Fitter, fit: Fit, change: tuple[str, float]) -> Fit | None:
 
 
 def _left(screen: Screen, fit: Fit) -> tuple[list[F64], list[F64]]:
-    x = deviations(screen, fit)
-    left, weights = [], []
-    for k, run in enumerate(screen.runs):
-        r = screen.comparison.residual(run, fit.predictions[k])
-        weights.append(np.where(np.isfinite(r), screen.comparison.weights[run], 0.0))
-        left.append(np.nan_to_num(r) - screen.fitted(k, fit.evidence.centre + x - fit.about))
-    return left, weights
+    left = rests(screen, fit)
+    weights = [screen.comparison.weights[run] for run in screen.runs]
+    weights = [np.where(np.isfinite(r), w, 0.0) for r, w in zip(left, weights, strict=True)]
+    return [np.nan_to_num(r) for r in left], weights
 
 
 def _by_time(screen: Screen, clock: Clock, index: list[int], left: list[F64], weights: list[F64]) -> tuple[F64, F64]:
