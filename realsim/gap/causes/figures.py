@@ -23,10 +23,9 @@ always bend to a little of what another one leaves. Set on generated cases with 
 HOLDS, MOST_RUNS = 0.5, 0.6
 """A further cause must gain on runs left out in turn: on average by this many standard errors, and on this share of
 the runs. Runs excite an effect to very different degrees. Set on generated cases."""
-EQUAL, EQUAL_SHARE, DOUBTFUL = 8.0, 0.03, 4.0
-"""Two sets explain the runs alike if their scores differ by less than EQUAL nats, or by less than EQUAL_SHARE of
-what both remove (DOUBTFUL times that if the runs left out do not share the preference). Set on generated look-
-alikes."""
+EQUAL = 0.03
+"""Two sets explain the runs alike if their scores differ by less than this share of what both remove, and the runs left
+out do not tell them apart; or by less than CLEARLY. Set on generated look-alikes."""
 CERTAIN = 0.975
 """Quantile of Student's t that a preference on runs left out must exceed to tell two sets apart. Conventional."""
 GATE_MEDIAN, GATE_MEAN = 1.4, 2.8
@@ -45,15 +44,14 @@ EXPANSIONS = 8
 NEAR, NEAR_SHARE = 20.0, 0.15
 """Nats, and share of what the best removes, within which a fit can still catch up with the best by fitting further.
 Budget."""
-WORTH, WORTH_SHARE, FINALISTS, MORE = 10.0, 0.04, 5, 4
-"""Candidates of the linear screen that are fitted: those above WORTH nats and this share of the leader, FINALISTS of
-them, then the best place of up to MORE further effects. Budget."""
-ALIKE, MOST_ALIKE = 0.95, 3
-"""Squared cosine above which two sensitivities count as the same, and rivals of this kind that are fitted.
+WORTH, WORTH_SHARE, FITTED, PLACES = 10.0, 0.04, 8, 2
+"""Candidates of the linear screen that are fitted: those above WORTH nats and this share of the leader, FITTED of them,
+at most so many PLACES of an effect. Budget."""
+ALIKE = 0.95
+"""Squared cosine above which two sensitivities count as the same. Budget."""
+PROBED, SIZES = 12, (2.0, 0.7, -0.7, -2.0)
+"""Candidates of an effect that are simulated where no slope foretells it, and the sizes, in steps of the parameter.
 Budget."""
-PROBED, KEPT, SIZES = 12, 3, (2.0, 0.7, -0.7, -2.0)
-"""Candidates of an effect that are simulated where no slope foretells it, those of them that are then fitted, and the
-sizes at which they are simulated, in steps of the parameter. Budget."""
 NEIGHBOURS = (0.65, 0.8, 0.9, 1.1, 1.25, 1.5)
 """Factors on a cause's strength from which a fit begins anew where feet slip and land: the misfit is jagged there.
 Set on generated quadrupeds."""
@@ -62,8 +60,8 @@ Set on generated quadrupeds."""
 BRIEF = 0.2
 """Seconds of the shortest force, before an onset at which one may begin, and twice the grid on which windows begin and
 end at first. Not tuned."""
-MARGIN, TIMES = 20.0, 1.5
-"""Nats, and factor, by which a window must explain more than the same force throughout. Not tuned."""
+TIMES = 1.5
+"""Factor by which a window must explain more than the same force throughout, beside NEAR nats. Not tuned."""
 SLIDES = (0.3, 0.1, 0.03)
 """Steps in which the edges of a window are moved (s) and its force changed (share). Budget."""
 
@@ -73,15 +71,15 @@ WIDE = 0.1
 PACES, POLISH = 6.0, 2
 """A fit ends where this many more steps as good as the last would not reach its target; steps with the model's own
 time step after a fit with a coarser one. Budget."""
-SETTLED, SWITCHED, LIKELIER = 0.6, 0.5, 40.0
-"""Share of the weighted squares that nuisance parameters may leave to be simulated and not only linear; the same for
-the other friction cone, which has no slope; nats that it must bring beside causes. Set on generated quadrupeds."""
+SWITCHED = 0.5
+"""Share of the weighted squares that may stay for the solver's other friction cone, which has no slope; beside causes
+it must bring NEAR nats. Set on generated quadrupeds."""
 SHARPEST = 0.3
 """Least factor on the allowed discrepancy once a cause explains the gap: a second, smaller one would go under in it.
 Set on generated cases with two causes."""
 TOO_LONG = 25
 """Driven joints, times how much finer a law makes the time step, from which on slopes are taken at the nominal model
 only. Budget: of G1 they take as long as all the rest."""
-LEVER, SHIFT = 0.3, 0.03
-"""Metres off a body's centre of mass within which a payload is looked for, and that it may shift that centre. Not
-tuned."""
+LEVER = 0.3
+"""Metres off a body's centre of mass within which a payload is looked for; it may shift that centre by a tenth of it.
+Not tuned."""

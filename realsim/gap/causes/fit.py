@@ -44,7 +44,7 @@ class Fitter(GaussNewton):
             screen.solver = [s for s in before if s != other] if other in before else [*before, other]
             screen.prior[i] = p.nuisance if other in before else 0.0
             moved, cost = self.looked_at(fit, fit.causes), self._cost(fit)
-            most = cost - 2 * figures.LIKELIER if fit.causes else figures.SWITCHED * cost
+            most = cost - 2 * figures.NEAR if fit.causes else figures.SWITCHED * cost
             if moved is not None and self._cost(moved) < most:
                 fit = moved
             else:

@@ -37,17 +37,15 @@ Propose = Callable[[Fitter, Fit], Iterator[Proposal]]
 
 def by_slopes(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     """One more cause: the best places of the best effects by the linear screen."""
-    screen = fitter.screen
-    order = ranked(screen, here)
+    order = ranked(fitter.screen, here)
     best = order[0][0] if order else 0.0
     least = max(figures.WORTH, figures.WORTH_SHARE * best)  # far behind, only what is far from linear can still win
     chosen: list[Candidate] = []
     for gain, candidate, estimate in order:
-        count = sum(c.effect == candidate.effect for c in chosen)
-        most = 1 if len(chosen) >= figures.FINALISTS else 3 if len(chosen) < 3 else 2
-        if gain < least or len(chosen) == figures.FINALISTS + figures.MORE:
+        if gain < least or len(chosen) == figures.FITTED:
             break
-        if count < most and not any(nested(candidate, c) for c in chosen):
+        alike = [c for c in chosen if c.effect == candidate.effect]
+        if len(alike) < figures.PLACES and not any(nested(candidate, c) for c in alike):
             chosen.append(candidate)
             yield _further(fitter, here, candidate, estimate, gain)
 
@@ -70,7 +68,7 @@ def by_simulation(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
             abrupt.setdefault(c.effect, []).append((c, estimate))
     for candidates in abrupt.values():
         looks = fitter.each(lambda item: _sized(fitter, here, *item), candidates[: figures.PROBED])
-        for gain, cause in sorted(looks, key=lambda item: -item[0])[: figures.KEPT]:
+        for gain, cause in sorted(looks, key=lambda item: -item[0])[: figures.PLACES]:
             if gain > figures.WORTH:
                 yield _further(fitter, here, cause.candidate, cause.named, gain)
 
@@ -177,7 +175,7 @@ def _alike(fitter: Fitter, here: Fit, cause: Cause) -> list[Cause]:
     first: dict[tuple, Cause] = {}
     for _, c, x in sorted(found, key=lambda item: -item[0]):  # the simplest form of each
         first.setdefault((c.effect, c.place), Cause(c, tuple(float(value) for value in x)))
-    return list(first.values())[: figures.MOST_ALIKE]
+    return list(first.values())[: figures.PLACES]
 
 
 def _others(here: Fit, i: int) -> list[Cause]:

@@ -51,7 +51,7 @@ def refined(fitter: Fitter, base: Fit, fits: list[Fit]) -> tuple[Fit, list[Fit]]
     screen, jagged = fitter.screen, fitter.screen.simulator.context.touches
     if not fits or not is_gap(leftover(screen, base)):
         return base, fits
-    close = [f for f in fits if f.misfit - fits[0].misfit <= near(base.misfit - fits[0].misfit)][: figures.FINALISTS]
+    close = [f for f in fits if f.misfit - fits[0].misfit <= near(base.misfit - fits[0].misfit)][: figures.FITTED]
     names = fits[0].causes[-1].candidate.names
     if "since" in names or ("start" in names and jagged):  # what lifts a foot or starts a swing, no slope foretells
         here = adjusted(fitter, fits[0])

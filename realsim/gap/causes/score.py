@@ -81,16 +81,10 @@ def alike(fitter: Fitter, best: Fit, rival: Fit, removed: float) -> bool:
     """Whether the runs do not tell a rival from the best set, of which `removed` is the gain over no cause."""
     screen = fitter.screen
     loss = score(screen, rival) - score(screen, best)
-    if loss < figures.CLEARLY:
-        return True
+    if loss < figures.CLEARLY or loss >= figures.EQUAL * removed:
+        return loss < figures.CLEARLY
     held = left_out(fitter, rival, best)
-    if held is None:
-        return loss < max(figures.EQUAL, figures.EQUAL_SHARE * removed)
-    mean, error, positive = held
-    if determined(rival) > determined(best) + 0.5 and not _holds(-mean, error, 1 - positive):
-        return False  # what has more parameters imitates what has fewer, unless runs that are left out gain by it
-    allowed = max(figures.EQUAL, figures.EQUAL_SHARE * removed * (figures.DOUBTFUL if mean <= 0 else 1.0))
-    return loss < allowed and mean < float(student.ppf(figures.CERTAIN, max(len(screen.runs) - 1, 1))) * error
+    return held is None or held[0] < float(student.ppf(figures.CERTAIN, len(screen.runs) - 1)) * held[1]
 
 
 def near(gain: float) -> float:

@@ -348,4 +348,4 @@ class Screen:
 def slab(candidate: Candidate) -> F64:
     """(m,) prior size of a cause's parameters: the step that is worth calling a gap, generously."""
     fitted = [p for p in candidate.parameters if p.name in candidate.linear]
-    return np.array([figures.SHIFT if p.shape else 2.0 * abs(p.step) for p in fitted])
+    return np.array([0.1 * figures.LEVER if p.shape else 2.0 * abs(p.step) for p in fitted])

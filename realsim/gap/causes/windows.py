@@ -60,7 +60,7 @@ def window_candidates(screen: Screen, fit: Fit, most: int = 2) -> list[tuple[flo
             whole = always.setdefault((name, place), float(_gain(info.sum(axis=0), score.sum(axis=0), scale)[0]))
             width = screen.comparison.config.bin_seconds
             gain, start, end, force = _best_window(info, score, scale, width, clock.latest)
-            if gain > figures.TIMES * whole + figures.MARGIN:
+            if gain > figures.TIMES * whole + figures.NEAR:
                 values = zip(candidate.names, (*force, *clock.values(start, end)), strict=True)
                 found.append((gain, candidate, dict(values)))
         chosen += sorted(found, key=lambda item: -item[0])[:most]

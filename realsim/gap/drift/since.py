@@ -220,7 +220,7 @@ def _rivals(joint: Joint, config: DiagnoseConfig, found: Changed, stages: Sequen
         gains = joint.gains(fit, found)
         error = float(gains.std(ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else np.inf
         preferred = gains.mean() > float(student.ppf(figures.CERTAIN, max(len(gains) - 1, 1))) * error
-        alike = loss < figures.CLEARLY or (loss < max(figures.EQUAL_SHARE * removed, figures.EQUAL) and not preferred)
+        alike = loss < figures.CLEARLY or (loss < figures.EQUAL * removed and not preferred)
         if alike and not _doubt(joint, config, before, fit):
             rivals[key] = fit
     return list(rivals.values())
