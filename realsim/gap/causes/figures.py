@@ -52,19 +52,12 @@ ALIKE = 0.95
 PROBED, SIZES = 12, (2.0, 0.7, -0.7, -2.0)
 """Candidates of an effect that are simulated where no slope foretells it, and the sizes, in steps of the parameter.
 Budget."""
-NEIGHBOURS = (0.65, 0.8, 0.9, 1.1, 1.25, 1.5)
-"""Factors on a cause's strength from which a fit begins anew where feet slip and land: the misfit is jagged there.
-Set on generated quadrupeds."""
-
 # ---------------------------------------------------------------- forces that act for a while
 BRIEF = 0.2
 """Seconds of the shortest force, before an onset at which one may begin, and twice the grid on which windows begin and
 end at first. Not tuned."""
 TIMES = 1.5
 """Factor by which a window must explain more than the same force throughout, beside NEAR nats. Not tuned."""
-SLIDES = (0.3, 0.1, 0.03)
-"""Steps in which the edges of a window are moved (s) and its force changed (share). Budget."""
-
 # ---------------------------------------------------------------- fits
 WIDE = 0.1
 """Share of a step over which slopes are taken: wide differences see through sticking friction."""

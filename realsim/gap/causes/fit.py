@@ -13,9 +13,10 @@ from realsim.gap.causes.fitted import Cause as Cause
 from realsim.gap.causes.fitted import Fit as Fit
 from realsim.gap.causes.fitted import at, form, parameters_of, spread, values_of
 from realsim.gap.causes.gauss_newton import FULL, Fidelity, GaussNewton, clip, widest
-from realsim.gap.causes.leftover import reasonable
+from realsim.gap.causes.leftover import is_gap, leftover, reasonable
 from realsim.gap.causes.linear import posterior
 from realsim.gap.effects.base import Parameter
+from realsim.gap.evidence.onsets import find_onsets
 from realsim.types import F64
 
 
@@ -24,6 +25,33 @@ class Fitter(GaussNewton):
 
     slight = False
     """Whether small deviations alone could explain the gap."""
+
+    def prepared(self, fit: Fit) -> Fit:
+        """The set under weights that follow from what it leaves, with slopes about its causes.
+
+        The discrepancy between robot and model is estimated with each set. Else a large gap would be fitted by absurd
+        values of many nuisance parameters, since sensors are so precise that their prior does not count.
+        """
+        screen, simulator, context = self.screen, self.screen.simulator, self.screen.simulator.context
+        settings = fit.settings()
+        if fit.causes:
+            if not simulator.onsets:  # a lasting cause drowns a push until it is known
+                simulator.onsets = find_onsets(screen.comparison, simulator.simulate(settings), screen.runs)
+            finer = context.timestep / simulator.edited(settings).spec.option.timestep
+            if len(context.driven) * finer < figures.TOO_LONG:
+                screen.relinearise(settings)
+            fit = self.with_likelier_solver(self.remeasure(fit))
+        fit = self.reweighted(fit)
+        left = leftover(screen, fit)
+        if is_gap(left):
+            return fit
+        if not fit.causes:
+            self.slight = True  # nuisance parameters could explain it: no large gap drowns a smaller cause
+        elif not self.slight:
+            share = float(np.sqrt(left.mean()))  # half way: what stays is in part no noise
+            screen.comparison.sharpen(float(np.clip(share, figures.SHARPEST, 1.0)))
+            fit = self.remeasure(fit)
+        return fit
 
     def nominal(self) -> Fit:
         """No cause at all."""

@@ -16,7 +16,6 @@ from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.proposals import ADD, EXCHANGE, Proposal, Propose, ranked
-from realsim.gap.causes.refine import prepared, refined
 from realsim.gap.causes.score import Held, doubts, near, score, searched
 from realsim.gap.causes.screen import Candidate
 from realsim.types import F64
@@ -74,7 +73,7 @@ class Search:
             moves += [self._exchanged] if len(self.best.causes) == 1 else []
             if not any(move() for move in moves):
                 break
-        self.best = prepared(self.fitter, self.best)
+        self.best = self.fitter.prepared(self.best)
 
     def _hopeless(self, left: F64) -> bool:
         """Whether nothing in the library fits: with all the causes that a set may have, each as good as those so far,
@@ -87,7 +86,7 @@ class Search:
 
     def _dropped(self) -> bool:
         """Whether a cause is superfluous beside the others; the one that brings least is looked at first."""
-        self.best = here = prepared(self.fitter, self.best)
+        self.best = here = self.fitter.prepared(self.best)
         fits = [self.fitter.fit(here.causes[:i] + here.causes[i + 1 :]) for i in range(len(here.causes))]
         for less in sorted((f for f in fits if f is not None), key=self._score):
             if said := doubts(self.fitter, less, here)[0]:
@@ -96,32 +95,30 @@ class Search:
         return False
 
     def _added(self) -> bool:
-        """Whether one cause more, or a richer law in a cause's place, is better."""
-        self.best = here = prepared(self.fitter, self.best)
-        if len(here.causes) == self.most:
-            return False
-        fits: list[Fit] = []
-        for p in self._proposed(ADD, here):
-            least = min((searched(self.fitter.screen, f) for f in fits), default=np.inf)
-            target = least + near(searched(self.fitter.screen, here) - least)
-            fit = self.fitter.fit(p.causes, p.starts, 8, rough=True, coarse=True, target=target)
-            if fit is not None:
-                fits.append(fit)
-                self._keep(fit)
-                c, gain = fit.causes[-1], here.misfit - fit.misfit
-                self.trials.append(Trial(c.candidate, len(here.causes), p.foretold, gain=gain, values=c.values))
-        return self._better(*refined(self.fitter, here, sorted(fits, key=self._score)))
+        """Whether one cause more is better."""
+        return len(self.best.causes) < self.most and self._moved(ADD)
 
     def _exchanged(self) -> bool:
-        """Whether another cause in the place of one is better."""
-        self.best = here = prepared(self.fitter, self.best)
+        """Whether another cause, or a richer law, in the place of one is better."""
+        return self._moved(EXCHANGE)
+
+    def _moved(self, moves: Sequence[Propose]) -> bool:
+        """Fit the neighbours of the best set that some moves lead to; whether one of them takes its place."""
+        self.best = here = self.fitter.prepared(self.best)
+        screen, further = self.fitter.screen, moves is ADD
         fits: list[Fit] = []
-        target = here.misfit + near(self.seen[frozenset()].misfit - here.misfit)
-        for p in self._proposed(EXCHANGE, here):
-            fit = self.fitter.fit(p.causes, p.starts, 8, target=target)
+        for p in self._proposed(moves, here):
+            # Of many further causes each is looked at roughly; what would not catch up with the best is broken off.
+            least = min((searched(screen, f) for f in fits), default=np.inf) if further else here.misfit
+            before = searched(screen, here) if further else self.seen[frozenset()].misfit
+            target = least + near(before - least)
+            fit = self.fitter.fit(p.causes, p.starts, 8, rough=further, coarse=further, target=target)
             if fit is not None:
                 fits.append(fit)
                 self._keep(fit)
+                if further:
+                    c, gain = fit.causes[-1], here.misfit - fit.misfit
+                    self.trials.append(Trial(c.candidate, len(here.causes), p.foretold, gain=gain, values=c.values))
         return self._better(here, sorted(fits, key=self._score))
 
     def _proposed(self, moves: Sequence[Propose], here: Fit) -> Iterator[Proposal]:

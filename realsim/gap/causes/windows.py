@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from realsim.gap.causes import figures
-from realsim.gap.causes.fit import Cause, Fit, Fitter
+from realsim.gap.causes.fit import Fit
 from realsim.gap.causes.leftover import rests
 from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.effects.base import Place
-from realsim.gap.simulation.context import base_body
 from realsim.gap.simulation.edit import NEAR
 from realsim.gap.simulation.simulate import lookup
 from realsim.types import F64
@@ -73,60 +71,6 @@ def _candidate(screen: Screen, name: str, place: Place, edges: tuple[str, ...]) 
     every = {p.name: p for p in lookup(name).parameters(screen.simulator.context, place)}
     parameters, index = tuple(every[n] for n in (*at, *edges)), list(at.values())
     return Candidate(name, (place,), parameters, np.eye(len(screen.atoms))[:, index], tuple(at)), index
-
-
-def adjusted(fitter: Fitter, fit: Fit) -> Fit:
-    """The fit with the window and the size of its last cause moved to where the simulation agrees best.
-
-    A push that lifts a foot has no response in proportion to itself, so that what is found on slopes may be off.
-    """
-    best = fit
-    candidate = fit.causes[-1].candidate
-    edges = [n for n in lookup(candidate.effect).passing if n in candidate.names]
-    for size in figures.SLIDES:
-        moves = [(name, move) for name in (*edges, "force") for move in (size, -size)]
-        while True:
-            tried = list(fitter.each(partial(_moved, fitter, best), moves))
-            misfits = [np.inf if f is None else f.misfit for f in tried]
-            k = int(np.argmin(misfits))
-            further = tried[k]
-            if misfits[k] >= best.misfit:
-                break
-            while further is not None and further.misfit < best.misfit:  # what gained once mostly gains again
-                best = further
-                further = _moved(fitter, best, moves[k])
-    return best
-
-
-def at_other_bodies(screen: Screen, fitter: Fitter, fit: Fit) -> list[Fit]:
-    """The fit with the force of its last cause at other bodies instead: where it does best as it is, and at the base.
-
-    The trunk and the hips on it answer alike to a push, until its window and its size are right.
-    """
-    cause, others = fit.causes[-1], fit.causes[:-1]
-    case = screen.simulator.case
-    base = case.model.body(base_body(case)).name if case.floating else ""
-    name, edges = cause.candidate.effect, cause.candidate.names[len(cause.candidate.linear) :]
-    places = dict.fromkeys(a.place for a in screen.atoms if a.effect == name and a.place != cause.candidate.place)
-    like = [_candidate(screen, name, place, edges)[0] for place in places]
-    elsewhere = [c for c in like if c.names == cause.candidate.names]
-    moved = fitter.each(lambda c: fitter.looked_at(fit, (*others, Cause(c, cause.values))), elsewhere)
-    fits = sorted((f for f in moved if f is not None), key=lambda f: f.misfit)
-    return fits[:1] + [f for f in fits[1:] if f.causes[-1].candidate.place == (base,)]
-
-
-def _moved(fitter: Fitter, fit: Fit, change: tuple[str, float]) -> Fit | None:
-    """With an edge moved by so many seconds, or the force by this share; None if that cannot be."""
-    name, move = change
-    cause = fit.causes[-1]
-    if name == "since" and abs(cause.named[name] + move) > NEAR:
-        return None
-    if name == "force":
-        passing = lookup(cause.candidate.effect).passing
-        values = tuple(v if n in passing else v * (1 + move) for n, v in cause.named.items())
-    else:
-        values = tuple(v + move * (n == name) for n, v in cause.named.items())
-    return fitter.looked_at(fit, (*fit.causes[:-1], replace(cause, values=values)))
 
 
 def _left(screen: Screen, fit: Fit) -> tuple[list[F64], list[F64]]:
