@@ -19,7 +19,6 @@ from realsim.gap.causes.linear import log_evidence, marginal
 from realsim.gap.causes.proposals import _alike, by_simulation
 from realsim.gap.causes.screen import Screen, slab
 from realsim.gap.causes.starts import starts
-from realsim.gap.causes.windows import adjusted, at_other_bodies
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
@@ -170,43 +169,6 @@ def test_a_gross_cause_is_found_by_simulation_though_small_deviations_imitate_it
     assert (cause.candidate.effect, cause.candidate.place) == (effect, place)
     assert best.foretold > 50
     assert all(0.25 < cause.named[name] / true < 2 for name, true in values.items())
-
-
-@pytest.mark.slow
-def test_a_window_slides_to_where_the_push_was(quadruped: Case) -> None:
-    push = {"fx": 0.0, "fy": 0.0, "fz": -30.0}
-    case = logged(logged(quadruped, []), [("external_force", ("trunk",), push | {"start": 0.6, "end": 1.3})])
-    with Simulator(case, CONFIG) as simulator:
-        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
-        screen = Screen(simulator, comparison, range(len(case.runs)), ("external_force",))
-        fitter = Fitter(screen)
-        names = (*push, "start", "end")
-        trunk = next(c for c in screen.candidates if c.place == ("trunk",) and c.names == tuple(push))
-        every = {p.name: p for p in EFFECTS["external_force"].parameters(simulator.context, ("trunk",))}
-        late = Cause(replace(trunk, parameters=tuple(every[n] for n in names)), (*push.values(), 0.85, 1.5))
-        found = adjusted(fitter, fitter.remeasure(replace(fitter.nominal(), causes=(late,)))).causes[0].named
-    assert found["start"] == pytest.approx(0.6, abs=0.05)
-    assert found["end"] == pytest.approx(1.3, abs=0.05)
-
-
-@pytest.mark.slow
-def test_a_push_taken_for_one_at_the_hip_is_carried_to_the_trunk(quadruped: Case) -> None:
-    push = {"fx": 0.0, "fy": 15.0, "fz": 0.0}
-    case = logged(logged(quadruped, []), [("external_force", ("trunk",), push | {"start": 0.6, "end": 1.3})])
-    with Simulator(case, CONFIG) as simulator:
-        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
-        screen = Screen(simulator, comparison, range(len(case.runs)), ("external_force",))
-        fitter = Fitter(screen)
-        hip = next(c for c in screen.candidates if c.place[0].endswith("hip_link") and c.names == tuple(push))
-        every = {p.name: p for p in EFFECTS["external_force"].parameters(simulator.context, hip.place)}
-        edges = tuple(every[n] for n in (*push, "start", "end"))
-        weaker = Cause(replace(hip, parameters=edges), (0.0, 9.0, 0.0, 0.6, 1.3))
-        wrong = fitter.remeasure(replace(fitter.nominal(), causes=(weaker,)))
-        found = min(
-            (adjusted(fitter, f) for f in at_other_bodies(screen, fitter, wrong)), key=lambda f: f.misfit
-        ).causes[0]
-    assert found.candidate.place == ("trunk",)
-    assert found.named["fy"] == pytest.approx(15.0, rel=0.1)
 
 
 @pytest.mark.slow

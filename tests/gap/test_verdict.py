@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from realsim.gap.answer.check import Check
-from realsim.gap.answer.verdict import EXPLAINED, Fitted, judge
+from realsim.gap.answer.verdict import Fitted, judge
+from realsim.gap.causes.figures import EXPLAINED
 from realsim.gap.verdicts import SAID, GapVerdict
 
 

@@ -16,6 +16,7 @@ from realsim.errors import GapError
 from realsim.gap.answer.check import Check, check, errors, mean_square, predictable
 from realsim.gap.answer.leaveout import LeftOut, better, leave_out
 from realsim.gap.answer.verdict import Fitted, Judgement, judge
+from realsim.gap.causes import figures
 from realsim.gap.causes.fitted import Z90, Cause
 from realsim.gap.causes.leftover import is_gap, leftover, nuisance_settings
 from realsim.gap.causes.starts import contains, suggested
@@ -26,15 +27,6 @@ from realsim.gap.simulation.simulate import lookup
 from realsim.gap.verdicts import GapVerdict
 from realsim.types import F64
 
-RIVALS = 3
-"""Single causes that are compared by left-out runs beside a rest: a budget."""
-SIMPLER = 1.0
-"""Standard errors over runs by which left-out runs must gain by a cause beside others: the one-standard-error rule
-(Breiman et al., Classification and Regression Trees, 1984). A push may be in some runs only; more would drop it."""
-WORTH = 0.02
-"""Share of the left-out runs' squared error that it must remove in any case. Not tuned."""
-NOTHING = 0.01
-"""Mean square in units of the floor below which two predictions are the same. Not tuned."""
 NO_GAP_THERE = (
     "the run that was held out shows nothing of the gap, so it checks nothing: the fitted runs, each left out in turn, "
     "take its place"
@@ -107,7 +99,7 @@ def _lasting(screen: Any, fitter: Any, fit: Any, nominal: Any, notes: list[str])
             if less is None:
                 continue
             gain, error = left.gained_over(leave_out(screen, fitter, less))
-            if gain <= max(SIMPLER * error, WORTH) and (weakest is None or gain < weakest[0]):
+            if gain <= max(figures.HOLDS * error, figures.LEAST) and (weakest is None or gain < weakest[0]):
                 weakest = (gain, less, cause)
         if weakest is None:
             return fit, left
@@ -153,7 +145,7 @@ def _as_good(screen: Any, fitter: Any, trials: Sequence[Any], fit: Any, left: Le
     own = fit.causes[0].candidate
     tried = [t for t in trials if t.stage == 0 and t.gain is not None and t.candidate.effect != own.effect]
     found: list[Any] = []
-    for trial in sorted(tried, key=lambda t: -t.gain)[:RIVALS]:
+    for trial in sorted(tried, key=lambda t: -t.gain)[: figures.PLACES]:
         rival = fitter.fit([Cause(trial.candidate, trial.values)])
         if rival is None or _again(screen, rival, fit):
             continue
@@ -170,7 +162,7 @@ def _again(screen: Any, rival: Any, fit: Any) -> bool:
     nothing = [screen.comparison.residual(r, y) for r, y in zip(runs, screen.nominal, strict=True)]
     for cause in rival.causes:
         alone = errors(simulator, comparison, cause.settings(), runs)
-        if alone is not None and _apart(comparison, runs, alone, nothing) < NOTHING:
+        if alone is not None and _apart(comparison, runs, alone, nothing) < figures.LEAST:
             return True
     return any(contains(c.candidate, o.candidate) for c in rival.causes for o in fit.causes)
 

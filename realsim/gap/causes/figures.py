@@ -8,21 +8,24 @@ from __future__ import annotations
 
 # ---------------------------------------------------------------- the score, in nats (log-likelihood)
 PRICE = 4.0
-"""A parameter that the data determine: half a log of some 3,000 independent samples. Not tuned."""
+"""A parameter that the data determine, and an effect that is rarer than another one that does the same
+(`Effect.usual`): half a log of some 3,000 independent samples. Not tuned."""
 CAUSE, CAUSE_A_JOINT = 3.0, 2.5
 """A cause, and the same for each joint of the robot: more joints offer more places for a cause, and a servo's
 unmodelled form is worth some on every one. Set on generated cases without a gap."""
-SHARED, UNUSUAL = 0.5, 4.0
-"""A value that holds at several places (so that those where it does nothing are left out), and an effect that is
-rarer than another one that does the same (`Effect.usual`). Not tuned."""
+SHARED = 0.5
+"""A value that holds at several places, so that those where it does nothing are left out. Not tuned."""
 CLEARLY = 5.0
 """A set takes another's place only if its score is this much lower: odds of 150 to 1. Not tuned."""
 SHARE = 0.08
 """Share of the misfit that a further cause must remove beside its price. No law is exact, and a wrong cause can
 always bend to a little of what another one leaves. Set on generated cases with one cause."""
-HOLDS, MOST_RUNS = 0.5, 0.6
-"""A further cause must gain on runs left out in turn: on average by this many standard errors, and on this share of
-the runs. Runs excite an effect to very different degrees. Set on generated cases."""
+HOLDS = 1.0
+"""Standard errors over runs by which a further cause must gain on runs left out in turn: the one-standard-error rule
+(Breiman et al., Classification and Regression Trees, 1984). A push may be in some runs only; more would drop it."""
+LEAST = 0.02
+"""Share of the squared error of runs left out that it must remove in any case; and mean square in units of the floor
+below which two predictions are the same. Not tuned."""
 EQUAL = 0.03
 """Two sets explain the runs alike if their scores differ by less than this share of what both remove, and the runs left
 out do not tell them apart; or by less than CLEARLY. Set on generated look-alikes."""
@@ -37,10 +40,14 @@ NAMED_SHARE = 1 / 3
 """Share of the squared error of the check that causes must remove to be named beside a rest; the search ends where no
 set can come to it. A cause that changes the motion by as much as the model is wrong by anyway removes about half. Set
 on the development logs of real robots: right causes removed 40 and 46 % or nearly all, wrong ones 1, 15 and 18 %."""
+EXCESS = 1.5
+"""Where no cause takes any of it, a rest must be larger than else by this factor to be called a gap. Set on generated
+cases without a gap."""
+EXPLAINED = 15.0
+"""Mean square in units of the floor that may stay beside causes that explain the gap, all fitted runs but the worst
+together, and in the check. Above it a cause is not wrong, but something else is there too. Set on generated cases."""
 
 # ---------------------------------------------------------------- the search
-EXPANSIONS = 8
-"""Sets whose neighbours are looked at. Budget."""
 NEAR, NEAR_SHARE = 20.0, 0.15
 """Nats, and share of what the best removes, within which a fit can still catch up with the best by fitting further.
 Budget."""
@@ -49,9 +56,9 @@ WORTH, WORTH_SHARE, FITTED, PLACES = 10.0, 0.04, 8, 2
 at most so many PLACES of an effect. Budget."""
 ALIKE = 0.95
 """Squared cosine above which two sensitivities count as the same. Budget."""
-PROBED, SIZES = 12, (2.0, 0.7, -0.7, -2.0)
-"""Candidates of an effect that are simulated where no slope foretells it, and the sizes, in steps of the parameter.
-Budget."""
+SIZES = (2.0, 0.7, -0.7, -2.0)
+"""Sizes at which candidates are simulated where no slope foretells them, in steps of the parameter. Not tuned."""
+
 # ---------------------------------------------------------------- forces that act for a while
 BRIEF = 0.2
 """Seconds of the shortest force, before an onset at which one may begin, and twice the grid on which windows begin and

@@ -12,8 +12,8 @@ from realsim.gap.causes.screen import Screen
 from realsim.gap.simulation.nuisances import MANY_JOINTS
 from realsim.gap.simulation.simulate import lookup
 
-Held = tuple[float, float, float]
-"""(mean, standard error, share positive) of a gain on runs that are left out in turn."""
+Held = tuple[float, float]
+"""(mean, standard error) of a gain on runs that are left out in turn."""
 
 
 def score(screen: Screen, fit: Fit) -> float:
@@ -22,7 +22,7 @@ def score(screen: Screen, fit: Fit) -> float:
     total = fit.misfit + figures.PRICE * determined(fit)
     total += len(fit.causes) * (figures.CAUSE + figures.CAUSE_A_JOINT * len(screen.simulator.case.joint_names))
     total += figures.SHARED * sum(len(c.candidate.places) > 1 for c in fit.causes)
-    return total + figures.UNUSUAL * sum(lookup(c.candidate.effect).usual is not None for c in fit.causes)
+    return total + figures.PRICE * sum(lookup(c.candidate.effect).usual is not None for c in fit.causes)
 
 
 def determined(fit: Fit) -> float:
@@ -31,16 +31,14 @@ def determined(fit: Fit) -> float:
     return float(np.clip(1 - np.diag(fit.covariance) / sizes**2, 0.0, 1.0).sum())
 
 
-def asked(before: Fit) -> float:
-    """Nats by which a further cause must lower the score of a set."""
-    return figures.CLEARLY + figures.SHARE * before.misfit
-
-
 def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | None]:
     """(what speaks against the further cause of `after`: it gains too little, or not on runs that are left out; its
     gain on those)."""
     found = []
-    gain, least = score(fitter.screen, before) - score(fitter.screen, after), asked(before)
+    gain, least = (
+        score(fitter.screen, before) - score(fitter.screen, after),
+        figures.CLEARLY + figures.SHARE * before.misfit,
+    )
     if gain < least:
         found.append(f"gains {gain:.1f} nats, must gain {least:.1f}")
     held = left_out(fitter, before, after)
@@ -49,7 +47,7 @@ def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | N
     return found, held
 
 
-def _harmless(fitter: Fitter, before: Fit, mean: float, error: float, positive: float) -> bool:
+def _harmless(fitter: Fitter, before: Fit, mean: float, error: float) -> bool:
     """Whether it is enough that runs left out do not lose: where nuisance parameters explain the fitted runs, they
     explain the others too. Many joints have too many of them for the score to decide alone."""
     few = len(fitter.screen.simulator.case.joint_names) < MANY_JOINTS
@@ -57,15 +55,15 @@ def _harmless(fitter: Fitter, before: Fit, mean: float, error: float, positive: 
 
 
 def left_out(fitter: Fitter, before: Fit, after: Fit) -> Held | None:
-    """(mean, standard error, share positive) of the gain on each run, fitted to the others; None of a single run."""
+    """(mean, standard error) of the gain on each run, fitted to the others; None of a single run."""
     if len(fitter.screen.runs) < 2:
         return None
     gains = fitter.left_out(before, after.prior) - fitter.left_out(after, before.prior)
-    return float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains))), float((gains > 0).mean())
+    return float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))
 
 
-def _holds(mean: float, error: float, positive: float) -> bool:
-    return mean > figures.HOLDS * error and positive >= figures.MOST_RUNS
+def _holds(mean: float, error: float) -> bool:
+    return mean > figures.HOLDS * error
 
 
 def asked_for(fitter: Fitter, plain: Fit, rich: Fit) -> bool:

@@ -62,17 +62,16 @@ class Search:
             best.setdefault(c.effect, Trial(c, 0, gain, "screened"))
         self.trials = list(best.values())
         expanded: set[frozenset] = set()
-        for k in range(figures.EXPANSIONS):
-            tick("search for causes", k / figures.EXPANSIONS)
-            left = leftover(self.fitter.screen, self.fitter.remeasure(self.best))
-            if self._hopeless(left) or self.best.full_key in expanded:
-                break
+        better = True
+        while better and self.best.full_key not in expanded:
+            tick("search for causes", len(expanded) / (len(expanded) + 3))
             expanded.add(self.best.full_key)
-            # Each of several causes was chosen while another one was missing: they are exchanged before one is added.
-            moves = [self._dropped, self._exchanged, self._added] if len(self.best.causes) > 1 else [self._added]
-            moves += [self._exchanged] if len(self.best.causes) == 1 else []
-            if not any(move() for move in moves):
+            if self._hopeless(leftover(self.fitter.screen, self.fitter.remeasure(self.best))):
                 break
+            # Each of several causes was chosen while another one was missing: they are exchanged before one is added.
+            several = len(self.best.causes) > 1
+            moves = (self._dropped, self._exchanged, self._added) if several else (self._added, self._exchanged)
+            better = any(move() for move in moves)
         self.best = self.fitter.prepared(self.best)
 
     def _hopeless(self, left: F64) -> bool:
@@ -100,7 +99,7 @@ class Search:
 
     def _exchanged(self) -> bool:
         """Whether another cause, or a richer law, in the place of one is better."""
-        return self._moved(EXCHANGE)
+        return bool(self.best.causes) and self._moved(EXCHANGE)
 
     def _moved(self, moves: Sequence[Propose]) -> bool:
         """Fit the neighbours of the best set that some moves lead to; whether one of them takes its place."""
