@@ -55,11 +55,11 @@ def leave_out(screen: Any, fitter: Any, fit: Any) -> LeftOut:
         fit = fitter.spread(fitter.remeasure(fit))
         for k, (x, causes) in enumerate(fitter.without_each(fit)):
             predicted = fitter.of_run(fit, causes, k)
-            left = screen.residual(k, predicted, fit.evidence.centre + reasonable(x, fit.prior))
+            left = screen.residual(k, predicted, fit.evidence.centre + reasonable(x, fit.prior) - fit.about)
             after.append(mean_square(comparison, [left], [runs[k]]))
             values.append(values_of(causes))
             settings = [s for c in causes for s in c.settings()]
-            plain = errors(screen.simulator, comparison, settings, [runs[k]]) if screen.solver else None
+            plain = errors(screen.simulator, comparison, settings, [runs[k]]) if fit.about.any() else None
             residuals.append(plain[0] if plain else comparison.residual(runs[k], predicted))
     sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     if len(runs) > 2:

@@ -51,11 +51,9 @@ together, and in the check. Above it a cause is not wrong, but something else is
 NEAR, NEAR_SHARE = 20.0, 0.15
 """Nats, and share of what the best removes, within which a fit can still catch up with the best by fitting further.
 Budget."""
-WORTH, WORTH_SHARE, FITTED, PLACES = 10.0, 0.04, 8, 2
+WORTH, WORTH_SHARE, FITTED, PLACES = 10.0, 0.04, 8, 3
 """Candidates of the linear screen that are fitted: those above WORTH nats and this share of the leader, FITTED of them,
 at most so many PLACES of an effect. Budget."""
-ALIKE = 0.95
-"""Squared cosine above which two sensitivities count as the same. Budget."""
 SIZES = (2.0, 0.7, -0.7, -2.0)
 """Sizes at which candidates are simulated where no slope foretells them, in steps of the parameter. Not tuned."""
 

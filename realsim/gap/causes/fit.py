@@ -13,7 +13,7 @@ from realsim.gap.causes.fitted import Cause as Cause
 from realsim.gap.causes.fitted import Fit as Fit
 from realsim.gap.causes.fitted import at, form, parameters_of, spread, values_of
 from realsim.gap.causes.gauss_newton import FULL, Fidelity, GaussNewton, clip, widest
-from realsim.gap.causes.leftover import is_gap, leftover, reasonable
+from realsim.gap.causes.leftover import deviations, is_gap, leftover, reasonable
 from realsim.gap.causes.linear import posterior
 from realsim.gap.effects.base import Parameter
 from realsim.gap.evidence.onsets import find_onsets
@@ -44,6 +44,9 @@ class Fitter(GaussNewton):
         fit = self.reweighted(fit)
         left = leftover(screen, fit)
         if is_gap(left):
+            fit = self.with_deviations(fit)
+            left = leftover(screen, fit)
+        if is_gap(left):
             return fit
         if not fit.causes:
             self.slight = True  # nuisance parameters could explain it: no large gap drowns a smaller cause
@@ -63,21 +66,33 @@ class Fitter(GaussNewton):
         What is one or the other is tried, not sloped: beside slipping feet its slope says little of it, and lower
         friction imitates it. Beside causes the gap is theirs, and what stays of it may be the solver's.
         """
-        screen = self.screen
-        for i, (effect, place, p) in enumerate((a.effect, a.place, a.parameter) for a in screen.atoms):
-            if not p.whole:
-                continue
-            before, prior = screen.solver, screen.prior[i]
-            other = (effect, place, {p.name: p.bounds[1]})
-            screen.solver = [s for s in before if s != other] if other in before else [*before, other]
-            screen.prior[i] = p.nuisance if other in before else 0.0
-            moved, cost = self.looked_at(fit, fit.causes), self._cost(fit)
+        for i in [i for i, atom in enumerate(self.screen.atoms) if atom.parameter.whole]:
+            old, cost = self.about, self._cost(fit)
+            self.about = np.where(np.arange(len(old)) == i, 1.0 - old, old)
+            moved = self.looked_at(fit, fit.causes)
             most = cost - 2 * figures.NEAR if fit.causes else figures.SWITCHED * cost
             if moved is not None and self._cost(moved) < most:
                 fit = moved
             else:
-                screen.solver, screen.prior[i] = before, prior
+                self.about = old
         return fit
+
+    def with_deviations(self, fit: Fit) -> Fit:
+        """With everyday deviations simulated where that leaves no gap, and else with linear ones: beside a large gap,
+        many of them would be bent to imitate a cause, and hide it from its own rivals."""
+        whole = [atom.parameter.whole for atom in self.screen.atoms]
+        straight = np.where(whole, self.about, 0.0)
+        for _ in range(2):
+            x = self.screen.possible(fit.evidence.centre + deviations(self.screen, fit))
+            self.about = np.where(whole, self.about, x)
+            moved = self.looked_at(fit, fit.causes)
+            if moved is None:
+                break
+            fit = self.reweighted(moved)
+            if not is_gap(leftover(self.screen, fit)):
+                return fit
+        self.about = straight
+        return self.reweighted(self.remeasure(fit))
 
     def _cost(self, fit: Fit) -> float:
         """Weighted squared residual of the simulation itself."""
@@ -164,7 +179,7 @@ class Fitter(GaussNewton):
         found = []
         for k, (x, causes) in enumerate(self.without_each(fit)):
             x = np.where((fit.prior > 0) & (beside == 0), reasonable(x, fit.prior), x)
-            here = self.screen.evidence([self.of_run(fit, causes, k)], (k,))
+            here = self.screen.evidence([self.of_run(fit, causes, k)], (k,), fit.about)
             here = here.moved(np.full(len(x), fit.evidence.centre) - here.centre)
             found.append(0.5 * float(here.c[0] - 2 * here.b[0] @ x + x @ here.A[0] @ x))
         return np.array(found)
@@ -183,11 +198,11 @@ class Fitter(GaussNewton):
         fidelity: Fidelity = FULL,
     ) -> Fit:
         """The fit with its evidence, and its covariance if asked for, from `slopes` (of the runs looked at)."""
-        prior = self.prior_beside(causes)
+        prior, about = self.prior_beside(causes), self.beside(causes)
         predicted = self._predict(causes)
         if predicted is None:
             raise GapError("the simulator fails with the values found", hint="look at the units of the log")
-        evidence = self.screen.evidence(predicted)
+        evidence = self.screen.evidence(predicted, None, about)
         z, parameters = values_of(causes), parameters_of(causes)
         covariance = np.zeros((len(z), len(z)))
         at_bounds: list[str] = []
@@ -199,7 +214,7 @@ class Fitter(GaussNewton):
                 covariance = spread(*self._local(causes, seen, slopes, fidelity), parameters)
             at_bounds = [p.name for p, v in zip(parameters, z, strict=True) if _at_bound(p, float(v))]
         misfit = self.screen.misfit(evidence, prior)
-        return Fit(tuple(causes), misfit, covariance, tuple(predicted), evidence, prior, tuple(at_bounds))
+        return Fit(tuple(causes), misfit, covariance, tuple(predicted), about, evidence, prior, tuple(at_bounds))
 
 
 def _at_bound(p: Parameter, value: float) -> bool:

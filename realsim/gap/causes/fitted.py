@@ -43,7 +43,9 @@ class Fit:
     covariance: F64
     """(m, m) of all values, nuisances marginalised; the larger of model-based and run-to-run."""
     predictions: tuple[F64, ...]
-    """(T, C) a screened run."""
+    """(T, C) a screened run, with the nuisances `about`."""
+    about: F64
+    """(p,) nuisances that were simulated; the others are linear about them."""
     evidence: Evidence
     prior: F64
     """(p,) prior of the nuisances that stay beside these causes."""

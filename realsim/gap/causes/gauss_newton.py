@@ -43,6 +43,8 @@ class GaussNewton:
 
     def __init__(self, screen: Screen) -> None:
         self.screen = screen
+        self.about = np.zeros(len(screen.atoms))
+        """(p,) nuisances that every simulation contains, where linear ones do not do."""
         self._recent: Recent[list[F64] | None] = Recent(24)
         """A line search ends where the next slopes begin: no need to simulate it again."""
         self._fidelities: Recent[Fidelity] = Recent(4)
@@ -61,6 +63,10 @@ class GaussNewton:
         prior = self.screen.prior.copy()
         prior[[i for c in causes for i in self.screen.atoms_of(c.candidate)]] = 0.0
         return prior
+
+    def beside(self, causes: Causes) -> F64:
+        """(p,) the simulated nuisances beside these causes."""
+        return np.asarray(np.where(self.prior_beside(causes) > 0, self.about, 0.0))
 
     def _best_start(self, causes: Causes, starts: Sequence[Sequence[float]], fidelity: Fidelity) -> Causes | None:
         begun = [at(causes, clip(np.array(start, float), parameters_of(causes))) for start in starts]
@@ -120,7 +126,7 @@ class GaussNewton:
                 return Fidelity(few)
             return Fidelity(few, self.screen.coarse, tuple(f - r for f, r in zip(fine, rude, strict=True)))
 
-        return self._fidelities.get((_key(before), few), made)
+        return self._fidelities.get((_key(before), few, self.about.tobytes()), made)
 
     def _runs(self, fidelity: Fidelity) -> list[int]:
         return self.screen.runs if fidelity.few is None else [self.screen.runs[k] for k in fidelity.few]
@@ -129,7 +135,7 @@ class GaussNewton:
         """(T, C) a screened run (of those that are looked at); None if the simulation fails."""
 
         def made() -> list[F64] | None:
-            settings = [*self.screen.solver, *(s for c in causes for s in c.settings())]
+            settings = [*self.screen.settings(self.beside(causes)), *(s for c in causes for s in c.settings())]
             try:
                 found = self.screen.simulator.simulate(settings, self._runs(fidelity), fidelity.coarse)
             except GapError:
@@ -139,13 +145,13 @@ class GaussNewton:
             return found if all(np.isfinite(y).all() for y in found) else None
 
         step = (fidelity.few, fidelity.coarse, fidelity.offset[0].tobytes() if fidelity.offset else b"")
-        return self._recent.get((_key(causes), step, len(self.screen.solver)), made)
+        return self._recent.get((_key(causes), step, self.about.tobytes()), made)
 
     def _misfit(self, causes: Causes, fidelity: Fidelity = FULL) -> float | None:
         predicted = self._predict(causes, fidelity)
         if predicted is None:
             return None
-        evidence = self.screen.evidence(predicted, fidelity.few)
+        evidence = self.screen.evidence(predicted, fidelity.few, self.beside(causes))
         return self.screen.misfit(evidence, self.prior_beside(causes))
 
     def slopes(self, causes: Causes, base: Sequence[F64], fidelity: Fidelity = FULL) -> list[F64] | None:
@@ -191,11 +197,12 @@ class GaussNewton:
         self, causes: Causes, base: Sequence[F64], slopes: list[F64], fidelity: Fidelity = FULL
     ) -> tuple[Evidence, list[F64], list[F64]]:
         """(evidence, A, b): normal equations of nuisances and values together, a run each, about `base`."""
-        evidence = self.screen.evidence(base, fidelity.few)
+        about = self.beside(causes)
+        evidence = self.screen.evidence(base, fidelity.few, about)
         A, b = [], []
         for i, (k, y, D) in enumerate(zip(evidence.runs, base, slopes, strict=True)):
             w = self.screen.comparison.weights[self.screen.runs[k]].reshape(-1)
-            r = np.nan_to_num(self.screen.residual(k, y, evidence.centre)).reshape(-1)
+            r = np.nan_to_num(self.screen.residual(k, y, evidence.centre - about)).reshape(-1)
             across = self.screen.weighted(k).T @ D
             A.append(np.block([[evidence.A[i], across], [across.T, D.T @ (w[:, None] * D)]]))
             b.append(np.append(evidence.b[i], D.T @ (w * r)))

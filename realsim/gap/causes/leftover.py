@@ -22,10 +22,10 @@ def reasonable(x: F64, prior: F64) -> F64:
 
 
 def nuisance_settings(screen: Screen, fit: Fit, scale: float = 1.0) -> list[Setting]:
-    """The most probable everyday deviations, times `scale` (tiny ones are left out), and how the solver works."""
+    """The most probable everyday deviations, times `scale` as settings for the simulator; tiny ones are left out."""
     x = deviations(screen, fit)
     x = fit.evidence.centre + np.where(np.abs(x) > 0.02 * fit.prior, x, 0.0)
-    return [*screen.solver, *screen.settings(scale * x)]
+    return screen.settings(scale * x)
 
 
 def leftover(screen: Screen, fit: Fit) -> F64:
@@ -41,7 +41,7 @@ def leftover(screen: Screen, fit: Fit) -> F64:
 
 def rests(screen: Screen, fit: Fit) -> list[F64]:
     """(B, C) a run: residual beside causes and everyday deviations."""
-    x = fit.evidence.centre + deviations(screen, fit)
+    x = fit.evidence.centre + deviations(screen, fit) - fit.about
     return [screen.residual(k, y, x) for k, y in enumerate(fit.predictions)]
 
 

@@ -11,6 +11,7 @@ from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.linear import log_evidence, marginal
+from realsim.gap.causes.score import near
 from realsim.gap.causes.screen import Candidate, Screen, slab
 from realsim.gap.causes.starts import Guess, nested, starts, suggested
 from realsim.gap.causes.windows import window_candidates
@@ -99,11 +100,16 @@ def _sized(fitter: Fitter, here: Fit, candidate: Candidate, estimate: F64) -> tu
     return most, cause(best)
 
 
-def by_likeness(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
-    """Another cause in the place of each: what does the same to first order."""
+def by_slopes_instead(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
+    """Another cause in the place of each: by the linear screen, what is about as likely beside the rest."""
     for i, cause in enumerate(here.causes):
-        for other in _alike(fitter, here, cause):
-            yield Proposal((*_others(here, i), other))
+        others = _others(here, i)
+        rest = fitter.fit(others, iterations=2) if others else fitter.looked_at(here, ())
+        order = ranked(fitter.screen, rest) if rest else []
+        own = next((gain for gain, c, _ in order if c.key == cause.candidate.key), 0.0)
+        free = [(gain, c, x) for gain, c, x in order if gain > max(own - near(own), 0.0) and not _taken(c, here)]
+        for gain, c, estimate in free[: figures.PLACES]:
+            yield _further(fitter, rest, c, estimate, gain)
 
 
 def by_simulation_instead(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
@@ -155,29 +161,6 @@ def _further(fitter: Fitter, here: Fit, candidate: Candidate, guess: Guess, gain
     return Proposal((*here.causes, Cause(candidate, tuple(first))), tuple((*done, *s) for s in more), gain)
 
 
-def _alike(fitter: Fitter, here: Fit, cause: Cause) -> list[Cause]:
-    """Causes whose sensitivities span what this one does: by the squared cosine of the angle between them."""
-    A = np.sum(here.evidence.A, axis=0)
-    v = cause.candidate.directions @ np.array([cause.named[n] for n in cause.candidate.linear])
-    size = float(v @ A @ v)
-    found: list[Scored] = []
-    for c in fitter.screen.candidates:
-        if size <= 0 or c.names != c.linear or _taken(c, here):
-            continue
-        D = c.directions
-        inside, info = D.T @ A @ v, D.T @ A @ D
-        if np.trace(info) <= 0:  # it does nothing where errors count, as in runs that were cut at a fall
-            continue
-        coefficients = np.linalg.solve(info + 1e-9 * np.trace(info) * np.eye(len(info)), inside)
-        share = float(inside @ coefficients) / size
-        if share > figures.ALIKE:
-            found.append((share - 0.01 * len(c.names), c, coefficients))
-    first: dict[tuple, Cause] = {}
-    for _, c, x in sorted(found, key=lambda item: -item[0]):  # the simplest form of each
-        first.setdefault((c.effect, c.place), Cause(c, tuple(float(value) for value in x)))
-    return list(first.values())[: figures.PLACES]
-
-
 def _others(here: Fit, i: int) -> list[Cause]:
     return [c for j, c in enumerate(here.causes) if j != i]
 
@@ -189,4 +172,4 @@ def _taken(c: Candidate, here: Fit) -> bool:
 
 
 ADD: Sequence[Propose] = (by_slopes, by_window, by_simulation)
-EXCHANGE: Sequence[Propose] = (by_effect, by_likeness, by_simulation_instead)
+EXCHANGE: Sequence[Propose] = (by_effect, by_slopes_instead, by_simulation_instead)

@@ -94,4 +94,4 @@ def searched(screen: Screen, fit: Fit) -> float:
     """Misfit on the runs that a rough fit looks at."""
     few = screen.varied
     seen = fit.predictions if few is None else [fit.predictions[k] for k in few]
-    return screen.misfit(screen.evidence(seen, few), fit.prior)
+    return screen.misfit(screen.evidence(seen, few, fit.about), fit.prior)

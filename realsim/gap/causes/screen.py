@@ -136,8 +136,8 @@ class Screen:
         self.prior = np.array([a.parameter.nuisance for a in self.atoms])
         self.usual = np.array([a.parameter.usual for a in self.atoms])
         """(p,) what the small deviations may scatter about instead of zero."""
-        self.solver: list[Setting] = []
-        """How the solver works where that is told from the model's own way: part of every prediction."""
+        self.simulable = np.array([not (lookup(a.effect).stepwise or a.parameter.fine) for a in self.atoms])
+        """(p,) False for atoms that cost steps one by one, or many of them: as nuisances they stay linear."""
         self.candidates = self._candidates(chosen)
 
     def _varied(self, count: int = 3) -> tuple[int, ...] | None:
@@ -215,9 +215,14 @@ class Screen:
             return [c.reshape(-1).astype(np.float32) for c in change]
         return None
 
-    def evidence(self, simulated: Sequence[F64], few: tuple[int, ...] | None = None) -> Evidence:
-        """Normal equations of the residual about these predictions: one a screened run (or one of the `few`); x counts
-        from the small deviations' centre, the likelier one where there are two."""
+    def evidence(
+        self, simulated: Sequence[F64], few: tuple[int, ...] | None = None, about: F64 | float = 0.0
+    ) -> Evidence:
+        """Normal equations of the residual about these predictions: one a screened run (or one of the `few`).
+
+        `about`: (p,) the small deviations that are in the predictions already; x counts from their centre all the same,
+        the likelier one where there are two.
+        """
         with self._lock:
             if self._version != self.comparison.version:
                 self._weigh()
@@ -225,7 +230,7 @@ class Screen:
         which = range(len(self.runs)) if few is None else few
         for k, y in zip(which, simulated, strict=True):
             run, GW = self.runs[k], self._weighted[k]
-            r = self.residual(k, y)
+            r = self.residual(k, y, -np.asarray(about))
             W = np.where(np.isfinite(r), self.comparison.weights[run], 0.0)
             r = np.nan_to_num(r)
             b.append(r.reshape(-1) @ GW)
@@ -287,6 +292,13 @@ class Screen:
     def weighted(self, k: int) -> F64:
         """(B * C, p) of all atoms on screened run k, times the present weights."""
         return self._weighted[k]
+
+    def possible(self, x: F64) -> F64:
+        """The nearest small deviations that can be simulated; tiny ones are left out."""
+        low, high = np.array([a.parameter.bounds for a in self.atoms]).T
+        whole = np.array([a.parameter.whole for a in self.atoms])
+        x = np.where(self.simulable & (np.abs(x) > 0.05 * self.prior), x, 0.0)
+        return np.asarray(np.clip(np.where(whole, np.round(x), x), low, high))
 
     def settings(self, x: F64) -> list[Setting]:
         """Atoms with these coordinates (0: left out) as settings for the simulator."""
