@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from realsim.gap.causes.fitted import Trial
 from realsim.gap.causes.screen import Screen
-from realsim.gap.causes.search import Trial
 from realsim.gap.causes.select import Selection
 from realsim.gap.effects import EFFECTS
 

@@ -69,6 +69,23 @@ class Fit:
         return any((c.candidate.effect, c.candidate.place) == (effect, place) for c in self.causes)
 
 
+@dataclass
+class Trial:
+    """A further cause beside a set: a row of the ranking."""
+
+    candidate: Candidate
+    stage: int
+    """Causes of the set."""
+    linear_gain: float
+    """Log-evidence gain by the linear screen."""
+    outcome: str = "refitted"
+    gain: float | None = None
+    """Gain of the fit, or None if it was only screened."""
+    values: tuple[float, ...] = ()
+    held: tuple[float, float] | None = None
+    """Gain on runs left out in turn and its standard error, where that was looked at."""
+
+
 def values_of(causes: Sequence[Cause]) -> F64:
     """(m,) of all causes in a row."""
     return np.array([v for c in causes for v in c.values], float)

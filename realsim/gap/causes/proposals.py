@@ -105,7 +105,9 @@ def by_slopes_instead(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     for i, cause in enumerate(here.causes):
         others = _others(here, i)
         rest = fitter.fit(others, iterations=2) if others else fitter.looked_at(here, ())
-        order = ranked(fitter.screen, rest) if rest else []
+        if rest is None:
+            continue
+        order = ranked(fitter.screen, rest)
         own = next((gain for gain, c, _ in order if c.key == cause.candidate.key), 0.0)
         free = [(gain, c, x) for gain, c, x in order if gain > max(own - near(own), 0.0) and not _taken(c, here)]
         for gain, c, estimate in free[: figures.PLACES]:

@@ -14,30 +14,13 @@ import numpy as np
 
 from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fit, Fitter
+from realsim.gap.causes.fitted import Trial
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.proposals import ADD, EXCHANGE, Proposal, Propose, ranked
-from realsim.gap.causes.score import Held, doubts, near, score, searched
-from realsim.gap.causes.screen import Candidate
+from realsim.gap.causes.score import doubts, near, score, searched
 from realsim.types import F64
 
 Tick = Callable[[str, float], None]
-
-
-@dataclass
-class Trial:
-    """A further cause beside a set: a row of the ranking."""
-
-    candidate: Candidate
-    stage: int
-    """Causes of the set."""
-    linear_gain: float
-    """Log-evidence gain by the linear screen."""
-    outcome: str = "refitted"
-    gain: float | None = None
-    """Gain of the fit, or None if it was only screened."""
-    values: tuple[float, ...] = ()
-    held: Held | None = None
-    """Gain on runs left out in turn, where that was looked at."""
 
 
 @dataclass

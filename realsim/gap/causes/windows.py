@@ -48,7 +48,7 @@ def window_candidates(screen: Screen, fit: Fit, most: int = 2) -> list[tuple[flo
     cut to the window, so that no further simulation is needed to find the window; the fit then simulates it.
     """
     left, weights = _left(screen, fit)
-    chosen, always = [], {}
+    chosen, always = [], dict[tuple[str, Place], float]()
     for clock in clocks(screen):
         found = []
         for name, place in dict.fromkeys((a.effect, a.place) for a in screen.atoms if lookup(a.effect).passing):
