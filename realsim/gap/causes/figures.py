@@ -66,9 +66,8 @@ TIMES = 1.5
 # ---------------------------------------------------------------- fits
 WIDE = 0.1
 """Share of a step over which slopes are taken: wide differences see through sticking friction."""
-PACES, POLISH = 6.0, 2
-"""A fit ends where this many more steps as good as the last would not reach its target; steps with the model's own
-time step after a fit with a coarser one. Budget."""
+PACES = 6.0
+"""A fit ends where this many more steps as good as the last would not reach its target. Budget."""
 SWITCHED = 0.5
 """Share of the weighted squares that may stay for the solver's other friction cone, which has no slope; beside causes
 it must bring NEAR nats. Set on generated quadrupeds."""

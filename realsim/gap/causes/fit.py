@@ -12,7 +12,7 @@ from realsim.gap.causes import figures
 from realsim.gap.causes.fitted import Cause as Cause
 from realsim.gap.causes.fitted import Fit as Fit
 from realsim.gap.causes.fitted import at, form, parameters_of, spread, values_of
-from realsim.gap.causes.gauss_newton import FULL, Fidelity, GaussNewton, clip, widest
+from realsim.gap.causes.gauss_newton import Few, GaussNewton, clip, widest
 from realsim.gap.causes.leftover import deviations, is_gap, leftover, reasonable
 from realsim.gap.causes.linear import posterior
 from realsim.gap.effects.base import Parameter
@@ -122,30 +122,20 @@ class Fitter(GaussNewton):
         starts: Sequence[Sequence[float]] = (),
         iterations: int = 6,
         rough: bool = False,
-        coarse: bool = False,
         target: float = np.inf,
     ) -> Fit | None:
         """The best values near the causes' own and the further `starts` (all values in a row); None if none runs.
 
         A `rough` fit looks at some of the runs while it searches, and is measured on all of them; it is broken off
-        once it would not come down to the misfit `target` (of the runs it looks at) at its present pace. A `coarse`
-        one takes the screen's coarser time step while it searches.
+        once it would not come down to the misfit `target` (of the runs it looks at) at its present pace.
         """
-        fidelity = self._fidelity(causes, rough, coarse)
-        first = [list(values_of(causes)), *starts]
-        here = self._best_start(causes, first, fidelity)
-        if here is None and fidelity.coarse > 1:
-            fidelity = Fidelity(fidelity.few)
-            here = self._best_start(causes, first, fidelity)
-        if here is None:
+        few = self.screen.varied if rough else None
+        begun = self._best_start(causes, [list(values_of(causes)), *starts], few)
+        if begun is None:
             return None
-        here, misfit, slopes = self._descend(here, None, fidelity, iterations, target)
-        if fidelity.coarse > 1:
-            fidelity = Fidelity(fidelity.few)
-            if misfit <= target and self._predict(here, fidelity) is not None:
-                here, misfit, slopes = self._descend(here, slopes, fidelity, figures.POLISH)
+        here, _, slopes = self._descend(begun, few, iterations, target)
         try:
-            return self._measure(here, True, slopes, fidelity)
+            return self._measure(here, True, slopes, few)
         except GapError:  # on a run that a rough fit did not look at
             return None
 
@@ -167,7 +157,7 @@ class Fitter(GaussNewton):
 
     def of_run(self, fit: Fit, causes: Sequence[Cause], k: int) -> F64:
         """(T, C) prediction of screened run k with these values; the fit's own where that fails."""
-        moved = self._predict(causes, Fidelity((k,))) if causes else None
+        moved = self._predict(causes, (k,)) if causes else None
         return moved[0] if moved else fit.predictions[k]
 
     def left_out(self, fit: Fit, beside: F64) -> F64:
@@ -195,7 +185,7 @@ class Fitter(GaussNewton):
         causes: Sequence[Cause],
         spread_too: bool = False,
         slopes: list[F64] | None = None,
-        fidelity: Fidelity = FULL,
+        few: Few = None,
     ) -> Fit:
         """The fit with its evidence, and its covariance if asked for, from `slopes` (of the runs looked at)."""
         prior, about = self.prior_beside(causes), self.beside(causes)
@@ -208,10 +198,10 @@ class Fitter(GaussNewton):
         at_bounds: list[str] = []
         if spread_too and parameters:
             if slopes is None:
-                slopes, fidelity = self.slopes(causes, predicted), FULL
+                slopes, few = self.slopes(causes, predicted), None
             if slopes is not None:
-                seen = predicted if fidelity.few is None else [predicted[k] for k in fidelity.few]
-                covariance = spread(*self._local(causes, seen, slopes, fidelity), parameters)
+                seen = predicted if few is None else [predicted[k] for k in few]
+                covariance = spread(*self._local(causes, seen, slopes, few), parameters)
             at_bounds = [p.name for p, v in zip(parameters, z, strict=True) if _at_bound(p, float(v))]
         misfit = self.screen.misfit(evidence, prior)
         return Fit(tuple(causes), misfit, covariance, tuple(predicted), about, evidence, prior, tuple(at_bounds))

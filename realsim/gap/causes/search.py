@@ -94,7 +94,7 @@ class Search:
             least = min((searched(screen, f) for f in fits), default=np.inf) if further else here.misfit
             before = searched(screen, here) if further else self.seen[frozenset()].misfit
             target = least + near(before - least)
-            fit = self.fitter.fit(p.causes, p.starts, 8, rough=further, coarse=further, target=target)
+            fit = self.fitter.fit(p.causes, p.starts, 8, rough=further, target=target)
             if fit is not None:
                 fits.append(fit)
                 self._keep(fit)
