@@ -158,11 +158,6 @@ class Comparison:
             detail[run] = np.sqrt(self.noise.detail**2 + left**2 + self._form[run] ** 2)
         self.set_detail(detail)
 
-    def sharpen(self, share: float) -> None:
-        """Weigh errors against what the causes and small deviations leave, where that is less than was allowed for."""
-        self.weights = [w / share for w in self.weights]
-        self.version += 1
-
     def _local(self, values: F64) -> F64:
         """(B, C) root mean square over about a second."""
         width = min(max(int(TEMPER_SECONDS / self.config.bin_seconds), 1), len(values))

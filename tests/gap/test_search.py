@@ -1,4 +1,4 @@
-"""The searches of the diagnosis: windows of time, coarse time steps, and what unseen runs say of the outcome."""
+"""The searches of the diagnosis: windows of time, slopes, and what unseen runs say of the outcome."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_a_window_of_force_is_found_to_the_bin(start: int, length: int, force: f
 
 @pytest.fixture(scope="module")
 def fitter(made):
-    """A log with a weaker motor at one joint, on a simulator whose searches may take a step twice as long."""
+    """A log with a weaker motor at one joint, on a simulator whose slopes may take a step twice as long."""
     nominal = load_case(made("search", Truth(), runs=3))
     with Simulator(nominal, CONFIG) as simulator:
         joint = simulator.context.driven[0]
@@ -61,20 +61,6 @@ def fitter(made):
 
 def _cause(fitter: Fitter, effect: str, value: float) -> Cause:
     return Cause(next(c for c in fitter.screen.candidates if c.effect == effect and len(c.places) == 1), (value,))
-
-
-def test_a_coarse_search_ends_where_the_fine_one_does(fitter: Fitter) -> None:
-    start = _cause(fitter, "motor_gain", -0.05)
-    fine, coarse = fitter.fit([start]), fitter.fit([start], coarse=True)
-    assert fine is not None
-    assert coarse is not None
-    assert coarse.causes[0].values[0] == pytest.approx(fine.causes[0].values[0], abs=2e-3)
-    assert coarse.misfit == pytest.approx(fine.misfit, abs=1.0)
-
-
-def test_laws_that_need_the_fine_step_keep_it(fitter: Fitter) -> None:
-    assert fitter._fidelity([_cause(fitter, "motor_gain", 0.1)], rough=False, coarse=True).coarse == 2
-    assert fitter._fidelity([_cause(fitter, "backlash", 0.01)], rough=False, coarse=True).coarse == 1
 
 
 def test_slopes_of_laws_that_need_the_fine_step_are_taken_at_it(fitter: Fitter, monkeypatch) -> None:

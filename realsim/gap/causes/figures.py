@@ -63,6 +63,7 @@ BRIEF = 0.2
 end at first. Not tuned."""
 TIMES = 1.5
 """Factor by which a window must explain more than the same force throughout, beside NEAR nats. Not tuned."""
+
 # ---------------------------------------------------------------- fits
 WIDE = 0.1
 """Share of a step over which slopes are taken: wide differences see through sticking friction."""
@@ -71,9 +72,6 @@ PACES = 6.0
 SWITCHED = 0.5
 """Share of the weighted squares that may stay for the solver's other friction cone, which has no slope; beside causes
 it must bring NEAR nats. Set on generated quadrupeds."""
-SHARPEST = 0.3
-"""Least factor on the allowed discrepancy once a cause explains the gap: a second, smaller one would go under in it.
-Set on generated cases with two causes."""
 TOO_LONG = 25
 """Driven joints, times how much finer a law makes the time step, from which on slopes are taken at the nominal model
 only. Budget: of G1 they take as long as all the rest."""

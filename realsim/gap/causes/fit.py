@@ -23,9 +23,6 @@ from realsim.types import F64
 class Fitter(GaussNewton):
     """What the selection asks of a fit: causes at their best values, measured on all runs of a screen."""
 
-    slight = False
-    """Whether small deviations alone could explain the gap."""
-
     def prepared(self, fit: Fit) -> Fit:
         """The set under weights that follow from what it leaves, with slopes about its causes.
 
@@ -42,19 +39,7 @@ class Fitter(GaussNewton):
                 screen.relinearise(settings)
             fit = self.with_likelier_solver(self.remeasure(fit))
         fit = self.reweighted(fit)
-        left = leftover(screen, fit)
-        if is_gap(left):
-            fit = self.with_deviations(fit)
-            left = leftover(screen, fit)
-        if is_gap(left):
-            return fit
-        if not fit.causes:
-            self.slight = True  # nuisance parameters could explain it: no large gap drowns a smaller cause
-        elif not self.slight:
-            share = float(np.sqrt(left.mean()))  # half way: what stays is in part no noise
-            screen.comparison.sharpen(float(np.clip(share, figures.SHARPEST, 1.0)))
-            fit = self.remeasure(fit)
-        return fit
+        return self.with_deviations(fit) if is_gap(leftover(screen, fit)) else fit
 
     def nominal(self) -> Fit:
         """No cause at all."""
