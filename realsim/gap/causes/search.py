@@ -1,8 +1,7 @@
-"""Which causes: best-first search over sets of them, by one score and four moves (add, drop, exchange, widen).
+"""Which causes: a search over sets of them, by one score and three moves (drop, add, exchange).
 
-The neighbours of the best set are fitted: with one cause less, with one more (or a law that contains one of them), with
-another one in a cause's place. One that has a lower score, and against which nothing speaks, becomes the best set, and
-so on.
+The neighbours of the best set are fitted: with one cause less, with one more, with another one or a richer law in a
+cause's place. One that has a lower score, and against which nothing speaks, becomes the best set, and so on.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ Tick = Callable[[str, float], None]
 
 @dataclass
 class Search:
-    """Best-first over sets of causes."""
+    """From one set of causes to a better neighbour, as long as there is one."""
 
     fitter: Fitter
     most: int
