@@ -26,9 +26,10 @@ HOLDS = 1.0
 LEAST = 0.02
 """Share of the squared error of runs left out that it must remove in any case; and mean square in units of the floor
 below which two predictions are the same. Not tuned."""
-EQUAL = 0.03
+EQUAL = 0.12
 """Two sets explain the runs alike if their scores differ by less than this share of what both remove, and the runs left
-out do not tell them apart; or by less than CLEARLY. Set on generated look-alikes."""
+out do not tell them apart; or by less than CLEARLY. Set on generated look-alikes: a quarter of it misses a true twin in
+one of seven cases of seed 211, and lists no fewer in the others."""
 CERTAIN = 0.975
 """Quantile of Student's t that a preference on runs left out must exceed to tell two sets apart. Conventional."""
 GATE_MEDIAN, GATE_MEAN = 1.4, 2.8

@@ -26,6 +26,10 @@ from realsim.gap.logs.case import Case
 from realsim.gap.simulation.simulate import Simulator, lookup
 from realsim.types import F64
 
+HOLDS, MOST_RUNS = 0.5, 0.6
+"""Standard errors, and share of the runs, by which a change must gain on runs left out in turn."""
+EQUAL, EQUAL_SHARE = 8.0, 0.03
+"""Nats, and share of what both remove, within which two changes explain the later log alike."""
 FINALISTS = 6
 """Possible changes that are fitted by simulation: a budget."""
 SURE = 2.0
@@ -199,7 +203,7 @@ def _doubt(joint: Joint, config: DiagnoseConfig, before: Changed, after: Changed
     gains = joint.gains(before, after)
     if len(gains) > 1:  # of a single run none can be left out
         error = float(gains.std(ddof=1) / np.sqrt(len(gains)))
-        if gains.mean() <= figures.HOLDS * error:
+        if gains.mean() <= HOLDS * error or (gains > 0).mean() < MOST_RUNS:
             return "does not hold on runs left out in turn"
     return ""
 
@@ -219,7 +223,7 @@ def _rivals(joint: Joint, config: DiagnoseConfig, found: Changed, stages: Sequen
         gains = joint.gains(fit, found)
         error = float(gains.std(ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else np.inf
         preferred = gains.mean() > float(student.ppf(figures.CERTAIN, max(len(gains) - 1, 1))) * error
-        alike = loss < figures.CLEARLY or (loss < figures.EQUAL * removed and not preferred)
+        alike = loss < figures.CLEARLY or (loss < max(EQUAL_SHARE * removed, EQUAL) and not preferred)
         if alike and not _doubt(joint, config, before, fit):
             rivals[key] = fit
     return list(rivals.values())
