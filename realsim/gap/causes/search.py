@@ -55,6 +55,9 @@ class Search:
             moves = (self._dropped, self._exchanged, self._added) if several else (self._added, self._exchanged)
             better = any(move() for move in moves)
         self.best = self.fitter.prepared(self.best)
+        if self.best.causes:  # what was found on some of the runs, on all of them
+            self.best = self.fitter.fit(self.best.causes) or self.best
+            self._keep(self.best)
 
     def _hopeless(self, left: F64) -> bool:
         """Whether nothing in the library fits: with all the causes that a set may have, each as good as those so far,
