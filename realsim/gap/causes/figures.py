@@ -27,11 +27,8 @@ LEAST = 0.02
 """Share of the squared error of runs left out that it must remove in any case; and mean square in units of the floor
 below which two predictions are the same. Not tuned."""
 EQUAL = 0.12
-"""Two sets explain the runs alike if their scores differ by less than this share of what both remove, and the runs left
-out do not tell them apart; or by less than CLEARLY. Set on generated look-alikes: a quarter of it misses a true twin in
-one of seven cases of seed 211, and lists no fewer in the others."""
-CERTAIN = 0.975
-"""Quantile of Student's t that a preference on runs left out must exceed to tell two sets apart. Conventional."""
+"""Two sets explain the runs alike if their scores differ by less than this share of what both remove, and the best one
+does not hold against the other on runs left out; or by less than CLEARLY. Set on generated look-alikes."""
 GATE_MEDIAN, GATE_MEAN = 1.4, 2.8
 """Mean squares over the noise floor (the median run's, all runs') above which nuisance parameters do not explain a
 log. Set on generated cases without a gap; a single run near a resonance may exceed both."""
@@ -55,8 +52,9 @@ Budget."""
 WORTH, WORTH_SHARE, FITTED, PLACES = 10.0, 0.04, 8, 3
 """Candidates of the linear screen that are fitted: those above WORTH nats and this share of the leader, FITTED of them,
 at most so many PLACES of an effect. Budget."""
-SIZES = (2.0, 0.7, -0.7, -2.0)
-"""Sizes at which candidates are simulated where no slope foretells them, in steps of the parameter. Not tuned."""
+PROBED, SIZES = 12, (2.0, 0.7, -0.7, -2.0)
+"""Candidates of an effect that are simulated where no slope foretells it (a quadruped has twelve joints), and the sizes
+at which they are, in steps of the parameter. Budget."""
 
 # ---------------------------------------------------------------- forces that act for a while
 BRIEF = 0.2

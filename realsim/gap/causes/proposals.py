@@ -68,7 +68,7 @@ def by_simulation(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
         if len(c.places) == 1 and (effect.abrupt or stands):
             abrupt.setdefault(c.effect, []).append((c, estimate))
     for candidates in abrupt.values():
-        looks = fitter.each(lambda item: _sized(fitter, here, *item), candidates[: figures.FITTED])
+        looks = fitter.each(lambda item: _sized(fitter, here, *item), candidates[: figures.PROBED])
         for gain, cause in sorted(looks, key=lambda item: -item[0])[: figures.PLACES]:
             if gain > figures.WORTH:
                 yield _further(fitter, here, cause.candidate, cause.named, gain)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import t as student
 
 from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fit, Fitter
@@ -82,7 +81,7 @@ def alike(fitter: Fitter, best: Fit, rival: Fit, removed: float) -> bool:
     if loss < figures.CLEARLY or loss >= figures.EQUAL * removed:
         return loss < figures.CLEARLY
     held = left_out(fitter, rival, best)
-    return held is None or held[0] < float(student.ppf(figures.CERTAIN, len(screen.runs) - 1)) * held[1]
+    return held is None or not _holds(*held)
 
 
 def near(gain: float) -> float:

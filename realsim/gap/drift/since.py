@@ -28,6 +28,8 @@ from realsim.types import F64
 
 HOLDS, MOST_RUNS = 0.5, 0.6
 """Standard errors, and share of the runs, by which a change must gain on runs left out in turn."""
+CERTAIN = 0.975
+"""Quantile of Student's t that a preference on runs left out must exceed to tell two changes apart. Conventional."""
 EQUAL, EQUAL_SHARE = 8.0, 0.03
 """Nats, and share of what both remove, within which two changes explain the later log alike."""
 FINALISTS = 6
@@ -222,7 +224,7 @@ def _rivals(joint: Joint, config: DiagnoseConfig, found: Changed, stages: Sequen
         loss = _price(fit) - _price(found)
         gains = joint.gains(fit, found)
         error = float(gains.std(ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else np.inf
-        preferred = gains.mean() > float(student.ppf(figures.CERTAIN, max(len(gains) - 1, 1))) * error
+        preferred = gains.mean() > float(student.ppf(CERTAIN, max(len(gains) - 1, 1))) * error
         alike = loss < figures.CLEARLY or (loss < max(EQUAL_SHARE * removed, EQUAL) and not preferred)
         if alike and not _doubt(joint, config, before, fit):
             rivals[key] = fit
