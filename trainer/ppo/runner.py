@@ -150,8 +150,7 @@ class Runner:
         for _ in range(self.config.steps):
             action, value = self._acting(self.observation)
             result = self.env.step(action.sample)
-            prior = self.prior if result.amp is not None else None
-            style = None if prior is None else prior.reward(result.amp)  # type: ignore[arg-type]
+            style = None if self.prior is None or result.amp is None else self.prior.reward(result.amp)
             rows = self._late(result)
             final = result.final_observation if rows else None
             self._keeping(action, value, result.reward, style, result.terminated, result.truncated, final, rows=rows)
