@@ -159,7 +159,7 @@ class ParkourEnv:
         """() the same, as the device knows it."""
         self.ends: Ends | None = None
         """Episodes that ended at the last step; None if none did."""
-        self.graphs = graphs and device.type == "cuda"
+        self.graphs = graphs and torch.device(device).type == "cuda"
         self.padded = self.graphs
         """Whether batches have one of a few sizes, instead of as many rows as are needed."""
         self._actions = torch.zeros_like(self.last_action)
