@@ -488,7 +488,7 @@ KEYS = {
     "captures": ("kind", "seed", "method"),
     "close_the_gap": ("robot", "iterations"),
     "contact": ("terrain", "representation"),
-    "fuzz": ("kind", "seed"),
+    "fuzz": ("kind", "seed", "number"),
     "diagnosis": ("seed", "case"),
     "footholds": ("change", "seed"),
     "gap_blind": ("case",),

@@ -141,6 +141,15 @@ def test_lists_of_different_lengths_and_broken_rows(tmp_path: Path) -> None:
         read(tmp_path / "c.csv")
 
 
+def test_a_cell_that_is_no_number_is_said(tmp_path: Path) -> None:
+    rows = "".join(f'{t},"[{t}, 0.5]",{t}\n' for t in range(30))
+    path = tmp_path / "a.csv"
+    path.write_text("time,target,q\n" + rows)
+    assert not read(path)[0].notes
+    path.write_text("time,target,q\n" + rows.replace('"[7, 0.5]"', '"[7, 0x10]"').replace(",8\n", ",\n"))
+    assert read(path)[0].notes == ("a.csv: target has cells that are no numbers, the first is '[7, 0x10]'",)
+
+
 def test_an_empty_folder_and_prose_are_no_recordings(tmp_path: Path) -> None:
     with pytest.raises(GapError, match=r"no recording|no samples"):
         read(tmp_path)

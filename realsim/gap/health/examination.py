@@ -11,7 +11,7 @@ import numpy as np
 from realsim.errors import GapError
 from realsim.gap.evidence.inverse import torque_residual
 from realsim.gap.health.conventions import log_conventions, nominal_conventions
-from realsim.gap.health.signals import clocks, initial_states, missing, noise, quanta, saturation
+from realsim.gap.health.signals import clocks, initial_states, missing, noise, quanta, saturation, spikes
 from realsim.gap.logs.case import Case
 from realsim.gap.simulation.channels import uncompared
 from realsim.gap.simulation.edit import Edit
@@ -39,7 +39,7 @@ def examine(simulator: Simulator) -> dict[str, Any]:
     warnings += _failures(simulator)
     warnings += _excitation(case)
     gone, said = missing(case)
-    warnings += said + uncompared(case)
+    warnings += said + spikes(case) + uncompared(case)
     nominal = simulator.simulate()
     warnings += nominal_conventions(simulator, nominal)
     start, said = initial_states(simulator)
