@@ -159,9 +159,9 @@ def read_recording(folder: Path) -> Reading:
         reading.said += [*recording.notes, *(f"{k}: {v}" for k, v in recording.skipped.items())]
         for stream in recording.streams:
             for name, item in stream.fields.items():
-                reading.part(f"{stream.name} {name}", lambda item=item: item.values)
+                reading.part(f"{name} of {stream.name or 'all'}", lambda item=item: item.values)
             for name, clock in stream.clocks.items():
-                reading.part(f"{stream.name} {name} clock", lambda clock=clock: clock)
+                reading.part(f"clock {name} of {stream.name or 'all'}", lambda clock=clock: clock)
     proposal = None if found is None else reading.get("proposal", logs.propose, found, target)
     if proposal is None:
         return reading
@@ -336,7 +336,9 @@ def _training(path: Path, reading: Reading) -> None:
     run = reading.get("run", read_run, path.parent, "run")
     if run is not None:
         reading.said += run.notes
-        reading.part("page", training_page, [run])
+        reading.get("page", training_page, [run])
+        for name, values in {**run.over, **run.columns}.items():
+            reading.part(f"{name} of history", lambda values=values: values)
 
 
 FILES: dict[str, Callable[[Path, Reading], None]] = {

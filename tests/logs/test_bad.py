@@ -147,7 +147,7 @@ def test_a_cell_that_is_no_number_is_said(tmp_path: Path) -> None:
     path.write_text("time,target,q\n" + rows)
     assert not read(path)[0].notes
     path.write_text("time,target,q\n" + rows.replace('"[7, 0.5]"', '"[7, 0x10]"').replace(",8\n", ",\n"))
-    assert read(path)[0].notes == ("a.csv: target has cells that are no numbers, the first is '[7, 0x10]'",)
+    assert read(path)[0].notes == ("a.csv: target has values that are no numbers, the first is '[7, 0x10]'",)
 
 
 def test_an_empty_folder_and_prose_are_no_recordings(tmp_path: Path) -> None:

@@ -11,14 +11,12 @@ import numpy as np
 from realsim.errors import GapError
 from realsim.files import check_size
 from realsim.logs.recording import Reader, Recording, Window, first_line, in_window, no_samples, refuse_more
-from realsim.logs.tables import cells, table
+from realsim.logs.tables import cells, odd_cell, table
 from realsim.types import F64
 
 MAX_BYTES = 2 * 2**30
 MAX_NAME = 60
 """Bytes of a column's name; a first line of longer ones is prose."""
-EMPTY = ("", "nan", "null", "none", "na", "n/a", "-")
-"""How a cell says that there is no number."""
 BLOCK = 50_000
 """Rows that are text at the same time."""
 
@@ -44,7 +42,7 @@ def read(path: Path, window: Window) -> list[Recording]:
         raise no_samples(path, "a header and one row per sample")
     columns = trimmed(columns, window)
     notes = (f"{path.name}: columns of text left out: {', '.join(dropped[:8])}",) if dropped else ()
-    notes += tuple(f"{path.name}: {n} has cells that are no numbers, the first is {c!r}" for n, c in odd.items())
+    notes += tuple(f"{path.name}: {n} has values that are no numbers, the first is {c!r}" for n, c in odd.items())
     return [Recording(path, path.stem, "csv", (table(path, "", columns),), notes=notes)]
 
 
@@ -119,10 +117,8 @@ def _take(
             else:
                 dropped.append(name)
                 continue
-        for k in np.flatnonzero(np.isnan(column.reshape(len(block), -1)).all(axis=1)) if name not in odd else ():
-            if (cell := block[k][i].strip()) and cell.strip("[]() ").split(",")[0].strip().lower() not in EMPTY:
-                odd[name] = cell[:40]
-                break
+        if name not in odd and (cell := odd_cell([row[i] for row in block], column)) is not None:
+            odd[name] = cell
         parts[name].append(column)
         size += column.size
     return size
