@@ -149,6 +149,14 @@ def test_a_run_that_is_unlike_the_others_is_said(good: Case, change: Callable[[R
     assert all(w.startswith(f"{first.name}: ") for w in warnings)
 
 
+def test_runs_that_all_repeat_one_command_and_a_slow_log_are_said(good: Case) -> None:
+    first = good.runs[0]
+    again = replace(first, name="again", signals={k: v + 1e-4 for k, v in first.signals.items()})
+    assert any("all runs repeat one command" in w for w in health(good.with_runs((first, again)))["warnings"])
+    slow = spoiled(good, lambda run: run.where(np.arange(len(run.time)) % 12 == 0))
+    assert any("what is faster" in w for w in health(slow)["warnings"])
+
+
 def test_a_single_sample_far_from_those_around_it_is_said(good: Case) -> None:
     def zeroed(at: int) -> Callable[[Any], Any]:
         def change(values: Any) -> Any:

@@ -18,6 +18,9 @@ from realsim.types import F64
 Said = list[str]
 SLOWEST = 0.2
 """s between samples beyond which nothing of a servo's motion is left in a log."""
+COARSE = 0.05
+"""s between samples beyond which delays, servo gains and friction at reversals are guessed at: a servo of 5 Hz has
+hardly four samples a period."""
 SHORTEST = 0.4
 """s that all runs together must last."""
 REST_OFF, REST_SPEED = 0.1, 0.1
@@ -65,6 +68,8 @@ def clocks(case: Case) -> tuple[dict[str, Any], Said]:
             found=f"a sample every {usual:.3g} s, {length:.3g} s in all",
             hint='is time in seconds? If not: "units": {"time": "ms"} in log.json',
         )
+    if usual > COARSE:
+        said.append(f"a sample every {usual:.3g} s: what is faster (delay, servo gains, reversals) hardly shows")
     return {"median_step_s": usual, "jitter_s": float(np.median(jitters))}, said
 
 

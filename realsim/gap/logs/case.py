@@ -199,6 +199,7 @@ def _read_runs(folder: Path, want: Layout, warnings: list[str]) -> tuple[tuple[R
         raise GapError("two files of one run", file=folder, found=", ".join(twice), hint="keep the .npz or the .csv")
     runs: list[Run] = []
     dropped, first = [], None
+    known: dict[str, str] = {}
     for file in files:
         try:
             run = read_run(file, want, warnings)
@@ -206,8 +207,8 @@ def _read_runs(folder: Path, want: Layout, warnings: list[str]) -> tuple[tuple[R
             first = first or error
             dropped.append(f"{file.name}: {error.message}")
             continue
-        same = next((r.name for r in runs if r.same_samples(run)), None)
-        if same is None:
+        same = known.setdefault(run.samples, run.name)
+        if same == run.name:
             runs.append(run)
         else:  # it would count twice, and be no check of the other
             dropped.append(f"{file.name}: the same samples as {same}")
