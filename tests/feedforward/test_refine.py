@@ -248,6 +248,15 @@ def test_colour_of_another_time_is_said_or_refused() -> None:
     assert any("colour" in w for w in warnings)
 
 
+@pytest.mark.parametrize(("frames_late", "said"), [(3, "3 frames late"), (-2, "2 frames early")])
+def test_depth_of_another_time_is_refused(frames_late: int, said: str) -> None:
+    frames, _ = evidence_of()
+    sources = [frames[min(max(k - frames_late, 0), N - 1)] for k in range(N)]
+    moved = [replace(f, read_depth=s.read_depth) for f, s in zip(frames, sources, strict=True)]
+    with pytest.raises(PoseError, match=said):
+        check_poses(moved, truth()[0], evidence=Evidence.of(moved, 0))
+
+
 @pytest.mark.parametrize("units", [0.2, 7.3])
 def test_poses_up_to_scale_get_it_from_the_depth(units: float) -> None:
     _, evidence = evidence_of()

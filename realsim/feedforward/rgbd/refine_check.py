@@ -121,6 +121,17 @@ def check_poses(
         reasons.append(f"baselines by depth are {off:+.1%} of those by the poses; this sensor allows {allowed:.0%}")
     if certain or typical >= TOLERANCE[1]:
         reasons.append(f"points misplaced by {100 * typical:.1f} cm (median)")
+    if statistics["contradicting_edges"] > 0.5:
+        reasons.append(f"{statistics['contradicting_edges']:.0%} of the pairs of frames contradict the poses")
+    if (reasons or typical > TOLERANCE[0]) and not found and (late := _late_depth(edges, evidence, T)) is not None:
+        moved = f"{100 * late[1]:.1f} cm with the depth images moved back, {100 * typical:.1f} cm as they are"
+        raise PoseError(
+            f"the depth images are {abs(late[0])} frames {'late' if late[0] > 0 else 'early'}",
+            file=source,
+            expected="colour, depth and pose of one instant in each frame",
+            found="; ".join([*reasons, moved]),
+            hint="associate colour and depth by their time stamps anew",
+        )
     if reasons and not found and (fit := _by_depth_alone(edges, evidence, T)) < TOLERANCE[0]:
         raise PoseError(
             "the colour images belong to other depth images than those they are named with",
@@ -217,6 +228,13 @@ def _by_depth_alone(edges: Sequence[Edge], evidence: Evidence, T: F64) -> float:
     bare = [Edge(e.i, e.j, sample_surface(evidence.views[e.i], rng, 100)[0], None, None) for e in matched]
     error = _errors(bare, evidence, T)
     return float(np.nanmedian(error)) if np.isfinite(error).sum() >= 4 else float("inf")
+
+
+def _late_depth(edges: Sequence[Edge], evidence: Evidence, T: F64) -> tuple[int, float] | None:
+    """(frames by which depth is late, misplacement once undone) where depth alone says so clearly."""
+    fits = {shift: _by_depth_alone(edges, evidence, _shifted(T, -shift)) for shift in range(-4, 5)}
+    shift = min(fits, key=lambda s: fits[s])
+    return (shift, fits[shift]) if shift and fits[shift] < min(TOLERANCE[0], 0.35 * fits[0]) else None
 
 
 def _greedy(pair: np.ndarray, weight: F64, wrong: np.ndarray, n: int) -> np.ndarray:
