@@ -177,5 +177,5 @@ def test_found_among_the_whole_library(name: str, made) -> None:
 
 @pytest.mark.slow
 def test_outside_the_library_is_unexplained(made) -> None:
-    found = diagnose(load_case(made("ripple", Truth(ripple={"shoulder": 2.0}), runs=5)))
+    found = diagnose(load_case(made("ripple", Truth(ripple={"shoulder": 2.0}), COARSE, span=SHORT)))
     assert found.verdict in ("unexplained", "partly_explained")
