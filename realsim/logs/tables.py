@@ -125,7 +125,7 @@ EMPTY = ("", "nan", "null", "none", "na", "n/a", "-")
 
 def odd_cell(values: Sequence[Any], column: F64) -> str | None:
     """The first cell that is neither a number nor empty; None if there is none. `column` is what `cells` made."""
-    for k in np.flatnonzero(np.isnan(column.reshape(len(column), -1)).all(axis=1)):
+    for k in np.flatnonzero(np.isnan(column.reshape(len(column), -1)).all(axis=1)).tolist():
         text = "" if values[k] is None else str(values[k]).strip()
         if text.strip("[]() ").split(",")[0].strip().lower() not in EMPTY:
             return text[:40]

@@ -41,9 +41,9 @@ def read(path: Path, window: Window) -> list[Recording]:
     if not columns:
         raise no_samples(path, "a header and one row per sample")
     columns = trimmed(columns, window)
-    notes = (f"{path.name}: columns of text left out: {', '.join(dropped[:8])}",) if dropped else ()
-    notes += tuple(f"{path.name}: {n} has values that are no numbers, the first is {c!r}" for n, c in odd.items())
-    return [Recording(path, path.stem, "csv", (table(path, "", columns),), notes=notes)]
+    notes = [f"{path.name}: columns of text left out: {', '.join(dropped[:8])}"] if dropped else []
+    notes += [f"{path.name}: {n} has values that are no numbers, the first is {c!r}" for n, c in odd.items()]
+    return [Recording(path, path.stem, "csv", (table(path, "", columns),), notes=tuple(notes))]
 
 
 def trimmed(columns: dict[str, F64], window: Window) -> dict[str, F64]:
