@@ -1,7 +1,7 @@
 """What each part of the engine is worth: the same cases with and without it, paired, by McNemar's exact test.
 
     python benchmarks/gap_ablation.py make --cases 100 --seed 11 --jobs 16
-    python benchmarks/gap_ablation.py run --without realsim.gap.causes.proposals:by_likeness --jobs 16 --minutes 9
+    python benchmarks/gap_ablation.py run --without realsim.gap.causes.proposals:by_slopes_instead --jobs 16 --minutes 9
     python benchmarks/gap_ablation.py score
 
 `run` diagnoses with the full engine and once without each function given (it proposes nothing then), with another

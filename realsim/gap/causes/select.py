@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from realsim.gap.causes.fit import Fit, Fitter
+from realsim.gap.causes.fitted import Trial
 from realsim.gap.causes.score import alike, asked_for, near, score
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.search import Search, Tick
 from realsim.gap.causes.starts import contains
-from realsim.gap.causes.trials import Trial as Trial
 from realsim.gap.config import DiagnoseConfig
 
 

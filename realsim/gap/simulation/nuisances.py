@@ -19,9 +19,6 @@ MANY_JOINTS = 8
 With fewer it hides small causes: on 44 withheld cases of pendulums and arms two were missed for one that became right.
 """
 
-LIKE_A_CAUSE = ("imu_delay",)
-"""Deviations that do what a cause does (late commands), so that they are set straight before it is looked for."""
-
 NEARLY = 0.3
 """Standard deviation about either on the others: a log comes from a robot or from a simulator of the same step."""
 
