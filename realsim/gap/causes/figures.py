@@ -60,6 +60,9 @@ at which they are, in steps of the parameter. Budget."""
 BRIEF = 0.2
 """Seconds of the shortest force, before an onset at which one may begin, and twice the grid on which windows begin and
 end at first. Not tuned."""
+SLIDES = (0.3, 0.1, 0.03)
+"""Steps in which the times of a passing force (s) and the strength of any cause (share) are moved where feet slip and
+land. Budget."""
 TIMES = 1.5
 """Factor by which a window must explain more than the same force throughout, beside NEAR nats. Not tuned."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from realsim.gap.causes.leftover import deviations, is_gap, leftover, reasonable
 from realsim.gap.causes.linear import posterior
 from realsim.gap.effects.base import Parameter
 from realsim.gap.evidence.onsets import find_onsets
+from realsim.gap.simulation.simulate import lookup
 from realsim.types import F64
 
 
@@ -30,7 +32,7 @@ class Fitter(GaussNewton):
         values of many nuisance parameters, since sensors are so precise that their prior does not count.
         """
         screen, simulator, context = self.screen, self.screen.simulator, self.screen.simulator.context
-        settings = fit.settings()
+        settings, self.about = fit.settings(), fit.about
         if fit.causes:
             if not simulator.onsets:  # a lasting cause drowns a push until it is known
                 simulator.onsets = find_onsets(screen.comparison, simulator.simulate(settings), screen.runs)
@@ -64,20 +66,63 @@ class Fitter(GaussNewton):
 
     def with_deviations(self, fit: Fit) -> Fit:
         """With everyday deviations simulated where that leaves no gap, and else with linear ones: beside a large gap,
-        many of them would be bent to imitate a cause, and hide it from its own rivals."""
-        whole = [atom.parameter.whole for atom in self.screen.atoms]
-        straight = np.where(whole, self.about, 0.0)
+        many of them would be bent to imitate a cause, and hide it from its own rivals. The solver's ways stay."""
+        ways = {atom.effect for atom in self.screen.atoms if atom.parameter.whole}
         for _ in range(2):
-            x = self.screen.possible(fit.evidence.centre + deviations(self.screen, fit))
-            self.about = np.where(whole, self.about, x)
-            moved = self.looked_at(fit, fit.causes)
-            if moved is None:
-                break
-            fit = self.reweighted(moved)
+            fit = self.reweighted(self.beside_own(fit))
+            self.about = fit.about
             if not is_gap(leftover(self.screen, fit)):
                 return fit
-        self.about = straight
-        return self.reweighted(self.remeasure(fit))
+        self.about = np.where([atom.effect in ways for atom in self.screen.atoms], self.about, 0.0)
+        return self.reweighted(self.looked_at(fit, fit.causes) or fit)
+
+    def beside_own(self, fit: Fit, rounds: int = 4) -> Fit:
+        """The same causes beside the everyday deviations that are most probable beside them, by simulation: slopes
+        lead there in a few rounds."""
+        whole = [atom.parameter.whole for atom in self.screen.atoms]
+        with self.beside_those_of(fit):
+            for _ in range(rounds):
+                x = self.screen.possible(fit.evidence.centre + deviations(self.screen, fit))
+                self.about = np.where(whole, self.about, x)
+                moved = self.looked_at(fit, fit.causes)
+                if moved is None or moved.misfit > fit.misfit - figures.CLEARLY:
+                    break
+                fit = moved
+        return fit
+
+    def settled(self, fit: Fit) -> Fit:
+        """The set beside its own everyday deviations, its last cause moved to where the simulation agrees best.
+
+        Where feet slip and land, slopes are those of a moment: what lies a good step off is looked at.
+        """
+        for size in figures.SLIDES if fit.causes else ():
+            fit = self.beside_own(self._slid(fit, size))
+        if not fit.causes:
+            return self.beside_own(fit)
+        with self.beside_those_of(fit):
+            again = self.fit(fit.causes, iterations=3, rough=True)
+        return again if again is not None and again.misfit < fit.misfit else fit
+
+    def _slid(self, fit: Fit, size: float) -> Fit:
+        """With the strength of the last cause changed by this share, and the times of one that passes by so many
+        seconds, as long as that gains."""
+        parameters = fit.causes[-1].candidate.parameters
+        times = set(lookup(fit.causes[-1].candidate.effect).passing)
+        moves = [(p.name,) for p in parameters if p.name in times]
+        moves.append(tuple(p.name for p in parameters if p.strength and p.name not in times))
+
+        def moved(here: Fit, names: tuple[str, ...], by: float) -> Fit | None:
+            *others, cause = here.causes
+            there = [v + by * (1.0 if n in times else v) * (n in names) for n, v in cause.named.items()]
+            return self.looked_at(here, (*others, replace(cause, values=tuple(clip(np.array(there), parameters)))))
+
+        with self.beside_those_of(fit):
+            while True:
+                here, tried = fit, [(names, by) for names in moves for by in (size, -size)]
+                looks = self.each(lambda move, here=here: moved(here, *move), tried)
+                fit = min((f for f in looks if f is not None), key=lambda f: f.misfit, default=fit)
+                if fit.misfit >= here.misfit:
+                    return here
 
     def _cost(self, fit: Fit) -> float:
         """Weighted squared residual of the simulation itself."""
@@ -90,14 +135,24 @@ class Fitter(GaussNewton):
         self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal, form(fit))
         return self.remeasure(fit)
 
+    @contextmanager
+    def beside_those_of(self, fit: Fit) -> Iterator[None]:
+        """Simulations in here contain the nuisances that the fit was measured beside, whatever the search has since."""
+        own, self.about = self.about, fit.about
+        try:
+            yield
+        finally:
+            self.about = own
+
     def remeasure(self, fit: Fit) -> Fit:
         """The same fit under the present weights."""
-        return replace(self._measure(fit.causes), covariance=fit.covariance, at_bounds=fit.at_bounds)
+        with self.beside_those_of(fit):
+            return replace(self._measure(fit.causes), covariance=fit.covariance, at_bounds=fit.at_bounds)
 
     def looked_at(self, fit: Fit, causes: Sequence[Cause]) -> Fit | None:
         """These causes at their very values, without a search, under the fit's weights; None if the robot falls."""
         try:
-            return self.remeasure(replace(fit, causes=tuple(causes)))
+            return replace(self._measure(tuple(causes)), covariance=fit.covariance, at_bounds=fit.at_bounds)
         except GapError:
             return None
 
@@ -129,7 +184,8 @@ class Fitter(GaussNewton):
         suit all runs leads to those that suit the others."""
         z, parameters, p = values_of(fit.causes), parameters_of(fit.causes), len(fit.prior)
         A, b, prior = fit.evidence.A, fit.evidence.b, fit.prior
-        slopes = self.slopes(fit.causes, fit.predictions)
+        with self.beside_those_of(fit):
+            slopes = self.slopes(fit.causes, fit.predictions)
         if slopes:
             _, A, b = self._normal(fit.causes, fit.predictions, slopes)
             prior = np.append(prior, [4 * abs(p.step) for p in parameters])
@@ -142,7 +198,8 @@ class Fitter(GaussNewton):
 
     def of_run(self, fit: Fit, causes: Sequence[Cause], k: int) -> F64:
         """(T, C) prediction of screened run k with these values; the fit's own where that fails."""
-        moved = self._predict(causes, (k,)) if causes else None
+        with self.beside_those_of(fit):
+            moved = self._predict(causes, (k,)) if causes else None
         return moved[0] if moved else fit.predictions[k]
 
     def left_out(self, fit: Fit, beside: F64) -> F64:
@@ -161,7 +218,8 @@ class Fitter(GaussNewton):
 
     def spread(self, fit: Fit) -> Fit:
         """The same fit with its covariance from slopes taken at its very values."""
-        return self._measure(fit.causes, True) if fit.causes else fit
+        with self.beside_those_of(fit):
+            return self._measure(fit.causes, True) if fit.causes else fit
 
     # ------------------------------------------------------------ inside
 

@@ -103,7 +103,19 @@ class Search:
                 if further:
                     c, gain = fit.causes[-1], here.misfit - fit.misfit
                     self.trials.append(Trial(c.candidate, len(here.causes), p.foretold, gain=gain, values=c.values))
-        return self._better(here, sorted(fits, key=self._score))
+        return self._better(*self._second_look(here, sorted(fits, key=self._score)))
+
+    def _second_look(self, here: Fit, fits: Sequence[Fit]) -> tuple[Fit, list[Fit]]:
+        """(a set, its best neighbours) where feet slip and land: each beside its own everyday deviations, which else
+        hide what a cause does there, under weights for what the best one leaves."""
+        fitter = self.fitter
+        if not fits or not fitter.screen.simulator.context.touches:
+            return here, list(fits)
+        close = [f for f in fits if f.misfit - fits[0].misfit <= near(here.misfit - fits[0].misfit)]
+        settled = [fitter.settled(f) for f in (here, *close[: figures.PLACES])]
+        fitter.reweighted(min(settled[1:], key=self._score))
+        here, *fits = map(fitter.remeasure, settled)
+        return here, sorted(fits, key=self._score)
 
     def _proposed(self, moves: Sequence[Propose], here: Fit) -> Iterator[Proposal]:
         """Neighbours of a set; of those that begin from the linear estimate alone, each once."""

@@ -32,7 +32,7 @@ def select(screen: Screen, fitter: Fitter, config: DiagnoseConfig, tick: Tick = 
     nothing = fitter.with_likelier_solver(fitter.nominal())
     search = Search(fitter, config.max_causes, nothing)
     search.run(tick)
-    nominal = fitter.remeasure(nothing)
+    nominal = fitter.looked_at(nothing, ()) or nothing
     best, equivalent = _alike(search, nominal)
     gains = {}
     for i in range(len(best.causes)):
