@@ -114,7 +114,8 @@ class Fitter(GaussNewton):
         def moved(here: Fit, names: tuple[str, ...], by: float) -> Fit | None:
             *others, cause = here.causes
             there = [v + by * (1.0 if n in times else v) * (n in names) for n, v in cause.named.items()]
-            return self.looked_at(here, (*others, replace(cause, values=tuple(clip(np.array(there), parameters)))))
+            there = clip(np.array(there), parameters).tolist()
+            return self.looked_at(here, (*others, replace(cause, values=tuple(there))))
 
         with self.beside_those_of(fit):
             while True:

@@ -30,14 +30,16 @@ def determined(fit: Fit) -> float:
     return float(np.clip(1 - np.diag(fit.covariance) / sizes**2, 0.0, 1.0).sum())
 
 
+def asked(before: Fit) -> float:
+    """Nats by which a further cause must lower the score of a set."""
+    return figures.CLEARLY + figures.SHARE * before.misfit
+
+
 def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | None]:
     """(what speaks against the further cause of `after`: it gains too little, or not on runs that are left out; its
     gain on those)."""
     found = []
-    gain, least = (
-        score(fitter.screen, before) - score(fitter.screen, after),
-        figures.CLEARLY + figures.SHARE * before.misfit,
-    )
+    gain, least = score(fitter.screen, before) - score(fitter.screen, after), asked(before)
     if gain < least:
         found.append(f"gains {gain:.1f} nats, must gain {least:.1f}")
     held = left_out(fitter, before, after)

@@ -14,9 +14,9 @@ import numpy as np
 from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.fitted import Trial
-from realsim.gap.causes.leftover import leftover
+from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.proposals import ADD, EXCHANGE, Proposal, Propose, ranked
-from realsim.gap.causes.score import doubts, near, score, searched
+from realsim.gap.causes.score import asked, doubts, near, score, searched
 from realsim.types import F64
 
 Tick = Callable[[str, float], None]
@@ -111,10 +111,17 @@ class Search:
         fitter = self.fitter
         if not fits or not fitter.screen.simulator.context.touches:
             return here, list(fits)
+        if not is_gap(leftover(fitter.screen, here)):  # the weights will hardly change: only what comes near can win
+            least = asked(here) if len(fits[0].causes) > len(here.causes) else figures.CLEARLY
+            fits = [f for f in fits if self._score(here) - self._score(f) + near(here.misfit - f.misfit) > least]
+            if not fits:
+                return here, []
         close = [f for f in fits if f.misfit - fits[0].misfit <= near(here.misfit - fits[0].misfit)]
         settled = [fitter.settled(f) for f in (here, *close[: figures.PLACES])]
         fitter.reweighted(min(settled[1:], key=self._score))
         here, *fits = map(fitter.remeasure, settled)
+        for fit in fits:
+            self._keep(fit)
         return here, sorted(fits, key=self._score)
 
     def _proposed(self, moves: Sequence[Propose], here: Fit) -> Iterator[Proposal]:
