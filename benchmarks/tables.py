@@ -21,7 +21,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import base_policy, gap_real, gap_score, reconstruct, ttt
 from benchmarks import loops as places
-from benchmarks.gap_ablation import mcnemar
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -323,26 +322,6 @@ def real_logs() -> list[str]:
     return lines
 
 
-def ablation() -> list[str]:
-    """What became of the same cases with a part of the engine and without it, part by part."""
-    data = stored("gap_ablation")
-    lines = [
-        "| without | cases | right with it / without | with it alone / without alone | p | same verdict and causes "
-        "| CPU seconds with it / without | so it |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for part, so in data["parts"].items():
-        rows = [r for r in data["rows"] if r["part"] == part]
-        found = mcnemar([(r["right_with"], r["right_without"]) for r in rows])
-        alone = f"{found['right_only_with']} / {found['right_only_without']}"
-        seconds = [sum(r[f"seconds_{k}"] for r in rows) for k in ("with", "without")]
-        lines.append(
-            f"| {part} | {len(rows)} | {found['with'][0]} / {found['without'][0]} | {alone} | {found['p']:.2f} "
-            f"| {sum(r['same'] for r in rows)} | {seconds[0]:.0f} / {seconds[1]:.0f} | {so} |"
-        )
-    return lines
-
-
 def experiments() -> list[str]:
     """Every ambiguous case, whatever became of it, and the sums."""
     rows = [r for r in stored("gap_next")["rows"] if r["verdict"] == "ambiguous"]
@@ -445,7 +424,6 @@ INDEX = (
         "python benchmarks/matching.py",
     ),
     ("The same frames as a folder and as a ROS bag", "bag_scene", "python benchmarks/bag_scene.py"),
-    ("Parts of the diagnosis taken out, on the same cases", "gap_ablation", "python benchmarks/gap_ablation.py"),
     ("A depth camera that is late, turned, or right", "gap_depth", "python benchmarks/gap_depth.py"),
     ("Mistakes between a policy and its robot", "gap_contract", "python benchmarks/gap_contract.py --seed 2000"),
     ("Damaged input: tracebacks, hangs, silent changes", "fuzz", "python benchmarks/fuzz.py"),
@@ -513,7 +491,6 @@ KEYS = {
     "fuzz": ("kind", "seed"),
     "diagnosis": ("seed", "case"),
     "footholds": ("change", "seed"),
-    "gap_ablation": ("part", "case"),
     "gap_blind": ("case",),
     "gap_depth": ("case", "seed", "crossings"),
     "gap_contract": ("kind", "seed"),
@@ -578,7 +555,6 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "test-time training": tuned,
     "footholds": footholds,
     "real logs": real_logs,
-    "ablation": ablation,
     "experiments": experiments,
     "drift": drift,
     "closing the loop": closing,

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from realsim.gap import Case, DiagnoseConfig
+from realsim.gap import EFFECTS, Case, DiagnoseConfig
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.proposals import by_simulation
 from realsim.gap.causes.screen import Candidate, Screen
@@ -35,6 +37,36 @@ def at(fitter: Fitter, effect: str, place: str, value: float) -> Fit:
     fit = fitter.looked_at(fitter.nominal(), [Cause(candidate(fitter, effect, place), (value,))])
     assert fit is not None
     return fit
+
+
+def test_causes_and_deviations_are_settled_together_and_nothing_else_moves(quadruped: Case) -> None:  # noqa: F811
+    deviations = [("motor_gain", (j,), {"ratio": 0.04}) for j in ("fl_thigh", "hr_calf")]
+    cause = ("coulomb_friction", ("fl_calf",), {"friction": 1.0})
+    case = logged(logged(quadruped, []), [cause, *deviations])
+    with fitter_for(case, ("coulomb_friction", "motor_gain")) as fitter:
+        before, about = at(fitter, "coulomb_friction", "fl_calf", 0.6), fitter.about.copy()
+        after = fitter.settled(before)
+        assert np.array_equal(fitter.about, about)
+        assert after.about.any()
+        assert after.misfit < before.misfit
+        assert 0.8 < after.causes[0].values[0] < 1.1
+
+
+@pytest.mark.slow
+def test_a_window_slides_to_where_the_push_was(quadruped: Case) -> None:  # noqa: F811
+    """Though slopes say nothing of a time that is a quarter of a second off."""
+    push = {"fx": 0.0, "fy": 0.0, "fz": -30.0}
+    case = logged(logged(quadruped, []), [("external_force", ("trunk",), push | {"start": 0.6, "end": 1.3})])
+    with fitter_for(case, ("external_force",)) as fitter:
+        trunk = next(c for c in fitter.screen.candidates if c.place == ("trunk",) and c.names == tuple(push))
+        every = {p.name: p for p in EFFECTS["external_force"].parameters(fitter.screen.simulator.context, ("trunk",))}
+        brief = replace(trunk, parameters=tuple(every[n] for n in (*push, "start", "end")))
+        late = fitter.looked_at(fitter.nominal(), [Cause(brief, (0.0, 0.0, -20.0, 0.85, 1.5))])
+        assert late is not None
+        found = fitter.settled(late).causes[0].named
+    assert found["fz"] == pytest.approx(-30.0, rel=0.1)
+    assert found["start"] == pytest.approx(0.6, abs=0.05)
+    assert found["end"] == pytest.approx(1.3, abs=0.05)
 
 
 def test_slopes_are_not_taken_anew_where_a_law_makes_every_step_much_finer(

@@ -28,7 +28,7 @@ LEAST = 0.02
 below which two predictions are the same. Not tuned."""
 EQUAL = 0.12
 """Two sets explain the runs alike if their scores differ by less than this share of what both remove, and the best one
-does not hold against the other on runs left out; or by less than CLEARLY. Set on generated look-alikes."""
+does not hold against the other on runs left out; or by less than CLEARLY. Set on look-alikes of seed 211."""
 GATE_MEDIAN, GATE_MEAN = 1.4, 2.8
 """Mean squares over the noise floor (the median run's, all runs') above which nuisance parameters do not explain a
 log. Set on generated cases without a gap; a single run near a resonance may exceed both."""
