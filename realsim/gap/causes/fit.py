@@ -40,8 +40,7 @@ class Fitter(GaussNewton):
             if len(context.driven) * finer < figures.TOO_LONG:
                 screen.relinearise(settings)
             fit = self.with_likelier_solver(self.remeasure(fit))
-        fit = self.reweighted(fit)
-        return self.with_deviations(fit) if is_gap(leftover(screen, fit)) else fit
+        return self.with_deviations(self.reweighted(fit))
 
     def nominal(self) -> Fit:
         """No cause at all."""
@@ -95,10 +94,8 @@ class Fitter(GaussNewton):
 
         Where feet slip and land, slopes are those of a moment: what lies a good step off is looked at.
         """
-        for size in figures.SLIDES if fit.causes else ():
+        for size in figures.SLIDES:
             fit = self.beside_own(self._slid(fit, size))
-        if not fit.causes:
-            return self.beside_own(fit)
         with self.beside_those_of(fit):
             again = self.fit(fit.causes, iterations=3, rough=True)
         return again if again is not None and again.misfit < fit.misfit else fit
