@@ -76,15 +76,15 @@ class Fitter(GaussNewton):
         return self.reweighted(self.looked_at(fit, fit.causes) or fit)
 
     def beside_own(self, fit: Fit, rounds: int = 4) -> Fit:
-        """The same causes beside the everyday deviations that are most probable beside them, by simulation: slopes
-        lead there in a few rounds."""
+        """The same causes beside the everyday deviations that are most probable beside them, by simulation: slopes lead
+        there in a few rounds, as long as the simulation itself comes nearer."""
         whole = [atom.parameter.whole for atom in self.screen.atoms]
         with self.beside_those_of(fit):
             for _ in range(rounds):
                 x = self.screen.possible(fit.evidence.centre + deviations(self.screen, fit))
                 self.about = np.where(whole, self.about, x)
                 moved = self.looked_at(fit, fit.causes)
-                if moved is None or moved.misfit > fit.misfit - figures.CLEARLY:
+                if moved is None or self._cost(moved) > self._cost(fit) - 2 * figures.CLEARLY:
                     break
                 fit = moved
         return fit
