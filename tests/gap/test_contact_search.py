@@ -44,7 +44,7 @@ def test_causes_and_deviations_are_settled_together_and_nothing_else_moves(quadr
     cause = ("coulomb_friction", ("fl_calf",), {"friction": 1.0})
     case = logged(logged(quadruped, []), [cause, *deviations])
     with fitter_for(case, ("coulomb_friction", "motor_gain")) as fitter:
-        before, about = at(fitter, "coulomb_friction", "fl_calf", 0.6), fitter.about.copy()
+        before, about = at(fitter, "coulomb_friction", "fl_calf", 0.8), fitter.about.copy()
         after = fitter.settled(before)
         assert np.array_equal(fitter.about, about)
         assert after.about.any()

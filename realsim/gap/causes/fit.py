@@ -184,8 +184,9 @@ class Fitter(GaussNewton):
         A, b, prior = fit.evidence.A, fit.evidence.b, fit.prior
         with self.beside_those_of(fit):
             slopes = self.slopes(fit.causes, fit.predictions)
+            if slopes:
+                _, A, b = self._normal(fit.causes, fit.predictions, slopes)
         if slopes:
-            _, A, b = self._normal(fit.causes, fit.predictions, slopes)
             prior = np.append(prior, [4 * abs(p.step) for p in parameters])
         for k in range(len(A)):
             others = [i for i in range(len(A)) if i != k] or [k]
