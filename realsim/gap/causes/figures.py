@@ -20,9 +20,9 @@ CLEARLY = 5.0
 SHARE = 0.08
 """Share of the misfit that a further cause must remove beside its price. No law is exact, and a wrong cause can
 always bend to a little of what another one leaves. Set on generated cases with one cause."""
-HOLDS = 0.5
-"""Standard errors over runs by which a further cause must gain on runs left out in turn. Runs excite an effect to very
-different degrees, and a push may be in some of them only. Set on generated cases."""
+HOLDS = 1.0
+"""Standard errors over runs by which a further cause must gain on runs left out in turn: the one-standard-error rule
+(Breiman et al., Classification and Regression Trees, 1984). A push may be in some runs only; more would drop it."""
 LEAST = 0.02
 """Share of the squared error of runs left out that it must remove in any case; and mean square in units of the floor
 below which two predictions are the same. Not tuned."""
