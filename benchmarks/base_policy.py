@@ -1,4 +1,4 @@
-"""How far a base policy comes without fine-tuning: generated courses of six families, and the thirteen tests.
+"""How far a base policy comes without fine-tuning: generated courses of every family, and the thirteen tests.
 
     python benchmarks/base_policy.py                        the policy that ships, 40 trials a course
     python benchmarks/base_policy.py --policy base/policy.pt --trials 100
@@ -32,7 +32,6 @@ from trainer.tasks.parkour.config import RandomisationConfig
 from trainer.tasks.parkour.terminations import OUTCOMES
 
 ROOT = Path(__file__).resolve().parents[1]
-FAMILIES = (*terrains.CURRICULUM, "mixed")
 DIFFICULTIES = (0.5, 0.8)
 FIRST_SEED = 900
 KEY = ("course", "setting", "seed")
@@ -68,7 +67,7 @@ def main(options: Options) -> None:
     policy = load_policy(file).to(device)
     lands = {
         f"{family}:{difficulty:g}:{FIRST_SEED + k}": terrains.generate(family, difficulty, FIRST_SEED + k)
-        for family in FAMILIES
+        for family in terrains.ALL
         for difficulty in DIFFICULTIES
         for k in range(options.courses)
     }

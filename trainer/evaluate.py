@@ -172,6 +172,7 @@ def trial_env(terrain: Terrain, worlds: int, config: EvaluationConfig, setting: 
         physics=setting.physics,
         diagnosis=setting.diagnosis,
         seed=config.seed,
+        graphs=True,
     )
 
 

@@ -67,7 +67,7 @@ class Graph(Generic[T]):
         if not self._place:
             self._place = {"pool": torch.cuda.graph_pool_handle(), "stream": torch.cuda.Stream(device)}
         graph = torch.cuda.CUDAGraph()
-        graph.register_generator_state(self.generator)
+        graph.register_generator_state(self.generator.graphsafe_get_state())  # refuses a subclass; the state is shared
         try:
             # Other threads, such as that which watches over NCCL, may go on meanwhile.
             with torch.cuda.device(device), torch.cuda.graph(graph, capture_error_mode="thread_local", **self._place):
@@ -78,7 +78,7 @@ class Graph(Generic[T]):
             raise TrainerError(
                 f"{self.function.__qualname__} cannot be made a CUDA graph",
                 found=str(error).partition("\n")[0],
-                hint="train without --graphs",
+                hint="train with --no-graphs",
             ) from error
         return _Captured(graph, list(_tensors(inputs)), outputs)
 

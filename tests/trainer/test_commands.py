@@ -237,3 +237,9 @@ def test_resume_is_exact_in_the_real_task(tmp_path: Path, monkeypatch: pytest.Mo
     first, second = (checkpoint.load(folder / "policy.pt")[0] for folder in (whole, parts))
     for (name, value), other in zip(first.actor.state_dict().items(), second.actor.state_dict().values(), strict=True):
         assert torch.equal(value, other), name
+
+    wider = Scene((*scene.terrains, generate("bends", 0.2, 1), generate("bends", 0.4, 1)), rows=2)
+    longer = replace(config, resume=parts / "policy.pt", loop=replace(config.loop, iterations=5))
+    result = ppo.train(wider, None, longer, parts)
+    assert result.iterations == 5
+    assert any("the curriculum restarts" in text and "2 x 2" in text for text in result.warnings)

@@ -1,6 +1,7 @@
 """Terrains: closed, reproducible, harder when asked; edges are where a foothold ends and nowhere else."""
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 
 from realsim import robots
 from realsim.errors import UnknownNameError
+from realsim.geometry import transform
 from trainer.errors import TrainerError
 from trainer.terrain import FAMILIES, TESTS, flat, generate, grid, named
 from trainer.terrain.base import Box, Platform, Terrain
@@ -64,6 +66,22 @@ def test_the_grid_has_ten_rows_of_five_families_in_four_columns():
     assert [t.family for t in terrains[:20:4]] == ["wedges", "stakes", "boxes", "trapezoids", "beams"]
     assert [round(9 * terrains[20 * row + 7].difficulty) for row in range(10)] == list(range(10))
     assert len({t.name for t in terrains}) == 200
+
+
+@settings(max_examples=20, deadline=None)
+@given(difficulty=st.floats(0, 1), seed=st.integers(0, 10**6))
+def test_a_bend_leads_from_platform_to_platform_in_steps_that_a_robot_can_take(difficulty, seed):
+    terrain = generate("bends", difficulty, seed)
+    start, goal, *boxes = terrain.boxes
+    for platform, box in ((terrain.start, start), (terrain.goal, goal)):
+        corners = transform(box.T, box.size / 2 * [[-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]])
+        assert np.allclose(corners[:, :2], platform.corners())
+    way = [(b.T[:2, 3], b.size[0] / 2) for b in boxes]
+    assert all(np.linalg.norm(q - p) < a + b + 0.25 for (p, a), (q, b) in pairwise(way))
+    for platform, (middle, half) in ((terrain.start, way[0]), (terrain.goal, way[-1])):
+        corner = float(np.hypot(*platform.size)) / 2
+        assert np.linalg.norm(middle - platform.centre[:2]) < corner + half + 0.25
+        assert not platform.contains(middle[None]).any()
 
 
 def test_there_are_thirteen_named_tests():

@@ -10,7 +10,7 @@ import tyro
 
 from realsim.commands import CommandResult
 from realsim.files import to_json, write_text
-from trainer.terrain import CURRICULUM, grid
+from trainer.terrain import ALL, grid
 from trainer.trainers import Scene, TrainConfig, find
 
 CURRICULUM_ROWS = 10
@@ -21,7 +21,7 @@ def pretrain(
     out: Path = Path("pretrained"),
     overwrite: bool = False,
     terrain: str = "grid",
-    families: tuple[str, ...] = (*CURRICULUM, "mixed"),
+    families: tuple[str, ...] = ALL,
     columns: int = 8,
     trainer: Annotated[str, tyro.conf.arg(metavar="{ppo,rsl_rl}")] = "ppo",
     task_file: Path | None = None,

@@ -127,15 +127,14 @@ class Runner:
             self.prior.load_state_dict(state["prior"])
         ranks = state["ranks"]
         mine = ranks[self.rank.index % len(ranks)]
-        if len(ranks) == self.rank.count:
+        try:
             self.env.load_state_dict(mine["env"])
+        except TrainerError as error:
+            notes.append(f"the curriculum restarts: {error.message} ({error.found} instead of {error.expected})")
+        if len(ranks) == self.rank.count:
             self.rng.set_state(mine["rng"])
             torch.set_rng_state(mine["torch"])
         else:
-            try:
-                self.env.load_state_dict(mine["env"])
-            except (ValueError, RuntimeError, KeyError) as error:
-                notes.append(f"the curriculum restarts: {error}")
             self.rng.manual_seed((self.iteration + 1) * 100003 + self.rank.index)
             notes.append(f"resumed on {self.rank.count} ranks instead of {len(ranks)}: not bit for bit the same run")
         self.observation = None

@@ -27,10 +27,13 @@ FAMILIES = Registry(
         "beams": "trainer.terrain.families:beams",
         "mixed": "trainer.terrain.families:mixed",
         "boston": "trainer.terrain.families:boston",
+        "bends": "trainer.terrain.families:bends",
     },
 )
 CURRICULUM = ("wedges", "stakes", "boxes", "trapezoids", "beams")
 """Families of the pre-training grid, four columns each (the paper, section V-A)."""
+ALL = (*CURRICULUM, "mixed", "bends", "boston")
+"""What a base is trained on: also courses of several kinds, and such as do not lead straight to the goal."""
 ROWS, COLUMNS_A_FAMILY = 10, 4
 
 TESTS: dict[str, tuple[str, float, int]] = {

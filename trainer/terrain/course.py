@@ -32,7 +32,8 @@ def place(name: str, course: Course, family: str = "", difficulty: float = 0.0) 
     ends = [(-length / 2, 0.0), (course.length + length / 2, course.goal_y)]
     boxes = [*(block(x, y, PLATFORM) for x, y in ends), *course.boxes]
     step = np.subtract(ends[1], ends[0])
-    turn = rz(-float(np.arctan2(step[1], step[0])))
+    yaw = -float(np.arctan2(step[1], step[0]))
+    turn = rz(yaw)
     T = make_T(turn, -turn @ [*ends[0], height])
     boxes = [moved(b, T) for b in boxes]
     vertices, triangles = mesh(boxes)
@@ -42,8 +43,8 @@ def place(name: str, course: Course, family: str = "", difficulty: float = 0.0) 
         boxes=tuple(boxes),
         vertices=vertices,
         triangles=triangles,
-        start=Platform(np.zeros(3), size),
-        goal=Platform(np.array([float(np.hypot(*step)), 0.0, 0.0]), size),
+        start=Platform(np.zeros(3), size, yaw),
+        goal=Platform(np.array([float(np.hypot(*step)), 0.0, 0.0]), size, yaw),
         floor_z=-height,
         family=family,
         difficulty=difficulty,

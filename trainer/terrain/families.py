@@ -1,4 +1,4 @@
-"""The five families, one function each: `(difficulty 0..1, rng) -> Course`; harder is sparser, smaller, steeper.
+"""The families, one function each: `(difficulty 0..1, rng) -> Course`; harder is sparser, smaller, steeper.
 
 The paper (section V-A) gives the families and says that difficulty is larger gaps and smaller footholds, with position,
 size and shape drawn at random; it gives no figures. Those here are chosen so that 0 is a pavement with joints and 1 is
@@ -11,7 +11,7 @@ import numpy as np
 
 from realsim.geometry import make_T
 from trainer.terrain.base import Box
-from trainer.terrain.course import Course
+from trainer.terrain.course import PLATFORM, Course
 from trainer.terrain.shapes import block, frustum, leaning, moved
 
 Rng = np.random.Generator
@@ -114,6 +114,31 @@ def _far_edge(box: Box) -> float:
     steep = box.T[2, 2] < 0.94  # 20 degrees: no foothold beyond the ridge
     half = 0.0 if steep else np.abs(box.T[0, :2]) @ box.size[:2] / 2
     return float(box.T[0, 3] + box.T[0, 2] * box.size[2] / 2 + half)
+
+
+def bends(difficulty: float, rng: Rng) -> Course:
+    """Boxes along an arc to the left or to the right: the goal lies to the side."""
+    turn = np.radians(between(20, 100, difficulty) * rng.uniform(0.8, 1.0)) * rng.choice([-1, 1])
+    gap, depth = between(0.03, 0.20, difficulty), between(0.55, 0.34, difficulty)
+    step, width = between(0.02, 0.08, difficulty), between(0.8, 0.5, difficulty)
+    bend = turn / COURSE  # 1/m
+
+    def at(s: float) -> tuple[float, float, float]:
+        """x, y and heading, s metres along the arc."""
+        return np.sin(bend * s) / bend, (1 - np.cos(bend * s)) / bend, bend * s
+
+    out, s = [], gap
+    while s < COURSE - depth / 2:
+        long = depth * rng.uniform(0.9, 1.1)
+        x, y, heading = at(s + long / 2)
+        out.append(block(x, y, (long, width, 0.35 + rng.uniform(-step, step)), heading))
+        s += long + gap * rng.uniform(0.8, 1.2)
+    x, y, heading = at(s)
+    # The goal platform keeps the start's axes: its middle lies ahead, by half of what it measures in that direction.
+    half = min(PLATFORM[0] / abs(np.cos(heading)), PLATFORM[1] / max(abs(np.sin(heading)), 1e-6)) / 2
+    x, y = x + half * np.cos(heading), y + half * np.sin(heading)
+    facts = {"turn": float(abs(turn)), "gap": gap, "depth": depth, "step": step, "width": width}
+    return Course(out, x - PLATFORM[0] / 2, facts, goal_y=y)
 
 
 def boston(difficulty: float, rng: Rng) -> Course:

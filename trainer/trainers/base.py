@@ -45,8 +45,8 @@ class TrainConfig:
     """cpu, cuda, or auto: a GPU where there is one, unless the engine is mujoco, which runs on the CPU."""
     threads: int = 0
     """Threads of the physics on the CPU; 0 takes all cores."""
-    graphs: bool = False
-    """On a GPU, run the task around the physics as CUDA graphs (the trainer ppo). Not yet run on one: off."""
+    graphs: bool = True
+    """On a GPU, run the task around the physics as CUDA graphs (the trainer ppo)."""
     seed: int = 0
     """Seed of networks, noise and worlds."""
     trials: int = 100

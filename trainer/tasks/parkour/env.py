@@ -159,7 +159,7 @@ class ParkourEnv:
         """() the same, as the device knows it."""
         self.ends: Ends | None = None
         """Episodes that ended at the last step; None if none did."""
-        self.graphs = graphs and device.type == "cuda"
+        self.graphs = graphs and torch.device(device).type == "cuda"
         self.padded = self.graphs
         """Whether batches have one of a few sizes, instead of as many rows as are needed."""
         self._actions = torch.zeros_like(self.last_action)
@@ -203,11 +203,15 @@ class ParkourEnv:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from `state_dict`; call `reset` next."""
-        self.curriculum.load_state_dict(state["curriculum"])
+        """Continue from `state_dict`; call `reset` next.
+
+        Raises:
+            TrainerError: the curriculum was of another grid of terrains. It is as it was; the rest goes on.
+        """
         self.generator.set_state(state["generator"].cpu())
         self.count = int(state["count"])
         self.clock.fill_(self.count)
+        self.curriculum.load_state_dict(state["curriculum"])
 
     @property
     def warnings(self) -> tuple[str, ...]:
