@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -40,7 +41,8 @@ class Fitter(GaussNewton):
             if len(context.driven) * finer < figures.TOO_LONG:
                 screen.relinearise(settings)
             fit = self.with_likelier_solver(self.remeasure(fit))
-        return self.with_deviations(self.reweighted(fit))
+        fit = self.reweighted(fit)
+        return self.with_deviations(fit) if context.touches or is_gap(leftover(screen, fit)) else fit
 
     def nominal(self) -> Fit:
         """No cause at all."""
@@ -105,19 +107,19 @@ class Fitter(GaussNewton):
         seconds, as long as that gains."""
         parameters = fit.causes[-1].candidate.parameters
         times = set(lookup(fit.causes[-1].candidate.effect).passing)
-        moves = [(p.name,) for p in parameters if p.name in times]
-        moves.append(tuple(p.name for p in parameters if p.strength and p.name not in times))
+        strong = [p.name for p in parameters if p.strength and p.name not in times]
+        groups = [*([p.name] for p in parameters if p.name in times), strong]
 
-        def moved(here: Fit, names: tuple[str, ...], by: float) -> Fit | None:
-            *others, cause = here.causes
+        def moved(here: Fit, move: tuple[Sequence[str], float]) -> Fit | None:
+            (names, by), (*others, cause) = move, here.causes
             there = [v + by * (1.0 if n in times else v) * (n in names) for n, v in cause.named.items()]
             there = clip(np.array(there), parameters).tolist()
             return self.looked_at(here, (*others, replace(cause, values=tuple(there))))
 
         with self.beside_those_of(fit):
             while True:
-                here, tried = fit, [(names, by) for names in moves for by in (size, -size)]
-                looks = self.each(lambda move, here=here: moved(here, *move), tried)
+                here = fit
+                looks = self.each(partial(moved, here), [(names, by) for names in groups for by in (size, -size)])
                 fit = min((f for f in looks if f is not None), key=lambda f: f.misfit, default=fit)
                 if fit.misfit >= here.misfit:
                     return here
