@@ -92,10 +92,10 @@ class Fitter(GaussNewton):
         return fit
 
     def settled(self, fit: Fit) -> Fit:
-        """The set beside its own everyday deviations, its last cause moved to where the simulation agrees best.
-
-        Where feet slip and land, slopes are those of a moment: what lies a good step off is looked at.
-        """
+        """The set beside its own everyday deviations, and where feet slip and land with its last cause moved to where the
+        simulation agrees best: slopes are those of a moment there, and what lies a good step off is looked at."""
+        if not self.screen.simulator.context.touches:
+            return self.beside_own(fit)
         for size in figures.SLIDES:
             fit = self.beside_own(self._slid(fit, size))
         with self.beside_those_of(fit):

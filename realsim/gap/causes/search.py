@@ -106,16 +106,16 @@ class Search:
         return self._better(*self._second_look(here, sorted(fits, key=self._score)))
 
     def _second_look(self, here: Fit, fits: Sequence[Fit]) -> tuple[Fit, list[Fit]]:
-        """(a set, its best neighbours) where feet slip and land: each beside its own everyday deviations, which else
-        hide what a cause does there, under weights for what the best one leaves."""
+        """(a set, its best neighbours), each beside its own everyday deviations, which else hide what a cause does, under
+        weights for what the best one leaves."""
         fitter = self.fitter
-        if not fits or not fitter.screen.simulator.context.touches:
-            return here, list(fits)
-        if not is_gap(leftover(fitter.screen, here)):  # the weights will hardly change: only what comes near can win
+        if fits and not is_gap(
+            leftover(fitter.screen, here)
+        ):  # only what comes near can win: the weights hardly change
             least = asked(here) if len(fits[0].causes) > len(here.causes) else figures.CLEARLY
             fits = [f for f in fits if self._score(here) - self._score(f) + near(here.misfit - f.misfit) > least]
-            if not fits:
-                return here, []
+        if not fits:
+            return here, []
         close = [f for f in fits if f.misfit - fits[0].misfit <= near(here.misfit - fits[0].misfit)]
         settled = [fitter.beside_own(here), *(fitter.settled(f) for f in close[: figures.PLACES])]
         fitter.reweighted(min(settled[1:], key=self._score))
