@@ -92,7 +92,7 @@ class Fitter(GaussNewton):
         return fit
 
     def settled(self, fit: Fit) -> Fit:
-        """The set beside its own everyday deviations, and where feet slip and land with its last cause moved to where the
+        """The set beside its own everyday deviations. Where feet slip and land, its last cause is moved to where the
         simulation agrees best: slopes are those of a moment there, and what lies a good step off is looked at."""
         if not self.screen.simulator.context.touches:
             return self.beside_own(fit)
