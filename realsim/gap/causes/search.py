@@ -106,8 +106,8 @@ class Search:
         return self._better(*self._second_look(here, sorted(fits, key=self._score)))
 
     def _second_look(self, here: Fit, fits: Sequence[Fit]) -> tuple[Fit, list[Fit]]:
-        """(a set, its best neighbours) under weights for what the best one leaves: beside a large gap all tolerances are
-        wide. Each stands beside its own everyday deviations, which else hide what a cause does."""
+        """(a set, its best neighbours) under weights for what the best one leaves: beside a large gap every one
+        looks good enough. Each stands beside its own everyday deviations, which else hide what a cause does."""
         fitter = self.fitter
         if fits and not is_gap(leftover(fitter.screen, here)):  # weights hardly change: only what comes near can win
             least = asked(here) if len(fits[0].causes) > len(here.causes) else figures.CLEARLY
