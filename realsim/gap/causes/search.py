@@ -17,6 +17,7 @@ from realsim.gap.causes.fitted import Trial
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.proposals import ADD, EXCHANGE, Proposal, Propose, ranked
 from realsim.gap.causes.score import asked, doubts, near, score, searched
+from realsim.gap.simulation.nuisances import MANY_JOINTS
 from realsim.types import F64
 
 Tick = Callable[[str, float], None]
@@ -108,12 +109,14 @@ class Search:
     def _second_look(self, here: Fit, fits: Sequence[Fit]) -> tuple[Fit, list[Fit]]:
         """(a set, its best neighbours) under weights for what the best one leaves: beside a large gap every one
         looks good enough. Each stands beside its own everyday deviations, which else hide what a cause does."""
-        fitter = self.fitter
-        if fits and not is_gap(leftover(fitter.screen, here)):  # weights hardly change: only what comes near can win
+        fitter, simulator = self.fitter, self.fitter.screen.simulator
+        if not fits or (len(simulator.case.joint_names) < MANY_JOINTS and not simulator.context.touches):
+            return here, list(fits)  # few deviations hide nothing: slopes tell them from causes
+        if not is_gap(leftover(fitter.screen, here)):  # weights hardly change: only what comes near can win
             least = asked(here) if len(fits[0].causes) > len(here.causes) else figures.CLEARLY
             fits = [f for f in fits if self._score(here) - self._score(f) + near(here.misfit - f.misfit) > least]
-        if not fits:
-            return here, []
+            if not fits:
+                return here, []
         close = [f for f in fits if f.misfit - fits[0].misfit <= near(here.misfit - fits[0].misfit)]
         settled = [fitter.beside_own(here), *(fitter.settled(f) for f in close[: figures.PLACES])]
         fitter.reweighted(min(settled[1:], key=self._score))
