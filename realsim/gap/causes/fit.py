@@ -94,7 +94,7 @@ class Fitter(GaussNewton):
     def settled(self, fit: Fit) -> Fit:
         """The set beside its own everyday deviations. Where feet slip and land, its last cause is moved to where the
         simulation agrees best: slopes are those of a moment there, and what lies a good step off is looked at."""
-        if not self.screen.simulator.context.touches:
+        if not (fit.causes and self.screen.simulator.context.touches):
             return self.beside_own(fit)
         for size in figures.SLIDES:
             fit = self.beside_own(self._slid(fit, size))

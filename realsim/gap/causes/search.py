@@ -118,7 +118,7 @@ class Search:
             if not fits:
                 return here, []
         close = [f for f in fits if f.misfit - fits[0].misfit <= near(here.misfit - fits[0].misfit)]
-        settled = [fitter.beside_own(here), *(fitter.settled(f) for f in close[: figures.PLACES])]
+        settled = [fitter.settled(f) for f in (here, *close[: figures.PLACES])]
         fitter.reweighted(min(settled[1:], key=self._score))
         here, *fits = map(fitter.remeasure, settled)
         for fit in fits:
