@@ -34,7 +34,7 @@ from trainer.tasks.parkour.terminations import OUTCOMES
 ROOT = Path(__file__).resolve().parents[1]
 DIFFICULTIES = (0.5, 0.8)
 FIRST_SEED = 900
-KEY = ("course", "setting", "seed")
+KEY = ("robot", "course", "setting", "seed")
 SETTINGS = {
     "mild": (ParkourConfig(randomisation=RandomisationConfig(strength=0.3, push_seconds=0.0)), False),
     "full": (ParkourConfig(), True),
@@ -45,7 +45,8 @@ SETTINGS = {
 @dataclass(frozen=True)
 class Options:
     policy: Path | None = None
-    """The checkpoint; the one that ships if not given."""
+    """The checkpoint; the one that ships for the robot if not given."""
+    robot: str = "g1"
     trials: int = 40
     """On each course."""
     courses: int = 5
@@ -63,7 +64,7 @@ class Options:
 def main(options: Options) -> None:
     """Run all trials, store them, print them."""
     device = pick_device(options.device)
-    file = options.policy or base_of("g1")
+    file = options.policy or base_of(options.robot)
     policy = load_policy(file).to(device)
     lands = {
         f"{family}:{difficulty:g}:{FIRST_SEED + k}": terrains.generate(family, difficulty, FIRST_SEED + k)
@@ -73,11 +74,10 @@ def main(options: Options) -> None:
     }
     lands |= {name: terrains.named(name) for name in terrains.TESTS}
     store = Store(options.out, KEY)
-    store.facts = {"policy": file.name}
     for setting in options.settings:
         for row in rows(lands, setting, policy, device, options):
             store.add(row)
-    print("\n".join(table(store.rows)))
+    print("\n".join(table(store.rows, policy.robot)))
 
 
 def rows(lands: dict[str, Any], setting: str, policy: Any, device: Any, options: Options) -> list[dict[str, Any]]:
@@ -98,6 +98,7 @@ def rows(lands: dict[str, Any], setting: str, policy: Any, device: Any, options:
     names = list(lands)  # world k is on course k modulo their number
     return [
         {
+            "robot": policy.robot,
             "course": name,
             "setting": setting,
             "trials": options.trials,
@@ -108,20 +109,20 @@ def rows(lands: dict[str, Any], setting: str, policy: Any, device: Any, options:
     ]
 
 
-def grouped(rows: list[dict[str, Any]], setting: str) -> dict[str, tuple[int, int]]:
-    """(successes, trials) in a setting by family and difficulty, or by test."""
+def grouped(rows: list[dict[str, Any]], setting: str, robot: str = "g1") -> dict[str, tuple[int, int]]:
+    """(successes, trials) of a robot in a setting by family and difficulty, or by test."""
     sums: dict[str, tuple[int, int]] = {}
     for row in rows:
-        if row["setting"] == setting:
+        if (row["robot"], row["setting"]) == (robot, setting):
             name = ":".join(row["course"].split(":")[:2])
             won, count = sums.get(name, (0, 0))
             sums[name] = won + row.get("success", 0), count + row["trials"]
     return sums
 
 
-def table(rows: list[dict[str, Any]]) -> list[str]:
+def table(rows: list[dict[str, Any]], robot: str = "g1") -> list[str]:
     """A line for each family and difficulty, and for each test, with Wilson's intervals of 95 %."""
-    mild, full = (grouped(rows, setting) for setting in SETTINGS)
+    mild, full = (grouped(rows, setting, robot) for setting in SETTINGS)
     lines = ["| courses | little randomisation | all of it, and pushes | trials |", "|---|---|---|---|"]
     for name in mild:
         lines.append(f"| {name} | {_share(mild[name])} | {_share(full.get(name, (0, 0)))} | {mild[name][1]} |")

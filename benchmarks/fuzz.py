@@ -11,13 +11,17 @@ process with a limit on time and memory. Its outcome is one of
     refused    an error with file, expectation and finding
     said       read, and what a user is told differs from what is told of the sound example
     same       read, and the same values came out
-    renamed    read, and the same values came out under other names or in another order: runs of a case, which have none
-    silent     read, other values came out, and not a word: most are numbers that could as well be true; they are listed
+    moved, less, unused, slight
+               read, other values came out, and nothing false is among them (fuzz_changes.py checks and says why)
+    exchanged, plausible
+               read, other values came out, and nothing in the files tells them from true ones; listed
+    silent     read, other values came out, and not a word; listed
     control    control characters in what goes to the terminal
     traceback  any other exception, a crash, or out of memory
     hang       no end within the limit
 
-Trials are kept in a journal, so that a run goes on where it ended; counts go to benchmarks/results/fuzz.json by seed.
+Trials are kept in a journal, so that a run goes on where it ended. Counts by seed and what is listed, trial by trial,
+go to benchmarks/results/fuzz.json.
 """
 
 from __future__ import annotations
@@ -35,7 +39,7 @@ import time
 import traceback
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import IO, Any
@@ -44,6 +48,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.fuzz_changes import HARMLESS, LISTED, came_out, equal, explain, only_left_out
 from benchmarks.fuzz_damage import damage
 from benchmarks.fuzz_readers import READERS
 from benchmarks.fuzz_sources import TARGETS
@@ -52,11 +57,12 @@ from realsim.commands import CommandResult
 from realsim.errors import printable
 
 RESULTS = Path(__file__).parent / "results" / "fuzz.json"
+KEY = ("kind", "seed", "number")
 SECONDS, MEMORY = 90.0, 6 * 2**30
 """Limits of one trial. Sound examples take a second, the first of a process (imports) 20 on a busy machine."""
-OUTCOMES = ("refused", "said", "same", "renamed", "silent", "control", "traceback", "hang")
 WRONG = ("control", "traceback", "hang")
-AGAIN = (*WRONG, "silent")
+OUTCOMES = ("refused", "said", "same", *HARMLESS, *LISTED, *WRONG)
+AGAIN = (*WRONG, *LISTED)
 
 
 def attempt(kind: str, source: str, seed: int, number: int, work: Path) -> dict[str, Any]:
@@ -90,6 +96,7 @@ def attempt(kind: str, source: str, seed: int, number: int, work: Path) -> dict[
         "said": reading.said,
         "refused": reading.refused,
         "control": shown != printable(shown),
+        "shorter": only_left_out(work / "sources" / source, folder),
     }
     return row | {"seconds": time.perf_counter() - began}
 
@@ -159,28 +166,19 @@ def judge(row: dict[str, Any], sound: dict[str, Any]) -> dict[str, Any]:
     """The row with its outcome, without the values that it was judged by."""
     if "outcome" in row:
         return row
-    changed = sorted({n for n in {*row["found"], *sound["found"]} if row["found"].get(n) != sound["found"].get(n)})
+    before, after = sound["found"], row["found"]
     if row.pop("control"):
         outcome = "control"
-    elif row["refused"] and not row["found"]:
+    elif row["refused"] and not after:
         outcome = "refused"
     elif Counter(row["said"]) != Counter(sound["said"]) or row["refused"]:
         outcome = "said"
-    elif changed:
-        outcome = "renamed" if row["kind"] == "cases" and runs(row["found"]) == runs(sound["found"]) else "silent"
-    else:
+    elif before.keys() == after.keys() and all(equal(after[n], before[n]) for n in before):
         outcome = "same"
-    kept = {k: row[k] for k in ("kind", "number", "source", "damage", "seconds")}
-    return kept | {"outcome": outcome} | ({"changed": changed} if outcome in ("renamed", "silent") else {})
-
-
-def runs(found: Mapping[str, str]) -> Counter[tuple[str, ...]]:
-    """The values of a case run by run, whatever the runs are called; what belongs to no run is one more."""
-    parts: dict[str, list[str]] = {}
-    for name, value in sorted(found.items()):
-        what, of, run = name.partition(" of ")
-        parts.setdefault(run if of and run != "the model" else "", []).append(f"{what} {value}")
-    return Counter(map(tuple, parts.values()))
+    else:
+        outcome = explain(row["kind"], before, after, row["shorter"])
+    kept = {k: row[k] for k in ("kind", "number", "source", "damage", "seconds")} | {"outcome": outcome}
+    return kept | ({"came": came_out(before, after)} if outcome in (*HARMLESS, *LISTED) else {})
 
 
 def build(kind: str, work: Path) -> list[str]:
@@ -231,17 +229,32 @@ def run(kinds: list[str], seed: int, trials: int | None, work: Path, again: bool
 
 
 def report(rows: list[dict[str, Any]]) -> None:
-    """Counts by kind, and by what was done to what: what only has other names, and what has other values."""
+    """Counts by kind, and every trial whose values nobody was told of."""
     for kind in dict.fromkeys(row["kind"] for row in rows):
         part = Counter(row["outcome"] for row in rows if row["kind"] == kind)
         print(f"{kind:<12}" + "  ".join(f"{name} {part[name]}" for name in OUTCOMES))
-    for outcome in ("renamed", "silent"):
-        found = Counter(
-            (row["source"], row["damage"], ", ".join(row["changed"][:3])) for row in rows if row["outcome"] == outcome
-        )
-        print(f"\n{outcome} ({found.total()}):")
-        for (source, what, changed), count in sorted(found.items()):
-            print(printable(f"  {count:>3} x {source}: {what} -> {changed}"))
+    for outcome in (*HARMLESS, *LISTED):
+        found = [row for row in rows if row["outcome"] == outcome]
+        print(f"\n{outcome} ({len(found)}):")
+        for row in found:
+            came = "; ".join(row["came"])
+            print(printable(f"  {row['kind']} {row['number']}, {row['source']}: {row['damage']} -> {came}"))
+
+
+def store_rows(rows: list[dict[str, Any]], seed: int) -> None:
+    """Counts (number None) and listed trials, in the place of the same kinds' and seed's before."""
+    store = Store(RESULTS, KEY)
+    kinds = list(dict.fromkeys(row["kind"] for row in rows))
+    store.rows = [r for r in store.rows if r["kind"] not in kinds or r["seed"] != seed]
+    for kind in kinds:
+        part = [row for row in rows if row["kind"] == kind]
+        counts = Counter(row["outcome"] for row in part)
+        store.add({"kind": kind, "seed": seed, "number": None, "trials": len(part), **{n: counts[n] for n in OUTCOMES}})
+        for row in part:
+            if row["outcome"] in (*LISTED, *WRONG):
+                said = {k: printable(row[k]) for k in ("source", "damage", "outcome")}
+                came = [printable(c) for c in row.get("came", ())]
+                store.add({"kind": kind, "seed": seed, "number": row["number"], **said, "came": came})
 
 
 def main() -> None:
@@ -262,10 +275,7 @@ def main() -> None:
     rows = run(arguments.only, arguments.seed, arguments.trials, arguments.work, arguments.again)
     report(rows)
     if arguments.trials is None:
-        store = Store(RESULTS, ("kind", "seed"))
-        for kind in arguments.only:
-            part = Counter(row["outcome"] for row in rows if row["kind"] == kind)
-            store.add({"kind": kind, "seed": arguments.seed, "trials": part.total(), **{n: part[n] for n in OUTCOMES}})
+        store_rows(rows, arguments.seed)
     if any(row["outcome"] in ("traceback", "hang") for row in rows):
         raise SystemExit(1)
 

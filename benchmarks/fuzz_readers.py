@@ -30,8 +30,8 @@ from realsim.files import digest
 class Reading:
     """What came of reading something."""
 
-    found: dict[str, str] = field(default_factory=dict)
-    """Part -> digest of its value."""
+    found: dict[str, Any] = field(default_factory=dict)
+    """Part -> its value: an array, a number, a text."""
     said: list[str] = field(default_factory=list)
     """Assumptions, warnings, frames that were dropped: everything that a user is told."""
     refused: list[str] = field(default_factory=list)
@@ -50,18 +50,27 @@ class Reading:
     def part(self, name: str, read: Callable[..., Any], *args: Any) -> Any:
         """`get`, and the value is one of those by which a change is noticed."""
         value = self.get(name, read, *args)
-        self.found[name] = digest(value if isinstance(value, np.ndarray) else repr(value))
+        self.found[name] = _plain(value)
         return value
 
     def attributes(self, of: Any, *names: str, at: str = "") -> None:
         """`part` of several attributes."""
         for name in names:
             value = attrgetter(name)(of)
-            self.part(f"{name}{at}", _plain, value)
+            self.part(f"{name}{at}", lambda value=value: value)
 
 
 def _plain(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray) else value
+    """What other processes can be told of."""
+    return value if value is None or isinstance(value, np.ndarray | float | int | str) else repr(value)
+
+
+def _surface(points: Any, triangles: Any) -> np.ndarray:
+    """(K, 9) corners of the triangles, each once, in an order that how they are numbered does not change."""
+    corners = np.asarray(points, float)[np.asarray(triangles, int)]
+    first = np.array([np.lexsort(c.T[::-1])[0] for c in corners])
+    turned = np.stack([corners[np.arange(len(corners)), (first + k) % 3] for k in range(3)], axis=1)
+    return np.unique(turned.reshape(-1, 9), axis=0)
 
 
 # ---------------------------------------------------------------- captures and logs
@@ -85,13 +94,20 @@ def read_capture(folder: Path) -> Reading:
         return reading
     reading.said += [*data.assumptions, *data.warnings]
     if isinstance(data, Scan):
-        reading.attributes(data, "points", "triangles", "normals", "colors")
+        if data.triangles is None:
+            reading.attributes(data, "points")
+        else:
+            reading.part("surface", _surface, data.points, data.triangles)
+        reading.attributes(data, "normals", "colors")
         return reading
     reading.said += [f"{d.name}: {d.reason}" for d in data.dropped]
     reading.part("number of frames", len, data)
     for i, frame in enumerate(data.frames):
         at = f" of frame {i}"
-        reading.attributes(frame, "name", "timestamp", "intrinsics", "color_intrinsics", "T_world_camera", at=at)
+        reading.attributes(frame, "name", "timestamp", "T_world_camera", at=at)
+        for which in ("intrinsics", "color_intrinsics"):  # where they are fitted, in which order frames come shows
+            camera = getattr(frame, which)
+            reading.part(f"{which}{at}", lambda c=camera: c and np.array(list(vars(c).values())).round(3))
         reading.part(f"depth{at}", frame.depth)
         reading.part(f"colour{at}", frame.color)
         reading.part(f"confidence{at}", frame.read_confidence or (lambda: None))
@@ -118,7 +134,7 @@ def read_case(folder: Path) -> Reading:
     for run in case.runs:
         reading.attributes(run, "time", "command", "setup", at=f" of {run.name}")
         for name, values in run.signals.items():
-            reading.part(f"{name} of {run.name}", _plain, values)
+            reading.part(f"{name} of {run.name}", lambda values=values: values)
 
     def health() -> Any:
         with Simulator(limited(case, config), config) as simulator:
@@ -143,9 +159,9 @@ def read_recording(folder: Path) -> Reading:
         reading.said += [*recording.notes, *(f"{k}: {v}" for k, v in recording.skipped.items())]
         for stream in recording.streams:
             for name, item in stream.fields.items():
-                reading.part(f"{stream.name} {name}", _plain, item.values)
+                reading.part(f"{name} of {stream.name or 'all'}", lambda item=item: item.values)
             for name, clock in stream.clocks.items():
-                reading.part(f"{stream.name} {name} clock", _plain, clock)
+                reading.part(f"clock {name} of {stream.name or 'all'}", lambda clock=clock: clock)
     proposal = None if found is None else reading.get("proposal", logs.propose, found, target)
     if proposal is None:
         return reading
@@ -253,7 +269,7 @@ def _model_onnx(path: Path, reading: Reading) -> None:
     found = reading.get("model", inspect_model, path)
     if found is not None:
         text = found.render().replace(str(path), "")
-        reading.found["model"] = digest(text)
+        reading.found["model"] = text
         reading.said.append(text)
         reading.shown += text
 
@@ -265,7 +281,8 @@ def _scene(path: Path, reading: Reading) -> None:
     folder, out = path.parent, path.parents[1] / "exported"
     scene = reading.get("scene", rs.load_scene, folder)
     if scene is not None:
-        reading.attributes(scene, "contact", "verdict", "start", "goal", "warnings")
+        reading.said += scene.warnings
+        reading.attributes(scene, "contact", "verdict", "start", "goal")
         reading.part("page", lambda: len(scene._repr_html_()))
         reading.shown += repr(scene)
     shutil.rmtree(out, ignore_errors=True)
@@ -286,7 +303,7 @@ def _mesh(path: Path, reading: Reading) -> None:
     if made is not None:
         mesh, notes = made
         reading.said += notes
-        reading.attributes(mesh, "vertices", "triangles")
+        reading.part("surface", _surface, mesh.vertices, mesh.triangles)
         reading.part("ground", lambda: math.floor(1e6 * ground_level(mesh).z))
 
 
@@ -319,7 +336,9 @@ def _training(path: Path, reading: Reading) -> None:
     run = reading.get("run", read_run, path.parent, "run")
     if run is not None:
         reading.said += run.notes
-        reading.part("page", training_page, [run])
+        reading.get("page", training_page, [run])
+        for name, values in {**run.over, **run.columns}.items():
+            reading.part(f"{name} of history", lambda values=values: values)
 
 
 FILES: dict[str, Callable[[Path, Reading], None]] = {

@@ -13,6 +13,7 @@ import argparse
 import json
 import re
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -188,9 +189,9 @@ def readme() -> list[str]:
             "the same",
         ),
         (
-            "Policy: G1 crosses unseen courses of difficulty 0.5 / 0.8, mean and worst of six families",
+            "Policy: G1 crosses unseen courses of difficulty 0.5 / 0.8, mean and worst of eight families",
             " / ".join(_families(difficulty) for difficulty in ("0.5", "0.8")),
-            "the base that ships, not fine-tuned, in simulation; 31 minutes of training on one GPU",
+            "the base that ships, not fine-tuned, in simulation; 49 minutes of training on one GPU",
         ),
     ]
     return ["| | figure | measured on |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]
@@ -205,6 +206,11 @@ def _families(difficulty: str) -> str:
 def base() -> list[str]:
     """The base policy on every family, difficulty and test."""
     return base_policy.table(stored("base_policy")["rows"])
+
+
+def quadruped_base() -> list[str]:
+    """The same of the quadruped's."""
+    return base_policy.table(stored("base_policy")["rows"], "quadruped")
 
 
 def tuned() -> list[str]:
@@ -454,6 +460,20 @@ def bags() -> list[str]:
     return lines
 
 
+def damaged() -> list[str]:
+    """What came of damaged files, by what was read, all seeds together."""
+    rows = [r for r in stored("fuzz")["rows"] if r["number"] is None]
+    harmless = ("moved", "less", "unused", "slight")
+    lines = ["| read | trials | refused | said | same | harmless | cannot be told | silent | traceback, hang |"]
+    lines.append("|" + "---|" * 9)
+    for kind in dict.fromkeys(r["kind"] for r in rows):
+        n = Counter({k: sum(r[k] for r in rows if r["kind"] == kind) for k in rows[0] if isinstance(rows[0][k], int)})
+        counts = [n["trials"], n["refused"], n["said"], n["same"], sum(n[k] for k in harmless)]
+        counts += [n["exchanged"] + n["plausible"], n["silent"], n["traceback"] + n["hang"]]
+        lines.append(f"| {kind} | " + " | ".join(map(str, counts)) + " |")
+    return lines
+
+
 def footholds() -> list[str]:
     """By change: how often it was named, what else was, and the range of values."""
     rows = [r for r in stored("footholds")["rows"] if "fell" not in r]
@@ -488,7 +508,7 @@ KEYS = {
     "captures": ("kind", "seed", "method"),
     "close_the_gap": ("robot", "iterations"),
     "contact": ("terrain", "representation"),
-    "fuzz": ("kind", "seed"),
+    "fuzz": ("kind", "seed", "number"),
     "diagnosis": ("seed", "case"),
     "footholds": ("change", "seed"),
     "gap_blind": ("case",),
@@ -552,8 +572,10 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "diagnosis by robot": diagnosis_by_robot,
     "diagnosis by seed": diagnosis_intervals,
     "base policy": base,
+    "base policy of the quadruped": quadruped_base,
     "test-time training": tuned,
     "footholds": footholds,
+    "damaged": damaged,
     "real logs": real_logs,
     "experiments": experiments,
     "drift": drift,

@@ -39,6 +39,23 @@ def loose_vertices(path: Path, count: int, triangles: NDArray[Any]) -> str | Non
     return f"{unused:.0%} of the vertices belong to no triangle: is the file cut off?"
 
 
+def lonely_vertex(points: NDArray[Any]) -> str | None:
+    """A sentence where a single vertex of (V, 3) makes a mesh more than twice as long as it is without it."""
+    if len(points) < 8:
+        return None
+    low, high = (np.sort(np.partition(points, ends, axis=0)[ends], axis=0) for ends in ([0, 1], [-2, -1]))
+    first, last = points.argmin(axis=0), points.argmax(axis=0)
+    size = float((high[1] - low[0]).max())
+    for k in {*first.tolist(), *last.tolist()}:
+        without = np.where(last == k, high[0], high[1]) - np.where(first == k, low[1], low[0])
+        if size > 2 * float(without.max()):
+            place = ", ".join(f"{v:.4g}" for v in points[k])
+            return (
+                f"a single vertex at {place} makes the mesh {size / float(without.max()):.1f} times as long: damaged?"
+            )
+    return None
+
+
 def simplify(
     vertices: ArrayLike, triangles: ArrayLike, colors: ArrayLike | None, limit: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.uint8] | None]:

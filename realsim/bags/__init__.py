@@ -5,6 +5,7 @@ A file that ends in the middle, as when the recorder was killed, is read as far 
 
 from __future__ import annotations
 
+import struct
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -70,7 +71,7 @@ def mcap_records(path: Path, notes: list[str], problem: type[RealsimError] = Gap
                     seen = True
                     yield record
         # Damage shows as whatever it leads to: a wrong length, a broken chunk, a text that is none.
-        except (McapError, ValueError, KeyError, IndexError, EOFError, RuntimeError, zlib.error, OSError) as error:
+        except (McapError, ValueError, LookupError, EOFError, RuntimeError, zlib.error, struct.error, OSError) as error:
             if not seen:
                 raise problem("not a readable MCAP file", file=path, found=_said(error)) from error
             notes.append(f"{path.name} is damaged or cut off: read as far as it goes ({_said(error)})")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +84,11 @@ def finish(raw: FrameSet, config: CaptureConfig) -> Finished:
     if odd:
         note = f"{len(odd)} of {len(capture.frames)} frames have a camera unlike all others' ({', '.join(odd[:3])})"
         capture = replace(capture, warnings=(*capture.warnings, f"{note}: are their intrinsics damaged?"))
+    stamped = [(f.timestamp, f.name) for f in capture.frames if f.timestamp is not None]
+    late = [f"{b}, {t1:.3f} s after {t0:.3f} s" for (t0, _), (t1, b) in pairwise(stamped) if t1 <= t0]
+    if late:
+        note = f"{len(late)} of {len(stamped)} time stamps do not increase ({late[0]})"
+        capture = replace(capture, warnings=(*capture.warnings, f"{note}: are the stamps or the order damaged?"))
     without = [f.name for f in capture.frames if f.read_confidence is None]
     if 0 < len(without) < len(capture.frames):
         note = f"{len(without)} of {len(capture.frames)} frames have no confidence: all of their depth is believed"

@@ -146,6 +146,19 @@ def read_stl(path: Path) -> RawScan:
     return replace(raw, points=points, triangles=triangles, normals=None, colors=None, notes=notes)
 
 
+def read_obj(path: Path) -> RawScan:
+    """A mesh or a cloud as text; faces that cannot be read are left out."""
+    raw = _load(path)
+    with path.open("rb") as file:
+        told = sum(line.startswith((b"f ", b"f\t")) for line in file)
+    found = 0 if raw.triangles is None else len(raw.triangles)
+    if found >= told:  # polygons make several triangles each
+        return raw
+    return replace(
+        raw, warnings=(*raw.warnings, f"{told - found} of {told} faces could not be read: the file is damaged")
+    )
+
+
 def read_glb(path: Path) -> RawScan:
     """All meshes of a glTF file in its world, which has y up and metres."""
     raw = _load(path)
@@ -240,7 +253,7 @@ READERS: dict[str, Callable[[Path], RawScan]] = {
     ".pcd": read_pcd,
     ".las": read_las,
     ".laz": read_las,
-    ".obj": _load,
+    ".obj": read_obj,
     ".stl": read_stl,
     ".glb": read_glb,
 }

@@ -12,7 +12,7 @@ from realsim.errors import ExportError
 from realsim.exports.contact.columns import check_extent, crossings
 from realsim.exports.winding import turn_closed, turn_stray
 from realsim.files import check_size
-from realsim.meshes import compact, loose_vertices
+from realsim.meshes import compact, lonely_vertex, loose_vertices
 from realsim.types import MeshQuality, TerrainMesh
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
@@ -51,7 +51,7 @@ def read_mesh(path: Path, unit: str | None = None, up: str = "auto") -> tuple[Te
     if path.suffix.lower() == ".stl" and not len(triangles):
         raise ExportError("the mesh cannot be read", file=path, found="no triangle: cut off, or no STL")
     loose = loose_vertices(path, len(vertices), triangles)
-    notes = [loose] if loose else []
+    notes = [note for note in (loose, lonely_vertex(vertices)) if note]
     if up == "y" or (up == "auto" and path.suffix.lower() == ".glb"):
         vertices = np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
         notes.append("y of the file points up")

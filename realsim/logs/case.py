@@ -21,6 +21,7 @@ from realsim.files import (
     write_bytes,
     write_text,
 )
+from realsim.gap.logs.case import load_case
 from realsim.logs.clocks import clocked
 from realsim.logs.model import Target
 from realsim.logs.names import plain
@@ -46,7 +47,7 @@ def write_case(proposal: Proposal, target: Target, out: Path, *, overwrite: bool
             "the case is not complete",
             file=proposal.recordings[0].path,
             expected="a command and joint positions",
-            found="; ".join(proposal.missing[:2]),
+            found=f"{'; '.join(proposal.missing[:2])}; recorded: {_recorded(proposal)}",
             hint="see `realsim log` without --out; --use ROLE=STREAM:FIELD names a field",
         )
     said: list[str] = []
@@ -69,7 +70,21 @@ def write_case(proposal: Proposal, target: Target, out: Path, *, overwrite: bool
         write_text(work / "log.json", to_json(_log(proposal, said)))
         write_text(work / "proposal.json", to_json(proposal.as_dict() | {"runs_said": said}))
         _write_model(target, work)
+        try:
+            load_case(work)
+        except GapError as error:
+            found = "; ".join(filter(None, [error.found, *proposal.warnings[:2]]))
+            raise GapError(
+                error.message, file=proposal.recordings[0].path, expected=error.expected, found=found, hint=error.hint
+            ) from error
     return said
+
+
+def _recorded(proposal: Proposal) -> str:
+    """Streams of the recordings, each once."""
+    names = dict.fromkeys(f"{s.name or 'table'} ({s.type})" for r in proposal.recordings for s in r.streams)
+    more = f" and {len(names) - 8} more" if len(names) > 8 else ""
+    return (", ".join(list(names)[:8]) or "nothing") + more
 
 
 def run_arrays(proposal: Proposal, recording: Recording) -> tuple[dict[str, F64], list[str]]:

@@ -119,6 +119,19 @@ def cells(path: Path, name: str, values: Sequence[Any]) -> F64 | None:
     return np.array([np.nan if r is None else r for r in rows], dtype=np.float64)
 
 
+EMPTY = ("", "nan", "null", "none", "na", "n/a", "-")
+"""How a cell says that there is no number."""
+
+
+def odd_cell(values: Sequence[Any], column: F64) -> str | None:
+    """The first cell that is neither a number nor empty; None if there is none. `column` is what `cells` made."""
+    for k in np.flatnonzero(np.isnan(column.reshape(len(column), -1)).all(axis=1)).tolist():
+        text = "" if values[k] is None else str(values[k]).strip()
+        if text.strip("[]() ").split(",")[0].strip().lower() not in EMPTY:
+            return text[:40]
+    return None
+
+
 def _cell(value: Any) -> float | list[float] | None:
     """A number, a list of numbers, or None for what is neither (a text, an empty cell)."""
     if isinstance(value, str):
@@ -144,15 +157,18 @@ def _cell(value: Any) -> float | list[float] | None:
     return None
 
 
-def rows(path: Path, items: Sequence[Mapping[str, Any]]) -> dict[str, F64]:
-    """Records (JSON objects) as columns; nested objects get dotted names."""
+def rows(path: Path, items: Sequence[Mapping[str, Any]], notes: list[str]) -> dict[str, F64]:
+    """Records (JSON objects) as columns; nested objects get dotted names. What is no number is noted."""
     flat = [_flat(item) for item in items]
     names = list(dict.fromkeys(n for row in flat[:200] for n in row))
     found = {}
     for name in names:
-        column = cells(path, name, [row.get(name) for row in flat])
+        values = [row.get(name) for row in flat]
+        column = cells(path, name, values)
         if column is not None:
             found[name] = column
+            if (odd := odd_cell(values, column)) is not None:
+                notes.append(f"{path.name}: {name} has values that are no numbers, the first is {odd!r}")
     return found
 
 

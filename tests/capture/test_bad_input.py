@@ -559,6 +559,17 @@ def test_a_frame_without_confidence_is_said(tmp_path):
     assert any("1 of 6 frames have no confidence" in w for w in frames_of(tmp_path).warnings)
 
 
+def test_a_time_stamp_that_goes_back_is_said(tmp_path):
+    WRITERS["stray"](tmp_path, walk(6))
+    assert not any("do not increase" in w for w in frames_of(tmp_path).warnings)
+    table = tmp_path / "odometry.csv"
+    header, *rows = table.read_text().splitlines()
+    stamps, rest = zip(*(row.split(",", 1) for row in rows), strict=True)
+    moved = [f"{'-5.0' if i == 3 else t},{r}" for i, (t, r) in enumerate(zip(stamps, rest, strict=True))]
+    table.write_text("\n".join([header, *moved]) + "\n")
+    assert any("1 of 6 time stamps do not increase" in w for w in frames_of(tmp_path).warnings)
+
+
 def test_a_bag_that_is_a_link_to_itself(tmp_path):
     (tmp_path / "a.bag").symlink_to("a.bag")
     with pytest.raises(RealsimError, match="cannot be read"):

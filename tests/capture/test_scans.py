@@ -296,3 +296,16 @@ def test_room_lidar(shared):
     scan = scan_of(shared("real_captures/pcl_room_lidar/tutorials/room_scan1.pcd"))
     assert scan.points.shape == (112586, 3)
     assert np.ptp(scan.points, axis=0) == pytest.approx([29.25, 14.47, 3.06], abs=0.01)
+
+
+def test_a_face_that_cannot_be_read_and_a_vertex_far_from_all_others_are_said(tmp_path):
+    path = tmp_path / "terrain.obj"
+    trimesh.creation.box((3, 2, 0.3)).subdivide().export(path)
+    assert not read(tmp_path, CaptureConfig()).warnings
+    text = path.read_text()
+    face = next(line for line in text.splitlines() if line.startswith("f "))
+    path.write_text(text.replace(face, face.rpartition(" ")[0]))
+    assert any("1 of 48 faces could not be read" in w for w in read(tmp_path, CaptureConfig()).warnings)
+    vertex = next(line for line in text.splitlines() if line.startswith("v "))
+    path.write_text(text.replace(vertex, "v 9 0 0"))
+    assert any("a single vertex at 9, 0, 0" in w for w in read(tmp_path, CaptureConfig()).warnings)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from realsim.errors import PoseError
 from realsim.feedforward.rgbd.bias import grouped_error
 from realsim.feedforward.rgbd.refine import refine
 from realsim.feedforward.rgbd.refine_adjust import initial_state
-from realsim.feedforward.rgbd.refine_check import BODY, FLIP, _shifted, check_poses, scale_by_depth
+from realsim.feedforward.rgbd.refine_check import BODY, FLIP, MIRROR, _shifted, check_poses, scale_by_depth
 from realsim.feedforward.rgbd.tracks import Evidence, build_tracks, rigid_ransac
 from realsim.geometry import angle_deg, exp_so3, invert_T, make_T, transform
 from realsim.types import Frame, Intrinsics
@@ -218,12 +219,42 @@ def test_frames_with_wrong_poses_are_named_and_no_others(wrong: list[int]) -> No
         ("body axes", lambda T: T @ invert_T(BODY)),
         ("scale", lambda T: np.stack([make_T(p[:3, :3], 1.3 * p[:3, 3]) for p in T])),
         ("time offset", lambda T: _shifted(T, 3)),
+        ("mirrored images", lambda T: MIRROR @ T @ MIRROR),
     ],
 )
 def test_a_wrong_convention_is_refused_by_name(word, break_it) -> None:  # type: ignore[no-untyped-def]
     frames, evidence = evidence_of()
     with pytest.raises(PoseError, match=word):
         check_poses(frames, break_it(truth()[0]), evidence=evidence)
+
+
+def test_frames_that_nothing_joins_are_said() -> None:
+    frames, evidence = evidence_of()
+    T = truth()[0].copy()
+    T[N // 2 :, :3, 3] += [0, 0, 30.0]
+    check = check_poses(frames, T, evidence=evidence)
+    assert any(
+        f"joins {frames[0].name} to {frames[N // 2 - 1].name} ({N // 2} frames) and" in w for w in check.warnings
+    )
+
+
+def test_colour_of_another_time_is_said_or_refused() -> None:
+    frames, _ = evidence_of()
+    late = [replace(f, read_color=frames[max(k - 1, 0)].read_color) for k, f in enumerate(frames)]
+    try:
+        warnings = check_poses(late, truth()[0], evidence=Evidence.of(late, 0)).warnings
+    except PoseError as error:
+        warnings = (error.message,)
+    assert any("colour" in w for w in warnings)
+
+
+@pytest.mark.parametrize(("frames_late", "said"), [(3, "3 frames late"), (-2, "2 frames early")])
+def test_depth_of_another_time_is_refused(frames_late: int, said: str) -> None:
+    frames, _ = evidence_of()
+    sources = [frames[min(max(k - frames_late, 0), N - 1)] for k in range(N)]
+    moved = [replace(f, read_depth=s.read_depth) for f, s in zip(frames, sources, strict=True)]
+    with pytest.raises(PoseError, match=said):
+        check_poses(moved, truth()[0], evidence=Evidence.of(moved, 0))
 
 
 @pytest.mark.parametrize("units", [0.2, 7.3])

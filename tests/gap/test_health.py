@@ -16,6 +16,7 @@ from realsim.errors import GapError
 from realsim.gap import Case, DiagnoseConfig, Run, load_case
 from realsim.gap.health import examine, gathered
 from realsim.gap.health.conventions import log_conventions
+from realsim.gap.health.signals import spikes
 from realsim.gap.simulation.simulate import Simulator
 
 from .truth import Truth
@@ -138,6 +139,7 @@ def test_what_is_odd_is_said(good: Case, change: Callable[[Run], Run], said: str
     [
         (with_signal("joint_vel", column(0, np.zeros_like)), "joint_vel of shoulder is not the slope"),
         (with_signal("joint_vel", column(1, np.negative)), "joint_vel of elbow is not the slope"),
+        (lambda run: replace(run, command=-run.command), "the command of shoulder_servo looks negated"),
     ],
 )
 def test_a_run_that_is_unlike_the_others_is_said(good: Case, change: Callable[[Run], Run], said: str) -> None:
@@ -145,6 +147,30 @@ def test_a_run_that_is_unlike_the_others_is_said(good: Case, change: Callable[[R
     warnings = log_conventions(good.with_runs((change(first), *others)))
     assert any(w.startswith(f"{first.name}: {said}") for w in warnings)
     assert all(w.startswith(f"{first.name}: ") for w in warnings)
+
+
+def test_runs_that_all_repeat_one_command_and_a_slow_log_are_said(good: Case) -> None:
+    first = good.runs[0]
+    again = replace(first, name="again", signals={k: v + 1e-4 for k, v in first.signals.items()})
+    assert any("all runs repeat one command" in w for w in health(good.with_runs((first, again)))["warnings"])
+    slow = spoiled(good, lambda run: run.where(np.arange(len(run.time)) % 12 == 0))
+    assert any("what is faster" in w for w in health(slow)["warnings"])
+
+
+def test_a_single_sample_far_from_those_around_it_is_said(good: Case) -> None:
+    def zeroed(at: int) -> Callable[[Any], Any]:
+        def change(values: Any) -> Any:
+            values[at] = 0.0
+            return values
+
+        return column(1, change)
+
+    assert not spikes(good)
+    far = int(np.argmax(np.abs(good.runs[0].signals["joint_pos"][:, 1])))
+    (said,) = spikes(spoiled(good.with_runs(good.runs[:1]), with_signal("joint_pos", zeroed(far))))
+    assert said.startswith(f"{good.runs[0].name}: joint_pos of elbow at {good.runs[0].time[far]:.3f} s is far")
+    step = column(1, lambda v: np.where(np.arange(len(v)) < far, 0.0, 1.0))
+    assert not spikes(spoiled(good, with_signal("joint_pos", step)))  # what stays is no spike
 
 
 def test_a_run_cut_out_of_motion_does_not_begin_at_rest(good: Case) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from realsim.bags import mcap_records
 from realsim.cli import main
 from realsim.errors import GapError, RealsimError
 from realsim.gap import load_case
@@ -35,6 +36,11 @@ def test_a_file_that_is_cut_off_is_read_as_far_as_it_goes(mcap: Path, tmp_path: 
     whole, (part,) = read(mcap)[0].streams[0].count, read(short)
     assert 0 < part.streams[0].count < whole
     assert any("cut off" in n for n in part.notes)
+    for length in range(2 * mcap.stat().st_size // 5, mcap.stat().st_size, mcap.stat().st_size // 97):
+        short.write_bytes(mcap.read_bytes()[:length])
+        notes: list[str] = []
+        list(mcap_records(short, notes))
+        assert notes, length
 
 
 @pytest.mark.parametrize(
@@ -99,11 +105,21 @@ def test_messages_of_a_strange_type_are_read(arm: Log, tmp_path: Path) -> None:
     np.testing.assert_array_equal(recording.streams[0].fields["wheels.speed"].values[0], [1.0, 2.0])
 
 
+def test_a_clock_that_jumps_by_an_hour_leaves_no_case(arm: Log, tmp_path: Path) -> None:
+    target = load_target(save(tmp_path, ARM))
+    late = np.where(np.arange(len(arm.time)) > 100, 3700.0, 0.0)
+    np.savez(tmp_path / "run.npz", time=arm.time + late, joint_pos=arm.pos, command=arm.command)
+    proposal = propose(read(tmp_path / "run.npz"), target)
+    with pytest.raises(GapError, match=r"more than an hour[\s\S]*run.npz[\s\S]*gaps in time"):
+        write_case(proposal, target, tmp_path / "case")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["robot.xml", "run.npz"]
+
+
 def test_a_case_without_a_command_is_never_written(arm: Log, tmp_path: Path) -> None:
     target = load_target(save(tmp_path, ARM))
     np.savez(tmp_path / "run.npz", time=arm.time, q=arm.pos)
     proposal = propose(read(tmp_path / "run.npz"), target)
-    with pytest.raises(GapError, match="not complete"):
+    with pytest.raises(GapError, match=r"not complete[\s\S]*recorded: "):
         write_case(proposal, target, tmp_path / "case")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["robot.xml", "run.npz"]
 
@@ -139,6 +155,15 @@ def test_lists_of_different_lengths_and_broken_rows(tmp_path: Path) -> None:
     (tmp_path / "c.csv").write_text("0,1\n1,2\n")
     with pytest.raises(GapError, match="no header"):
         read(tmp_path / "c.csv")
+
+
+def test_a_cell_that_is_no_number_is_said(tmp_path: Path) -> None:
+    rows = "".join(f'{t},"[{t}, 0.5]",{t}\n' for t in range(30))
+    path = tmp_path / "a.csv"
+    path.write_text("time,target,q\n" + rows)
+    assert not read(path)[0].notes
+    path.write_text("time,target,q\n" + rows.replace('"[7, 0.5]"', '"[7, 0x10]"').replace(",8\n", ",\n"))
+    assert read(path)[0].notes == ("a.csv: target has values that are no numbers, the first is '[7, 0x10]'",)
 
 
 def test_an_empty_folder_and_prose_are_no_recordings(tmp_path: Path) -> None:

@@ -55,6 +55,7 @@ def test_what_happened_again_after_a_resume_counts_once(tmp_path: Path) -> None:
     assert run.over["iterations"].tolist() == [1, 2, 3, 4, 5, 6]
     assert np.isnan(run.columns["late"][:3]).all()
     assert len(run.on_the_way) == 0
+    assert "history.jsonl goes back from iteration 5 to 4: what follows counts" in run.notes
     assert increments(np.array([2.0, 5.0, np.nan, 1.0, 4.0])).tolist()[:2] == [2, 3]
     assert increments(np.array([2.0, 5.0, np.nan, 1.0, 4.0])).tolist()[3:] == [1, 3]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from trainer.errors import TrainerError
 
 FOLDER = Path(__file__).parent
-BASES = {"g1": "g1_parkour.pt"}
+BASES = {"g1": "g1_parkour.pt", "quadruped": "quadruped_parkour.pt"}
 """Robot -> its base."""
 
 

@@ -153,6 +153,11 @@ class _Rows:
 
     def training(self, iteration: float, row: Mapping[str, Any]) -> None:
         """A row of an iteration. One that happens again (after a resume) takes the place of the first."""
+        if len(self.iterations) and self.iterations[-1] >= iteration:
+            last = f"{self.iterations[-1] + 1:.0f}"
+            self.notes.append(
+                f"history.jsonl goes back from iteration {last} to {iteration + 1:.0f}: what follows counts"
+            )
         while len(self.iterations) and self.iterations[-1] >= iteration:
             self.iterations.pop()
             for values in self.columns.values():

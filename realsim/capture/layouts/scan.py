@@ -13,7 +13,7 @@ from realsim.capture.recognition import LAST_RESORT
 from realsim.capture.scanfile import READERS, RawScan, read_scan
 from realsim.capture.standpoint import stood_at
 from realsim.errors import CaptureError
-from realsim.meshes import loose_vertices
+from realsim.meshes import lonely_vertex, loose_vertices
 from realsim.types import F64, Bool, Scan
 
 SUFFIXES = tuple(READERS)
@@ -113,6 +113,8 @@ def _checked(raw: RawScan, source: Path) -> tuple[RawScan, list[str]]:
     triangles = raw.triangles
     if triangles is not None and (loose := loose_vertices(source, len(raw.points), triangles)):
         warnings.append(loose)
+    if triangles is not None and (alone := lonely_vertex(raw.points[finite])):
+        warnings.append(alone)
     if triangles is None and source.suffix.lower() == ".obj":
         warnings.append("the file has no faces and is taken as a cloud: is it cut off?")
     if not finite.all():

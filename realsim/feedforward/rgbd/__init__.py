@@ -81,7 +81,9 @@ def _given(frames: FrameSet, posed: list[int], config: PointsConfig) -> Solution
             f"the given poses are not in metres: their positions, and with them their world, were multiplied by "
             f"{factor:.4g} (± {error:.1%}), as the depth says",
         )
-    check = check_poses(chosen, T, evidence=evidence, seed=config.seed, sensor_sigma=frames.sensor_sigma)
+    check = check_poses(
+        chosen, T, evidence=evidence, seed=config.seed, sensor_sigma=frames.sensor_sigma, source=frames.source
+    )
     keep = check.kept(chosen)
     found: dict[str, Any] = {"T_world_camera": T[keep], "statistics": {"poses": "given"}, "warnings": ()}
     if config.refine:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -71,8 +72,9 @@ def check_poses(
     evidence: Evidence | None = None,
     seed: int = 0,
     sensor_sigma: float = 0.006,
+    source: Path | None = None,
 ) -> PoseCheck:
-    """Compare poses (N, 4, 4), camera to world, OpenCV axes, metres, with the frames.
+    """Compare poses (N, 4, 4), camera to world, OpenCV axes, metres, with the frames; `source` is named in errors.
 
     Raises:
         PoseError: the poses as a whole contradict the depth; the message names the convention that would agree.
@@ -87,7 +89,9 @@ def check_poses(
     seen = np.isfinite(error)
     if not seen.any() and (found := _explain(edges, evidence, T, 2 * TOLERANCE[1], None)):
         raise PoseError(
-            f"with the given poses no two frames show the same surface: they look like {found[0]}", hint=found[2]
+            f"with the given poses no two frames show the same surface: they look like {found[0]}",
+            file=source,
+            hint=found[2],
         )
     if not seen.any():
         text = "the poses could not be checked: no two frames show the same surface"
@@ -117,9 +121,21 @@ def check_poses(
         reasons.append(f"baselines by depth are {off:+.1%} of those by the poses; this sensor allows {allowed:.0%}")
     if certain or typical >= TOLERANCE[1]:
         reasons.append(f"points misplaced by {100 * typical:.1f} cm (median)")
+    if statistics["contradicting_edges"] > 0.5:
+        reasons.append(f"{statistics['contradicting_edges']:.0%} of the pairs of frames contradict the poses")
+    if (reasons or typical > TOLERANCE[0]) and not found and (late := _late_depth(edges, evidence, T)) is not None:
+        moved = f"{100 * late[1]:.1f} cm with the depth images moved back, {100 * typical:.1f} cm as they are"
+        raise PoseError(
+            f"the depth images are {abs(late[0])} frames {'late' if late[0] > 0 else 'early'}",
+            file=source,
+            expected="colour, depth and pose of one instant in each frame",
+            found="; ".join([*reasons, moved]),
+            hint="associate colour and depth by their time stamps anew",
+        )
     if reasons and not found and (fit := _by_depth_alone(edges, evidence, T)) < TOLERANCE[0]:
         raise PoseError(
             "the colour images belong to other depth images than those they are named with",
+            file=source,
             expected="colour and depth of the same view",
             found=f"{'; '.join(reasons)}; without colour, poses and depth agree to {100 * fit:.1f} cm",
             hint="check that colour and depth come from one capture and carry the same numbers or times",
@@ -127,15 +143,28 @@ def check_poses(
     if reasons:
         raise PoseError(
             "the given poses contradict the depth" + (f": they look like {found[0]}" if found else ""),
+            file=source,
             expected="camera to world, OpenCV camera axes (x right, y down, z forward), metres",
             found="; ".join(reasons) + (f"; {100 * found[1]:.1f} cm with {found[0]} undone" if found else ""),
-            hint=found[2] if found else "estimate the poses from the frames instead (poses: estimate)",
+            hint=found[2] if found else "estimate the poses from the frames instead (--poses estimate)",
         )
     warnings = []
+    if not found and typical > TOLERANCE[0] and (fit := _by_depth_alone(edges, evidence, T)) < 0.35 * typical:
+        warnings.append(
+            f"features of the colour images contradict the poses ({100 * typical:.1f} cm), depth does not "
+            f"({100 * fit:.1f} cm): is the colour of another capture or time, or not registered to depth?"
+        )
     if found and typical > 0.02:
         warnings.append(f"poses agree only roughly ({100 * typical:.1f} cm); {found[0]} would explain it")
     if (alone := int((np.isnan(agreement) & ~bad).sum())) > 0:
         warnings.append(f"{alone} frames share no surface with others: their poses could not be checked")
+    pieces = _pieces(pair[seen & (error <= limit)], bad, n)
+    if len(pieces) > 1:
+        names = " and ".join(f"{frames[p[0]].name} to {frames[p[-1]].name} ({len(p)} frames)" for p in pieces[:4])
+        warnings.append(
+            f"nothing that the frames show joins {names}: their poses to each other could not be checked; "
+            "are they of one place?"
+        )
     return PoseCheck(agreement, middle, _named(frames, bad, agreement, middle), tuple(warnings), statistics)
 
 
@@ -201,6 +230,13 @@ def _by_depth_alone(edges: Sequence[Edge], evidence: Evidence, T: F64) -> float:
     return float(np.nanmedian(error)) if np.isfinite(error).sum() >= 4 else float("inf")
 
 
+def _late_depth(edges: Sequence[Edge], evidence: Evidence, T: F64) -> tuple[int, float] | None:
+    """(frames by which depth is late, misplacement once undone) where depth alone says so clearly."""
+    fits = {shift: _by_depth_alone(edges, evidence, _shifted(T, -shift)) for shift in range(-4, 5)}
+    shift = min(fits, key=lambda s: fits[s])
+    return (shift, fits[shift]) if shift and fits[shift] < min(TOLERANCE[0], 0.35 * fits[0]) else None
+
+
 def _greedy(pair: np.ndarray, weight: F64, wrong: np.ndarray, n: int) -> np.ndarray:
     """Take out the frame with the largest contradicted share until every frame agrees with most of the others.
 
@@ -226,6 +262,17 @@ def _per_frame(pair: np.ndarray, weight: F64, error: F64, limit: float, n: int) 
             agreement[k] = np.average(error[mine] <= limit, weights=weight[mine])
             middle[k] = np.median(error[mine])
     return agreement, middle
+
+
+def _pieces(agreeing: np.ndarray, bad: np.ndarray, n: int) -> list[list[int]]:
+    """Frames that pairs (M, 2) which agree join with one another, two or more, the largest first."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    links = agreeing[~bad[agreeing].any(axis=1)]
+    _, piece = connected_components(coo_matrix((np.ones(len(links)), links.T), shape=(n, n)), directed=False)
+    found = [np.flatnonzero((piece == k) & ~bad).tolist() for k in np.unique(piece[~bad])]
+    return sorted((p for p in found if len(p) > 1), key=len, reverse=True)
 
 
 def _nowhere(evidence: Evidence, T: F64, agreement: F64) -> np.ndarray:
@@ -256,6 +303,7 @@ def _scale(edges: Sequence[Edge], T: F64) -> tuple[float | None, float]:
 # ---------------------------------------------------------------- what it may be
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 BODY = make_T(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]))
 """OpenCV camera axes written in x forward, y left, z up."""
 
@@ -272,6 +320,7 @@ CONVENTIONS: tuple[tuple[str, str, Callable[[F64], F64]], ...] = (
     ("a camera turned by 90 degrees", "images or poses were rotated for portrait", lambda T: T @ _turned(90)),
     ("a camera turned by -90 degrees", "images or poses were rotated for portrait", lambda T: T @ _turned(-90)),
     ("a camera turned by 180 degrees", "images or poses were rotated", lambda T: T @ _turned(180)),
+    ("mirrored images, or poses of left-handed axes", "mirror images or poses", lambda T: MIRROR @ T @ MIRROR),
 )
 
 
@@ -324,7 +373,7 @@ def _explain(
         if np.isfinite(error).mean() < 0.7:
             continue
         value = float(np.nanmedian(error))
-        if value < 0.5 * typical and (best is None or value < 0.999 * best[1]):
+        if value < min(0.5 * typical, TOLERANCE[1]) and (best is None or value < 0.999 * best[1]):
             best = (name, value, hint)
     return best
 

@@ -99,21 +99,38 @@ def disagreement(values: F64, like: F64) -> float:
 
 
 def _runs_apart(case: Case) -> list[str]:
-    """Runs whose velocities have nothing to do with their positions, where the others' have: a sign, a dead sensor."""
-    if not case.has("joint_vel"):
-        return []
+    """Runs unlike the others: velocities that have nothing to do with their positions, commands of the other sign."""
     ends = np.cumsum([len(r.time) for r in case.runs])[:-1]
-    velocities, slopes = np.split(_all(case, "joint_vel"), ends), np.split(_slopes(case), ends)
+    names = [r.name for r in case.runs]
+    position, slope = np.split(_all(case, "joint_pos"), ends), np.split(_slopes(case), ends)
+    velocity = np.split(_all(case, "joint_vel"), ends) if case.has("joint_vel") else []
     found = []
     for j, joint in enumerate(case.joint_names):
-        apart = np.array([disagreement(v[:, j], s[:, j]) for v, s in zip(velocities, slopes, strict=True)])
-        moved = np.array([_spread(s[:, j]) for s in slopes])
-        if np.median(apart) < PLAIN:
-            found += [
-                f"{case.runs[i].name}: joint_vel of {joint} is not the slope of its positions; in other runs it is"
-                for i in np.flatnonzero((apart > WRONG) & (moved > np.median(moved) / 2))  # slow motion drowns in noise
-            ]
+        if velocity:
+            apart = np.array([disagreement(v[:, j], s[:, j]) for v, s in zip(velocity, slope, strict=True)])
+            moved = np.array([_spread(s[:, j]) for s in slope])
+            odd = (apart > WRONG) & (moved > np.median(moved) / 2)  # slow motion drowns in noise
+            if np.median(apart) < PLAIN:
+                text = f"joint_vel of {joint} is not the slope of its positions; in other runs it is"
+                found += [f"{names[i]}: {text}" for i in np.flatnonzero(odd)]
+        servo = case.actuator_of(joint) if case.command_kind == "position" else None
+        if servo is not None:
+            asked = np.split(_asked(case, joint, servo), ends)
+            alike = np.array([_cosine(p[:, j], a) for p, a in zip(position, asked, strict=True)])
+            if np.median(alike) > 0:
+                text = f"the command of {servo} looks negated; in other runs it does not"
+                found += [f"{names[i]}: {text}" for i in np.flatnonzero(alike < -LIKE)]
     return found
+
+
+def _cosine(values: F64, like: F64) -> float:
+    """Of the angle between two courses, both without their means; 0 where one does not move."""
+    good = np.isfinite(values) & np.isfinite(like)
+    if good.sum() < 20:
+        return 0.0
+    a, b = values[good] - values[good].mean(), like[good] - like[good].mean()
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / size if size > 1e-9 else 0.0
 
 
 def _spread(values: F64) -> float:

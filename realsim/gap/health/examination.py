@@ -11,8 +11,9 @@ import numpy as np
 from realsim.errors import GapError
 from realsim.gap.evidence.inverse import torque_residual
 from realsim.gap.health.conventions import log_conventions, nominal_conventions
-from realsim.gap.health.signals import clocks, initial_states, missing, noise, quanta, saturation
+from realsim.gap.health.signals import clocks, initial_states, missing, noise, quanta, saturation, spikes
 from realsim.gap.logs.case import Case
+from realsim.gap.logs.repeats import replicates
 from realsim.gap.simulation.channels import uncompared
 from realsim.gap.simulation.edit import Edit
 from realsim.gap.simulation.simulate import Simulator
@@ -39,7 +40,7 @@ def examine(simulator: Simulator) -> dict[str, Any]:
     warnings += _failures(simulator)
     warnings += _excitation(case)
     gone, said = missing(case)
-    warnings += said + uncompared(case)
+    warnings += said + spikes(case) + uncompared(case)
     nominal = simulator.simulate()
     warnings += nominal_conventions(simulator, nominal)
     start, said = initial_states(simulator)
@@ -99,6 +100,8 @@ def _excitation(case: Case) -> list[str]:
     moved = np.max([np.ptp(r.command, axis=0) for r in case.runs], axis=0)
     idle = [name for name, m in zip(case.actuator_names, moved, strict=True) if m < 1e-6]
     said = [f"{still} runs hold one command: they show only loads at rest"] if still else []
+    if any(len(group) == len(case.runs) for group in replicates(case)):
+        said.append("all runs repeat one command: no run is left to check the diagnosis on; record other motion too")
     if idle:
         said.append(f"never commanded to move, so the log says little about them: {', '.join(idle)}")
     return said

@@ -18,6 +18,9 @@ from realsim.types import F64
 Said = list[str]
 SLOWEST = 0.2
 """s between samples beyond which nothing of a servo's motion is left in a log."""
+COARSE = 0.05
+"""s between samples beyond which delays, servo gains and friction at reversals are guessed at: a servo of 5 Hz has
+hardly four samples a period."""
 SHORTEST = 0.4
 """s that all runs together must last."""
 REST_OFF, REST_SPEED = 0.1, 0.1
@@ -29,6 +32,10 @@ STARTED = {
 }
 MOSTLY = 0.1
 """Share of samples at a limit from which a note is given."""
+
+SPIKE, SPIKE_OF_RANGE = 10.0, 0.05
+"""How far a single sample is off for a spike, as a multiple of the range of the four around it, and as a share of the
+column's in all runs. Set on damaged files (benchmarks/fuzz.py, seed 0)."""
 
 CHANGES = 0.7
 """Root mean square by which repetitions differ, as a share of their error against the simulator: with errors that have
@@ -61,6 +68,8 @@ def clocks(case: Case) -> tuple[dict[str, Any], Said]:
             found=f"a sample every {usual:.3g} s, {length:.3g} s in all",
             hint='is time in seconds? If not: "units": {"time": "ms"} in log.json',
         )
+    if usual > COARSE:
+        said.append(f"a sample every {usual:.3g} s: what is faster (delay, servo gains, reversals) hardly shows")
     return {"median_step_s": usual, "jitter_s": float(np.median(jitters))}, said
 
 
@@ -77,6 +86,37 @@ def _stale(name: str, values: F64, command: F64, joints: tuple[str, ...]) -> Sai
         return [f"{name}: {together:.0%} of the readings repeat the one before: the bus is slower than the log"]
     stuck = [joint for joint, s in zip(joints, share, strict=True) if s > 0.98]
     return [f"{name}: the reading of {', '.join(stuck)} stands still while the command moves"] if stuck else []
+
+
+def spikes(case: Case) -> Said:
+    """Single samples far from the two before and the two after, which agree: a bit that flipped, a reading of 0.
+
+    Velocities and torques are not looked at: an impact looks like that.
+    """
+    said = []
+    arrays = {"command": (case.actuator_names, [r.command for r in case.runs])}
+    arrays["joint_pos"] = (case.joint_names, [r.signals["joint_pos"] for r in case.runs])
+    for array, (names, values) in arrays.items():
+        for j, name in enumerate(names):
+            columns = [v[:, j] for v in values]
+            seen = np.concatenate(columns)
+            least = SPIKE_OF_RANGE * float(np.ptp(seen[np.isfinite(seen)])) if np.isfinite(seen).any() else np.inf
+            for run, column in zip(case.runs, columns, strict=True):
+                if len(rows := _spikes(column, least)):
+                    at, more = run.time[rows[0]], f" and {len(rows) - 1} more" if len(rows) > 1 else ""
+                    said.append(f"{run.name}: {array} of {name} at {at:.3f} s{more} is far from the samples around it")
+    return said
+
+
+def _spikes(column: F64, least: float) -> Any:
+    """Rows of a column (T,) that are off by more than `least`."""
+    rows = np.flatnonzero(np.isfinite(column))
+    x = column[rows]
+    if len(x) < 5:
+        return rows[:0]
+    around = np.stack([x[:-4], x[1:-3], x[3:-1], x[4:]])
+    off = np.abs(x[2:-2] - np.median(around, axis=0))
+    return rows[2:-2][off > np.maximum(SPIKE * np.ptp(around, axis=0), least)]
 
 
 def missing(case: Case) -> tuple[dict[str, float], Said]:

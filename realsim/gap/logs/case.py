@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -194,11 +195,12 @@ def _read_runs(folder: Path, want: Layout, warnings: list[str]) -> tuple[tuple[R
     files = sorted(f for f in folder.iterdir() if f.suffix in (".npz", ".csv")) if folder.is_dir() else []
     if not files:
         raise GapError("no runs", file=folder, expected="one .npz or .csv file per run")
-    twice = sorted({f.stem for f in files if sum(g.stem == f.stem for g in files) > 1})
+    twice = sorted(stem for stem, count in Counter(f.stem for f in files).items() if count > 1)
     if twice:
         raise GapError("two files of one run", file=folder, found=", ".join(twice), hint="keep the .npz or the .csv")
     runs: list[Run] = []
     dropped, first = [], None
+    known: dict[str, str] = {}
     for file in files:
         try:
             run = read_run(file, want, warnings)
@@ -206,8 +208,8 @@ def _read_runs(folder: Path, want: Layout, warnings: list[str]) -> tuple[tuple[R
             first = first or error
             dropped.append(f"{file.name}: {error.message}")
             continue
-        same = next((r.name for r in runs if r.same_samples(run)), None)
-        if same is None:
+        same = known.setdefault(run.samples, run.name)
+        if same == run.name:
             runs.append(run)
         else:  # it would count twice, and be no check of the other
             dropped.append(f"{file.name}: the same samples as {same}")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from realsim.errors import GapError, did_you_mean
-from realsim.files import check_size, read_npz
+from realsim.files import check_size, digest, read_npz
 from realsim.gap.logs.csv_runs import read_csv
 from realsim.gap.logs.setups import Setup, read_setups
 from realsim.gap.logs.units import in_si
@@ -68,12 +68,11 @@ class Run:
             enabled=None if self.enabled is None else self.enabled[keep],
         )
 
-    def same_samples(self, other: Run) -> bool:
-        """Whether these are the samples of one recording."""
-        mine, theirs = ([r.time, r.command, *(r.signals[k] for k in sorted(r.signals))] for r in (self, other))
-        return self.signals.keys() == other.signals.keys() and all(
-            np.array_equal(a, b, equal_nan=True) for a, b in zip(mine, theirs, strict=True)
-        )
+    @property
+    def samples(self) -> str:
+        """Digest of the samples: two runs with the same one are one recording."""
+        names = sorted(self.signals)
+        return digest(names, self.time, self.command, *(self.signals[k] for k in names))
 
     @property
     def on(self) -> Any:

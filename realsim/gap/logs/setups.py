@@ -62,8 +62,8 @@ def _setup(entry: Any, model: Any, file: Path) -> Setup:
                         file=file,
                         expected="a position servo with this gain",
                     )
-                if not (np.isfinite(float(value)) and float(value) >= 0):
-                    raise ValueError(value)
+                if not (np.isfinite(float(value)) and float(value) >= 0 and (which == "kd" or float(value) > 0)):
+                    raise ValueError(value)  # a drive that is off is told by `enabled`
                 gains.append((name, which, float(value)))
     except (TypeError, ValueError, KeyError, AttributeError) as error:
         raise _unreadable(file, entry) from error

@@ -11,7 +11,7 @@ import numpy as np
 from realsim.errors import GapError
 from realsim.files import check_size
 from realsim.logs.recording import Reader, Recording, Window, first_line, in_window, no_samples, refuse_more
-from realsim.logs.tables import cells, table
+from realsim.logs.tables import cells, odd_cell, table
 from realsim.types import F64
 
 MAX_BYTES = 2 * 2**30
@@ -33,7 +33,7 @@ def read(path: Path, window: Window) -> list[Recording]:
     check_size(path, MAX_BYTES)
     try:
         with path.open(encoding="utf-8-sig", newline="", errors="strict") as file:
-            columns, dropped = _columns(path, file)
+            columns, dropped, odd = _columns(path, file)
     except UnicodeDecodeError as error:
         raise GapError("not a text file", file=path, expected="UTF-8 text", found=str(error)) from error
     except csv.Error as error:
@@ -41,8 +41,9 @@ def read(path: Path, window: Window) -> list[Recording]:
     if not columns:
         raise no_samples(path, "a header and one row per sample")
     columns = trimmed(columns, window)
-    notes = (f"{path.name}: columns of text left out: {', '.join(dropped[:8])}",) if dropped else ()
-    return [Recording(path, path.stem, "csv", (table(path, "", columns),), notes=notes)]
+    notes = [f"{path.name}: columns of text left out: {', '.join(dropped[:8])}"] if dropped else []
+    notes += [f"{path.name}: {n} has values that are no numbers, the first is {c!r}" for n, c in odd.items()]
+    return [Recording(path, path.stem, "csv", (table(path, "", columns),), notes=tuple(notes))]
 
 
 def trimmed(columns: dict[str, F64], window: Window) -> dict[str, F64]:
@@ -59,8 +60,11 @@ def trimmed(columns: dict[str, F64], window: Window) -> dict[str, F64]:
     return {n: v[keep] for n, v in columns.items()}
 
 
-def _columns(path: Path, lines: Iterator[str]) -> tuple[dict[str, F64], list[str]]:
-    """(columns of numbers, names of the others), in blocks of rows, so that no more than one block is text."""
+def _columns(path: Path, lines: Iterator[str]) -> tuple[dict[str, F64], list[str], dict[str, str]]:
+    """(columns of numbers, names of the others, columns with a cell that is no number and that cell).
+
+    In blocks of rows, so that no more than one block is text.
+    """
     head = next(lines, "")
     delimiter = max(",;\t", key=head.count)
     header = [h.strip() for h in next(csv.reader([head.lstrip("# ")], delimiter=delimiter))]
@@ -71,6 +75,7 @@ def _columns(path: Path, lines: Iterator[str]) -> tuple[dict[str, F64], list[str
     parts: dict[str, list[F64]] = {name: [] for name in header}
     block: list[list[str]] = []
     dropped: list[str] = []
+    odd: dict[str, str] = {}
     read, size = 1, 0
     for row in csv.reader(lines, delimiter=delimiter):
         read += 1
@@ -84,17 +89,22 @@ def _columns(path: Path, lines: Iterator[str]) -> tuple[dict[str, F64], list[str
             )  # fmt: skip
         block.append(row)
         if len(block) == BLOCK:
-            size += _take(path, header, block, parts, dropped)
+            size += _take(path, header, block, parts, dropped, odd)
             refuse_more(path, size)
             block = []
     if block:
-        _take(path, header, block, parts, dropped)
+        _take(path, header, block, parts, dropped, odd)
     whole = {n: np.concatenate(p) for n, p in parts.items() if p and n not in dropped}
-    return whole, [n for n in dropped if n]
+    return whole, [n for n in dropped if n], {n: c for n, c in odd.items() if n in whole}
 
 
 def _take(
-    path: Path, header: list[str], block: list[list[str]], parts: dict[str, list[F64]], dropped: list[str]
+    path: Path,
+    header: list[str],
+    block: list[list[str]],
+    parts: dict[str, list[F64]],
+    dropped: list[str],
+    odd: dict[str, str],
 ) -> int:
     size = 0
     for i, name in enumerate(header):
@@ -107,6 +117,8 @@ def _take(
             else:
                 dropped.append(name)
                 continue
+        if name not in odd and (cell := odd_cell([row[i] for row in block], column)) is not None:
+            odd[name] = cell
         parts[name].append(column)
         size += column.size
     return size

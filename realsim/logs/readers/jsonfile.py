@@ -40,7 +40,7 @@ def read(path: Path, window: Window) -> list[Recording]:
         raise no_samples(path, "a list of objects, one a sample")
     streams = []
     for topic, part in _by_topic(items).items():
-        columns = rows(path, part)
+        columns = rows(path, part, notes)
         if columns:
             refuse_more(path, sum(v.size for v in columns.values()))
             streams.append(table(path, topic, trimmed(columns, window)))

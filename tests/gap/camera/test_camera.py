@@ -36,7 +36,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, CameraFound]:
     result = {}
     for seed, (name, truth) in enumerate(TRUTHS.items(), 20):
         folder = tmp_path_factory.mktemp(name)
-        case = make_case(folder, truth, crossings=5, terrain_seed=seed, seed=seed, depth=True, cycles=2)
+        case = make_case(folder, truth, crossings=3, terrain_seed=seed, seed=seed, depth=True, cycles=2)
         camera = check_camera(load_case(case), folder / "scene.xml")
         assert camera is not None
         result[name] = camera
