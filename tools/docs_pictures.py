@@ -119,7 +119,7 @@ def crossing(work: Path) -> U8:
     video = Image.open(work / "crossing.gif")
     robot = [np.asarray(f.convert("RGB")) for f in ImageSequence.Iterator(video)]
     shown = range(0, len(robot), EVERY)
-    return np.stack([_beside([seen[i * len(seen) // len(robot)], robot[i]], 180) for i in shown])
+    return np.stack([_beside([seen[i * len(seen) // len(robot)], robot[i]], 176) for i in shown])
 
 
 PHONE = ("synthetic", "phone", "phone_scene")

@@ -146,7 +146,7 @@ def _from_recording(recording: Path, model: Path, out: Path, overwrite: bool) ->
     case = out.with_name(f"{out.name}_case")
     target = logs.load_target(model)
     proposal = logs.propose(logs.read(recording), target)
-    logs.write_case(proposal, target, case, overwrite=overwrite)
+    logs.write_case(proposal, target, case, overwrite=overwrite, check=gap.load_case)
     note(f"{recording} is read as {case}; why: realsim log {recording} --model {model}")
     return case
 

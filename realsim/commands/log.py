@@ -42,7 +42,7 @@ def log(
     proposal = logs.propose(logs.read(recording, Window(skip, seconds)), target, use=use, only=only)
     text, data = proposal.render(), proposal.as_dict()
     if out is not None and target is not None:
-        said = logs.write_case(proposal, target, out, overwrite=overwrite)
+        said = logs.write_case(proposal, target, out, overwrite=overwrite, check=gap.load_case)
         case = gap.load_case(out)
         said += list(case.warnings)
         text += "\n".join(["", "", f"case    {out} ({len(case.runs)} runs)", *(f"note    {s}" for s in said)])

@@ -111,7 +111,7 @@ def test_a_clock_that_jumps_by_an_hour_leaves_no_case(arm: Log, tmp_path: Path) 
     np.savez(tmp_path / "run.npz", time=arm.time + late, joint_pos=arm.pos, command=arm.command)
     proposal = propose(read(tmp_path / "run.npz"), target)
     with pytest.raises(GapError, match=r"more than an hour[\s\S]*run.npz[\s\S]*gaps in time"):
-        write_case(proposal, target, tmp_path / "case")
+        write_case(proposal, target, tmp_path / "case", check=load_case)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["robot.xml", "run.npz"]
 
 
