@@ -14,6 +14,7 @@ from realsim.errors import EXTRA_OF
 ROOT = Path(__file__).resolve().parents[1]
 BASE = {
     "types",
+    "correlation",
     "errors",
     "registry",
     "files",

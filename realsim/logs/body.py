@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.correlation import alike
 from realsim.logs.evidence import Evidence
 from realsim.logs.joints import SPEEDS
 from realsim.logs.names import FEET, words
 from realsim.logs.proposal import Candidate
-from realsim.logs.signals import MOST, alike, at, factor, turning, upward
+from realsim.logs.signals import MOST, at, factor, turning, upward
 
 G = 9.81
 LIFTED = 0.15

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from realsim.correlation import alike
 from realsim.logs.evidence import Evidence
 from realsim.logs.joints import SPEEDS, columns_for, torque
 from realsim.logs.proposal import Candidate
-from realsim.logs.signals import alike, held
+from realsim.logs.signals import held
 from realsim.types import F64
 
 OTHER_ORDER = 0.3

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from realsim.correlation import alike
 from realsim.errors import GapError
 from realsim.logs.clocks import Clocked
 from realsim.logs.model import Target
 from realsim.logs.proposal import Assignment, Candidate, Proposal, field_of
 from realsim.logs.recording import Field, Recording, Stream
-from realsim.logs.signals import MOST, alike, at
+from realsim.logs.signals import MOST, at
 from realsim.types import F64
 
 SAME = 0.9

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from realsim.correlation import alike
 from realsim.logs.evidence import Evidence, two_robots
 from realsim.logs.model import Target
 from realsim.logs.names import match_joints
 from realsim.logs.proposal import Candidate
 from realsim.logs.recording import Field
-from realsim.logs.signals import alike, at, factor, smooth_derivatives, travelled
+from realsim.logs.signals import at, factor, smooth_derivatives, travelled
 from realsim.types import F64
 
 ANGLES = {"rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi, "mrad": 1e-3}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from realsim.correlation import alike
 from realsim.types import F64
 
 MOST = 20_000
@@ -40,16 +41,6 @@ def held(times: F64, values: F64, wanted: F64) -> F64:
 def thinned(times: F64, *series: F64) -> tuple[F64, ...]:
     """The first MOST samples: neighbours must stay neighbours where differences are taken."""
     return tuple(s[:MOST] for s in (times, *series))
-
-
-def alike(a: F64, b: F64) -> float:
-    """Correlation of two signals (T,); 0 where one does not move."""
-    good = np.isfinite(a) & np.isfinite(b)
-    if good.sum() < 20:
-        return 0.0
-    x, y = a[good] - a[good].mean(), b[good] - b[good].mean()
-    size = float(np.sqrt((x @ x) * (y @ y)))
-    return float(x @ y) / size if size > 1e-12 * good.sum() else 0.0
 
 
 def factor(a: F64, b: F64) -> float:

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from realsim.correlation import alike
 from realsim.errors import GapError
 from realsim.gap.logs.case import Case
 from realsim.gap.logs.units import TORQUE
@@ -116,21 +117,11 @@ def _runs_apart(case: Case) -> list[str]:
         servo = case.actuator_of(joint) if case.command_kind == "position" else None
         if servo is not None:
             asked = np.split(_asked(case, joint, servo), ends)
-            alike = np.array([_cosine(p[:, j], a) for p, a in zip(position, asked, strict=True)])
-            if np.median(alike) > 0:
+            match = np.array([alike(p[:, j], a) for p, a in zip(position, asked, strict=True)])
+            if np.median(match) > 0:
                 text = f"the command of {servo} looks negated; in other runs it does not"
-                found += [f"{names[i]}: {text}" for i in np.flatnonzero(alike < -LIKE)]
+                found += [f"{names[i]}: {text}" for i in np.flatnonzero(match < -LIKE)]
     return found
-
-
-def _cosine(values: F64, like: F64) -> float:
-    """Of the angle between two courses, both without their means; 0 where one does not move."""
-    good = np.isfinite(values) & np.isfinite(like)
-    if good.sum() < 20:
-        return 0.0
-    a, b = values[good] - values[good].mean(), like[good] - like[good].mean()
-    size = float(np.sqrt((a @ a) * (b @ b)))
-    return float(a @ b) / size if size > 1e-9 else 0.0
 
 
 def _spread(values: F64) -> float:
