@@ -34,7 +34,7 @@ from trainer.commands.finetune import helped
 from trainer.commands.task_file import load_task
 from trainer.evaluate import EvaluationConfig, Result, Setting, evaluate
 from trainer.physics import PhysicsConfig
-from trainer.policies import base_of
+from trainer.policies import TASK, base_of
 from trainer.ppo.config import LoopConfig, PPOConfig, StrategyConfig
 from trainer.ppo.distributed import pick_device
 from trainer.terrain.scene import load as load_scene
@@ -71,7 +71,7 @@ class Options:
     """Simulated robots; 0 takes 4096 on a GPU and 64 on the CPU."""
     policy: Path | None = None
     """The base; the one that ships if not given."""
-    task_file: Path = ROOT / "training" / "g1" / "task.json"
+    task_file: Path = TASK
     seed: int = 0
     device: str = "auto"
     work: Path = Path("out/ttt")
@@ -162,7 +162,6 @@ def trained(job: Job, options: Options) -> tuple[Path, Row]:
     scratch = job.method == "scratch"
     lands = tuple(_terrain(test, job.source, options) for test in job.tests)
     task = load_task(options.task_file)
-    task = replace(task, reset=replace(task.reset, along=0.0), floor=replace(task.floor, share=0.0))
     if scratch or any(not judged(base, test, replace(options, trials=40), robust=False)["won"] for test in job.tests):
         task = helped(task)
     config = TrainConfig(
@@ -181,7 +180,7 @@ def trained(job: Job, options: Options) -> tuple[Path, Row]:
             stop_at_target=options.stop_at_target,
             tensorboard=False,
         ),
-        ppo=PPOConfig(symmetry="augmentation", epochs=3, std_limits=(1.0, 0.35 if scratch else options.noise)),
+        ppo=PPOConfig(std_limits=(1.0, 0.35 if scratch else options.noise)),
         tuning=StrategyConfig(start_std=options.noise),
     )
     result = find("ppo")(Scene(lands), None if scratch else base, config, options.work / job.name)

@@ -22,8 +22,8 @@ from trainer.commands.common import find_terrain, load_policy
 from trainer.commands.task_file import load_task
 from trainer.evaluate import EvaluationConfig, Setting, evaluate, trial_env
 from trainer.physics import PhysicsConfig
-from trainer.policies import base_of
-from trainer.ppo.config import LoopConfig, PPOConfig
+from trainer.policies import TASK, base_of
+from trainer.ppo.config import LoopConfig
 from trainer.ppo.distributed import pick_device
 from trainer.replay import record, write
 from trainer.robots import ROBOTS
@@ -44,8 +44,8 @@ class Options:
     """Before and after."""
     worlds: int = 0
     """Simulated robots; 0 takes 4096 on a GPU and 64 on the CPU."""
-    task_file: Path | None = None
-    """What differs from the paper's task; training/g1/task.json is what the base was trained with."""
+    task_file: Path = TASK
+    """What differs from the paper's task."""
     device: str = "auto"
     out: Path = Path("parkour")
 
@@ -81,7 +81,6 @@ def main(options: Options) -> None:
         device=options.device,
         task=task,
         loop=LoopConfig(iterations=100_000, minutes=options.minutes, stop_at_target=True),
-        ppo=PPOConfig(symmetry="augmentation", epochs=3),
     )
     tuned = find("ppo")(Scene((terrain,)), base, config, options.out / "tuned")
     lap("fine-tuning")

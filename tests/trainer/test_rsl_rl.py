@@ -16,11 +16,13 @@ from rsl_rl.models import MLPModel
 from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
+from tests.trainer.test_losses import _Mirror
 from tests.trainer.test_ppo import CONFIG, CPU, SMALL
 from tests.trainer.toy import LAYOUT, PointMass
 from trainer.ppo import gaussian
 from trainer.ppo import policy as policies
 from trainer.ppo.runner import Runner
+from trainer.ppo.symmetry import SymmetryLoss
 from trainer.trainers import find
 from trainer.trainers.rsl_rl import build
 
@@ -113,3 +115,19 @@ def test_it_trains_our_networks_with_depth(capsys: pytest.CaptureFixture[str]) -
     assert {k for k in before if k.startswith(("encoder", "trunk", "log_std"))} <= changed
     assert runner.alg.storage.rewards.mean() > 1.5 * 0.002
     assert find("rsl_rl").__module__ == "trainer.trainers.rsl_rl"
+
+
+def test_mirror_samples_and_the_mirrors_loss_make_its_policy_more_symmetric() -> None:
+    def asymmetry(kind) -> float:
+        env = PointMass(64)
+        policy = policies.new(env.layout, SMALL, "toy", 0)
+        config = replace(CONFIG, symmetry=kind, symmetry_weight=10.0)
+        build(env, policy, config, None, mirror=_Mirror()).learn(8)
+        seen = Runner(PointMass(64), policy, CONFIG, rank=CPU)
+        seen.begin()
+        seen._collect()
+        return SymmetryLoss(_Mirror())(policy.actor, seen.rollout.batch(torch.arange(64))).item()
+
+    plain = asymmetry("none")
+    assert asymmetry("augmentation") < 0.7 * plain
+    assert asymmetry("loss") < 0.3 * plain

@@ -12,7 +12,7 @@ from realsim.commands import CommandResult
 from realsim.files import to_json, write_text
 from realsim.progress import note
 from trainer.config import EvaluationConfig
-from trainer.policies import base_of
+from trainer.policies import TASK, base_of
 from trainer.tasks.parkour import ParkourConfig
 from trainer.tasks.parkour.config import FloorConfig
 from trainer.trainers import Scene, TrainConfig, find
@@ -53,7 +53,7 @@ def finetune(
         out: folder for the results.
         overwrite: replace the run in a folder that an earlier training wrote; --resume goes on with it.
         trainer: ppo, rsl_rl, or one that an installed package adds.
-        task_file: JSON with differences from the paper's task.
+        task_file: JSON with differences from the paper's task; if not given, that of the base that ships goes with it.
         final_trials: trials on each terrain before and after; 0 leaves both out.
         first_success: help begins on a raised floor that sinks, with starts along the course; plain does not; auto
             helps where the base succeeds in none of the trials before.
@@ -69,7 +69,7 @@ def finetune(
             found="both",
         )
     if policy is None and not from_scratch and config.resume is None:
-        policy = base_of(config.robot or "g1")
+        policy, task_file = base_of(config.robot or "g1"), task_file or TASK
         note(f"from the base that ships with realsim: {policy.name}")
     scene = common.find_scene(scenes)
     config = replace(config, task=load_task(task_file))

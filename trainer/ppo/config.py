@@ -73,8 +73,8 @@ class PPOConfig:
 
     steps: int = 24
     """Policy steps of every world per iteration."""
-    epochs: int = 5
-    """Passes over the samples of an iteration."""
+    epochs: int = 3
+    """Passes over the samples of an iteration. With mirror samples each has twice as many."""
     minibatches: int = 4
     """Gradient steps per pass."""
     clip: float = 0.2
@@ -87,7 +87,7 @@ class PPOConfig:
     """Weight of the value loss."""
     entropy_weight: float = 0.001
     """Weight of the entropy bonus. With 0.005 the noise of G1's 29 joints grew all through training."""
-    std_limits: tuple[float, float] = (1.0, 0.35)
+    std_limits: tuple[float, float] = (1.0, 0.3)
     """Largest exploration noise, at first and after `std_iterations`; fine-tuning has the second all along. Under a
     standard deviation of 0.94 a foot of G1 lands 12 cm off (one sigma), under 0.35 4 cm; hard footholds are 16 cm."""
     std_iterations: int = 400
@@ -108,8 +108,9 @@ class PPOConfig:
     gives it the policy's."""
     max_gradient: float = 1.0
     """Gradient norms above this are scaled down, of policy and critic each on its own."""
-    symmetry: Literal["none", "loss", "augmentation"] = "none"
-    """Left-right symmetry: a loss, or every sample a second time mirrored (Mittal et al. 2024)."""
+    symmetry: Literal["none", "loss", "augmentation"] = "augmentation"
+    """Left-right symmetry: a loss, or every sample a second time mirrored (Mittal et al. 2024). In equal
+    time the second learned faster (training/g1/README.md)."""
     symmetry_weight: float = 0.5
     """Weight of the symmetry loss."""
     bfloat16: bool = False

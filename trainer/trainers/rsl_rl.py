@@ -1,8 +1,9 @@
 """rsl_rl (rsl-rl-lib 5.5) as the learner: its PPO and runner over the same environment, our networks, our files.
 
 What differs from the built-in learner: at time-outs rsl_rl bootstraps from the value of the observation before the last
-step, not of the true last one; it does not resume bit for bit; no style prior, one process. One update on the same
-samples gives the same parameters (tests/trainer/test_rsl_rl.py).
+step, not of the true last one; its learning rate follows the divergence of the samples as they were seen, ours that
+of mirror samples too; it does not resume bit for bit; no style prior, one process. One update on the same samples gives
+the same parameters (tests/trainer/test_rsl_rl.py).
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from trainer.ppo.config import PPOConfig
 from trainer.ppo.distributed import Rank, pick_device
 from trainer.ppo.loop import History
 from trainer.ppo.policy import Policy
+from trainer.ppo.symmetry import Mirror
 from trainer.tasks import Observation, VecEnv
 from trainer.tasks.parkour import make
 from trainer.trainers.base import Scene, TrainConfig, TrainResult
@@ -57,7 +59,7 @@ def train(scene: Scene, policy: Path | None, config: TrainConfig, out: Path) -> 
         policies.check_layout(base.layout, env.layout, str(policy))
         learner = policies.fine_tune(base, settings.strategy or "full", settings.tuning, settings.seed)
     out.mkdir(parents=True, exist_ok=True)
-    runner = build(env, learner.to(rank.device), settings.ppo, out / "events", settings.seed)
+    runner = build(env, learner.to(rank.device), settings.ppo, out / "events", settings.seed, env.mirror)
     history = History()
     evaluate = trials(scene, plan) if scene.rows == 1 and settings.loop.evaluate_every else None
     done, chunk = 0, settings.loop.evaluate_every or settings.loop.iterations
@@ -85,14 +87,16 @@ def train(scene: Scene, policy: Path | None, config: TrainConfig, out: Path) -> 
     )
 
 
-def build(env: VecEnv, policy: Policy, config: PPOConfig, log: Path | None, seed: int = 0) -> OnPolicyRunner:
+def build(
+    env: VecEnv, policy: Policy, config: PPOConfig, log: Path | None, seed: int = 0, mirror: Mirror | None = None
+) -> OnPolicyRunner:
     """rsl_rl's runner over an environment of ours, training our networks in place."""
     torch.manual_seed(seed)
 
     class OverOurs(PPO):
         @staticmethod
         def construct_algorithm(obs: TensorDict, worlds: Any, cfg: dict[str, Any], device: str) -> PPO:
-            return algorithm(obs, worlds.num_envs, policy, config, device)
+            return algorithm(obs, worlds.num_envs, policy, config, device, mirror)
 
     settings = {
         "algorithm": {"class_name": OverOurs},
@@ -103,7 +107,9 @@ def build(env: VecEnv, policy: Policy, config: PPOConfig, log: Path | None, seed
     return OnPolicyRunner(Worlds(env), settings, None if log is None else str(log), str(env.device))
 
 
-def algorithm(obs: TensorDict, worlds: int, policy: Policy, config: PPOConfig, device: str) -> PPO:
+def algorithm(
+    obs: TensorDict, worlds: int, policy: Policy, config: PPOConfig, device: str, mirror: Mirror | None = None
+) -> PPO:
     """rsl_rl's PPO with our networks and settings."""
     storage = RolloutStorage("rl", worlds, config.steps, obs, [len(policy.layout.actions)], device)
     learner = PPO(
@@ -122,12 +128,33 @@ def algorithm(obs: TensorDict, worlds: int, policy: Policy, config: PPOConfig, d
         schedule=config.schedule,
         desired_kl=config.desired_kl,
         use_mixed_precision=config.bfloat16,
+        symmetry_cfg=_symmetry(config, mirror),
         device=device,
     )
     noise, largest = policy.actor.get_parameter("log_std"), learner.actor.largest
     gaussian.keep_within(noise, largest)
     learner.optimizer.register_step_post_hook(lambda *_: gaussian.keep_within(noise, largest))
     return learner
+
+
+def _symmetry(config: PPOConfig, mirror: Mirror | None) -> dict[str, Any] | None:
+    """rsl_rl's settings of what ours are; without a mirror there is no symmetry."""
+    if mirror is None or config.symmetry == "none":
+        return None
+
+    def both(env: Any, obs: TensorDict | None, actions: Tensor | None) -> tuple[TensorDict | None, Tensor | None]:
+        if obs is not None:
+            o = mirror.observation(Observation(obs["actor"], obs["critic"], obs.get("depth", None)))
+            obs = TensorDict({k: torch.cat([obs[k], v]) for k, v in _groups(o, len(obs)).items()}, [2 * len(obs)])
+        return obs, None if actions is None else torch.cat([actions, mirror.action(actions)])
+
+    return {
+        "env": None,
+        "data_augmentation_func": both,
+        "use_data_augmentation": config.symmetry == "augmentation",
+        "use_mirror_loss": config.symmetry == "loss",
+        "mirror_loss_coeff": config.symmetry_weight,
+    }
 
 
 class Worlds(RslVecEnv):
@@ -224,7 +251,6 @@ def _refuse_what_it_cannot(config: TrainConfig) -> None:
         "several processes (torchrun)": int(os.environ.get("WORLD_SIZE", "1")) > 1,
         "--resume": config.resume is not None,
         "--amp": config.ppo.prior.amp,
-        "--symmetry": config.ppo.symmetry != "none",
         "--critic-first": config.ppo.critic_first > 0,
     }
     asked = [name for name, wanted in cannot.items() if wanted]
