@@ -145,7 +145,7 @@ def _symmetry(config: PPOConfig, mirror: Mirror | None) -> dict[str, Any] | None
     def both(env: Any, obs: TensorDict | None, actions: Tensor | None) -> tuple[TensorDict | None, Tensor | None]:
         if obs is not None:
             o = mirror.observation(Observation(obs["actor"], obs["critic"], obs.get("depth", None)))
-            obs = TensorDict({k: torch.cat([obs[k], v]) for k, v in _groups(o, len(obs)).items()}, [2 * len(obs)])
+            obs = TensorDict.cat([obs, _groups(o, len(obs))])
         return obs, None if actions is None else torch.cat([actions, mirror.action(actions)])
 
     return {
