@@ -6,39 +6,41 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import reconstruct, tables
+from benchmarks import reconstruct
+from benchmarks.tables import diagnosis, index, pages, readme
+from benchmarks.tables.stored import RESULTS, counts, stored
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.parametrize("page", tables.PAGES)
+@pytest.mark.parametrize("page", pages.PAGES)
 def test_the_tables_are_the_stored_figures(page: str) -> None:
     text = (ROOT / page).read_text()
     assert "<!-- figures: " in text
-    assert tables.filled(text) == text, "make readme"
+    assert pages.filled(text) == text, "make readme"
 
 
 def test_no_measured_set_of_the_diagnosis_is_left_out() -> None:
-    rows = tables.stored("diagnosis")["rows"]
-    table = tables.diagnosis_by_set()
+    rows = stored("diagnosis")["rows"]
+    table = diagnosis.diagnosis_by_set()
     assert len({(r["seed"], r["case"]) for r in rows}) == len(rows)
     for seed, commit in {(r["seed"], r["commit"]) for r in rows}:
         assert any(line.startswith(f"| {seed}, {commit} |") for line in table)
-    by_robot = [tables.counts([r for r in rows if r["robot"] == robot]) for robot in {r["robot"] for r in rows}]
-    for question, total in tables.counts(rows).items():
+    by_robot = [counts([r for r in rows if r["robot"] == robot]) for robot in {r["robot"] for r in rows}]
+    for question, total in counts(rows).items():
         assert total == tuple(sum(c[question][i] for c in by_robot) for i in (0, 1))
-    assert len(tables.readme()) <= 2 + 8
+    assert len(readme.readme()) <= 2 + 8
 
 
 def test_every_file_of_results_is_in_the_index() -> None:
-    assert {name for _, name, _ in tables.INDEX} == {path.stem for path in tables.RESULTS.glob("*.json")}
-    assert set(tables.KEYS) == {name for _, name, _ in tables.INDEX}
+    assert {name for _, name, _ in index.INDEX} == {path.stem for path in RESULTS.glob("*.json")}
+    assert set(index.KEYS) == {name for _, name, _ in index.INDEX}
 
 
-@pytest.mark.parametrize("name", sorted(tables.KEYS))
+@pytest.mark.parametrize("name", sorted(index.KEYS))
 def test_every_row_has_a_key_of_its_own_and_says_what_made_it(name: str) -> None:
-    data = tables.stored(name)
-    keys = [tuple(row[part] for part in tables.KEYS[name]) for row in data["rows"]]
+    data = stored(name)
+    keys = [tuple(row[part] for part in index.KEYS[name]) for row in data["rows"]]
     assert len(set(keys)) == len(keys)
     for row in data["rows"]:
         assert row.get("commit") or data["runs"][row["run"]]["commit"]

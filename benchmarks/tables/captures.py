@@ -1,0 +1,96 @@
+"""Tables of captures, contact and damaged files."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+from benchmarks import loops as places
+from benchmarks import reconstruct
+from benchmarks.tables.stored import Row, stored
+
+
+def captures() -> list[str]:
+    """Errors of reconstructed captures with exact truth."""
+    head = [
+        "| capture, camera poses | scale | tilt | heading | origin | tops, as delivered | F-score at 1 cm / 2 cm |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    return head + reconstruct.readme_table(stored("reconstruct")["rows"])
+
+
+def loops() -> list[str]:
+    """What became of places that look alike, by kind of place."""
+    return places.table(stored("loops")["rows"])
+
+
+VERDICTS = {"good": "good", "look": "check first", "bad": "do not use", "refused": "refused"}
+
+
+def real_captures() -> list[str]:
+    """What becomes of captures that real sensors and apps wrote."""
+    head = [
+        "| capture | frames | verdict | platforms, goal | contact median / p95, leaks | side rays that stop | "
+        "heights off > 2 cm | CPU, memory | known | found |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    return head + [_real_capture(row) for row in stored("real_captures")["rows"]]
+
+
+def _real_capture(row: Row) -> str:
+    cost = f"{row['cpu_s']:.0f} s, {row['peak_gb']:.1f} GB"
+    if row["verdict"] == "refused":
+        return f"| {row['capture']} | | refused | | | | | {cost} | {row['known']} | |"
+    frames = f"{row['frames']} of {row['frames'] + row['dropped']}" if row["frames"] else "scan"
+    sides = "too few" if row["sides_stopped"] is None else f"{100 * row['sides_stopped']:.1f} %"
+    contact = f"{row['median_mm']:.1f} / {row['p95_mm']:.1f} mm, {row['leaks']}"
+    return (
+        f"| {row['capture']} | {frames} | {VERDICTS[row['verdict']]} | {row['platforms']}, "
+        f"{'yes' if row['goal'] else 'no'} | {contact} ({row['representation']}) | {sides} | "
+        f"{100 * row['heights_off']:.0f} % | {cost} | {row['known']} | {row['found']} |"
+    )
+
+
+def hard_matches() -> list[str]:
+    """Captures that are hard to match, without and with the learned matcher."""
+    lines = [
+        "| capture | changed | frames placed | ATE | worst step | seconds | pairs asked, joined |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    pairs: dict[tuple[Any, ...], dict[bool, Row]] = {}
+    for row in stored("matching")["rows"]:
+        pairs.setdefault((row["capture"], row["kind"], row["frames"]), {})[row["learned"]] = row
+    for pair in (p for p in pairs.values() if len(p) == 2):
+        row = pair[True]
+        asked = row.get("asked")  # not stored where nothing was placed
+        both = [row] if asked == 0 else [pair[False], row]
+        placed = " / ".join(str(r["placed"]) for r in both)
+        figures = [
+            " / ".join(f"{r[k]:.0f}{unit}" if k in r else "-" for r in both)
+            for k, unit in (("ate_mm", " mm"), ("worst_step_mm", " mm"), ("seconds", ""))
+        ]
+        change = "" if row["kind"] == "as it is" else row["kind"]
+        joined = "not asked" if asked == 0 else f"{asked}, {row['joined']}" if asked else "-"
+        lines.append(
+            f"| {row['capture']} | {change} | {placed} of {row['frames']} | {' | '.join(figures)} | {joined} |"
+        )
+    return lines
+
+
+def contact() -> list[str]:
+    """Measured contact by representation."""
+    return list(stored("contact")["summary"])
+
+
+def damaged() -> list[str]:
+    """What came of damaged files, by what was read, all seeds together."""
+    rows = [r for r in stored("fuzz")["rows"] if r["number"] is None]
+    harmless = ("moved", "less", "unused", "slight")
+    lines = ["| read | trials | refused | said | same | harmless | cannot be told | silent | traceback, hang |"]
+    lines.append("|" + "---|" * 9)
+    for kind in dict.fromkeys(r["kind"] for r in rows):
+        n = Counter({k: sum(r[k] for r in rows if r["kind"] == kind) for k in rows[0] if isinstance(rows[0][k], int)})
+        counts = [n["trials"], n["refused"], n["said"], n["same"], sum(n[k] for k in harmless)]
+        counts += [n["exchanged"] + n["plausible"], n["silent"], n["traceback"] + n["hang"]]
+        lines.append(f"| {kind} | " + " | ".join(map(str, counts)) + " |")
+    return lines

@@ -1,0 +1,118 @@
+"""The index of benchmarks/results: claim, command, commit, date, machine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from benchmarks import base_policy, ttt
+from benchmarks.tables.stored import Row, stored
+
+INDEX = (
+    ("Scenes against exact truth, and against two real captures", "reconstruct", "python benchmarks/reconstruct.py"),
+    (
+        "Time and memory by the number of frames",
+        "reconstruct_scaling",
+        "python benchmarks/reconstruct.py --frames N ...",
+    ),
+    ("Error of the metric scale by source of points and poses", "scale_error", "python benchmarks/scale_error.py"),
+    ("Contact against the mesh, by representation", "contact", "python benchmarks/contact.py"),
+    ("Diagnosis of generated cases, labels withheld", "diagnosis", "python benchmarks/gap_withheld.py --seed SEED"),
+    (
+        "Answers for 48 logs whose labels are withheld: not scored here",
+        "gap_blind",
+        "python benchmarks/gap_blind.py store",
+    ),
+    (
+        "Diagnosis of real logs with known errors in their models",
+        "gap_real",
+        "python benchmarks/gap_real.py score --part report",
+    ),
+    ("Diagnosis beside mujoco.sysid", "gap_sysid", "python benchmarks/gap_sysid.py"),
+    ("Speed of training", "trainer_speed", "python benchmarks/trainer_speed.py"),
+    ("Learning on one CPU core", "trainer_cpu", "python benchmarks/trainer_cpu.py"),
+    ("First learning rate of fine-tuning", "trainer_tune", "python benchmarks/trainer_tune.py"),
+    ("Places that repeat, and an unregistered Kinect", "captures", "python benchmarks/captures.py"),
+    ("Loops in places that look alike", "loops", "python benchmarks/loops.py"),
+    ("Captures that real sensors and apps wrote", "real_captures", "python benchmarks/real_captures.py"),
+    (
+        "Frames that are hard to match, with and without the learned matcher",
+        "matching",
+        "python benchmarks/matching.py",
+    ),
+    ("The same frames as a folder and as a ROS bag", "bag_scene", "python benchmarks/bag_scene.py"),
+    ("A depth camera that is late, turned, or right", "gap_depth", "python benchmarks/gap_depth.py"),
+    ("Mistakes between a policy and its robot", "gap_contract", "python benchmarks/gap_contract.py --seed 2000"),
+    ("Damaged input: tracebacks, hangs, silent changes", "fuzz", "python benchmarks/fuzz.py"),
+    ("Recordings that decide between causes", "gap_next", "python benchmarks/gap_next.py --seed 27"),
+    ("Changes between two logs of one robot", "gap_since", "python benchmarks/gap_since.py --seed 40"),
+    ("The base policy without fine-tuning", "base_policy", "python benchmarks/base_policy.py"),
+    ("Fine-tuning on one test", "ttt", "python benchmarks/ttt.py run --minutes 5"),
+    (
+        "Footholds: what a log says of the terrain",
+        "footholds",
+        "python -m benchmarks.footholds",
+    ),
+    ("Fine-tuning with a diagnosis, beside randomisation alone", "close_the_gap", "python benchmarks/close_the_gap.py"),
+    (
+        "Pretraining and fine-tuning on one GPU, an earlier recipe",
+        "training_gpu",
+        "realsim pretrain, realsim finetune (in the file)",
+    ),
+)
+KEYS = {
+    "bag_scene": ("terrain", "frames", "source"),
+    "base_policy": base_policy.KEY,
+    "captures": ("kind", "seed", "method"),
+    "close_the_gap": ("robot", "iterations"),
+    "contact": ("terrain", "representation"),
+    "fuzz": ("kind", "seed", "number"),
+    "diagnosis": ("seed", "case"),
+    "footholds": ("change", "seed"),
+    "gap_blind": ("case",),
+    "gap_depth": ("case", "seed", "crossings"),
+    "gap_contract": ("kind", "seed"),
+    "gap_next": ("seed", "case", "engine"),
+    "gap_real": ("case", "engine"),
+    "gap_since": ("seed", "pair"),
+    "gap_sysid": ("case",),
+    "matching": ("capture", "kind", "learned", "frames"),
+    "real_captures": ("capture",),
+    "reconstruct": ("capture", "method"),
+    "reconstruct_scaling": ("frames", "poses"),
+    "scale_error": ("terrain", "seed", "source", "frames"),
+    "trainer_cpu": ("case", "seed"),
+    "trainer_speed": ("case",),
+    "trainer_tune": ("start", "speed", "seed"),
+    "training_gpu": ("case",),
+    "ttt": ttt.KEY,
+    "loops": ("place",),
+}
+"""File -> the values that tell its rows apart; each row says by `run` or `commit` what made it."""
+
+
+def index() -> list[str]:
+    """A row for every file: claim, command, commit, date, machine; what a file does not say is said to be unknown."""
+    lines = ["| claim | file | command | commit | date | machine |", "|---|---|---|---|---|---|"]
+    for claim, name, command in INDEX:
+        commits, days, machines = _made(stored(name))
+        lines.append(f"| {claim} | {name}.json | `{command}` | {commits} | {days} | {machines} |")
+    return lines
+
+
+def _made(data: Any) -> tuple[str, str, str]:
+    """Commits, days and machines of stored rows; what is not stored is said to be."""
+    runs = data.get("runs", {})
+    commits = [("added by " if "note" in run else "") + run["commit"] for run in runs.values()]
+    commits += [row["commit"] for row in data["rows"] if "commit" in row]
+    days = [*dict.fromkeys(day[:10] for day in runs), *data.get("days", ())]
+    machines = [run.get("gpu") or _processor(run) for run in runs.values()] + list(data.get("machines", ()))
+    return _listed(commits), _listed(sorted(days)), _listed(machines)
+
+
+def _listed(texts: Iterable[str]) -> str:
+    return ", ".join(dict.fromkeys(filter(None, texts))) or "not stored"
+
+
+def _processor(run: Row) -> str:
+    return f"{run['cores']} cores, {run['cpu']}" if "cores" in run else ""

@@ -1,0 +1,27 @@
+"""Tables of policies: the bases that ship and test-time training."""
+
+from __future__ import annotations
+
+from benchmarks import base_policy, ttt
+from benchmarks.tables.stored import stored
+
+
+def families(difficulty: str) -> str:
+    groups = base_policy.grouped(stored("base_policy")["rows"], "mild")
+    shares = [100 * won / of for name, (won, of) in groups.items() if name.endswith(f":{difficulty}")]
+    return f"{sum(shares) / len(shares):.0f} and {min(shares):.0f} %"
+
+
+def base() -> list[str]:
+    """The base policy on every family, difficulty and test."""
+    return base_policy.table(stored("base_policy")["rows"])
+
+
+def quadruped_base() -> list[str]:
+    """The same of the quadruped's."""
+    return base_policy.table(stored("base_policy")["rows"], "quadruped")
+
+
+def tuned() -> list[str]:
+    """The thirteen tests before and after fine-tuning on each."""
+    return ttt.table(stored("ttt")["rows"])
