@@ -15,8 +15,8 @@ from realsim.capture.video import VideoFrame
 from realsim.errors import CaptureError, MissingExtraError, PoseError, RealsimError
 from realsim.geometry import R_to_quat, exp_so3, make_T, transform
 
+from .damage import cut, reason
 from .scene import CAMERA, walk
-from .test_bad_input import cut, reason
 from .test_layouts import CONFIG, frames_of
 from .writers import (
     ODOMETRY,

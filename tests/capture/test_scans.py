@@ -16,8 +16,8 @@ from realsim.capture import scanfile as scanfile_module
 from realsim.errors import CaptureError, MissingExtraError, RealsimError
 from realsim.types import Scan
 
+from .damage import cut
 from .scene import walk
-from .test_bad_input import cut
 from .writers import write_pcd, write_polycam
 
 CONFIG = CaptureConfig()
