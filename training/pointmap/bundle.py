@@ -1,0 +1,159 @@
+"""Depth and poses from matched rays: two rays that meet are a depth. No weights.
+
+By colour alone the network guesses depth view by view; its matches say more. Poses, and for every view a smooth
+correction of log z, are adjusted together (Triggs et al. 2000) until matched places meet in the picture and in depth;
+the correction is held by how wrong the network itself expects to be. Everything is made of operations that ONNX has:
+the linear systems are solved by conjugate gradients, a fixed number of steps each.
+
+The numbers below were set on generated scenes (training/pointmap/README.md); none is sharp.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from training.pointmap.poses import matrix
+
+WAVES = 6
+"""Of the cosines that make a correction, those whose half waves over height and width are together fewer."""
+ROUGH = 1.5
+"""A correction of k half waves has a standard deviation of 1 / (1 + k^ROUGH) of the expected error: measured."""
+ASIDE = 0.012
+"""Tangent: error of a sure match, a quarter of a patch."""
+ALONG = 0.08
+"""Relative difference of two views' depths of the same place that is usual."""
+DOUBT = 3.0
+"""Times the usual error at which a match has lost three quarters of its weight (Geman and McClure 1985)."""
+ROUNDS = 6
+"""Of Gauss and Newton."""
+GRADIENTS = 25
+"""Steps of conjugate gradients a round."""
+NEAREST = 0.05
+"""A point nearer to a camera's plane, or behind it, says nothing."""
+TINY = 1e-12
+
+
+def adjust(
+    rays: Tensor, log_z: Tensor, expected: Tensor, matches: Tensor, R: Tensor, t: Tensor, grid: tuple[int, int]
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Corrections and poses.
+
+    Args:
+        rays: (B, V, N, 2) x / z and y / z of N = rows x columns places of each view.
+        log_z: (B, V, N).
+        expected: (B, V) relative error of a view's depth that is expected.
+        matches: (B, V, V, N, N) as in `poses.solve`.
+        R, t: (B, V, 3, 3) and (B, V, 3), where to begin.
+        grid: rows and columns.
+
+    Returns:
+        weights of `waves` (B, V, K), to be added to log z; R; t.
+    """
+    rows, columns = grid
+    r, c = (x.to(rays) for x in (_centres(rows), _centres(columns)))
+    here = torch.stack([r[:, None].expand(rows, columns), c.expand(rows, columns)], -1).flatten(0, 1)
+    own = (waves(here) * expected[..., None, None])[:, :, None]  # (B, V, 1, N, K)
+    # Where the partner is: the mean over squared probabilities, which is near the best patch.
+    sharp = matches * matches
+    sure = sharp.sum(-1)
+    told = torch.cat([rays, log_z[..., None], here.expand_as(rays)], -1)
+    there = torch.einsum("bijnm,bjmc->bijnc", sharp, told) / sure.clamp(min=TINY)[..., None]
+    aim, far = there[..., :2], there[..., 2]
+    theirs = waves(there[..., 3:]) * expected[:, None, :, None, None]
+    size = own.shape[-1]
+    number = torch.ones_like(log_z[0, :, 0]).cumsum(0).round()  # arange, for any number of views in the graph
+    same = (number[:, None] == number).to(rays.dtype)
+    sure = sure * (1 - same)[:, :, None]
+    held = torch.cat([rays.new_full((6,), 1e-3), rays.new_ones(size)])  # as good as free: poses
+    a = torch.zeros_like(own[:, :, 0, 0])
+    for _ in range(ROUNDS):
+        off, J, weight = _linear(rays, log_z, own, theirs, aim, far, a, R, t)
+        weighted = (J * (weight * sure[..., None])[..., None]).flatten(3, 4).transpose(-1, -2)
+        H, g = weighted @ J.flatten(3, 4), (weighted @ off.flatten(3, 4)[..., None])[..., 0]
+        n = 6 + size
+        D = H[..., :n, :n].sum(2) + H[..., n:, n:].sum(1) + torch.diag(held)
+        cross = H[..., :n, n:] + H[..., n:, :n].transpose(1, 2)
+        H = cross + same[:, :, None, None] * D[:, :, None]
+        g = g[..., :n].sum(2) + g[..., n:].sum(1) + torch.cat([torch.zeros_like(a[..., :6]), a], -1)
+        step = -_solved(H.transpose(2, 3).flatten(3, 4).flatten(1, 2), g.flatten(1)).reshape(g.shape)
+        a = a + step[..., 6:]
+        t = t + (R @ step[..., 3:6, None])[..., 0]
+        q = torch.cat([torch.ones_like(step[..., :1]), step[..., :3] / 2], -1)
+        R = R @ matrix(q / q.square().sum(-1, keepdim=True).sqrt())
+    return a * expected[..., None], R, t
+
+
+def correction(weights: Tensor, h: int, w: int) -> Tensor:
+    """(B, V, H, W) what `adjust`'s weights add to log z."""
+    r, c = _centres(h).to(weights), _centres(w).to(weights)
+    every = waves(torch.stack([r[:, None].expand(h, w), c.expand(h, w)], -1))
+    return torch.einsum("hwk,bvk->bvhw", every, weights)
+
+
+def _centres(count: int) -> Tensor:
+    return (torch.arange(count, dtype=torch.float32) + 0.5) / count
+
+
+def waves(at: Tensor) -> Tensor:
+    """(..., K) cosines at places (..., 2), down and across, 0..1, each as large as is usual."""
+    pairs = [(i, k) for i in range(WAVES) for k in range(WAVES - i)]
+    down, across = (torch.tensor([float(p[x]) for p in pairs]).to(at) * math.pi for x in (0, 1))
+    usual = torch.tensor([1 / (1 + math.hypot(*p) ** ROUGH) for p in pairs]).to(at)
+    return torch.cos(at[..., :1] * down) * torch.cos(at[..., 1:] * across) * usual
+
+
+def _linear(
+    rays: Tensor, log_z: Tensor, own: Tensor, theirs: Tensor, aim: Tensor, far: Tensor, a: Tensor, R: Tensor, t: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """How far places of view i, seen by view j, are from their partners, in usual errors (B, V, V, N, 3): across, down,
+    along. Derivatives by the turn, motion and correction of i, then those of j (B, V, V, N, 3, 2 (6 + K)). Weights."""
+    z = (log_z + (own[:, :, 0] * a[:, :, None]).sum(-1)).exp()[..., None]
+    X = torch.cat([rays * z, z], -1)[:, :, None]
+    turn = R.transpose(-1, -2)[:, None] @ R[:, :, None]  # R_j' R_i
+    apart = (R.transpose(-1, -2)[:, None] @ (t[:, :, None] - t[:, None])[..., None])[..., 0]
+    turned = X @ turn.transpose(-1, -2)
+    y = turned + apart[:, :, :, None]
+    z = y[..., 2].clamp(min=NEAREST)
+    x, inverse = y[..., :2] / z[..., None], 1 / z
+    log_there = far + (theirs * a[:, None, :, None]).sum(-1)
+    off = torch.cat([(x - aim) / ASIDE, ((z.log() - log_there) / ALONG)[..., None]], -1)
+    zero = torch.zeros_like(inverse)
+    by_y = torch.stack([
+        torch.stack([inverse, zero, -x[..., 0] * inverse], -1) / ASIDE,
+        torch.stack([zero, inverse, -x[..., 1] * inverse], -1) / ASIDE,
+        torch.stack([zero, zero, inverse], -1) / ALONG,
+    ], -2)  # fmt: skip
+    by_X = by_y @ turn[:, :, :, None]
+    along = rays.new_tensor([0.0, 0.0, 1.0]) / ALONG
+    J = torch.cat([
+        -by_X @ _cross(X), by_X, (by_y @ turned[..., None]) * own[..., None, :],
+        by_y @ _cross(y), -by_y, -along[:, None] * theirs[..., None, :],
+    ], -1)  # fmt: skip
+    square = off * off
+    fits = 1 / (1 + square[..., :2].sum(-1) / DOUBT**2).square() * (y[..., 2] > NEAREST).to(y.dtype)
+    deep = fits / (1 + square[..., 2] / DOUBT**2).square()
+    return off, J, torch.stack([fits, fits, deep], -1)
+
+
+def _cross(a: Tensor) -> Tensor:
+    """(..., 3, 3) that takes b to a x b."""
+    x, y, z = a[..., 0], a[..., 1], a[..., 2]
+    o = torch.zeros_like(x)
+    return torch.stack([torch.stack(row, -1) for row in ((o, -z, y), (z, o, -x), (-y, x, o))], -2)
+
+
+def _solved(H: Tensor, g: Tensor) -> Tensor:
+    """x of H x = g, H (B, M, M) positive: conjugate gradients, scaled by H's diagonal."""
+    scale = H.diagonal(dim1=-2, dim2=-1).clamp(min=TINY).rsqrt()
+    A, r = H * scale[:, :, None] * scale[:, None], (g * scale)[..., None]
+    x, p, size = torch.zeros_like(r), r, (r * r).sum(1, keepdim=True)
+    for _ in range(GRADIENTS):
+        q = A @ p
+        step = size / (p * q).sum(1, keepdim=True).clamp(min=TINY)
+        x, r = x + step * p, r - step * q
+        before, size = size, (r * r).sum(1, keepdim=True)
+        p = r + size / before.clamp(min=TINY) * p
+    return x[..., 0] * scale
