@@ -64,24 +64,24 @@ def adjust(
     aim, far = there[..., :2], there[..., 2]
     theirs = waves(there[..., 3:]) * expected[:, None, :, None, None]
     size = own.shape[-1]
-    number = torch.ones_like(log_z[0, :, 0]).cumsum(0).round()  # arange, for any number of views in the graph
+    number = (0 * expected[:1] + 1).cumsum(-1)[0].round()  # arange, for any number of views in the graph
     same = (number[:, None] == number).to(rays.dtype)
     sure = sure * (1 - same)[:, :, None]
-    held = torch.cat([rays.new_full((6,), 1e-3), rays.new_ones(size)])  # as good as free: poses
-    a = torch.zeros_like(own[:, :, 0, 0])
+    held = torch.diag_embed(rays.new_tensor([1e-3] * 6 + [1.0] * size))  # poses are as good as free
+    a = 0 * own[:, :, 0, 0]
     for _ in range(ROUNDS):
         off, J, weight = _linear(rays, log_z, own, theirs, aim, far, a, R, t)
         weighted = (J * (weight * sure[..., None])[..., None]).flatten(3, 4).transpose(-1, -2)
         H, g = weighted @ J.flatten(3, 4), (weighted @ off.flatten(3, 4)[..., None])[..., 0]
         n = 6 + size
-        D = H[..., :n, :n].sum(2) + H[..., n:, n:].sum(1) + torch.diag(held)
+        D = H[..., :n, :n].sum(2) + H[..., n:, n:].sum(1) + held
         cross = H[..., :n, n:] + H[..., n:, :n].transpose(1, 2)
         H = cross + same[:, :, None, None] * D[:, :, None]
-        g = g[..., :n].sum(2) + g[..., n:].sum(1) + torch.cat([torch.zeros_like(a[..., :6]), a], -1)
+        g = g[..., :n].sum(2) + g[..., n:].sum(1) + torch.cat([0 * a[..., :6], a], -1)
         step = -_solved(H.transpose(2, 3).flatten(3, 4).flatten(1, 2), g.flatten(1)).reshape(g.shape)
         a = a + step[..., 6:]
         t = t + (R @ step[..., 3:6, None])[..., 0]
-        q = torch.cat([torch.ones_like(step[..., :1]), step[..., :3] / 2], -1)
+        q = torch.cat([0 * step[..., :1] + 1, step[..., :3] / 2], -1)
         R = R @ matrix(q / q.square().sum(-1, keepdim=True).sqrt())
     return a * expected[..., None], R, t
 
@@ -100,8 +100,8 @@ def _centres(count: int) -> Tensor:
 def waves(at: Tensor) -> Tensor:
     """(..., K) cosines at places (..., 2), down and across, 0..1, each as large as is usual."""
     pairs = [(i, k) for i in range(WAVES) for k in range(WAVES - i)]
-    down, across = (torch.tensor([float(p[x]) for p in pairs]).to(at) * math.pi for x in (0, 1))
-    usual = torch.tensor([1 / (1 + math.hypot(*p) ** ROUGH) for p in pairs]).to(at)
+    down, across = (math.pi * at.new_tensor([float(p[x]) for p in pairs]) for x in (0, 1))
+    usual = at.new_tensor([1 / (1 + math.hypot(*p) ** ROUGH) for p in pairs])
     return torch.cos(at[..., :1] * down) * torch.cos(at[..., 1:] * across) * usual
 
 
@@ -117,43 +117,47 @@ def _linear(
     turned = X @ turn.transpose(-1, -2)
     y = turned + apart[:, :, :, None]
     z = y[..., 2].clamp(min=NEAREST)
-    x, inverse = y[..., :2] / z[..., None], 1 / z
+    x, inverse = y[..., :2] / z[..., None], 1 / z[..., None]
     log_there = far + (theirs * a[:, None, :, None]).sum(-1)
-    off = torch.cat([(x - aim) / ASIDE, ((z.log() - log_there) / ALONG)[..., None]], -1)
-    zero = torch.zeros_like(inverse)
-    by_y = torch.stack([
-        torch.stack([inverse, zero, -x[..., 0] * inverse], -1) / ASIDE,
-        torch.stack([zero, inverse, -x[..., 1] * inverse], -1) / ASIDE,
-        torch.stack([zero, zero, inverse], -1) / ALONG,
-    ], -2)  # fmt: skip
+    usual = rays.new_tensor([ASIDE, ASIDE, ALONG])
+    off = torch.cat([x - aim, (z.log() - log_there)[..., None]], -1) / usual
+    # The derivatives by y of x / z, y / z and log z.
+    ahead = rays.new_tensor([0.0, 0.0, 1.0])
+    flat = torch.eye(3).to(rays) - torch.cat([x, 0 * inverse], -1)[..., None] * ahead
+    by_y = flat * inverse[..., None] / usual[:, None]
     by_X = by_y @ turn[:, :, :, None]
-    along = rays.new_tensor([0.0, 0.0, 1.0]) / ALONG
     J = torch.cat([
         -by_X @ _cross(X), by_X, (by_y @ turned[..., None]) * own[..., None, :],
-        by_y @ _cross(y), -by_y, -along[:, None] * theirs[..., None, :],
+        by_y @ _cross(y), -by_y, -(ahead / ALONG)[:, None] * theirs[..., None, :],
     ], -1)  # fmt: skip
-    square = off * off
-    fits = 1 / (1 + square[..., :2].sum(-1) / DOUBT**2).square() * (y[..., 2] > NEAREST).to(y.dtype)
-    deep = fits / (1 + square[..., 2] / DOUBT**2).square()
-    return off, J, torch.stack([fits, fits, deep], -1)
+    square = (off / DOUBT).square()
+    fits = 1 / (1 + square[..., :2].sum(-1, keepdim=True)).square() * (y[..., 2:] > NEAREST).to(y.dtype)
+    return off, J, torch.cat([fits, fits, fits / (1 + square[..., 2:]).square()], -1)
 
 
 def _cross(a: Tensor) -> Tensor:
     """(..., 3, 3) that takes b to a x b."""
-    x, y, z = a[..., 0], a[..., 1], a[..., 2]
-    o = torch.zeros_like(x)
-    return torch.stack([torch.stack(row, -1) for row in ((o, -z, y), (z, o, -x), (-y, x, o))], -2)
+    rows = [[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]]
+    return (a @ a.new_tensor([[float(v) for v in row] for row in rows])).unflatten(-1, (3, 3))
 
 
 def _solved(H: Tensor, g: Tensor) -> Tensor:
     """x of H x = g, H (B, M, M) positive: conjugate gradients, scaled by H's diagonal."""
     scale = H.diagonal(dim1=-2, dim2=-1).clamp(min=TINY).rsqrt()
-    A, r = H * scale[:, :, None] * scale[:, None], (g * scale)[..., None]
-    x, p, size = torch.zeros_like(r), r, (r * r).sum(1, keepdim=True)
-    for _ in range(GRADIENTS):
+    return _descended(H * scale[:, :, None] * scale[:, None], (g * scale)[..., None], GRADIENTS)[..., 0] * scale
+
+
+@torch.jit.script
+def _descended(A: Tensor, b: Tensor, steps: int) -> Tensor:
+    """Scripted, so that it is a loop in the exported graph: onnxruntime takes half a minute to load it written out."""
+    x, r, p = 0 * b, b, b
+    size = (r * r).sum(1, keepdim=True)
+    for _ in range(steps):
         q = A @ p
-        step = size / (p * q).sum(1, keepdim=True).clamp(min=TINY)
-        x, r = x + step * p, r - step * q
-        before, size = size, (r * r).sum(1, keepdim=True)
-        p = r + size / before.clamp(min=TINY) * p
-    return x[..., 0] * scale
+        step = size / ((p * q).sum(1, keepdim=True) + 1e-12)
+        x = x + step * p
+        r = r - step * q
+        now = (r * r).sum(1, keepdim=True)
+        p = r + now / (size + 1e-12) * p
+        size = now
+    return x

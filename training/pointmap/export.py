@@ -91,9 +91,9 @@ def write(now: state.State, out: Path, size: tuple[int, int], precision: str = "
 
 
 def _others(images: Tensor) -> dict[str, Tensor]:
-    """Sensor depth with holes and intrinsics for sample pictures (1, N, 3, H, W)."""
+    """Intrinsics and, for an odd number of views, sensor depth with holes for sample pictures (1, N, 3, H, W)."""
     _, n, _, h, w = images.shape
-    depths = torch.where(images[:, :, 0] > 0.3, 1 + 2 * images[:, :, 1], 0.0)
+    depths = torch.where(images[:, :, 0] > 0.3, 1 + 2 * images[:, :, 1], 0.0) * (n % 2)
     K = torch.tensor([[0.96 * w, 0, (w - 1) / 2], [0, 0.96 * w, (h - 1) / 2], [0, 0, 1]])
     return {"depths": depths, "intrinsics": K.expand(1, n, 3, 3).contiguous()}
 

@@ -232,7 +232,7 @@ def _step(run: Any, batch: Batch, draw: Draw) -> dict[str, Tensor]:
     for p in run.parameters():
         p.grad = None
     with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
-        out = run(batch.images, batch.sensor, K)
+        out = run(batch.images, batch.sensor, K, adjusted=False)
     parts = loss.terms(out, batch)
     value = loss.total(parts)
     value.backward()
