@@ -1,4 +1,4 @@
-"""Depth and poses by the matches: right where they are, of the views in any order, in any unit, and no more than told."""
+"""Depth and poses by the matches: right where they are, for any order of views and any unit, no more than told."""
 
 from __future__ import annotations
 

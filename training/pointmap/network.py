@@ -158,7 +158,7 @@ class PointmapNet(nn.Module):
 
     @staticmethod
     def _adjusted(found: Prediction, depths: Tensor) -> Prediction:
-        """Scenes without sensor depth: depth and poses in one adjustment. What a sensor measured is better than that."""
+        """Scenes without sensor depth: depth and poses in one adjustment. What a sensor measured is better."""
         h, w = depths.shape[-2:]
         blind = 1 - (depths > 0).to(depths.dtype).amax((1, 2, 3))
         rays, log_z = found.rays[:, :, *MIDDLE].flatten(2, 3), found.log_z[:, :, *MIDDLE].flatten(2)
