@@ -15,8 +15,6 @@ import math
 import torch
 from torch import Tensor
 
-from training.pointmap.poses import matrix
-
 WAVES = 6
 """Of the cosines that make a correction, those whose half waves over height and width are together fewer."""
 ROUGH = 1.5
@@ -67,22 +65,25 @@ def adjust(
     number = (0 * expected[:1] + 1).cumsum(-1)[0].round()  # arange, for any number of views in the graph
     same = (number[:, None] == number).to(rays.dtype)
     sure = sure * (1 - same)[:, :, None]
-    held = torch.diag_embed(rays.new_tensor([1e-3] * 6 + [1.0] * size))  # poses are as good as free
+    n = 6 + size
+    one = torch.eye(n).to(rays)
+    held = one * rays.new_tensor([1e-3] * 6 + [1.0] * size)  # poses are as good as free
     a = 0 * own[:, :, 0, 0]
     for _ in range(ROUNDS):
-        off, J, weight = _linear(rays, log_z, own, theirs, aim, far, a, R, t)
-        weighted = (J * (weight * sure[..., None])[..., None]).flatten(3, 4).transpose(-1, -2)
-        H, g = weighted @ J.flatten(3, 4), (weighted @ off.flatten(3, 4)[..., None])[..., 0]
-        n = 6 + size
+        # Everything in one product: J' J, and behind it J' times what is off.
+        J = _linear(rays, log_z, own, theirs, aim, far, a, R, t, sure).flatten(3, 4)
+        both = J.transpose(-1, -2)[..., :-1, :] @ J
+        H, g = both[..., :-1], both[..., -1]
         D = H[..., :n, :n].sum(2) + H[..., n:, n:].sum(1) + held
-        cross = H[..., :n, n:] + H[..., n:, :n].transpose(1, 2)
-        H = cross + same[:, :, None, None] * D[:, :, None]
+        H = H[..., :n, n:] + H[..., n:, :n].transpose(1, 2) + same[:, :, None, None] * D[:, :, None]
         g = g[..., :n].sum(2) + g[..., n:].sum(1) + torch.cat([0 * a[..., :6], a], -1)
-        step = -_solved(H.transpose(2, 3).flatten(3, 4).flatten(1, 2), g.flatten(1)).reshape(g.shape)
+        scale = (D * one).sum(-1).clamp(min=TINY).rsqrt()  # a system with ones on its diagonal
+        scaled = H * scale[:, :, None, :, None] * scale[:, None, :, None]
+        step = -_descended(scaled, (scale * g)[..., None], GRADIENTS)[..., 0] * scale
         a = a + step[..., 6:]
         t = t + (R @ step[..., 3:6, None])[..., 0]
-        q = torch.cat([0 * step[..., :1] + 1, step[..., :3] / 2], -1)
-        R = R @ matrix(q / q.square().sum(-1, keepdim=True).sqrt())
+        half = _cross(step[..., :3] / 2)  # of the quaternion with real part 1
+        R = R + R @ (half + half @ half) * (2 / (1 + (step[..., :3] / 2).square().sum(-1)))[..., None, None]
     return a * expected[..., None], R, t
 
 
@@ -106,10 +107,11 @@ def waves(at: Tensor) -> Tensor:
 
 
 def _linear(
-    rays: Tensor, log_z: Tensor, own: Tensor, theirs: Tensor, aim: Tensor, far: Tensor, a: Tensor, R: Tensor, t: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """How far places of view i, seen by view j, are from their partners, in usual errors (B, V, V, N, 3): across, down,
-    along. Derivatives by the turn, motion and correction of i, then those of j (B, V, V, N, 3, 2 (6 + K)). Weights."""
+    rays: Tensor, log_z: Tensor, own: Tensor, theirs: Tensor, aim: Tensor, far: Tensor, a: Tensor, R: Tensor, t: Tensor,
+    sure: Tensor,
+) -> Tensor:  # fmt: skip
+    """(B, V, V, N, 3, 2 (6 + K) + 1) of places of view i in j, across, down and along, in usual errors: derivatives
+    by the turn, motion and correction of i, then of j; last, how far they are off. All times the root of the weight."""
     z = (log_z + (own[:, :, 0] * a[:, :, None]).sum(-1)).exp()[..., None]
     X = torch.cat([rays * z, z], -1)[:, :, None]
     turn = R.transpose(-1, -2)[:, None] @ R[:, :, None]  # R_j' R_i
@@ -128,11 +130,12 @@ def _linear(
     by_X = by_y @ turn[:, :, :, None]
     J = torch.cat([
         -by_X @ _cross(X), by_X, (by_y @ turned[..., None]) * own[..., None, :],
-        by_y @ _cross(y), -by_y, -(ahead / ALONG)[:, None] * theirs[..., None, :],
+        by_y @ _cross(y), -by_y, -(ahead / ALONG)[:, None] * theirs[..., None, :], off[..., None],
     ], -1)  # fmt: skip
     square = (off / DOUBT).square()
-    fits = 1 / (1 + square[..., :2].sum(-1, keepdim=True)).square() * (y[..., 2:] > NEAREST).to(y.dtype)
-    return off, J, torch.cat([fits, fits, fits / (1 + square[..., 2:]).square()], -1)
+    # Roots of weights: 1 / (1 + x^2)^2 is the weight.
+    fits = sure.sqrt()[..., None] / (1 + square[..., :2].sum(-1, keepdim=True)) * (y[..., 2:] > NEAREST).to(y.dtype)
+    return J * torch.cat([fits, fits, fits / (1 + square[..., 2:])], -1)[..., None]
 
 
 def _cross(a: Tensor) -> Tensor:
@@ -141,23 +144,20 @@ def _cross(a: Tensor) -> Tensor:
     return (a @ a.new_tensor([[float(v) for v in row] for row in rows])).unflatten(-1, (3, 3))
 
 
-def _solved(H: Tensor, g: Tensor) -> Tensor:
-    """x of H x = g, H (B, M, M) positive: conjugate gradients, scaled by H's diagonal."""
-    scale = H.diagonal(dim1=-2, dim2=-1).clamp(min=TINY).rsqrt()
-    return _descended(H * scale[:, :, None] * scale[:, None], (g * scale)[..., None], GRADIENTS)[..., 0] * scale
-
-
 @torch.jit.script
 def _descended(A: Tensor, b: Tensor, steps: int) -> Tensor:
-    """Scripted, so that it is a loop in the exported graph: onnxruntime takes half a minute to load it written out."""
+    """x of A x = b by conjugate gradients, A (B, V, V, n, n) positive, b (B, V, n, 1).
+
+    Scripted, so that it is a loop in the exported graph: onnxruntime takes half a minute to load it written out.
+    """
     x, r, p = 0 * b, b, b
-    size = (r * r).sum(1, keepdim=True)
+    size = (r * r).sum((1, 2), keepdim=True)
     for _ in range(steps):
-        q = A @ p
-        step = size / ((p * q).sum(1, keepdim=True) + 1e-12)
+        q = (A @ p[:, None]).sum(2)
+        step = size / ((p * q).sum((1, 2), keepdim=True) + 1e-12)
         x = x + step * p
         r = r - step * q
-        now = (r * r).sum(1, keepdim=True)
+        now = (r * r).sum((1, 2), keepdim=True)
         p = r + now / (size + 1e-12) * p
         size = now
     return x
