@@ -169,13 +169,13 @@ def _store(path: Path, precision: str) -> None:
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("state", type=Path, help="folder of the state")
+    parser.add_argument("state", type=Path, help="folder of the state, or an exported file (its graph is written anew)")
     parser.add_argument("--out", type=Path, default=Path("pointmap.onnx"))
     parser.add_argument("--size", type=int, nargs=2, default=(240, 320), help="height and width, as trained")
     parser.add_argument("--precision", choices=PRECISIONS, default="float16")
     o = parser.parse_args()
     try:
-        made = write(state.load(o.state), o.out, tuple(o.size), o.precision)
+        made = write(state.any_of(o.state), o.out, tuple(o.size), o.precision)
     except RealsimError as error:
         print(error.render(), file=sys.stderr)
         sys.exit(2)
