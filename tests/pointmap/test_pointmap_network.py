@@ -51,7 +51,7 @@ def test_the_order_of_views_is_the_order_of_answers(net: PointmapNet, batch: Bat
     a = net(batch.images, batch.sensor, batch.K)
     b = net(batch.images[:, order], batch.sensor[:, order], batch.K[:, order])
     for name in ("rays", "log_z", "log_error", "R", "t"):
-        torch.testing.assert_close(getattr(b, name), getattr(a, name)[:, order], atol=1e-4, rtol=1e-4)
+        torch.testing.assert_close(getattr(b, name), getattr(a, name)[:, order], atol=1e-3, rtol=1e-3)
 
 
 def test_views_are_not_looked_at_alone(net: PointmapNet, batch: Batch) -> None:

@@ -16,7 +16,7 @@ def seen(seed: int, views: int, lost: float = 0.0, places: int = 40) -> tuple[to
     """(points, matches, R, t): places in front of cameras in random order, a share `lost` of them matched wrongly."""
     draw = torch.Generator().manual_seed(seed)
     q = torch.randn(1, views, 4, generator=draw) * 0.15 + torch.tensor([1.0, 0, 0, 0])
-    R = poses._matrix(q / q.norm(dim=-1, keepdim=True))
+    R = poses.matrix(q / q.norm(dim=-1, keepdim=True))
     t = 0.3 * torch.randn(1, views, 3, generator=draw)
     world = torch.rand(places, 3, generator=draw) * torch.tensor([2.0, 2, 2]) + torch.tensor([-1.0, -1, 2])
     points = (world[None, None] - t[:, :, None]) @ R

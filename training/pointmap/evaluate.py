@@ -323,7 +323,7 @@ def _judged(row: Row, key: str, value: float) -> str:
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--state", type=Path, help="folder of a state: generated scenes")
+    parser.add_argument("--state", type=Path, help="folder of a state, or an exported file: generated scenes")
     parser.add_argument("--model", type=Path, help="ONNX file: captures")
     parser.add_argument("--captures", type=Path, nargs="*", default=[])
     parser.add_argument("--real", type=Path, nargs="*", default=[])
@@ -351,7 +351,7 @@ def _rows(o: argparse.Namespace) -> Iterator[Row]:
     if not o.state and not (o.model and (o.captures or o.real)):
         raise RealsimError("nothing to measure", expected="--state RUN, or --model FILE.onnx with --captures or --real")
     if o.state:
-        yield from generated(state.load(o.state).net, tuple(o.size), o.scenes, o.views, o.device)
+        yield from generated(state.any_of(o.state).net, tuple(o.size), o.scenes, o.views, o.device)
     for folder in o.captures if o.model else ():
         truth = read(folder)
         yield from captured(o.model, truth)

@@ -6,22 +6,25 @@ beside it. No view is special: the order of views changes nothing but the order 
 Depth, and the intrinsics, may be zero: then they are unknown (MapAnything, Keetha et al. 2025).
 
 Poses are not regressed. The network says which patches of two views show the same place (a softmax over all patches and
-"none of them", as SuperGlue, Sarlin et al. 2020); `poses` solves for the rest.
+"none of them", as SuperGlue, Sarlin et al. 2020); `poses` solves for the rest, and where there is no sensor depth
+`bundle` adjusts poses and depth together.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from realsim.errors import RealsimError
-from training.pointmap import poses
+from training.pointmap import bundle, poses
 
 PATCH = 16
 """Pixels; height and width are multiples of it."""
+MIDDLE = (slice(PATCH // 2, None, PATCH),) * 2
+"""Pixels of a map that are in the middle of patches."""
 _INPUTS = 9
 """Channels of the stem: RGB, depth, whether there is depth, place in the picture (2), rays (2)."""
 
@@ -115,13 +118,15 @@ class PointmapNet(nn.Module):
         nn.init.normal_(weight, std=1e-3)
         nn.init.zeros_(bias)
 
-    def forward(self, images: Tensor, depths: Tensor, K: Tensor) -> Prediction:
+    def forward(self, images: Tensor, depths: Tensor, K: Tensor, adjusted: bool = True) -> Prediction:
         """The prediction; its unit is that of `depths` where there are any.
 
         Args:
             images: (B, V, 3, H, W) RGB 0..1.
             depths: (B, V, H, W) metres, 0 where unknown.
             K: (B, V, 3, 3) pixels; all zero where unknown.
+            adjusted: whether scenes without depth are adjusted to their matches; the loss is that of what the network
+                says itself.
         """
         b, v, _, h, w = images.shape
         there = (depths > 0).float()
@@ -139,12 +144,32 @@ class PointmapNet(nn.Module):
         z = trust * relative + (1 - trust) * (log_z[:, :, 0] + 0.7 * (1 - there.amax((1, 2, 3)))[:, None, None, None])
         rays, z = (base + delta).permute(0, 1, 3, 4, 2), z + unit[:, None, None, None]
         matches = self._matches(patches.unflatten(0, (b, v)))
-        with torch.no_grad():  # matches and points have losses of their own
-            middle = (slice(PATCH // 2, None, PATCH),) * 2
-            far = z[:, :, *middle].exp()[..., None]
-            points = torch.cat([rays[:, :, *middle] * far, far], -1).flatten(2, 3)
-            R, t = poses.solve(points, matches[..., :-1].exp())
-        return Prediction(rays, z, log_error[:, :, 0], R, t, matches)
+        found = Prediction(rays, z, log_error[:, :, 0], *self._poses(rays, z, matches), matches)
+        return self._adjusted(found, depths) if adjusted else found
+
+    @staticmethod
+    @torch.no_grad()
+    def _poses(rays: Tensor, z: Tensor, matches: Tensor) -> tuple[Tensor, Tensor]:
+        """By the middles of patches; without gradients, for matches and points have losses of their own."""
+        far = z[:, :, *MIDDLE].exp()[..., None]
+        points = torch.cat([rays[:, :, *MIDDLE] * far, far], -1).flatten(2, 3)
+        with torch.autocast(z.device.type, enabled=False):
+            return poses.solve(points, matches[..., :-1].exp())
+
+    @staticmethod
+    def _adjusted(found: Prediction, depths: Tensor) -> Prediction:
+        """Scenes without sensor depth: depth and poses in one adjustment. What a sensor measured is better."""
+        h, w = depths.shape[-2:]
+        blind = 1 - (depths > 0).to(depths.dtype).amax((1, 2, 3))
+        rays, log_z = found.rays[:, :, *MIDDLE].flatten(2, 3), found.log_z[:, :, *MIDDLE].flatten(2)
+        with torch.no_grad(), torch.autocast(depths.device.type, enabled=False):
+            expected = REFERENCE * found.log_error.clamp(-4, 4).exp().mean((2, 3)) * blind[:, None]
+            matches, grid = found.matches[..., :-1].exp(), (h // PATCH, w // PATCH)
+            weights, R, t = bundle.adjust(rays, log_z, expected, matches, found.R, found.t, grid)
+            added = bundle.correction(weights, h, w)
+        seen = 1 - blind[:, None, None]
+        R, t = R + seen[..., None] * (found.R - R), t + seen * (found.t - t)
+        return replace(found, log_z=found.log_z + added, R=R, t=t)
 
     @staticmethod
     def _directions(K: Tensor, h: int, w: int) -> tuple[Tensor, Tensor]:

@@ -85,11 +85,12 @@ def _motion(x: Tensor, y: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
     # Every column is a multiple of the eigenvector: the longest has the least rounding.
     size = M.diagonal(dim1=-2, dim2=-1)
     q = (M * (size == size.amax(-1, keepdim=True))[..., None, :]).sum(-1)
-    R = _matrix(q / q.square().sum(-1, keepdim=True).sqrt().clamp(min=TINY))
+    R = matrix(q / q.square().sum(-1, keepdim=True).sqrt().clamp(min=TINY))
     return R, mx - (R @ my[..., None])[..., 0]
 
 
-def _matrix(q: Tensor) -> Tensor:
+def matrix(q: Tensor) -> Tensor:
+    """(..., 3, 3) rotation of a unit quaternion (..., 4), w first."""
     w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),

@@ -1,6 +1,7 @@
 """The state of training on disk: pieces small enough to be carried, an index that names them, read without code.
 
-    python -m training.pointmap.state run --out training/pointmap/latest      keep of a whole state the weights
+    python -m training.pointmap.state run --out training/pointmap/latest    keep of a whole state the weights
+    python -m training.pointmap.state pointmap.onnx --out start             an exported file, for machines without onnx
 
 Two ways of keeping it. `weights`: in half precision only, which is all that the network that ships needs; going on
 from it, the optimiser's moments are gathered again while the learning rate warms up. `all`: weights in full and the
@@ -122,6 +123,13 @@ def load(folder: Path) -> State:
     return State(net, step, views, minutes, moments)
 
 
+def any_of(path: Path) -> State:
+    """The state in a folder, or in a file that `export` wrote."""
+    from training.pointmap import shipped
+
+    return shipped.load(path) if path.suffix == ".onnx" else load(path)
+
+
 def restore(state: State, optimiser: torch.optim.Optimizer) -> bool:
     """Give an optimiser of `state.net` its moments back; False where they were not kept."""
     if not state.optimiser:
@@ -142,11 +150,11 @@ def _parameters(net: nn.Module) -> list[tuple[str, torch.Tensor]]:
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("state", type=Path, help="folder of a state")
+    parser.add_argument("state", type=Path, help="folder of a state, or an exported .onnx file")
     parser.add_argument("--out", type=Path, required=True)
     o = parser.parse_args()
     try:
-        files = save(o.out, load(o.state), None, "weights")
+        files = save(o.out, any_of(o.state), None, "weights")
     except RealsimError as error:
         print(error.render(), file=sys.stderr)
         sys.exit(2)

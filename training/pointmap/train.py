@@ -25,7 +25,7 @@ import torch.distributed as dist
 from torch import Tensor
 
 from realsim.errors import RealsimError
-from training.pointmap import loss, shipped, state
+from training.pointmap import loss, state
 from training.pointmap.draw import Draw
 from training.pointmap.layouts import library
 from training.pointmap.network import PATCH, SHAPES, PointmapNet, count
@@ -215,7 +215,7 @@ def train(o: Options, rank: Rank) -> state.State:
 def _begin(o: Options) -> state.State:
     if o.resume is None:
         return state.State(PointmapNet(SHAPES[o.shape]))
-    return shipped.load(o.resume) if o.resume.suffix == ".onnx" else state.load(o.resume)
+    return state.any_of(o.resume)
 
 
 def _groups(net: PointmapNet, decay: float) -> list[dict]:
@@ -232,7 +232,7 @@ def _step(run: Any, batch: Batch, draw: Draw) -> dict[str, Tensor]:
     for p in run.parameters():
         p.grad = None
     with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
-        out = run(batch.images, batch.sensor, K)
+        out = run(batch.images, batch.sensor, K, adjusted=False)
     parts = loss.terms(out, batch)
     value = loss.total(parts)
     value.backward()

@@ -1,0 +1,94 @@
+"""Depth and poses by the matches: right where they are, for any order of views and any unit, no more than told."""
+
+from __future__ import annotations
+
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from hypothesis import assume, given, settings  # noqa: E402
+from hypothesis import strategies as st  # noqa: E402
+
+from tests.pointmap.test_pointmap_poses import off, seen  # noqa: E402
+from training.pointmap import bundle, loss, poses  # noqa: E402
+from training.pointmap.layouts import library  # noqa: E402
+from training.pointmap.network import TINY, PointmapNet  # noqa: E402
+from training.pointmap.scenes import Generator  # noqa: E402
+
+GRID = (5, 8)
+
+
+def wrong(seed: int, views: int, lost: float = 0.0) -> tuple[torch.Tensor, ...]:
+    """(rays, log z with an error of each view's scale, that error, matches, R, t)."""
+    points, matches, R, t = seen(seed, views, lost)
+    assume(bool((points[..., 2] > 0.3).all()))
+    error = 0.1 * torch.randn(1, views, generator=torch.Generator().manual_seed(seed + 1))
+    error = error - error.mean()
+    return points[..., :2] / points[..., 2:], points[..., 2].log() + error[..., None], error, matches, R, t
+
+
+def solved(
+    rays: torch.Tensor, log_z: torch.Tensor, matches: torch.Tensor, expected: float = 0.1
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """(what is added to log z (B, V, N), R, t)."""
+    z = log_z.exp()[..., None]
+    begun = poses.solve(torch.cat([rays * z, z], -1), matches)
+    weights, R, t = bundle.adjust(rays, log_z, torch.full(log_z.shape[:2], expected), matches, *begun, GRID)
+    return bundle.correction(weights, *GRID).flatten(2), R, t
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 10**6), st.integers(2, 8))
+def test_perfect_matches_give_scales_and_poses(seed: int, views: int) -> None:
+    rays, log_z, error, matches, R, t = wrong(seed, views)
+    added, R_found, t_found = solved(rays, log_z, matches)
+    left = error[..., None] + added
+    left = left - left.mean()
+    assert float(left.abs().mean()) < 0.2 * float(error.abs().mean()) + 0.005
+    size = float((error[..., None] + added).mean().exp())
+    assert off((R_found, t_found / size), R, t) < 0.05
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10**6))
+def test_a_fifth_of_wrong_matches_leaves_most_of_it(seed: int) -> None:
+    rays, log_z, error, matches, _, _ = wrong(seed, 4, lost=0.2)
+    left = error[..., None] + solved(rays, log_z, matches)[0]
+    assert float((left - left.mean()).abs().mean()) < 0.5 * float(error.abs().mean()) + 0.01
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10**6), st.permutations(range(4)), st.floats(0.1, 10))
+def test_order_and_unit_change_nothing_else(seed: int, order: list[int], unit: float) -> None:
+    rays, log_z, _, matches, _, _ = wrong(seed, 4)
+    a, R, t = solved(rays, log_z, matches)
+    shift = torch.tensor(unit).log()
+    b, R_other, t_other = solved(rays[:, order], log_z[:, order] + shift, matches[:, order][:, :, order])
+    torch.testing.assert_close(b, a[:, order], atol=5e-3, rtol=0)
+    first, other = loss.relative(R[:, order], t[:, order]), loss.relative(R_other, t_other / unit)
+    for x, y in zip(first, other, strict=True):
+        torch.testing.assert_close(x, y, atol=1e-2, rtol=0)
+
+
+def test_nothing_is_corrected_without_doubt_or_without_matches() -> None:
+    rays, log_z, _, matches, _, _ = wrong(7, 3)
+    assert float(solved(rays, log_z, matches, expected=0.0)[0].abs().max()) == 0
+    added, R, t = solved(rays, log_z, 0 * matches)
+    assert float(added.abs().max()) < 1e-6
+    torch.testing.assert_close(R, torch.eye(3).expand_as(R), atol=1e-4, rtol=0)
+    torch.testing.assert_close(t, torch.zeros_like(t), atol=1e-4, rtol=0)
+
+
+def test_what_a_sensor_measured_stays() -> None:
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+    net, batch = PointmapNet(TINY), Generator(library(4, 3), 5, samples=1).batch(2, 4, 3, (32, 48))
+    seeing = (batch.sensor > 0).flatten(1).any(1)
+    assert seeing.any()
+    assert not seeing.all()
+    with torch.no_grad():
+        a, b = (net(batch.images, batch.sensor, batch.K, adjusted=x) for x in (True, False))
+    for name in ("log_z", "R", "t"):
+        x, y = getattr(a, name), getattr(b, name)
+        torch.testing.assert_close(x[seeing], y[seeing], atol=1e-5, rtol=1e-5)
+        assert float((x - y)[~seeing].abs().max()) > 1e-4
