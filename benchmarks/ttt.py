@@ -228,7 +228,7 @@ def judged(file: Path, test: str, options: Options, *, robust: bool = True) -> R
 
 
 def table(rows: list[Row], base: str = "") -> list[str]:
-    """Success by test, a column a policy; in each cell iterations to 97 %. Of one base, the last one if not given."""
+    """Success by test, a column a policy, with iterations to 97 % and in all. Of the last base, if none is given."""
     base = base or (rows[-1]["base"] if rows else "")
     rows = [r for r in rows if r["base"] == base]
     columns = sorted({(r["method"], r["source"], r["strategy"], r["minutes"]) for r in rows})
@@ -254,7 +254,8 @@ def _cell(row: Row | None) -> str:
     if "won_robust" in row:
         text += f" (robust {100 * row['won_robust'] / row['trials']:.1f} %)"
     if row["method"] != "base":
-        text += f", 97 % after {row['to_target']}" if row.get("to_target") is not None else ", 97 % not reached"
+        reached = "not reached" if row.get("to_target") is None else f"after {row['to_target']}"
+        text += f", 97 % {reached} of {row['iterations']}"
     return text
 
 
