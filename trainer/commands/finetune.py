@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 RAISED = FloorConfig(share=0.7, difficulty=0.0, seconds=30.0)
 """For a terrain on which the base never succeeds. The share is that of the base's own training (training/g1); the floor
-sinks over some 60 iterations. On `stake2`, five minutes on a GPU, it made 84 instead of 39 % (training/g1/README.md)."""
+sinks over some 60 iterations. On `stake2` five minutes on a GPU gave 84 instead of 39 % (training/g1/README.md)."""
 ALONG = 0.3
 """Share of episodes that begin along such a course, as in the base's own training."""
 
