@@ -69,20 +69,12 @@ def test_a_window_slides_to_where_the_push_was(quadruped: Case) -> None:  # noqa
     assert found["end"] == pytest.approx(1.3, abs=0.05)
 
 
-def test_slopes_are_not_taken_anew_where_a_law_makes_every_step_much_finer(
-    quadruped: Case,  # noqa: F811
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    with fitter_for(logged(quadruped, []), ("coulomb_friction", "stribeck_friction")) as fitter:
-        taken = []
-        monkeypatch.setattr(fitter.screen, "relinearise", lambda settings: taken.append(settings[0][0]))
-        dip = next(c for c in fitter.screen.candidates if c.effect == "stribeck_friction" and len(c.names) == 3)
-        values = {"static_friction": 2.0, "coulomb": 0.5, "stribeck_velocity": 0.02}
-        narrow = fitter.looked_at(fitter.nominal(), [Cause(dip, tuple(values[n] for n in dip.names))])
-        assert narrow is not None
-        for fit in (narrow, at(fitter, "coulomb_friction", "fl_calf", 1.0)):
-            fitter.prepared(fit)
-    assert taken == ["coulomb_friction"]
+def test_beside_causes_that_leave_no_gap_nothing_is_simulated_on_a_guess(quadruped: Case) -> None:  # noqa: F811
+    higher = ("terrain_height", ("block_2",), {"height": 0.015})
+    with fitter_for(logged(logged(quadruped, []), [higher]), ("terrain_height", "ground_friction")) as fitter:
+        for height, proposed in ((0.015, False), (-0.01, True)):
+            there = fitter.reweighted(at(fitter, "terrain_height", "block_2", height))
+            assert any(by_simulation(fitter, there)) == proposed
 
 
 def test_a_height_is_found_short_of_one_at_which_the_foot_meets_other_ground(quadruped: Case) -> None:  # noqa: F811

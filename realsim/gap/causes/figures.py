@@ -74,9 +74,6 @@ PACES = 6.0
 SWITCHED = 0.5
 """Share of the weighted squares that may stay for the solver's other friction cone, which has no slope; beside causes
 it must bring NEAR nats. Set on generated quadrupeds."""
-TOO_LONG = 25
-"""Driven joints, times how much finer a law makes the time step, from which on slopes are taken at the nominal model
-only. Budget: of G1 they take as long as all the rest."""
 LEVER = 0.3
 """Metres off a body's centre of mass within which a payload is looked for; it may shift that centre by a tenth of it.
 Not tuned."""

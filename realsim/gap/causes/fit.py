@@ -32,17 +32,16 @@ class Fitter(GaussNewton):
         The discrepancy between robot and model is estimated with each set. Else a large gap would be fitted by absurd
         values of many nuisance parameters, since sensors are so precise that their prior does not count.
         """
-        screen, simulator, context = self.screen, self.screen.simulator, self.screen.simulator.context
+        screen, simulator = self.screen, self.screen.simulator
         settings, self.about = fit.settings(), fit.about
-        if fit.causes:
-            if not simulator.onsets:  # a lasting cause drowns a push until it is known
-                simulator.onsets = find_onsets(screen.comparison, simulator.simulate(settings), screen.runs)
-            finer = context.timestep / simulator.edited(settings).spec.option.timestep
-            if len(context.driven) * finer < figures.TOO_LONG:
-                screen.relinearise(settings)
-            fit = self.with_likelier_solver(self.remeasure(fit))
+        if fit.causes and not simulator.onsets:  # a lasting cause drowns a push until it is known
+            simulator.onsets = find_onsets(screen.comparison, simulator.simulate(settings), screen.runs)
         fit = self.reweighted(fit)
-        return self.with_deviations(fit) if context.touches or is_gap(leftover(screen, fit)) else fit
+        if fit.causes and is_gap(leftover(screen, fit)):  # a small rest, the slopes that are there describe
+            if not any(lookup(c.candidate.effect).stiff for c in fit.causes):  # each slope at many times the steps
+                screen.relinearise(settings)
+            fit = self.reweighted(self.with_likelier_solver(self.remeasure(fit)))
+        return self.with_deviations(fit) if simulator.context.touches or is_gap(leftover(screen, fit)) else fit
 
     def nominal(self) -> Fit:
         """No cause at all."""

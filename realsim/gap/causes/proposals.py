@@ -60,7 +60,9 @@ def by_window(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
 
 def by_simulation(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     """One more cause: what no slope foretells (whether a foot meets other ground, whether a drive saturates), looked at
-    by simulation at a few sizes."""
+    by simulation at a few sizes. What stays beside a cause and is no gap has none of these in it."""
+    if here.causes and not is_gap(leftover(fitter.screen, here)):
+        return
     abrupt: dict[str, list[tuple[Candidate, F64]]] = {}
     for _, c, estimate in ranked(fitter.screen, here):
         effect = lookup(c.effect)
@@ -115,10 +117,11 @@ def by_slopes_instead(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
 
 
 def by_simulation_instead(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
-    """Another cause in the place of each, by simulation: where feet slip and land, slopes foretell little, and what
-    sets a foot higher (the ground, an encoder) looks like the other until it is simulated."""
+    """Another cause in the place of each of several, by simulation: where feet slip and land, slopes foretell little,
+    and what sets a foot higher (the ground, an encoder) looks like the other until it is simulated. In the place of a
+    single one, all were looked at when it was added."""
     screen = fitter.screen
-    if not screen.simulator.context.touches:
+    if not screen.simulator.context.touches or len(here.causes) < 2:
         return
     gap = is_gap(leftover(screen, here))
     for i, cause in enumerate(here.causes):
