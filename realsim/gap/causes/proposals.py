@@ -153,7 +153,7 @@ def ranked(screen: Screen, here: Fit) -> list[Scored]:
         ):
             continue  # a law that contains one of the causes takes its place: see `by_effect`
         size = slab(candidate)
-        scored = [(*log_evidence(A, b, candidate.directions, size)[:2], misfit - least) for A, b, misfit in about]
+        scored = [(*log_evidence(A, b, candidate.directions, size), misfit - least) for A, b, misfit in about]
         gain, estimate = max(((gain - behind, estimate) for gain, estimate, behind in scored), key=lambda g: g[0])
         found.append((gain, candidate, estimate))
     return sorted(found, key=lambda item: -item[0])

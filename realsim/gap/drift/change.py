@@ -77,7 +77,7 @@ class Joint:
         for candidate in self.screen.candidates:
             if any((candidate.effect, q) in taken for q in candidate.places):
                 continue
-            gain, estimate, _ = log_evidence(A[p:, p:], b[p:], candidate.directions, slab(candidate))
+            gain, estimate = log_evidence(A[p:, p:], b[p:], candidate.directions, slab(candidate))
             found.append((gain, candidate, estimate))
         return sorted(found, key=lambda item: -item[0])
 
