@@ -96,14 +96,14 @@ def test_slopes_are_taken_anew_only_beside_causes_that_move_the_robot_otherwise(
         assert bool(looks) == bool(anew), causes
 
 
-def test_slopes_are_taken_anew_where_a_gap_stays_and_no_law_is_stiff(fitter: Fitter, monkeypatch) -> None:
+def test_slopes_are_taken_anew_beside_causes_unless_a_law_is_stiff(fitter: Fitter, monkeypatch) -> None:
     taken: list[float] = []
     monkeypatch.setattr(fitter.screen, "relinearise", lambda settings: taken.extend(settings[0][2].values()))
     for cause in (*(_cause(fitter, "motor_gain", value) for value in (-0.2, 0.2)), _cause(fitter, "backlash", 0.05)):
         fit = fitter.looked_at(fitter.nominal(), [cause])
         assert fit is not None
         fitter.prepared(fit)
-    assert taken == [0.2]
+    assert taken == [-0.2, 0.2]
 
 
 def test_what_only_reads_otherwise_is_not_simulated_again(fitter: Fitter, monkeypatch) -> None:

@@ -37,7 +37,8 @@ class Fitter(GaussNewton):
         if fit.causes and not simulator.onsets:  # a lasting cause drowns a push until it is known
             simulator.onsets = find_onsets(screen.comparison, simulator.simulate(settings), screen.runs)
         fit = self.reweighted(fit)
-        if fit.causes and is_gap(leftover(screen, fit)):  # a small rest, the slopes that are there describe
+        # Where feet touch, deviations are simulated: beside them, the slopes that are there describe a small rest.
+        if fit.causes and (not simulator.context.touches or is_gap(leftover(screen, fit))):
             if not any(lookup(c.candidate.effect).stiff for c in fit.causes):  # each slope at many times the steps
                 screen.relinearise(settings)
             fit = self.reweighted(self.with_likelier_solver(self.remeasure(fit)))
