@@ -6,9 +6,7 @@ import numpy as np
 
 from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fit, Fitter
-from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.screen import Screen
-from realsim.gap.simulation.nuisances import MANY_JOINTS
 from realsim.gap.simulation.simulate import lookup
 
 Held = tuple[float, float]
@@ -43,16 +41,9 @@ def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | N
     if gain < least:
         found.append(f"gains {gain:.1f} nats, must gain {least:.1f}")
     held = left_out(fitter, before, after)
-    if held is not None and not (_holds(*held) or _harmless(fitter, before, *held)):
+    if held is not None and not _holds(*held):
         found.append("does not hold on runs left out in turn")
     return found, held
-
-
-def _harmless(fitter: Fitter, before: Fit, mean: float, error: float) -> bool:
-    """Whether it is enough that runs left out do not lose: where nuisance parameters explain the fitted runs, they
-    explain the others too. Many joints have too many of them for the score to decide alone."""
-    few = len(fitter.screen.simulator.case.joint_names) < MANY_JOINTS
-    return few and mean > -error and not is_gap(leftover(fitter.screen, before))
 
 
 def left_out(fitter: Fitter, before: Fit, after: Fit) -> Held | None:
