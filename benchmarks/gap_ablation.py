@@ -1,11 +1,11 @@
 """What each part of the engine is worth: the same cases with and without it, paired, by McNemar's exact test.
 
     python benchmarks/gap_ablation.py make --cases 100 --seed 11 --jobs 16
-    python benchmarks/gap_ablation.py run --without realsim.gap.causes.proposals:by_likeness --jobs 16 --minutes 9
+    python benchmarks/gap_ablation.py run --without realsim.gap.causes.proposals:by_window --jobs 16 --minutes 9
     python benchmarks/gap_ablation.py score
 
 `run` diagnoses with the full engine and once without each function given (it proposes nothing then), with another
-figure in its place (`--without realsim.gap.causes.figures:SHARPEST=1.0`), or with other settings
+figure in its place (`--without realsim.gap.causes.figures:TIMES=1.0`), or with other settings
 (`--with max_causes=1`). `score` compares case by case: a case is right if the verdict is, and with it the
 cause where there is one. Rules that every diagnosis reports beside its own answer (the largest fit of a single cause)
 are compared by the first cause. No other engine's answers are taken in.

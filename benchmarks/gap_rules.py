@@ -24,7 +24,7 @@ def first_choices(screen: Screen, selection: Selection) -> dict[str, Any]:
     single = [t for t in selection.trials if t.stage == 0 and t.gain is not None]
     if single:
         best = max(single, key=lambda t: t.gain or 0.0)
-        found["largest single-effect fit"] = _named(best.effect, best.place)
+        found["largest single-effect fit"] = _named(best.candidate.effect, best.candidate.place)
     effects = [i for i, a in enumerate(screen.atoms) if a.effect in EFFECTS]
     if not effects:  # none of those asked for can act on this robot
         return {"baselines": found}

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -131,6 +132,17 @@ class Comparison:
             self.weights[i][self._counts[i] == 0] = 0.0
         self.version += 1
 
+    @contextmanager
+    def allowing(self, detail: F64) -> Iterator[None]:
+        """Errors in here count against slow structure of this size, (C,)."""
+        kept = self.weights
+        self.set_detail([detail for _ in kept])
+        try:
+            yield
+        finally:
+            self.weights = kept
+            self.version += 1
+
     def temper(self, runs: Sequence[int], simulated: Sequence[F64], nominal: Sequence[F64], form: float) -> None:
         """Weigh errors against the gap that is still there: a model that explains most of it is good enough for now.
 
@@ -145,11 +157,6 @@ class Comparison:
             left = TEMPER * self._local(np.nan_to_num(self.residual(run, y)))
             detail[run] = np.sqrt(self.noise.detail**2 + left**2 + self._form[run] ** 2)
         self.set_detail(detail)
-
-    def sharpen(self, share: float) -> None:
-        """Weigh errors against what the causes and small deviations leave, where that is less than was allowed for."""
-        self.weights = [w / share for w in self.weights]
-        self.version += 1
 
     def _local(self, values: F64) -> F64:
         """(B, C) root mean square over about a second."""

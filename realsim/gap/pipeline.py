@@ -169,7 +169,7 @@ def _assemble(
             "runs": list(checked.runs),
             "unseen": checked.unseen,
             "kind": checked.kind,
-            "per_signal": {s.signal: s.as_dict() for s in checked.signals},
+            "per_signal": checked.signals,
             "per_horizon": by_horizon(arrays.shots),
         },
         unexplained_share=checked.unexplained if gap else 0.0,

@@ -9,7 +9,7 @@ import pytest
 
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
 from realsim.gap.causes.fit import Cause, Fitter
-from realsim.gap.causes.proposals import by_effect, by_likeness, by_widening
+from realsim.gap.causes.proposals import by_effect, by_slopes_instead
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import _richer
 from realsim.gap.compare import Comparison
@@ -38,7 +38,7 @@ def test_a_law_that_contains_another_is_compared_with_it_both_ways(arm: Case) ->
     (plain,) = (c for c in others if c.candidate.effect == "coulomb_friction")
     assert plain.candidate.places == full.places
     assert plain.values == (0.4,)
-    (back,) = by_widening(fitter, replace(fitter.nominal(), causes=(plain,)))
+    (back,) = by_effect(fitter, replace(fitter.nominal(), causes=(plain,)))
     assert back.causes[0].candidate.key == full.key
     assert back.causes[0].named["coulomb"] == 0.4
 
@@ -124,5 +124,5 @@ def test_what_small_deviations_make_up_for_is_no_difference(arm: Case) -> None:
         )
         fit = fitter.fit([Cause(lighter, (-0.3,))])
         assert fit is not None
-        rivals = [p.causes[-1].candidate for p in by_likeness(fitter, fit)]
+        rivals = [p.causes[-1].candidate for p in by_slopes_instead(fitter, fit)]
     assert ("com_offset", ("upper",)) in [(c.effect, c.place) for c in rivals]

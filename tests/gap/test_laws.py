@@ -64,7 +64,7 @@ def test_joints_that_share_a_limit_share_the_figure(made) -> None:
     with Simulator(load_case(made("nothing", Truth())), DiagnoseConfig(threads=1)) as simulator:
         peaks = simulator.context.peak_torque
         assert peaks["shoulder"] > 1.3 * peaks["elbow"]
-        both = Candidate("torque_limit", (("shoulder",), ("elbow",)), ("limit",), np.zeros((0, 1)), ("limit",))
+        both = Candidate("torque_limit", (("shoulder",), ("elbow",)), (), np.zeros((0, 1)), ("limit",))
         edit = simulator.edited(both.settings({"limit": 0.6}))
         (limit,) = EFFECTS["torque_limit"].parameters(simulator.context, both.place)
         ranges = [edit.spec.actuator(simulator.context.actuator[j]).forcerange[1] for j in ("shoulder", "elbow")]

@@ -16,11 +16,9 @@ from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
 from realsim.gap.causes.fit import Cause, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.linear import log_evidence, marginal
-from realsim.gap.causes.probes import probed, probed_footing, probed_ground
-from realsim.gap.causes.proposals import _alike, by_size, ranked
+from realsim.gap.causes.proposals import by_simulation
 from realsim.gap.causes.screen import Screen, slab
 from realsim.gap.causes.starts import starts
-from realsim.gap.causes.windows import adjusted, at_other_bodies
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
@@ -104,10 +102,10 @@ def test_the_block_that_is_lower_is_found_though_no_slope_points_there(quadruped
         comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
         screen = Screen(simulator, comparison, range(len(case.runs)), ("terrain_height",))
         fitter = Fitter(screen)
-        (gain, candidate, start), *_ = probed_ground(screen, fitter, fitter.nominal(), screen.candidates)
-    assert gain > 100
-    assert candidate.place == ("block_2",)
-    assert start == {"height": pytest.approx(-0.02)}
+        proposal = next(by_simulation(fitter, fitter.nominal()))
+    assert proposal.foretold > 100
+    assert proposal.causes[0].candidate.place == ("block_2",)
+    assert proposal.causes[0].named == {"height": pytest.approx(-0.02)}
 
 
 @pytest.mark.slow
@@ -118,10 +116,11 @@ def test_an_encoder_that_sets_a_foot_higher_is_found_though_no_slope_points_ther
         comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
         screen = Screen(simulator, comparison, range(len(case.runs)), ("joint_offset", "terrain_height"))
         fitter = Fitter(screen)
-        (gain, candidate, start), *_ = probed_footing(screen, fitter, fitter.nominal(), screen.candidates)
-    assert gain > 100
-    assert (candidate.effect, candidate.place) == ("joint_offset", ("fl_calf",))
-    assert start == {"offset": pytest.approx(-0.06, rel=0.5)}
+        proposals = list(by_simulation(fitter, fitter.nominal()))
+    best = max((p for p in proposals if p.causes[0].candidate.effect == "joint_offset"), key=lambda p: p.foretold)
+    assert best.foretold > 100
+    assert best.causes[0].candidate.place == ("fl_calf",)
+    assert best.causes[0].named == {"offset": pytest.approx(-0.06, rel=0.5)}
 
 
 def test_a_robot_that_does_not_stand_has_no_footing(arm: Case) -> None:
@@ -129,36 +128,7 @@ def test_a_robot_that_does_not_stand_has_no_footing(arm: Case) -> None:
         comparison = Comparison(arm, simulator.channels, simulator.simulate(), CONFIG)
         screen = Screen(simulator, comparison, range(len(arm.runs)), ("joint_offset",))
         fitter = Fitter(screen)
-        assert not probed_footing(screen, fitter, fitter.nominal(), screen.candidates)
-
-
-def test_where_slopes_say_little_the_right_body_is_found_by_simulation(arm: Case) -> None:
-    case = logged(arm, [("com_offset", ("upper",), {"z": 0.04})])
-    with Simulator(case, CONFIG) as simulator:
-        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
-        screen = Screen(
-            simulator, comparison, range(len(case.runs)), ("com_offset", "motor_gain", "torque_speed_limit")
-        )
-        fitter = Fitter(screen)
-        probes = probed(screen, fitter, fitter.nominal(), screen.candidates)
-    (gain, candidate, start), *others = probes
-    assert (candidate.effect, candidate.place, start) == ("com_offset", ("upper",), {"z": pytest.approx(0.04, rel=0.5)})
-    assert all(gain > g + 10 for g, _, _ in others)
-    assert len({c.effect for _, c, _ in probes}) == len(probes)
-
-
-def test_a_rival_that_does_nothing_where_errors_count_is_no_rival(arm: Case) -> None:
-    with Simulator(arm, CONFIG) as simulator:
-        comparison = Comparison(arm, simulator.channels, simulator.simulate(), CONFIG)
-        screen = Screen(simulator, comparison, range(len(arm.runs)), ("stiffness_gain", "motor_gain"))
-        fitter = Fitter(screen)
-        fit = fitter.nominal()
-        ours = next(c for c in screen.candidates if c.effect == "stiffness_gain" and c.place == ("shoulder",))
-        idle = [i for i, atom in enumerate(screen.atoms) if atom.effect == "motor_gain"]
-        for A in fit.evidence.A:
-            A[idle, :] = A[:, idle] = 0.0
-        here = replace(fit, causes=(Cause(ours, (0.1,)),))
-        assert all(c.candidate.effect != "motor_gain" for c in _alike(fitter, here, here.causes[0]))
+        assert not list(by_simulation(fitter, fitter.nominal()))
 
 
 @pytest.mark.slow
@@ -167,6 +137,7 @@ def test_a_rival_that_does_nothing_where_errors_count_is_no_rival(arm: Case) -> 
     [
         ("joint_offset", ("fl_hip",), {"offset": -0.07}),
         ("ground_friction", (), {"ratio": -0.8}),
+        ("terrain_tilt", (), {"roll": 0.05, "pitch": 0.03}),
     ],
 )
 def test_a_gross_cause_is_found_by_simulation_though_small_deviations_imitate_it(
@@ -179,66 +150,11 @@ def test_a_gross_cause_is_found_by_simulation_though_small_deviations_imitate_it
             simulator, comparison, range(len(case.runs)), (effect, "com_offset", "motor_gain", "external_force")
         )
         fitter = Fitter(screen)
-        (gain, candidate, start), *_ = probed(screen, fitter, fitter.nominal(), screen.candidates)
-    assert (candidate.effect, candidate.place) == (effect, place)
-    assert gain > 50
-    (found,) = start.values()
-    (true,) = values.values()
-    assert 0.25 < found / true < 2
-
-
-@pytest.mark.slow
-def test_a_gross_tilt_promises_most_by_itself_though_small_deviations_imitate_it(quadruped: Case) -> None:
-    case = logged(logged(quadruped, []), [("terrain_tilt", (), {"roll": 0.05, "pitch": 0.03})])
-    with Simulator(case, CONFIG) as simulator:
-        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
-        screen = Screen(
-            simulator, comparison, range(len(case.runs)), ("terrain_tilt", "terrain_height", "joint_offset")
-        )
-        fitter = Fitter(screen)
-        nominal = fitter.nominal()
-        promised = ranked(screen, nominal)[0][0]
-        (proposal, *_) = by_size(fitter, nominal)
-        beside = [p.causes[-1].candidate.effect for p in by_size(fitter, replace(nominal, causes=proposal.causes))]
-    assert "terrain_tilt" not in beside
-    assert proposal.foretold > 10 * promised
-    (cause,) = proposal.causes
-    assert cause.candidate.effect == "terrain_tilt"
-    assert cause.named["roll"] > 0.02
-
-
-@pytest.mark.slow
-def test_a_window_slides_to_where_the_push_was(quadruped: Case) -> None:
-    push = {"fx": 0.0, "fy": 0.0, "fz": -30.0}
-    case = logged(logged(quadruped, []), [("external_force", ("trunk",), push | {"start": 0.6, "end": 1.3})])
-    with Simulator(case, CONFIG) as simulator:
-        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
-        screen = Screen(simulator, comparison, range(len(case.runs)), ("external_force",))
-        fitter = Fitter(screen)
-        names = (*push, "start", "end")
-        trunk = next(c for c in screen.candidates if c.place == ("trunk",) and c.names == tuple(push))
-        late = Cause(replace(trunk, names=names), (*push.values(), 0.85, 1.5))
-        found = adjusted(fitter, fitter.remeasure(replace(fitter.nominal(), causes=(late,)))).causes[0].named
-    assert found["start"] == pytest.approx(0.6, abs=0.05)
-    assert found["end"] == pytest.approx(1.3, abs=0.05)
-
-
-@pytest.mark.slow
-def test_a_push_taken_for_one_at_the_hip_is_carried_to_the_trunk(quadruped: Case) -> None:
-    push = {"fx": 0.0, "fy": 15.0, "fz": 0.0}
-    case = logged(logged(quadruped, []), [("external_force", ("trunk",), push | {"start": 0.6, "end": 1.3})])
-    with Simulator(case, CONFIG) as simulator:
-        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
-        screen = Screen(simulator, comparison, range(len(case.runs)), ("external_force",))
-        fitter = Fitter(screen)
-        hip = next(c for c in screen.candidates if c.place[0].endswith("hip_link") and c.names == tuple(push))
-        weaker = Cause(replace(hip, names=(*push, "start", "end")), (0.0, 9.0, 0.0, 0.6, 1.3))
-        wrong = fitter.remeasure(replace(fitter.nominal(), causes=(weaker,)))
-        found = min(
-            (adjusted(fitter, f) for f in at_other_bodies(screen, fitter, wrong)), key=lambda f: f.misfit
-        ).causes[0]
-    assert found.candidate.place == ("trunk",)
-    assert found.named["fy"] == pytest.approx(15.0, rel=0.1)
+        best = max(by_simulation(fitter, fitter.nominal()), key=lambda p: p.foretold)
+    (cause,) = best.causes
+    assert (cause.candidate.effect, cause.candidate.place) == (effect, place)
+    assert best.foretold > 50
+    assert all(0.25 < cause.named[name] / true < 2 for name, true in values.items())
 
 
 @pytest.mark.slow
@@ -269,9 +185,9 @@ def recover(name: str, case: Case) -> None:
         nominal = fitter.nominal()
         candidate = next(c for c in screen.candidates if c.place == place and c.names[0] == first.name)
         A, b, _ = marginal(nominal.evidence, nominal.prior)
-        estimate = log_evidence(A, b, candidate.directions, slab(candidate, screen))[1]
+        estimate = log_evidence(A, b, candidate.directions, slab(candidate))[1]
         begin, *more = starts(screen, candidate, estimate)
-        fit = fitter.fit([Cause(candidate, tuple(begin))], more, rough=True, coarse=True)
+        fit = fitter.fit([Cause(candidate, tuple(begin))], more, rough=True)
         assert fit is not None
         fit = fitter.fit(fit.causes, iterations=6) or fit
         defaults = {p.name: p.default for p in effect.parameters(simulator.context, place)} | {first.name: value}

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from realsim.gap.answer.check import Check, SignalError
+from realsim.gap.answer.check import Check
 from realsim.gap.answer.sentence import advice, amount, phrase, removed, sentence
 from realsim.gap.answer.verdict import Judgement
 from realsim.gap.effects import EFFECTS
@@ -24,9 +24,10 @@ def cause(
 
 def shrunk(fraction: float = 0.83, low: float = 0.74, high: float = 0.88, kind: str = "validation") -> Check:
     """A check on which the knee was off by 51 mrad of a motion of 0.41 rad, and is by 14 mrad with the causes."""
-    knee = SignalError("joint_pos", "rad", 0.41, 0.051, 0.014, 0.002)
-    quiet = SignalError("joint_vel", "rad/s", 2.0, 0.02, 0.01, 0.03)
-    return Check(("run_05",), kind, 100.0, 100.0 * (1 - fraction), 9.0, (low, high), (knee, quiet))
+    knee = {"unit": "rad", "motion": 0.41, "rms_before": 0.051, "rms_after": 0.014, "floor": 0.002}
+    quiet = {"unit": "rad/s", "motion": 2.0, "rms_before": 0.02, "rms_after": 0.01, "floor": 0.03}
+    signals = {"joint_pos": knee, "joint_vel": quiet}
+    return Check(("run_05",), kind, 100.0, 100.0 * (1 - fraction), 9.0, (low, high), signals)
 
 
 KNEE = cause("coulomb_friction", 1.9, "N m", 1.6, 2.2, joints=["left_knee_joint"])

@@ -17,7 +17,7 @@ from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
 from realsim.gap.causes.fit import Cause, Fitter
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.linear import Evidence
-from realsim.gap.causes.proposals import by_widening
+from realsim.gap.causes.proposals import by_effect
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.search import Search
 from realsim.gap.compare import Comparison
@@ -130,19 +130,6 @@ def test_an_accelerometer_is_read_before_the_command_acts_or_after(arm: Case) ->
     assert np.linalg.norm(before, axis=1)[steps].max() < gravity + 0.3 * jump[steps].min()
 
 
-def test_an_imus_delay_gives_way_to_late_commands(arm: Case) -> None:
-    case = dataclasses.replace(arm, imu_site="wrist")
-    runs = [dataclasses.replace(r, signals=r.signals | {"imu_acc": np.zeros((len(r.time), 3))}) for r in case.runs]
-    late = logged(case.with_runs(tuple(runs)), [("command_delay", (), {"delay": 0.015})])
-    screen = screened(late, ("command_delay",))
-    fitter = Fitter(screen)
-    delay, phase = screen.index["imu_delay", (), "delay"], screen.index["imu_phase", (), "phase"]
-    fitter.about[[delay, phase]] = 0.005, 0.3
-    straight = fitter.reset_nuisances(fitter.nominal())
-    assert straight.about[delay] == 0.0
-    assert straight.about[phase] == 0.3
-
-
 def test_slopes_are_taken_anew_beside_a_cause(arm: Case) -> None:
     screen = screened(arm, ("armature", "motor_gain"))
     cause = ("motor_gain", ("shoulder",), {"ratio": -0.5})
@@ -200,7 +187,7 @@ def test_a_richer_law_takes_the_place_of_the_plain_one(arm: Case) -> None:
     of = {(c.effect, c.place, len(c.names)): c for c in screen.candidates}
     plain = fitter.fit([Cause(of["coulomb_friction", ("shoulder",), 1], (1.0,))])
     assert plain is not None
-    (proposal,) = by_widening(fitter, plain)
+    (proposal,) = by_effect(fitter, plain)
     found = fitter.fit(proposal.causes, proposal.starts)
     assert found is not None
     assert [c.candidate.effect for c in found.causes] == ["stribeck_friction"]

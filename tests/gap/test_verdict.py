@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from realsim.gap.answer.check import Check, SignalError
-from realsim.gap.answer.verdict import EXPLAINED, Fitted, judge
+from realsim.gap.answer.check import Check
+from realsim.gap.answer.verdict import Fitted, judge
+from realsim.gap.causes.figures import EXPLAINED
 from realsim.gap.verdicts import SAID, GapVerdict
 
 
@@ -17,8 +18,7 @@ def fitted(left: float = 1.0, before: float = 100.0) -> Fitted:
 
 
 def checked(fraction: float = 0.95, low: float = 0.9, beside: float = 1.2, before: float = 100.0) -> Check:
-    signal = SignalError("joint_pos", "rad", 0.4, 0.05, 0.01, 0.002)
-    return Check(("run_05",), "validation", before, before * (1 - fraction), beside, (low, 0.99), (signal,))
+    return Check(("run_05",), "validation", before, before * (1 - fraction), beside, (low, 0.99), {})
 
 
 def verdict(left: Fitted, check: Check, causes: int = 1, others: int = 0, ends: tuple[str, ...] = ()) -> GapVerdict:

@@ -31,30 +31,6 @@ KINDS = {
 
 
 @dataclass(frozen=True)
-class SignalError:
-    """One signal on the runs of the check, root mean squares in its own unit."""
-
-    signal: str
-    unit: str
-    motion: float
-    """Of the measurement about its mean: how large the motion is."""
-    before: float
-    after: float
-    floor: float
-    """What sensors and a good simulator's details leave."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """As `shrinkage.per_signal` has it."""
-        return {
-            "unit": self.unit,
-            "motion": self.motion,
-            "rms_before": self.before,
-            "rms_after": self.after,
-            "floor": self.floor,
-        }
-
-
-@dataclass(frozen=True)
 class Check:
     """Squared normalised errors on the runs of the check."""
 
@@ -69,7 +45,9 @@ class Check:
     """The same with the everyday deviations that the fitted runs make most probable."""
     ci90: tuple[float, float]
     """Of `fraction`, by a bootstrap over blocks."""
-    signals: tuple[SignalError, ...]
+    signals: dict[str, dict[str, Any]]
+    """By signal, root mean squares in its `unit`: of the `motion` about its mean, of the error before and after, and of
+    what sensors and a good simulator's details leave (`floor`)."""
     structure: float = 0.0
     """Share of what is left beside causes and deviations that a black box still predicts."""
     beside90: tuple[float, float] | None = None
@@ -193,17 +171,18 @@ def _blocks(comparison: Comparison, residuals: Sequence[F64], runs: Sequence[int
 
 def _signals(
     comparison: Comparison, runs: Sequence[int], before: Sequence[F64], after: Sequence[F64]
-) -> tuple[SignalError, ...]:
-    found = []
+) -> dict[str, dict[str, Any]]:
+    found = {}
     values = [measured(comparison.case.runs[i], comparison.channels) for i in runs]
     about = [v - np.nanmean(v, axis=0) for v in values]
     for signal in dict.fromkeys(c.signal for c in comparison.channels):
         columns = [i for i, c in enumerate(comparison.channels) if c.signal == signal]
-        motion, first, last = (_rms([r[:, columns] for r in rs]) for rs in (about, before, after))
+        sizes = {"motion": about, "rms_before": before, "rms_after": after}
         floor = float(np.sqrt(np.mean(np.concatenate([comparison.floor(i)[:, columns] for i in runs]))))
         unit = unit_of(signal, comparison.channels[columns[0]].label, comparison.case.model)
-        found.append(SignalError(signal, unit, motion, first, last, floor))
-    return tuple(found)
+        rms = {name: _rms([r[:, columns] for r in rs]) for name, rs in sizes.items()}
+        found[signal] = {"unit": unit, **rms, "floor": floor}
+    return found
 
 
 def _rms(parts: Sequence[F64]) -> float:

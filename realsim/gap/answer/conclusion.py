@@ -16,6 +16,7 @@ from realsim.errors import GapError
 from realsim.gap.answer.check import Check, check, errors, mean_square, predictable
 from realsim.gap.answer.leaveout import LeftOut, better, leave_out
 from realsim.gap.answer.verdict import Fitted, Judgement, judge
+from realsim.gap.causes import figures
 from realsim.gap.causes.fitted import Z90, Cause
 from realsim.gap.causes.leftover import is_gap, leftover, nuisance_settings
 from realsim.gap.causes.starts import contains, suggested
@@ -26,15 +27,6 @@ from realsim.gap.simulation.simulate import lookup
 from realsim.gap.verdicts import GapVerdict
 from realsim.types import F64
 
-RIVALS = 3
-"""Single causes that are compared by left-out runs beside a rest: a budget."""
-SIMPLER = 1.0
-"""Standard errors over runs by which left-out runs must gain by a cause beside others: the one-standard-error rule
-(Breiman et al., Classification and Regression Trees, 1984). A push may be in some runs only; more would drop it."""
-WORTH = 0.02
-"""Share of the left-out runs' squared error that it must remove in any case. Not tuned."""
-NOTHING = 0.01
-"""Mean square in units of the floor below which two predictions are the same. Not tuned."""
 NO_GAP_THERE = (
     "the run that was held out shows nothing of the gap, so it checks nothing: the fitted runs, each left out in turn, "
     "take its place"
@@ -76,7 +68,7 @@ def conclude(
     fit, left, others = _beside_imitations(screen, fitter, fit, left, given, notes)
     checked, warnings = _checked(config, screen, fit, selection.nominal, left, held, nominal)
     fitted = _fitted(screen, fit, nominal)
-    ends = _at_an_end(screen, fit)
+    ends = _at_an_end(fit)
     judgement = judge(fitted, checked, len(fit.causes), len(others), ends, config.unexplained_share)
     if judgement.verdict is GapVerdict.PARTLY_EXPLAINED and left is not None:
         others = _as_good(screen, fitter, selection.trials, fit, left)
@@ -107,7 +99,7 @@ def _lasting(screen: Any, fitter: Any, fit: Any, nominal: Any, notes: list[str])
             if less is None:
                 continue
             gain, error = left.gained_over(leave_out(screen, fitter, less))
-            if gain <= max(SIMPLER * error, WORTH) and (weakest is None or gain < weakest[0]):
+            if gain <= max(figures.HOLDS * error, figures.LEAST) and (weakest is None or gain < weakest[0]):
                 weakest = (gain, less, cause)
         if weakest is None:
             return fit, left
@@ -151,12 +143,10 @@ def _as_good(screen: Any, fitter: Any, trials: Sequence[Any], fit: Any, left: Le
     if len(fit.causes) != 1 or len(screen.runs) < 2:
         return []
     own = fit.causes[0].candidate
-    tried = [t for t in trials if t.stage == 0 and t.gain is not None and t.effect != own.effect]
+    tried = [t for t in trials if t.stage == 0 and t.gain is not None and t.candidate.effect != own.effect]
     found: list[Any] = []
-    for trial in sorted(tried, key=lambda t: -t.gain)[:RIVALS]:
-        same = [c for c in screen.candidates if (c.effect, c.place) == (trial.effect, trial.place)]
-        same = [c for c in same if set(c.names) == set(trial.values)]
-        rival = fitter.fit([Cause(same[0], tuple(trial.values[n] for n in same[0].names))]) if same else None
+    for trial in sorted(tried, key=lambda t: -t.gain)[: figures.PLACES]:
+        rival = fitter.fit([Cause(trial.candidate, trial.values)])
         if rival is None or _again(screen, rival, fit):
             continue
         theirs = leave_out(screen, fitter, rival)
@@ -172,7 +162,7 @@ def _again(screen: Any, rival: Any, fit: Any) -> bool:
     nothing = [screen.comparison.residual(r, y) for r, y in zip(runs, screen.nominal, strict=True)]
     for cause in rival.causes:
         alone = errors(simulator, comparison, cause.settings(), runs)
-        if alone is not None and _apart(comparison, runs, alone, nothing) < NOTHING:
+        if alone is not None and _apart(comparison, runs, alone, nothing) < figures.LEAST:
             return True
     return any(contains(c.candidate, o.candidate) for c in rival.causes for o in fit.causes)
 
@@ -192,14 +182,9 @@ def _fitted(screen: Any, fit: Any, nominal: Sequence[F64]) -> Fitted:
     return Fitted(float(before.mean()), left, share)
 
 
-def _at_an_end(screen: Any, fit: Any) -> list[str]:
+def _at_an_end(fit: Any) -> list[str]:
     """Strengths at an end of their range; a law's shape may be at one, as where dry friction has no dip."""
-    strengths = {
-        p.name
-        for c in fit.causes
-        for p in lookup(c.candidate.effect).parameters(screen.simulator.context, c.candidate.place)
-        if p.strength
-    }
+    strengths = {p.name for c in fit.causes for p in c.candidate.parameters if p.strength}
     return [name for name in fit.at_bounds if name in strengths]
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from realsim.gap.causes.fitted import Trial
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import Selection
-from realsim.gap.causes.trials import Trial
 from realsim.gap.effects import EFFECTS
 
 
@@ -14,7 +14,7 @@ def ranked_effects(selection: Selection, screen: Screen) -> list[dict[str, Any]]
     """One line an effect: its best place, and its gains stage by stage; effects that could not be tried, with why."""
     of: dict[str, list[Trial]] = {}
     for trial in selection.trials:
-        of.setdefault(trial.effect, []).append(trial)
+        of.setdefault(trial.candidate.effect, []).append(trial)
     rows = [_row(trials) for trials in of.values()]
     rows.sort(key=lambda r: -(r["gain"] if r["gain"] is not None else min(r["linear_gain"], 0.0) - 1e6))
     rows += [
@@ -29,7 +29,7 @@ def _row(trials: list[Trial]) -> dict[str, Any]:
     best = max(trials, key=_merit)
     stages = [max((t for t in trials if t.stage == s), key=_merit) for s in sorted({t.stage for t in trials})]
     return {
-        "effect": best.effect,
+        "effect": best.candidate.effect,
         **_said(best),
         "stages": [_said(t) for t in stages],
     }
@@ -38,16 +38,16 @@ def _row(trials: list[Trial]) -> dict[str, Any]:
 def _merit(trial: Trial) -> tuple[bool, bool, float]:
     """What was judged goes before what was only fitted, and that before what was only screened."""
     gain = trial.linear_gain if trial.gain is None else trial.gain
-    return trial.heldout_gain is not None, trial.gain is not None, gain
+    return trial.held is not None, trial.gain is not None, gain
 
 
 def _said(trial: Trial) -> dict[str, Any]:
     return {
-        "place": list(trial.place),
+        "place": list(trial.candidate.place),
         "linear_gain": trial.linear_gain,
         "gain": trial.gain,
-        "heldout_gain": trial.heldout_gain,
-        "heldout_se": trial.heldout_se,
+        "heldout_gain": None if trial.held is None else trial.held[0],
+        "heldout_se": None if trial.held is None else trial.held[1],
         "stage": trial.stage,
         "outcome": trial.outcome,
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from realsim.gap.answer.check import Check, SignalError
+from realsim.gap.answer.check import Check
 from realsim.gap.answer.verdict import Judgement
 from realsim.gap.effects import EFFECTS
 from realsim.gap.logs.case import Case
@@ -79,14 +79,14 @@ def sentence(
 
 def errors_of(checked: Check, after: bool = True) -> str:
     """Joint position 14 mrad rms of a motion of 0.4 rad (51 mrad before); signals within their floor are left out."""
-    above = [s for s in checked.signals if (s.after if after else s.before) > s.floor] or list(checked.signals)
-    return ", ".join(_error(s, after) for s in above)
-
-
-def _error(s: SignalError, after: bool) -> str:
-    now = amount(s.after if after else s.before, s.unit)
-    before = f" ({amount(s.before, s.unit)} before)" if after else ""
-    return f"{SIGNALS.get(s.signal, s.signal)} {now} rms of a motion of {amount(s.motion, s.unit)} rms{before}"
+    size = "rms_after" if after else "rms_before"
+    above = {name: s for name, s in checked.signals.items() if s[size] > s["floor"]} or checked.signals
+    found = []
+    for name, s in above.items():
+        before = f" ({amount(s['rms_before'], s['unit'])} before)" if after else ""
+        motion = amount(s["motion"], s["unit"])
+        found.append(f"{SIGNALS.get(name, name)} {amount(s[size], s['unit'])} rms of a motion of {motion} rms{before}")
+    return ", ".join(found)
 
 
 def amount(value: float, unit: str) -> str:

@@ -8,17 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from realsim.gap.answer.check import Check
-from realsim.gap.causes.figures import NAMED_SHARE
+from realsim.gap.causes import figures
 from realsim.gap.causes.leftover import is_gap
 from realsim.gap.verdicts import GapVerdict
 from realsim.types import F64
-
-EXCESS = 1.5
-"""Where no cause takes any of it, a rest must be larger than else by this factor to be called a gap. Set on generated
-cases without a gap."""
-EXPLAINED = 15.0
-"""Mean square in units of the floor that may stay beside causes that explain the gap, all fitted runs but the worst
-together, and in the check. Above it a cause is not wrong, but something else is there too. Set on generated cases."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +50,7 @@ def judge(
         f"{fitted.before:.1f} times the noise floor before, {fitted.left.mean():.2f} after (mean square, fitted runs)"
     )
     if not causes:
-        verdict = GapVerdict.UNEXPLAINED if is_gap(fitted.left / EXCESS) else GapVerdict.NO_GAP
+        verdict = GapVerdict.UNEXPLAINED if is_gap(fitted.left / figures.EXCESS) else GapVerdict.NO_GAP
         said = f"{fitted.left.mean():.2f} times the noise floor stays beside everyday deviations ({fitted.before:.1f} "
         return Judgement(verdict, (f"{said}without them)",))
     low, high = checked.ci90
@@ -68,7 +61,7 @@ def judge(
         doubt = f"{', '.join(ends)}: as far as the library goes, so it stands for something else"
         return Judgement(GapVerdict.UNEXPLAINED, (came, doubt), ends)
     stays = rest(fitted, checked, unexplained_share)
-    if stays and checked.fraction < NAMED_SHARE:
+    if stays and checked.fraction < figures.NAMED_SHARE:
         return Judgement(GapVerdict.UNEXPLAINED, (came, stays, f"only {checked.fraction:.0%} of the check is removed"))
     if others:
         return Judgement(GapVerdict.AMBIGUOUS, tuple(r for r in (came, stays) if r))
@@ -81,9 +74,9 @@ def rest(fitted: Fitted, checked: Check, unexplained_share: float) -> str:
     """What stays beside causes and everyday deviations, in words; empty where that is nothing to speak of."""
     if is_gap(fitted.left) and fitted.share > unexplained_share:
         return f"{fitted.share:.0%} of the gap stays in the fitted runs"
-    if (stays := _but_the_worst(fitted.left)) > EXPLAINED:
+    if (stays := _but_the_worst(fitted.left)) > figures.EXPLAINED:
         return f"{stays:.0f} times the noise floor stays in the fitted runs"
-    if checked.beside > EXPLAINED and checked.unexplained > unexplained_share:
+    if checked.beside > figures.EXPLAINED and checked.unexplained > unexplained_share:
         return f"{checked.unexplained:.0%} of the gap stays in the check, {checked.beside:.0f} times the noise floor"
     return ""
 

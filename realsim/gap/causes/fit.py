@@ -5,31 +5,48 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from realsim.errors import GapError
-from realsim.gap.causes.figures import LIKELIER, POLISH, SETTLED, SWITCHED
+from realsim.gap.causes import figures
 from realsim.gap.causes.fitted import Cause as Cause
 from realsim.gap.causes.fitted import Fit as Fit
-from realsim.gap.causes.fitted import causes_of, form, spread
-from realsim.gap.causes.gauss_newton import FULL, Fidelity, GaussNewton, widest
-from realsim.gap.causes.leftover import deviations, reasonable
+from realsim.gap.causes.fitted import at, form, parameters_of, spread, values_of
+from realsim.gap.causes.gauss_newton import Few, GaussNewton, clip, widest
+from realsim.gap.causes.leftover import deviations, is_gap, leftover, reasonable
 from realsim.gap.causes.linear import posterior
 from realsim.gap.effects.base import Parameter
-from realsim.gap.simulation.nuisances import LIKE_A_CAUSE, NUISANCES
+from realsim.gap.evidence.onsets import find_onsets
+from realsim.gap.simulation.simulate import lookup
 from realsim.types import F64
 
 
 class Fitter(GaussNewton):
     """What the selection asks of a fit: causes at their best values, measured on all runs of a screen."""
 
-    slight = False
-    """Whether small deviations alone could explain the gap."""
+    def prepared(self, fit: Fit) -> Fit:
+        """The set under weights that follow from what it leaves, with slopes about its causes.
+
+        The discrepancy between robot and model is estimated with each set. Else a large gap would be fitted by absurd
+        values of many nuisance parameters, since sensors are so precise that their prior does not count.
+        """
+        screen, simulator = self.screen, self.screen.simulator
+        settings, self.about = fit.settings(), fit.about
+        if fit.causes and not simulator.onsets:  # a lasting cause drowns a push until it is known
+            simulator.onsets = find_onsets(screen.comparison, simulator.simulate(settings), screen.runs)
+        fit = self.reweighted(fit)
+        # Where feet touch, deviations are simulated: beside them, the slopes that are there describe a small rest.
+        if fit.causes and (not simulator.context.touches or is_gap(leftover(screen, fit))):
+            if not any(lookup(c.candidate.effect).stiff for c in fit.causes):  # each slope at many times the steps
+                screen.relinearise(settings)
+            fit = self.reweighted(self.with_likelier_solver(self.remeasure(fit)))
+        return self.with_deviations(fit) if simulator.context.touches or is_gap(leftover(screen, fit)) else fit
 
     def nominal(self) -> Fit:
         """No cause at all."""
-        return self._measure((), None)
+        return self._measure(())
 
     def with_likelier_solver(self, fit: Fit) -> Fit:
         """With the solver's other friction cone and the like, each where it explains most of the gap by itself.
@@ -37,127 +54,107 @@ class Fitter(GaussNewton):
         What is one or the other is tried, not sloped: beside slipping feet its slope says little of it, and lower
         friction imitates it. Beside causes the gap is theirs, and what stays of it may be the solver's.
         """
-        for i, atom in enumerate(self.screen.atoms):
-            if not (atom.parameter.whole and fit.prior[i] > 0):
-                continue
-            old = self.about
-            cost, share = self._cost(fit), 1.0 if fit.causes else SWITCHED
-            least = LIKELIER if fit.causes else 0.0
-            self.about = old.copy()
-            self.about[i] = sum(atom.parameter.bounds) - old[i]
-            moved = self._or_none(fit)
-            if moved is not None and fit.misfit - moved.misfit > least and self._cost(moved) < share * cost:
+        for i in [i for i, atom in enumerate(self.screen.atoms) if atom.parameter.whole]:
+            old, cost = self.about, self._cost(fit)
+            self.about = np.where(np.arange(len(old)) == i, 1.0 - old, old)
+            moved = self.looked_at(fit, fit.causes)
+            most = cost - 2 * figures.NEAR if fit.causes else figures.SWITCHED * cost
+            if moved is not None and self._cost(moved) < most:
                 fit = moved
             else:
                 self.about = old
         return fit
 
-    def reweighted(self, fit: Fit) -> Fit:
-        """Weigh errors against what this fit leaves, put the nuisances where they belong, and measure it anew."""
+    def with_deviations(self, fit: Fit) -> Fit:
+        """With everyday deviations simulated where that leaves no gap, and else with linear ones: beside a large gap,
+        many of them would be bent to imitate a cause, and hide it from its own rivals. The solver's ways stay."""
+        ways = {atom.effect for atom in self.screen.atoms if atom.parameter.whole}
         for _ in range(2):
-            self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal, form(fit))
-            fit, moved = self._fit_nuisances(self.remeasure(fit))
-            if not moved:
-                break
+            fit = self.reweighted(self.beside_own(fit))
+            self.about = fit.about
+            if not is_gap(leftover(self.screen, fit)):
+                return fit
+        self.about = np.where([atom.effect in ways for atom in self.screen.atoms], self.about, 0.0)
+        return self.reweighted(self.looked_at(fit, fit.causes) or fit)
+
+    def beside_own(self, fit: Fit, rounds: int = 4) -> Fit:
+        """The same causes beside the everyday deviations that are most probable beside them, by simulation: slopes lead
+        there in a few rounds, as long as the simulation itself comes nearer."""
+        whole = [atom.parameter.whole for atom in self.screen.atoms]
+        with self.beside_those_of(fit):
+            for _ in range(rounds):
+                x = self.screen.possible(fit.evidence.centre + deviations(self.screen, fit))
+                self.about = np.where(whole, self.about, x)
+                moved = self.looked_at(fit, fit.causes)
+                if moved is None or self._cost(moved) > self._cost(fit) - 2 * figures.CLEARLY:
+                    break
+                fit = moved
         return fit
 
-    def reset_nuisances(self, fit: Fit) -> Fit:
-        """Back to robots without deviations (the solver's and the sensors' stay): a gap is left all the same.
+    def settled(self, fit: Fit) -> Fit:
+        """The set beside its own everyday deviations. Where feet slip and land, its last cause is moved to where the
+        simulation agrees best: slopes are those of a moment there, and what lies a good step off is looked at."""
+        if not (fit.causes and self.screen.simulator.context.touches):
+            return self.beside_own(fit)
+        for size in figures.SLIDES:
+            fit = self.beside_own(self._slid(fit, size))
+        with self.beside_those_of(fit):
+            again = self.fit(fit.causes, iterations=3, rough=True)
+        return again if again is not None and again.misfit < fit.misfit else fit
 
-        Small deviations that were bent to imitate a cause would hide it from its own rivals.
-        """
-        straight = self._nuisances_of_sensors()
-        if np.array_equal(straight, self.about):
-            return fit
-        self.about = straight
-        fit = self.remeasure(fit)
+    def _slid(self, fit: Fit, size: float) -> Fit:
+        """With the strength of the last cause changed by this share, and the times of one that passes by so many
+        seconds, as long as that gains."""
+        parameters = fit.causes[-1].candidate.parameters
+        times = set(lookup(fit.causes[-1].candidate.effect).passing)
+        strong = [p.name for p in parameters if p.strength and p.name not in times]
+        groups = [*([p.name] for p in parameters if p.name in times), strong]
+
+        def moved(here: Fit, move: tuple[Sequence[str], float]) -> Fit | None:
+            (names, by), (*others, cause) = move, here.causes
+            there = [v + by * (1.0 if n in times else v) * (n in names) for n, v in cause.named.items()]
+            there = clip(np.array(there), parameters).tolist()
+            return self.looked_at(here, (*others, replace(cause, values=tuple(there))))
+
+        with self.beside_those_of(fit):
+            while True:
+                here = fit
+                looks = self.each(partial(moved, here), [(names, by) for names in groups for by in (size, -size)])
+                fit = min((f for f in looks if f is not None), key=lambda f: f.misfit, default=fit)
+                if fit.misfit >= here.misfit:
+                    return here
+
+    def _cost(self, fit: Fit) -> float:
+        """Weighted squared residual of the simulation itself."""
+        comparison = self.screen.comparison
+        rows = zip(self.screen.runs, fit.predictions, strict=True)
+        return float(sum(np.nansum(comparison.weights[run] * comparison.residual(run, y) ** 2) for run, y in rows))
+
+    def reweighted(self, fit: Fit) -> Fit:
+        """Weigh errors against what this fit leaves, and measure it anew."""
         self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal, form(fit))
         return self.remeasure(fit)
 
     @contextmanager
-    def nuisances_reset(self) -> Iterator[None]:
-        """Fits in here are made as after `reset_nuisances`, under the present weights."""
-        with self._beside(self._nuisances_of_sensors()):
-            yield
-
-    @contextmanager
-    def _beside(self, about: F64) -> Iterator[None]:
-        """Simulations in here contain these nuisances, whatever the search has come to since."""
-        own, self.about = self.about, about
+    def beside_those_of(self, fit: Fit) -> Iterator[None]:
+        """Simulations in here contain the nuisances that the fit was measured beside, whatever the search has since."""
+        own, self.about = self.about, fit.about
         try:
             yield
         finally:
             self.about = own
 
-    def with_own_nuisances(self, fit: Fit, rounds: int = 4) -> Fit:
-        """Causes and small deviations where they belong beside each other, found in turn; for this fit alone."""
-        about, best = self.about, fit
-        try:
-            for _ in range(rounds):
-                fit, moved = self._fit_nuisances(self.remeasure(fit))
-                if moved and fit.causes:
-                    fit = self.fit(fit.causes, iterations=3) or fit
-                best = min(best, fit, key=lambda f: f.misfit)
-                if not moved:
-                    break
-        except GapError:
-            pass  # the robot falls beside other deviations: what was best until then counts
-        finally:
-            self.about = about
-        return best
-
-    def _nuisances_of_sensors(self) -> F64:
-        staying = NUISANCES.keys() - LIKE_A_CAUSE
-        return np.where([a.effect in staying for a in self.screen.atoms], self.about, 0.0)
-
     def remeasure(self, fit: Fit) -> Fit:
-        """The same fit under the present weights and nuisances."""
-        new = self._measure(fit.causes, None)
-        return replace(new, covariance=fit.covariance, at_bounds=fit.at_bounds)
+        """The same fit under the present weights."""
+        with self.beside_those_of(fit):
+            return replace(self._measure(fit.causes), covariance=fit.covariance, at_bounds=fit.at_bounds)
 
     def looked_at(self, fit: Fit, causes: Sequence[Cause]) -> Fit | None:
         """These causes at their very values, without a search, under the fit's weights; None if the robot falls."""
-        return self._or_none(replace(fit, causes=tuple(causes)))
-
-    def coarse_gain(self, causes: Sequence[Cause], further: Cause) -> float:
-        """Gain in log-likelihood by a further cause at its very values, as a rough search sees it."""
-        fidelity = self._fidelity([*causes, further], rough=True, coarse=True)
-        candidates, z = [c.candidate for c in causes], [v for c in causes for v in c.values]
-        before = self._misfit(candidates, np.array(z), fidelity)
-        after = self._misfit([*candidates, further.candidate], np.array([*z, *further.values]), fidelity)
-        return -np.inf if before is None or after is None else before - after
-
-    def _fit_nuisances(self, fit: Fit) -> tuple[Fit, bool]:
-        """Nuisances at their most probable values beside the causes, by simulation; whether they moved.
-
-        They only move if that explains most of what is left: beside a large gap, many small deviations would be bent
-        to imitate it.
-        """
-        x = deviations(self.screen, fit)
-        x = np.where(self.screen.simulable & (np.abs(x) > 0.05 * fit.prior), x, 0.0)
-        old, cost = self.about, self._cost(fit)
-        for share in (1.0, 0.5):
-            self.about = self.screen.possible(old + share * (x - old))
-            moved = self._or_none(fit)
-            if moved is not None and self._cost(moved) < (0.98 if old.any() else SETTLED) * cost:
-                return moved, True
-        self.about = old
-        return fit, False
-
-    def _or_none(self, fit: Fit) -> Fit | None:
-        """`remeasure`, or None where the robot falls."""
         try:
-            return self.remeasure(fit)
+            return replace(self._measure(tuple(causes)), covariance=fit.covariance, at_bounds=fit.at_bounds)
         except GapError:
             return None
-
-    def _cost(self, fit: Fit) -> float:
-        """Weighted squared residual of the simulation itself, and the nuisances' price."""
-        total = float(np.sum((self.about[fit.prior > 0] / fit.prior[fit.prior > 0]) ** 2))
-        for run, y in zip(self.screen.runs, fit.predictions, strict=True):
-            r = self.screen.comparison.residual(run, y)
-            total += float(np.nansum(self.screen.comparison.weights[run] * r**2))
-        return total
 
     def fit(
         self,
@@ -165,122 +162,93 @@ class Fitter(GaussNewton):
         starts: Sequence[Sequence[float]] = (),
         iterations: int = 6,
         rough: bool = False,
-        coarse: bool = False,
         target: float = np.inf,
-        nearer: bool = False,
     ) -> Fit | None:
         """The best values near the causes' own and the further `starts` (all values in a row); None if none runs.
 
         A `rough` fit looks at some of the runs while it searches, and is measured on all of them; it is broken off
-        once it would not come down to the misfit `target` (of the runs it looks at) at its present pace. A `coarse`
-        one takes the screen's coarser time step while it searches. `nearer`: where a step gains nothing of what slopes
-        promise, they are taken over narrower differences; what sticks and slips has dents that wide ones do not see.
+        once it would not come down to the misfit `target` (of the runs it looks at) at its present pace.
         """
-        candidates = [c.candidate for c in causes]
-        parameters = self._parameters(candidates)
-        fidelity = self._fidelity(causes, rough, coarse)
-        first = [[v for c in causes for v in c.values], *starts]
-        z = self._best_start(candidates, parameters, first, fidelity)
-        if z is None and fidelity.coarse > 1:
-            fidelity = Fidelity(fidelity.few)
-            z = self._best_start(candidates, parameters, first, fidelity)
-        if z is None:
+        few = self.screen.varied if rough else None
+        begun = self._best_start(causes, [list(values_of(causes)), *starts], few)
+        if begun is None:
             return None
-        z, value, slopes = self._descend(candidates, z, None, parameters, fidelity, iterations, target, nearer)
-        if fidelity.coarse > 1:
-            fidelity = Fidelity(fidelity.few)
-            if value <= target and self._predict(candidates, z, fidelity) is not None:
-                z, value, slopes = self._descend(candidates, z, slopes, parameters, fidelity, POLISH)
+        here, _, slopes = self._descend(begun, few, iterations, target)
         try:
-            return self._measure(causes_of(candidates, z), parameters, slopes, fidelity)
+            return self._measure(here, True, slopes, few)
         except GapError:  # on a run that a rough fit did not look at
             return None
+
+    def without_each(self, fit: Fit) -> Iterator[tuple[F64, tuple[Cause, ...]]]:
+        """((p,) nuisances, causes) fitted to all runs but one, each in turn: one Gauss-Newton step from the values that
+        suit all runs leads to those that suit the others."""
+        z, parameters, p = values_of(fit.causes), parameters_of(fit.causes), len(fit.prior)
+        A, b, prior = fit.evidence.A, fit.evidence.b, fit.prior
+        with self.beside_those_of(fit):
+            slopes = self.slopes(fit.causes, fit.predictions)
+            if slopes:
+                _, A, b = self._normal(fit.causes, fit.predictions, slopes)
+        if slopes:
+            prior = np.append(prior, [4 * abs(p.step) for p in parameters])
+        for k in range(len(A)):
+            others = [i for i in range(len(A)) if i != k] or [k]
+            x, _ = posterior(np.sum([A[i] for i in others], axis=0), np.sum([b[i] for i in others], axis=0), prior)
+            most = widest(z, parameters)
+            step = np.clip(x[p:], -most, most) if slopes else 0.0
+            yield x[:p], at(fit.causes, clip(z + step, parameters))
+
+    def of_run(self, fit: Fit, causes: Sequence[Cause], k: int) -> F64:
+        """(T, C) prediction of screened run k with these values; the fit's own where that fails."""
+        with self.beside_those_of(fit):
+            moved = self._predict(causes, (k,)) if causes else None
+        return moved[0] if moved else fit.predictions[k]
 
     def left_out(self, fit: Fit, beside: F64) -> F64:
         """(runs,) half the weighted squares of each run, with values and deviations fitted to all the other runs.
 
-        One Gauss-Newton step from the values that suit all runs leads to those that suit the others; the run that is
-        left out is simulated with them.
-
-        The simulations contain the nuisances that the fit was measured beside: its predictions do, and what moves by
-        other nuisances would be taken for the runs' own.
-
         Args:
             beside: (p,) prior of a rival's deviations. What is a cause there is a deviation here, within reason.
         """
-        with self._beside(fit.about):
-            return self._left_out(fit, beside)
-
-    def _left_out(self, fit: Fit, beside: F64) -> F64:
-        screen, runs, m = self.screen, range(len(self.screen.runs)), sum(len(c.values) for c in fit.causes)
-        candidates = [c.candidate for c in fit.causes]
-        z, e = np.array([v for c in fit.causes for v in c.values]), fit.evidence
-        A, b = list(e.A), list(e.b)
-        parameters = self._parameters(candidates)
-        slopes = self._slopes(candidates, z, parameters, list(fit.predictions)) if m else None
-        prior = np.append(fit.prior, [4 * abs(p.step) for p in parameters]) if slopes else fit.prior
-        if slopes:
-            for k, D in enumerate(slopes):
-                run = screen.runs[k]
-                w = screen.comparison.weights[run].reshape(-1)
-                r = np.nan_to_num(screen.residual(k, fit.predictions[k], fit.about - e.centre)).reshape(-1)
-                across = screen.weighted(k).T @ D
-                A[k] = np.block([[e.A[k], across], [across.T, D.T @ (w[:, None] * D)]])
-                b[k] = np.append(e.b[k], D.T @ (w * r))
         found = []
-        for k in runs:
-            others = [i for i in runs if i != k]
-            x, _ = posterior(np.sum([A[i] for i in others], axis=0), np.sum([b[i] for i in others], axis=0), prior)
-            x, step = x[: len(fit.prior)], x[len(fit.prior) :]
+        for k, (x, causes) in enumerate(self.without_each(fit)):
             x = np.where((fit.prior > 0) & (beside == 0), reasonable(x, fit.prior), x)
-            here, i = e, k
-            if slopes:
-                most = widest(z, parameters)
-                moved = self._predict(
-                    candidates, self._clip(z + np.clip(step, -most, most), parameters), Fidelity((k,))
-                )
-                if moved is not None:
-                    here, i = screen.evidence(moved, (k,), fit.about), 0
-                    here = here.moved(np.full(len(fit.prior), e.centre) - here.centre)
-            b_k, A_k = here.b[i], here.A[i]
-            found.append(0.5 * float(here.c[i] - 2 * b_k @ x + x @ A_k @ x))
+            here = self.screen.evidence([self.of_run(fit, causes, k)], (k,), fit.about)
+            here = here.moved(np.full(len(x), fit.evidence.centre) - here.centre)
+            found.append(0.5 * float(here.c[0] - 2 * here.b[0] @ x + x @ here.A[0] @ x))
         return np.array(found)
 
     def spread(self, fit: Fit) -> Fit:
         """The same fit with its covariance from slopes taken at its very values."""
-        if not fit.causes:
-            return fit
-        return self._measure(fit.causes, self._parameters([c.candidate for c in fit.causes]), None)
+        with self.beside_those_of(fit):
+            return self._measure(fit.causes, True) if fit.causes else fit
 
     # ------------------------------------------------------------ inside
 
     def _measure(
         self,
-        causes: tuple[Cause, ...],
-        parameters: list[Parameter] | None,
+        causes: Sequence[Cause],
+        spread_too: bool = False,
         slopes: list[F64] | None = None,
-        fidelity: Fidelity = FULL,
+        few: Few = None,
     ) -> Fit:
-        """The fit with its evidence; `slopes` (of the runs looked at) are taken by differences if there are none."""
-        candidates = [c.candidate for c in causes]
-        z = np.array([v for c in causes for v in c.values])
-        prior = self.prior_beside(candidates)
-        predicted = self._predict(candidates, z)
+        """The fit with its evidence, and its covariance if asked for, from `slopes` (of the runs looked at)."""
+        prior, about = self.prior_beside(causes), self.beside(causes)
+        predicted = self._predict(causes)
         if predicted is None:
             raise GapError("the simulator fails with the values found", hint="look at the units of the log")
-        about = self._about(candidates)
         evidence = self.screen.evidence(predicted, None, about)
+        z, parameters = values_of(causes), parameters_of(causes)
         covariance = np.zeros((len(z), len(z)))
         at_bounds: list[str] = []
-        if parameters:
+        if spread_too and parameters:
             if slopes is None:
-                slopes, fidelity = self._slopes(candidates, z, parameters, predicted), FULL
+                slopes, few = self.slopes(causes, predicted), None
             if slopes is not None:
-                seen = predicted if fidelity.few is None else [predicted[k] for k in fidelity.few]
-                covariance = spread(*self._local(candidates, seen, slopes, fidelity), parameters)
+                seen = predicted if few is None else [predicted[k] for k in few]
+                covariance = spread(*self._local(causes, seen, slopes, few), parameters)
             at_bounds = [p.name for p, v in zip(parameters, z, strict=True) if _at_bound(p, float(v))]
         misfit = self.screen.misfit(evidence, prior)
-        return Fit(causes, misfit, covariance, tuple(predicted), about, evidence, prior, tuple(at_bounds))
+        return Fit(tuple(causes), misfit, covariance, tuple(predicted), about, evidence, prior, tuple(at_bounds))
 
 
 def _at_bound(p: Parameter, value: float) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,13 +69,37 @@ class Fit:
         return any((c.candidate.effect, c.candidate.place) == (effect, place) for c in self.causes)
 
 
-def causes_of(candidates: Sequence[Candidate], z: F64) -> tuple[Cause, ...]:
-    """Values in a row (all causes) -> causes."""
-    found, i = [], 0
-    for candidate in candidates:
-        found.append(Cause(candidate, tuple(float(v) for v in z[i : i + len(candidate.names)])))
-        i += len(candidate.names)
-    return tuple(found)
+@dataclass
+class Trial:
+    """A further cause beside a set: a row of the ranking."""
+
+    candidate: Candidate
+    stage: int
+    """Causes of the set."""
+    linear_gain: float
+    """Log-evidence gain by the linear screen."""
+    outcome: str = "refitted"
+    gain: float | None = None
+    """Gain of the fit, or None if it was only screened."""
+    values: tuple[float, ...] = ()
+    held: tuple[float, float] | None = None
+    """Gain on runs left out in turn and its standard error, where that was looked at."""
+
+
+def values_of(causes: Sequence[Cause]) -> F64:
+    """(m,) of all causes in a row."""
+    return np.array([v for c in causes for v in c.values], float)
+
+
+def parameters_of(causes: Sequence[Cause]) -> list[Parameter]:
+    """Of all values in a row."""
+    return [p for c in causes for p in c.candidate.parameters]
+
+
+def at(causes: Sequence[Cause], z: F64) -> tuple[Cause, ...]:
+    """The same causes with other values (all in a row)."""
+    row = iter(z)
+    return tuple(replace(c, values=tuple(float(next(row)) for _ in c.values)) for c in causes)
 
 
 def spread(info: F64, scores: F64, parameters: list[Parameter]) -> F64:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,22 +39,17 @@ def posterior(A: F64, b: F64, prior: F64) -> tuple[F64, F64]:
     return prior * solved[:, 0], D * solved[:, 1:]
 
 
-def marginal(evidence: Evidence, prior: F64, runs: Sequence[int] | None = None) -> tuple[F64, F64, float]:
+def marginal(evidence: Evidence, prior: F64) -> tuple[F64, F64, float]:
     """(A~, b~, J): information and score of any extra direction once the nuisances are marginalised, and the misfit."""
-    which = range(len(evidence.A)) if runs is None else runs
-    A = np.sum([evidence.A[k] for k in which], axis=0)
-    b = np.sum([evidence.b[k] for k in which], axis=0)
-    c = float(sum(evidence.c[k] for k in which))
+    A, b = np.sum(evidence.A, axis=0), np.sum(evidence.b, axis=0)
     mean, cov = posterior(A, b, prior)
-    AC = A @ cov
-    return A - AC @ A, b - A @ mean, 0.5 * (c - b @ mean)
+    return A - A @ cov @ A, b - A @ mean, 0.5 * (float(sum(evidence.c)) - b @ mean)
 
 
-def log_evidence(A: F64, b: F64, directions: F64, size: F64) -> tuple[float, F64, F64]:
-    """(log evidence gain, estimate, covariance) of parameters along `directions` with prior sizes `size`."""
+def log_evidence(A: F64, b: F64, directions: F64, size: F64) -> tuple[float, F64]:
+    """(log evidence gain, estimate) of parameters along `directions` with prior sizes `size`."""
     info = directions.T @ A @ directions
     s = directions.T @ b
-    full = info + np.diag(1 / size**2)
-    estimate = np.linalg.solve(full, s)
+    estimate = np.linalg.solve(info + np.diag(1 / size**2), s)
     occam = 0.5 * np.linalg.slogdet(np.eye(len(size)) + (size[:, None] * info) * size)[1]
-    return float(0.5 * s @ estimate - occam), np.asarray(estimate), np.asarray(np.linalg.inv(full))
+    return float(0.5 * s @ estimate - occam), np.asarray(estimate)

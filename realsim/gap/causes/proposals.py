@@ -7,25 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from realsim.gap.causes.figures import (
-    ALIKE,
-    ALONE,
-    FINALISTS,
-    FORETOLD,
-    MORE,
-    MOST_ALIKE,
-    MOST_ALONE,
-    SMALL,
-    WORTH,
-    WORTH_SHARE,
-)
+from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.linear import log_evidence, marginal
-from realsim.gap.causes.probes import alone, probed, probed_footing, probed_ground
 from realsim.gap.causes.score import near
 from realsim.gap.causes.screen import Candidate, Screen, slab
-from realsim.gap.causes.starts import Guess, contains, extended, fullest, nested, starts, suggested
+from realsim.gap.causes.starts import Guess, nested, starts, suggested
 from realsim.gap.causes.windows import window_candidates
 from realsim.gap.simulation.simulate import lookup
 from realsim.types import F64
@@ -50,31 +38,17 @@ Propose = Callable[[Fitter, Fit], Iterator[Proposal]]
 
 def by_slopes(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     """One more cause: the best places of the best effects by the linear screen."""
-    screen = fitter.screen
-    order = ranked(screen, here)
+    order = ranked(fitter.screen, here)
     best = order[0][0] if order else 0.0
-    least = max(WORTH, WORTH_SHARE * best)  # far behind, only what is far from linear can still win
+    least = max(figures.WORTH, figures.WORTH_SHARE * best)  # far behind, only what is far from linear can still win
     chosen: list[Candidate] = []
     for gain, candidate, estimate in order:
-        count = sum(c.effect == candidate.effect for c in chosen)
-        most = 1 if len(chosen) >= FINALISTS else 3 if len(chosen) < 3 else 2
-        if gain < least or len(chosen) == FINALISTS + MORE:
+        if gain < least or len(chosen) == figures.FITTED:
             break
-        if count < most and not any(nested(candidate, c) for c in chosen):
+        alike = [c for c in chosen if c.effect == candidate.effect]
+        if len(alike) < figures.PLACES and not any(nested(candidate, c) for c in alike):
             chosen.append(candidate)
             yield _further(fitter, here, candidate, estimate, gain)
-
-
-def by_size(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
-    """One more cause: what explains much of the gap all by itself, when no nuisance parameter shares it."""
-    screen = fitter.screen
-    total = 0.5 * float(sum(here.evidence.c))
-    best: dict[str, Scored] = {}
-    for gain, c, estimate in alone(screen, here, screen.candidates):
-        if gain > max(ALONE * total, best.get(c.effect, (0.0,))[0]) and not _taken(c, here):
-            best[c.effect] = gain, c, estimate
-    for gain, c, estimate in sorted(best.values(), key=lambda item: -item[0])[:MOST_ALONE]:
-        yield _further(fitter, here, c, estimate, gain)
 
 
 def by_window(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
@@ -85,40 +59,69 @@ def by_window(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
 
 
 def by_simulation(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
-    """One more cause: what slopes do not foretell, looked at by simulation at a few sizes."""
-    screen = fitter.screen
-    order = ranked(screen, here)
-    free = [c for _, c, _ in order]
-    found = [*probed_ground(screen, fitter, here, free), *probed_footing(screen, fitter, here, free)]
-    foretold = bool(order) and order[0][0] > FORETOLD * here.misfit
-    if not foretold and leftover(screen, here).mean() > SMALL:
-        found += probed(screen, fitter, here, free)
-    for gain, candidate, values in found:
-        yield _further(fitter, here, candidate, values, gain)
+    """One more cause: what no slope foretells (whether a foot meets other ground, whether a drive saturates), looked at
+    by simulation at a few sizes. What stays beside a cause and is no gap has none of these in it."""
+    if here.causes and not is_gap(leftover(fitter.screen, here)):
+        return
+    abrupt: dict[str, list[tuple[Candidate, F64]]] = {}
+    for _, c, estimate in ranked(fitter.screen, here):
+        effect = lookup(c.effect)
+        stands = fitter.screen.simulator.context.touches and c.names == effect.footing
+        if len(c.places) == 1 and (effect.abrupt or stands):
+            abrupt.setdefault(c.effect, []).append((c, estimate))
+    for candidates in abrupt.values():
+        looks = fitter.each(lambda item: _sized(fitter, here, *item), candidates[: figures.PROBED])
+        for gain, cause in sorted(looks, key=lambda item: -item[0])[: figures.PLACES]:
+            if gain > figures.WORTH:
+                yield _further(fitter, here, cause.candidate, cause.named, gain)
 
 
-def by_likeness(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
-    """Another cause in the place of each: what does the same to first order, and what is as likely beside the rest."""
-    screen = fitter.screen
+def _sized(fitter: Fitter, here: Fit, candidate: Candidate, estimate: F64) -> tuple[float, Cause]:
+    """(gain in log-likelihood, the candidate at the best of some sizes along its estimate); beyond the largest, as long
+    as that gains, and nearer: a little beyond the right height a foot meets other ground."""
+    steps = np.array([abs(p.step) for p in candidate.parameters if p.name in candidate.linear])
+    size = np.linalg.norm(estimate / steps)
+    unit = dict(
+        zip(candidate.linear, estimate / size if size > 1e-3 else steps * (np.arange(len(steps)) == 0), strict=True)
+    )
+
+    def cause(factor: float) -> Cause:
+        return Cause(candidate, tuple(p.default + factor * float(unit.get(p.name, 0.0)) for p in candidate.parameters))
+
+    def gain(factor: float) -> float:
+        there = cause(factor)
+        if any(not p.bounds[0] <= v <= p.bounds[1] for p, v in zip(candidate.parameters, there.values, strict=True)):
+            return -np.inf
+        moved = fitter.looked_at(here, (*here.causes, there))  # a foot may meet the ground in one run only
+        return here.misfit - moved.misfit if moved else -np.inf
+
+    most, best = max((gain(factor), factor) for factor in figures.SIZES)
+    for further in (2.0, 0.75):
+        while most > 0 and (more := gain(further * best)) > most:
+            most, best = more, further * best
+    return most, cause(best)
+
+
+def by_slopes_instead(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
+    """Another cause in the place of each: by the linear screen, what is about as likely beside the rest."""
     for i, cause in enumerate(here.causes):
         others = _others(here, i)
-        found = _alike(fitter, here, cause)
         rest = fitter.fit(others, iterations=2) if others else fitter.looked_at(here, ())
-        order = ranked(screen, rest) if rest is not None else []
+        if rest is None:
+            continue
+        order = ranked(fitter.screen, rest)
         own = next((gain for gain, c, _ in order if c.key == cause.candidate.key), 0.0)
-        likely = [(c, e) for gain, c, e in order if gain > max(own - near(own), 0.0) and not _taken(c, here)]
-        for c, estimate in likely[:MOST_ALIKE]:
-            if c.names == c.linear:
-                found.append(Cause(c, tuple(float(x) for x in estimate)))
-        for other in found:
-            yield Proposal((*others, other))
+        free = [(gain, c, x) for gain, c, x in order if gain > max(own - near(own), 0.0) and not _taken(c, here)]
+        for gain, c, estimate in free[: figures.PLACES]:
+            yield _further(fitter, rest, c, estimate, gain)
 
 
 def by_simulation_instead(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
-    """Another cause in the place of each, by simulation: where feet slip and land, slopes foretell little, and what
-    sets a foot higher (the ground, an encoder) looks like the other until it is simulated."""
+    """Another cause in the place of each of several, by simulation: where feet slip and land, slopes foretell little,
+    and what sets a foot higher (the ground, an encoder) looks like the other until it is simulated. In the place of a
+    single one, all were looked at when it was added."""
     screen = fitter.screen
-    if not screen.simulator.context.touches:
+    if not screen.simulator.context.touches or len(here.causes) < 2:
         return
     gap = is_gap(leftover(screen, here))
     for i, cause in enumerate(here.causes):
@@ -129,31 +132,13 @@ def by_simulation_instead(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
 
 
 def by_effect(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
-    """Another cause in the place of each: what its effect suggests, which is one that does the same by its nature, the
-    same at another place, or other values of its own."""
+    """Another cause in the place of each: with all its effect's parameters, or what the effect suggests, which is a law
+    that contains it, one that does the same by its nature, the same at another place, or other values of its own."""
     for i, cause in enumerate(here.causes):
-        for candidate, values in suggested(fitter.screen, cause):
-            if not contains(candidate, cause.candidate):
-                yield _instead(here, i, candidate, values)
-
-
-def by_widening(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
-    """Each cause with all its effect's parameters, or as a special case of the law that contains it."""
-    for i, cause in enumerate(here.causes):
-        full = fullest(fitter.screen, cause.candidate)
-        if full is not None:
-            yield _instead(here, i, full, [list(extended(fitter.screen, cause, full).values)])
-        for candidate, values in suggested(fitter.screen, cause):
-            if contains(candidate, cause.candidate):
-                yield _instead(here, i, candidate, values)
-
-
-def _instead(here: Fit, i: int, candidate: Candidate, values: Sequence[Sequence[float]]) -> Proposal:
-    """A candidate in the place of the i-th cause, from some values of its parameters."""
-    others = _others(here, i)
-    done = tuple(v for c in others for v in c.values)
-    first, *more = values
-    return Proposal((*others, Cause(candidate, tuple(first))), tuple((*done, *v) for v in more))
+        others = _others(here, i)
+        done = tuple(v for c in others for v in c.values)
+        for candidate, (first, *more) in suggested(fitter.screen, cause):
+            yield Proposal((*others, Cause(candidate, tuple(first))), tuple((*done, *v) for v in more))
 
 
 def ranked(screen: Screen, here: Fit) -> list[Scored]:
@@ -166,9 +151,9 @@ def ranked(screen: Screen, here: Fit) -> list[Scored]:
         if any(
             (candidate.effect, p) in taken or (lookup(candidate.effect).plain, p) in taken for p in candidate.places
         ):
-            continue  # a law that contains one of the causes takes its place: see `by_widening`
-        size = slab(candidate, screen)
-        scored = [(*log_evidence(A, b, candidate.directions, size)[:2], misfit - least) for A, b, misfit in about]
+            continue  # a law that contains one of the causes takes its place: see `by_effect`
+        size = slab(candidate)
+        scored = [(*log_evidence(A, b, candidate.directions, size), misfit - least) for A, b, misfit in about]
         gain, estimate = max(((gain - behind, estimate) for gain, estimate, behind in scored), key=lambda g: g[0])
         found.append((gain, candidate, estimate))
     return sorted(found, key=lambda item: -item[0])
@@ -181,29 +166,6 @@ def _further(fitter: Fitter, here: Fit, candidate: Candidate, guess: Guess, gain
     return Proposal((*here.causes, Cause(candidate, tuple(first))), tuple((*done, *s) for s in more), gain)
 
 
-def _alike(fitter: Fitter, here: Fit, cause: Cause) -> list[Cause]:
-    """Causes whose sensitivities span what this one does: by the squared cosine of the angle between them."""
-    A = np.sum(here.evidence.A, axis=0)
-    v = cause.candidate.directions @ np.array([cause.named[n] for n in cause.candidate.linear])
-    size = float(v @ A @ v)
-    found: list[Scored] = []
-    for c in fitter.screen.candidates:
-        if size <= 0 or c.names != c.linear or _taken(c, here):
-            continue
-        D = c.directions
-        inside, info = D.T @ A @ v, D.T @ A @ D
-        if np.trace(info) <= 0:  # it does nothing where errors count, as in runs that were cut at a fall
-            continue
-        coefficients = np.linalg.solve(info + 1e-9 * np.trace(info) * np.eye(len(info)), inside)
-        share = float(inside @ coefficients) / size
-        if share > ALIKE:
-            found.append((share - 0.01 * len(c.names), c, coefficients))
-    first: dict[tuple, Cause] = {}
-    for _, c, x in sorted(found, key=lambda item: -item[0]):  # the simplest form of each
-        first.setdefault((c.effect, c.place), Cause(c, tuple(float(value) for value in x)))
-    return list(first.values())[:MOST_ALIKE]
-
-
 def _others(here: Fit, i: int) -> list[Cause]:
     return [c for j, c in enumerate(here.causes) if j != i]
 
@@ -214,5 +176,5 @@ def _taken(c: Candidate, here: Fit) -> bool:
     return any(set(o.place) & set(c.place) or not o.place for o in mine)
 
 
-ADD: Sequence[Propose] = (by_slopes, by_size, by_window, by_simulation, by_widening)
-EXCHANGE: Sequence[Propose] = (by_effect, by_likeness, by_simulation_instead)
+ADD: Sequence[Propose] = (by_slopes, by_window, by_simulation)
+EXCHANGE: Sequence[Propose] = (by_effect, by_slopes_instead, by_simulation_instead)

@@ -3,59 +3,34 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import t as student
 
-from realsim.gap.causes.figures import (
-    CAUSE,
-    CAUSE_A_JOINT,
-    CERTAIN,
-    CLEARLY,
-    DOUBTFUL,
-    EQUAL,
-    EQUAL_SHARE,
-    HOLDS,
-    MOST_RUNS,
-    NEAR,
-    NEAR_SHARE,
-    PRICE,
-    SHARE,
-    SHARED,
-    UNUSUAL,
-)
+from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fit, Fitter
-from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.screen import Screen
-from realsim.gap.simulation.nuisances import MANY_JOINTS
 from realsim.gap.simulation.simulate import lookup
 
-Held = tuple[float, float, float]
-"""(mean, standard error, share positive) of a gain on runs that are left out in turn."""
+Held = tuple[float, float]
+"""(mean, standard error) of a gain on runs that are left out in turn."""
 
 
 def score(screen: Screen, fit: Fit) -> float:
     """Penalised misfit of a set in nats, lower is better: half the weighted squares that stay beside the nuisance
     parameters, and the price of causes, of parameters that the data determine, of shared values and of rare effects."""
-    total = fit.misfit + PRICE * determined(screen, fit)
-    total += len(fit.causes) * (CAUSE + CAUSE_A_JOINT * len(screen.simulator.case.joint_names))
-    total += SHARED * sum(len(c.candidate.places) > 1 for c in fit.causes)
-    return total + UNUSUAL * sum(lookup(c.candidate.effect).usual is not None for c in fit.causes)
+    total = fit.misfit + figures.PRICE * determined(fit)
+    total += len(fit.causes) * (figures.CAUSE + figures.CAUSE_A_JOINT * len(screen.simulator.case.joint_names))
+    total += figures.SHARED * sum(len(c.candidate.places) > 1 for c in fit.causes)
+    return total + figures.PRICE * sum(lookup(c.candidate.effect).usual is not None for c in fit.causes)
 
 
-def determined(screen: Screen, fit: Fit) -> float:
+def determined(fit: Fit) -> float:
     """How many parameters the data determine: a force across a planar arm is none."""
-    total, variances = 0.0, np.diag(fit.covariance)
-    for cause in fit.causes:
-        effect = lookup(cause.candidate.effect)
-        steps = {p.name: p.step for p in effect.parameters(screen.simulator.context, cause.candidate.place)}
-        sizes = np.array([2 * steps[n] for n in cause.candidate.names])
-        total += float(np.clip(1 - variances[: len(sizes)] / sizes**2, 0.0, 1.0).sum())
-        variances = variances[len(sizes) :]
-    return total
+    sizes = np.array([2 * p.step for c in fit.causes for p in c.candidate.parameters])
+    return float(np.clip(1 - np.diag(fit.covariance) / sizes**2, 0.0, 1.0).sum())
 
 
 def asked(before: Fit) -> float:
     """Nats by which a further cause must lower the score of a set."""
-    return CLEARLY + SHARE * before.misfit
+    return figures.CLEARLY + figures.SHARE * before.misfit
 
 
 def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | None]:
@@ -66,34 +41,27 @@ def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | N
     if gain < least:
         found.append(f"gains {gain:.1f} nats, must gain {least:.1f}")
     held = left_out(fitter, before, after)
-    if held is not None and not (_holds(*held) or _harmless(fitter, before, *held)):
+    if held is not None and not _holds(*held):
         found.append("does not hold on runs left out in turn")
     return found, held
 
 
-def _harmless(fitter: Fitter, before: Fit, mean: float, error: float, positive: float) -> bool:
-    """Whether it is enough that runs left out do not lose: where nuisance parameters explain the fitted runs, they
-    explain the others too. Many joints have too many of them for the score to decide alone."""
-    few = len(fitter.screen.simulator.case.joint_names) < MANY_JOINTS
-    return few and mean > -error and not is_gap(leftover(fitter.screen, before))
-
-
 def left_out(fitter: Fitter, before: Fit, after: Fit) -> Held | None:
-    """(mean, standard error, share positive) of the gain on each run, fitted to the others; None of a single run."""
+    """(mean, standard error) of the gain on each run, fitted to the others; None of a single run."""
     if len(fitter.screen.runs) < 2:
         return None
     gains = fitter.left_out(before, after.prior) - fitter.left_out(after, before.prior)
-    return float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains))), float((gains > 0).mean())
+    return float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))
 
 
-def _holds(mean: float, error: float, positive: float) -> bool:
-    return mean > HOLDS * error and positive >= MOST_RUNS
+def _holds(mean: float, error: float) -> bool:
+    return mean > figures.HOLDS * error
 
 
 def asked_for(fitter: Fitter, plain: Fit, rich: Fit) -> bool:
     """Whether the runs ask for a law that holds another one as a special case: its score is clearly lower, and what its
     further parameters bring holds on runs that are left out."""
-    if score(fitter.screen, plain) - score(fitter.screen, rich) < CLEARLY:
+    if score(fitter.screen, plain) - score(fitter.screen, rich) < figures.CLEARLY:
         return False
     held = left_out(fitter, plain, rich)
     return held is None or _holds(*held)
@@ -103,21 +71,15 @@ def alike(fitter: Fitter, best: Fit, rival: Fit, removed: float) -> bool:
     """Whether the runs do not tell a rival from the best set, of which `removed` is the gain over no cause."""
     screen = fitter.screen
     loss = score(screen, rival) - score(screen, best)
-    if loss < CLEARLY:
-        return True
+    if loss < figures.CLEARLY or loss >= figures.EQUAL * removed:
+        return loss < figures.CLEARLY
     held = left_out(fitter, rival, best)
-    if held is None:
-        return loss < max(EQUAL, EQUAL_SHARE * removed)
-    mean, error, positive = held
-    if determined(screen, rival) > determined(screen, best) + 0.5 and not _holds(-mean, error, 1 - positive):
-        return False  # what has more parameters imitates what has fewer, unless runs that are left out gain by it
-    allowed = max(EQUAL, EQUAL_SHARE * removed * (DOUBTFUL if mean <= 0 else 1.0))
-    return loss < allowed and mean < float(student.ppf(CERTAIN, max(len(screen.runs) - 1, 1))) * error
+    return held is None or not _holds(*held)
 
 
 def near(gain: float) -> float:
     """Nats within which a fit can still catch up with the best of its kind, which gains so much."""
-    return max(NEAR_SHARE * gain, NEAR) if np.isfinite(gain) else np.inf
+    return max(figures.NEAR_SHARE * gain, figures.NEAR) if np.isfinite(gain) else np.inf
 
 
 def searched(screen: Screen, fit: Fit) -> float:

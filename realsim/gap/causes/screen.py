@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from realsim.errors import GapError
-from realsim.gap.causes.figures import SHIFT
+from realsim.gap.causes import figures
 from realsim.gap.causes.linear import Evidence, posterior
 from realsim.gap.compare import Comparison
 from realsim.gap.effects import EFFECTS, ON_REQUEST
@@ -42,12 +42,16 @@ class Candidate:
 
     effect: str
     places: tuple[Place, ...]
-    names: tuple[str, ...]
-    """Parameters that are fitted."""
+    parameters: tuple[Parameter, ...]
+    """Those that are fitted."""
     directions: F64
     """(p, m) columns over atoms: what one unit of each parameter does, to first order."""
     linear: tuple[str, ...]
     """The m parameters that have a direction (others act only at second order)."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.parameters)
 
     @property
     def place(self) -> Place:
@@ -95,13 +99,17 @@ class Screen:
         for effect in [*(EFFECTS[n] for n in chosen), *NUISANCES.values()]:
             places = effect.places(context)
             if not places:
-                self.skipped[effect.name] = effect.excited_by(context, ()).reason if _placeless(effect) else "no place"
+                self.skipped[effect.name] = (
+                    effect.excited_by(context, ()).reason if effect.scope == "global" else "no place"
+                )
             for place in places:
                 excitation = effect.excited_by(context, place)
                 if not excitation.yes:
                     self.skipped.setdefault(effect.name, excitation.reason)
                     continue
-                wanted += [Atom(effect.name, place, p) for p in effect.parameters(context, place) if _has_slope(p)]
+                # Shape parameters (a Stribeck velocity, where a payload sits) do nothing on their own.
+                slopes = [p for p in effect.parameters(context, place) if p.strength and p.like is None]
+                wanted += [Atom(effect.name, place, p) for p in slopes]
         self.nominal = simulator.simulate(runs=self.runs)
         # Slopes of a large robot bear a coarser step: it halves the time, and both ends of the difference share it.
         self.coarse = 2 if simulator.case.model.nv >= 5 and context.timestep <= 0.0025 else 1
@@ -208,7 +216,7 @@ class Screen:
         return None
 
     def evidence(
-        self, simulated: Sequence[F64], few: tuple[int, ...] | None = None, about: F64 | None = None
+        self, simulated: Sequence[F64], few: tuple[int, ...] | None = None, about: F64 | float = 0.0
     ) -> Evidence:
         """Normal equations of the residual about these predictions: one a screened run (or one of the `few`).
 
@@ -222,7 +230,7 @@ class Screen:
         which = range(len(self.runs)) if few is None else few
         for k, y in zip(which, simulated, strict=True):
             run, GW = self.runs[k], self._weighted[k]
-            r = self.residual(k, y, about)
+            r = self.residual(k, y, -np.asarray(about))
             W = np.where(np.isfinite(r), self.comparison.weights[run], 0.0)
             r = np.nan_to_num(r)
             b.append(r.reshape(-1) @ GW)
@@ -247,10 +255,10 @@ class Screen:
             return [evidence]
         return [evidence, evidence.moved(self.usual - 2 * np.asarray(evidence.centre))]
 
-    def residual(self, k: int, simulated: F64, about: F64 | None = None) -> F64:
-        """(B, C) residual of screened run k as it would be without the small deviations that were simulated."""
+    def residual(self, k: int, simulated: F64, x: F64 | float = 0.0) -> F64:
+        """(B, C) residual of screened run k, once small deviations x are added."""
         r = self.comparison.residual(self.runs[k], simulated)
-        return r if about is None or not about.any() else r + self.fitted(k, about)
+        return r - self.fitted(k, np.asarray(x)) if np.any(x) else r
 
     def covariance(self, evidence: Evidence, prior: F64, runs: Sequence[int] | None = None) -> F64:
         """(p, p) posterior covariance of the nuisances on these screened runs (all if None).
@@ -286,9 +294,10 @@ class Screen:
         return self._weighted[k]
 
     def possible(self, x: F64) -> F64:
-        """The nearest coordinates that can be simulated."""
-        whole = np.array([a.parameter.whole for a in self.atoms])
+        """The nearest small deviations that can be simulated; tiny ones are left out."""
         low, high = np.array([a.parameter.bounds for a in self.atoms]).T
+        whole = np.array([a.parameter.whole for a in self.atoms])
+        x = np.where(self.simulable & (np.abs(x) > 0.05 * self.prior), x, 0.0)
         return np.asarray(np.clip(np.where(whole, np.round(x), x), low, high))
 
     def settings(self, x: F64) -> list[Setting]:
@@ -303,6 +312,13 @@ class Screen:
     def columns(self, k: int, index: Sequence[int]) -> Any:
         """(B * C, m) of some atoms on screened run k."""
         return self._columns[k][:, list(index)]
+
+    def atoms_of(self, candidate: Candidate) -> list[int]:
+        """The atoms that are this cause, and those that do the same."""
+        own = [(candidate.effect, p.name) for p in candidate.parameters]
+        alike = [p.like for p in candidate.parameters if p.like]
+        keys = [(effect, place, name) for effect, name in own + alike for place in candidate.places]
+        return [self.index[k] for k in keys if k in self.index]
 
     # ------------------------------------------------------------ candidates
 
@@ -325,41 +341,23 @@ class Screen:
         return found
 
     def _candidate(self, effect: Effect, group: tuple[Place, ...], variant: tuple[str, ...]) -> Candidate | None:
-        parameters = effect.parameters(self.simulator.context, group[0])
-        names = variant or tuple(p.name for p in parameters)
+        every = {
+            p.name: p for p in effect.parameters(self.simulator.context, tuple(n for place in group for n in place))
+        }
+        parameters = tuple(every[name] for name in variant or every)
         directions, linear = [], []
-        for name in names:
+        for p in parameters:
             column = np.zeros(len(self.atoms))
-            for place in group:
-                i = self.index.get((effect.name, place, name))
-                if i is not None:
-                    column[i] = 1.0
-                like = next(p.like for p in parameters if p.name == name)
-                if like is not None and (i := self.index.get((like[0], place, like[1]))) is not None:
-                    column[i] = 1.0
+            column[self.atoms_of(Candidate(effect.name, group, (p,), column, ()))] = 1.0
             if column.any():
                 directions.append(column)
-                linear.append(name)
+                linear.append(p.name)
         if not directions:
             return None
-        return Candidate(effect.name, group, names, np.stack(directions, axis=1), tuple(linear))
+        return Candidate(effect.name, group, parameters, np.stack(directions, axis=1), tuple(linear))
 
 
-def _has_slope(p: Parameter) -> bool:
-    """Shape parameters (a Stribeck velocity, where a payload sits) do nothing on their own."""
-    return p.strength and p.like is None
-
-
-def _placeless(effect: Effect) -> bool:
-    return effect.scope == "global"
-
-
-def slab(candidate: Candidate, screen: Screen) -> F64:
+def slab(candidate: Candidate) -> F64:
     """(m,) prior size of a cause's parameters: the step that is worth calling a gap, generously."""
-    effect = lookup(candidate.effect)
-    parameters = {p.name: p for p in effect.parameters(screen.simulator.context, candidate.place)}
-    sizes = []
-    for name in candidate.linear:
-        p = parameters[name]
-        sizes.append(SHIFT if p.shape else 2.0 * abs(p.step))
-    return np.array(sizes)
+    fitted = [p for p in candidate.parameters if p.name in candidate.linear]
+    return np.array([0.1 * figures.LEVER if p.shape else 2.0 * abs(p.step) for p in fitted])

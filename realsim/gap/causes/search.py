@@ -1,25 +1,23 @@
-"""Which causes: best-first search over sets of them, by one score and four moves (add, drop, exchange, widen).
+"""Which causes: a search over sets of them, by one score and three moves (drop, add, exchange).
 
-The neighbours of the best set are fitted: with one cause less, with one more (or a law that contains one of them), with
-another one in a cause's place. One that has a lower score, and against which nothing speaks, becomes the best set, and
-so on. Where the best set leaves a gap and no neighbour is better, those of the next best sets are fitted as well: what
-looks best alone may imitate two others.
+The neighbours of the best set are fitted: with one cause less, with one more, with another one or a richer law in a
+cause's place. One that has a lower score, and against which nothing speaks, becomes the best set, and so on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from realsim.gap.causes.figures import CLEARLY, EXPANSIONS, NAMED_SHARE, RUNNER_SHARE, RUNNERS_UP
+from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fit, Fitter
+from realsim.gap.causes.fitted import Trial
 from realsim.gap.causes.leftover import is_gap, leftover
-from realsim.gap.causes.proposals import ADD, EXCHANGE, Propose, ranked
-from realsim.gap.causes.refine import prepared, refined
-from realsim.gap.causes.score import doubts, near, score, searched
-from realsim.gap.causes.trials import Trial, screened, trial, with_outcome
+from realsim.gap.causes.proposals import ADD, EXCHANGE, Proposal, Propose, ranked
+from realsim.gap.causes.score import asked, doubts, near, score, searched
+from realsim.gap.simulation.nuisances import MANY_JOINTS
 from realsim.types import F64
 
 Tick = Callable[[str, float], None]
@@ -27,7 +25,7 @@ Tick = Callable[[str, float], None]
 
 @dataclass
 class Search:
-    """Best-first over sets of causes."""
+    """From one set of causes to a better neighbour, as long as there is one."""
 
     fitter: Fitter
     most: int
@@ -37,38 +35,30 @@ class Search:
     seen: dict[frozenset, Fit] = field(default_factory=dict)
     gap: float = 0.0
     """Mean square above the floor that stays beside everyday deviations alone."""
-    expanded: set[frozenset] = field(default_factory=set)
-    """Full keys of the sets whose neighbours were fitted."""
     trials: list[Trial] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     def run(self, tick: Tick) -> None:
         self._keep(self.best)
-        self.trials = screened(ranked(self.fitter.screen, self.best))
-        in_vain = 0
-        for k in range(EXPANSIONS):
-            tick("search for causes", k / EXPANSIONS)
-            here = self._next()
-            if here is None or in_vain > RUNNERS_UP:
+        best: dict[str, Trial] = {}
+        for gain, c, _ in ranked(self.fitter.screen, self.best):
+            best.setdefault(c.effect, Trial(c, 0, gain, "screened"))
+        self.trials = list(best.values())
+        expanded: set[frozenset] = set()
+        better = True
+        while better and self.best.full_key not in expanded:
+            tick("search for causes", len(expanded) / (len(expanded) + 3))
+            expanded.add(self.best.full_key)
+            if self._hopeless(leftover(self.fitter.screen, self.fitter.remeasure(self.best))):
                 break
-            self.expanded.add(here.full_key)
-            in_vain = 0 if self._expand(here) else in_vain + (here.key != self.best.key)
-        self.best = prepared(self.fitter, self.best)
-
-    def _next(self) -> Fit | None:
-        """The best set; once its neighbours are known and it leaves a gap, the next best that removes something."""
-        left = leftover(self.fitter.screen, self.fitter.remeasure(self.best))
-        if self._hopeless(left):
-            return None
-        if self.best.full_key not in self.expanded:
-            return self.best
-        if not is_gap(left):
-            return None
-        self.seen = {k: self.fitter.looked_at(f, f.causes) or f for k, f in self.seen.items()}
-        nothing = self.seen[frozenset()].misfit
-        least = RUNNER_SHARE * (nothing - min(f.misfit for f in self.seen.values()))
-        worth = [f for f in self.seen.values() if len(f.causes) < self.most and f.full_key not in self.expanded]
-        return min((f for f in worth if nothing - f.misfit > least), key=self._score, default=None)
+            # Each of several causes was chosen while another one was missing: they are exchanged before one is added.
+            several = len(self.best.causes) > 1
+            moves = (self._dropped, self._exchanged, self._added) if several else (self._added, self._exchanged)
+            better = any(move() for move in moves)
+        self.best = self.fitter.prepared(self.best)
+        if self.best.causes:  # what was found on some of the runs, on all of them
+            self.best = self.fitter.fit(self.best.causes) or self.best
+            self._keep(self.best)
 
     def _hopeless(self, left: F64) -> bool:
         """Whether nothing in the library fits: with all the causes that a set may have, each as good as those so far,
@@ -77,32 +67,11 @@ class Search:
             self.gap = max(left.mean() - 1, 0.0)
             return False
         stays = (left.mean() - 1) / self.gap if self.gap else 0.0
-        return bool(max(stays, 0.0) ** (self.most / len(self.best.causes)) > 1 - NAMED_SHARE)
+        return bool(max(stays, 0.0) ** (self.most / len(self.best.causes)) > 1 - figures.NAMED_SHARE)
 
-    def _expand(self, here: Fit) -> bool:
-        """Fit a set's neighbours; whether one of them is better than the best set."""
-        best = here.key == self.best.key
-        here = prepared(self.fitter, here)
-        if best:
-            self.best = here
-            if self._dropped(here):
-                return True
-        # Each of several causes was chosen while another one was missing: they are exchanged before one more is added.
-        for moves in (EXCHANGE, ADD) if len(here.causes) > 1 else (ADD, EXCHANGE):
-            if moves is ADD and len(here.causes) < self.most:
-                base, fits = refined(self.fitter, *self._fitted(here, ADD))
-                if self._better(base if best else self.fitter.remeasure(self.best), fits):
-                    return True
-            elif moves is EXCHANGE and best and here.causes:
-                self.best = here = prepared(self.fitter, here)
-                if self._better(here, self._fitted(here, EXCHANGE)[1]):
-                    return True
-        return False
-
-    def _dropped(self, here: Fit) -> bool:
+    def _dropped(self) -> bool:
         """Whether a cause is superfluous beside the others; the one that brings least is looked at first."""
-        if len(here.causes) < 2:
-            return False
+        self.best = here = self.fitter.prepared(self.best)
         fits = [self.fitter.fit(here.causes[:i] + here.causes[i + 1 :]) for i in range(len(here.causes))]
         for less in sorted((f for f in fits if f is not None), key=self._score):
             if said := doubts(self.fitter, less, here)[0]:
@@ -110,39 +79,69 @@ class Search:
                 return True
         return False
 
-    def _fitted(self, here: Fit, moves: Sequence[Propose]) -> tuple[Fit, list[Fit]]:
-        """(a set, fits of its neighbours by score), beside nuisance parameters that no cause has bent yet."""
-        fitter, screen = self.fitter, self.fitter.screen
+    def _added(self) -> bool:
+        """Whether one cause more is better."""
+        return len(self.best.causes) < self.most and self._moved(ADD)
+
+    def _exchanged(self) -> bool:
+        """Whether another cause, or a richer law, in the place of one is better."""
+        return bool(self.best.causes) and self._moved(EXCHANGE)
+
+    def _moved(self, moves: Sequence[Propose]) -> bool:
+        """Fit the neighbours of the best set that some moves lead to; whether one of them takes its place."""
+        self.best = here = self.fitter.prepared(self.best)
+        screen, further = self.fitter.screen, moves is ADD
         fits: list[Fit] = []
+        for p in self._proposed(moves, here):
+            # Of many further causes each is looked at roughly; what would not catch up with the best is broken off.
+            least = min((searched(screen, f) for f in fits), default=np.inf) if further else here.misfit
+            before = searched(screen, here) if further else self.seen[frozenset()].misfit
+            target = least + near(before - least)
+            fit = self.fitter.fit(p.causes, p.starts, 8, rough=further, target=target)
+            if fit is not None:
+                fits.append(fit)
+                self._keep(fit)
+                if further:
+                    c, gain = fit.causes[-1], here.misfit - fit.misfit
+                    self.trials.append(Trial(c.candidate, len(here.causes), p.foretold, gain=gain, values=c.values))
+        return self._better(*self._second_look(here, sorted(fits, key=self._score)))
+
+    def _second_look(self, here: Fit, fits: Sequence[Fit]) -> tuple[Fit, list[Fit]]:
+        """(a set, its best neighbours) under weights for what the best one leaves: beside a large gap every one
+        looks good enough. Each stands beside its own everyday deviations, which else hide what a cause does."""
+        fitter, simulator = self.fitter, self.fitter.screen.simulator
+        if not fits or (len(simulator.case.joint_names) < MANY_JOINTS and not simulator.context.touches):
+            return here, list(fits)  # few deviations hide nothing: slopes tell them from causes
+        if not is_gap(leftover(fitter.screen, here)):  # weights hardly change: only what comes near can win
+            least = asked(here) if len(fits[0].causes) > len(here.causes) else figures.CLEARLY
+            fits = [f for f in fits if self._score(here) - self._score(f) + near(here.misfit - f.misfit) > least]
+            if not fits:
+                return here, []
+        close = [f for f in fits if f.misfit - fits[0].misfit <= near(here.misfit - fits[0].misfit)]
+        settled = [fitter.settled(f) for f in (here, *close[: figures.PLACES])]
+        fitter.reweighted(min(settled[1:], key=self._score))
+        here, *fits = map(fitter.remeasure, settled)
+        for fit in fits:
+            self._keep(fit)
+        return here, sorted(fits, key=self._score)
+
+    def _proposed(self, moves: Sequence[Propose], here: Fit) -> Iterator[Proposal]:
+        """Neighbours of a set; of those that begin from the linear estimate alone, each once."""
         known: set[tuple] = set()
-        with fitter.nuisances_reset():
-            base = fitter.looked_at(here, here.causes) or here if moves is ADD else here
-            aim = near(self.seen[frozenset()].misfit - base.misfit)
-            for p in (p for propose in moves for p in propose(fitter, base)):
-                what = tuple(c.candidate.key for c in p.causes)
-                if what in known and not p.starts:
-                    continue
-                known.add(what)
-                if moves is ADD:
-                    least = min((searched(screen, f) for f in fits), default=np.inf)
-                    target = least + near(searched(screen, base) - least)
-                    fit = fitter.fit(p.causes, p.starts, 8, rough=True, coarse=True, target=target)
-                else:
-                    still = not screen.simulator.context.touches
-                    fit = fitter.fit(p.causes, p.starts, 8, target=base.misfit + aim, nearer=still)
-                if fit is not None:
-                    fits.append(fit)
-                    self._keep(fit)
-                    self.trials += [trial(base, fit, p.foretold)] if moves is ADD else []
-        return base, sorted(fits, key=self._score)
+        for p in (p for propose in moves for p in propose(self.fitter, here)):
+            what = tuple(c.candidate.key for c in p.causes)
+            if what not in known or p.starts:
+                yield p
+            known.add(what)
 
     def _better(self, before: Fit, fits: Sequence[Fit]) -> bool:
         """Whether one of the fits takes the place of the best set."""
         for fit in fits:
-            if self._score(before) - self._score(fit) < CLEARLY:
+            if self._score(before) - self._score(fit) < figures.CLEARLY:
                 break
             said, held = doubts(self.fitter, before, fit) if len(fit.causes) > len(before.causes) else ([], None)
-            self.trials = with_outcome(self.trials, fit, "; ".join(said) or "accepted", held)
+            for trial in [t for t in self.trials if t.candidate.key == fit.causes[-1].candidate.key][-1:]:
+                trial.outcome, trial.held = "; ".join(said) or "accepted", held
             if not said:
                 self._replace(fit, "")
                 return True

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from realsim.gap.causes.fit import Fit, Fitter
+from realsim.gap.causes.fitted import Trial
 from realsim.gap.causes.score import alike, asked_for, near, score
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.search import Search, Tick
 from realsim.gap.causes.starts import contains
-from realsim.gap.causes.trials import Trial as Trial
 from realsim.gap.config import DiagnoseConfig
 
 
@@ -32,7 +32,7 @@ def select(screen: Screen, fitter: Fitter, config: DiagnoseConfig, tick: Tick = 
     nothing = fitter.with_likelier_solver(fitter.nominal())
     search = Search(fitter, config.max_causes, nothing)
     search.run(tick)
-    nominal = fitter.remeasure(nothing)
+    nominal = fitter.looked_at(nothing, ()) or nothing
     best, equivalent = _alike(search, nominal)
     gains = {}
     for i in range(len(best.causes)):

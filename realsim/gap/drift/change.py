@@ -18,7 +18,7 @@ from realsim.gap.causes.fitted import Cause, spread
 from realsim.gap.causes.linear import Evidence, log_evidence, marginal, posterior
 from realsim.gap.causes.screen import Candidate, Screen, slab
 from realsim.gap.effects.base import Parameter
-from realsim.gap.simulation.simulate import Setting, lookup
+from realsim.gap.simulation.simulate import Setting
 from realsim.types import F64
 
 DAILY = 0.5
@@ -77,14 +77,14 @@ class Joint:
         for candidate in self.screen.candidates:
             if any((candidate.effect, q) in taken for q in candidate.places):
                 continue
-            gain, estimate, _ = log_evidence(A[p:, p:], b[p:], candidate.directions, slab(candidate, self.screen))
+            gain, estimate = log_evidence(A[p:, p:], b[p:], candidate.directions, slab(candidate))
             found.append((gain, candidate, estimate))
         return sorted(found, key=lambda item: -item[0])
 
     def fit(self, causes: Sequence[Cause], iterations: int = ITERATIONS) -> Changed | None:
         """The best values near those given, by Gauss-Newton over the simulation; None where it cannot run."""
         candidates = [c.candidate for c in causes]
-        parameters = self.parameters(candidates)
+        parameters = [p for c in candidates for p in c.parameters]
         low, high = self._bounds(candidates, parameters)
         z = np.clip(np.array([v for c in causes for v in c.values]), low, high)
         here = self.at(candidates, z)
@@ -155,14 +155,6 @@ class Joint:
             rows[k in self.now].append(float(np.nanmean(r**2 / self.screen.comparison.floor(run))))
         return np.array(rows[0]), np.array(rows[1])
 
-    def parameters(self, candidates: Sequence[Candidate]) -> list[Parameter]:
-        """Of all values in a row."""
-        found = []
-        for c in candidates:
-            known = {p.name: p for p in lookup(c.effect).parameters(self.screen.simulator.context, c.place)}
-            found += [known[name] for name in c.names]
-        return found
-
     def has(self, candidate: Candidate) -> bool:
         """Whether the earlier log has this effect there already."""
         return any(
@@ -172,7 +164,7 @@ class Joint:
 
     def before(self, candidate: Candidate) -> dict[str, float]:
         """Coordinates of an effect at a place in the earlier log: those of a shared cause, or its defaults."""
-        values = {p.name: p.default for p in self.parameters([candidate])}
+        values = {p.name: p.default for p in candidate.parameters}
         for cause in self.shared:
             if cause.candidate.effect == candidate.effect and set(candidate.places) <= set(cause.candidate.places):
                 values |= {n: v for n, v in cause.named.items() if n in values}
@@ -229,13 +221,7 @@ class Joint:
         """(2p,) of both kinds of deviations; what is a change is none from day to day."""
         daily = DAILY * self.screen.prior
         for c in candidates:
-            like = {q.name: q.like for q in lookup(c.effect).parameters(self.screen.simulator.context, c.place)}
-            for place in c.places:
-                for name in c.names:
-                    for effect, parameter in [(c.effect, name), like[name] or (c.effect, name)]:
-                        i = self.screen.index.get((effect, place, parameter))
-                        if i is not None:
-                            daily[i] = 0.0
+            daily[self.screen.atoms_of(c)] = 0.0
         return np.concatenate([self.stays, daily])
 
     def _bounds(self, candidates: Sequence[Candidate], parameters: Sequence[Parameter]) -> tuple[F64, F64]:

@@ -11,19 +11,7 @@ from scipy.stats import t as student
 from threadpoolctl import threadpool_limits
 
 from realsim.gap.answer.diagnosis import MODEL_ERROR
-from realsim.gap.answer.verdict import EXCESS, EXPLAINED
-from realsim.gap.causes.figures import (
-    CAUSE,
-    CAUSE_A_JOINT,
-    CERTAIN,
-    CLEARLY,
-    EQUAL,
-    EQUAL_SHARE,
-    HOLDS,
-    MOST_RUNS,
-    PRICE,
-    REASONABLE,
-)
+from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fitter
 from realsim.gap.causes.fitted import Z90, Cause
 from realsim.gap.causes.leftover import is_gap
@@ -38,6 +26,12 @@ from realsim.gap.logs.case import Case
 from realsim.gap.simulation.simulate import Simulator, lookup
 from realsim.types import F64
 
+HOLDS, MOST_RUNS = 0.5, 0.6
+"""Standard errors, and share of the runs, by which a change must gain on runs left out in turn."""
+CERTAIN = 0.975
+"""Quantile of Student's t that a preference on runs left out must exceed to tell two changes apart. Conventional."""
+EQUAL, EQUAL_SHARE = 8.0, 0.03
+"""Nats, and share of what both remove, within which two changes explain the later log alike."""
 FINALISTS = 6
 """Possible changes that are fitted by simulation: a budget."""
 SURE = 2.0
@@ -119,9 +113,9 @@ def _stays(config: DiagnoseConfig, named: bool, then: F64, first: F64, now: F64)
             changes, and with them.
     """
     if not named:
-        return is_gap(now / EXCESS) and float(np.median(now)) > WORSE * max(float(np.median(then)), 1.0)
+        return is_gap(now / figures.EXCESS) and float(np.median(now)) > WORSE * max(float(np.median(then)), 1.0)
     share = float(np.mean(np.maximum(now - 1, 0))) / max(float(np.mean(first - 1)), 1e-9)
-    return (is_gap(now) and share > config.unexplained_share) or float(np.median(now)) > EXPLAINED
+    return (is_gap(now) and share > config.unexplained_share) or float(np.median(now)) > figures.EXPLAINED
 
 
 def _joint(screen: Screen, shared: Selection, nominal: Sequence[F64], earlier: int) -> Joint:
@@ -166,7 +160,7 @@ def _refitted(joint: Joint, config: DiagnoseConfig, current: Changed) -> list[Ch
     fits: list[Changed] = []
     seen: set[tuple[str, tuple[str, ...]]] = set()
     for gain, candidate, estimate in joint.ranked(current):
-        if gain < CLEARLY or len(seen) == FINALISTS:
+        if gain < figures.CLEARLY or len(seen) == FINALISTS:
             break
         key = (candidate.effect, candidate.place)
         if candidate.names != candidate.linear or key in seen or sum(e == key[0] for e, _ in seen) == 2:
@@ -189,7 +183,7 @@ def _refitted(joint: Joint, config: DiagnoseConfig, current: Changed) -> list[Ch
 
 
 def _price(fit: Changed) -> float:
-    return fit.misfit + PRICE * sum(len(c.values) for c in fit.causes)
+    return fit.misfit + figures.PRICE * sum(len(c.values) for c in fit.causes)
 
 
 def _doubt(joint: Joint, config: DiagnoseConfig, before: Changed, after: Changed) -> str:
@@ -198,15 +192,15 @@ def _doubt(joint: Joint, config: DiagnoseConfig, before: Changed, after: Changed
     gain = before.misfit - after.misfit
     # A change costs what a cause costs (`realsim.gap.causes.score`).
     joints = len(joint.screen.simulator.case.joint_names)
-    least = CLEARLY + CAUSE + CAUSE_A_JOINT * joints + PRICE * len(cause.values)
+    least = figures.CLEARLY + figures.CAUSE + figures.CAUSE_A_JOINT * joints + figures.PRICE * len(cause.values)
     if gain < least:
         return f"it gains {gain:.1f} nats, must gain {least:.1f}"
-    parameters = joint.parameters([cause.candidate])
+    parameters = cause.candidate.parameters
     errors = np.sqrt(np.maximum(np.diag(after.covariance), 1e-30))[-len(cause.values) :]
     rows = [(abs(v), e, p) for v, e, p in zip(cause.values, errors, parameters, strict=True) if p.strength]
     if max((v / e for v, e, _ in rows), default=0.0) < SURE:
         return "too few standard errors off nothing"
-    if max((v / (DAILY * p.nuisance or 0.1 * abs(p.step)) for v, _, p in rows), default=0.0) < REASONABLE:
+    if max((v / (DAILY * p.nuisance or 0.1 * abs(p.step)) for v, _, p in rows), default=0.0) < figures.REASONABLE:
         return "no larger than what comes and goes from day to day"
     gains = joint.gains(before, after)
     if len(gains) > 1:  # of a single run none can be left out
@@ -231,7 +225,7 @@ def _rivals(joint: Joint, config: DiagnoseConfig, found: Changed, stages: Sequen
         gains = joint.gains(fit, found)
         error = float(gains.std(ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else np.inf
         preferred = gains.mean() > float(student.ppf(CERTAIN, max(len(gains) - 1, 1))) * error
-        alike = loss < CLEARLY or (loss < max(EQUAL_SHARE * removed, EQUAL) and not preferred)
+        alike = loss < figures.CLEARLY or (loss < max(EQUAL_SHARE * removed, EQUAL) and not preferred)
         if alike and not _doubt(joint, config, before, fit):
             rivals[key] = fit
     return list(rivals.values())
@@ -244,7 +238,7 @@ def _described(joint: Joint, found: Changed) -> list[dict[str, Any]]:
     for cause in found.causes:
         c = cause.candidate
         start, parameters = joint.before(c), {}
-        for p, value in zip(joint.parameters([c]), cause.values, strict=True):
+        for p, value in zip(c.parameters, cause.values, strict=True):
             own = MODEL_ERROR * value if p.strength else 0.0
             sigma = float(np.sqrt(errors.pop(0) ** 2 + (DAILY * p.nuisance) ** 2 + own**2))
             known = p.strength or joint.has(c)

@@ -1,48 +1,13 @@
 """Commands reach the drive late."""
 
-from __future__ import annotations
+from realsim.gap.effects.delays import delay
 
-from realsim.gap.effects.base import (
-    EXACT,
-    Edit,
-    Effect,
-    Parameter,
-    Place,
-    Suggestion,
-    always,
-    everywhere,
-    joint_signals_only,
-)
-from realsim.gap.simulation.context import Context
-
-
-def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("delay", "s", (-0.01, 0.2), 0.01, nuisance=0.0012),)
-
-
-def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
-    edit.signals.command_delay += values["delay"]
-
-
-def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[Suggestion]:
-    """Where only joints are compared, late commands and late readings are one thing."""
-    return [Suggestion("observation_delay", place, values)] if joint_signals_only(context) else []
-
-
-EFFECT = Effect(
-    name="command_delay",
-    title="command delay",
-    scope="global",
+EFFECT = delay(
+    "command_delay",
+    "command delay",
+    twin="observation_delay",
     description="Every command acts a fixed time after it was logged (bus, queue, low-level control rate).",
     signature="The same lag at all joints and speeds; error in proportion to the speed of the command; IMU and base "
     "lag with the joints.",
     excitation="Commands that change; an IMU or base pose tells it from a delay of the joint readings.",
-    changed_by="other software or another bus",
-    places=everywhere,
-    parameters=_parameters,
-    excited_by=always,
-    apply=_apply,
-    form=EXACT,
-    patchable=False,
-    suggests=_suggests,
 )

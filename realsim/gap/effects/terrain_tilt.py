@@ -56,6 +56,7 @@ EFFECT = Effect(
     signature="The base leans by the tilt in every pose; uphill and downhill legs carry different loads.",
     excitation="Standing; base pose or IMU.",
     directed=True,
+    footing=("roll", "pitch"),
     places=everywhere,
     parameters=_parameters,
     excited_by=_excited,
