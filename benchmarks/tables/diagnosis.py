@@ -96,24 +96,29 @@ def real_logs() -> list[str]:
 
 def experiments() -> list[str]:
     """Every ambiguous case, whatever became of it, and the sums."""
-    rows = [r for r in stored("gap_next")["rows"] if r["verdict"] == "ambiguous"]
+    rows = stored("gap_next")["rows"]
     lines = [
         "| robot, true cause | could not tell | asked for | then | at random | then |",
         "|---|---|---|---|---|---|",
     ]
-    for r in rows:
-        asked, other = r.get("asked", {}), r.get("random", {})
-        sets = " or ".join(" with ".join(s) for s in r["sets"])
-        asks = asked.get("excitation") or "nothing"
+    for engine in dict.fromkeys(r["engine"] for r in rows):
+        drawn = [r for r in rows if r["engine"] == engine]
+        ambiguous = [r for r in drawn if r["verdict"] == "ambiguous"]
+        lines += [_experiment(r) for r in ambiguous]
+        right = {key: sum(bool(r.get(key, {}).get("right")) for r in ambiguous) for key in ("asked", "random")}
+        of = f"of {len(ambiguous)}"
         lines.append(
-            f"| {r['robot']}, {', '.join(r['truth'])} | {sets} | {asks} | {_then(asked)} "
-            f"| {other.get('excitation', 'nothing')} | {_then(other)} |"
+            f"| engine {engine}, {len(drawn)} drawn: the true cause alone | | | {right['asked']} {of} "
+            f"| | {right['random']} {of} |"
         )
-    right = {key: sum(bool(r.get(key, {}).get("right")) for r in rows) for key in ("asked", "random")}
-    lines.append(
-        f"| sum: the true cause alone | | | {right['asked']} of {len(rows)} | | {right['random']} of {len(rows)} |"
-    )
     return lines
+
+
+def _experiment(r: Row) -> str:
+    asked, other = r.get("asked", {}), r.get("random", {})
+    sets = " or ".join(" with ".join(s) for s in r["sets"])
+    asks, random = asked.get("excitation") or "nothing", other.get("excitation", "nothing")
+    return f"| {r['robot']}, {', '.join(r['truth'])} | {sets} | {asks} | {_then(asked)} | {random} | {_then(other)} |"
 
 
 def _then(found: Row) -> str:
