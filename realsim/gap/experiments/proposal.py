@@ -49,7 +49,7 @@ def propose(simulator: Simulator, noise: Noise, fits: Sequence[Fit], config: Dia
         return None
     finalists = FINALISTS if simulator.case.model.nv <= MOST_FREEDOM else 0
     try:
-        bench = bench_of(simulator.context, noise, ExciteConfig(), config)
+        bench = bench_of(simulator.context_of_all_runs(), noise, ExciteConfig(), config)
         looked = look(bench, rivals, finalists=finalists)
     except GapError as error:  # a log that no command file can be planned from
         return {"text": f"no experiment was planned: {error.message}", "decides": False,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -73,7 +74,7 @@ class Simulator:
         self.rests = [r["pos"][round(float(r["settle"][0] / r["settle"][1]))] for r in self._raw]
         """(J,) a run: where the nominal simulator rests under the first command."""
         self._start_in_motion()
-        self.context.travels = {n: self._travel(j) for j, n in enumerate(case.joint_names)}
+        self.context.travels = self._travels(self.known)
         self.context.deviations = read_deviations(config.deviations)
         measure(self.context, [_inside(self._raw[i]) for i in self.known])
         check_places(self.context.deviations, lambda name: lookup(name).places(self.context), self.context)
@@ -81,10 +82,21 @@ class Simulator:
     def close(self) -> None:
         self.cores.close()
 
-    def _travel(self, column: int) -> float:
-        """Range of a joint's positions in the known runs, rad or m."""
-        values = np.concatenate([self.case.runs[i].signals["joint_pos"][:, column] for i in self.known])
-        return float(np.nanmax(values) - np.nanmin(values)) if np.isfinite(values).any() else 0.0
+    def context_of_all_runs(self) -> Context:
+        """The context with scales of the unknown runs too: for what may be recorded next, not for fits."""
+        context = replace(
+            self.context, peak_torque={}, speed={}, mean_torque={}, mean_speed={}, load_at_speed={}, inertial_share={},
+            reversals={}, load_reversals={},
+        )  # fmt: skip
+        context.travels = self._travels(range(len(self.case.runs)))
+        measure(context, [_inside(track) for track in self.nominal_tracks])
+        return context
+
+    def _travels(self, runs: Sequence[int]) -> dict[str, float]:
+        """Joint -> range of its positions in these runs, rad or m."""
+        logged = np.concatenate([self.case.runs[i].signals["joint_pos"] for i in runs])
+        ranges = np.nan_to_num(np.fmax.reduce(logged) - np.fmin.reduce(logged))
+        return dict(zip(self.case.joint_names, map(float, ranges), strict=True))
 
     def __enter__(self) -> Simulator:
         return self

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from realsim.errors import GapError, UnknownNameError
+from realsim.gap import load_case
 from realsim.gap.experiments.choose import look, random_experiment
 from realsim.gap.experiments.excitations import EXCITATIONS
-from realsim.gap.experiments.limits import Limits
+from realsim.gap.experiments.limits import Limits, limits_of
 from realsim.gap.experiments.proposal import described, with_text
 from realsim.gap.experiments.separation import Bench, expected_posterior, separations
+from realsim.gap.simulation.simulate import Simulator
+
+from .conftest import SETTINGS
 
 DAMPER = ("viscous_friction", ("swing",))
 SERVO = ("damping_gain", ("swing",))
@@ -123,3 +129,17 @@ def test_the_advice_is_the_experiment() -> None:
     nothing = {"text": "no excitation of the library tells these apart", "excitation": None}
     assert with_text(advice, nothing) == nothing["text"]
     assert with_text("No gap.", asked) == "No gap."
+
+
+def test_limits_are_those_of_the_whole_log_the_run_held_out_too(pendulum: Path) -> None:
+    case = load_case(pendulum)
+    with Simulator(case, SETTINGS) as simulator:
+        whole = limits_of(simulator.context)
+    less = []
+    for known in range(len(case.runs)):
+        with Simulator(case, SETTINGS, [known]) as simulator:
+            found = limits_of(simulator.context_of_all_runs())
+            assert np.array_equal(found.speed, whole.speed)
+            assert np.array_equal(found.torque, whole.torque)
+            less.append(limits_of(simulator.context).speed < whole.speed)
+    assert np.any(less)
