@@ -25,3 +25,10 @@ def quadruped_base() -> list[str]:
 def tuned() -> list[str]:
     """The thirteen tests before and after fine-tuning on each."""
     return ttt.table(stored("ttt")["rows"])
+
+
+def well_crossed(method: str) -> str:
+    """On how many tests a policy succeeds in 97 % of the trials: fine-tuned on the exact terrain, or the base."""
+    rows = stored("ttt")["rows"]
+    of = [r for r in rows if (r["base"], r["method"], r["source"]) == (rows[-1]["base"], method, "exact")]
+    return f"{sum(r['won'] >= 0.97 * r['trials'] for r in of)} of {len(of)}"

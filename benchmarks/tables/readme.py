@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from benchmarks import reconstruct
 from benchmarks.tables.diagnosis import robots
-from benchmarks.tables.policies import families
+from benchmarks.tables.policies import families, well_crossed
 from benchmarks.tables.stored import counts, of, span, stored
 
 FRESH = 202
@@ -48,14 +48,9 @@ def readme() -> list[str]:
             "13 meshes, measured with balls in MuJoCo",
         ),
         (
-            "Diagnosis: a single cause is named first / or as an equivalent",
-            f"{of(fresh['first'])} / {of(fresh['with equivalents'])}",
+            "Diagnosis: a single cause is named first / or as an equivalent / both of two",
+            f"{of(fresh['first'])} / {of(fresh['with equivalents'])} / {of(fresh['both'])}",
             measured_on,
-        ),
-        (
-            "Diagnosis: both of two causes are found",
-            of(fresh["both"]),
-            "the same",
         ),
         (
             "Diagnosis: a cause is named where nothing is wrong",
@@ -66,6 +61,11 @@ def readme() -> list[str]:
             "Policy: G1 crosses unseen courses of difficulty 0.5 / 0.8, mean and worst of eight families",
             " / ".join(families(difficulty) for difficulty in ("0.5", "0.8")),
             "the base that ships, not fine-tuned, in simulation; 49 minutes of training on one GPU",
+        ),
+        (
+            "Policy: fine-tuned for five minutes on the terrain in front of it: tests crossed in 97 % of 1000 trials",
+            f"{well_crossed('ttt1')}; before: {well_crossed('base')}",
+            "13 tests, one H100 or a part of it, in simulation",
         ),
     ]
     return ["| | figure | measured on |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]
