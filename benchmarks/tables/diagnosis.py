@@ -101,14 +101,14 @@ def experiments() -> list[str]:
         "| robot, true cause | could not tell | asked for | then | at random | then |",
         "|---|---|---|---|---|---|",
     ]
-    for engine in dict.fromkeys(r["engine"] for r in rows):
-        drawn = [r for r in rows if r["engine"] == engine]
+    for seed, engine in dict.fromkeys((r["seed"], r["engine"]) for r in rows):
+        drawn = [r for r in rows if (r["seed"], r["engine"]) == (seed, engine)]
         ambiguous = [r for r in drawn if r["verdict"] == "ambiguous"]
         lines += [_experiment(r) for r in ambiguous]
         right = {key: sum(bool(r.get(key, {}).get("right")) for r in ambiguous) for key in ("asked", "random")}
         of = f"of {len(ambiguous)}"
         lines.append(
-            f"| engine {engine}, {len(drawn)} drawn: the true cause alone | | | {right['asked']} {of} "
+            f"| seed {seed}, engine {engine}, {len(drawn)} drawn: the true cause alone | | | {right['asked']} {of} "
             f"| | {right['random']} {of} |"
         )
     return lines
