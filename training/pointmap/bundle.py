@@ -26,7 +26,7 @@ ALONG = 0.08
 DOUBT = 3.0
 """Times the usual error at which a match has lost three quarters of its weight (Geman and McClure 1985)."""
 ROUNDS = 6
-"""Of Gauss and Newton."""
+"""Of Gauss-Newton."""
 GRADIENTS = 25
 """Steps of conjugate gradients a round."""
 NEAREST = 0.05
