@@ -63,8 +63,6 @@ end at first. Not tuned."""
 SLIDES = (0.3, 0.1, 0.03)
 """Steps in which the times of a passing force (s) and the strength of any cause (share) are moved where feet slip and
 land. Budget."""
-TIMES = 1.5
-"""Factor by which a window must explain more than the same force throughout, beside NEAR nats. Not tuned."""
 
 # ---------------------------------------------------------------- fits
 WIDE = 0.1

@@ -41,7 +41,7 @@ def clocks(screen: Screen) -> list[Clock]:
 
 
 def window_candidates(screen: Screen, fit: Fit, most: int = 2) -> list[tuple[float, Candidate, dict[str, float]]]:
-    """(gain, candidate, start values) of forces that act for a while, where that says much more than acting always: the
+    """(gain, candidate, start values) of forces that act for a while, where that says more than acting always: the
     best few bodies on each clock.
 
     The response to a force that lasts much longer than the servos' settling is nearly the constant force's response
@@ -58,7 +58,7 @@ def window_candidates(screen: Screen, fit: Fit, most: int = 2) -> list[tuple[flo
             whole = always.setdefault((name, place), float(_gain(info.sum(axis=0), score.sum(axis=0), scale)[0]))
             width = screen.comparison.config.bin_seconds
             gain, start, end, force = _best_window(info, score, scale, width, clock.latest)
-            if gain > figures.TIMES * whole + figures.NEAR:
+            if gain > whole + figures.NEAR:
                 values = zip(candidate.names, (*force, *clock.values(start, end)), strict=True)
                 found.append((gain, candidate, dict(values)))
         chosen += sorted(found, key=lambda item: -item[0])[:most]
