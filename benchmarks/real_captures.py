@@ -146,8 +146,9 @@ def _triangles(scene: Path) -> tuple[np.ndarray, np.ndarray]:
 def _chair(source: Path, _: Path, report: dict[str, Any]) -> str:
     gain = (report["points"] or {}).get("depth_gain", 1.0)
     tilt = np.degrees(np.arccos(np.clip(np.asarray(report["gravity"]["normal_world"])[1], -1, 1)))
-    seat = max((p["size"][2] for p in report["platforms"]), default=float("nan"))
-    return f"{abs(1 / gain - 1):.1%} named; seat at {seat:.3f} m; floor {tilt:.2f}° off ARKit's level"
+    heights = [p["size"][2] for p in report["platforms"]]
+    seat = f"seat at {max(heights):.3f} m" if heights else "the seat is no platform"
+    return f"{abs(1 / gain - 1):.1%} named; {seat}; floor {tilt:.2f}° off ARKit's level"
 
 
 def _chair_estimated(source: Path, scene: Path, report: dict[str, Any]) -> str:
