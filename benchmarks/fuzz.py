@@ -270,7 +270,7 @@ def main() -> None:
         kind, number = arguments.show[0], int(arguments.show[1])
         names = build(kind, arguments.work)
         row = attempt(kind, names[number % len(names)], arguments.seed, number, arguments.work)
-        print(row.pop("error", ""), json.dumps(row, indent=1))
+        print(row.pop("error", ""), json.dumps(row, indent=1, default=str))
         return
     rows = run(arguments.only, arguments.seed, arguments.trials, arguments.work, arguments.again)
     report(rows)

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from realsim.errors import GapError, RealsimError
 from realsim.files import check_size
 from realsim.logs.readers import READERS
@@ -66,7 +68,26 @@ def _read(reader: Reader, path: Path, window: Window) -> list[Recording]:
         for inner in path.rglob("*"):
             if not inner.is_dir():
                 check_size(inner, MAX_BYTES)
-    return reader.read(path, window)
+    return [_finite(recording) for recording in reader.read(path, window)]
+
+
+def _finite(recording: Recording) -> Recording:
+    """Infinite numbers are no measurements: missing, and said."""
+    notes, streams = [], []
+    for stream in recording.streams:
+        fields = {}
+        for name, part in stream.fields.items():
+            infinite = np.isinf(part.values)
+            if infinite.any():
+                notes.append(
+                    f"{stream.name or recording.path.name}: {int(infinite.sum())} infinite values of {name} are taken as missing"
+                )
+                part = replace(part, values=np.where(infinite, np.nan, part.values))
+            fields[name] = part
+        streams.append(replace(stream, fields=fields))
+    if not notes:
+        return recording
+    return replace(recording, streams=tuple(streams), notes=(*recording.notes, *notes))
 
 
 def _folder(folder: Path, window: Window) -> list[Recording]:

@@ -62,6 +62,7 @@ def test_a_known_mass_and_gain_do_what_the_effects_do(made, tmp_path: Path) -> N
         ({"run_00": {"mass": 1}}, "cannot be read"),
         ({"run_00": {"payload": [{"body": "fore", "mass": float("nan"), "at": [0, 0, 0]}]}}, "cannot be read"),
         ({"run_00": {"payload": [{"body": "fore", "mass": 1, "at": [0, 0, -300]}]}}, "cannot be read"),
+        ({"run_00": {"payload": [{"body": "fore", "mass": 1e-320, "at": [0, 0, 0]}]}}, "cannot be read"),
         ({"run_00": {"gains": {"elbow_servo": {"kp": float("inf")}}}}, "cannot be read"),
         ([1], "cannot be read"),
     ],

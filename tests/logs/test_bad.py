@@ -164,6 +164,10 @@ def test_a_cell_that_is_no_number_is_said(tmp_path: Path) -> None:
     assert not read(path)[0].notes
     path.write_text("time,target,q\n" + rows.replace('"[7, 0.5]"', '"[7, 0x10]"').replace(",8\n", ",\n"))
     assert read(path)[0].notes == ("a.csv: target has values that are no numbers, the first is '[7, 0x10]'",)
+    path.write_text("time,target,q\n" + rows.replace(",8\n", ",inf\n"))
+    (run,) = read(path)
+    assert run.notes == ("a.csv: 1 infinite values of q are taken as missing",)
+    assert not np.isinf(run.streams[0].fields["q"].values).any()
 
 
 def test_an_empty_folder_and_prose_are_no_recordings(tmp_path: Path) -> None:

@@ -244,6 +244,17 @@ def test_another_robots_diagnosis_is_refused(diagnosis):
         load(diagnosis(cause("motor_gain", ["left_knee_joint"], ratio=(0.8, 0.9))), quadruped())
 
 
+@pytest.mark.parametrize("ends", [(0.005, -1.0), (0.0, float("inf"))])
+def test_an_interval_that_is_none_is_refused(ends, diagnosis):
+    with pytest.raises(TrainerError, match="upside down or not finite"):
+        load(diagnosis(cause("command_delay", delay=ends)), quadruped())
+
+
+def test_noise_of_depth_cannot_be_negative():
+    with pytest.raises(TrainerError, match="noise and mount"):
+        DepthConfig(noise=-1.0)
+
+
 @pytest.mark.parametrize("text", ["[]", "{}", '{"causes": 3, "verdict": "identified"}'])
 def test_what_is_no_diagnosis_is_refused(text, tmp_path):
     path = tmp_path / "x.json"

@@ -11,7 +11,7 @@ import numpy as np
 
 from realsim.errors import GapError, did_you_mean
 
-HEAVIEST, FARTHEST = 1000.0, 10.0
+LIGHTEST, HEAVIEST, FARTHEST = 1e-6, 1000.0, 10.0
 """kg and metres: what no robot carries, so that the number will be in another unit."""
 EXAMPLE = '{"run_03": {"payload": [{"body": "hand", "mass": 0.5, "at": [0, 0, 0.1]}], "gains": {"elbow": {"kp": 40}}}}'
 
@@ -47,7 +47,8 @@ def _setup(entry: Any, model: Any, file: Path) -> Setup:
             if len(at) != 3:
                 raise ValueError(at)
             mass = float(item["mass"])
-            if not (np.isfinite([mass, *at]).all() and 0 <= mass < HEAVIEST and np.abs(at).max() < FARTHEST):
+            weighs = mass == 0 or LIGHTEST <= mass < HEAVIEST
+            if not (np.isfinite([mass, *at]).all() and weighs and np.abs(at).max() < FARTHEST):
                 raise ValueError(item)
             masses.append((_known(item["body"], bodies, "body", file), mass, (at[0], at[1], at[2])))
         for actuator, values in entry.get("gains", {}).items():

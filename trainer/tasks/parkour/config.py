@@ -103,6 +103,7 @@ class DepthConfig:
             (0 < self.near < self.far, "near must be less than far"),
             (0 <= self.dropout <= 1, "dropout is a share"),
             (self.latency[0] >= 0, "latency cannot be negative"),
+            (min(self.noise, self.mount_position, self.mount_rotation) >= 0, "noise and mount cannot be negative"),
         )
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -170,7 +171,17 @@ def _take(cause: dict[str, Any], robot: TrainedRobot, found: _Found, path: Path)
     def interval(name: str) -> Range | None:
         value = cause.get("parameters", {}).get(name)
         left.pop(name, None)
-        return None if value is None else (float(value["ci90"][0]), float(value["ci90"][1]))
+        if value is None:
+            return None
+        low, high = map(float, value["ci90"])
+        if not -inf < low <= high < inf:
+            raise TrainerError(
+                "an interval of the diagnosis is upside down or not finite",
+                file=path,
+                expected=f"ci90 of {effect}, {name}: [low, high]",
+                found=str(value["ci90"]),
+            )
+        return low, high
 
     if effect in _JOINT:
         if effect == "joint_offset" and interval("offset") is not None:
