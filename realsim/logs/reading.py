@@ -79,9 +79,8 @@ def _finite(recording: Recording) -> Recording:
         for name, part in stream.fields.items():
             infinite = np.isinf(part.values)
             if infinite.any():
-                notes.append(
-                    f"{stream.name or recording.path.name}: {int(infinite.sum())} infinite values of {name} are taken as missing"
-                )
+                count, where = int(infinite.sum()), stream.name or recording.path.name
+                notes.append(f"{where}: {count} infinite values of {name} are taken as missing")
                 part = replace(part, values=np.where(infinite, np.nan, part.values))
             fields[name] = part
         streams.append(replace(stream, fields=fields))
