@@ -23,7 +23,7 @@ def readme() -> list[str]:
     latest = [row for row in stored("diagnosis")["rows"] if row["seed"] == FRESH]
     fresh = counts(latest)
     engine = ", ".join(dict.fromkeys(row["commit"] for row in latest))
-    measured_on = f"seed {FRESH}, drawn after the search was settled, by {engine}: {robots(latest)}"
+    measured_on = f"seed {FRESH}, by {engine}, a search before the one that ships: {robots(latest)}"
     contact = next(line for line in stored("contact")["summary"] if line.startswith("| `auto` | 13 exact")).split("|")
     seconds = [r["seconds"] for rows in scenes.values() for r in rows]
     rows = [

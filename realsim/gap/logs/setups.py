@@ -12,7 +12,7 @@ import numpy as np
 from realsim.errors import GapError, did_you_mean
 
 LIGHTEST, HEAVIEST, FARTHEST = 1e-6, 1000.0, 10.0
-"""kg and metres: what no robot carries, so that the number will be in another unit."""
+"""kg and metres: what no robot carries, so that the number will be in another unit. The least: fuzz seed 3."""
 EXAMPLE = '{"run_03": {"payload": [{"body": "hand", "mass": 0.5, "at": [0, 0, 0.1]}], "gains": {"elbow": {"kp": 40}}}}'
 
 
