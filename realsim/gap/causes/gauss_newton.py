@@ -73,14 +73,15 @@ class GaussNewton:
             slopes = self.slopes(causes, base, few)
             if slopes is None:
                 break
-            step = self._newton(causes, base, slopes, damping, few)
+            steps = self._steps(causes, base, slopes, damping, few)
             for shrink in (1.0, 0.4, 0.1):
-                there = at(causes, clip(z + shrink * step, parameters))
-                new = self._misfit(there, few)
-                if new is not None and new < misfit - 1e-3:
-                    causes, misfit, damping = there, new, max(damping / 5, 1e-6)
+                there = [at(causes, clip(z + shrink * step, parameters)) for step in steps]
+                looks = list(self.each(lambda moved: np.inf if (m := self._misfit(moved, few)) is None else m, there))
+                new, moved = min(zip(looks, there, strict=True), key=lambda look: look[0])
+                if new < misfit - 1e-3:
+                    causes, misfit, damping = moved, new, max(damping / 5, 1e-6)
                     break
-            gained, on_the_way = before - misfit, bool((np.abs(step) >= widest(z, parameters)).any())
+            gained, on_the_way = before - misfit, bool((np.abs(steps) >= widest(z, parameters)).any())
             late = k and not on_the_way and misfit - figures.PACES * gained > target
             if gained < 0.02 + 1e-4 * abs(misfit) or late:
                 break
@@ -153,6 +154,17 @@ class GaussNewton:
         cross = np.sum([a[:p, p:] for a in A], axis=0)
         info = np.sum([a[p:, p:] for a in A], axis=0) - cross.T @ self.screen.covariance(evidence, prior) @ cross
         return info, np.array([s[p:] - a[p:, :p] @ mean for a, s in zip(A, b, strict=True)])
+
+    def _steps(self, causes: Causes, base: list[F64], slopes: list[F64], damping: float, few: Few) -> list[F64]:
+        """Steps to try: that of all runs, and that of all but the worst. Where a foot slips or trips in one run, its
+        slopes are steep, hold for next to nothing, and would stop the others."""
+        steps, runs = [self._newton(causes, base, slopes, damping, few)], range(len(base))
+        if len(runs) > 1:
+            worst = int(np.argmax(self.screen.evidence(base, few, self.beside(causes)).c))
+            few = tuple(runs) if few is None else few
+            rest, y, D = zip(*(x for i, x in enumerate(zip(few, base, slopes, strict=True)) if i != worst), strict=True)
+            steps.append(self._newton(causes, list(y), list(D), damping, rest))
+        return steps
 
     def _newton(self, causes: Causes, base: list[F64], slopes: list[F64], damping: float, few: Few) -> F64:
         """(m,) Levenberg-Marquardt's step; a value that leans on its bound stays there."""
