@@ -226,3 +226,24 @@ def test_braking_by_the_servo_and_by_grease_is_one_motion(arm: Case, name: str, 
     for a, b, n in zip(one, two, nominal, strict=True):
         assert np.abs(a - n)[:, moves].max() > 1e-3
         assert np.abs(a - b)[:, moves].max() < 0.05 * np.abs(a - n)[:, moves].max()
+
+
+class Jagged(Fitter):
+    """In the first run a foot slips or trips now and then: steep slopes that foretell nothing."""
+
+    def _predict(self, causes, few=None):
+        found = super()._predict(causes, few)
+        if found is None or not causes or (few is not None and 0 not in few):
+            return found
+        ripple = 0.02 * np.sin(60.0 * causes[0].values[0] / abs(causes[0].candidate.parameters[0].step))
+        return [y + ripple * (i == 0) for i, y in enumerate(found)]
+
+
+def test_a_run_of_which_slopes_foretell_nothing_does_not_stop_the_others(arm: Case) -> None:
+    joint = arm.joint_names[0]
+    case = logged(arm, [("viscous_friction", (joint,), {"damping": 0.3})])
+    fitter = Jagged(screened(case, ("viscous_friction",)))
+    found = next(c for c in fitter.screen.candidates if c.effect == "viscous_friction" and c.place == (joint,))
+    fit = fitter.fit([Cause(found, (0.03,))], iterations=8)
+    assert fit is not None
+    assert fit.causes[0].values[0] == pytest.approx(0.3, rel=0.1)
