@@ -18,8 +18,8 @@ SHARED = 0.5
 CLEARLY = 5.0
 """A set takes another's place only if its score is this much lower: odds of 150 to 1. Not tuned."""
 SHARE = 0.08
-"""Share of the misfit that a further cause must remove beside its price. No law is exact, and a wrong cause can
-always bend to a little of what another one leaves. Set on generated cases with one cause."""
+"""Share of the misfit above the noise floor that a further cause must remove beside its price. No law is exact, and a
+wrong cause can always bend to a little of what another one leaves. Set on generated cases with one cause."""
 HOLDS = 1.0
 """Standard errors over runs by which a further cause must gain on runs left out in turn: the one-standard-error rule
 (Breiman et al., Classification and Regression Trees, 1984). A push may be in some runs only; more would drop it."""

@@ -6,6 +6,7 @@ import numpy as np
 
 from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fit, Fitter
+from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.screen import Screen
 from realsim.gap.simulation.simulate import lookup
 
@@ -28,16 +29,16 @@ def determined(fit: Fit) -> float:
     return float(np.clip(1 - np.diag(fit.covariance) / sizes**2, 0.0, 1.0).sum())
 
 
-def asked(before: Fit) -> float:
-    """Nats by which a further cause must lower the score of a set."""
-    return figures.CLEARLY + figures.SHARE * before.misfit
+def asked(screen: Screen, before: Fit) -> float:
+    """Nats by which a further cause must lower the score of a set: clearly, and by a share of what is no noise."""
+    return figures.CLEARLY + figures.SHARE * before.misfit * (1 - 1 / max(leftover(screen, before).mean(), 1.0))
 
 
 def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | None]:
     """(what speaks against the further cause of `after`: it gains too little, or not on runs that are left out; its
     gain on those)."""
     found = []
-    gain, least = score(fitter.screen, before) - score(fitter.screen, after), asked(before)
+    gain, least = score(fitter.screen, before) - score(fitter.screen, after), asked(fitter.screen, before)
     if gain < least:
         found.append(f"gains {gain:.1f} nats, must gain {least:.1f}")
     held = left_out(fitter, before, after)

@@ -113,7 +113,7 @@ class Search:
         if not fits or (len(simulator.case.joint_names) < MANY_JOINTS and not simulator.context.touches):
             return here, list(fits)  # few deviations hide nothing: slopes tell them from causes
         if not is_gap(leftover(fitter.screen, here)):  # weights hardly change: only what comes near can win
-            least = asked(here) if len(fits[0].causes) > len(here.causes) else figures.CLEARLY
+            least = asked(fitter.screen, here) if len(fits[0].causes) > len(here.causes) else figures.CLEARLY
             fits = [f for f in fits if self._score(here) - self._score(f) + near(here.misfit - f.misfit) > least]
             if not fits:
                 return here, []
