@@ -67,7 +67,7 @@ def conclude(
     given = [] if changed else [f for f in selection.equivalent if not _again(screen, f, fit)]
     fit, left, others = _beside_imitations(screen, fitter, fit, left, given, notes)
     checked, warnings = _checked(config, screen, fit, selection.nominal, left, held, nominal)
-    fitted = _fitted(screen, fit, nominal)
+    fitted = _fitted(screen, fit, selection.nominal, nominal)
     ends = _at_an_end(fit)
     judgement = judge(fitted, checked, len(fit.causes), len(others), ends, config.unexplained_share)
     if judgement.verdict is GapVerdict.PARTLY_EXPLAINED and left is not None:
@@ -172,14 +172,12 @@ def _apart(comparison: Comparison, runs: Sequence[int], a: Sequence[F64], b: Seq
     return mean_square(comparison, [x - y for x, y in zip(a, b, strict=True)], runs)
 
 
-def _fitted(screen: Any, fit: Any, nominal: Sequence[F64]) -> Fitted:
+def _fitted(screen: Any, fit: Any, nothing: Any, nominal: Sequence[F64]) -> Fitted:
     comparison, runs = screen.comparison, list(screen.runs)
-    before = np.array([mean_square(comparison, [comparison.residual(r, nominal[r])], [r]) for r in runs])
-    left = leftover(screen, fit)
-    weight = np.log1p(np.maximum(before - 1, 0))
-    shares = np.clip((left - 1) / np.maximum(before - 1, 1e-9), 0, 1)
-    share = float((weight * shares).sum() / weight.sum()) if weight.sum() > 0 else 0.0
-    return Fitted(float(before.mean()), left, share)
+    before = mean_square(comparison, [comparison.residual(r, nominal[r]) for r in runs], runs)
+    left, gap = leftover(screen, fit), np.maximum(leftover(screen, nothing) - 1, 1e-9)
+    shares, weight = np.clip((left - 1) / gap, 0, 1), np.log1p(gap)
+    return Fitted(before, left, float((weight * shares).sum() / weight.sum()))
 
 
 def _at_an_end(fit: Any) -> list[str]:

@@ -23,7 +23,8 @@ class Fitted:
     left: F64
     """(K,) mean square a run beside causes and everyday deviations."""
     share: float
-    """Share of the gap above the floor that stays, run by run, so that one that diverges does not speak for all."""
+    """Share of the gap, which everyday deviations alone leave above the floor, that stays beside causes; run by run, so
+    that one that diverges does not speak for all."""
 
 
 @dataclass(frozen=True)
