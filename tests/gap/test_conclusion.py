@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
-from realsim.gap.answer.conclusion import _again, _beside_imitations, _lasting
+from realsim.gap.answer.conclusion import _again, _beside_imitations, _fitted, _lasting
 from realsim.gap.answer.leaveout import better, discrepancy, leave_out
+from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Cause, Fitter
 from realsim.gap.causes.leftover import leftover
+from realsim.gap.causes.score import asked
 from realsim.gap.causes.screen import Screen
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.simulate import Simulator
@@ -186,3 +188,22 @@ def test_what_stays_is_judged_with_one_set_of_deviations_for_all_runs(
     monkeypatch.setattr(screen, "fitted", lambda k, x: gap[k] * (1.0 if k == 0 else elsewhere))
     expected = [0.0, *(s / 4 for s in simulated[1:])] if linear else simulated
     assert leftover(screen, fit) == pytest.approx(expected)
+
+
+def test_what_stays_is_a_share_of_what_deviations_alone_leave(fitter: Fitter) -> None:
+    nothing, whole = fitter.nominal(), fitter.fit([cause(fitter, "coulomb_friction", 3.0)])
+    weak = fitter.looked_at(nothing, [cause(fitter, "coulomb_friction", 0.3)])
+    assert whole is not None
+    assert weak is not None
+    shares = [_fitted(fitter.screen, f, nothing, fitter.screen.nominal).share for f in (nothing, weak, whole)]
+    assert shares[0] == pytest.approx(1.0)
+    assert 0.6 < shares[1] < 1.0
+    assert shares[2] < 0.05
+
+
+def test_noise_asks_nothing_of_a_further_cause(fitter: Fitter) -> None:
+    """A longer log has more noise to be fitted; a cause need not remove a share of that."""
+    nothing, whole = fitter.nominal(), fitter.fit([cause(fitter, "coulomb_friction", 3.0)])
+    assert whole is not None
+    assert asked(fitter.screen, whole) == figures.CLEARLY
+    assert asked(fitter.screen, nothing) > figures.CLEARLY + 0.8 * figures.SHARE * nothing.misfit
