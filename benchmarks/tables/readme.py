@@ -7,7 +7,7 @@ from benchmarks.tables.diagnosis import robots
 from benchmarks.tables.policies import families, well_crossed
 from benchmarks.tables.stored import counts, of, span, stored
 
-FRESH = 202
+FRESH = 611
 """The last seed that the search was measured on with enough cases for a table; its engine is named beside it."""
 
 
@@ -23,7 +23,7 @@ def readme() -> list[str]:
     latest = [row for row in stored("diagnosis")["rows"] if row["seed"] == FRESH]
     fresh = counts(latest)
     engine = ", ".join(dict.fromkeys(row["commit"] for row in latest))
-    measured_on = f"seed {FRESH}, by {engine}, a search before the one that ships: {robots(latest)}"
+    measured_on = f"seed {FRESH}, by {engine}: {robots(latest)}"
     contact = next(line for line in stored("contact")["summary"] if line.startswith("| `auto` | 13 exact")).split("|")
     seconds = [r["seconds"] for rows in scenes.values() for r in rows]
     rows = [
