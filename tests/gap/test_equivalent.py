@@ -10,6 +10,7 @@ import pytest
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
 from realsim.gap.causes.fit import Cause, Fitter
 from realsim.gap.causes.proposals import by_effect, by_slopes_instead
+from realsim.gap.causes.score import alike
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import _richer
 from realsim.gap.compare import Comparison
@@ -126,3 +127,22 @@ def test_what_small_deviations_make_up_for_is_no_difference(arm: Case) -> None:
         assert fit is not None
         rivals = [p.causes[-1].candidate for p in by_slopes_instead(fitter, fit)]
     assert ("com_offset", ("upper",)) in [(c.effect, c.place) for c in rivals]
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_twins_are_alike_whatever_the_steps_of_the_simulator_make_of_them(arm: Case, moving: bool) -> None:
+    """Of a robot that begins at rest, joints alone do not tell late commands from late readings."""
+    with Simulator(arm, CONFIG) as simulator:
+        comparison = Comparison(arm, simulator.channels, simulator.simulate(), CONFIG)
+        fitter = Fitter(Screen(simulator, comparison, range(3), ("command_delay", "observation_delay")))
+    fits = []
+    for effect in ("command_delay", "observation_delay"):
+        candidate = next(c for c in fitter.screen.candidates if c.effect == effect)
+        fits.append(fitter.looked_at(fitter.nominal(), [Cause(candidate, (0.02,))]))
+    best, rival = fits
+    assert best is not None
+    assert rival is not None
+    if moving:
+        simulator.starts = tuple(replace(s, qpos=np.zeros(arm.model.nq)) for s in simulator.starts)
+    rival = replace(rival, misfit=best.misfit + 1e4)
+    assert alike(fitter, best, rival, removed=1e3) is not moving

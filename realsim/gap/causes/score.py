@@ -8,6 +8,7 @@ from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.screen import Screen
+from realsim.gap.causes.starts import twins
 from realsim.gap.simulation.simulate import lookup
 
 Held = tuple[float, float]
@@ -72,10 +73,18 @@ def alike(fitter: Fitter, best: Fit, rival: Fit, removed: float) -> bool:
     """Whether the runs do not tell a rival from the best set, of which `removed` is the gain over no cause."""
     screen = fitter.screen
     loss = score(screen, rival) - score(screen, best)
+    if _kinds(screen, best) == _kinds(screen, rival):  # between the steps of a simulator, not even twins are the same
+        return True
     if loss < figures.CLEARLY or loss >= figures.EQUAL * removed:
         return loss < figures.CLEARLY
     held = left_out(fitter, rival, best)
     return held is None or not _holds(*held)
+
+
+def _kinds(screen: Screen, fit: Fit) -> set[tuple[str, tuple]]:
+    """Effects at places; twins have one name."""
+    found = [(c.candidate, twins(screen.simulator, c.candidate.effect, c.candidate.place, c.named)) for c in fit.causes]
+    return {(min([c.effect, *same]), c.places) for c, same in found}
 
 
 def near(gain: float) -> float:

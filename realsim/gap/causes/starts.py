@@ -7,7 +7,8 @@ import numpy as np
 from realsim.gap.causes import figures
 from realsim.gap.causes.fitted import Cause
 from realsim.gap.causes.screen import Candidate, Screen
-from realsim.gap.simulation.simulate import lookup
+from realsim.gap.effects.base import Place
+from realsim.gap.simulation.simulate import Simulator, lookup
 from realsim.types import F64
 
 Guess = F64 | dict[str, float]
@@ -54,6 +55,15 @@ def suggested(screen: Screen, cause: Cause) -> list[tuple[Candidate, list[list[f
             if (c.effect, c.place) == (other.effect, other.place) and set(c.names) == set(other.values):
                 found.setdefault(c.key, (c, []))[1].append([other.values[n] for n in c.names])
     return list(found.values())
+
+
+def twins(simulator: Simulator, effect: str, place: Place, values: dict[str, float]) -> list[str]:
+    """Effects that do exactly the same at this place with these values, so that no score tells them apart: of a robot
+    that begins at rest, joints alone do not tell late commands from late readings."""
+    if any(start.moving for start in simulator.starts):
+        return []
+    others = lookup(effect).suggests(simulator.context, place, values)
+    return [o.effect for o in others if o.effect != effect and (o.place, o.values) == (place, values)]
 
 
 def nested(a: Candidate, b: Candidate) -> bool:

@@ -21,6 +21,7 @@ import numpy as np
 
 from realsim.errors import GapError
 from realsim.gap.answer.diagnosis import MODEL_ERROR
+from realsim.gap.causes.starts import twins
 from realsim.gap.compare import CORRELATION, Comparison, Noise
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects import EFFECTS, ON_REQUEST
@@ -224,12 +225,5 @@ def _changes(comparison: Comparison, after: Sequence[F64], before: Sequence[F64]
 
 def _twins(simulator: Simulator, rivals: Sequence[Rival]) -> dict[str, str]:
     """Effect -> another one that does exactly the same in these logs, at the same place and values."""
-    if any(start.moving for start in simulator.starts):
-        return {}
-    found = {}
-    for part in (p for rival in rivals for p in rival.parts):
-        for place in part.places:
-            for other in lookup(part.effect).suggests(simulator.context, place, part.values):
-                if other.effect != part.effect and (other.place, other.values) == (place, part.values):
-                    found[part.effect] = other.effect
-    return found
+    parts = [(part, place) for rival in rivals for part in rival.parts for place in part.places]
+    return {p.effect: twin for p, place in parts for twin in twins(simulator, p.effect, place, p.values)}
