@@ -12,7 +12,8 @@ import numpy as np
 from realsim.errors import GapError, did_you_mean
 
 LIGHTEST, HEAVIEST, FARTHEST = 1e-6, 1000.0, 10.0
-"""kg and metres: what no robot carries, so that the number will be in another unit. The least: fuzz seed 3."""
+"""kg and metres: what no robot carries, so that the number is damaged or in another unit. The least is a milligram, set
+on fuzz seed 3, where one of 2,000 trials went on in silence with less; what it gains on others was not measured."""
 EXAMPLE = '{"run_03": {"payload": [{"body": "hand", "mass": 0.5, "at": [0, 0, 0.1]}], "gains": {"elbow": {"kp": 40}}}}'
 
 
