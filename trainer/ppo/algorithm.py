@@ -22,9 +22,6 @@ Loss = Callable[[nn.Module, Batch], Tensor]
 Augment = Callable[[Batch], Batch]
 """Further samples made from those of a batch, such as their mirror images; the same number."""
 
-Learn = Callable[[Tensor], dict[str, Tensor]]
-"""A gradient step on samples (B,) of a rollout; its losses."""
-
 
 @dataclass
 class Action:
@@ -61,33 +58,32 @@ class PPO:
     ) -> None:
         self.policy, self.critic, self.config, self.tuned = policy, critic, config, tuned
         self.augment = augment
+        self.limit_noise(0)
         self.extra = dict(extra or {})
         self.actor_parameters = [p for p in policy.parameters() if p.requires_grad]
         self.critic_parameters = list(critic.parameters())
         device = self.critic_parameters[0].device
         self.learning_rate = torch.tensor(config.first_rate(tuned), device=device)
-        self.std_limit = torch.tensor(1.0, device=device)
-        self.limit_noise(0)
         groups: list[dict[str, Any]] = [
             {"params": self.actor_parameters, "lr": self.learning_rate},
             {"params": self.critic_parameters, "lr": config.critic_rate or self.learning_rate},
         ]
-        self.optimiser = torch.optim.Adam(groups, fused=True, capturable=device.type == "cuda")
+        self.optimiser = torch.optim.Adam(groups, fused=True)
 
     @property
-    def log_std(self) -> nn.Parameter:
-        """(J,) within its bounds: every step that may leave them is followed by `keep_within`."""
-        return self.policy.get_parameter("log_std")
+    def log_std(self) -> Tensor:
+        return gaussian.bounded(self.policy.log_std, self.std_limit)  # type: ignore[arg-type]
 
     def limit_noise(self, iteration: int) -> None:
         """Bound the exploration noise as the schedule has it for this iteration."""
-        self.std_limit.fill_(self.config.std_limit(iteration, self.tuned))
-        gaussian.keep_within(self.log_std, self.std_limit)
+        self.std_limit = self.config.std_limit(iteration, self.tuned)
+        gaussian.keep_within(self.policy.get_parameter("log_std"), self.std_limit)
 
     @torch.no_grad()
     def act(self, observation: Observation, generator: torch.Generator) -> Action:
         """Sample actions (N, J)."""
-        mean, log_std = self.policy(observation.actor, observation.depth), self.log_std
+        # The parameter is within its bounds (`keep_within`), which change; a CUDA graph keeps those of its capture.
+        mean, log_std = self.policy(observation.actor, observation.depth), self.policy.get_parameter("log_std")
         action = gaussian.sample(mean, log_std, generator)
         return Action(action, mean, gaussian.log_prob(action, mean, log_std))
 
@@ -102,20 +98,22 @@ class PPO:
         variance = all_sum((a - mean).square().sum()) / (n - 1)
         a.sub_(mean).div_(variance.sqrt() + 1e-8)
 
-    def update(
-        self, rollout: Rollout, generator: torch.Generator, critic_only: bool = False, learn: Learn | None = None
-    ) -> dict[str, Tensor]:
+    def update(self, rollout: Rollout, generator: torch.Generator, critic_only: bool = False) -> dict[str, Tensor]:
         """All epochs over a finished rollout; the mean of every loss, on the device.
 
-        With `critic_only` the policy stays as it is, its exploration noise included. `learn` stands for `learn` on
-        the rollout's batches: as a CUDA graph, say.
+        With `critic_only` the policy stays as it is, its exploration noise included.
         """
-        learn = learn or (lambda samples: self.learn(rollout.batch(samples), critic_only))
         totals: dict[str, Tensor] = {}
         c = self.config
         for _ in range(c.epochs):
-            for samples in rollout.shuffled(c.minibatches, generator):
-                for name, value in learn(samples).items():
+            for batch in rollout.batches(c.minibatches, generator):
+                losses = self._critic_gradients(batch) if critic_only else self._gradients(batch)
+                average_gradients([*self.actor_parameters, *self.critic_parameters])
+                losses["gradient/policy"] = nn.utils.clip_grad_norm_(self.actor_parameters, c.max_gradient)
+                losses["gradient/critic"] = nn.utils.clip_grad_norm_(self.critic_parameters, c.max_gradient)
+                self.optimiser.step()
+                gaussian.keep_within(self.policy.get_parameter("log_std"), self.std_limit)
+                for name, value in losses.items():
                     totals[name] = totals.get(name, 0) + value / (c.epochs * c.minibatches)
         # After the update, not before: the policy must be measured against what it was when it acted.
         for network, seen in ((self.policy, rollout.actor), (self.critic, rollout.critic)):
@@ -124,20 +122,9 @@ class PPO:
             **totals,
             "learning_rate": self.learning_rate.clone(),
             "std": self.log_std.detach().exp().mean(),
-            "std_limit": self.std_limit.clone(),
+            "std_limit": torch.tensor(self.std_limit),
             "explained_variance": explained_variance(rollout.value, rollout.returns),
         }
-
-    def learn(self, batch: Batch, critic_only: bool = False) -> dict[str, Tensor]:
-        """A gradient step; its losses."""
-        losses = self._critic_gradients(batch) if critic_only else self._gradients(batch)
-        average_gradients([*self.actor_parameters, *self.critic_parameters])
-        most = self.config.max_gradient
-        losses["gradient/policy"] = nn.utils.clip_grad_norm_(self.actor_parameters, most)
-        losses["gradient/critic"] = nn.utils.clip_grad_norm_(self.critic_parameters, most)
-        self.optimiser.step()
-        gaussian.keep_within(self.log_std, self.std_limit)
-        return losses
 
     def _gradients(self, batch: Batch) -> dict[str, Tensor]:
         c = self.config
@@ -211,7 +198,6 @@ class PPO:
         self.learning_rate.copy_(torch.tensor(state["learning_rate"] if kept else asked))
         policy, critic = self.optimiser.param_groups
         policy["lr"] = self.learning_rate  # loading has put a copy there; the schedule moves ours
-        policy["capturable"] = critic["capturable"] = self.learning_rate.is_cuda
         critic["lr"] = self.config.critic_rate or self.learning_rate
 
 

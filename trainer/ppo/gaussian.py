@@ -17,16 +17,9 @@ def bounded(log_std: Tensor, largest: float) -> Tensor:
 
 
 @torch.no_grad()
-def keep_within(log_std: Tensor, largest: float | Tensor) -> None:
-    """Put the parameter itself back to its bounds, after a step of its optimiser: beyond it could never learn again.
-
-    A `largest` () on the device may change from call to call in a CUDA graph; a number would stay.
-    """
-    log_std.clamp_(min=math.log(SMALLEST))
-    if isinstance(largest, Tensor):
-        torch.minimum(log_std, largest.log(), out=log_std)
-    else:
-        log_std.clamp_(max=math.log(largest))
+def keep_within(log_std: Tensor, largest: float) -> None:
+    """Put the parameter itself back to its bounds, after a step of its optimiser: beyond it could never learn again."""
+    log_std.clamp_(math.log(SMALLEST), math.log(largest))
 
 
 def sample(mean: Tensor, log_std: Tensor, generator: torch.Generator) -> Tensor:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import torch
@@ -69,8 +68,6 @@ class Runner:
         self._step = torch.zeros(1, dtype=torch.long, device=rank.device)
         self._acting = Graph(self._act, self.rng, env.graphs, calls=2)
         self._keeping = Graph(self._keep, self.rng, env.graphs, calls=2)
-        # Ranks wait for each other's gradients in every step, which a graph would have to hold.
-        self._learning = Graph(self._learn, self.rng, env.graphs and rank.count == 1, calls=2)
 
     def begin(self) -> None:
         """Start all worlds anew: at the start and on a resume."""
@@ -87,8 +84,7 @@ class Runner:
         log = self._collect()
         self._wait()
         collected = time.perf_counter()
-        learn = partial(self._learning, critic_only=self.iteration < self.config.critic_first)
-        losses = self.ppo.update(self.rollout, self.rng, learn=learn)
+        losses = self.ppo.update(self.rollout, self.rng, critic_only=self.iteration < self.config.critic_first)
         std = self.ppo.log_std.detach().exp()
         losses |= {f"std/{name}": std[list(joints)].mean() for name, joints in self.groups.items()}
         if self.prior is not None:
@@ -166,10 +162,6 @@ class Runner:
             f"env/{k}": torch.stack([torch.as_tensor(x, device=device) for x in v]).float().nanmean()
             for k, v in logs.items()
         }
-
-    def _learn(self, samples: Tensor, critic_only: int) -> dict[str, Tensor]:
-        """A gradient step on samples (B,) of the rollout."""
-        return self.ppo.learn(self.rollout.batch(samples), bool(critic_only))
 
     def _late(self, result: Step) -> int:
         """How many rows hold the worlds whose time ran out at this step."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
@@ -131,11 +132,12 @@ class Rollout:
         if self.frames is not None:
             self.frames.carry()
 
-    def shuffled(self, count: int, generator: torch.Generator) -> Tensor:
-        """(count, B) all samples once, in minibatches of the same size (a remainder is left out); see `batch`."""
+    def batches(self, count: int, generator: torch.Generator) -> Iterator[Batch]:
+        """All samples once, shuffled, in `count` minibatches of the same size (a remainder is left out)."""
         total = self.steps * self.worlds
         order = torch.randperm(total, generator=generator, device=self.device)
-        return order[: total // count * count].view(count, -1)
+        for samples in order[: total // count * count].view(count, -1):
+            yield self.batch(samples)
 
     def batch(self, samples: Tensor) -> Batch:
         """The given samples (B,) = step * worlds + world."""
