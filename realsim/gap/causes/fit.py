@@ -245,7 +245,7 @@ class Fitter(GaussNewton):
                 slopes, few = self.slopes(causes, predicted), None
             if slopes is not None:
                 seen = predicted if few is None else [predicted[k] for k in few]
-                covariance = spread(*self._local(causes, seen, slopes, few), parameters)
+                covariance = spread(*self._local(causes, *self._normal(causes, seen, slopes, few)), parameters)
             at_bounds = [p.name for p, v in zip(parameters, z, strict=True) if _at_bound(p, float(v))]
         misfit = self.screen.misfit(evidence, prior)
         return Fit(tuple(causes), misfit, covariance, tuple(predicted), about, evidence, prior, tuple(at_bounds))

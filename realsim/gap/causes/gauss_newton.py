@@ -146,9 +146,8 @@ class GaussNewton:
             b.append(np.append(evidence.b[i], D.T @ (w * r)))
         return evidence, A, b
 
-    def _local(self, causes: Causes, base: list[F64], slopes: list[F64], few: Few = None) -> tuple[F64, F64]:
-        """Marginal information (m, m) and the scores (runs, m) where the predictions are `base`."""
-        evidence, A, b = self._normal(causes, base, slopes, few)
+    def _local(self, causes: Causes, evidence: Evidence, A: Sequence[F64], b: Sequence[F64]) -> tuple[F64, F64]:
+        """Marginal information (m, m) and the scores (runs, m) of these normal equations."""
         prior = self.prior_beside(causes)
         p, mean = len(prior), self.screen.nuisances(evidence, prior)
         cross = np.sum([a[:p, p:] for a in A], axis=0)
@@ -156,20 +155,14 @@ class GaussNewton:
         return info, np.array([s[p:] - a[p:, :p] @ mean for a, s in zip(A, b, strict=True)])
 
     def _steps(self, causes: Causes, base: list[F64], slopes: list[F64], damping: float, few: Few) -> list[F64]:
-        """Steps to try: that of all runs, and that of all but the worst. Where a foot slips or trips in one run, its
-        slopes are steep, hold for next to nothing, and would stop the others."""
-        steps, runs = [self._newton(causes, base, slopes, damping, few)], range(len(base))
-        if len(runs) > 1:
-            worst = int(np.argmax(self.screen.evidence(base, few, self.beside(causes)).c))
-            few = tuple(runs) if few is None else few
-            rest, y, D = zip(*(x for i, x in enumerate(zip(few, base, slopes, strict=True)) if i != worst), strict=True)
-            steps.append(self._newton(causes, list(y), list(D), damping, rest))
-        return steps
+        """Steps to try: that of all runs, and that of all but the worst."""
+        evidence, A, b = self._normal(causes, base, slopes, few)
+        looks = [(evidence.of(which), [A[k] for k in which], [b[k] for k in which]) for which in evidence.looks()]
+        return [self._newton(causes, *self._local(causes, *look), damping) for look in looks]
 
-    def _newton(self, causes: Causes, base: list[F64], slopes: list[F64], damping: float, few: Few) -> F64:
+    def _newton(self, causes: Causes, info: F64, scores: F64, damping: float) -> F64:
         """(m,) Levenberg-Marquardt's step; a value that leans on its bound stays there."""
         parameters, z = parameters_of(causes), values_of(causes)
-        info, scores = self._local(causes, base, slopes, few)
         ridge = np.diag(damping * np.diag(info) + 0.05 / np.array([p.step**2 for p in parameters]))
         gradient = scores.sum(axis=0)
         low, high = np.array([p.bounds for p in parameters]).T
