@@ -30,16 +30,16 @@ class Evidence:
         c = [c + float(shift @ A @ shift - 2 * b @ shift) for c, (A, b) in zip(self.c, pairs, strict=True)]
         return Evidence(self.A, b, c, self.version, self.runs, self.centre + shift)
 
-    def looks(self) -> list[list[int]]:
-        """Positions of all runs, and of all but the worst. Where a foot slips or trips in one run, its slopes are
-        steep, hold for next to nothing, and would hide what the others say."""
-        every, worst = list(range(len(self.c))), int(np.argmax(self.c))
-        return [every, [k for k in every if k != worst]] if len(every) > 1 else [every]
+    def looks(self) -> list[Evidence]:
+        """With all runs, and with all but the worst. Where a foot slips or trips in one run, its slopes are steep, hold
+        for next to nothing, and would hide what the others say."""
+        return [self, self.without(int(np.argmax(self.c)))] if len(self.c) > 1 else [self]
 
-    def of(self, runs: list[int]) -> Evidence:
-        """The evidence of these positions alone."""
-        A, b, c = [self.A[k] for k in runs], [self.b[k] for k in runs], [self.c[k] for k in runs]
-        return Evidence(A, b, c, self.version, tuple(self.runs[k] for k in runs), self.centre)
+    def without(self, k: int) -> Evidence:
+        """All runs but the one at this position; that one, where there is no other."""
+        rest = [i for i in range(len(self.c)) if i != k] or [k]
+        A, b, c = [self.A[i] for i in rest], [self.b[i] for i in rest], [self.c[i] for i in rest]
+        return Evidence(A, b, c, self.version, tuple(self.runs[i] for i in rest), self.centre)
 
 
 def posterior(A: F64, b: F64, prior: F64) -> tuple[F64, F64]:

@@ -144,8 +144,8 @@ def by_effect(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
 def ranked(screen: Screen, here: Fit) -> list[Scored]:
     """All candidates by the linear evidence that they add to a set, with all runs or without the worst; best first."""
     about = []
-    for runs in here.evidence.looks():
-        centres = [marginal(e, here.prior) for e in screen.centred(here.evidence.of(runs))]
+    for look in here.evidence.looks():
+        centres = [marginal(e, here.prior) for e in screen.centred(look)]
         least = min(misfit for _, _, misfit in centres)
         about += [(A, b, misfit - least) for A, b, misfit in centres]
     taken = {(c.candidate.effect, p) for c in here.causes for p in c.candidate.places}
