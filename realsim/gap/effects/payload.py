@@ -58,8 +58,6 @@ def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[
     """The same mass on the links before and behind: near the joint between them, it does the same on either."""
     import mujoco
 
-    if "x" not in values:
-        return []
     model, data = context.case.model, mujoco.MjData(context.case.model)
     mujoco.mj_kinematics(model, data)
     here = model.body(place[0])
@@ -90,6 +88,5 @@ EFFECT = Effect(
     excited_by=_excited,
     apply=_apply,
     form=EXACT,
-    variants=(("mass",), ("mass", "x", "y", "z")),
     suggests=_suggests,
 )
