@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fit, Fitter
-from realsim.gap.causes.fitted import Cause, parameters_of
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.starts import twins
 from realsim.gap.simulation.simulate import lookup
-from realsim.types import F64
 
 Held = tuple[float, float]
 """(mean, standard error) of a gain on runs that are left out in turn."""
@@ -22,16 +20,16 @@ Held = tuple[float, float]
 def score(screen: Screen, fit: Fit) -> float:
     """Penalised misfit of a set in nats, lower is better: half the weighted squares that stay beside the nuisance
     parameters, and the price of causes, of parameters that the data determine, of shared values and of rare effects."""
-    total = fit.misfit + figures.PRICE * determined(fit.causes, fit.covariance)
+    total = fit.misfit + figures.PRICE * determined(fit)
     total += len(fit.causes) * (figures.CAUSE + figures.CAUSE_A_JOINT * len(screen.simulator.case.joint_names))
     total += figures.SHARED * sum(len(c.candidate.places) > 1 for c in fit.causes)
     return total + figures.PRICE * sum(lookup(c.candidate.effect).usual is not None for c in fit.causes)
 
 
-def determined(causes: Sequence[Cause], covariance: F64) -> float:
+def determined(fit: Any) -> float:
     """How many parameters the data determine: a force across a planar arm is none."""
-    sizes = np.array([2 * p.step for p in parameters_of(causes)])
-    return float(np.clip(1 - np.diag(covariance) / sizes**2, 0.0, 1.0).sum())
+    sizes = np.array([2 * p.step for c in fit.causes for p in c.candidate.parameters])
+    return float(np.clip(1 - np.diag(fit.covariance) / sizes**2, 0.0, 1.0).sum())
 
 
 def asked(screen: Screen, before: Fit) -> float:

@@ -186,7 +186,7 @@ def _refitted(joint: Joint, config: DiagnoseConfig, current: Changed) -> list[Ch
 
 
 def _price(fit: Changed) -> float:
-    return fit.misfit + figures.PRICE * determined(fit.causes, fit.covariance)
+    return fit.misfit + figures.PRICE * determined(fit)
 
 
 def _doubt(joint: Joint, config: DiagnoseConfig, before: Changed, after: Changed) -> str:
@@ -195,8 +195,8 @@ def _doubt(joint: Joint, config: DiagnoseConfig, before: Changed, after: Changed
     gain = before.misfit - after.misfit
     # A change costs what a cause costs (`realsim.gap.causes.score`).
     joints = len(joint.screen.simulator.case.joint_names)
-    known, more = (determined(fit.causes, fit.covariance) for fit in (before, after))
-    least = figures.CLEARLY + figures.CAUSE + figures.CAUSE_A_JOINT * joints + figures.PRICE * (more - known)
+    least = figures.CLEARLY + figures.CAUSE + figures.CAUSE_A_JOINT * joints
+    least += figures.PRICE * (determined(after) - determined(before))
     if gain < least:
         return f"it gains {gain:.1f} nats, must gain {least:.1f}"
     parameters = cause.candidate.parameters
