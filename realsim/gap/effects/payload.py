@@ -61,7 +61,8 @@ def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[
     model, data = context.case.model, mujoco.MjData(context.case.model)
     mujoco.mj_kinematics(model, data)
     here = model.body(place[0])
-    world = data.xpos[here.id] + data.xmat[here.id].reshape(3, 3) @ [values[a] for a in "xyz"]
+    at = [values.get(a, c) for a, c in zip("xyz", here.ipos, strict=True)]
+    world = data.xpos[here.id] + data.xmat[here.id].reshape(3, 3) @ at
     found = []
     for name in context.bodies:
         there = model.body(name)
