@@ -10,6 +10,8 @@ import pytest
 from realsim.gap import Case, DiagnoseConfig, load_case
 from realsim.gap.causes.figures import CLEARLY, PRICE
 from realsim.gap.causes.fit import Cause, Fit, Fitter
+from realsim.gap.causes.linear import Evidence
+from realsim.gap.causes.proposals import ranked
 from realsim.gap.causes.score import asked_for, doubts, left_out, score
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.search import Search
@@ -66,6 +68,19 @@ def fit(fitter: Fitter, **values: float) -> Fit:
 
 def test_two_causes_are_found_of_which_neither_does_alone(pair: Case) -> None:
     assert {"stiffness_gain", "armature"} in found(searched(pair, [0, 1, 2], PAIR))
+
+
+def test_a_run_whose_slopes_hold_for_nothing_does_not_hide_what_the_others_show(fitter: Fitter) -> None:
+    """A foot slips in one run: there a cause's slope is steep and has nothing to do with the error, which is large."""
+    nominal = fitter.nominal()
+    first = fitter.screen.simulator.context.driven[0]
+    gain, soft, _ = next(r for r in ranked(fitter.screen, nominal) if r[1].key[:2] == ("stiffness_gain", (first,)))
+    steep, e = 1e6 * soft.directions @ soft.directions.T, nominal.evidence
+    slipped = Evidence([*e.A[:2], e.A[2] + steep], [*e.b[:2], 0 * e.b[2]], [*e.c[:2], 1e3 * max(e.c)], runs=e.runs)
+    alone = ranked(fitter.screen, replace(nominal, evidence=slipped.looks()[1]))
+    there = ranked(fitter.screen, replace(nominal, evidence=slipped))
+    of = [next(g for g, c, _ in order if c.key == soft.key) for order in (alone, there)]
+    assert of[1] >= of[0] > 0.3 * gain > 0
 
 
 def test_a_late_command_beside_a_weak_damper_is_found_with_it(made) -> None:

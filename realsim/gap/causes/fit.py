@@ -183,16 +183,14 @@ class Fitter(GaussNewton):
         """((p,) nuisances, causes) fitted to all runs but one, each in turn: one Gauss-Newton step from the values that
         suit all runs leads to those that suit the others."""
         z, parameters, p = values_of(fit.causes), parameters_of(fit.causes), len(fit.prior)
-        A, b, prior = fit.evidence.A, fit.evidence.b, fit.prior
+        normal, prior = fit.evidence, fit.prior
         with self.beside_those_of(fit):
-            slopes = self.slopes(fit.causes, fit.predictions)
-            if slopes:
-                _, A, b = self._normal(fit.causes, fit.predictions, slopes)
-        if slopes:
-            prior = np.append(prior, [4 * abs(p.step) for p in parameters])
-        for k in range(len(A)):
-            others = [i for i in range(len(A)) if i != k] or [k]
-            x, _ = posterior(np.sum([A[i] for i in others], axis=0), np.sum([b[i] for i in others], axis=0), prior)
+            if slopes := self.slopes(fit.causes, fit.predictions):
+                normal = self._normal(fit.causes, fit.predictions, slopes)
+                prior = np.append(prior, [4 * abs(p.step) for p in parameters])
+        for k in range(len(normal.A)):
+            others = normal.without(k)
+            x, _ = posterior(np.sum(others.A, axis=0), np.sum(others.b, axis=0), prior)
             most = widest(z, parameters)
             step = np.clip(x[p:], -most, most) if slopes else 0.0
             yield x[:p], at(fit.causes, clip(z + step, parameters))
@@ -245,7 +243,7 @@ class Fitter(GaussNewton):
                 slopes, few = self.slopes(causes, predicted), None
             if slopes is not None:
                 seen = predicted if few is None else [predicted[k] for k in few]
-                covariance = spread(*self._local(causes, seen, slopes, few), parameters)
+                covariance = spread(*self._local(causes, self._normal(causes, seen, slopes, few)), parameters)
             at_bounds = [p.name for p, v in zip(parameters, z, strict=True) if _at_bound(p, float(v))]
         misfit = self.screen.misfit(evidence, prior)
         return Fit(tuple(causes), misfit, covariance, tuple(predicted), about, evidence, prior, tuple(at_bounds))

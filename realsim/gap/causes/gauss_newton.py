@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -131,10 +132,8 @@ class GaussNewton:
             return None
         return [np.stack(columns, axis=1) for columns in zip(*found, strict=True)]
 
-    def _normal(
-        self, causes: Causes, base: Sequence[F64], slopes: list[F64], few: Few = None
-    ) -> tuple[Evidence, list[F64], list[F64]]:
-        """(evidence, A, b): normal equations of nuisances and values together, a run each, about `base`."""
+    def _normal(self, causes: Causes, base: Sequence[F64], slopes: list[F64], few: Few = None) -> Evidence:
+        """Normal equations of nuisances and, behind them, values: a run each, about `base`."""
         about = self.beside(causes)
         evidence = self.screen.evidence(base, few, about)
         A, b = [], []
@@ -144,32 +143,23 @@ class GaussNewton:
             across = self.screen.weighted(k).T @ D
             A.append(np.block([[evidence.A[i], across], [across.T, D.T @ (w[:, None] * D)]]))
             b.append(np.append(evidence.b[i], D.T @ (w * r)))
-        return evidence, A, b
+        return replace(evidence, A=A, b=b)
 
-    def _local(self, causes: Causes, base: list[F64], slopes: list[F64], few: Few = None) -> tuple[F64, F64]:
-        """Marginal information (m, m) and the scores (runs, m) where the predictions are `base`."""
-        evidence, A, b = self._normal(causes, base, slopes, few)
-        prior = self.prior_beside(causes)
+    def _local(self, causes: Causes, evidence: Evidence) -> tuple[F64, F64]:
+        """Marginal information (m, m) and the scores (runs, m) of these normal equations."""
+        prior, A = self.prior_beside(causes), np.sum(evidence.A, axis=0)
         p, mean = len(prior), self.screen.nuisances(evidence, prior)
-        cross = np.sum([a[:p, p:] for a in A], axis=0)
-        info = np.sum([a[p:, p:] for a in A], axis=0) - cross.T @ self.screen.covariance(evidence, prior) @ cross
-        return info, np.array([s[p:] - a[p:, :p] @ mean for a, s in zip(A, b, strict=True)])
+        info = A[p:, p:] - A[p:, :p] @ self.screen.covariance(evidence, prior) @ A[:p, p:]
+        return info, np.array([b[p:] - a[p:, :p] @ mean for a, b in zip(evidence.A, evidence.b, strict=True)])
 
     def _steps(self, causes: Causes, base: list[F64], slopes: list[F64], damping: float, few: Few) -> list[F64]:
-        """Steps to try: that of all runs, and that of all but the worst. Where a foot slips or trips in one run, its
-        slopes are steep, hold for next to nothing, and would stop the others."""
-        steps, runs = [self._newton(causes, base, slopes, damping, few)], range(len(base))
-        if len(runs) > 1:
-            worst = int(np.argmax(self.screen.evidence(base, few, self.beside(causes)).c))
-            few = tuple(runs) if few is None else few
-            rest, y, D = zip(*(x for i, x in enumerate(zip(few, base, slopes, strict=True)) if i != worst), strict=True)
-            steps.append(self._newton(causes, list(y), list(D), damping, rest))
-        return steps
+        """Steps to try: that of all runs, and that of all but the worst."""
+        looks = self._normal(causes, base, slopes, few).looks()
+        return [self._newton(causes, *self._local(causes, look), damping) for look in looks]
 
-    def _newton(self, causes: Causes, base: list[F64], slopes: list[F64], damping: float, few: Few) -> F64:
+    def _newton(self, causes: Causes, info: F64, scores: F64, damping: float) -> F64:
         """(m,) Levenberg-Marquardt's step; a value that leans on its bound stays there."""
         parameters, z = parameters_of(causes), values_of(causes)
-        info, scores = self._local(causes, base, slopes, few)
         ridge = np.diag(damping * np.diag(info) + 0.05 / np.array([p.step**2 for p in parameters]))
         gradient = scores.sum(axis=0)
         low, high = np.array([p.bounds for p in parameters]).T

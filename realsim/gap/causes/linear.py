@@ -30,6 +30,17 @@ class Evidence:
         c = [c + float(shift @ A @ shift - 2 * b @ shift) for c, (A, b) in zip(self.c, pairs, strict=True)]
         return Evidence(self.A, b, c, self.version, self.runs, self.centre + shift)
 
+    def looks(self) -> list[Evidence]:
+        """With all runs, and with all but the worst. Where a foot slips or trips in one run, its slopes are steep, hold
+        for next to nothing, and would hide what the others say."""
+        return [self, self.without(int(np.argmax(self.c)))] if len(self.c) > 1 else [self]
+
+    def without(self, k: int) -> Evidence:
+        """All runs but the one at this position; that one, where there is no other."""
+        rest = [i for i in range(len(self.c)) if i != k] or [k]
+        A, b, c = [self.A[i] for i in rest], [self.b[i] for i in rest], [self.c[i] for i in rest]
+        return Evidence(A, b, c, self.version, tuple(self.runs[i] for i in rest), self.centre)
+
 
 def posterior(A: F64, b: F64, prior: F64) -> tuple[F64, F64]:
     """(mean, covariance) of x for r = G x + e with standard deviations `prior` (0: the atom is absent)."""

@@ -142,18 +142,19 @@ def by_effect(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
 
 
 def ranked(screen: Screen, here: Fit) -> list[Scored]:
-    """All candidates by the linear evidence that they add to a set, best first."""
-    about = [marginal(e, here.prior) for e in screen.centred(here.evidence)]
-    least = min(misfit for _, _, misfit in about)
+    """All candidates by the linear evidence that they add to a set, with all runs or without the worst; best first."""
+    about = []
+    for look in here.evidence.looks():
+        centres = [marginal(e, here.prior) for e in screen.centred(look)]
+        least = min(misfit for _, _, misfit in centres)
+        about += [(A, b, misfit - least) for A, b, misfit in centres]
     taken = {(c.candidate.effect, p) for c in here.causes for p in c.candidate.places}
     found = []
     for candidate in screen.candidates:
-        if any(
-            (candidate.effect, p) in taken or (lookup(candidate.effect).plain, p) in taken for p in candidate.places
-        ):
+        laws = (candidate.effect, lookup(candidate.effect).plain)
+        if any((law, p) in taken for law in laws for p in candidate.places):
             continue  # a law that contains one of the causes takes its place: see `by_effect`
-        size = slab(candidate)
-        scored = [(*log_evidence(A, b, candidate.directions, size), misfit - least) for A, b, misfit in about]
+        scored = [(*log_evidence(A, b, candidate.directions, slab(candidate)), behind) for A, b, behind in about]
         gain, estimate = max(((gain - behind, estimate) for gain, estimate, behind in scored), key=lambda g: g[0])
         found.append((gain, candidate, estimate))
     return sorted(found, key=lambda item: -item[0])

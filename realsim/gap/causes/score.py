@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from realsim.gap.causes import figures
@@ -24,7 +26,7 @@ def score(screen: Screen, fit: Fit) -> float:
     return total + figures.PRICE * sum(lookup(c.candidate.effect).usual is not None for c in fit.causes)
 
 
-def determined(fit: Fit) -> float:
+def determined(fit: Any) -> float:
     """How many parameters the data determine: a force across a planar arm is none."""
     sizes = np.array([2 * p.step for c in fit.causes for p in c.candidate.parameters])
     return float(np.clip(1 - np.diag(fit.covariance) / sizes**2, 0.0, 1.0).sum())

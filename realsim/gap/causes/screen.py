@@ -260,25 +260,23 @@ class Screen:
         r = self.comparison.residual(self.runs[k], simulated)
         return r - self.fitted(k, np.asarray(x)) if np.any(x) else r
 
-    def covariance(self, evidence: Evidence, prior: F64, runs: Sequence[int] | None = None) -> F64:
-        """(p, p) posterior covariance of the nuisances on these screened runs (all if None).
+    def covariance(self, evidence: Evidence, prior: F64) -> F64:
+        """(p, p) posterior covariance of the nuisances, which come first among the evidence's unknowns.
 
         It depends on the weights and the prior, not on the residual, so that one factorisation serves many fits.
         """
-        which = tuple(range(len(evidence.A)) if runs is None else runs)
-        key = (prior.tobytes(), tuple(evidence.runs[k] for k in which))
+        key = prior.tobytes(), evidence.runs
         if evidence.version != self._version or key not in self._covariances:
-            A = np.sum([evidence.A[k] for k in which], axis=0)
-            cov = posterior(A, np.zeros(len(prior)), prior)[1]
+            p = len(prior)
+            cov = posterior(np.sum(evidence.A, axis=0)[:p, :p], np.zeros(p), prior)[1]
             if evidence.version != self._version:
                 return cov
             self._covariances[key] = cov
         return self._covariances[key]
 
-    def nuisances(self, evidence: Evidence, prior: F64, runs: Sequence[int] | None = None) -> F64:
-        """(p,) posterior mean of the nuisances on these screened runs (all if None)."""
-        which = range(len(evidence.A)) if runs is None else runs
-        return np.asarray(self.covariance(evidence, prior, runs) @ np.sum([evidence.b[k] for k in which], axis=0))
+    def nuisances(self, evidence: Evidence, prior: F64) -> F64:
+        """(p,) posterior mean of the nuisances."""
+        return np.asarray(self.covariance(evidence, prior) @ np.sum(evidence.b, axis=0)[: len(prior)])
 
     def misfit(self, evidence: Evidence, prior: F64) -> float:
         """Half the weighted squared residual once the nuisances are marginalised."""

@@ -15,6 +15,7 @@ from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fitter
 from realsim.gap.causes.fitted import Z90, Cause
 from realsim.gap.causes.leftover import is_gap
+from realsim.gap.causes.score import determined
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import Selection, select
 from realsim.gap.compare import Comparison
@@ -163,10 +164,12 @@ def _refitted(joint: Joint, config: DiagnoseConfig, current: Changed) -> list[Ch
         if gain < figures.CLEARLY or len(seen) == FINALISTS:
             break
         key = (candidate.effect, candidate.place)
-        if candidate.names != candidate.linear or key in seen or sum(e == key[0] for e, _ in seen) == 2:
+        shapes = {p.name for p in candidate.parameters if p.shape}  # a mass begins at its body's centre
+        guess = {n: float(v) for n, v in zip(candidate.linear, estimate, strict=True) if n not in shapes}
+        if guess.keys() | shapes != set(candidate.names) or key in seen or sum(e == key[0] for e, _ in seen) == 2:
             continue
         seen.add(key)
-        start = Cause(candidate, tuple(float(v) for v in estimate))
+        start = Cause(candidate, tuple(guess.get(n, 0.0) for n in candidate.names))
         fit = joint.fit([*current.causes, start])
         if fit is not None:
             fits.append(fit)
@@ -183,7 +186,7 @@ def _refitted(joint: Joint, config: DiagnoseConfig, current: Changed) -> list[Ch
 
 
 def _price(fit: Changed) -> float:
-    return fit.misfit + figures.PRICE * sum(len(c.values) for c in fit.causes)
+    return fit.misfit + figures.PRICE * determined(fit)
 
 
 def _doubt(joint: Joint, config: DiagnoseConfig, before: Changed, after: Changed) -> str:
@@ -192,7 +195,8 @@ def _doubt(joint: Joint, config: DiagnoseConfig, before: Changed, after: Changed
     gain = before.misfit - after.misfit
     # A change costs what a cause costs (`realsim.gap.causes.score`).
     joints = len(joint.screen.simulator.case.joint_names)
-    least = figures.CLEARLY + figures.CAUSE + figures.CAUSE_A_JOINT * joints + figures.PRICE * len(cause.values)
+    least = figures.CLEARLY + figures.CAUSE + figures.CAUSE_A_JOINT * joints
+    least += figures.PRICE * (determined(after) - determined(before))
     if gain < least:
         return f"it gains {gain:.1f} nats, must gain {least:.1f}"
     parameters = cause.candidate.parameters

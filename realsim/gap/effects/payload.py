@@ -58,12 +58,11 @@ def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[
     """The same mass on the links before and behind: near the joint between them, it does the same on either."""
     import mujoco
 
-    if "x" not in values:
-        return []
     model, data = context.case.model, mujoco.MjData(context.case.model)
     mujoco.mj_kinematics(model, data)
     here = model.body(place[0])
-    world = data.xpos[here.id] + data.xmat[here.id].reshape(3, 3) @ [values[a] for a in "xyz"]
+    at = [values.get(a, c) for a, c in zip("xyz", here.ipos, strict=True)]
+    world = data.xpos[here.id] + data.xmat[here.id].reshape(3, 3) @ at
     found = []
     for name in context.bodies:
         there = model.body(name)
@@ -90,6 +89,5 @@ EFFECT = Effect(
     excited_by=_excited,
     apply=_apply,
     form=EXACT,
-    variants=(("mass",), ("mass", "x", "y", "z")),
     suggests=_suggests,
 )
