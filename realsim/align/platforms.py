@@ -42,6 +42,8 @@ class Face:
     """Sum of the points' weights: how much the capture looked at it."""
     rectangle: bool
     """Whether the outline is a fitted rectangle."""
+    inferred: bool = False
+    """Whether its top was not seen, or only in part: its outline follows from a flight of stairs."""
 
 
 def find_faces(cloud: Cloud, labels: Labels) -> list[Face]:
@@ -50,12 +52,13 @@ def find_faces(cloud: Cloud, labels: Labels) -> list[Face]:
     from realsim.align.flights import treads
 
     index = np.flatnonzero(labels == Label.PLATFORM)
-    regions = [index[part] for part in _connected(cloud.points[index], max(JOIN, 2 * cloud.voxel))]
+    regions = [index[part] for part in connected(cloud.points[index], max(JOIN, 2 * cloud.voxel))]
     parts = [region[part] for region in regions for part in split(cloud.points[region], cloud.voxel)]
     parts = [p for p in parts if large(cloud.points[p, :2], cloud.voxel) and _level(cloud.points[p])]
     taken = np.unique(np.concatenate(parts)) if parts else np.zeros(0, np.intp)
-    parts += [tread for tread in treads(cloud) if not np.isin(tread, taken).any()]
-    return sorted((_face(cloud.take(p)) for p in parts), key=lambda f: -f.area)
+    faces = [_face(cloud.take(p)) for p in parts]
+    faces += [_face(cloud.take(t.points), t.outline) for t in treads(cloud) if not np.isin(t.points, taken).any()]
+    return sorted(faces, key=lambda f: -f.area)
 
 
 def large(xy: F64, cell: float) -> bool:
@@ -90,7 +93,7 @@ def to_platform(face: Face, T_sim_level: F64, role: str = "platform") -> Platfor
     outline = transform(T_sim_level, np.column_stack([face.outline, np.zeros(len(face.outline))]))[:, :2]
     centroid = transform(T_sim_level, np.array([*face.centroid, face.height]))
     along, across, yaw = oriented_extent(outline)
-    return Platform(centroid, np.array([along, across, face.height]), yaw, face.area, outline, role)
+    return Platform(centroid, np.array([along, across, face.height]), yaw, face.area, outline, role, face.inferred)
 
 
 def oriented_extent(outline: F64) -> tuple[float, float, float]:
@@ -119,35 +122,43 @@ def polygon_area_centroid(outline: F64) -> tuple[float, F64]:
     return abs(area), outline[0] + ((p + q) * cross[:, None]).sum(0) / (6 * area)
 
 
-def _connected(points: F64, join: float) -> list[NDArray[np.intp]]:
-    """Groups of points that are neighbours in the plan and in height."""
+def connected(points: F64, join: float, steep: float = 4.0, least: int = 50) -> list[NDArray[np.intp]]:
+    """Groups of more than `least` points within `join` metres of their neighbours in the plan, a part of that in z.
+
+    With a quarter, a step of 1.2 cm separates two faces that touch.
+    """
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     if not len(points):
         return []
-    scaled = points * [1.0, 1.0, 4.0]  # a step of 1.2 cm separates two faces that touch
+    scaled = points * [1.0, 1.0, steep]
     graph = cKDTree(scaled).sparse_distance_matrix(cKDTree(scaled), join, output_type="coo_matrix")
     count, component = connected_components(graph, directed=False)
-    return [np.flatnonzero(component == k) for k in range(count) if np.count_nonzero(component == k) > 50]
+    size = np.bincount(component, minlength=count)
+    return [np.flatnonzero(component == k) for k in range(count) if size[k] > least]
 
 
-def _face(points: Cloud) -> Face:
+def _face(points: Cloud, inferred: F64 | None = None) -> Face:
+    """The face of its points, with the outline (K, 2) that was inferred for it, if any."""
     import cv2
 
     xyz = points.points
+    seen = _seen_area(xyz[:, :2], points.voxel)
+    looks = float(points.weights.sum())
+    if inferred is not None:
+        outline = _counter_clockwise(inferred)
+        area, centroid = polygon_area_centroid(outline)
+        return Face(np.zeros(2), float(np.median(xyz[:, 2])), outline, centroid, area, seen, looks, False, True)
     A = np.column_stack([xyz[:, :2], np.ones(len(xyz))])
     slope_x, slope_y, height = np.linalg.lstsq(A, xyz[:, 2], rcond=None)[0]
     hull = cv2.convexHull(xyz[:, :2].astype(np.float32))[:, 0].astype(np.float64)
     box = cv2.boxPoints(cv2.minAreaRect(xyz[:, :2].astype(np.float32))).astype(np.float64)
-    seen = _seen_area(xyz[:, :2], points.voxel)
     rectangle = polygon_area_centroid(hull)[0] > 0.9 * polygon_area_centroid(box)[0]
     outline = _counter_clockwise(box if rectangle else hull)
     area, centroid = polygon_area_centroid(outline)
     slope = np.array([slope_x, slope_y])
-    return Face(
-        slope, float(slope @ centroid + height), outline, centroid, area, seen, float(points.weights.sum()), rectangle
-    )
+    return Face(slope, float(slope @ centroid + height), outline, centroid, area, seen, looks, rectangle)
 
 
 def _counter_clockwise(outline: F64) -> F64:
