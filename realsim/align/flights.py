@@ -120,7 +120,7 @@ def _edges(cloud: Cloud) -> list[Indices]:
 
     if cloud.voxel > VOXEL:
         return []
-    top = np.flatnonzero(_tops(cloud.points, cloud.voxel) & (cloud.points[:, 2] > RISE[0]))
+    top = _tops(cloud.points, cloud.voxel)
     found = []
     for part in connected(cloud.points[top], JOIN, 2.0, 12):
         points = cloud.points[top[part]]
@@ -137,17 +137,24 @@ def _edges(cloud: Cloud) -> list[Indices]:
     return found
 
 
-def _tops(points: F64, voxel: float) -> Bool:
-    """(M,) which points have nothing above them, see CLEAR and ABOUT."""
+def _tops(points: F64, voxel: float) -> Indices:
+    """Those of the points above the first rise that have nothing above them, see CLEAR and ABOUT."""
     cell = np.floor((points - points.min(0)) / voxel).astype(np.int64) + 8
     size = cell.max(0) + 16
     key = (cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]
     below = np.unique(np.concatenate([key - k for k in range(2, round(CLEAR / voxel) + 1)]))
-    covered = np.isin(key + 1, key)
+    top = np.flatnonzero(points[:, 2] > RISE[0])
+    top = top[~_among(key[top] + 1, np.unique(key))]
     reach = round(ABOUT / voxel)
     for i, j in np.argwhere(np.hypot(*np.indices((2 * reach + 1,) * 2) - reach) <= reach) - reach:
-        covered |= np.isin(key + (i * size[1] + j) * size[2], below)
-    return ~covered
+        top = top[~_among(key[top] + (i * size[1] + j) * size[2], below)]
+    return top
+
+
+def _among(values: Indices, ordered: Indices) -> Bool:
+    """(M,) which values are among others (K,) in rising order, none of them twice."""
+    place = np.minimum(np.searchsorted(ordered, values), len(ordered) - 1)
+    return np.asarray(ordered[place] == values)
 
 
 def _fronts(faces: list[F64]) -> F64:
