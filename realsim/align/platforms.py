@@ -15,9 +15,9 @@ from realsim.types import F64, Platform
 
 LEAST_SIDE, LEAST_AREA = 0.30, 0.15
 """Metres and m²: two feet and some room. What is smaller is an obstacle, however level."""
-FOOT = 0.08
-"""Metres about a point within which its slope is taken: half a foot's length. Set on the rendered test `boston` (a ring
-of tilted tops 10.7 degrees, start and goal 0.9); every platform of the real chair and of mixed_a stays."""
+FOOT = 0.12
+"""Metres about a point within which its slope is taken: half a foot's length. Of the rendered test `boston`, a ring of
+tilted tops is turned by 10 degrees against its own plane, start and goal by 0.9; a real chair's hollow seat by 4."""
 JOIN = 0.05
 """Metres: platform points closer than this, and on one plane, belong to one face."""
 
@@ -72,15 +72,16 @@ def large(xy: F64, cell: float) -> bool:
 
 
 def _level(points: F64) -> bool:
-    """Whether a face is level where one stands on it: a ring of tilted tops is so only as a whole."""
+    """Whether a face slopes under a foot as it does as a whole: a ring of tilted tops is level only as a whole."""
     from scipy.spatial import cKDTree
 
     from realsim.align.geometric import LEVEL_DEG, plane_of
 
+    whole, _ = plane_of(points)
     tree = cKDTree(points[:, :2])
     under = tree.query_ball_point(points[:: max(1, len(points) // 50), :2], FOOT)
-    slopes = [np.hypot(*plane_of(points[near])[0]) for near in under if len(near) > 10]
-    return bool(np.degrees(np.arctan(np.median(slopes))) < LEVEL_DEG)
+    turned = [np.hypot(*(plane_of(points[near])[0] - whole)) for near in under if len(near) > 10]
+    return bool(np.degrees(np.arctan(np.median(turned))) < LEVEL_DEG)
 
 
 def _seen_area(xy: F64, cell: float) -> float:
