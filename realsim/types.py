@@ -294,11 +294,13 @@ class Platform:
     yaw: float
     """Radians, direction of the long side about z."""
     area: float
-    """m^2 of the seen top face."""
+    """m^2 of the top face."""
     outline: F64
     """(M, 2) convex outline of the top face, x y metres."""
     role: str = "platform"
     """`start`, `goal` or `platform`."""
+    inferred: bool = False
+    """Whether its top was not seen, or only in part: a tread of which only the front edge was."""
 
 
 @dataclass(frozen=True)
@@ -345,11 +347,15 @@ class AlignedScene:
         return next((p for p in self.platforms if p.role == role), None)
 
     def on_way(self, xy: F64) -> Bool | None:
-        """(M,) which points (M, 2) lie where the robot goes: within HALF_WAY of the hull of start and goal. None if
-        there are no two platforms: then nobody knows where it goes."""
-        ends = [self.platform("start"), self.platform("goal")]
-        outlines = [p.outline for p in ends if p is not None]
-        return outside_hull(np.concatenate(outlines), xy) < HALF_WAY if len(outlines) == 2 else None
+        """(M,) which points (M, 2) lie where the robot goes: within HALF_WAY of the hull of start (the origin, if it is
+        on the ground) and goal. None without a goal: then nobody knows where it goes."""
+        start, goal = self.platform("start"), self.platform("goal")
+        if goal is None:
+            return None
+        return (
+            outside_hull(np.concatenate([goal.outline, [[0.0, 0.0]] if start is None else start.outline]), xy)
+            < HALF_WAY
+        )
 
     def T_sim_camera(self, i: int) -> F64:
         """(4, 4) pose of view i in the simulation frame."""
@@ -408,11 +414,18 @@ class TerrainMesh:
     """A few views, evenly spread; empty for scans."""
     warnings: tuple[str, ...] = ()
     statistics: Mapping[str, Any] = field(default_factory=dict)
+    inferred: Bool | None = None
+    """(K,) those of the invented triangles that are tops of inferred platforms; None if there are none."""
 
     @property
     def seen(self) -> NDArray[np.int32]:
         """(S, 3) the triangles that were measured."""
         return self.triangles[~self.invented]
+
+    @property
+    def carrying(self) -> NDArray[np.int32]:
+        """(S, 3) the triangles that things touch: those that were measured, and tops of inferred platforms."""
+        return self.seen if self.inferred is None else self.triangles[~self.invented | self.inferred]
 
 
 # ---------------------------------------------------------------- scene on disk

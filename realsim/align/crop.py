@@ -24,9 +24,9 @@ def crop(
 ) -> tuple[F64, list[str]]:
     """Bounds (2, 3) of what is kept, and in words what is not. All in the simulation frame.
 
-    The terrain is the box about start and goal, grown by every obstacle or platform within a stride of it until
-    nothing more is near; then the margin of ground. Without a start, the terrain is all that stands low on the ground
-    (all ground, if nothing stands there).
+    The terrain is the box about start, goal and the treads between them, grown by every obstacle or platform within a
+    stride of it until nothing more is near; then the margin of ground. Without these, the terrain is all that stands
+    low on the ground (all ground, if nothing stands there).
     """
     from scipy.ndimage import label
 
@@ -43,7 +43,7 @@ def crop(
         order = np.argsort(ids, kind="stable")
         parts = np.split(order, np.flatnonzero(np.diff(ids[order])) + 1)
         clusters = [xy[standing][part] for part in parts if ids[part[0]] > 0 and len(part) * cloud.voxel**2 >= LEAST]
-    chosen = [p for p in platforms if p.role in ("start", "goal")]
+    chosen = [p for p in platforms if p.role in ("start", "goal") or p.inferred]
     if chosen:
         outline = np.concatenate([p.outline for p in chosen])
         low, high, left = _grown(outline.min(0), outline.max(0), clusters)

@@ -15,9 +15,9 @@ from realsim.types import F64, Platform
 
 LEAST_SIDE, LEAST_AREA = 0.30, 0.15
 """Metres and m²: two feet and some room. What is smaller is an obstacle, however level."""
-FOOT = 0.08
-"""Metres about a point within which its slope is taken: half a foot's length. Set on the rendered test `boston` (a ring
-of tilted tops 10.7 degrees, start and goal 0.9); every platform of the real chair and of mixed_a stays."""
+FOOT = 0.12
+"""Metres about a point within which its slope is taken: half a foot's length. Of the rendered test `boston`, a ring of
+tilted tops is turned by 10 degrees against its own plane, start and goal by 0.9; a real chair's hollow seat by 4."""
 JOIN = 0.05
 """Metres: platform points closer than this, and on one plane, belong to one face."""
 
@@ -42,6 +42,8 @@ class Face:
     """Sum of the points' weights: how much the capture looked at it."""
     rectangle: bool
     """Whether the outline is a fitted rectangle."""
+    inferred: bool = False
+    """Whether its top was not seen, or only in part: its outline follows from a flight of stairs."""
 
 
 def find_faces(cloud: Cloud, labels: Labels) -> list[Face]:
@@ -50,12 +52,13 @@ def find_faces(cloud: Cloud, labels: Labels) -> list[Face]:
     from realsim.align.flights import treads
 
     index = np.flatnonzero(labels == Label.PLATFORM)
-    regions = [index[part] for part in _connected(cloud.points[index], max(JOIN, 2 * cloud.voxel))]
+    regions = [index[part] for part in connected(cloud.points[index], max(JOIN, 2 * cloud.voxel))]
     parts = [region[part] for region in regions for part in split(cloud.points[region], cloud.voxel)]
     parts = [p for p in parts if large(cloud.points[p, :2], cloud.voxel) and _level(cloud.points[p])]
     taken = np.unique(np.concatenate(parts)) if parts else np.zeros(0, np.intp)
-    parts += [tread for tread in treads(cloud) if not np.isin(tread, taken).any()]
-    return sorted((_face(cloud.take(p)) for p in parts), key=lambda f: -f.area)
+    faces = [_face(cloud.take(p)) for p in parts]
+    faces += [_face(cloud.take(t.points), t.outline) for t in treads(cloud) if not np.isin(t.points, taken).any()]
+    return sorted(faces, key=lambda f: -f.area)
 
 
 def large(xy: F64, cell: float) -> bool:
@@ -69,15 +72,16 @@ def large(xy: F64, cell: float) -> bool:
 
 
 def _level(points: F64) -> bool:
-    """Whether a face is level where one stands on it: a ring of tilted tops is so only as a whole."""
+    """Whether a face slopes under a foot as it does as a whole: a ring of tilted tops is level only as a whole."""
     from scipy.spatial import cKDTree
 
     from realsim.align.geometric import LEVEL_DEG, plane_of
 
+    whole, _ = plane_of(points)
     tree = cKDTree(points[:, :2])
     under = tree.query_ball_point(points[:: max(1, len(points) // 50), :2], FOOT)
-    slopes = [np.hypot(*plane_of(points[near])[0]) for near in under if len(near) > 10]
-    return bool(np.degrees(np.arctan(np.median(slopes))) < LEVEL_DEG)
+    turned = [np.hypot(*(plane_of(points[near])[0] - whole)) for near in under if len(near) > 10]
+    return bool(np.degrees(np.arctan(np.median(turned))) < LEVEL_DEG)
 
 
 def _seen_area(xy: F64, cell: float) -> float:
@@ -90,7 +94,7 @@ def to_platform(face: Face, T_sim_level: F64, role: str = "platform") -> Platfor
     outline = transform(T_sim_level, np.column_stack([face.outline, np.zeros(len(face.outline))]))[:, :2]
     centroid = transform(T_sim_level, np.array([*face.centroid, face.height]))
     along, across, yaw = oriented_extent(outline)
-    return Platform(centroid, np.array([along, across, face.height]), yaw, face.area, outline, role)
+    return Platform(centroid, np.array([along, across, face.height]), yaw, face.area, outline, role, face.inferred)
 
 
 def oriented_extent(outline: F64) -> tuple[float, float, float]:
@@ -119,35 +123,43 @@ def polygon_area_centroid(outline: F64) -> tuple[float, F64]:
     return abs(area), outline[0] + ((p + q) * cross[:, None]).sum(0) / (6 * area)
 
 
-def _connected(points: F64, join: float) -> list[NDArray[np.intp]]:
-    """Groups of points that are neighbours in the plan and in height."""
+def connected(points: F64, join: float, steep: float = 4.0, least: int = 50) -> list[NDArray[np.intp]]:
+    """Groups of more than `least` points within `join` metres of their neighbours in the plan, a part of that in z.
+
+    With a quarter, a step of 1.2 cm separates two faces that touch.
+    """
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     if not len(points):
         return []
-    scaled = points * [1.0, 1.0, 4.0]  # a step of 1.2 cm separates two faces that touch
+    scaled = points * [1.0, 1.0, steep]
     graph = cKDTree(scaled).sparse_distance_matrix(cKDTree(scaled), join, output_type="coo_matrix")
     count, component = connected_components(graph, directed=False)
-    return [np.flatnonzero(component == k) for k in range(count) if np.count_nonzero(component == k) > 50]
+    size = np.bincount(component, minlength=count)
+    return [np.flatnonzero(component == k) for k in range(count) if size[k] > least]
 
 
-def _face(points: Cloud) -> Face:
+def _face(points: Cloud, inferred: F64 | None = None) -> Face:
+    """The face of its points, with the outline (K, 2) that was inferred for it, if any."""
     import cv2
 
     xyz = points.points
+    seen = _seen_area(xyz[:, :2], points.voxel)
+    looks = float(points.weights.sum())
+    if inferred is not None:
+        outline = _counter_clockwise(inferred)
+        area, centroid = polygon_area_centroid(outline)
+        return Face(np.zeros(2), float(np.median(xyz[:, 2])), outline, centroid, area, seen, looks, False, True)
     A = np.column_stack([xyz[:, :2], np.ones(len(xyz))])
     slope_x, slope_y, height = np.linalg.lstsq(A, xyz[:, 2], rcond=None)[0]
     hull = cv2.convexHull(xyz[:, :2].astype(np.float32))[:, 0].astype(np.float64)
     box = cv2.boxPoints(cv2.minAreaRect(xyz[:, :2].astype(np.float32))).astype(np.float64)
-    seen = _seen_area(xyz[:, :2], points.voxel)
     rectangle = polygon_area_centroid(hull)[0] > 0.9 * polygon_area_centroid(box)[0]
     outline = _counter_clockwise(box if rectangle else hull)
     area, centroid = polygon_area_centroid(outline)
     slope = np.array([slope_x, slope_y])
-    return Face(
-        slope, float(slope @ centroid + height), outline, centroid, area, seen, float(points.weights.sum()), rectangle
-    )
+    return Face(slope, float(slope @ centroid + height), outline, centroid, area, seen, looks, rectangle)
 
 
 def _counter_clockwise(outline: F64) -> F64:

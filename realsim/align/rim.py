@@ -77,8 +77,9 @@ def refined(faces: list[Face], scene: MetricScene, T_level_world: F64) -> list[F
 
 
 def _window(face: Face, T: F64, camera: Intrinsics, shape: tuple[int, ...]) -> tuple[slice, slice] | None:
-    """The part of the image that can show the face's rim; None if it is out of view or seen from below."""
-    if T[2, 3] < face.height + 0.1:
+    """The part of the image that can show the face's rim; None if it is out of view, seen from below, or
+    inferred."""
+    if face.inferred or T[2, 3] < face.height + 0.1:
         return None
     grown = face.centroid + (face.outline - face.centroid) * (1 + 2 * REACH / np.sqrt(face.area))
     corners = transform(invert_T(T), np.column_stack([grown, np.full(len(grown), face.height)]))

@@ -20,14 +20,18 @@ def by_rule(faces: list[Face], near: F64) -> Roles:
     """Start and goal by the rule: the pair that is largest and furthest apart, see `pair_score`.
 
     The one nearer to `near` ((2,), first camera, sensor or origin in the plan of the levelled frame) is the start. A
-    single platform is the start.
+    single platform is the start. A tread that was inferred is none, a robot has hardly room on it: its flight begins
+    at the ground. It ends at its last tread.
     """
     if len(faces) < 2:
         return (0, None) if faces else (None, None)
     pairs = [(i, j) for i in range(len(faces)) for j in range(i + 1, len(faces))]
     i, j = max(pairs, key=lambda p: pair_score(faces[p[0]], faces[p[1]]))
     first = np.linalg.norm(faces[i].centroid - near) <= np.linalg.norm(faces[j].centroid - near)
-    return (i, j) if first else (j, i)
+    start, goal = (i, j) if first else (j, i)
+    if faces[goal].inferred:
+        goal = max((k for k, face in enumerate(faces) if face.inferred), key=lambda k: faces[k].height)
+    return (None if faces[start].inferred else start), goal
 
 
 def pair_score(a: Face, b: Face) -> float:
@@ -88,16 +92,17 @@ def _partner(faces: list[Face], one: int | None) -> int | None:
 
 
 def simulation_frame(faces: list[Face], roles: Roles) -> F64:
-    """(4, 4) T_sim_level: origin on the start's top, x to the goal; the levelled frame's x without a goal."""
+    """(4, 4) T_sim_level: origin on the start's top, x to the goal; without a start the levelled frame's origin,
+    without a goal its x."""
     start, goal = roles
-    if start is None:
-        return np.eye(4)
-    origin, x = faces[start].centroid, np.array([1.0, 0.0])
+    origin, height, x = np.zeros(2), 0.0, np.array([1.0, 0.0])
+    if start is not None:
+        origin, height = faces[start].centroid, faces[start].height
     if goal is not None:
         x = faces[goal].centroid - origin
         x /= np.linalg.norm(x)
     R = np.array([[x[0], x[1], 0], [-x[1], x[0], 0], [0, 0, 1]])
-    return make_T(R, -R @ [*origin, faces[start].height])
+    return make_T(R, -R @ [*origin, height])
 
 
 def described(faces: list[Face], T_sim_level: F64) -> str:

@@ -22,7 +22,7 @@ def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
     """Put a metric scene or a scan into the simulation frame.
 
     Origin at the centroid of the start platform's top face, z against gravity, x from the start platform's centroid
-    toward the goal's. Without platforms: origin on the ground below the first camera, x along its view.
+    toward the goal's. Without a start: origin on the ground below the first camera; without a goal: x along its view.
 
     Everything is computed relative to the first camera, so that the result does not depend on how the capture's
     world happens to lie; `T_sim_world` leads from that world.
@@ -42,6 +42,13 @@ def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
     assumptions, warnings = list(ground.assumptions), list(ground.warnings)
     if cloud.turned:
         assumptions.append("the mesh is wound inside out: its triangles were flipped")
+
+    inferred = sum(face.inferred for face in faces)
+    if inferred:
+        assumptions.append(
+            f"a flight of stairs: of {inferred} treads the front edges were seen, not all of the tops, which are taken "
+            "to be level and to reach back to the next edge"
+        )
 
     T_level_world = T_level_cloud @ T_cloud_world
     if isinstance(source, MetricScene):
@@ -133,6 +140,8 @@ def _assumed(roles: Roles, source: MetricScene | Scan, stood: bool) -> list[str]
     start, goal = roles
     ahead = "the first camera's view" if stood and isinstance(source, MetricScene) else "the source's own x"
     below = "the first camera" if isinstance(source, MetricScene) else "the sensor" if stood else "the source's origin"
+    if start is None and goal is not None:
+        return [f"the way begins on the ground: the origin is below {below}, x toward the goal"]
     if start is None:
         return [f"no platform was found: the origin is on the ground below {below}, x along {ahead}"]
     if goal is None:

@@ -26,8 +26,8 @@ DRAWN_TRIANGLES = 80_000
 def write_scene(folder: Path, aligned: AlignedScene, mesh: TerrainMesh, config: SceneConfig) -> SceneFiles:
     """Write mesh.ply, mesh.glb, scene.xml and what it refers to; then compile, step and check it from disk.
 
-    `mesh.ply` and `mesh.glb` hold the triangles that were seen; collision geometry is made of all of them. The same
-    input writes the same bytes.
+    `mesh.ply` and `mesh.glb` hold the triangles that were seen and the tops of inferred platforms; collision geometry
+    is made of all of them. The same input writes the same bytes.
 
     Args:
         folder: exists; nothing in it is kept if the export fails (the caller makes the folder whole or not at all).
@@ -73,7 +73,7 @@ def write_terrain(
     """
     fitted = fit_contact(mesh, ground_z, config, cost_at, bare=bare)
     contact = fitted.contact
-    vertices, triangles, colors = compact(mesh.vertices, mesh.seen, mesh.colors)
+    vertices, triangles, colors = compact(mesh.vertices, mesh.carrying, mesh.colors)
     normals = vertex_normals(vertices, triangles)
     files = {
         "mesh.ply": ply_bytes(vertices, triangles, colors),

@@ -13,7 +13,7 @@ from realsim.meshing.evidence import Evidence, gather
 from realsim.meshing.quality import check
 from realsim.meshing.residuals import residuals
 from realsim.meshing.scan import surface_of_scan
-from realsim.meshing.solids import invent
+from realsim.meshing.solids import inferred_tops, invent
 from realsim.meshing.surface import Surface, colored_from, drop_islands
 from realsim.meshing.unseen import unseen
 from realsim.types import AlignedScene, TerrainMesh
@@ -63,11 +63,16 @@ def build(aligned: AlignedScene, config: MeshConfig) -> TerrainMesh:
         "area_m2": float(surface.areas().sum()),
     }
     invented = Surface(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    tops = invented
     if config.close:
-        invented = canonical(invent(surface, aligned, evidence, max(0.015, resolution)))
+        cell = max(0.015, resolution)
+        tops = inferred_tops(surface, aligned, cell)
+        known = surface.joined(tops) if len(tops.triangles) else surface
+        invented = canonical(invent(known, aligned, evidence, cell)).joined(tops)
         statistics["invented_area_m2"] = float(invented.areas().sum())
         statistics["unseen"] = unseen(aligned, surface, invented, config.seed)
     whole, mask = _joined(surface, invented)
+    inferred = np.arange(len(mask)) >= len(mask) - len(tops.triangles)
     return TerrainMesh(
         vertices=whole.vertices,
         triangles=whole.triangles,
@@ -80,6 +85,7 @@ def build(aligned: AlignedScene, config: MeshConfig) -> TerrainMesh:
         residuals=residuals(aligned, surface, config.residual_views),
         warnings=tuple(warnings),
         statistics=statistics,
+        inferred=inferred if inferred.any() else None,
     )
 
 

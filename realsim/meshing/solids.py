@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.errors import MeshError
-from realsim.meshing.clean import tidy
+from realsim.meshing.clean import tidy, weld
 from realsim.meshing.evidence import Evidence
 from realsim.meshing.surface import Surface
 from realsim.meshing.visibility import seen_through, votes
@@ -64,6 +64,27 @@ def invent(seen: Surface, aligned: AlignedScene, evidence: Evidence | None, cell
     inside &= centre[:, 2] > aligned.ground_z - 0.5 * SKIRT
     # A triangle that runs along the seen surface repeats it; only what leaves it is new.
     return closed.where(inside & (seen.distance(centre) > 0.75 * cell))
+
+
+def inferred_tops(seen: Surface, aligned: AlignedScene, cell: float) -> Surface:
+    """The tops of inferred platforms where no seen surface is, in triangles of about `cell` metres."""
+    tops = Surface(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    for p in aligned.platforms:
+        if p.inferred:
+            corners = np.column_stack([p.outline, np.full(len(p.outline), p.centroid[2])])
+            parts = np.stack([np.stack([corners[0], corners[k], corners[k + 1]]) for k in range(1, len(corners) - 1)])
+            while np.linalg.norm(parts - np.roll(parts, 1, 1), axis=2).max() > cell:
+                parts = _quartered(parts)
+            fine = Surface(parts.reshape(-1, 3), np.arange(3 * len(parts), dtype=np.int32).reshape(-1, 3))
+            tops = tops.joined(fine.where(seen.distance(fine.centres()) > 0.5 * cell))
+    return tidy(weld(tops, 1e-5)) if len(tops.triangles) else tops
+
+
+def _quartered(parts: F64) -> F64:
+    """(4 K, 3, 3) the quarters of triangles (K, 3, 3)."""
+    half = (parts + np.roll(parts, -1, 1)) / 2
+    inner = [np.stack([parts[:, k], half[:, k], half[:, k - 1]], 1) for k in range(3)]
+    return np.concatenate([*inner, half])
 
 
 class Columns:

@@ -30,6 +30,11 @@ class Surface:
         colors = None if self.colors is None else self.colors[used]
         return Surface(self.vertices[used], number[triangles].astype(np.int32).reshape(-1, 3), colors)
 
+    def joined(self, other: Surface) -> Surface:
+        """Both in one, this one first; without colours."""
+        triangles = np.concatenate([self.triangles, other.triangles + len(self.vertices)]).astype(np.int32)
+        return Surface(np.concatenate([self.vertices, other.vertices]), triangles)
+
     def centres(self) -> F64:
         """(K, 3) centroids of the triangles."""
         return self.vertices[self.triangles].mean(1)

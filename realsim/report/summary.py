@@ -100,7 +100,14 @@ def _scale(result: Reconstruction) -> dict[str, Any]:
 
 
 def _platform(p: Platform) -> dict[str, Any]:
-    return {"role": p.role, "centroid": p.centroid, "size": p.size, "yaw": p.yaw, "area": p.area}
+    return {
+        "role": p.role,
+        "centroid": p.centroid,
+        "size": p.size,
+        "yaw": p.yaw,
+        "area": p.area,
+        "inferred": p.inferred,
+    }
 
 
 def _points(result: Reconstruction) -> dict[str, Any]:

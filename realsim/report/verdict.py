@@ -197,6 +197,11 @@ def _left_out(result: Reconstruction) -> list[tuple[str, Dropped]]:
 
 def _platforms(result: Reconstruction) -> Iterator[Check]:
     missing = [role for role in ("start", "goal") if result.aligned.platform(role) is None]
+    if missing == ["start"]:
+        yield Check(
+            "Start and goal platforms", "the way begins on the ground", "check if one is missing", "good", "", ""
+        )
+        return
     found = f"{len(result.aligned.platforms)} found" + (f", no {' and no '.join(missing)}" if missing else "")
     reason = f"No {' and no '.join(missing)} platform was found: the frame rests on assumptions, listed below."
     level: Level = "look" if missing else "good"

@@ -80,3 +80,13 @@ def test_a_ring_of_tilted_tops_is_no_level_face() -> None:
     assert large(ring[:, :2], 0.02)
     assert not _level(ring)
     assert _level(surface((0, 0, 0.6, 0.32, 0.3), noise=0.003))
+
+
+def test_a_hollow_seat_that_slopes_is_a_level_face() -> None:
+    """Tilted by 4.5 degrees and hollow by 1 cm, as chairs are; one of 5 cm is a bowl."""
+    seat = surface((0, 0, 0.42, 0.42, 0.4), turn=0, noise=0.002)
+    middle = seat[:, :2] - seat[:, :2].mean(0)
+    hollow = (middle**2).sum(1) / 0.21**2
+    seat[:, 2] += 0.0787 * middle[:, 0]
+    assert _level(seat + np.outer(0.01 * hollow, [0, 0, 1]))
+    assert not _level(seat + np.outer(0.05 * hollow, [0, 0, 1]))

@@ -39,7 +39,7 @@ MOST = 300_000  # samples
 def sheets(shape: Shape, config: SceneConfig) -> ContactModel:
     """Boxes and prisms, without those that fill seen air, and sheets behind the surface that they do not carry."""
     whole, mesh = shape.fine, shape.mesh
-    vertices, seen = mesh.vertices, mesh.seen
+    vertices, seen = mesh.vertices, mesh.carrying
     area = float(np.linalg.norm(np.cross(*_sides(vertices, seen)), axis=1).sum()) / 2
     spacing = max(0.01, float(np.sqrt(area / MOST)))
     samples = sampled(vertices, seen, spacing)
