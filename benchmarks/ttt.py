@@ -228,15 +228,18 @@ def judged(file: Path, test: str, options: Options, *, robust: bool = True) -> R
 
 
 def table(rows: list[Row], base: str = "") -> list[str]:
-    """Success by test, a column a policy, with iterations to 97 % and in all. Of the last base, if none is given."""
+    """Success by test, a column a policy, with iterations to 97 % and in all; every seed. Of the last base, if none is
+    given."""
     base = base or (rows[-1]["base"] if rows else "")
     rows = [r for r in rows if r["base"] == base]
     columns = sorted({(r["method"], r["source"], r["strategy"], r["minutes"]) for r in rows})
     tests = [t for t in terrains.TESTS if any(r["test"] == t for r in rows)]
-    found: dict[Any, Row] = {(r["test"], r["method"], r["source"], r["strategy"], r["minutes"]): r for r in rows}
+    found: dict[Any, list[Row]] = {}
+    for r in sorted(rows, key=lambda r: int(r["seed"])):
+        found.setdefault((r["test"], r["method"], r["source"], r["strategy"], r["minutes"]), []).append(r)
     lines = ["| test | " + " | ".join(_title(c) for c in columns) + " |", "|---|" + "---|" * len(columns)]
     for test in tests:
-        cells = [_cell(found.get((test, *c))) for c in columns]
+        cells = [_cell(found.get((test, *c), [])) for c in columns]
         lines.append(f"| {test} | " + " | ".join(cells) + " |")
     return lines
 
@@ -247,9 +250,11 @@ def _title(column: tuple[Any, ...]) -> str:
     return " ".join(words) + (f", {minutes:g} min" if minutes else "")
 
 
-def _cell(row: Row | None) -> str:
-    if row is None:
-        return ""
+def _cell(seeds: list[Row]) -> str:
+    return "; ".join((f"seed {r['seed']}: " if len(seeds) > 1 else "") + _outcome(r) for r in seeds)
+
+
+def _outcome(row: Row) -> str:
     text = f"{100 * row['won'] / row['trials']:.1f} %"
     if "won_robust" in row:
         text += f" (robust {100 * row['won_robust'] / row['trials']:.1f} %)"
