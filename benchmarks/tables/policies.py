@@ -28,7 +28,10 @@ def tuned() -> list[str]:
 
 
 def well_crossed(method: str) -> str:
-    """On how many tests a policy succeeds in 97 % of the trials: fine-tuned on the exact terrain, or the base."""
+    """On how many tests a policy succeeds in 97 % of the trials, with every seed: fine-tuned on the exact terrain, or
+    the base."""
     rows = stored("ttt")["rows"]
     of = [r for r in rows if (r["base"], r["method"], r["source"]) == (rows[-1]["base"], method, "exact")]
-    return f"{sum(r['won'] >= 0.97 * r['trials'] for r in of)} of {len(of)}"
+    tests = {r["test"] for r in of}
+    missed = {r["test"] for r in of if r["won"] < 0.97 * r["trials"]}
+    return f"{len(tests - missed)} of {len(tests)}"
