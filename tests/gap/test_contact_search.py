@@ -92,15 +92,11 @@ def test_where_feet_touch_a_column_of_a_causes_size_ranks_it(quadruped: Case) ->
         screen = fitter.screen
         c = candidate(fitter, "coulomb_friction", "fl_calf")
         (small,), (large,) = screen.atoms_of(c), screen.atoms_of(c, large=True)
-        assert screen.atoms[large].large
-        assert not screen.prior[large]
-        assert not screen.atoms[small].large
-        assert screen.prior[small] > 0
-        assert c.directions[large] == 1.0
-        assert c.directions.sum() == 1.0
+        assert screen.atoms[large].large and not screen.prior[large]
+        assert not screen.atoms[small].large and screen.prior[small] > 0
+        assert c.directions[large] == 1.0 and c.directions.sum() == 1.0
         gain, best, estimate = ranked(screen, fitter.nominal())[0]
-        assert best.key == c.key
-        assert gain > 0
+        assert best.key == c.key and gain > 0
         assert 0.4 < estimate[0] < 1.6
 
 
