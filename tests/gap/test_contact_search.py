@@ -11,12 +11,12 @@ import pytest
 
 from realsim.gap import EFFECTS, Case, DiagnoseConfig
 from realsim.gap.causes.fit import Cause, Fit, Fitter
-from realsim.gap.causes.proposals import by_simulation, ranked
+from realsim.gap.causes.proposals import by_simulation
 from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
-from .test_recovery import arm, logged, quadruped  # noqa: F401
+from .test_recovery import logged, quadruped  # noqa: F401
 
 CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
 pytestmark = pytest.mark.slow
@@ -83,23 +83,3 @@ def test_a_height_is_found_short_of_one_at_which_the_foot_meets_other_ground(qua
         best = next(by_simulation(fitter, fitter.nominal())).causes[0]
     assert best.candidate.place == ("block_2",)
     assert best.named == {"height": pytest.approx(-0.015)}
-
-
-def test_where_feet_touch_a_column_of_a_causes_size_ranks_it(quadruped: Case) -> None:  # noqa: F811
-    """And the nuisance parameter at the same joint keeps the slope of a small change."""
-    case = logged(quadruped, [("coulomb_friction", ("fl_calf",), {"friction": 1.0})])
-    with fitter_for(case, ("coulomb_friction", "stiffness_gain")) as fitter:
-        screen = fitter.screen
-        c = candidate(fitter, "coulomb_friction", "fl_calf")
-        (small,), (large,) = screen.atoms_of(c), screen.atoms_of(c, large=True)
-        assert screen.atoms[large].large and not screen.prior[large]
-        assert not screen.atoms[small].large and screen.prior[small] > 0
-        assert c.directions[large] == 1.0 and c.directions.sum() == 1.0
-        gain, best, estimate = ranked(screen, fitter.nominal())[0]
-        assert best.key == c.key and gain > 0
-        assert 0.4 < estimate[0] < 1.6
-
-
-def test_without_feet_every_column_is_a_slope(arm: Case) -> None:  # noqa: F811
-    with fitter_for(arm, ("coulomb_friction",)) as fitter:
-        assert not any(atom.large for atom in fitter.screen.atoms)
