@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -34,8 +34,6 @@ class Atom:
     effect: str
     place: Place
     parameter: Parameter
-    large: bool = False
-    """Whether the column is that of a change as large as a cause, instead of one as small as an everyday deviation."""
 
 
 @dataclass(frozen=True)
@@ -112,10 +110,6 @@ class Screen:
                 # Shape parameters (a Stribeck velocity, where a payload sits) do nothing on their own.
                 slopes = [p for p in effect.parameters(context, place) if p.strength and p.like is None]
                 wanted += [Atom(effect.name, place, p) for p in slopes]
-                # Where feet slip and land, what a little friction does foretells nothing of much.
-                if context.touches and effect.name in chosen:
-                    daily = [p for p in slopes if p.nuisance]
-                    wanted += [Atom(effect.name, place, replace(p, nuisance=0.0), large=True) for p in daily]
         self.nominal = simulator.simulate(runs=self.runs)
         # Slopes of a large robot bear a coarser step: it halves the time, and both ends of the difference share it.
         self.coarse = 2 if simulator.case.model.nv >= 5 and context.timestep <= 0.0025 else 1
@@ -137,8 +131,7 @@ class Screen:
                 file=simulator.case.folder,
                 hint="are the commands in the unit that log.json says, and do they move the joints?",
             )
-        self.index = {(a.effect, a.place, a.parameter.name): i for i, a in enumerate(self.atoms) if not a.large}
-        self._large = {(a.effect, a.place, a.parameter.name): i for i, a in enumerate(self.atoms) if a.large}
+        self.index = {(a.effect, a.place, a.parameter.name): i for i, a in enumerate(self.atoms)}
         self.varied = self._varied()
         self.prior = np.array([a.parameter.nuisance for a in self.atoms])
         self.usual = np.array([a.parameter.usual for a in self.atoms])
@@ -200,7 +193,6 @@ class Screen:
         # And a stiff law that a finer step bears may blow up at the coarser one, and would then never be a candidate.
         coarse, base = (1, fine) if p.fine or lookup(atom.effect).stiff else (self.coarse, base)
         width = np.copysign(min(3 * p.nuisance, abs(p.step)), p.step) if p.nuisance and p.bounds[0] < 0 else p.step
-        width = 2 * p.step if atom.large else width
         for scale in (1.0, -1.0, 0.3):  # a payload may only be removable, a gap only be small
             value = p.default + scale * width
             if not p.bounds[0] <= value <= p.bounds[1]:
@@ -319,13 +311,12 @@ class Screen:
         """(B * C, m) of some atoms on screened run k."""
         return self._columns[k][:, list(index)]
 
-    def atoms_of(self, candidate: Candidate, large: bool = False) -> list[int]:
-        """The atoms that are this cause, and those that do the same; `large`: by columns of its size, if there are."""
+    def atoms_of(self, candidate: Candidate) -> list[int]:
+        """The atoms that are this cause, and those that do the same."""
         own = [(candidate.effect, p.name) for p in candidate.parameters]
         alike = [p.like for p in candidate.parameters if p.like]
         keys = [(effect, place, name) for effect, name in own + alike for place in candidate.places]
-        index = self.index | self._large if large else self.index
-        return [index[k] for k in keys if k in index]
+        return [self.index[k] for k in keys if k in self.index]
 
     # ------------------------------------------------------------ candidates
 
@@ -355,7 +346,7 @@ class Screen:
         directions, linear = [], []
         for p in parameters:
             column = np.zeros(len(self.atoms))
-            column[self.atoms_of(Candidate(effect.name, group, (p,), column, ()), large=True)] = 1.0
+            column[self.atoms_of(Candidate(effect.name, group, (p,), column, ()))] = 1.0
             if column.any():
                 directions.append(column)
                 linear.append(p.name)
