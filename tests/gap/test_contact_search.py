@@ -13,6 +13,7 @@ from realsim.gap import EFFECTS, Case, DiagnoseConfig
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.proposals import by_simulation
 from realsim.gap.causes.screen import Candidate, Screen
+from realsim.gap.causes.search import Search
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
@@ -83,3 +84,21 @@ def test_a_height_is_found_short_of_one_at_which_the_foot_meets_other_ground(qua
         best = next(by_simulation(fitter, fitter.nominal())).causes[0]
     assert best.candidate.place == ("block_2",)
     assert best.named == {"height": pytest.approx(-0.015)}
+
+
+@pytest.mark.parametrize(("left", "expected"), [(0.9, False), (1.1, True)])
+def test_where_simulated_deviations_leave_noise_no_cause_is_looked_for(
+    quadruped: Case,  # noqa: F811
+    monkeypatch: pytest.MonkeyPatch,
+    left: float,
+    expected: bool,
+) -> None:
+    looked: list[bool] = []
+    monkeypatch.setattr(Search, "_proposed", lambda *_: looked.append(True) or iter(()))
+    monkeypatch.setattr("realsim.gap.causes.search.leftover", lambda *_: np.full(1, left))
+    case = logged(quadruped, [("coulomb_friction", ("fl_calf",), {"friction": 1.0})])
+    with fitter_for(case, ("coulomb_friction",)) as fitter:
+        search = Search(fitter, 3, fitter.nominal())
+        search.run(lambda *_: None)
+    assert bool(looked) is expected
+    assert not search.best.causes
