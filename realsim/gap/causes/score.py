@@ -34,7 +34,8 @@ def determined(fit: Any) -> float:
 
 def asked(screen: Screen, before: Fit) -> float:
     """Nats by which a further cause must lower the score of a set: clearly, and by a share of what is no noise."""
-    return figures.CLEARLY + figures.SHARE * before.misfit * (1 - 1 / max(leftover(screen, before).mean(), 1.0))
+    above = before.misfit * (1 - 1 / max(leftover(screen, before).mean(), 1.0))
+    return max(figures.CLEARLY, figures.SHARE * above)
 
 
 def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | None]:
