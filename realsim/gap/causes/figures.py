@@ -51,7 +51,7 @@ NEAR, NEAR_SHARE = 20.0, 0.15
 Budget."""
 WORTH, WORTH_SHARE, FITTED, PLACES = 10.0, 0.04, 8, 3
 """Candidates of the linear screen that are fitted: those above WORTH nats and this share of the leader, FITTED of them,
-at most so many PLACES of an effect. Budget."""
+at most so many PLACES of an effect; of as many effects the best place is looked at twice. Budget."""
 PROBED, SIZES = 12, (2.0, 0.7, -0.7, -2.0)
 """Candidates of an effect that are simulated where no slope foretells it (a quadruped has twelve joints), and the sizes
 at which they are, in steps of the parameter. Budget."""

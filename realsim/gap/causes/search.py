@@ -119,8 +119,10 @@ class Search:
             fits = [f for f in fits if self._score(here) - self._score(f) + near(here.misfit - f.misfit) > least]
             if not fits:
                 return here, []
-        close = [f for f in fits if f.misfit - fits[0].misfit <= near(here.misfit - fits[0].misfit)]
-        settled = [fitter.settled(f) for f in (here, *close[: figures.PLACES])]
+        # Of each effect its best place, or places of one effect would be all that is looked at.
+        ways = {tuple(c.candidate.effect for c in f.causes): f for f in reversed(fits)}
+        best = sorted(ways.values(), key=self._score)[: figures.PLACES]
+        settled = [fitter.settled(f) for f in (here, *best)]
         fitter.reweighted(min(settled[1:], key=self._score))
         here, *fits = map(fitter.remeasure, settled)
         for fit in fits:
