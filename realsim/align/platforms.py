@@ -16,8 +16,9 @@ from realsim.types import F64, Platform
 LEAST_SIDE, LEAST_AREA = 0.30, 0.15
 """Metres and m²: two feet and some room. What is smaller is an obstacle, however level."""
 FOOT = 0.12
-"""Metres about a point within which its slope is taken: half a foot's length. Of the rendered test `boston`, a ring of
-tilted tops is turned by 10 degrees against its own plane, start and goal by 0.9; a real chair's hollow seat by 4."""
+"""Metres about a point within which its slope is taken: half a foot's length. Set on a real chair, whose hollow seat is
+turned by 3.9 degrees against its own plane. Start and goal of the rendered test `boston` are turned by 0.3. A ring of
+tilted tops, which must not pass, was checked as made points alone."""
 JOIN = 0.05
 """Metres: platform points closer than this, and on one plane, belong to one face."""
 

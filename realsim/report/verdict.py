@@ -197,7 +197,8 @@ def _left_out(result: Reconstruction) -> list[tuple[str, Dropped]]:
 
 def _platforms(result: Reconstruction) -> Iterator[Check]:
     missing = [role for role in ("start", "goal") if result.aligned.platform(role) is None]
-    if missing == ["start"]:
+    goal = result.aligned.platform("goal")
+    if missing == ["start"] and goal is not None and goal.inferred:  # a tread is no place to start
         yield Check(
             "Start and goal platforms", "the way begins on the ground", "check if one is missing", "good", "", ""
         )

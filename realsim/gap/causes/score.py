@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
 from realsim.gap.causes import figures
-from realsim.gap.causes.fit import Fit, Fitter
+from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.starts import twins
 from realsim.gap.simulation.simulate import lookup
+from realsim.types import F64
+
+
+class Estimated(Protocol):
+    """Causes with the covariance of their values."""
+
+    @property
+    def causes(self) -> Sequence[Cause]: ...
+
+    @property
+    def covariance(self) -> F64: ...
+
 
 Held = tuple[float, float]
 """(mean, standard error) of a gain on runs that are left out in turn."""
@@ -26,7 +39,7 @@ def score(screen: Screen, fit: Fit) -> float:
     return total + figures.PRICE * sum(lookup(c.candidate.effect).usual is not None for c in fit.causes)
 
 
-def determined(fit: Any) -> float:
+def determined(fit: Estimated) -> float:
     """How many parameters the data determine: a force across a planar arm is none."""
     sizes = np.array([2 * p.step for c in fit.causes for p in c.candidate.parameters])
     return float(np.clip(1 - np.diag(fit.covariance) / sizes**2, 0.0, 1.0).sum())
