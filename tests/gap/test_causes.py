@@ -128,17 +128,17 @@ def test_a_run_is_left_out_with_values_that_are_fitted_to_the_others(fitter: Fit
     assert whole is not None
     e, x = whole.evidence, few.screen.nuisances(others.evidence, others.prior)
     direct = 0.5 * float(e.c[0] - 2 * e.b[0] @ x + x @ e.A[0] @ x)
-    assert fitter.left_out(all_runs, all_runs.prior)[0] == pytest.approx(direct, rel=0.1)
+    assert fitter.left_out(all_runs)[0] == pytest.approx(direct, rel=0.1)
 
 
 def test_a_run_is_left_out_beside_the_deviations_of_its_fit(fitter: Fitter, monkeypatch: pytest.MonkeyPatch) -> None:
     """A fit stays what it was where the search has since moved the deviations that it simulates."""
     soft = fit(fitter, stiffness_gain=-0.3)
-    before = fitter.left_out(soft, soft.prior)
+    before = fitter.left_out(soft)
     moved = fitter.about.copy()
     moved[next(i for i, a in enumerate(fitter.screen.atoms) if a.effect == "link_inertia")] = 0.1
     monkeypatch.setattr(fitter, "about", moved)
-    assert fitter.left_out(soft, soft.prior) == pytest.approx(before)
+    assert fitter.left_out(soft) == pytest.approx(before)
     assert fitter.remeasure(soft).misfit == pytest.approx(soft.misfit)
     assert fitter.about is moved
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from realsim.gap import EFFECTS, DiagnoseConfig, apply_patch, diagnose, load_case, run_case
-from realsim.gap.causes.linear import log_evidence, posterior
+from realsim.gap.causes.linear import bounded, log_evidence, misfit_at, posterior
 from realsim.gap.causes.screen import Candidate
 from realsim.gap.compare import Comparison
 from realsim.gap.effects.payload import add_point_mass
@@ -98,6 +98,38 @@ def test_posterior_is_ridge_regression() -> None:
     np.testing.assert_allclose(mean[keep], exact, atol=1e-10)
     assert mean[2] == 0
     assert np.all(cov[2] == 0)
+
+
+@given(st.integers(0, 10_000), st.floats(0.3, 3))
+@settings(max_examples=40, deadline=None)
+def test_no_deviation_leaves_its_bound_and_the_free_ones_are_at_their_best(seed: int, most: float) -> None:
+    rng = np.random.default_rng(seed)
+    G, prior = rng.normal(size=(60, 6)), np.array([0.1, 1.0, 0.0, 2.0, 0.5, 0.2])
+    A, b = G.T @ G, G.T @ (G @ rng.normal(size=6))
+    x, free = bounded(A, b, prior, most * prior)
+    held = (free == 0) & (prior > 0)
+    assert np.all(np.abs(x) <= most * prior * (1 + 1e-12))
+    np.testing.assert_allclose(np.abs(x[held]), most * prior[held])
+    gradient = b - A @ x - np.divide(x, prior**2, out=np.zeros(6), where=prior > 0)
+    np.testing.assert_allclose(gradient[free > 0], 0, atol=1e-8)
+    within, everything = bounded(A, b, prior, np.inf)
+    np.testing.assert_allclose(within, posterior(A, b, prior)[0], atol=1e-9)
+    assert np.array_equal(everything, prior)
+    assert misfit_at(A, b, 1.0, x, prior) >= misfit_at(A, b, 1.0, within, prior) - 1e-9
+
+
+def test_a_gross_deviation_is_left_to_a_cause() -> None:
+    """Two columns alike but for a little: without a bound the everyday one takes all of it."""
+    rng = np.random.default_rng(3)
+    g = rng.normal(size=400)
+    G = np.stack([g, g + 0.02 * rng.normal(size=400)], axis=1)
+    A, b = G.T @ G * 1e6, G.T @ (5.0 * G[:, 1]) * 1e6
+    prior = np.array([0.1, 0.0])
+    x, _ = bounded(A, b, prior, 3 * prior)
+    free = bounded(A, b, prior, np.inf)[0]
+    left = [float(c @ A @ c) for c in (np.array([0, 5.0]) - x, np.array([0, 5.0]) - free)]
+    assert x[0] == pytest.approx(0.3)
+    assert left[0] > 100 * left[1]
 
 
 def test_score_prefers_the_true_direction() -> None:

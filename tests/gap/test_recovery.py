@@ -184,7 +184,7 @@ def recover(name: str, case: Case) -> None:
         fitter = Fitter(screen)
         nominal = fitter.nominal()
         candidate = next(c for c in screen.candidates if c.place == place and c.names[0] == first.name)
-        A, b, _ = marginal(nominal.evidence, nominal.prior)
+        A, b, _ = marginal(nominal.evidence, nominal.prior, np.inf)
         estimate = log_evidence(A, b, candidate.directions, slab(candidate))[1]
         begin, *more = starts(screen, candidate, estimate)
         fit = fitter.fit([Cause(candidate, tuple(begin))], more, rough=True)

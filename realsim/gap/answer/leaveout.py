@@ -14,7 +14,7 @@ import numpy as np
 
 from realsim.gap.answer.check import BLOCK_SECONDS, errors, mean_square
 from realsim.gap.causes.fitted import values_of
-from realsim.gap.causes.leftover import reasonable, rests
+from realsim.gap.causes.leftover import rests
 from realsim.gap.compare import CORRELATION, Comparison
 from realsim.types import F64
 
@@ -55,7 +55,7 @@ def leave_out(screen: Any, fitter: Any, fit: Any) -> LeftOut:
         fit = fitter.spread(fitter.remeasure(fit))
         for k, (x, causes) in enumerate(fitter.without_each(fit)):
             predicted = fitter.of_run(fit, causes, k)
-            left = screen.residual(k, predicted, fit.evidence.centre + reasonable(x, fit.prior) - fit.about)
+            left = screen.residual(k, predicted, fit.evidence.centre + x - fit.about)
             after.append(mean_square(comparison, [left], [runs[k]]))
             values.append(values_of(causes))
             settings = [s for c in causes for s in c.settings()]

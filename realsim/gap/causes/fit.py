@@ -15,8 +15,8 @@ from realsim.gap.causes.fitted import Cause as Cause
 from realsim.gap.causes.fitted import Fit as Fit
 from realsim.gap.causes.fitted import at, form, parameters_of, spread, values_of
 from realsim.gap.causes.gauss_newton import Few, GaussNewton, clip, widest
-from realsim.gap.causes.leftover import deviations, is_gap, leftover, reasonable
-from realsim.gap.causes.linear import posterior
+from realsim.gap.causes.leftover import deviations, is_gap, leftover
+from realsim.gap.causes.linear import bounded
 from realsim.gap.effects.base import Parameter
 from realsim.gap.evidence.onsets import find_onsets
 from realsim.gap.simulation.simulate import lookup
@@ -183,17 +183,16 @@ class Fitter(GaussNewton):
         """((p,) nuisances, causes) fitted to all runs but one, each in turn: one Gauss-Newton step from the values that
         suit all runs leads to those that suit the others."""
         z, parameters, p = values_of(fit.causes), parameters_of(fit.causes), len(fit.prior)
-        normal, prior = fit.evidence, fit.prior
+        normal, prior, most = fit.evidence, fit.prior, figures.REASONABLE * fit.prior
         with self.beside_those_of(fit):
             if slopes := self.slopes(fit.causes, fit.predictions):
                 normal = self._normal(fit.causes, fit.predictions, slopes)
                 prior = np.append(prior, [4 * abs(p.step) for p in parameters])
+                most = np.append(most, widest(z, parameters))
         for k in range(len(normal.A)):
             others = normal.without(k)
-            x, _ = posterior(np.sum(others.A, axis=0), np.sum(others.b, axis=0), prior)
-            most = widest(z, parameters)
-            step = np.clip(x[p:], -most, most) if slopes else 0.0
-            yield x[:p], at(fit.causes, clip(z + step, parameters))
+            x, _ = bounded(np.sum(others.A, axis=0), np.sum(others.b, axis=0), prior, most)
+            yield x[:p], at(fit.causes, clip(z + (x[p:] if slopes else 0.0), parameters))
 
     def of_run(self, fit: Fit, causes: Sequence[Cause], k: int) -> F64:
         """(T, C) prediction of screened run k with these values; the fit's own where that fails."""
@@ -201,15 +200,10 @@ class Fitter(GaussNewton):
             moved = self._predict(causes, (k,)) if causes else None
         return moved[0] if moved else fit.predictions[k]
 
-    def left_out(self, fit: Fit, beside: F64) -> F64:
-        """(runs,) half the weighted squares of each run, with values and deviations fitted to all the other runs.
-
-        Args:
-            beside: (p,) prior of a rival's deviations. What is a cause there is a deviation here, within reason.
-        """
+    def left_out(self, fit: Fit) -> F64:
+        """(runs,) half the weighted squares of each run, with values and deviations fitted to all the other runs."""
         found = []
         for k, (x, causes) in enumerate(self.without_each(fit)):
-            x = np.where((fit.prior > 0) & (beside == 0), reasonable(x, fit.prior), x)
             here = self.screen.evidence([self.of_run(fit, causes, k)], (k,), fit.about)
             here = here.moved(np.full(len(x), fit.evidence.centre) - here.centre)
             found.append(0.5 * float(here.c[0] - 2 * here.b[0] @ x + x @ here.A[0] @ x))

@@ -13,12 +13,7 @@ from realsim.types import F64
 
 def deviations(screen: Screen, fit: Fit) -> F64:
     """(atoms,) the most probable everyday deviations beside a fit's causes, none beyond what is reasonable."""
-    return reasonable(screen.nuisances(fit.evidence, fit.prior), fit.prior)
-
-
-def reasonable(x: F64, prior: F64) -> F64:
-    """(atoms,) deviations, none larger than a few standard deviations `prior`."""
-    return np.clip(x, -figures.REASONABLE * prior, figures.REASONABLE * prior)
+    return screen.nuisances(fit.evidence, fit.prior)
 
 
 def nuisance_settings(screen: Screen, fit: Fit, scale: float = 1.0) -> list[Setting]:

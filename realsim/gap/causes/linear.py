@@ -50,11 +50,36 @@ def posterior(A: F64, b: F64, prior: F64) -> tuple[F64, F64]:
     return prior * solved[:, 0], D * solved[:, 1:]
 
 
-def marginal(evidence: Evidence, prior: F64) -> tuple[F64, F64, float]:
-    """(A~, b~, J): information and score of any extra direction once the nuisances are marginalised, and the misfit."""
+def bounded(A: F64, b: F64, prior: F64, most: F64 | float) -> tuple[F64, F64]:
+    """(most probable x with |x| <= `most`, standard deviations `prior` without those that lie on their bound).
+
+    What exceeds its bound is held there and the others follow, until none exceeds: beside a large gap, a Gaussian alone
+    would let many small deviations grow to absurd values, and hide the one cause that explains it.
+    """
+    x, free = np.zeros(len(b)), prior > 0
+    while True:
+        scale, rest = prior[free], b[free] - A[np.ix_(free, ~free)] @ x[~free]
+        inner = np.eye(len(scale)) + scale[:, None] * A[np.ix_(free, free)] * scale
+        x[free] = scale * np.linalg.solve(inner, scale * rest)
+        over = free & (np.abs(x) > most)
+        if not over.any():
+            return x, np.where(free, prior, 0.0)
+        x, free = np.where(over, np.copysign(most, x), x), free & ~over
+
+
+def misfit_at(A: F64, b: F64, c: float, x: F64, prior: F64) -> float:
+    """Half the weighted squared residual beside small deviations x, and their price."""
+    z = np.divide(x, prior, out=np.zeros(len(x)), where=prior > 0)
+    return 0.5 * float(c - 2 * b @ x + x @ A @ x + z @ z)
+
+
+def marginal(evidence: Evidence, prior: F64, most: F64 | float) -> tuple[F64, F64, float]:
+    """(A~, b~, J): information and score of any extra direction once the nuisances are marginalised, none of them
+    beyond `most`, and the misfit."""
     A, b = np.sum(evidence.A, axis=0), np.sum(evidence.b, axis=0)
-    mean, cov = posterior(A, b, prior)
-    return A - A @ cov @ A, b - A @ mean, 0.5 * (float(sum(evidence.c)) - b @ mean)
+    x, free = bounded(A, b, prior, most)
+    cov = posterior(A, b, free)[1]
+    return A - A @ cov @ A, b - A @ x, misfit_at(A, b, sum(evidence.c), x, prior)
 
 
 def log_evidence(A: F64, b: F64, directions: F64, size: F64) -> tuple[float, F64]:

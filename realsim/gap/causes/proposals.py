@@ -145,7 +145,7 @@ def ranked(screen: Screen, here: Fit) -> list[Scored]:
     """All candidates by the linear evidence that they add to a set, with all runs or without the worst; best first."""
     about = []
     for look in here.evidence.looks():
-        centres = [marginal(e, here.prior) for e in screen.centred(look)]
+        centres = [marginal(e, here.prior, figures.REASONABLE * here.prior) for e in screen.centred(look)]
         least = min(misfit for _, _, misfit in centres)
         about += [(A, b, misfit - least) for A, b, misfit in centres]
     taken = {(c.candidate.effect, p) for c in here.causes for p in c.candidate.places}

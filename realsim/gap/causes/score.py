@@ -68,7 +68,7 @@ def left_out(fitter: Fitter, before: Fit, after: Fit) -> Held | None:
     """(mean, standard error) of the gain on each run, fitted to the others; None of a single run."""
     if len(fitter.screen.runs) < 2:
         return None
-    gains = fitter.left_out(before, after.prior) - fitter.left_out(after, before.prior)
+    gains = fitter.left_out(before) - fitter.left_out(after)
     return float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))
 
 

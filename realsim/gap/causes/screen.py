@@ -16,7 +16,7 @@ import numpy as np
 
 from realsim.errors import GapError
 from realsim.gap.causes import figures
-from realsim.gap.causes.linear import Evidence, posterior
+from realsim.gap.causes.linear import Evidence, bounded, misfit_at, posterior
 from realsim.gap.compare import Comparison
 from realsim.gap.effects import EFFECTS, ON_REQUEST
 from realsim.gap.effects.base import Effect, Parameter, Place
@@ -260,27 +260,32 @@ class Screen:
         r = self.comparison.residual(self.runs[k], simulated)
         return r - self.fitted(k, np.asarray(x)) if np.any(x) else r
 
-    def covariance(self, evidence: Evidence, prior: F64) -> F64:
-        """(p, p) posterior covariance of the nuisances, which come first among the evidence's unknowns.
+    def nuisances(self, evidence: Evidence, prior: F64) -> F64:
+        """(p,) the most probable nuisances, none beyond what is reasonable; they come first among the unknowns."""
+        return self._bounded(evidence, prior)[0]
 
-        It depends on the weights and the prior, not on the residual, so that one factorisation serves many fits.
+    def covariance(self, evidence: Evidence, prior: F64) -> F64:
+        """(p, p) posterior covariance of the nuisances; those on their bound are known.
+
+        It depends on the weights and on which are free, so that one factorisation serves many fits.
         """
-        key = prior.tobytes(), evidence.runs
+        p, (_, free) = len(prior), self._bounded(evidence, prior)
+        key = free.tobytes(), evidence.runs
         if evidence.version != self._version or key not in self._covariances:
-            p = len(prior)
-            cov = posterior(np.sum(evidence.A, axis=0)[:p, :p], np.zeros(p), prior)[1]
+            cov = posterior(np.sum(evidence.A, axis=0)[:p, :p], np.zeros(p), free)[1]
             if evidence.version != self._version:
                 return cov
             self._covariances[key] = cov
         return self._covariances[key]
 
-    def nuisances(self, evidence: Evidence, prior: F64) -> F64:
-        """(p,) posterior mean of the nuisances."""
-        return np.asarray(self.covariance(evidence, prior) @ np.sum(evidence.b, axis=0)[: len(prior)])
-
     def misfit(self, evidence: Evidence, prior: F64) -> float:
-        """Half the weighted squared residual once the nuisances are marginalised."""
-        return 0.5 * float(sum(evidence.c) - np.sum(evidence.b, axis=0) @ self.nuisances(evidence, prior))
+        """Half the weighted squared residual beside the most probable nuisances, and their price."""
+        A, b = np.sum(evidence.A, axis=0), np.sum(evidence.b, axis=0)
+        return misfit_at(A, b, sum(evidence.c), self.nuisances(evidence, prior), prior)
+
+    def _bounded(self, evidence: Evidence, prior: F64) -> tuple[F64, F64]:
+        A, b, p = np.sum(evidence.A, axis=0), np.sum(evidence.b, axis=0), len(prior)
+        return bounded(A[:p, :p], b[:p], prior, figures.REASONABLE * prior)
 
     def fitted(self, k: int, x: F64) -> Any:
         """(B, C) change of the prediction of screened run k by atoms x."""

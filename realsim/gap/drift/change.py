@@ -71,7 +71,7 @@ class Joint:
     def ranked(self, current: Changed) -> list[tuple[float, Candidate, F64]]:
         """(gain in log-evidence, candidate, estimate) of every further change, the best first."""
         p = len(self.stays)
-        A, b, _ = marginal(current.evidence, current.prior)
+        A, b, _ = marginal(current.evidence, current.prior, np.inf)
         taken = {(c.candidate.effect, q) for c in current.causes for q in c.candidate.places}
         found = []
         for candidate in self.screen.candidates:

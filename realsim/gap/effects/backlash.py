@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, Suggestion, each_joint
 from realsim.gap.simulation.context import Context
 from realsim.gap.simulation.edit import STIFFEST
 
@@ -29,6 +29,11 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         tendon.solref_limit = np.array([STIFFEST * edit.context.timestep, 1.0])
 
 
+def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[Suggestion]:
+    """Under a load that does not change sign, a link that is off by half the gap, to one side."""
+    return [Suggestion("joint_offset", place, {"reading_offset": side * values["gap"]}) for side in (0.5, -0.5)]
+
+
 EFFECT = Effect(
     name="backlash",
     title="backlash",
@@ -41,5 +46,6 @@ EFFECT = Effect(
     parameters=_parameters,
     excited_by=_excited,
     apply=_apply,
+    suggests=_suggests,
     stiff=True,
 )

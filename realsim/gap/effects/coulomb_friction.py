@@ -27,8 +27,10 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 
 def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[Suggestion]:
-    """The same in motion, and more of it at rest."""
-    return higher_at_rest(context, place, values["friction"]) if values["friction"] > 0 else []
+    """The same in motion, and more of it at rest; under a load that changes little, friction in proportion to it."""
+    friction, load = values["friction"], context.usual_torque(place)
+    grows = [Suggestion("load_friction", place, {"ratio": friction / load})] if load else []
+    return [*higher_at_rest(context, place, friction), *grows] if friction > 0 else []
 
 
 EFFECT = Effect(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, Suggestion, each_joint
 from realsim.gap.simulation.context import Context
 
 
@@ -25,6 +25,12 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         read[joint] = read.get(joint, 0.0) + values["reading_offset"]
 
 
+def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[Suggestion]:
+    """Where only the logged encoder is off, play in the gear that the load keeps on one side."""
+    read = values.get("reading_offset", 0.0)
+    return [Suggestion("backlash", place, {"gap": 2 * abs(read)})] if read else []
+
+
 EFFECT = Effect(
     name="joint_offset",
     title="encoder zero offset",
@@ -39,6 +45,7 @@ EFFECT = Effect(
     parameters=_parameters,
     excited_by=_excited,
     apply=_apply,
+    suggests=_suggests,
     form=EXACT,
     patchable=False,
     footing=("offset",),

@@ -27,9 +27,12 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 
 def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[Suggestion]:
-    """On a joint that holds or lifts, friction of r times the torque acts as a drive that is weaker by 1 + r."""
+    """On a joint that holds or lifts, friction of r times the torque acts as a drive that is weaker by 1 + r; where the
+    load changes little, as friction that does not depend on it."""
     weaker = {"ratio": -math.log1p(values["ratio"])}
-    return [Suggestion("stiffness_gain", place, weaker), Suggestion("motor_gain", place, weaker)]
+    constant = {"friction": values["ratio"] * context.usual_torque(place)}
+    found = [Suggestion("stiffness_gain", place, weaker), Suggestion("motor_gain", place, weaker)]
+    return [*found, Suggestion("coulomb_friction", place, constant)]
 
 
 EFFECT = Effect(

@@ -83,6 +83,10 @@ class Context:
         """Largest share of the torque range that the joints of a place use."""
         return max(self.peak_torque[j] / self.torque_range[j] for j in place)
 
+    def usual_torque(self, place: tuple[str, ...]) -> float:
+        """Mean size of the torque at the joints of a place."""
+        return sum(self.mean_torque[j] for j in place) / len(place)
+
     def moved_mass(self, body: str) -> float:
         """Mass of a body and all that it carries, kg."""
         return float(self.case.model.body(body).subtreemass[0])
