@@ -110,7 +110,9 @@ def test_two_ranks_write_one_checkpoint_with_both_curricula(folder: Path) -> Non
     assert len(saved["ranks"]) == 2
     assert saved["iteration"] == 2
     assert saved["samples"] == 16 * 4 + 16 * 8
-    assert not torch.equal(saved["ranks"][0]["rng"], saved["ranks"][1]["rng"])
+    for rng in ("rng", "env"):  # from one checkpoint, and yet no two ranks draw the same worlds
+        one, other = (rank[rng]["rng"] if rng == "env" else rank[rng] for rank in saved["ranks"])
+        assert not torch.equal(one, other)
     fewer = runner(worlds=4)
     notes = fewer.load_state_dict(saved)
     assert "resumed on 1 ranks instead of 2" in notes[0]
@@ -125,6 +127,14 @@ def test_the_device_follows_the_engine(monkeypatch: pytest.MonkeyPatch) -> None:
         assert rank.device.type == "cpu"
     with pytest.raises(TrainerError, match="mujoco runs on the CPU"):
         pick_device("cuda", engine="mujoco")
+
+
+def test_a_run_goes_on_from_another_kind_of_device(folder: Path) -> None:
+    saved = torch.load(folder / "one" / "policy.pt", weights_only=True)["training"]
+    saved["ranks"][0]["rng"] = torch.zeros(16, dtype=torch.uint8)  # what a GPU's generator saves
+    again = runner(worlds=4)
+    assert "another kind of device" in again.load_state_dict(saved)[0]
+    again.iterate()
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a GPU")

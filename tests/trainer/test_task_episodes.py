@@ -211,6 +211,8 @@ def test_a_saved_state_continues_exactly():
     assert torch.equal(first.actor, second.actor)
     assert torch.equal(first.depth, second.depth)
     assert torch.equal(env.terrain_ids, other.terrain_ids)
+    other.load_state_dict(saved, seed=5)
+    assert not torch.equal(first.actor, other.reset().actor)
 
 
 def test_randomised_parameters_lie_in_their_ranges():

@@ -63,8 +63,8 @@ class PointMass:
     def state_dict(self) -> dict[str, Any]:
         return {"rng": self.rng.get_state(), "level": self.level.clone()}
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        self.rng.set_state(state["rng"])
+    def load_state_dict(self, state: dict[str, Any], seed: int | None = None) -> None:
+        self.rng.set_state(state["rng"]) if seed is None else self.rng.manual_seed(seed)
         self.level = state["level"].clone()
 
     def _begin(self, which: Tensor) -> None:

@@ -118,7 +118,8 @@ class Runner:
     def load_state_dict(self, state: Mapping[str, Any]) -> list[str]:
         """Go on from there; what is not exact is said in the returned notes.
 
-        With another number of ranks, rank r takes the curriculum of rank r modulo the old number, and draws new noise.
+        With another number of ranks, rank r takes the curriculum of rank r modulo the old number. Then, and on another
+        kind of device, whose random numbers are others, each rank draws anew.
         """
         notes: list[str] = []
         self.iteration, self.samples = int(state["iteration"]), int(state["samples"])
@@ -127,16 +128,19 @@ class Runner:
             self.prior.load_state_dict(state["prior"])
         ranks = state["ranks"]
         mine = ranks[self.rank.index % len(ranks)]
+        alike = len(mine["rng"]) == len(self.rng.get_state())
+        fresh = None if alike and len(ranks) == self.rank.count else (self.iteration + 1) * 100003 + self.rank.index
         try:
-            self.env.load_state_dict(mine["env"])
+            self.env.load_state_dict(mine["env"], fresh)
         except TrainerError as error:
             notes.append(f"the curriculum restarts: {error.message} ({error.found} instead of {error.expected})")
-        if len(ranks) == self.rank.count:
+        if fresh is None:
             self.rng.set_state(mine["rng"])
             torch.set_rng_state(mine["torch"])
         else:
-            self.rng.manual_seed((self.iteration + 1) * 100003 + self.rank.index)
-            notes.append(f"resumed on {self.rank.count} ranks instead of {len(ranks)}: not bit for bit the same run")
+            self.rng.manual_seed(fresh)
+            where = f"{self.rank.count} ranks instead of {len(ranks)}" if alike else "another kind of device"
+            notes.append(f"resumed on {where}: not bit for bit the same run")
         self.observation = None
         return notes
 

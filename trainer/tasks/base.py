@@ -109,5 +109,5 @@ class VecEnv(Protocol):
     def state_dict(self) -> dict[str, Any]:
         """Curriculum levels and random generators: with the learner's state enough to resume exactly at a reset."""
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """The inverse."""
+    def load_state_dict(self, state: dict[str, Any], seed: int | None = None) -> None:
+        """The inverse; `seed`: draw anew from this one instead of going on where the saved random numbers ended."""

@@ -202,13 +202,19 @@ class ParkourEnv:
             "count": self.count,
         }
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
+    def load_state_dict(self, state: dict[str, Any], seed: int | None = None) -> None:
         """Continue from `state_dict`; call `reset` next.
+
+        Args:
+            seed: draw anew from this one instead of going on where the saved random numbers ended.
 
         Raises:
             TrainerError: the curriculum was of another grid of terrains. It is as it was; the rest goes on.
         """
-        self.generator.set_state(state["generator"].cpu())
+        if seed is None:
+            self.generator.set_state(state["generator"].cpu())
+        else:
+            self.generator.manual_seed(seed)
         self.count = int(state["count"])
         self.clock.fill_(self.count)
         self.curriculum.load_state_dict(state["curriculum"])
