@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from realsim.errors import PoseError
+from realsim.feedforward.rgbd.loops import plausible
 from realsim.feedforward.rgbd.refine_pairs import choose_pairs, look_up, overlap, sample_surface
 from realsim.feedforward.rgbd.tracks import Evidence
 from realsim.geometry import invert_T, make_T, transform
@@ -194,7 +195,7 @@ def scale_by_depth(evidence: Evidence, T_world_camera: F64) -> tuple[float, floa
 
 def _edges(evidence: Evidence, T: F64, seed: int) -> list[Edge]:
     pairs = choose_pairs(evidence.views, T)
-    matched = {(m.i, m.j): m for m in evidence.matches(pairs)}
+    matched = {(m.i, m.j): m for m in plausible(evidence, pairs)}
     rng = np.random.default_rng(seed)
     samples = [sample_surface(view, rng, 100)[0] for view in evidence.views]
     out = []
