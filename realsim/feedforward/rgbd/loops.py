@@ -148,13 +148,16 @@ def join(views: Sequence[View], edges: Sequence[Edge]) -> Joined:
 
 def plausible(evidence: Evidence, pairs: Sequence[tuple[int, int]]) -> list[Match]:
     """Verified matches of pairs i < j, without those that the chain of neighbours between their frames rules out: one
-    door looks like the next. Nobody's poses are asked, so that what is left may judge them."""
+    door looks like the next. Nobody's poses are asked, so that what is left may judge them. Where neighbours do not
+    agree with each other (depth of another time), there is no chain, and all are returned."""
     found = evidence.matches(pairs)
     edges = [as_edge(m) for m in found]
     n = len(evidence.views)
-    if not in_order(n, edges):
+    chains, kept = _chains(n, edges, steady=False)
+    near = [e for e in edges if 1 < e.j - e.i <= WINDOW]
+    agree = sum(e.j - e.i > 1 for e in kept)
+    if not in_order(n, edges) or agree < HONEST * len(near):
         return found
-    chains, _ = _chains(n, edges, steady=False)
     apart = [chains.piece[e.i] != chains.piece[e.j] for e in edges]
     return [m for m, e, open_ in zip(found, edges, apart, strict=True) if open_ or _drifted(chains, e)]
 
