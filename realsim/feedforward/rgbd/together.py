@@ -29,8 +29,8 @@ PAIRS = 12
 STEPS = (1, 3)
 CLEAR = 3.0
 """Standard errors over pairs of frames by which another reading has to fit better. Of four captures (two rendered, an
-iPhone, a RealSense) right ones lie 3.5 to 15 on the other side, spoilt ones 3.0 to 21 beyond; ten far frames whose depth
-was three late, 1.8."""
+iPhone, a RealSense) right ones lie 3.5 to 15 on the other side, spoilt ones 3.0 to 21 beyond; ten far frames with depth
+that was three late, 1.8."""
 LEAST = 30
 """Features that are alike which a pair needs to be asked."""
 
