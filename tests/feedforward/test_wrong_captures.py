@@ -105,7 +105,7 @@ def test_the_same_capture_unspoilt_is_used_whole_and_without_a_word(two: tuple[P
         (poses_of_another, "contradict"),
         (three_later("color"), "colour|time offset"),
         (three_later("depth"), "contradict|colour"),
-        (colour_of_another, "colour"),
+        (colour_of_another, "colour images belong to other depth"),
     ],
 )
 def test_what_is_wrong_as_a_whole_is_refused_with_its_name(
@@ -133,6 +133,16 @@ def test_colour_and_depth_that_do_not_belong_together_are_refused_with_or_withou
     folder = spoilt(two, tmp_path / "wrong", change)
     with pytest.raises(PoseError, match=word):
         solved(folder, poses)
+
+
+def test_half_the_frames_of_another_room_are_not_blamed_on_colour(two: tuple[Path, Path], tmp_path: Path) -> None:
+    folder = spoilt(two, tmp_path / "half", half_of_another)
+    try:
+        said = solved(folder)[1].warnings
+    except PoseError as error:
+        said = (str(error),)
+    assert said
+    assert not any("colour images belong" in text for text in said)
 
 
 def test_half_the_frames_of_another_room_are_not_mixed_in(two: tuple[Path, Path], tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from realsim.errors import PoseError
 from realsim.feedforward.rgbd.loops import plausible
 from realsim.feedforward.rgbd.refine_pairs import choose_pairs, look_up, overlap, sample_surface
+from realsim.feedforward.rgbd.together import has_own_depth
 from realsim.feedforward.rgbd.tracks import Evidence
 from realsim.geometry import invert_T, make_T, transform
 from realsim.types import F64, Dropped, Frame
@@ -119,7 +120,8 @@ def check_poses(
     certain = found is not None and typical > TOLERANCE[0] and found[1] < CLEARER * typical
     reasons = []
     if bad.sum() > MANY * n:
-        reasons.append(f"{bad.sum()} of {n} frames contradict most of the others")
+        named = f"{frames[np.flatnonzero(bad)[0]].name} to {frames[np.flatnonzero(bad)[-1]].name}"
+        reasons.append(f"{bad.sum()} of {n} frames contradict most of the others ({named})")
     if scale is not None and abs(scale - 1) > allowed:
         off = scale - 1
         reasons.append(f"baselines by depth are {off:+.1%} of those by the poses; this sensor allows {allowed:.0%}")
@@ -136,7 +138,12 @@ def check_poses(
             found="; ".join([*reasons, moved]),
             hint="associate colour and depth by their time stamps anew",
         )
-    if reasons and not found and (fit := _by_depth_alone(edges, evidence, T)) < TOLERANCE[0]:
+    if (
+        reasons
+        and not found
+        and not has_own_depth(evidence.views, seed)
+        and (fit := _by_depth_alone(edges, evidence, T)) < TOLERANCE[0]
+    ):
         raise PoseError(
             "the colour images belong to other depth images than those they are named with",
             file=source,

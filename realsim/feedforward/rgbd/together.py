@@ -71,18 +71,31 @@ def check_together(views: Sequence[View], source: Path | None, seed: int = 0) ->
         return
     read = found.pop(Reading())
     best = max(found, key=lambda r: found[r].mean())
-    gain = found[best] - read
-    if gain.mean() <= CLEAR * gain.std(ddof=1) / np.sqrt(len(gain)):
+    if not _clear(found[best] - read):
         return
     hint = "associate colour and depth by their time stamps anew" if best.late else "store both as the sensor sees them"
     raise PoseError(
         best.name,
         file=source,
         expected="colour and depth of one view at one time in each frame",
-        found=f"of the features that look alike in {len(gain)} pairs of frames {read.mean():.0%} move like a rigid "
+        found=f"of the features that look alike in {len(read)} pairs of frames {read.mean():.0%} move like a rigid "
         f"thing with the depth as it is, {found[best].mean():.0%} with that undone",
         hint=hint,
     )
+
+
+def has_own_depth(views: Sequence[View], seed: int = 0) -> bool:
+    """Whether features fit the depth of their own frame clearly better than that of any other reading: colour of
+    another capture does not."""
+    found = shares(views, seed)
+    if found is None:
+        return False
+    read = found.pop(Reading())
+    return all(_clear(read - other) for other in found.values())
+
+
+def _clear(gain: F64) -> bool:
+    return bool(gain.mean() > CLEAR * gain.std(ddof=1) / np.sqrt(len(gain)))
 
 
 def shares(views: Sequence[View], seed: int) -> dict[Reading, F64] | None:
