@@ -138,12 +138,8 @@ def check_poses(
             found="; ".join([*reasons, moved]),
             hint="associate colour and depth by their time stamps anew",
         )
-    if (
-        reasons
-        and not found
-        and not has_own_depth(evidence.views, seed)
-        and (fit := _by_depth_alone(edges, evidence, T)) < TOLERANCE[0]
-    ):
+    fit = _by_depth_alone(edges, evidence, T) if reasons and not found else float("inf")
+    if fit < TOLERANCE[0] and not has_own_depth(evidence.views, seed):
         raise PoseError(
             "the colour images belong to other depth images than those they are named with",
             file=source,
@@ -157,7 +153,7 @@ def check_poses(
             file=source,
             expected="camera to world, OpenCV camera axes (x right, y down, z forward), metres",
             found="; ".join(reasons) + (f"; {100 * found[1]:.1f} cm with {found[0]} undone" if found else ""),
-            hint=found[2] if found else "estimate the poses from the frames instead (--poses estimate)",
+            hint=found[2] if found else _way_out(fit),
         )
     warnings = []
     if not found and typical > TOLERANCE[0] and (fit := _by_depth_alone(edges, evidence, T)) < CLEARER * typical:
@@ -239,6 +235,16 @@ def _by_depth_alone(edges: Sequence[Edge], evidence: Evidence, T: F64) -> float:
     bare = [Edge(e.i, e.j, sample_surface(evidence.views[e.i], rng, 100)[0], None, None) for e in matched]
     error = _errors(bare, evidence, T)
     return float(np.nanmedian(error)) if np.isfinite(error).sum() >= 4 else float("inf")
+
+
+def _way_out(fit: float) -> str:
+    """What to do where no convention explains it; `fit` as `_by_depth_alone` has it."""
+    if fit > TOLERANCE[0]:
+        return "estimate the poses from the frames instead (--poses estimate)"
+    return (
+        f"surfaces agree with the poses to {100 * fit:.1f} cm, features do not: leave out frames in which "
+        "something large moved, or that are of another place, or estimate the poses (--poses estimate)"
+    )
 
 
 def _late_depth(edges: Sequence[Edge], evidence: Evidence, T: F64) -> tuple[int, float] | None:
