@@ -8,6 +8,7 @@ import numpy as np
 
 from realsim.exports.contact.columns import Columns
 from realsim.exports.contact.islands import Island, Terrain
+from realsim.exports.contact.outline import outlines
 from realsim.exports.contact.planar import planar
 from realsim.exports.contact.prisms import Prism
 
@@ -30,6 +31,20 @@ def test_many_planes_need_no_image_each() -> None:
     tracemalloc.stop()
     assert len(found.prisms) == tiles**2
     assert peak < 0.4 * tiles**2 * top.nbytes
+
+
+def test_a_ragged_outline_takes_no_memory_by_pairs() -> None:
+    """Points of a trace against sides of its outline: a corridor of 20 m took 3 GB."""
+    rng = np.random.default_rng(0)
+    teeth = 30 + rng.integers(0, 20, 3000)  # one row of a comb a column
+    mask = np.arange(60)[:, None] < teeth
+    outlines(mask[:, :50], 1.0)
+    tracemalloc.start()
+    (ring,) = outlines(mask, 1.0)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(ring) > 1000
+    assert peak < 200e6
 
 
 def test_a_part_without_volume_is_known_as_flat() -> None:

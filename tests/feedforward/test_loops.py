@@ -8,9 +8,9 @@ import rooms
 
 from realsim.feedforward.rgbd import shapes
 from realsim.feedforward.rgbd.graph import Edge, whitening
-from realsim.feedforward.rgbd.loops import join
+from realsim.feedforward.rgbd.loops import join, plausible
 from realsim.feedforward.rgbd.pairs import ambiguous, by_shape
-from realsim.feedforward.rgbd.tracks import View, prepare
+from realsim.feedforward.rgbd.tracks import Evidence, Match, View, prepare
 from realsim.geometry import exp_so3, invert_T, make_T
 from realsim.types import F64, Intrinsics
 
@@ -105,6 +105,31 @@ def test_a_break_is_bridged_where_likeness_has_proven_true() -> None:
     assert len(join(blind(26), chain_ + true + again).used) == 26
     few = join(blind(26), chain_ + true[:4] + again)
     assert [len(p) for p in few.parts] == [16, 10]
+
+
+class Said(Evidence):
+    """Evidence whose matches are given."""
+
+    def __init__(self, n: int, edges: list[Edge]) -> None:
+        super().__init__(blind(n))
+        some = np.arange(50)
+        self._matches.update({(e.i, e.j): Match(e.i, e.j, some, some, e.T_i_j) for e in edges})
+
+
+def test_likeness_that_the_chain_rules_out_is_no_evidence_against_poses() -> None:
+    T = there_and_back(40)
+    true = [*chain(T), *(edge(T, i, 39 - i) for i in range(10))]
+    false = [edge(T, i, i + 6, 2.5) for i in range(20)]
+    evidence = Said(40, true + false)
+    kept = plausible(evidence, list(evidence._matches))
+    assert {(m.i, m.j) for m in kept} == {(e.i, e.j) for e in true}
+
+
+def test_without_order_no_likeness_is_ruled_out() -> None:
+    T = there_and_back(40)
+    false = [edge(T, i, i + 6, 2.5) for i in range(20)]
+    evidence = Said(40, false)
+    assert len(plausible(evidence, list(evidence._matches))) == 20
 
 
 def test_without_order_one_link_joins_where_no_likeness_is_false() -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -74,6 +75,15 @@ def three_later(kind: str) -> Callable[[Path, Path], None]:
     return change
 
 
+def mirrored(kind: str, axis: int = 1) -> Callable[[Path, Path], None]:
+    def change(folder: Path, _: Path) -> None:
+        for file in (folder / kind).iterdir():
+            image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+            cv2.imwrite(str(file), np.flip(image, axis))
+
+    return change
+
+
 def solved(folder: Path, poses: Any = "given") -> tuple[Any, Any]:
     frames: Any = capture.read(folder, CaptureConfig(keep_blurred=True))
     return frames, feedforward.solve(frames, PointsConfig(poses=poses))
@@ -95,7 +105,7 @@ def test_the_same_capture_unspoilt_is_used_whole_and_without_a_word(two: tuple[P
         (poses_of_another, "contradict"),
         (three_later("color"), "colour|time offset"),
         (three_later("depth"), "contradict|colour"),
-        (colour_of_another, "colour"),
+        (colour_of_another, "colour images belong to other depth"),
     ],
 )
 def test_what_is_wrong_as_a_whole_is_refused_with_its_name(
@@ -104,6 +114,35 @@ def test_what_is_wrong_as_a_whole_is_refused_with_its_name(
     folder = spoilt(two, tmp_path / "wrong", change)
     with pytest.raises(PoseError, match=word):
         solved(folder)
+
+
+@pytest.mark.parametrize("poses", ["given", "estimate"])
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (three_later("color"), "3 frames late"),
+        (three_later("depth"), "3 frames early"),
+        (mirrored("color"), "mirrored left to right"),
+        (mirrored("depth"), "mirrored left to right"),
+        (mirrored("color", 0), "mirrored top to bottom"),
+    ],
+)
+def test_colour_and_depth_that_do_not_belong_together_are_refused_with_or_without_poses(
+    two: tuple[Path, Path], tmp_path: Path, change: Callable[[Path, Path], None], word: str, poses: str
+) -> None:
+    folder = spoilt(two, tmp_path / "wrong", change)
+    with pytest.raises(PoseError, match=word):
+        solved(folder, poses)
+
+
+def test_half_the_frames_of_another_room_are_not_blamed_on_colour(two: tuple[Path, Path], tmp_path: Path) -> None:
+    folder = spoilt(two, tmp_path / "half", half_of_another)
+    try:
+        said = solved(folder)[1].warnings
+    except PoseError as error:
+        said = (str(error),)
+    assert said
+    assert not any("colour images belong" in text for text in said)
 
 
 def test_half_the_frames_of_another_room_are_not_mixed_in(two: tuple[Path, Path], tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ F64 = NDArray[np.float64]
 Edge = tuple[int, int]
 FARTHEST = 3.0  # tolerances
 SHORT = 7.0  # cells: shorter sides may be what is left of a corner
+AT_ONCE = 1_000_000  # pairs of a point and a side that are held at once: some 50 MB
 ROUND = 2.5  # tolerances by which a corner may stand out from a trace that rounds it
 
 
@@ -103,10 +104,15 @@ def _sharpen(
 
 def _distance(points: F64, ring: F64) -> F64:
     """(N,) distance of points (N, 2) from the sides of a ring (M, 2)."""
-    a, side = ring, np.roll(ring, -1, axis=0) - ring
-    off = points[:, None] - a
-    t = np.clip((off * side).sum(2) / np.maximum((side**2).sum(1), 1e-18), 0, 1)
-    return np.linalg.norm(off - t[..., None] * side, axis=2).min(1)
+    side = np.roll(ring, -1, axis=0) - ring
+    length = np.maximum((side**2).sum(1), 1e-18)
+    out = np.empty(len(points))
+    some = max(1, AT_ONCE // len(ring))  # the outline of a whole corridor has tens of thousands of points
+    for k in range(0, len(points), some):
+        off = points[k : k + some, None] - ring
+        t = np.clip((off * side).sum(2) / length, 0, 1)
+        out[k : k + some] = np.linalg.norm(off - t[..., None] * side, axis=2).min(1)
+    return out
 
 
 def _douglas_peucker(points: F64, tolerance: float) -> list[int]:

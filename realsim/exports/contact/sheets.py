@@ -32,7 +32,7 @@ INSIDE = 0.01  # metres inside a solid: less is an edge that is off
 SEEN = 0.5  # share of a solid's outside
 THICK = 0.04  # metres of a sheet that holds things up: what falls fast sinks centimetres into a soft contact
 THIN = 0.006  # metres of a sheet that has air behind it, and of one that is upright: its rim is seen from above
-EDGE, BULGE = 1.0, 1.0  # cells by which outlines are simplified, and by which convex parts may bulge over them
+EDGE, BULGE = 1.0, 1.0  # cells by which outlines are simplified (FELT at most), and convex parts may bulge over them
 MOST = 300_000  # samples
 
 
@@ -202,7 +202,7 @@ def _slabs(patch: Patch, samples: Samples, caster: _Caster, tolerance: float) ->
     mask[rows, columns] = (np.abs(t - 2 * tolerance) < 1.5 * tolerance) & (cosine < 0)
     thick = _thickness(points, normal, caster)
     out = []
-    for part in convex_parts(outlines(mask, EDGE), BULGE):
+    for part in convex_parts(outlines(mask, min(EDGE, FELT / cell)), BULGE):
         outline = lower + cell * part[:, ::-1]
         x, y = outline.T
         if x @ np.roll(y, -1) - y @ np.roll(x, -1) < 0:

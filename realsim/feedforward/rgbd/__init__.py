@@ -68,12 +68,11 @@ def _posed(frames: FrameSet, config: PointsConfig) -> list[int] | None:
 def _given(frames: FrameSet, posed: list[int], config: PointsConfig) -> Solution:
     from realsim.feedforward.rgbd.refine_check import check_poses, scale_by_depth
     from realsim.feedforward.rgbd.settle import settle
-    from realsim.feedforward.rgbd.tracks import Evidence
 
     chosen = [frames.frames[i] for i in posed]
     T = np.stack([f.T_world_camera for f in chosen if f.T_world_camera is not None])
     said: tuple[str, ...] = ()
-    chosen, evidence, registration, noted = _registered(chosen, Evidence.of(chosen, config.seed))
+    chosen, evidence, registration, noted = _registered(chosen, frames.source, config.seed)
     if not frames.poses_metric:
         factor, error = scale_by_depth(evidence, T)
         T[:, :3, 3] *= factor
@@ -111,11 +110,10 @@ def _estimated(frames: FrameSet, config: PointsConfig) -> Solution:
     from realsim.feedforward.rgbd.anchor import anchored
     from realsim.feedforward.rgbd.estimate import estimate
     from realsim.feedforward.rgbd.settle import refine_all
-    from realsim.feedforward.rgbd.tracks import Evidence
 
     if len(frames) == 1:
         return Solution((0,), np.eye(4)[None], world_is_capture=False, statistics={"poses": "one frame"})
-    chosen, evidence, registration, noted = _registered(frames.frames, Evidence.of(frames.frames, config.seed))
+    chosen, evidence, registration, noted = _registered(frames.frames, frames.source, config.seed)
     result = estimate(evidence.views, config.seed, config.learned_matches)
     found: dict[str, Any] = {"T_world_camera": result.T_world_camera, "statistics": {}, "warnings": ()}
     if result.statistics.get("by_shape"):  # without features nothing has looked at all views at once yet
@@ -136,11 +134,19 @@ def _estimated(frames: FrameSet, config: PointsConfig) -> Solution:
     return Solution(used=result.used, dropped=dropped, arrays={"registration": registration}, **found)
 
 
-def _registered(frames: Sequence[Frame], evidence: Evidence) -> tuple[list[Frame], Evidence, F64, dict[str, Any]]:
-    """Frames with their colour camera put right where matches say that it is another one, the evidence read anew, the
-    (K, 5) corrections in their order, and statistics."""
-    from realsim.feedforward.rgbd.registration import neighbours, seek
+def _registered(frames: Sequence[Frame], source: Path, seed: int) -> tuple[list[Frame], Evidence, F64, dict[str, Any]]:
+    """Frames with their colour camera put right where matches say that it is another one, what they have to say, the
+    (K, 5) corrections in their order, and statistics.
 
+    Raises:
+        PoseError: colour and depth are not of one view at one time.
+    """
+    from realsim.feedforward.rgbd.registration import neighbours, seek
+    from realsim.feedforward.rgbd.together import check_together
+    from realsim.feedforward.rgbd.tracks import Evidence
+
+    evidence = Evidence.of(frames, seed)
+    check_together(evidence.views, source, seed)
     chosen: list[Frame] = list(frames)
     applied: list[F64] = []
     statistics: dict[str, Any] = {}
@@ -154,7 +160,7 @@ def _registered(frames: Sequence[Frame], evidence: Evidence) -> tuple[list[Frame
             break
         applied.append(found.registration.row)
         chosen = [found.registration.applied(f) for f in chosen]
-        evidence = evidence.of(chosen, evidence.seed)
+        evidence = Evidence.of(chosen, seed)
     return chosen, evidence, np.array(applied).reshape(-1, 5), statistics
 
 

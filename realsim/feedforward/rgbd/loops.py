@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from realsim.errors import PoseError
 from realsim.feedforward.rgbd.graph import Edge, components, optimise, spanning_poses
 from realsim.feedforward.rgbd.overlap import overlap
-from realsim.feedforward.rgbd.pairs import MIN_AGREEMENT, MIN_OVERLAP, WINDOW
-from realsim.feedforward.rgbd.tracks import View
+from realsim.feedforward.rgbd.pairs import MIN_AGREEMENT, MIN_OVERLAP, WINDOW, as_edge
+from realsim.feedforward.rgbd.tracks import Evidence, Match, View
 from realsim.geometry import angle_deg, invert_T
 from realsim.types import F64
 
@@ -144,6 +144,22 @@ def join(views: Sequence[View], edges: Sequence[Edge]) -> Joined:
     for loop, good in _within(views, chains, [e for e in links if (e.i, e.j) not in joined]):
         (believed if good else refused).extend(loop.edges)
     return _placed(n, kept + believed, refused)
+
+
+def plausible(evidence: Evidence, pairs: Sequence[tuple[int, int]]) -> list[Match]:
+    """Verified matches of pairs i < j, without those that the chain of neighbours between their frames rules out: one
+    door looks like the next. Nobody's poses are asked, so that what is left may judge them. Where neighbours do not
+    agree with each other (depth of another time), there is no chain, and all are returned."""
+    found = evidence.matches(pairs)
+    edges = [as_edge(m) for m in found]
+    n = len(evidence.views)
+    chains, kept = _chains(n, edges, steady=False)
+    near = [e for e in edges if 1 < e.j - e.i <= WINDOW]
+    agree = sum(e.j - e.i > 1 for e in kept)
+    if not in_order(n, edges) or agree < HONEST * len(near):
+        return found
+    apart = [chains.piece[e.i] != chains.piece[e.j] for e in edges]
+    return [m for m, e, open_ in zip(found, edges, apart, strict=True) if open_ or _drifted(chains, e)]
 
 
 def in_order(n: int, edges: Sequence[Edge]) -> bool:

@@ -20,6 +20,7 @@ from realsim.errors import PoseError
 from realsim.feedforward.rgbd.bias import GainEstimate, judge_gain
 from realsim.feedforward.rgbd.follow import Landmarks
 from realsim.feedforward.rgbd.heldout import hold_out
+from realsim.feedforward.rgbd.loops import plausible
 from realsim.feedforward.rgbd.refine_adjust import Sigmas, State, Step, initial_state, solve_step
 from realsim.feedforward.rgbd.refine_pairs import Surface, associate, choose_pairs, sample_surface
 from realsim.feedforward.rgbd.tracks import Evidence, Match, Tracks, View, build_tracks
@@ -88,7 +89,7 @@ def refine(
     evidence = evidence or Evidence.of(frames, seed)
     views = evidence.views
     pairs, held_out = hold_out(choose_pairs(views, T))
-    matches = evidence.matches(pairs)
+    matches = plausible(evidence, pairs)
     tracks = build_tracks(views, matches)
     step, surface, given = _solve(views, T, pairs, tracks, estimate_gain, trust, seed)
     per_frame = _per_frame(step, tracks, surface, len(views))

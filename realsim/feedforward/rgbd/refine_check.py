@@ -17,7 +17,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from realsim.errors import PoseError
+from realsim.feedforward.rgbd.loops import plausible
 from realsim.feedforward.rgbd.refine_pairs import choose_pairs, look_up, overlap, sample_surface
+from realsim.feedforward.rgbd.together import has_own_depth
 from realsim.feedforward.rgbd.tracks import Evidence
 from realsim.geometry import invert_T, make_T, transform
 from realsim.types import F64, Dropped, Frame
@@ -118,7 +120,8 @@ def check_poses(
     certain = found is not None and typical > TOLERANCE[0] and found[1] < CLEARER * typical
     reasons = []
     if bad.sum() > MANY * n:
-        reasons.append(f"{bad.sum()} of {n} frames contradict most of the others")
+        named = f"{frames[np.flatnonzero(bad)[0]].name} to {frames[np.flatnonzero(bad)[-1]].name}"
+        reasons.append(f"{bad.sum()} of {n} frames contradict most of the others ({named})")
     if scale is not None and abs(scale - 1) > allowed:
         off = scale - 1
         reasons.append(f"baselines by depth are {off:+.1%} of those by the poses; this sensor allows {allowed:.0%}")
@@ -135,7 +138,8 @@ def check_poses(
             found="; ".join([*reasons, moved]),
             hint="associate colour and depth by their time stamps anew",
         )
-    if reasons and not found and (fit := _by_depth_alone(edges, evidence, T)) < TOLERANCE[0]:
+    fit = _by_depth_alone(edges, evidence, T) if reasons and not found else float("inf")
+    if fit < TOLERANCE[0] and not has_own_depth(evidence.views, seed):
         raise PoseError(
             "the colour images belong to other depth images than those they are named with",
             file=source,
@@ -149,7 +153,7 @@ def check_poses(
             file=source,
             expected="camera to world, OpenCV camera axes (x right, y down, z forward), metres",
             found="; ".join(reasons) + (f"; {100 * found[1]:.1f} cm with {found[0]} undone" if found else ""),
-            hint=found[2] if found else "estimate the poses from the frames instead (--poses estimate)",
+            hint=found[2] if found else _way_out(fit),
         )
     warnings = []
     if not found and typical > TOLERANCE[0] and (fit := _by_depth_alone(edges, evidence, T)) < CLEARER * typical:
@@ -194,7 +198,7 @@ def scale_by_depth(evidence: Evidence, T_world_camera: F64) -> tuple[float, floa
 
 def _edges(evidence: Evidence, T: F64, seed: int) -> list[Edge]:
     pairs = choose_pairs(evidence.views, T)
-    matched = {(m.i, m.j): m for m in evidence.matches(pairs)}
+    matched = {(m.i, m.j): m for m in plausible(evidence, pairs)}
     rng = np.random.default_rng(seed)
     samples = [sample_surface(view, rng, 100)[0] for view in evidence.views]
     out = []
@@ -231,6 +235,16 @@ def _by_depth_alone(edges: Sequence[Edge], evidence: Evidence, T: F64) -> float:
     bare = [Edge(e.i, e.j, sample_surface(evidence.views[e.i], rng, 100)[0], None, None) for e in matched]
     error = _errors(bare, evidence, T)
     return float(np.nanmedian(error)) if np.isfinite(error).sum() >= 4 else float("inf")
+
+
+def _way_out(fit: float) -> str:
+    """What to do where no convention explains it; `fit` as `_by_depth_alone` has it."""
+    if fit > TOLERANCE[0]:
+        return "estimate the poses from the frames instead (--poses estimate)"
+    return (
+        f"surfaces agree with the poses to {100 * fit:.1f} cm, features do not: leave out frames in which "
+        "something large moved, or that are of another place, or estimate the poses (--poses estimate)"
+    )
 
 
 def _late_depth(edges: Sequence[Edge], evidence: Evidence, T: F64) -> tuple[int, float] | None:

@@ -196,13 +196,13 @@ def _points(view: View, index: np.ndarray, theta: F64) -> F64:
     rays, z = view.xy[index], view.z[index]
     for _ in range(3):
         xy = (1 + theta[0]) * rays + theta[1:3] + theta[3:] / z[:, None]
-        found = _inverse_depth(view, xy)
+        found = inverse_depth(view, xy)
         z = np.where(np.isfinite(found), 1 / found, z)
     z = 1 / found
     return np.column_stack([xy, np.ones(len(xy))]) * z[:, None]
 
 
-def _inverse_depth(view: View, xy: F64) -> F64:
+def inverse_depth(view: View, xy: F64) -> F64:
     """(M,) bilinear inverse depth of the thinned grid, NaN at borders and holes."""
     c = view.camera
     u, v = xy[:, 0] * c.fx + c.cx, xy[:, 1] * c.fy + c.cy

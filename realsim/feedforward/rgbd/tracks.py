@@ -224,8 +224,21 @@ def _surface(inverse: F32, camera: Intrinsics) -> tuple[Intrinsics, F32, F32]:
 def match(views: Sequence[View], i: int, j: int, seed: int = 0) -> Match | None:
     """Verified matches of two views, or None if fewer than 12 points share one rigid motion."""
     A, B = views[i], views[j]
-    if min(len(A.z), len(B.z)) < 12:
+    a, b = alike(A, B)
+    if len(a) < 12:
         return None
+    rng = np.random.default_rng((seed, i, j))
+    found = rigid_ransac(A.points[a], B.points[b], rng)
+    if found is None:
+        return None
+    T, inlier = found
+    return Match(i, j, a[inlier], b[inlier], T)
+
+
+def alike(A: View, B: View) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Features (M,) of two views that are each other's most alike by far. Their depth has no say."""
+    if min(len(A.z), len(B.z)) < 12:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
     likeness = A.descriptors @ B.descriptors.T
     rows = np.arange(len(likeness))
     b = likeness.argmax(1)
@@ -235,15 +248,7 @@ def match(views: Sequence[View], i: int, j: int, seed: int = 0) -> Match | None:
     second = likeness.max(1)
     # Lowe's ratio test on distances of unit vectors, |x - y|^2 = 2 - 2 x·y.
     keep = np.flatnonzero(mutual & ((1 - best) < 0.85**2 * (1 - second)))
-    a, b = keep, b[keep]
-    if len(a) < 12:
-        return None
-    rng = np.random.default_rng((seed, i, j))
-    found = rigid_ransac(A.points[a], B.points[b], rng)
-    if found is None:
-        return None
-    T, inlier = found
-    return Match(i, j, a[inlier], b[inlier], T)
+    return keep, b[keep]
 
 
 def rigid_ransac(P: F64, Q: F64, rng: np.random.Generator, trials: int = 200) -> tuple[F64, Bool] | None:
