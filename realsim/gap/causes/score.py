@@ -11,7 +11,7 @@ from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.screen import Screen
-from realsim.gap.causes.starts import contains, twins
+from realsim.gap.causes.starts import twins
 from realsim.gap.simulation.simulate import lookup
 from realsim.types import F64
 
@@ -74,15 +74,6 @@ def left_out(fitter: Fitter, before: Fit, after: Fit) -> Held | None:
 
 def _holds(mean: float, error: float) -> bool:
     return mean > figures.HOLDS * error
-
-
-def richer(fit: Fit, other: Fit) -> bool:
-    """Whether a set is the other one with a law in a cause's place that holds it as a special case."""
-    ours, theirs = (
-        [c.candidate for c in a.causes if not b.has(c.candidate.effect, c.candidate.place)]
-        for a, b in ((fit, other), (other, fit))
-    )
-    return bool(ours) and all(any(contains(c, o) for o in theirs) for c in ours)
 
 
 def asked_for(fitter: Fitter, plain: Fit, rich: Fit) -> bool:

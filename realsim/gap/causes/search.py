@@ -16,7 +16,7 @@ from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.fitted import Trial
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.proposals import ADD, EXCHANGE, Proposal, Propose, ranked
-from realsim.gap.causes.score import asked, asked_for, doubts, near, richer, score, searched
+from realsim.gap.causes.score import asked, doubts, near, score, searched
 from realsim.gap.simulation.nuisances import MANY_JOINTS
 from realsim.types import F64
 
@@ -144,8 +144,6 @@ class Search:
             if self._score(before) - self._score(fit) < figures.CLEARLY:
                 break
             said, held = doubts(self.fitter, before, fit) if len(fit.causes) > len(before.causes) else ([], None)
-            if richer(fit, before) and not asked_for(self.fitter, before, fit):
-                said = ["a richer law that runs left out do not ask for"]
             for trial in [t for t in self.trials if t.candidate.key == fit.causes[-1].candidate.key][-1:]:
                 trial.outcome, trial.held = "; ".join(said) or "accepted", held
             if not said:

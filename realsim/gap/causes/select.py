@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.fitted import Trial
-from realsim.gap.causes.score import alike, asked_for, near, richer, score
+from realsim.gap.causes.score import alike, asked_for, near, score
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.search import Search, Tick
+from realsim.gap.causes.starts import contains
 from realsim.gap.config import DiagnoseConfig
 
 
@@ -57,7 +58,16 @@ def _alike(search: Search, nominal: Fit) -> tuple[Fit, list[Fit]]:
     same = [best, *(f for f in others if alike(fitter, best, f, removed))]
     # A law that holds another as a special case always fits as well: only one of the two is said, the plain one unless
     # the runs ask for more.
-    pairs = [(f, o, asked_for(fitter, o, f)) for f in same for o in same if richer(f, o)]
+    pairs = [(f, o, asked_for(fitter, o, f)) for f in same for o in same if _richer(f, o)]
     gone = [plain if needed else rich for rich, plain, needed in pairs]
     best, *rest = sorted((f for f in same if not any(f is g for g in gone)), key=lambda f: score(fitter.screen, f))
     return fitter.spread(best), rest
+
+
+def _richer(fit: Fit, other: Fit) -> bool:
+    """Whether a set is the other one with a law in a cause's place that holds it as a special case."""
+    ours, theirs = (
+        [c.candidate for c in a.causes if not b.has(c.candidate.effect, c.candidate.place)]
+        for a, b in ((fit, other), (other, fit))
+    )
+    return bool(ours) and all(any(contains(c, o) for o in theirs) for c in ours)
