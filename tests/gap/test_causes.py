@@ -10,6 +10,7 @@ import pytest
 from realsim.gap import Case, DiagnoseConfig, load_case
 from realsim.gap.causes.figures import CLEARLY, PRICE
 from realsim.gap.causes.fit import Cause, Fit, Fitter
+from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.linear import Evidence
 from realsim.gap.causes.proposals import ranked
 from realsim.gap.causes.score import asked_for, doubts, left_out, score
@@ -141,6 +142,16 @@ def test_a_run_is_left_out_beside_the_deviations_of_its_fit(fitter: Fitter, monk
     assert fitter.left_out(soft) == pytest.approx(before)
     assert fitter.remeasure(soft).misfit == pytest.approx(soft.misfit)
     assert fitter.about is moved
+
+
+def test_deviations_that_would_imitate_a_cause_leave_a_gap(fitter: Fitter) -> None:
+    """They are cut off where they are no longer everyday; within that, and to be compared, each makes the best of it."""
+    nothing, both = fitter.nominal(), fit(fitter, stiffness_gain=-0.3, armature=0.1)
+    screen = fitter.screen
+    assert leftover(screen, nothing).mean() > 20 * leftover(screen, both).mean()
+    assert not fitter.with_deviations(nothing).about.any()
+    within = screen.nuisances(nothing.evidence, nothing.prior)
+    assert np.all(np.abs(within) <= 3 * nothing.prior * (1 + 1e-9))
 
 
 def test_the_search_ends_where_no_set_could_be_named(fitter: Fitter) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from realsim.errors import GapError
 from realsim.gap.causes import figures
 from realsim.gap.causes.fitted import Cause, at, parameters_of, values_of
-from realsim.gap.causes.linear import Evidence
+from realsim.gap.causes.linear import Evidence, bounded
 from realsim.gap.causes.screen import Screen
 from realsim.gap.effects.base import Parameter
 from realsim.gap.simulation.recent import Recent
@@ -155,19 +155,20 @@ class GaussNewton:
     def _steps(self, causes: Causes, base: list[F64], slopes: list[F64], damping: float, few: Few) -> list[F64]:
         """Steps to try: that of all runs, and that of all but the worst."""
         looks = self._normal(causes, base, slopes, few).looks()
-        return [self._newton(causes, *self._local(causes, look), damping) for look in looks]
+        return [self._step(causes, look, damping) for look in looks]
 
-    def _newton(self, causes: Causes, info: F64, scores: F64, damping: float) -> F64:
-        """(m,) Levenberg-Marquardt's step; a value that leans on its bound stays there."""
-        parameters, z = parameters_of(causes), values_of(causes)
-        ridge = np.diag(damping * np.diag(info) + 0.05 / np.array([p.step**2 for p in parameters]))
+    def _step(self, causes: Causes, evidence: Evidence, damping: float) -> F64:
+        """(m,) Levenberg-Marquardt's step, with the nuisances that go along within their bounds; a value that leans on
+        its bound stays there."""
+        parameters, z, prior = parameters_of(causes), values_of(causes), self.prior_beside(causes)
+        info, scores = self._local(causes, evidence)
         gradient = scores.sum(axis=0)
         low, high = np.array([p.bounds for p in parameters]).T
         free = ~(((z <= low) & (gradient < 0)) | ((z >= high) & (gradient > 0)))
-        step, sub = np.zeros(len(z)), np.ix_(free, free)
-        step[free] = np.linalg.solve((info + ridge)[sub], gradient[free])
-        most = widest(z, parameters)
-        return np.clip(step, -most, most)
+        ridge = damping * np.diag(info) + 0.05 / np.array([p.step**2 for p in parameters])
+        priors = np.append(prior, np.where(free, ridge**-0.5, 0.0))
+        most = np.append(figures.REASONABLE * prior, widest(z, parameters))
+        return bounded(np.sum(evidence.A, axis=0), np.sum(evidence.b, axis=0), priors, most)[0][len(prior) :]
 
 
 def clip(z: F64, parameters: Sequence[Parameter]) -> F64:

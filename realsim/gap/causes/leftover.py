@@ -6,14 +6,18 @@ import numpy as np
 
 from realsim.gap.causes import figures
 from realsim.gap.causes.fitted import Fit
+from realsim.gap.causes.linear import bounded
 from realsim.gap.causes.screen import Screen
 from realsim.gap.simulation.simulate import Setting
 from realsim.types import F64
 
 
 def deviations(screen: Screen, fit: Fit) -> F64:
-    """(atoms,) the most probable everyday deviations beside a fit's causes, none beyond what is reasonable."""
-    return screen.nuisances(fit.evidence, fit.prior)
+    """(atoms,) the most probable everyday deviations beside a fit's causes; of one that is beyond what is reasonable, the
+    excess is cut off and not taken over by others: a log that needs it has a gap, which they would hide."""
+    A, b = np.sum(fit.evidence.A, axis=0), np.sum(fit.evidence.b, axis=0)
+    most = figures.REASONABLE * fit.prior
+    return np.clip(bounded(A, b, fit.prior, np.inf)[0], -most, most)
 
 
 def nuisance_settings(screen: Screen, fit: Fit, scale: float = 1.0) -> list[Setting]:

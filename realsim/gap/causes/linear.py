@@ -9,6 +9,10 @@ import numpy as np
 from realsim.types import F64
 
 
+ROUNDS = 30
+"""Of the active set, which needs three to six: a bound against going round in circles."""
+
+
 @dataclass
 class Evidence:
     """Normal equations over atoms, a run each, of the residual about some simulator."""
@@ -53,18 +57,22 @@ def posterior(A: F64, b: F64, prior: F64) -> tuple[F64, F64]:
 def bounded(A: F64, b: F64, prior: F64, most: F64 | float) -> tuple[F64, F64]:
     """(most probable x with |x| <= `most`, standard deviations `prior` without those that lie on their bound).
 
-    What exceeds its bound is held there and the others follow, until none exceeds: beside a large gap, a Gaussian alone
-    would let many small deviations grow to absurd values, and hide the one cause that explains it.
+    Beside a large gap, a Gaussian alone would let many small deviations grow to absurd values, and hide the one cause
+    that explains it. Primal-dual active set (Hintermueller, Ito and Kunisch, SIAM J. Optim. 13, 2003): what exceeds its
+    bound is held there, what would come back from it is free again, until neither happens.
     """
-    x, free = np.zeros(len(b)), prior > 0
-    while True:
+    x, held = np.zeros(len(b)), np.zeros(len(b), bool)
+    for _ in range(ROUNDS):
+        free = (prior > 0) & ~held
         scale, rest = prior[free], b[free] - A[np.ix_(free, ~free)] @ x[~free]
         inner = np.eye(len(scale)) + scale[:, None] * A[np.ix_(free, free)] * scale
         x[free] = scale * np.linalg.solve(inner, scale * rest)
-        over = free & (np.abs(x) > most)
-        if not over.any():
-            return x, np.where(free, prior, 0.0)
-        x, free = np.where(over, np.copysign(most, x), x), free & ~over
+        pull = b - A @ x - np.divide(x, prior**2, out=np.zeros(len(x)), where=prior > 0)
+        now = np.where(held, pull * x > 0, free & (np.abs(x) > most))
+        if np.array_equal(now, held):
+            break
+        x, held = np.where(now, np.copysign(most, x), x), now
+    return np.clip(x, -most, most), np.where(held, 0.0, prior)
 
 
 def misfit_at(A: F64, b: F64, c: float, x: F64, prior: F64) -> float:
