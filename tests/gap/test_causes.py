@@ -145,7 +145,7 @@ def test_a_run_is_left_out_beside_the_deviations_of_its_fit(fitter: Fitter, monk
 
 
 def test_deviations_that_would_imitate_a_cause_leave_a_gap(fitter: Fitter) -> None:
-    """They are cut off where they are no longer everyday; within that, and to be compared, each makes the best of it."""
+    """They are cut off where they are no longer everyday; to be compared, each set makes the best of that."""
     nothing, both = fitter.nominal(), fit(fitter, stiffness_gain=-0.3, armature=0.1)
     screen = fitter.screen
     assert leftover(screen, nothing).mean() > 20 * leftover(screen, both).mean()

@@ -67,6 +67,8 @@ land. Budget."""
 # ---------------------------------------------------------------- fits
 WIDE = 0.1
 """Share of a step over which slopes are taken: wide differences see through sticking friction."""
+ROUNDS = 30
+"""Of the active set of everyday deviations at their bounds, which needs three to six. Budget."""
 PACES = 6.0
 """A fit ends where this many more steps as good as the last would not reach its target. Budget."""
 SWITCHED = 0.5

@@ -6,11 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from realsim.gap.causes import figures
 from realsim.types import F64
-
-
-ROUNDS = 30
-"""Of the active set, which needs three to six: a bound against going round in circles."""
 
 
 @dataclass
@@ -62,7 +59,7 @@ def bounded(A: F64, b: F64, prior: F64, most: F64 | float) -> tuple[F64, F64]:
     bound is held there, what would come back from it is free again, until neither happens.
     """
     x, held = np.zeros(len(b)), np.zeros(len(b), bool)
-    for _ in range(ROUNDS):
+    for _ in range(figures.ROUNDS):
         free = (prior > 0) & ~held
         scale, rest = prior[free], b[free] - A[np.ix_(free, ~free)] @ x[~free]
         inner = np.eye(len(scale)) + scale[:, None] * A[np.ix_(free, free)] * scale

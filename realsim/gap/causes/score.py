@@ -65,10 +65,12 @@ def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | N
 
 
 def left_out(fitter: Fitter, before: Fit, after: Fit) -> Held | None:
-    """(mean, standard error) of the gain on each run, fitted to the others; None of a single run."""
+    """(mean, standard error) over runs of the logarithm of the ratio of errors of each, fitted to the others: one run
+    that diverges counts once. None of a single run."""
     if len(fitter.screen.runs) < 2:
         return None
-    gains = fitter.left_out(before) - fitter.left_out(after)
+    errors = [np.maximum(fitter.left_out(fit), 1e-9) for fit in (before, after)]
+    gains = np.log(errors[0] / errors[1])
     return float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))
 
 
