@@ -83,7 +83,7 @@ class Trial:
     """Gain of the fit, or None if it was only screened."""
     values: tuple[float, ...] = ()
     held: tuple[float, float] | None = None
-    """Gain on runs left out in turn, a logarithm of a ratio of errors, and its standard error; where it was looked at."""
+    """Gain on runs left out in turn, as the logarithm of a ratio, and its error; if looked at."""
 
 
 def values_of(causes: Sequence[Cause]) -> F64:
