@@ -91,7 +91,7 @@ class Search:
         """Fit the neighbours of the best set that some moves lead to; whether one of them takes its place."""
         self.best = here = self.fitter.prepared(self.best)
         screen, further = self.fitter.screen, moves is ADD
-        if screen.simulator.context.touches and further and self._noise(leftover(screen, here)):
+        if screen.simulator.context.touches and not here.causes and leftover(screen, here).mean() <= 1:
             return False  # simulated deviations leave noise, which some cause of many always fits a little better
         fits: list[Fit] = []
         for p in self._proposed(moves, here):
@@ -107,10 +107,6 @@ class Search:
                     c, gain = fit.causes[-1], here.misfit - fit.misfit
                     self.trials.append(Trial(c.candidate, len(here.causes), p.foretold, gain=gain, values=c.values))
         return self._better(*self._second_look(here, sorted(fits, key=self._score)))
-
-    def _noise(self, left: F64) -> bool:
-        """Whether what stays is no more than the floor; beside causes, no more than a log without a gap may leave."""
-        return not is_gap(left) if self.best.causes else bool(left.mean() <= 1)
 
     def _second_look(self, here: Fit, fits: Sequence[Fit]) -> tuple[Fit, list[Fit]]:
         """(a set, its best neighbours) under weights for what the best one leaves: beside a large gap every one
