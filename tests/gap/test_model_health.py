@@ -78,6 +78,30 @@ def test_links_inside_a_trunk_that_is_fixed_to_the_world_are_refused(tmp_path: P
     assert health(case_of(tmp_path / "apart", chain(options=APART), waves(), good))["warnings"]
 
 
+def test_a_robot_that_begins_inside_the_ground_is_told_how_deep(tmp_path: Path) -> None:
+    """Its weight presses a foot in by less than a millimetre; what is deeper is pushed out, and is no motion of its own."""
+    xml = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body name="hopper" pos="0 0 0.3"><freejoint/>
+    <geom type="box" size="0.1 0.1 0.05" mass="2"/><body name="foot"><joint name="leg" type="slide" axis="0 0 1"
+    range="-0.1 0.1"/><geom type="box" pos="0 0 -0.2" size="0.05 0.05 0.05" mass="0.5"/></body></body></worldbody>
+    <actuator><position name="leg_servo" joint="leg" kp="2000" kv="50"/></actuator></mujoco>"""
+    time = np.arange(0.0, 3.0, 0.01)
+    commands = 0.02 * np.sin(3 * time)[:, None]
+    said = {}
+    for name, height in (("right", 0.25), ("buried", 0.2)):
+        folder = tmp_path / name
+        (folder / "runs").mkdir(parents=True)
+        (folder / "model.xml").write_text(xml)
+        log = {"joint_names": ["leg"], "actuator_names": ["leg_servo"], "command_kind": "position", "base": "floating"}
+        log |= {"torque_kind": "none", "imu_site": None, "contact_bodies": []}
+        (folder / "log.json").write_text(json.dumps(log))
+        base = np.tile([0.0, 0.0, height], (len(time), 1))
+        for run in ("a", "b"):
+            np.savez(folder / "runs" / f"{run}.npz", time=time, command=commands, joint_pos=commands, base_pos=base)
+        said[name] = [w for w in health(load_case(folder))["warnings"] if "inside the ground" in w]
+    assert not said["right"]
+    assert any(f"{depth} mm inside the ground" in said["buried"][0] for depth in (49, 50))
+
+
 def test_a_model_that_does_not_follow_where_the_robot_does_is_refused(tmp_path: Path) -> None:
     real = logged(chain(options=APART), waves())
     with pytest.raises(GapError, match="the nominal simulator does not") as caught:

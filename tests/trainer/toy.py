@@ -64,7 +64,10 @@ class PointMass:
         return {"rng": self.rng.get_state(), "level": self.level.clone()}
 
     def load_state_dict(self, state: dict[str, Any], seed: int | None = None) -> None:
-        self.rng.set_state(state["rng"]) if seed is None else self.rng.manual_seed(seed)
+        if seed is None:
+            self.rng.set_state(state["rng"])
+        else:
+            self.rng.manual_seed(seed)
         self.level = state["level"].clone()
 
     def _begin(self, which: Tensor) -> None:

@@ -148,8 +148,8 @@ class GaussNewton:
     def _local(self, causes: Causes, evidence: Evidence) -> tuple[F64, F64]:
         """Marginal information (m, m) and the scores (runs, m) of these normal equations."""
         prior, A = self.prior_beside(causes), np.sum(evidence.A, axis=0)
-        p, mean = len(prior), self.screen.nuisances(evidence, prior)
-        info = A[p:, p:] - A[p:, :p] @ self.screen.covariance(evidence, prior) @ A[:p, p:]
+        p, (mean, cov) = len(prior), self.screen.spread_nuisances(evidence, prior)
+        info = A[p:, p:] - A[p:, :p] @ cov @ A[:p, p:]
         return info, np.array([b[p:] - a[p:, :p] @ mean for a, b in zip(evidence.A, evidence.b, strict=True)])
 
     def _steps(self, causes: Causes, base: list[F64], slopes: list[F64], damping: float, few: Few) -> list[F64]:

@@ -16,8 +16,8 @@ def deviations(screen: Screen, fit: Fit) -> F64:
     """(atoms,) the most probable everyday deviations beside a fit's causes. What is beyond reason of one is cut off
     and not taken over by others: a log that needs it has a gap, which they would hide."""
     A, b = np.sum(fit.evidence.A, axis=0), np.sum(fit.evidence.b, axis=0)
-    most = figures.REASONABLE * fit.prior
-    return np.clip(bounded(A, b, fit.prior, np.inf)[0], -most, most)
+    most, (free, _) = figures.REASONABLE * fit.prior, bounded(A, b, fit.prior, np.inf)
+    return np.clip(free, -most, most)
 
 
 def nuisance_settings(screen: Screen, fit: Fit, scale: float = 1.0) -> list[Setting]:

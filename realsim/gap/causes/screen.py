@@ -264,19 +264,20 @@ class Screen:
         """(p,) the most probable nuisances, none beyond what is reasonable; they come first among the unknowns."""
         return self._bounded(evidence, prior)[0]
 
-    def covariance(self, evidence: Evidence, prior: F64) -> F64:
-        """(p, p) posterior covariance of the nuisances; those on their bound are known.
+    def spread_nuisances(self, evidence: Evidence, prior: F64) -> tuple[F64, F64]:
+        """(p,) the most probable nuisances, and their (p, p) posterior covariance; those on their bound are known.
 
         It depends on the weights and on which are free, so that one factorisation serves many fits.
         """
-        p, (_, free) = len(prior), self._bounded(evidence, prior)
+        x, free = self._bounded(evidence, prior)
         key = free.tobytes(), evidence.runs
-        if evidence.version != self._version or key not in self._covariances:
-            cov = posterior(np.sum(evidence.A, axis=0)[:p, :p], np.zeros(p), free)[1]
-            if evidence.version != self._version:
-                return cov
+        if evidence.version == self._version and key in self._covariances:
+            return x, self._covariances[key]
+        p = len(prior)
+        cov = posterior(np.sum(evidence.A, axis=0)[:p, :p], np.zeros(p), free)[1]
+        if evidence.version == self._version:
             self._covariances[key] = cov
-        return self._covariances[key]
+        return x, cov
 
     def misfit(self, evidence: Evidence, prior: F64) -> float:
         """Half the weighted squared residual beside the most probable nuisances, and their price."""

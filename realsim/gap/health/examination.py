@@ -36,7 +36,7 @@ def examine(simulator: Simulator) -> dict[str, Any]:
     clock, said = clocks(case)
     warnings += said
     warnings += log_conventions(case)
-    _overlaps(simulator)
+    warnings += _overlaps(simulator)
     warnings += _failures(simulator)
     warnings += _excitation(case)
     gone, said = missing(case)
@@ -129,26 +129,36 @@ def _failure(case: Case, run: str, track: dict[str, Any], row: int) -> GapError:
     )
 
 
-def _overlaps(simulator: Simulator) -> None:
+def _overlaps(simulator: Simulator) -> list[str]:
     """Refuse a model whose own bodies are inside each other where the robot's runs begin.
 
     MuJoCo does not let parent and child collide, unless the parent is fixed to the world: a trunk that is held in the
-    air pushes its own hips away. What stands on the ground may press into it; that may be the gap.
+    air pushes its own hips away. What begins inside the ground is said and not refused: ground that is lower than in
+    the model may be the gap.
     """
     import mujoco
 
     case = simulator.case
     model, data = case.model, mujoco.MjData(case.model)
     found: dict[tuple[str, str], float] = {}
+    said = []
     for run, start in zip(case.runs, simulator.starts, strict=True):
+        sunk = 0.0
         state = initial_state(case, model, run, Edit(simulator.context), start)
         mujoco.mj_setState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         mujoco.mj_forward(model, data)
         for contact in data.contact:
             bodies = [int(model.geom_bodyid[g]) for g in contact.geom]
-            if 0 not in bodies and not _terrain(case, bodies) and contact.dist < -OVERLAP:
+            if 0 in bodies or _terrain(case, bodies):
+                sunk = max(sunk, float(-contact.dist))
+            elif contact.dist < -OVERLAP:
                 a, b = sorted(model.body(i).name or f"body {i}" for i in bodies)
                 found[a, b] = max(found.get((a, b), 0.0), float(-contact.dist))
+        if sunk > OVERLAP:
+            said.append(
+                f"{run.name}: the robot begins {1000 * sunk:.0f} mm inside the ground, which pushes it out: is the base's "
+                "height that of this model, and does the model's ground lie where the robot's does?"
+            )
     if found:
         worst = sorted(found.items(), key=lambda item: -item[1])[:6]
         raise GapError(
@@ -160,6 +170,7 @@ def _overlaps(simulator: Simulator) -> None:
             "is fixed to the world collide with its children), or turn contacts off: "
             '<option><flag contact="disable"/></option>',
         )
+    return said
 
 
 def _terrain(case: Case, bodies: Sequence[int]) -> bool:
