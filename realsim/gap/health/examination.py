@@ -156,8 +156,8 @@ def _overlaps(simulator: Simulator) -> list[str]:
                 found[a, b] = max(found.get((a, b), 0.0), float(-contact.dist))
         if sunk > OVERLAP:
             said.append(
-                f"{run.name}: the robot begins {1000 * sunk:.0f} mm inside the ground, which pushes it out: is the base's "
-                "height that of this model, and does the model's ground lie where the robot's does?"
+                f"{run.name}: the robot begins {1000 * sunk:.0f} mm inside the ground, which pushes it out: is the "
+                "base's height that of this model, and does the model's ground lie where the robot's does?"
             )
     if found:
         worst = sorted(found.items(), key=lambda item: -item[1])[:6]
