@@ -79,7 +79,7 @@ def test_links_inside_a_trunk_that_is_fixed_to_the_world_are_refused(tmp_path: P
 
 
 def test_a_robot_that_begins_inside_the_ground_is_told_how_deep(tmp_path: Path) -> None:
-    """Its weight presses a foot in by less than a millimetre; what is deeper is pushed out, and no motion of its own."""
+    """Its weight presses a foot in by less than a millimetre; what is deeper is pushed out, no motion of its own."""
     xml = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body name="hopper" pos="0 0 0.3"><freejoint/>
     <geom type="box" size="0.1 0.1 0.05" mass="2"/><body name="foot"><joint name="leg" type="slide" axis="0 0 1"
     range="-0.1 0.1"/><geom type="box" pos="0 0 -0.2" size="0.05 0.05 0.05" mass="0.5"/></body></body></worldbody>

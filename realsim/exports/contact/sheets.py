@@ -33,8 +33,8 @@ SEEN = 0.5  # share of a solid's outside
 THICK = 0.04  # metres of a sheet that holds things up: what falls fast sinks centimetres into a soft contact
 THIN = 0.006  # metres of a sheet that has air behind it, and of one that is upright: its rim is seen from above
 # Cells by which outlines are simplified, and by which convex parts may bulge over them. A cell grows with the scene,
-# what is felt does not: outlines are off by FELT at most. Found on a LiDAR room (p95 15.4 to 14.5 mm, 9 % more parts); a
-# corridor that it was not found on keeps its 1.5 mm with 12 % more parts, and below 43 m² nothing changes.
+# what is felt does not: outlines are off by FELT at most. Set on a LiDAR room (p95 15.4 to 14.5 mm, 9 % more parts); a
+# corridor that it was not set on keeps its 1.5 mm with 12 % more parts, and below 43 m² nothing changes.
 EDGE, BULGE = 1.0, 1.0
 MOST = 300_000  # samples
 

@@ -25,12 +25,12 @@ Index = NDArray[np.int64]
 LATE = 4
 """Frames by which depth may be late or early: each is a look at every pair. Budget."""
 STEPS, PAIRS = (1, 3), 12
-"""Frames from one of a pair to the other (near ones have most in common, far ones move more), and how many pairs of each
+"""Frames from one of a pair to the other (near ones have most in common, far ones move more), and how many of each
 are asked. Budget."""
 CLEAR = 3.0
 """Standard errors over pairs of frames by which another reading has to fit better. Set on four captures (two rendered,
 an iPhone, a RealSense): right ones lie 3.5 to 15 on the other side, spoilt ones 3.0 to 21 beyond, and ten far frames
-with depth three late 1.8. On five rendered ones that it was not set on, two with colour that is not registered, right ones
+with depth three late 1.8. On five rendered ones that it was not set on, two of an unregistered colour, right ones
 lie 8 to 16 on the other side, and all fifteen that were spoilt 3.7 to 22 beyond, each with its right name."""
 LEAST = 30
 """Features that are alike which a pair needs to be asked: some that move rigidly by chance do not count then. Not
