@@ -34,9 +34,14 @@ def score(screen: Screen, fit: Fit) -> float:
     """Penalised misfit of a set in nats, lower is better: half the weighted squares that stay beside the nuisance
     parameters, and the price of causes, of parameters that the data determine, of shared values and of rare effects."""
     total = fit.misfit + figures.PRICE * determined(fit)
-    total += len(fit.causes) * (figures.CAUSE + figures.CAUSE_A_JOINT * len(screen.simulator.case.joint_names))
+    total += len(fit.causes) * named(screen)
     total += figures.SHARED * sum(len(c.candidate.places) > 1 for c in fit.causes)
     return total + figures.PRICE * sum(lookup(c.candidate.effect).usual is not None for c in fit.causes)
+
+
+def named(screen: Screen) -> float:
+    """Price of a cause in nats: which one of all that this robot may have, each as likely as the next."""
+    return float(np.log(len(screen.candidates)))
 
 
 def determined(fit: Estimated) -> float:
