@@ -28,7 +28,7 @@ from benchmarks.tables.diagnosis import (
     real_logs,
 )
 from benchmarks.tables.index import index
-from benchmarks.tables.policies import base, quadruped_base, tuned
+from benchmarks.tables.policies import base, quadruped_base, reconstructed, tuned
 from benchmarks.tables.readme import readme
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -47,6 +47,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "base policy": base,
     "base policy of the quadruped": quadruped_base,
     "test-time training": tuned,
+    "test-time training on reconstructions": reconstructed,
     "footholds": footholds,
     "damaged": damaged,
     "real logs": real_logs,

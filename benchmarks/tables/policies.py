@@ -27,6 +27,13 @@ def tuned() -> list[str]:
     return ttt.table(stored("ttt")["rows"])
 
 
+def reconstructed() -> list[str]:
+    """The same of the last base that was fine-tuned on reconstructions, if a newer one is in the table above."""
+    rows = stored("ttt")["rows"]
+    bases = list(dict.fromkeys(r["base"] for r in rows if r["source"] != "exact"))
+    return ttt.table(rows, bases[-1])
+
+
 def well_crossed(method: str) -> str:
     """On how many tests a policy succeeds in 97 % of the trials, with every seed: fine-tuned on the exact terrain, or
     the base."""
