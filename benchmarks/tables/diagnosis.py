@@ -57,7 +57,8 @@ def diagnosis_intervals() -> list[str]:
     for s in stored("diagnosis")["sets"]:
         gone = 100 * s["gap_gone_median_where_right"]
         cells = (of(s["ci90_holds_truth"]), of(s["outside_said"]), of(s["confounded_named"]), f"{gone:.1f} %")
-        lines.append(f"| {s['seed']} | {' | '.join(cells)} |")
+        name = ", ".join(str(s[k]) for k in ("seed", "commit") if k in s)
+        lines.append(f"| {name} | {' | '.join(cells)} |")
     return lines
 
 

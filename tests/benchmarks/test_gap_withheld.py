@@ -161,9 +161,9 @@ def test_two_causes_are_alike_only_if_every_run_is() -> None:
     assert not same_log(label, robot, sensors, site, truths, [calm, calm, calm, calm, calm, wild])
 
 
-def test_kept_cases_replace_those_of_the_same_seed(tmp_path: Path) -> None:
+def test_kept_cases_replace_themselves_alone(tmp_path: Path) -> None:
     path = tmp_path / "diagnosis.json"
-    old = [{"seed": 5, "case": "case_009"}, {"seed": 4}]
+    old = [{"seed": 5, "case": "case_000", "commit": "old"}, {"seed": 4}]
     path.write_text(json.dumps({"days": [], "sets": [{"seed": 5}], "rows": old}))
     causes = [{"effect": "armature", "joints": ["a", "b"], "bodies": []}]
     label = {"cls": "single", "robot": "arm2", "effects": causes, "visibility": [np.float64(2.345)]}
@@ -176,3 +176,7 @@ def test_kept_cases_replace_those_of_the_same_seed(tmp_path: Path) -> None:
     row = stored["rows"][1]
     assert (row["truth"], row["causes"], row["commit"]) == (["armature@a+b"], ["armature@a+b"], "abc")
     assert row["visibility"] == [2.3]
+    keep("def", 5, {"case_009": label}, {"case_009": found}, figures, path)
+    stored = json.loads(path.read_text())
+    assert [r.get("commit") for r in stored["rows"]] == [None, "abc", "def"]
+    assert [s["commit"] for s in stored["sets"]] == ["abc", "def"]

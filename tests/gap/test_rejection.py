@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from realsim.gap import EFFECTS, Case, load_case
-from realsim.gap.causes.figures import CLEARLY
+from realsim.gap.causes.figures import WORTH
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.proposals import ranked
@@ -73,7 +73,7 @@ def without(pendulum: Case, arm: Case) -> dict[str, dict[str, float]]:
 def test_absent_on_a_perfect_log(name: str, robot: str, without: dict[str, dict[str, float]]) -> None:
     if name not in without[robot]:
         pytest.skip("no place on this robot, or not excited")
-    assert without[robot][name] < CLEARLY
+    assert without[robot][name] < WORTH
 
 
 def test_every_fixed_effect_was_looked_for_somewhere(without: dict[str, dict[str, float]]) -> None:
@@ -103,7 +103,7 @@ def test_nothing_gets_in_beside_the_true_cause(name: str, pendulum: Case, arm: C
         assert not is_gap(leftover(screen, true))
         rivals = {e: g for e, g in gains(screen, true).items() if e != name}
         assert len(rivals) > 5
-        assert max(rivals.values()) < CLEARLY
+        assert max(rivals.values()) < WORTH
 
 
 @pytest.mark.slow
@@ -113,7 +113,7 @@ def test_absent_on_a_perfect_log_of_a_floating_base(quadruped: Case) -> None:
         case = logged(case, [], seed)
     found = perfect(case, (*FLOATING, "terrain_tilt", "external_force"))
     assert set(found) >= {"ground_friction", "terrain_height", "terrain_tilt", "imu_bias"}
-    assert max(found.values()) < CLEARLY
+    assert max(found.values()) < WORTH
 
 
 @pytest.mark.slow

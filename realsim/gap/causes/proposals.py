@@ -40,7 +40,7 @@ def by_slopes(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     """One more cause: the best places of the best effects by the linear screen."""
     order = ranked(fitter.screen, here)
     best = order[0][0] if order else 0.0
-    least = max(figures.CLEARLY, figures.WORTH_SHARE * best)  # far behind, only what is far from linear can still win
+    least = max(figures.WORTH, figures.WORTH_SHARE * best)  # far behind, only what is far from linear can still win
     chosen: list[Candidate] = []
     for gain, candidate, estimate in order:
         if gain < least or len(chosen) == figures.FITTED:
@@ -72,7 +72,7 @@ def by_simulation(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     for candidates in abrupt.values():
         looks = fitter.each(lambda item: _sized(fitter, here, *item), candidates[: figures.PROBED])
         for gain, cause in sorted(looks, key=lambda item: -item[0])[: figures.PLACES]:
-            if gain > figures.CLEARLY:
+            if gain > figures.WORTH:
                 yield _further(fitter, here, cause.candidate, cause.named, gain)
 
 

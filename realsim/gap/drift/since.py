@@ -193,8 +193,8 @@ def _doubt(joint: Joint, config: DiagnoseConfig, before: Changed, after: Changed
     """Why the last change of a fit is not believed; empty if it is."""
     cause = after.causes[-1]
     gain = before.misfit - after.misfit
-    # A change costs what a cause costs (`realsim.gap.causes.score`).
-    least = figures.CLEARLY + named(joint.screen)
+    # A change costs what a cause beside another one costs (`realsim.gap.causes.score`).
+    least = figures.CLEARLY + named(joint.screen, 2) - named(joint.screen, 1)
     least += figures.PRICE * (determined(after) - determined(before))
     if gain < least:
         return f"it gains {gain:.1f} nats, must gain {least:.1f}"
