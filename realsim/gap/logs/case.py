@@ -18,6 +18,7 @@ from realsim.gap.logs.resolve import resolve
 from realsim.gap.logs.runs import Layout, layout, read_run
 from realsim.gap.logs.runs import Run as Run
 from realsim.models import odd_number
+from realsim.notebook import table, traces
 
 MAX_INCLUDES = 8
 """Files of a model that include each other in a row."""
@@ -56,6 +57,19 @@ class Case:
     def __repr__(self) -> str:
         runs = f"{len(self.runs)} runs, {sum(run.duration for run in self.runs):.1f} s"
         return f"Case({str(self.folder)!r}, {len(self.joint_names)} joints, {self.base} base, {runs})"
+
+    def _repr_html_(self) -> str:
+        first = self.runs[0]
+        angles = np.asarray(first.signals["joint_pos"], float)
+        rows = [
+            ("case", str(self.folder)),
+            ("robot", f"{self.base} base, joints {', '.join(self.joint_names)}"),
+            ("runs", f"{len(self.runs)}, {sum(run.duration for run in self.runs):.1f} s"),
+            ("signals", ", ".join(first.signals)),
+            *(("note", warning) for warning in self.warnings),
+            ("drawn", f"joint_pos of {first.name}, {np.nanmin(angles):.2g} to {np.nanmax(angles):.2g} rad or m"),
+        ]
+        return f"<div>{table(rows)}{traces(angles)}</div>"
 
     @property
     def floating(self) -> bool:
