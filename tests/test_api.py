@@ -137,6 +137,8 @@ def test_export_takes_a_scene_or_a_folder_and_keeps_what_is_there(scene: rs.Scen
     assert all(path.is_file() for files in first.values() for path in files)
     with pytest.raises(rs.RealsimError, match="not empty"):
         rs.export(str(scene.folder), "obj", tmp_path)
+    with pytest.raises(rs.RealsimError, match="no format given"):
+        rs.export(scene, [], tmp_path)
     assert rs.export(scene.folder, "obj", tmp_path, overwrite=True) == {"obj": first["obj"]}
     (tmp_path / "stl").mkdir()
     (tmp_path / "stl" / "mine.txt").write_text("precious")
