@@ -40,7 +40,7 @@ def test_page_says_what_was_found(found: Diagnosis, tmp_path: Path) -> None:
     assert found.sentence in text
     assert SAID[found.verdict].word in text
     assert found.advice in text
-    assert "s of it simulated" in text
+    assert "s of simulation" in text
     for title in ("Where", "What", "How much", "Before and after", "Apply the patch", "Data health", "All effects"):
         assert title in text
     for row in found.ranking:

@@ -70,7 +70,8 @@ def _title(found: Diagnosis) -> tuple[str, str]:
         runs, joints = len(case.runs), len(case.joint_names)
         parts += [f"{runs} run{'s' * (runs != 1)}", f"{joints} joint{'s' * (joints != 1)}"]
     if "seconds" in said:
-        parts.append(f"diagnosed in {said['seconds']:.0f} s, {said.get('simulated_seconds', 0):.0f} s of it simulated")
+        simulated = said.get("simulated_seconds", 0)
+        parts.append(f"diagnosed in {said['seconds']:.0f} s with {simulated:.0f} s of simulation")
     name = "" if case is None or not case.folder.name else f" of {case.folder.name}"
     return f"Sim-to-real gap{name}", ", ".join(filter(None, parts))
 
