@@ -33,6 +33,8 @@ SLIGHT = 1e-3
 """Of the span of an array: a millimetre of a metre, below what any of the sensors resolves."""
 MAY_BE_ZERO = ("depth", "colour", "confidence")
 """Images in which 0 stands for nothing seen, or for the colour of nothing."""
+CLOUD = ("points", "normals", "colors")
+"""A finished scan: a point whose coordinates are no numbers is none."""
 Values = Mapping[str, Any]
 
 
@@ -91,8 +93,11 @@ def _fewer(sound: Values, found: Values) -> bool:
     """Whether every frame or run is one of the sound ones, or one with holes or fewer rows; the rest as it was."""
     a, b = owners(sound), owners(found)
     fewer = ("number of frames", "surface")
-    rest = [{n: key(v) for n, v in part.get("", {}).items() if n not in fewer} for part in (a, b)]
+    rest = [{n: key(v) for n, v in part.get("", {}).items() if n not in (*fewer, *CLOUD)} for part in (a, b)]
     if rest[0] != rest[1] or len(b) > len(a):
+        return False
+    clouds = [{n: v for n, v in part.get("", {}).items() if n in CLOUD} for part in (a, b)]
+    if clouds[0].keys() != clouds[1].keys() or not _holes(*clouds):
         return False
     if (surface := found.get("surface")) is not None and _rows(sound["surface"], surface) is None:
         return False

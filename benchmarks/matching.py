@@ -3,8 +3,8 @@
     python benchmarks/matching.py                                   everything
     python benchmarks/matching.py --captures stake_a boxes --kinds "every 8" "blur 15"
 
-Rendered captures (REALSIM_SHARED/captures, exact poses) are thinned to every n-th frame, smeared over so many pixels
-along a line of random direction a frame, or darkened: light divided by the figure, then photon noise of 2,000 electrons
+Rendered captures (REALSIM_SHARED/captures, exact poses) are thinned to every n-th frame, smeared along a line of some
+pixels in a random direction per frame, or darkened: light divided by the figure, then photon noise of 2,000 electrons
 at white, read noise of 4 and eight bits. Depth stays as it is. Two real captures come with five and no poses.
 
 A row: frames placed, error of their camera centres after the best rigid motion (ATE), largest error of the motion

@@ -178,7 +178,7 @@ def score(out: Path, gt: Path) -> Row:
 
 
 def scaling(options: Options, work: Path) -> Iterator[Row]:
-    """Cost of synthetic captures of so many frames, every frame used.
+    """Cost of synthetic captures of these numbers of frames, every frame used.
 
     One walk is rendered with the largest number; where another divides it, that many of its frames are taken.
     """

@@ -63,7 +63,7 @@ class Options:
     noise: float = 0.3
     """Exploration noise of ttt1 and ttt13 at the start, and the most that it may grow to."""
     stop_after: float = float("inf")
-    """Begin no training after so many minutes."""
+    """Begin no training after this many minutes."""
     stop_at_target: bool = False
     """End a training once 97 % of the trials on the way succeed."""
     trials: int = 1000

@@ -19,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from realsim.errors import GapError, require
+from realsim.errors import ExportError, GapError, require
 from realsim.results import Diagnosis, Scene
 
 if TYPE_CHECKING:
@@ -141,6 +141,8 @@ def export(
 
     folder = scene.folder if isinstance(scene, Scene) else Path(scene)
     names = [to] if isinstance(to, str) else list(to)
+    if not names:
+        raise ExportError("no format given", expected="to='all', or names of realsim.exports.EXPORTERS")
     return export_scene(folder, names, None if out is None else Path(out), overwrite=overwrite)
 
 

@@ -7,6 +7,7 @@ A command is a function whose parameters (frozen dataclasses among them) become 
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import os
 import re
@@ -134,10 +135,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     except RealsimError as error:
         return _fail(error, as_json)
     except SystemExit as stop:
-        # tyro has said on stderr what does not fit (2), or has shown the help (0).
-        if as_json and stop.code:
-            print(_error({"error": "UsageError", "message": "the arguments do not fit", "hint": "see stderr"}), end="")
-        return int(stop.code or 0)
+        return int(stop.code or 0)  # the help was asked for
+    except UsageError as error:
+        print(error.shown, end="", file=sys.stderr)
+        if as_json:
+            hint = f"realsim help {arguments[0]}"
+            print(_error({"error": "UsageError", "message": error.message, "hint": hint}), end="")
+        return 2
     except KeyboardInterrupt:
         if as_json:
             print(_error({"error": "Interrupted", "message": "interrupted"}), end="")
@@ -184,13 +188,14 @@ def _run(name: str, arguments: list[str]) -> Any:
     with explain_missing_packages(f"realsim {name}"):
         command = commands()[0][name]
         set_arguments(arguments)
-        with _plain_help(name) if {"-h", "--help"} & set(arguments) else contextlib.nullcontext():
-            return tyro.cli(
-                command,
-                prog=f"realsim {name}",
-                args=arguments,
-                config=(tyro.conf.OmitArgPrefixes,),
-            )
+
+        @functools.wraps(command)
+        def later(*args: Any, **options: Any) -> Any:
+            return functools.partial(command, *args, **options)
+
+        with _plain_help(name) if {"-h", "--help"} & set(arguments) else _plain_errors():
+            call = tyro.cli(later, prog=f"realsim {name}", args=arguments, config=(tyro.conf.OmitArgPrefixes,))
+        return call()
 
 
 @contextlib.contextmanager
@@ -207,6 +212,39 @@ def _plain_help(name: str) -> Iterator[None]:
         lines = [text.rstrip(), "", *([f"example: {example}"] if example else []), EVERYWHERE]
         with contextlib.suppress(BrokenPipeError):
             print("\n".join(lines), flush=True)
+
+
+class UsageError(Exception):
+    """Arguments that do not fit the command."""
+
+    def __init__(self, shown: str) -> None:
+        self.shown = shown
+        """For a terminal."""
+        box = shown[shown.find("╭") + 1 :].partition("For full helptext")[0].splitlines()[1:]  # less its title
+        self.message = " ".join(line.strip("│ ") for line in box if line.strip("│─- "))
+
+
+@contextlib.contextmanager
+def _plain_errors() -> Iterator[None]:
+    """What tyro prints about arguments that do not fit, as a UsageError that has the names of options."""
+    shown = io.TextIOWrapper(io.BytesIO(), encoding=sys.stderr.encoding or "utf-8", errors="replace")
+    try:
+        with contextlib.redirect_stderr(shown):
+            yield
+    except SystemExit as stop:
+        if not stop.code:
+            raise
+        shown.seek(0)
+        raise UsageError(PARSED.sub(_option_names, shown.read())) from None
+
+
+PARSED = re.compile(r"Error parsing (?:config|many)[.\w]*: ([^│\n]*)")
+"""A value that a config refuses: the path of the config, and its words with the names of its fields."""
+
+
+def _option_names(match: re.Match[str]) -> str:
+    said = re.sub(r"\b[a-z]+(?:_[a-z]+)+\b", lambda name: "--" + name[0].replace("_", "-"), match[1].rstrip())
+    return said + " " * (len(match[0]) - len(said))
 
 
 GROUP = re.compile(r"(config|many)((?:\.\w+)*) options (.)\3*")

@@ -82,7 +82,7 @@ def build(roots: Roots, jobs: int = 1) -> Any:
             capture: a folder of RGB-D frames, or a scan file.
             out: folder of the scene.
             robot: put on the start platform.
-            max_frames: at most so many frames are used; 0 for all.
+            max_frames: at most this many frames are used; 0 for all.
             seed: of everything random.
             overwrite: replace a scene that realsim wrote there.
         """
@@ -148,7 +148,7 @@ def build(roots: Roots, jobs: int = 1) -> Any:
             case: folder with log.json, model.xml and runs/.
             out: folder of the diagnosis; needed unless check_only.
             check_only: only say, within seconds, whether the log can be used and what is odd about it.
-            max_causes: at most so many causes are named.
+            max_causes: at most this many causes are named.
             overwrite: replace a diagnosis that realsim wrote there.
         """
         with _explained():

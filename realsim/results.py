@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from realsim.errors import RealsimError
 from realsim.files import edited_files, read_json
 from realsim.gap.verdicts import GapVerdict
+from realsim.notebook import bars, table
 
 __all__ = [
     "Cause",
@@ -188,7 +189,7 @@ class Scene:
             ("contact", f"{c.representation}, {c.median_mm:.1f} mm median, {c.p95_mm:.1f} mm at the 95th percentile"),
             ("files", str(self.folder)),
         ]
-        return f"<div>{_height_picture(self.folder / 'mesh.ply')}{_table(rows)}</div>"
+        return f"<div>{_height_picture(self.folder / 'mesh.ply')}{table(rows)}</div>"
 
 
 def _scene(kind: type[Scene], folder: Path, data: Any, contact: Any, details: Any) -> Scene:
@@ -340,6 +341,10 @@ class Rest:
     """With the causes."""
 
 
+NAMING = (GapVerdict.IDENTIFIED, GapVerdict.AMBIGUOUS, GapVerdict.PARTLY_EXPLAINED)
+"""Verdicts that name a cause."""
+
+
 @dataclass(frozen=True, repr=False)
 class Diagnosis:
     """Location, causes and size of the sim-to-real gap, and a patch."""
@@ -371,6 +376,8 @@ class Diagnosis:
     def of(cls, data: Mapping[str, Any], folder: Path | None = None) -> Diagnosis:
         """From the content of diagnosis.json. Raises RealsimError where it has another form."""
         try:
+            if data["verdict"] in NAMING and not data["causes"]:
+                raise ValueError(f"verdict {data['verdict']}, but no cause")
             s = data["shrinkage"]
             low, high = (_number(v) for v in s["ci90"])
             return cls(
@@ -423,8 +430,8 @@ class Diagnosis:
             ("removes", f"{100 * s.fraction:.0f} % [{100 * s.low:.0f}, {100 * s.high:.0f}] of the squared error"),
             ("files", str(self.folder) if self.folder else ""),
         ]
-        bars = [(f"{w.signal} {w.joint or ''} {w.phase or ''}", w.share) for w in self.where[:6]]
-        return f"<div><p>{escape(self.sentence)}</p>{_bars(bars)}{_table(rows)}</div>"
+        shares = [(f"{w.signal} {w.joint or ''} {w.phase or ''}", w.share) for w in self.where[:6]]
+        return f"<div><p>{escape(self.sentence)}</p>{bars(shares)}{table(rows)}</div>"
 
 
 def _cause(data: Mapping[str, Any]) -> Cause:
@@ -439,30 +446,3 @@ def _cause(data: Mapping[str, Any]) -> Cause:
 def _number(value: float | None) -> float:
     """JSON has no NaN: it is null there."""
     return float("nan") if value is None else float(value)
-
-
-# ---------------------------------------------------------------- notebooks
-
-
-def _table(rows: list[tuple[str, str]]) -> str:
-    body = "".join(
-        f'<tr><th style="text-align:left">{escape(name)}</th><td style="text-align:left">{escape(text)}</td></tr>'
-        for name, text in rows
-        if text
-    )
-    return f"<table>{body}</table>"
-
-
-def _bars(rows: list[tuple[str, float]]) -> str:
-    """Shares as horizontal bars (SVG)."""
-    if not rows:
-        return ""
-    largest = max(share for _, share in rows) or 1.0
-    lines = [
-        f'<text x="0" y="{20 * i + 14}">{escape(name)}</text>'
-        f'<rect x="230" y="{20 * i + 4}" width="{200 * share / largest:.1f}" height="12" fill="#26859a"/>'
-        f'<text x="{236 + 200 * share / largest:.1f}" y="{20 * i + 14}">{100 * share:.0f} %</text>'
-        for i, (name, share) in enumerate(rows)
-    ]
-    size = f'width="500" height="{20 * len(rows) + 6}"'
-    return f'<svg {size} font-size="12" fill="currentColor" role="img">{"".join(lines)}</svg>'

@@ -233,7 +233,7 @@ class Solution:
 
 @dataclass(frozen=True)
 class ScaleEstimate:
-    """Metres a unit of the pointmaps."""
+    """Metres per unit of the pointmaps."""
 
     value: float
     ci90: tuple[float, float]
@@ -469,7 +469,7 @@ class Mode:
     error: str | None = None
     """Why it cannot, or None; then the figures below are there."""
     scale: float = float("nan")
-    """Metres a unit of its points (each source has units of its own)."""
+    """Metres per unit of its points (each source has units of its own)."""
     scale_ci90: tuple[float, float] = (float("nan"), float("nan"))
     """Relative to `scale`."""
     used: int = 0

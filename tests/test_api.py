@@ -137,6 +137,8 @@ def test_export_takes_a_scene_or_a_folder_and_keeps_what_is_there(scene: rs.Scen
     assert all(path.is_file() for files in first.values() for path in files)
     with pytest.raises(rs.RealsimError, match="not empty"):
         rs.export(str(scene.folder), "obj", tmp_path)
+    with pytest.raises(rs.RealsimError, match="no format given"):
+        rs.export(scene, [], tmp_path)
     assert rs.export(scene.folder, "obj", tmp_path, overwrite=True) == {"obj": first["obj"]}
     (tmp_path / "stl").mkdir()
     (tmp_path / "stl" / "mine.txt").write_text("precious")
@@ -168,6 +170,9 @@ def test_a_case_by_text_and_a_diagnosis_that_is_written(
     assert seen
     assert isinstance(found.verdict, rs.GapVerdict)
     assert rs.load_diagnosis(str(tmp_path / "out")) == found
+    shown = rs.load_case(case)._repr_html_()
+    assert shown.count("<polyline") == len(rs.load_case(case).joint_names)
+    assert "nan" not in shown
     assert rs.diagnose(rs.load_case(case), config=config).verdict is found.verdict
     spec = mujoco.MjSpec.from_string(ARM)
     rs.apply_patch(spec, found)
@@ -197,6 +202,9 @@ def test_a_diagnosis_shows_itself_in_one_line_and_in_a_notebook() -> None:
     assert "&lt;friction&gt;" in shown
     with pytest.raises(rs.RealsimError, match="not a diagnosis"):
         Diagnosis.of({**made_diagnosis(), "verdict": "certain"})
+    with pytest.raises(rs.RealsimError, match="verdict identified, but no cause"):
+        Diagnosis.of({**made_diagnosis(), "causes": []})
+    assert Diagnosis.of({**made_diagnosis(), "verdict": "no_gap", "causes": []}).causes == ()
 
 
 @pytest.mark.parametrize("change", [{"scales": None}, {"settings": [3]}, {"settings": "x"}])

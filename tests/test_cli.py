@@ -60,8 +60,9 @@ def test_help_lists_the_choices_there_are(monkeypatch: pytest.MonkeyPatch, capsy
     from realsim.feedforward import BACKENDS
     from realsim.jobs import EXECUTORS
     from realsim.meshing import METHODS
+    from realsim.robots import ROBOTS as OWN_ROBOTS
     from realsim.scale import ESTIMATORS
-    from realsim.synth import TERRAINS
+    from realsim.synth import PLACES, TERRAINS
     from trainer.physics import ENGINES
     from trainer.ppo.strategies import STRATEGIES
     from trainer.robots import ROBOTS
@@ -77,7 +78,8 @@ def test_help_lists_the_choices_there_are(monkeypatch: pytest.MonkeyPatch, capsy
             "mesh-method": METHODS,
             "scale-method": ESTIMATORS,
         },
-        "synth": {"terrain": TERRAINS},
+        "synth": {"terrain": [*TERRAINS, *PLACES]},
+        "demo": {"terrain": TERRAINS, "robot": [*OWN_ROBOTS, "menagerie:NAME"]},
         "export": {"to": EXPORTERS},
         "finetune": {"strategy": STRATEGIES, "engine": ENGINES, "trainer": BUILT_IN, "robot": ROBOTS},
         "evaluate": {"engine": ENGINES},
@@ -101,7 +103,7 @@ def test_a_flag_takes_the_same_kind_of_value_everywhere(capsys: pytest.CaptureFi
             r"^\W*(--[a-z-]+)(?:, --no-[a-z-]+)?(?: ([^ \n]+))?", capsys.readouterr().out, re.M
         ):
             # Which choices there are may differ; a text, a number, a file or a switch it is everywhere.
-            kinds.setdefault(flag, {})[name] = re.sub(r"\{.*\}", "STR", value.replace("{None}|", ""))
+            kinds.setdefault(flag, {})[name] = re.sub(r"\{\S*", "STR", value.replace("{None}|", ""))
     assert {flag: by for flag, by in kinds.items() if len(set(by.values())) > 1} == {}
 
 
@@ -172,7 +174,21 @@ def test_errors_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
 
 def test_values_that_do_not_fit_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["inspect", str(tmp_path), "--min-depth", "7"]) == 2
-    assert "min_depth < max_depth" in capsys.readouterr().err
+    assert "need 0 <= --min-depth < --max-depth" in capsys.readouterr().err
+
+
+def test_points_that_are_no_numbers_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for point in (["nan", "0"], ["1", "inf"]):
+        assert main(["reconstruct", str(tmp_path), "--start", *point, "--out", str(tmp_path / "out")]) == 2
+        assert "start must be two numbers in metres" in capsys.readouterr().err
+
+
+def test_an_unknown_name_is_said_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["demo", "--robot", "nope", "--out", str(tmp_path / "demo")]) == 2
+    assert "unknown robot 'nope'" in capsys.readouterr().err
+    assert not (tmp_path / "demo").exists()
+    assert main(["synth", "--terrain", "coridor", "--out", str(tmp_path / "synth")]) == 2
+    assert "did you mean corridor" in capsys.readouterr().err
 
 
 def test_arguments_of_an_item_are_the_commands_less_its_own() -> None:

@@ -21,6 +21,7 @@ BASE = {
     "geometry",
     "meshes",
     "models",
+    "notebook",
     "ordered",
     "progress",
     "resampling",

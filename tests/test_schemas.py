@@ -46,7 +46,11 @@ def test_an_error_is_what_any_command_may_print(tmp_path: Path, capsys: pytest.C
     for command in ("inspect", "reconstruct", "contact", "export", "diagnose", "log", "schema"):
         data = said(capsys, command, tmp_path / "none", code=2)
         assert data["schema"] == schemas.ERROR
-    assert said(capsys, "inspect", "--no-such-option", code=2)["error"] == "UsageError"
+    unknown = said(capsys, "inspect", "x", "--no-such-option", code=2)
+    assert unknown["error"] == "UsageError"
+    assert "--no-such-option" in unknown["message"]
+    few = said(capsys, "reconstruct", "x", "--max-triangles", "1", code=2)
+    assert few["message"] == "--max-triangles must be at least 100"
 
 
 def test_the_list_names_all(capsys: pytest.CaptureFixture[str]) -> None:

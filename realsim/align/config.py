@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 from typing import Annotated, Literal
 
 import tyro
@@ -30,3 +31,6 @@ class AlignConfig:
     def __post_init__(self) -> None:
         if not self.margin >= 0:
             raise ValueError("need margin >= 0")
+        for name, point in (("start", self.start), ("goal", self.goal)):
+            if point is not None and not all(map(isfinite, point)):
+                raise ValueError(f"{name} must be two numbers in metres, found {point[0]:g} {point[1]:g}")

@@ -23,9 +23,9 @@ pixels, the rendered ones have 3.9 to 6.6."""
 CONTRAST = 24.0
 """Grey levels that an edge must span: noise has no such edges."""
 LINES = 120
-"""About so many lines along the shorter side are looked at."""
+"""About this many lines along the shorter side are looked at."""
 MIDDLE = 800
-"""Of larger pictures so many pixels in the middle are looked at: a phone's would take a fifth of a second."""
+"""Of larger pictures this many pixels in the middle are looked at: a phone's would take a fifth of a second."""
 LEAST = 30
 """Edges that a direction needs; dark pictures have few. Not set on any data. 12 pictures of narrow_a and mixed_a, in
 four lights, sharp and smeared over 9 and 15 pixels: without it 15 of 75 verdicts are wrong, with it 4 of 51, and the

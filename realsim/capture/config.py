@@ -56,5 +56,5 @@ class CaptureConfig:
             raise ValueError("depth_unit must be positive")
         if self.unit not in UNITS:
             raise ValueError(f"unit must be one of {', '.join(UNITS)}")
-        if self.max_time_difference < 0 or self.max_pose_gap < 0:
+        if not (self.max_time_difference >= 0 and self.max_pose_gap >= 0):
             raise ValueError("max_time_difference and max_pose_gap must not be negative")

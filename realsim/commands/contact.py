@@ -61,7 +61,8 @@ def contact(
         f"ground         {c['ground']}",
         f"representation {c['representation']}, {sum(c['geoms'].values())} geoms",
         f"error          {c['median_mm']:.1f} mm median, {c['p95_mm']:.1f} mm at the 95th percentile",
-        f"phantom        {c['phantom_area_cm2']:.0f} cm2, missing {c['missing_area_cm2']:.0f} cm2, {c['leaks']} leaks",
+        f"phantom        {c['phantom_area_cm2']:.0f} cm2, missing {c['missing_area_cm2']:.0f} cm2, "
+        f"{c['leaks']} leak{'s' * (c['leaks'] != 1)}",
         f"heights        {drop['phantom_share'] + drop['missing_share']:.1%} off by more than 2 cm",
         f"sides          {beside}",
         f"step cost      {c['step_cost_vs_plane']:.2f} times a plane's",

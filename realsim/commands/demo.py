@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from realsim import pipeline
+from realsim import pipeline, robots
 from realsim.commands import CommandResult, verdict_lines
 from realsim.errors import RealsimError, require
 from realsim.files import read_json
@@ -23,7 +23,7 @@ def demo(
     terrain: Annotated[str, tyro.conf.arg(metavar="{stakes,beams,wedges,boxes,trapezoids,boston,mixed}")] = "stakes",
     frames: int = 60,
     poses: Annotated[bool, tyro.conf.arg(name="with-poses")] = False,
-    robot: str | None = "g1",
+    robot: Annotated[str | None, tyro.conf.arg(metavar="{g1,quadruped,menagerie:NAME}")] = "g1",
     seed: int = 0,
     overwrite: bool = False,
 ) -> CommandResult:
@@ -49,6 +49,8 @@ def demo(
         raise RealsimError("the output is a file", file=out, expected="a folder that does not exist yet")
     if out.exists() and any(out.iterdir()) and not overwrite:
         raise RealsimError("the output folder exists and is not empty", file=out, hint="pass --overwrite")
+    if robot is not None:
+        robots.load(robot)  # before minutes of work
     note(f"rendering {frames} frames of the {terrain} terrain ...")
     began = time.perf_counter()
     synth = SynthConfig(terrain=terrain, frames=frames, poses=poses, seed=seed)

@@ -11,7 +11,7 @@ from typing import Any
 from realsim.errors import ExportError
 from realsim.exports.config import SceneConfig
 from realsim.exports.contact.heatmap import heatmap_png
-from realsim.exports.ground import GroundLevel, ground_level, hidden_cm2
+from realsim.exports.ground import DEEP, GroundLevel, ground_level, hidden_cm2
 from realsim.exports.mend import read_mesh
 from realsim.exports.scene import write_terrain
 from realsim.files import file_digests, to_json, write_bytes, write_text
@@ -53,16 +53,13 @@ def contact_mesh(
         if ground_z is None
         else GroundLevel(ground_z, False, f"at z = {ground_z:.3f} m, as given")
     )
+    top = float(terrain.vertices[:, 2].max())
+    if top < ground.z - DEEP:  # nothing is left that could be measured
+        raise _under_the_ground(mesh, ground, f"its highest point at z = {top:.3f} m")
     files = write_terrain(folder, terrain, ground.z, config, bare=True)
     hidden = hidden_cm2(terrain, files.scene_xml, ground)
     if hidden and set(files.contact["geoms"]) == {"plane"}:
-        raise ExportError(
-            "no part of the mesh rises above the ground",
-            file=mesh,
-            expected=f"a mesh that reaches above z = {ground.z:.3f} m",
-            found=f"{hidden:.0f} cm2 of its surface below",
-            hint="choose another --ground-z, or leave it out",
-        )
+        raise _under_the_ground(mesh, ground, f"{hidden:.0f} cm2 of its surface below")
     contact = dict(files.contact) | {"mesh": mesh.name, "ground_z": ground.z, "ground": ground.said}
     contact |= {"hidden_cm2": hidden, "mended": notes}
     contact["missing_area_cm2"] = round(contact["missing_area_cm2"] + hidden, 2)
@@ -71,6 +68,16 @@ def contact_mesh(
     if files.contact_map is not None:
         write_bytes(folder / "contact.png", heatmap_png(files.contact_map))
     return replace(files, contact=contact)
+
+
+def _under_the_ground(mesh: Path, ground: GroundLevel, found: str) -> ExportError:
+    return ExportError(
+        "no part of the mesh rises above the ground",
+        file=mesh,
+        expected=f"a mesh that reaches above z = {ground.z:.3f} m",
+        found=found,
+        hint="choose another --ground-z, or leave it out",
+    )
 
 
 def contact_verdict(contact: Mapping[str, Any], tolerance: tuple[float, float]) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from realsim.meshes import compact, lonely_vertex, loose_vertices
 from realsim.types import MeshQuality, TerrainMesh
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
+UP = ("auto", "z", "y")
 FORMATS = (".ply", ".obj", ".stl", ".glb", ".off")
 MAX_TRIANGLES = 5_000_000
 RAYS = 96  # a side of the grid of rays that look at a mesh from above
@@ -39,6 +40,8 @@ def read_mesh(path: Path, unit: str | None = None, up: str = "auto") -> tuple[Te
 
     if unit is not None and unit not in UNITS:
         raise ExportError(f"unknown unit {unit!r}", expected=f"one of {', '.join(UNITS)}")
+    if up not in UP:
+        raise ExportError(f"unknown axis {up!r}", expected=f"one of {', '.join(UP)}")
     if path.suffix.lower() not in FORMATS:
         raise ExportError("not a mesh file", file=path, expected=f"one of {' '.join(FORMATS)}", found=path.suffix)
     check_size(path)

@@ -37,5 +37,5 @@ class MeshConfig:
             raise ValueError("max_error must lie between 0 and 0.1 m")
         if self.min_views < 1:
             raise ValueError("min_views must be at least 1")
-        if self.min_island < 0 or self.residual_views < 0:
+        if not self.min_island >= 0 or self.residual_views < 0:
             raise ValueError("min_island and residual_views must not be negative")

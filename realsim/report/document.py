@@ -152,7 +152,7 @@ def _thumbnail_card(result: Reconstruction) -> list[str]:
 
 
 def _notes_card(result: Reconstruction) -> str:
-    assumed = [*result.source.assumptions, *result.aligned.assumptions]
+    assumed = [*result.aligned.assumptions, *result.source.assumptions]  # axes first: the verdict points at them
     parts = [
         "<h4>Warnings</h4>",
         page.bullets(result.warnings),

@@ -45,10 +45,11 @@ class Judgement:
 
     @property
     def next_steps(self) -> tuple[str, ...]:
-        """What to do about the reasons, in their order, each once."""
+        """What to do about the reasons, in their order, each once: what another says too and more of is left out."""
         order = {"bad": 0, "look": 1}
         failed = sorted((c for c in self.checks if c.level != "good"), key=lambda c: order[c.level])
-        return tuple(dict.fromkeys(c.advice for c in failed if c.advice))
+        steps = tuple(dict.fromkeys(c.advice for c in failed if c.advice))
+        return tuple(s for s in steps if not any(other.startswith(f"{s}; ") for other in steps))
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able."""

@@ -20,7 +20,7 @@ def ratio(sensor: F64, predicted: F64, confidence: F64, lower: Bool, rng: np.ran
         lower: (M,) whether the pixel lies in the lower half.
 
     Returns:
-        Metres a unit, NaN with no pixel in the lower half.
+        Metres per unit, NaN with no pixel in the lower half.
     """
     if not lower.any():
         return float("nan")

@@ -10,8 +10,11 @@ import tyro
 
 @dataclass(frozen=True)
 class SynthConfig:
-    terrain: Annotated[str, tyro.conf.arg(metavar="{stakes,beams,wedges,boxes,trapezoids,boston,mixed}")] = "stakes"
-    """Terrain between the platforms; or a place that repeats: corridor, ring, stairwell or stake_row."""
+    terrain: Annotated[
+        str,
+        tyro.conf.arg(metavar="{stakes,beams,wedges,boxes,trapezoids,boston,mixed,corridor,ring,stairwell,stake_row}"),
+    ] = "stakes"
+    """Terrain between the platforms; or, the last four, a place that repeats."""
     frames: int = 60
     """Number of views along the walk."""
     poses: Annotated[bool, tyro.conf.arg(name="with-poses")] = False

@@ -48,10 +48,6 @@ class Solid:
         origin = None if self.texture_origin is None else R @ self.texture_origin + t
         return replace(self, vertices=self.vertices @ R.T + t, R=R @ self.R, texture_origin=origin)
 
-    def top_height(self) -> float:
-        """The largest z."""
-        return float(self.vertices[:, 2].max())
-
 
 def hexahedron(name: str, corners: ArrayLike, material: str, role: str = "obstacle") -> Solid:
     """A solid with eight corners (8, 3): bottom 0..3, top 4..7 above them, counter-clockwise seen from above."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.errors import UnknownNameError
 from realsim.geometry import make_T, transform
 from realsim.synth import PLACES, TERRAINS
 from realsim.synth.places import Place
@@ -55,6 +56,8 @@ def make_terrain(name: str, seed: int, once: bool = False) -> Terrain:
     rng = np.random.default_rng([seed, 1])
     if name in PLACES:
         return _placed(name, PLACES[name](rng, once))
+    if name not in TERRAINS:
+        raise UnknownNameError("terrain", name, [*TERRAINS, *PLACES])
     obstacles, length = TERRAINS[name](rng)
     sx, sy, sz = np.asarray(PLATFORM) + rng.uniform(-0.01, 0.01, 3)
     start = box("start_platform", (sx, sy, sz), "wood", "start").moved(rz(rng.uniform(-0.02, 0.02)), (-sx / 2, 0, 0))

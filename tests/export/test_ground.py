@@ -113,8 +113,11 @@ def test_what_a_wrong_ground_hides_is_missing(tmp_path: Path) -> None:
     assert contact["hidden_cm2"] == pytest.approx(1e4 * 0.155 * (2 * 1.2 + 2 * 0.8), rel=0.03)
     assert contact["missing_area_cm2"] >= contact["hidden_cm2"]
     assert contact["verdict"]["level"] == "bad"
-    with pytest.raises(ExportError, match="no part of the mesh rises"):
-        contact_mesh(stl(tmp_path / "box.stl", WITHOUT["box"]), tmp_path / "out", CONFIG, ground_z=0.3)
+    for height in (0.3, 0.4, 99.0):
+        with pytest.raises(ExportError, match="no part of the mesh rises"):
+            contact_mesh(stl(tmp_path / "box.stl", WITHOUT["box"]), tmp_path / "out", CONFIG, ground_z=height)
+    with pytest.raises(ExportError, match="unknown axis 'x'"):
+        contact_mesh(path, tmp_path / "out", CONFIG, up="x")
     with pytest.raises(ExportError, match="not a number"):
         contact_mesh(path, tmp_path / "out", CONFIG, ground_z=float("nan"))
 

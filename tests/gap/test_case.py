@@ -94,6 +94,15 @@ def test_wrong_joint_name_gives_the_closest(case: Path) -> None:
         load_case(case)
 
 
+def test_entries_of_log_json_that_nothing_reads_are_said(case: Path) -> None:
+    log = json.loads((case / "log.json").read_text())
+    (case / "log.json").write_text(json.dumps(log | {"contact_body": ["hand"], "robot\x1b[31m": 3}))
+    assert load_case(case).warnings[:2] == (
+        "log.json: 'contact_body' is not read (did you mean contact_bodies?)",
+        "log.json: 'robot\\x1b[31m' is not read",
+    )
+
+
 @pytest.mark.parametrize(
     ("log", "said"),
     [

@@ -40,12 +40,18 @@ def test_page_says_what_was_found(found: Diagnosis, tmp_path: Path) -> None:
     assert found.sentence in text
     assert SAID[found.verdict].word in text
     assert found.advice in text
+    assert "s of simulation" in text
     for title in ("Where", "What", "How much", "Before and after", "Apply the patch", "Data health", "All effects"):
         assert title in text
     for row in found.ranking:
         assert row["effect"] in text or row["outcome"].removeprefix("not tried: ") in text
     assert "with the diagnosis" in text
     assert "apply_patch" in text
+
+
+def test_what_stays_is_no_evidence_for_the_cause(found: Diagnosis) -> None:
+    looks = ({"joint": "elbow", "what": "damping-like", "explains": 0.5},)
+    assert "what stays is damping-like at elbow" in read(diagnosis_page(replace(found, looks_like=looks)))
 
 
 def test_same_diagnosis_same_bytes(found: Diagnosis) -> None:

@@ -19,7 +19,7 @@ from realsim.errors import RealsimError
 from realsim.report import write_report
 from realsim.report.picture import draw
 from realsim.report.topdown import map_from_above
-from realsim.report.verdict import judge
+from realsim.report.verdict import Check, Judgement, judge
 from realsim.types import AlignedScene, Dropped, Mode, Reconstruction
 from tests.pages import read
 
@@ -115,6 +115,11 @@ def test_the_picture_is_of_the_scene_or_its_lack_is_explained(tmp_path: Path, mo
     monkeypatch.setenv("MUJOCO_GL", "none of these")
     with pytest.raises(RealsimError, match="cannot draw"):
         draw(tmp_path / "scene.xml", 64, 48)
+
+
+def test_a_step_is_said_once_where_it_says_most() -> None:
+    checks = tuple(Check("", "", "", "look", "", advice) for advice in ("do it", "do it; here", ""))
+    assert Judgement("look", "", checks).next_steps == ("do it; here",)
 
 
 def test_advice_names_the_frames_and_the_place(tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ def wrap(model: Any, options: Options) -> Family:
 
 
 def run(model: Any, image: Tensor, num_tokens: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """points (1, H, W, 3) up to scale and a shift along z, mask (1, H, W), metres a unit (1,)."""
+    """points (1, H, W, 3) up to scale and a shift along z, mask (1, H, W), metres per unit (1,)."""
     found = model(image, num_tokens)
     return found["points"], found["mask"], found["metric_scale"]
 

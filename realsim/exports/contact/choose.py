@@ -116,8 +116,9 @@ def _unmet(contact: ContactModel, fidelity: Fidelity, tolerance: tuple[float, fl
     least = f", the best of {among} candidates" if among > 1 else ""
     return (
         f"collision geometry ({contact.representation}{least}) is off by {f['median_mm']:.1f} mm (median), "
-        f"{f['p95_mm']:.1f} mm (p95), {f['phantom_over_gaps_cm2']:.0f} cm2 phantom over gaps, {f['leaks']} leaks, "
-        f"{said_of_shares(fidelity)}; limits: {tolerance[0] * 1000:g} mm median, {tolerance[1] * 1000:g} mm p95, no "
+        f"{f['p95_mm']:.1f} mm (p95), {f['phantom_over_gaps_cm2']:.0f} cm2 phantom over gaps, "
+        f"{f['leaks']} leak{'s' * (f['leaks'] != 1)}, {said_of_shares(fidelity)}; "
+        f"limits: {tolerance[0] * 1000:g} mm median, {tolerance[1] * 1000:g} mm p95, no "
         f"phantom over gaps, no leak, {OFF:.0%} of heights and of rays"
     )
 

@@ -17,7 +17,7 @@ from realsim.geometry import invert_T
 from realsim.types import F64
 
 EVERY = 5
-"""So many of the pairs that are not neighbours in the sequence are one held out."""
+"""Of this many pairs that are not neighbours in the sequence, one is held out."""
 REACH = 0.1
 """Metres at which a distance counts no further: what lies behind another surface is hidden, not wrong."""
 POINTS = 300

@@ -50,11 +50,11 @@ PROVEN, PROVEN_SHARE = 20, 0.95
 """Links that could be checked, and the share of true ones, from which looking alike is being the same: one link needs
 no second, and no step is too long."""
 STEPS = range(1, WINDOW + 2)
-"""Kinds of links: so many steps apart in the sequence; the last are all that are more than the window."""
+"""Kinds of links: this many steps apart in the sequence; the last are all that are more than the window."""
 
 
 def drift(way: float, turn: float) -> tuple[float, float]:
-    """Metres and degrees by which matched frames may be off after so many metres and degrees."""
+    """Metres and degrees by which matched frames may be off after this many metres and degrees."""
     return SLACK_M + DRIFT * way, SLACK_DEG + TURN_DRIFT * turn
 
 
@@ -247,7 +247,7 @@ def _step(e: Edge) -> int:
 
 
 def _checked(chains: Chains, edges: Sequence[Edge], step: int, pace: float) -> tuple[int, int]:
-    """Numbers of links so many steps apart that the chains show to be true, and to be false.
+    """Numbers of links of each length in steps that the chains show to be true, and to be false.
 
     Inside a piece a link agrees with the chain or not. Between pieces it is false if it asks for a jump.
     """

@@ -165,7 +165,8 @@ def _warnings(views: Sequence[View], tracks: Tracks, per_frame: F64) -> tuple[st
         out.append(f"poses were refined by surfaces alone ({what}): sliding along flat surfaces is not detected")
     loose = [v.name for v, r in zip(views, per_frame, strict=True) if not np.isfinite(r)]
     if loose:
-        out.append(f"no neighbours to refine against for {len(loose)} frames (pose kept): {', '.join(loose[:5])}")
+        many = f"{len(loose)} frame{'s' * (len(loose) != 1)}"
+        out.append(f"no neighbours to refine against for {many} (pose kept): {', '.join(loose[:5])}")
     return tuple(out)
 
 

@@ -57,8 +57,6 @@ class PoseCheck:
 
     agreement: F64
     """(N,) share of a frame's edges that agree, NaN where no other frame shows the same."""
-    disagreement_m: F64
-    """(N,) median over a frame's edges, metres, NaN as above."""
     contradicting: tuple[Dropped, ...]
     """Frames whose pose most others contradict."""
     warnings: tuple[str, ...] = ()
@@ -100,7 +98,7 @@ def check_poses(
         )
     if not seen.any():
         text = "the poses could not be checked: no two frames show the same surface"
-        return PoseCheck(np.full(n, np.nan), np.full(n, np.nan), (), (text,), {"edges": 0})
+        return PoseCheck(np.full(n, np.nan), (), (text,), {"edges": 0})
     typical = float(np.median(error[seen & (weight == weight[seen].max())]))
     limit = float(np.clip(4 * typical, *TOLERANCE))
     bad = _greedy(pair[seen], weight[seen], error[seen] > limit, n)
@@ -172,7 +170,7 @@ def check_poses(
             f"nothing that the frames show joins {names}: their poses to each other could not be checked; "
             "are they of one place?"
         )
-    return PoseCheck(agreement, middle, _named(frames, bad, agreement, middle), tuple(warnings), statistics)
+    return PoseCheck(agreement, _named(frames, bad, agreement, middle), tuple(warnings), statistics)
 
 
 def scale_by_depth(evidence: Evidence, T_world_camera: F64) -> tuple[float, float]:

@@ -26,8 +26,8 @@ from realsim.types import F64
 STEPS = 2
 """Frames that features do not connect are compared by shape with this many that follow."""
 VIOLATED, SPARE = 2.0, 0.02
-"""A true link has at most so many times the share of impossible depth that the better links of its capture have (their
-first quartile), and so much more. Set on the rendered stake_a, narrow_a and mixed_a without colour, every 3rd and 6th
+"""Share of impossible depth of a true link: at most this many times that of the better links of its capture (their
+first quartile), and this much more. Set on the rendered stake_a, narrow_a and mixed_a without colour, every 3rd and 6th
 frame (true: 0 to 0.024, false: 0.026 and more), and on an iPhone's LiDAR (quartile 0.03, true mostly to 0.08, false
 0.085 and 0.12). On five rendered places that it was not set on: 134 of 152 true links kept, 0 of 2 false ones; most
 of the 18 because no third frame overlaps."""

@@ -42,7 +42,7 @@ class Reading:
     """How depth is found for a feature of the colour image."""
 
     late: int = 0
-    """Depth comes so many frames after the colour that it belongs to."""
+    """Frames by which depth comes after the colour that it belongs to."""
     flip: tuple[int, int] = (1, 1)
     """-1 where colour runs the other way than depth, across and down."""
 

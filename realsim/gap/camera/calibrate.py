@@ -39,7 +39,7 @@ OF_RUN = np.array([0.01, 0.01, 0.03, 0.01, 0.01, 0.01])
 OF_RUN_BY_FEET = np.array([0.006, 0.006, 0.002, 0.003, 0.003, 0.01])
 """The same where feet on the scene have told its height and lean."""
 EVIDENCE = 3.0
-"""Log-odds from which an effect is named, after the price of having looked at so many."""
+"""Log-odds from which an effect is named, less the penalty for having tested this many."""
 NOISIER = 1.3
 """Ratio beyond which, with its interval, noise is more than the everyday spread of such cameras."""
 SCAN = 0.002

@@ -74,7 +74,7 @@ def look(
     """All excitations (or those named), the best first. Those that leave the limits at any size stand last.
 
     Args:
-        finalists: of so many the everyday deviations are simulated.
+        finalists: the everyday deviations of this many are simulated.
 
     Raises:
         GapError: with fewer than two rivals.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,9 +18,16 @@ from realsim.gap.logs.resolve import resolve
 from realsim.gap.logs.runs import Layout, layout, read_run
 from realsim.gap.logs.runs import Run as Run
 from realsim.models import odd_number
+from realsim.notebook import table, traces
 
 MAX_INCLUDES = 8
 """Files of a model that include each other in a row."""
+
+KEYS = (
+    "joint_names", "actuator_names", "command_kind", "command_hold", "base", "torque_kind", "imu_site",
+    "contact_bodies", "notes", "columns", "units", "runs", "depth_camera",
+)  # fmt: skip
+"""What log.json may say."""
 
 LEAST_TIMESTEP = 1e-5
 """Seconds: below, a log of seconds takes more memory than there is."""
@@ -56,6 +63,19 @@ class Case:
     def __repr__(self) -> str:
         runs = f"{len(self.runs)} runs, {sum(run.duration for run in self.runs):.1f} s"
         return f"Case({str(self.folder)!r}, {len(self.joint_names)} joints, {self.base} base, {runs})"
+
+    def _repr_html_(self) -> str:
+        first = self.runs[0]
+        angles = np.asarray(first.signals["joint_pos"], float)
+        rows = [
+            ("case", str(self.folder)),
+            ("robot", f"{self.base} base, joints {', '.join(self.joint_names)}"),
+            ("runs", f"{len(self.runs)}, {sum(run.duration for run in self.runs):.1f} s"),
+            ("signals", ", ".join(first.signals)),
+            *(("note", warning) for warning in self.warnings),
+            ("drawn", f"joint_pos of {first.name}, {np.nanmin(angles):.2g} to {np.nanmax(angles):.2g} rad or m"),
+        ]
+        return f"<div>{table(rows)}{traces(angles)}</div>"
 
     @property
     def floating(self) -> bool:
@@ -138,7 +158,7 @@ def load_case(folder: Path, recordings: Sequence[Path] = ()) -> Case:
                 file=folder / "log.json",
                 expected="hinge or slide joints in joint_names",
             )
-    warnings: list[str] = []
+    warnings = _unread(log)
     site = log.get("imu_site")
     if site is not None:
         if not isinstance(site, str):
@@ -188,6 +208,15 @@ def load_case(folder: Path, recordings: Sequence[Path] = ()) -> Case:
         folder, tuple(joints), tuple(actuators), kind, base, torque, site, tuple(contact), str(log.get("notes", "")),
         xml, spec, model, runs, tuple(warnings), dropped, tuple(r.name for r in added),
     )  # fmt: skip
+
+
+def _unread(log: Mapping[str, Any]) -> list[str]:
+    """A note on each entry of log.json that nothing reads: a slip of the pen would go unseen."""
+    notes = []
+    for key in sorted(set(log) - set(KEYS)):
+        meant = did_you_mean(key, KEYS, 0.6)
+        notes.append(f"log.json: {key!r} is not read" + (f" ({meant})" if meant else ""))
+    return notes[:5]
 
 
 def _read_runs(folder: Path, want: Layout, warnings: list[str]) -> tuple[tuple[Run, ...], tuple[str, ...]]:

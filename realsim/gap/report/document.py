@@ -29,8 +29,6 @@ from realsim.gap.report.words import lead, times
 from realsim.gap.verdicts import SAID, GapVerdict
 from realsim.report import page, viewer3d
 
-# Three cards in a row on a screen, one below the other on a phone.
-_TRIO = 'class="grid" style="grid-template-columns:repeat(auto-fit,minmax(min(300px,100%),1fr));align-items:stretch"'
 _PARTS = 'style="display:grid;gap:6px 26px;grid-template-columns:repeat(auto-fit,minmax(min(210px,100%),1fr))"'
 
 
@@ -41,10 +39,9 @@ def write_report(path: Path, found: Diagnosis) -> None:
 
 def diagnosis_page(found: Diagnosis) -> str:
     """The whole page as text."""
-    first = "".join([where_card(found), what_card(found), how_much_card(found)])
     body = [
         _banner(found),
-        f"<div {_TRIO}>{first}</div>",
+        page.columns([where_card(found), what_card(found)], [how_much_card(found)]),
         page.facts(_facts(found)),
         *since_card(found),
         page.grid(overlays_card(found)),
@@ -73,7 +70,8 @@ def _title(found: Diagnosis) -> tuple[str, str]:
         runs, joints = len(case.runs), len(case.joint_names)
         parts += [f"{runs} run{'s' * (runs != 1)}", f"{joints} joint{'s' * (joints != 1)}"]
     if "seconds" in said:
-        parts.append(f"diagnosed in {said['seconds']:.0f} s with {said.get('simulated_seconds', 0):.0f} simulated")
+        simulated = said.get("simulated_seconds", 0)
+        parts.append(f"diagnosed in {said['seconds']:.0f} s with {simulated:.0f} s of simulation")
     name = "" if case is None or not case.folder.name else f" of {case.folder.name}"
     return f"Sim-to-real gap{name}", ", ".join(filter(None, parts))
 
@@ -93,10 +91,9 @@ def _banner(found: Diagnosis) -> str:
 
 
 def _rows(rows: list[Row]) -> str:
-    """One line a row; of labels only the word that joins alternatives is kept."""
-    return "".join(
-        f"<div>{'or: ' if label == 'or' else ''}{page.esc(text or NOTHING_SAID)}</div>" for label, text in rows
-    )
+    """One line a row; of labels only those are kept that change what a row says."""
+    kept = {"or": "or: ", "rest": "what stays is "}
+    return "".join(f"<div>{kept.get(label, '')}{page.esc(text or NOTHING_SAID)}</div>" for label, text in rows)
 
 
 def _facts(found: Diagnosis) -> list[tuple[str, str, str]]:

@@ -76,7 +76,7 @@ class Foothold:
     changes: tuple[str, ...] = ()
     """Which of these are beyond everyday deviations: height, tilt, give, slip, wobble; the surest first."""
     evidence: dict[str, float] = field(default_factory=dict)
-    """Log-odds of each, after the price of having looked at so many."""
+    """Log-odds of each, less the penalty for having tested this many."""
 
     def as_dict(self) -> dict[str, Any]:
         return {
