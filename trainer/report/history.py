@@ -9,10 +9,11 @@ from __future__ import annotations
 import json
 import math
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -182,9 +183,8 @@ class _Rows:
 
 
 def _read_rows(path: Path) -> _Rows:
-    check_size(path, MAX_BYTES)
     rows, unreadable, number = _Rows(), [], 0
-    with path.open("rb") as file:
+    with _opened(path) as file:
         for number, line in enumerate(file, 1):
             row = _row(line)
             if row is None:
@@ -209,6 +209,17 @@ def _read_rows(path: Path) -> _Rows:
         which = ", ".join(map(str, unreadable[:5])) + (", ..." if len(unreadable) > 5 else "")
         rows.notes.append(f"history.jsonl: {len(unreadable)} of {number} lines could not be read (line {which})")
     return rows
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[IO[bytes]]:
+    """The file, for reading; what the disk says against it names the file."""
+    check_size(path, MAX_BYTES)
+    try:
+        with path.open("rb") as file:
+            yield file
+    except OSError as error:
+        raise TrainerError("the file cannot be read", file=path, found=error.strerror or str(error)) from error
 
 
 def _row(line: bytes) -> dict[str, Any] | None:
