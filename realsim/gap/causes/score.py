@@ -34,16 +34,9 @@ def score(screen: Screen, fit: Fit) -> float:
     """Penalised misfit of a set in nats, lower is better: half the weighted squares that stay beside the nuisance
     parameters, and the price of causes, of parameters that the data determine, of shared values and of rare effects."""
     total = fit.misfit + figures.PRICE * determined(fit)
-    total += named(screen, len(fit.causes))
+    total += len(fit.causes) * (figures.CAUSE + figures.CAUSE_A_JOINT * len(screen.simulator.case.joint_names))
     total += figures.SHARED * sum(len(c.candidate.places) > 1 for c in fit.causes)
     return total + figures.PRICE * sum(lookup(c.candidate.effect).usual is not None for c in fit.causes)
-
-
-def named(screen: Screen, causes: int) -> float:
-    """Price of so many causes in nats: which they are of all that this robot may have, each as likely as the next.
-    Where there is a gap there is a cause; a further one is rare, and takes what the model of the others leaves."""
-    rare = figures.FURTHER_A_JOINT * len(screen.simulator.case.joint_names)
-    return float(causes * np.log(len(screen.candidates)) + max(causes - 1, 0) * rare)
 
 
 def determined(fit: Estimated) -> float:

@@ -15,7 +15,7 @@ from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fitter
 from realsim.gap.causes.fitted import Z90, Cause
 from realsim.gap.causes.leftover import is_gap
-from realsim.gap.causes.score import determined, named
+from realsim.gap.causes.score import determined
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import Selection, select
 from realsim.gap.compare import Comparison
@@ -193,8 +193,9 @@ def _doubt(joint: Joint, config: DiagnoseConfig, before: Changed, after: Changed
     """Why the last change of a fit is not believed; empty if it is."""
     cause = after.causes[-1]
     gain = before.misfit - after.misfit
-    # A change costs what a cause beside another one costs (`realsim.gap.causes.score`).
-    least = figures.CLEARLY + named(joint.screen, 2) - named(joint.screen, 1)
+    # A change costs what a cause costs (`realsim.gap.causes.score`).
+    joints = len(joint.screen.simulator.case.joint_names)
+    least = figures.CLEARLY + figures.CAUSE + figures.CAUSE_A_JOINT * joints
     least += figures.PRICE * (determined(after) - determined(before))
     if gain < least:
         return f"it gains {gain:.1f} nats, must gain {least:.1f}"
