@@ -104,7 +104,8 @@ def keep(
     made = {"seed": seed, "commit": commit, "cases": len(found), "scored_by": scored_by}
     rows = [r for r in data.pop("rows") if r["seed"] != seed or r["case"] not in found]
     others = any(r["seed"] == seed for r in rows)  # other cases of the seed, by another engine: their figures stay too
-    data["sets"] = [s for s in data["sets"] if s["seed"] != seed or others] + [made | {k: figures[k] for k in KEPT}]
+    stay = [s for s in data["sets"] if s["seed"] != seed or (others and s.get("commit") != commit)]
+    data["sets"] = [*stay, made | {k: figures[k] for k in KEPT}]
     rows += [kept_row(labels[n], found[n]) | {"seed": seed, "case": n, "commit": commit} for n in sorted(found)]
     day = datetime.now(UTC).strftime("%Y-%m-%d")
     data["days"] = [*dict.fromkeys([*data["days"], day])]

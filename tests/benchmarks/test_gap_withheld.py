@@ -180,3 +180,5 @@ def test_kept_cases_replace_themselves_alone(tmp_path: Path) -> None:
     stored = json.loads(path.read_text())
     assert [r.get("commit") for r in stored["rows"]] == [None, "abc", "def"]
     assert [s["commit"] for s in stored["sets"]] == ["abc", "def"]
+    keep("def", 5, {"case_009": label}, {"case_009": found}, figures, path)
+    assert [s["commit"] for s in json.loads(path.read_text())["sets"]] == ["abc", "def"]
