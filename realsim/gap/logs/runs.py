@@ -231,9 +231,8 @@ def _trusted(time: F64, path: Path, warnings: list[str]) -> Any:
     if not keep.all():
         warnings.append(f"{path.name}: {int((~keep).sum())} samples without a time stamp are left out")
     latest = np.maximum.accumulate(np.where(keep, time, -np.inf))
-    back = keep & (
-        time <= np.concatenate([[-np.inf], latest[:-1]])
-    )  # at or before an earlier stamp: the order is in doubt
+    # Where one is no newer than any before it, the order is in doubt.
+    back = keep & (time <= np.concatenate([[-np.inf], latest[:-1]]))
     if back.sum() > 0.05 * len(time):
         raise GapError(
             "the clock runs backwards",
