@@ -8,9 +8,10 @@ simulated on the true robot (not on a rival), added, and diagnosed again; beside
 random, of the same length and within the same limits. A case counts where the verdict then is `identified` and names
 the true cause alone.
 
-Causes that no recording of these signals can tell from others (late commands and late readings without an IMU) are not
-drawn. An ambiguous case for which the tool asks for nothing counts as one that is not
-decided. Rows are stored by seed, case and engine; an interrupted run goes on.
+Causes that no recording of these signals can tell from others are not drawn: late commands and late readings without
+an IMU, and a shifted centre of mass on one link. There a point mass m at r has the moment and the inertia of a mass M
+shifted from l to l + d, if m r = M d and r = 2 l + d. An ambiguous case for which the tool asks for nothing counts as
+one that is not decided. Rows are stored by seed, case and engine; an interrupted run goes on.
 """
 
 from __future__ import annotations
@@ -57,6 +58,8 @@ EFFECTS = (
     "stiffness_gain",
 )  # fmt: skip
 """Causes that others can imitate in a short log."""
+IMITATED = {("pendulum", "com_offset")}
+"""(robot, cause) that another cause imitates in every log."""
 RECORDED, SECONDS = ("slow", "sines"), 5.0
 """Motions of the first log, one run each; a last run repeats the first."""
 
@@ -119,10 +122,12 @@ def _set_up(robot: Robot, truth: Truth, run: Planned) -> tuple[Truth, Robot]:
 
 def draw(seed: int, index: int, folder: Path) -> tuple[Real, list[dict[str, Any]]] | None:
     """(the true robot, its label); the case is written to `folder`. None where the cause leaves no trace."""
-    effect = EFFECTS[index // 2 % len(EFFECTS)]
+    kind = ("pendulum", "arm2")[index % 2]
+    effects = [e for e in EFFECTS if (kind, e) not in IMITATED]
+    effect = effects[index // 2 % len(effects)]
     for attempt in range(6):
         rng = np.random.default_rng([seed, index, attempt])
-        robot = ROBOTS[("pendulum", "arm2")[index % 2]](rng)
+        robot = ROBOTS[kind](rng)
         sensors = replace(cases._sensors(robot, "single", rng), torque_kind="none", torque_constant=1.0)
         site = cases.site_of(robot, mujoco.MjModel.from_xml_string(robot.xml), seed * 1000 + index)
         truth = Truth(len(robot.joints))
@@ -130,9 +135,9 @@ def draw(seed: int, index: int, folder: Path) -> tuple[Real, list[dict[str, Any]
         usual = copy.deepcopy(truth)
         label = causes.available(robot)[effect](truth, site, rng, float(rng.uniform(0.7, 1.0)))
         commands = []
-        for kind in RECORDED:
+        for move in RECORDED:
             times = sample_times(rng, sensors.rate, SECONDS)
-            commands.append((times, motion(robot, rng, times, kind)))
+            commands.append((times, motion(robot, rng, times, move)))
         again = sample_times(rng, sensors.rate, SECONDS)
         commands.append((again, commands[0][1]))
         traces = cases._drive(robot, truth, commands)
