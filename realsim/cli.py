@@ -11,6 +11,7 @@ import functools
 import io
 import os
 import re
+import shutil
 import signal
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,6 +26,7 @@ from realsim.errors import RealsimError, explain_missing_packages
 from realsim.files import to_json
 from realsim.progress import console, set_quiet
 from realsim.registry import Registry
+from realsim.short_help import short
 
 COMMANDS = Registry(
     "command",
@@ -84,6 +86,19 @@ EXAMPLES = {
     "demo": "realsim demo --out demo_out",
 }
 
+COMMON = {
+    "reconstruct": (
+        "--out", "--robot", "--overwrite", "--strict", "--layout", "--depth-unit", "--unit", "--every", "--poses",
+        "--backend", "--keep", "--start", "--goal", "--contact",
+    ),
+    "contact": ("--out", "--unit", "--up", "--ground-z", "--robot", "--overwrite", "--strict", "--contact"),
+    "diagnose": (
+        "--out", "--model", "--policy", "--scene", "--since", "--check", "--init", "--effects", "--overwrite",
+        "--strict",
+    ),
+}  # fmt: skip
+"""Command -> the options that `realsim COMMAND --help` shows, if it does not show all."""
+
 
 def commands() -> tuple[Registry, dict[str, str]]:
     """All commands and their summaries: those above, and those that packages add (entry points `realsim.commands`).
@@ -92,7 +107,7 @@ def commands() -> tuple[Registry, dict[str, str]]:
     module that stands alone.
     """
     added = {point.name: point.value for point in entry_points(group="realsim.commands")}
-    said = {name: text for place in _places() for name, text in getattr(place, "SUMMARIES", {}).items()}
+    said = _said("SUMMARIES", {})
     # In the order in which a package says them; what it says nothing about comes last.
     more = {name: text for name, text in said.items() if name in added} | {n: "" for n in added if n not in said}
     return COMMANDS.joined(added), SUMMARIES | {name: text for name, text in more.items() if name not in SUMMARIES}
@@ -118,7 +133,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     as_json = _take(arguments, "--json")
     set_quiet(_take(arguments, "--quiet") or as_json or not sys.stderr.isatty())
-    if len(arguments) == 2 and arguments[0] == "help":
+    everything = len(arguments) == 2 and arguments[0] == "help"
+    if everything:
         arguments = [arguments[1], "--help"]
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         print(usage())
@@ -131,7 +147,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     with contextlib.suppress(ValueError):
         signal.signal(signal.SIGTERM, _interrupt)
     try:
-        result = _run(arguments[0], arguments[1:])
+        result = _run(arguments[0], arguments[1:], everything)
     except RealsimError as error:
         return _fail(error, as_json)
     except SystemExit as stop:
@@ -177,12 +193,12 @@ def usage() -> str:
     summaries = commands()[1]
     width = max(map(len, summaries))
     lines = [f"  {name:<{width}}  {text}" for name, text in summaries.items()]
-    head = "usage: realsim COMMAND [options]   (realsim help COMMAND for its options)"
+    head = "usage: realsim COMMAND [options]   (realsim help COMMAND for all its options)"
     foot = f"{EVERYWHERE}, --version"
     return "\n".join([head, "", *lines, "", foot])
 
 
-def _run(name: str, arguments: list[str]) -> Any:
+def _run(name: str, arguments: list[str], everything: bool) -> Any:
     import tyro
 
     with explain_missing_packages(f"realsim {name}"):
@@ -193,25 +209,45 @@ def _run(name: str, arguments: list[str]) -> Any:
         def later(*args: Any, **options: Any) -> Any:
             return functools.partial(command, *args, **options)
 
-        with _plain_help(name) if {"-h", "--help"} & set(arguments) else _plain_errors():
+        common = () if everything else _said("COMMON", COMMON).get(name, ())
+        with _plain_help(name, common) if {"-h", "--help"} & set(arguments) else _plain_errors():
             call = tyro.cli(later, prog=f"realsim {name}", args=arguments, config=(tyro.conf.OmitArgPrefixes,))
         return call()
 
 
 @contextlib.contextmanager
-def _plain_help(name: str) -> Iterator[None]:
-    """What tyro prints, with the groups of options named for people, an example, and the options of all commands."""
-    shown = io.TextIOWrapper(io.BytesIO(), encoding=sys.stdout.encoding or "utf-8", errors="replace")
+def _plain_help(name: str, common: Sequence[str]) -> Iterator[None]:
+    """What tyro prints, with the groups of options named for people, an example, and the options of all commands; of
+    the command's own only `common`, if any are given."""
+    shown = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
+    # Wider terminals get boxes side by side, in which an option is hard to find.
+    width = str(min(shutil.get_terminal_size().columns, WIDEST))
     try:
-        with contextlib.redirect_stdout(shown):
+        with contextlib.redirect_stdout(shown), _environment("COLUMNS", width):
             yield
     finally:
         shown.seek(0)
         text = UNSET.sub(_blank, NONE.sub(_without_none, GROUP.sub(_group, shown.read())))
-        example = _examples().get(name)
-        lines = [text.rstrip(), "", *([f"example: {example}"] if example else []), EVERYWHERE]
+        text = short(text.rstrip(), common, name) if common else text.rstrip()
+        example = _said("EXAMPLES", EXAMPLES).get(name)
+        if not (sys.stdout.encoding or "utf-8").lower().startswith("utf"):
+            text = text.translate(str.maketrans("╭╮╰╯│─", "    |-"))
+        lines = [text, "", *([f"example: {example}"] if example else []), EVERYWHERE]
         with contextlib.suppress(BrokenPipeError):
             print("\n".join(lines), flush=True)
+
+
+@contextlib.contextmanager
+def _environment(name: str, value: str) -> Iterator[None]:
+    before = os.environ.get(name)
+    os.environ[name] = value
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before
 
 
 class UsageError(Exception):
@@ -249,6 +285,8 @@ def _option_names(match: re.Match[str]) -> str:
 
 GROUP = re.compile(r"(config|many)((?:\.\w+)*) options (.)\3*")
 """The title of a group of options: the path of a field, and the characters that fill the line after it."""
+WIDEST = 110
+"""Columns of a help."""
 EVERYWHERE = "everywhere: --json for machines, --quiet without progress"
 
 
@@ -275,9 +313,9 @@ def _blank(match: re.Match[str]) -> str:
     return re.sub(r"[^\s│]", " ", match[0])
 
 
-def _examples() -> dict[str, str]:
-    """Command -> how it may be called; packages that add commands have theirs in EXAMPLES, beside SUMMARIES."""
-    return EXAMPLES | {name: text for place in _places() for name, text in getattr(place, "EXAMPLES", {}).items()}
+def _said(what: str, own: Mapping[str, Any]) -> dict[str, Any]:
+    """Command -> EXAMPLES or COMMON; packages that add commands have theirs beside SUMMARIES."""
+    return dict(own) | {name: value for place in _places() for name, value in getattr(place, what, {}).items()}
 
 
 def _fail(error: RealsimError, as_json: bool) -> int:

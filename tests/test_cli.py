@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from realsim.cli import COMMANDS, SUMMARIES, commands, main
+from realsim.cli import COMMANDS, COMMON, SUMMARIES, commands, main
 from realsim.commands import other_arguments, set_arguments
 
 
@@ -86,8 +86,8 @@ def test_help_lists_the_choices_there_are(monkeypatch: pytest.MonkeyPatch, capsy
         "contact": {"executor": EXECUTORS},
     }
     for command, options in choices.items():
-        assert main([command, "--help"]) == 0
-        text = capsys.readouterr().out
+        assert main(["help", command]) == 0
+        text = re.sub(r",\s*│\n│ ", ",", capsys.readouterr().out)  # choices that take more than a line
         for option, names in options.items():
             shown = re.search(rf"--{option} (\S+)", text)
             assert shown is not None
@@ -98,13 +98,29 @@ def test_a_flag_takes_the_same_kind_of_value_everywhere(capsys: pytest.CaptureFi
     pytest.importorskip("torch")
     kinds: dict[str, dict[str, str]] = {}
     for name in commands()[0]:
-        assert main([name, "--help"]) == 0
+        assert main(["help", name]) == 0
         for flag, value in re.findall(
             r"^\W*(--[a-z-]+)(?:, --no-[a-z-]+)?(?: ([^ \n]+))?", capsys.readouterr().out, re.M
         ):
             # Which choices there are may differ; a text, a number, a file or a switch it is everywhere.
             kinds.setdefault(flag, {})[name] = re.sub(r"\{\S*", "STR", value.replace("{None}|", ""))
     assert {flag: by for flag, by in kinds.items() if len(set(by.values())) > 1} == {}
+
+
+def test_a_long_help_shows_what_is_used_most(capsys: pytest.CaptureFixture[str]) -> None:
+    """The options that are named exist, each is described as in the full help, and it fits on a screen."""
+    from trainer.commands import COMMON as TRAINER
+
+    for name, options in {**COMMON, **TRAINER}.items():
+        assert main([name, "--help"]) == 0
+        shown = capsys.readouterr().out
+        assert main(["help", name]) == 0
+        full = capsys.readouterr().out
+        assert re.findall(r"^│ (--[a-z-]+)", shown, re.M) == list(options)
+        assert f"realsim help {name}" in shown
+        assert "example: " in shown
+        assert len(shown.splitlines()) < 66 < len(full.splitlines())
+        assert {line for line in shown.splitlines() if line.startswith("│")} <= set(full.splitlines())
 
 
 def test_help_that_nobody_reads_to_its_end_is_no_error() -> None:
@@ -120,7 +136,7 @@ def test_help_that_nobody_reads_to_its_end_is_no_error() -> None:
 
 
 def test_switches_that_are_on_are_named_as_what_they_do(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["diagnose", "--help"]) == 0
+    assert main(["help", "diagnose"]) == 0
     assert "--report, --no-report" in capsys.readouterr().out
 
 
@@ -132,7 +148,7 @@ def test_every_option_that_is_spoken_of_exists(capsys: pytest.CaptureFixture[str
     others |= {"--env"}  # of GNU parallel
     others |= {"--row-seconds", "--cases"}  # of benchmarks/contact.py and gap_withheld.py
     for name in commands()[0]:
-        assert main([name, "--help"]) == 0
+        assert main(["help", name]) == 0
     known = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out)) | {"--help", "--json", "--quiet", "--version"}
     root = Path(__file__).resolve().parents[1]
     texts = [*root.glob("realsim/**/*.py"), *root.glob("trainer/**/*.py"), *root.glob("docs/*.md"), root / "README.md"]

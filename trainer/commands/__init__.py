@@ -19,3 +19,15 @@ EXAMPLES = {
     "training": "realsim training report base_a base_b --out report.html",
 }
 """Shown at the end of each command's help."""
+
+COMMON = {
+    "finetune": (
+        "--policy", "--out", "--overwrite", "--minutes", "--stop-at-target", "--strategy", "--diagnosis", "--worlds",
+        "--device", "--final-trials", "--resume",
+    ),
+    "pretrain": (
+        "--out", "--overwrite", "--robot", "--terrain", "--minutes", "--iterations", "--worlds", "--device",
+        "--task-file", "--resume",
+    ),
+}  # fmt: skip
+"""The options that `realsim COMMAND --help` shows; `realsim help COMMAND` shows all."""
