@@ -23,22 +23,32 @@ def quadruped_base() -> list[str]:
 
 
 def tuned() -> list[str]:
-    """The thirteen tests before and after fine-tuning on each."""
-    return ttt.table(stored("ttt")["rows"])
+    """The thirteen tests: the base that ships, fine-tuned on each or on all, and trained from scratch."""
+    return ttt.table([r for r in _of_the_base() if r["source"] == "exact" and r["strategy"] == "full"])
 
 
 def reconstructed() -> list[str]:
-    """The same of the last base that was fine-tuned on reconstructions, if a newer one is in the table above."""
+    """The same base, fine-tuned on the exact terrain and on what was reconstructed of it."""
+    return ttt.table([r for r in _of_the_base() if r["method"] == "ttt1" and r["strategy"] == "full"])
+
+
+def strategies() -> list[str]:
+    """The same base, fine-tuned in part, on the tests on which that was tried."""
+    rows = [r for r in _of_the_base() if r["method"] == "ttt1" and r["source"] == "exact"]
+    tried = {r["test"] for r in rows if r["strategy"] != "full"}
+    return ttt.table([r for r in rows if r["test"] in tried])
+
+
+def _of_the_base() -> list[ttt.Row]:
+    """Rows of the base that was measured last."""
     rows = stored("ttt")["rows"]
-    bases = list(dict.fromkeys(r["base"] for r in rows if r["source"] != "exact"))
-    return ttt.table(rows, bases[-1])
+    return [r for r in rows if r["base"] == rows[-1]["base"]]
 
 
 def well_crossed(method: str) -> str:
-    """On how many tests a policy succeeds in 97 % of the trials, with every seed: fine-tuned on the exact terrain, or
-    the base."""
-    rows = stored("ttt")["rows"]
-    of = [r for r in rows if (r["base"], r["method"], r["source"]) == (rows[-1]["base"], method, "exact")]
+    """On how many tests a policy succeeds in 97 % of the trials, with every seed: fine-tuned on the exact terrain, all
+    weights, or the base."""
+    of = [r for r in _of_the_base() if (r["method"], r["source"], r["strategy"]) == (method, "exact", "full")]
     tests = {r["test"] for r in of}
     missed = {r["test"] for r in of if r["won"] < 0.97 * r["trials"]}
     return f"{len(tests - missed)} of {len(tests)}"
