@@ -202,7 +202,7 @@ def motion_error(a: np.ndarray, b: np.ndarray, true_a: np.ndarray, true_b: np.nd
 def table(rows: Sequence[Row]) -> list[str]:
     """A line for each kind of place in Markdown."""
     lines = [
-        "| place | way | places | wrong | loops kept | frames placed | in pieces, said | trajectory, worst |",
+        "| place | way | places | wrong | loops kept | frames placed | in pieces, reported | trajectory, worst |",
         "|---|---|---|---|---|---|---|---|",
     ]
     stored = {row["place"]: row for row in rows}

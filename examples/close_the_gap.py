@@ -1,10 +1,10 @@
 """Close the loop: a robot that fails where simulation succeeds, its logs, the cause, and a policy trained for it.
 
-    python examples/close_the_gap.py --out loop                 some 20 minutes of a free core; interrupt at will
+    python examples/close_the_gap.py --out loop                 MINUTES of a free core; interrupt at will
     python examples/close_the_gap.py --out loop --minutes 20    stops at the next finished step; run it again to go on
 
-The "real" robot is the simulated quadruped with something that its model lacks, one thing at a time. The policy learnt
-on the nominal model has to walk 4 m in 10 s. Then, for each robot:
+The "real" robot is the simulated quadruped with something that its model lacks, one thing at a time. The policy that
+ships has to cross a course of boxes, with its depth camera. Then, for each robot:
 
 1. The policy's success in simulation and on the robot.
 2. The robot is logged while it stands and sways (no walking needed), and diagnosed: with all effects of the library, or
@@ -35,24 +35,20 @@ import realsim as rs
 from realsim import DiagnoseConfig
 from realsim.files import to_json, write_text
 from trainer import terrain
+from trainer.commands.common import find_terrain
+from trainer.commands.task_file import load_task
 from trainer.evaluate import EvaluationConfig, Setting, run, summarise, trial_env
 from trainer.physics import PhysicsConfig
 from trainer.physics.world import world_spec
+from trainer.policies import TASK, base_of
 from trainer.ppo import checkpoint
-from trainer.ppo.config import LoopConfig, NetworkConfig, PPOConfig
+from trainer.ppo.config import LoopConfig, PPOConfig, StrategyConfig
 from trainer.robots import ROBOTS, TrainedRobot
 from trainer.tasks.parkour import ParkourConfig
-from trainer.tasks.parkour.config import (
-    CommandConfig,
-    DepthConfig,
-    ObservationConfig,
-    RandomisationConfig,
-    TerminationConfig,
-)
+from trainer.tasks.parkour.config import RandomisationConfig
 from trainer.tasks.parkour.terminations import SUCCESS
 from trainer.trainers import Scene, TrainConfig, find
 
-COURSE = terrain.flat()
 ALONE = RandomisationConfig(push=0.0)
 """The trainer's own ranges: what is guessed where nothing is known."""
 EXACT = RandomisationConfig(
@@ -63,14 +59,7 @@ EXACT = RandomisationConfig(
 
 
 def task(random: RandomisationConfig) -> ParkourConfig:
-    """Flat ground needs no camera; the robot is told where the goal lies, as by somebody with a joystick."""
-    return ParkourConfig(
-        command=CommandConfig(speed=(0.6, 0.6)),
-        observation=ObservationConfig(steered=True),
-        depth=DepthConfig(use=False),
-        termination=TerminationConfig(seconds=10.0),
-        randomisation=random,
-    )
+    return replace(load_task(TASK), randomisation=random)
 
 
 @dataclass(frozen=True)
@@ -91,6 +80,9 @@ class Real:
         return replace(nominal, robot=replace(nominal.robot, spec=spec))
 
 
+WEAK = 0.5
+
+
 def _load(spec: Any) -> None:
     box = spec.body("trunk").add_body(name="load", pos=[-0.15, 0.06, 0.08])
     box.mass, box.inertia, box.explicitinertial = 3.0, [0.006, 0.006, 0.006], True
@@ -98,13 +90,13 @@ def _load(spec: Any) -> None:
 
 def _weak(spec: Any) -> None:
     for motor in spec.actuators:
-        motor.gainprm, motor.biasprm = 0.65 * motor.gainprm, 0.65 * motor.biasprm
-        motor.forcerange = 0.65 * motor.forcerange
+        motor.gainprm, motor.biasprm = WEAK * motor.gainprm, WEAK * motor.biasprm
+        motor.forcerange = WEAK * motor.forcerange
 
 
 REAL = {
     "payload": Real("carries 3 kg at the back and left of its trunk", _load),
-    "motors": Real("has motors of 65 % of their torque", _weak),
+    "motors": Real(f"has motors of {WEAK:.0%} of their torque", _weak),
     "delay": Real("gets its commands 50 ms late", delay=0.05),
 }
 
@@ -112,7 +104,7 @@ REAL = {
 # ---------------------------------------------------------------- 1. success
 
 
-def success(policy: Path, real: Real | None, trials: int) -> dict[str, Any]:
+def success(policy: Path, course: terrain.Terrain, real: Real | None, trials: int) -> dict[str, Any]:
     """Trials of a policy on a robot; None is the robot that its model describes.
 
     `rate` of the trials that arrive in time with its `interval`; `speed` in m/s towards the goal, which still tells
@@ -122,11 +114,11 @@ def success(policy: Path, real: Real | None, trials: int) -> dict[str, Any]:
     random = replace(EXACT, delay=(real.delay, real.delay))
     setting = Setting(real.robot, "mujoco", None, task(random), PhysicsConfig(threads=1))
     config = EvaluationConfig(trials=trials, worlds=min(trials, 100))
-    env = trial_env(COURSE, config.worlds, config, setting)
+    env = trial_env(course, config.worlds, config, setting)
     found = run(checkpoint.load(policy)[0].act, env, trials)
-    last = summarise(COURSE, "trained", found, env, config)
+    last = summarise(course, "trained", found, env, config)
     time_taken = torch.where(found.outcome == SUCCESS, found.seconds, setting.task.termination.seconds)
-    way = float(np.linalg.norm((COURSE.goal.centre - COURSE.start.centre)[:2]))
+    way = float(np.linalg.norm((course.goal.centre - course.start.centre)[:2]))
     return {
         "what": real.what,
         "rate": last.rate,
@@ -150,7 +142,7 @@ def write_case(real: Real, folder: Path) -> None:
     (folder / "runs").mkdir(parents=True, exist_ok=True)
     settings = PhysicsConfig()
     nominal = ROBOTS["quadruped"]()
-    believed = world_spec(nominal, COURSE, 0, settings)
+    believed = world_spec(nominal, terrain.flat(), 0, settings)
     believed.compile()
     write_text(folder / "model.xml", believed.to_xml())
     names = list(nominal.joints)
@@ -158,7 +150,7 @@ def write_case(real: Real, folder: Path) -> None:
         "joint_names": names, "actuator_names": names, "command_kind": "position", "command_hold": "zoh",
         "base": "floating", "torque_kind": "measured", "imu_site": None, "contact_bodies": [], "notes": "",
     }))  # fmt: skip
-    model = world_spec(real.robot, COURSE, 0, settings).compile()
+    model = world_spec(real.robot, terrain.flat(), 0, settings).compile()
     for k in range(RUNS):
         np.savez(folder / "runs" / f"run_{k}.npz", **sway(model, nominal, real.delay, np.random.default_rng(k)))
 
@@ -199,43 +191,25 @@ def sway(model: Any, robot: TrainedRobot, delay: float, rng: np.random.Generator
 # ---------------------------------------------------------------- 3. training
 
 
-def settings(last: Path, iterations: int, random: RandomisationConfig, **more: Any) -> TrainConfig:
-    """One core and small networks (those of benchmarks/trainer_cpu.py)."""
-    return TrainConfig(
-        robot="quadruped",
-        worlds=128,
-        engine="mujoco",
-        device="cpu",
-        threads=1,
-        resume=last if last.is_file() else None,
-        task=task(random),
-        loop=LoopConfig(iterations=iterations, checkpoint_every=25, evaluate_every=0, tensorboard=False),
-        ppo=PPOConfig(
-            networks=NetworkConfig(actor=(128, 64), critic=(128, 64), std=0.6),
-            epochs=4,
-            minibatches=2,
-            entropy_weight=0.0,
-            desired_kl=0.015,
-            learning_rates=(1e-4, 3e-3),
-            symmetry_weight=0.2,
-        ),
-        **more,
-    )
-
-
-def train(out: Path, iterations: int, left: Callable[[], float], random: RandomisationConfig, base: Path | None,
-          diagnosis: Path | None = None) -> bool:  # fmt: skip
+def train(out: Path, course: terrain.Terrain, base: Path, options: argparse.Namespace, minutes: float,
+          diagnosis: Path | None) -> bool:  # fmt: skip
     """Go on until this many iterations have been done in all; False where the time was over before."""
     last = out / "policy.pt"
     done = checkpoint.read(last)["training"]["iteration"] if last.is_file() else 0
-    if done >= iterations:
+    if done >= options.iterations:
         return True
-    config = settings(last, iterations, random, diagnosis=diagnosis)
-    config = replace(config, loop=replace(config.loop, minutes=max(0.1, left())))
-    if base is not None and config.resume is None:
-        config = replace(config, strategy="full")
-    result = find("ppo")(Scene((COURSE,)), base if config.resume is None else None, config, out)
-    return result.iterations >= iterations
+    config = TrainConfig(
+        worlds=options.worlds, engine="mujoco", device="cpu", threads=1, task=task(ALONE), diagnosis=diagnosis,
+        strategy="" if done else "full", resume=last if done else None,
+        loop=LoopConfig(
+            iterations=options.iterations, minutes=max(0.1, minutes), checkpoint_every=10, evaluate_every=0,
+            tensorboard=False,
+        ),
+        ppo=PPOConfig(std_limits=(1.0, 0.3)),
+        tuning=StrategyConfig(start_std=0.3),
+    )  # fmt: skip
+    result = find("ppo")(Scene((course,)), None if done else base, config, out)
+    return result.iterations >= options.iterations
 
 
 # ---------------------------------------------------------------- the loop
@@ -246,6 +220,7 @@ class Loop:
 
     def __init__(self, out: Path, args: argparse.Namespace) -> None:
         self.out, self.args, self.began = out, args, time.monotonic()
+        self.course, _ = find_terrain(args.course)
         self.file = out / "results.json"
         self.results: dict[str, Any] = json.loads(self.file.read_text()) if self.file.is_file() else {}
 
@@ -269,26 +244,23 @@ class Loop:
         return self.results[key]
 
     def run(self) -> None:
-        base, trials, n = self.args.base or self.out / "base" / "policy.pt", self.args.trials, self.args.iterations
-        options = {"iterations": n, "trials": trials, "base": str(self.args.base or "")}
+        base, trials, course = self.args.base or base_of("quadruped"), self.args.trials, self.course
+        kept = ("iterations", "worlds", "trials", "course")
+        options = {k: getattr(self.args, k) for k in kept} | {"base": str(self.args.base or "")}
         if self.results.setdefault("options", options) != options:
             raise SystemExit(f"{self.out} was begun with {self.results['options']}: use those, or another folder")
-        if self.args.base is None:
-            self.step("base", "the base policy, on the nominal model",
-                      lambda: train(self.out / "base", 400, self.left, replace(EXACT, use=False), None))  # fmt: skip
-        self.step("nominal", "the base in simulation", lambda: success(base, None, trials))
+        self.step("nominal", "the base in simulation", lambda: success(base, course, None, trials))
         for name in self.args.robots:
             real, folder = REAL[name], self.out / name
-            self.step(
-                f"{name}/before", f"the base on the robot that {real.what}", lambda r=real: success(base, r, trials)
-            )
+            self.step(f"{name}/before", f"the base on the robot that {real.what}",
+                      lambda r=real: success(base, course, r, trials))  # fmt: skip
             self.step(f"{name}/diagnosis", "its logs, and the diagnosis", lambda r=real, f=folder: self.diagnosed(r, f))
             for arm, diagnosis in (("patch", folder / "diagnosis"), ("random", None)):
                 out = folder / arm
                 self.step(f"{name}/{arm}/training", f"fine-tuning, {_ARMS[arm]}",
-                          lambda o=out, d=diagnosis: train(o, n, self.left, ALONE, base, d))  # fmt: skip
+                          lambda o=out, d=diagnosis: train(o, course, base, self.args, self.left(), d))  # fmt: skip
                 self.step(f"{name}/{arm}", "that policy on the robot",
-                          lambda o=out, r=real: success(o / "policy.pt", r, trials))  # fmt: skip
+                          lambda o=out, r=real: success(o / "policy.pt", course, r, trials))  # fmt: skip
 
     def diagnosed(self, real: Real, folder: Path) -> dict[str, Any]:
         if not (folder / "case" / "log.json").is_file():
@@ -392,10 +364,12 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("loop"))
     parser.add_argument("--minutes", type=float, default=1e6, help="stop at the next step after this time")
     parser.add_argument("--robots", nargs="+", choices=list(REAL), default=list(REAL))
-    parser.add_argument("--iterations", type=int, default=100, help="of each fine-tuning")
+    parser.add_argument("--course", default="boxes:0.5:900", help="FAMILY:DIFFICULTY:SEED, or the name of a test")
+    parser.add_argument("--iterations", type=int, default=60, help="of each fine-tuning")
+    parser.add_argument("--worlds", type=int, default=64, help="that train at once")
     parser.add_argument("--trials", type=int, default=100, help="of each policy on each robot")
     parser.add_argument("--effects", nargs="*", default=[], help="that the diagnosis considers; all if not given")
-    parser.add_argument("--base", type=Path, default=None, help="a policy of this task; one is trained if not given")
+    parser.add_argument("--base", type=Path, default=None, help="the one that ships for the robot if not given")
     args = parser.parse_args()
     torch.set_num_threads(1)
     args.out.mkdir(parents=True, exist_ok=True)

@@ -132,7 +132,7 @@ def _then(found: Row) -> str:
 def drift() -> list[str]:
     """Two logs of one robot, with and without a change in between."""
     rows = stored("gap_since")["rows"]
-    lines = ["| robot | cause at both times | change | said |", "|---|---|---|---|"]
+    lines = ["| robot | cause at both times | change | answer |", "|---|---|---|---|"]
     for r in sorted(rows, key=lambda r: (not r["truth"], r["pair"])):
         sets = " or ".join(" with ".join(s) for s in r.get("sets", []) if s)
         both, truth = ", ".join(r["both"]) or "none", ", ".join(r["truth"]) or "none"

@@ -44,7 +44,7 @@ INDEX = (
     ("A depth camera that is late, turned, or right", "gap_depth", "python benchmarks/gap_depth.py"),
     ("Mistakes between a policy and its robot", "gap_contract", "python benchmarks/gap_contract.py --seed 2000"),
     ("Damaged input: tracebacks, hangs, silent changes", "fuzz", "python benchmarks/fuzz.py"),
-    ("Recordings that decide between causes", "gap_next", "python benchmarks/gap_next.py --seed 27"),
+    ("Recordings that decide between causes", "gap_next", "python benchmarks/gap_next.py --seed 29"),
     ("Changes between two logs of one robot", "gap_since", "python benchmarks/gap_since.py --seed 40"),
     ("The base policy without fine-tuning", "base_policy", "python benchmarks/base_policy.py"),
     ("Fine-tuning on one test", "ttt", "python benchmarks/ttt.py run --minutes 5"),

@@ -251,6 +251,7 @@ def _interval(parameter: dict[str, Any], sign: int) -> str:
 
 
 def _number(value: float) -> str:
+    value += 0.0  # no minus before a zero
     text = f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
     return text.replace("-", "−") if "e" not in text else text
 
