@@ -252,3 +252,9 @@ def test_what_all_alternatives_share_is_said_once() -> None:
     assert said.count("damping gain") == 1
     assert "Beside that, cannot tell: command delay 12 ms [11, 13.3] is missing, or observation delay" in said
     assert "Beside that" not in say("ambiguous", [LATE], [[LATE, damping]])
+
+
+def test_no_minus_stands_before_a_zero() -> None:
+    from realsim.gap.answer.sentence import _number
+
+    assert [_number(v) for v in (-0.0, 0.0, -0.5)] == ["0", "0", "−0.5"]
