@@ -34,8 +34,8 @@ def side_figures(
     """Level rays from free places against what was seen, and balls pushed against it where they hit.
 
     A place is free if straight below it is a seen face that faces up, and nothing seen within 5 cm. Rays that meet the
-    front of a seen side face within REACH count. Whether a ray passes seen air or unseen space on its way does not
-    matter: what it met was seen, and most likely through there.
+    front of a seen side face within REACH count, unless they meet something invented before: the back of an obstacle
+    that no camera saw is not free air because a ray that ignores it sees what stands beyond.
 
     A ray that misses an edge by millimetres may be stopped at it: early is what stops it more than WITHIN from any
     seen surface. Through is what lets it go on for more than WITHIN.
@@ -54,6 +54,7 @@ def side_figures(
     starts, ways, height = _rays(surface, lower - around, upper + around, ground_z, rng, bare)
     hit, cosine, normal = surface.cast(starts, ways)
     met = (hit < REACH) & (cosine < 0) & (np.abs(normal[:, 2]) < UPRIGHT)
+    met &= reference.cast(starts, ways)[0] >= hit - 1e-6
     starts, ways, height, hit = starts[met], ways[met], height[met], hit[met]
     out: dict[str, Any] = {"rays": len(hit), "stopped": None, "through": None, "early": None}
     if len(hit) < ENOUGH:
