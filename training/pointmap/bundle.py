@@ -2,9 +2,9 @@
 
 By colour alone the network guesses depth view by view; its matches say more. Poses, and for every view a smooth
 correction of log z, are adjusted together (Triggs et al. 2000) until matched places meet in the picture and in depth;
-the correction is held by how wrong the network itself expects to be, and where matches tell depth, less error is expected
-afterwards. Everything is made of operations that ONNX has: the linear systems are solved by conjugate gradients, a
-fixed number of steps each.
+the correction is held by how wrong the network itself expects to be, and where matches tell depth, less error is
+expected afterwards. Everything is made of operations that ONNX has: the linear systems are solved by conjugate
+gradients, a fixed number of steps each.
 
 The numbers below were set on generated scenes (training/pointmap/README.md); none is sharp.
 """
