@@ -170,6 +170,20 @@ def test_the_exported_file_is_what_realsim_reads(tmp_path: Path) -> None:
     assert sizes == sorted(sizes, reverse=True)
 
 
+def test_the_file_that_ships_is_this_network() -> None:
+    """Points, poses and doubt of two views by colour alone: the graph in the file is that of the code beside it."""
+    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnx")
+    from realsim.feedforward.onnx import SHIPPED
+    from training.pointmap import export
+
+    feeds = {name: values[:, :2] for name, values in export._views((240, 320)).items()}
+    with torch.no_grad():
+        told = export.Exported(state.any_of(SHIPPED).net.eval())(*feeds.values())
+    for name, off in export._difference([v.numpy() for v in told], export._outputs(SHIPPED, feeds)).items():
+        assert off < 0.02, name  # weights in 8 bits
+
+
 def test_confidence_is_judged_beside_the_oracle() -> None:
     rng = np.random.default_rng(0)
     error = rng.exponential(1, 20000)

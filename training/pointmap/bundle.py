@@ -2,8 +2,9 @@
 
 By colour alone the network guesses depth view by view; its matches say more. Poses, and for every view a smooth
 correction of log z, are adjusted together (Triggs et al. 2000) until matched places meet in the picture and in depth;
-the correction is held by how wrong the network itself expects to be. Everything is made of operations that ONNX has:
-the linear systems are solved by conjugate gradients, a fixed number of steps each.
+the correction is held by how wrong the network itself expects to be, and where matches tell depth, less error is
+expected afterwards. Everything is made of operations that ONNX has: the linear systems are solved by conjugate
+gradients, a fixed number of steps each.
 
 The numbers below were set on generated scenes (training/pointmap/README.md); none is sharp.
 """
@@ -31,13 +32,15 @@ GRADIENTS = 25
 """Steps of conjugate gradients a round."""
 NEAREST = 0.05
 """A point nearer to a camera's plane, or behind it, says nothing."""
+FINE = 0.1
+"""Share of the variance of a depth's error that no match tells: what changes within a patch. Measured."""
 TINY = 1e-12
 
 
 def adjust(
     rays: Tensor, log_z: Tensor, expected: Tensor, matches: Tensor, R: Tensor, t: Tensor, grid: tuple[int, int]
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Corrections and poses.
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Corrections and poses, and how well the matches tell them.
 
     Args:
         rays: (B, V, N, 2) x / z and y / z of N = rows x columns places of each view.
@@ -48,7 +51,8 @@ def adjust(
         grid: rows and columns.
 
     Returns:
-        weights of `waves` (B, V, K), to be added to log z; R; t.
+        weights of `waves` (B, V, K), to be added to log z; R; t; (B, V, N) the precision with which the matches of a
+        place tell its log z, times `expected` squared.
     """
     rows, columns = grid
     r, c = (x.to(rays) for x in (_centres(rows), _centres(columns)))
@@ -71,7 +75,9 @@ def adjust(
     a = 0 * own[:, :, 0, 0]
     for _ in range(ROUNDS):
         # Everything in one product: J' J, and behind it J' times what is off.
-        J = _linear(rays, log_z, own, theirs, aim, far, a, R, t, sure).flatten(3, 4)
+        J = _linear(rays, log_z, own, theirs, aim, far, a, R, t, sure)
+        told = J[..., 6].square().sum((2, 4))  # the first cosine is a constant: one expected error of log z
+        J = J.flatten(3, 4)
         both = J.transpose(-1, -2)[..., :-1, :] @ J
         H, g = both[..., :-1], both[..., -1]
         D = H[..., :n, :n].sum(2) + H[..., n:, n:].sum(1) + held
@@ -84,7 +90,15 @@ def adjust(
         t = t + (R @ step[..., 3:6, None])[..., 0]
         half = _cross(step[..., :3] / 2)  # of the quaternion with real part 1
         R = R + R @ (half + half @ half) * (2 / (1 + (step[..., :3] / 2).square().sum(-1)))[..., None, None]
-    return a * expected[..., None], R, t
+    return a * expected[..., None], R, t, told
+
+
+def left(told: Tensor) -> Tensor:
+    """What an expected error is multiplied by where matches tell log z with `told` times the precision that it had.
+
+    Precisions add, but for the share of the error that no match can tell.
+    """
+    return (FINE + (1 - FINE) / (1 + told)).sqrt()
 
 
 def correction(weights: Tensor, h: int, w: int) -> Tensor:

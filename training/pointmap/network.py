@@ -158,18 +158,23 @@ class PointmapNet(nn.Module):
 
     @staticmethod
     def _adjusted(found: Prediction, depths: Tensor) -> Prediction:
-        """Scenes without sensor depth: depth and poses in one adjustment. What a sensor measured is better."""
+        """Scenes without sensor depth: depth, its expected error and poses in one adjustment. What a sensor measured is
+        better."""
         h, w = depths.shape[-2:]
         blind = 1 - (depths > 0).to(depths.dtype).amax((1, 2, 3))
         rays, log_z = found.rays[:, :, *MIDDLE].flatten(2, 3), found.log_z[:, :, *MIDDLE].flatten(2)
         with torch.no_grad(), torch.autocast(depths.device.type, enabled=False):
-            expected = REFERENCE * found.log_error.clamp(-4, 4).exp().mean((2, 3)) * blind[:, None]
+            error = found.log_error.clamp(-4, 4).exp()
+            usual = error.mean((2, 3))
             matches, grid = found.matches[..., :-1].exp(), (h // PATCH, w // PATCH)
-            weights, R, t = bundle.adjust(rays, log_z, expected, matches, found.R, found.t, grid)
+            expected = REFERENCE * usual * blind[:, None]
+            weights, R, t, told = bundle.adjust(rays, log_z, expected, matches, found.R, found.t, grid)
             added = bundle.correction(weights, h, w)
+            told = F.interpolate(told.unflatten(2, grid), scale_factor=float(PATCH), mode="bilinear")
+            left = bundle.left(told * (error / usual[..., None, None]).square())
         seen = 1 - blind[:, None, None]
         R, t = R + seen[..., None] * (found.R - R), t + seen * (found.t - t)
-        return replace(found, log_z=found.log_z + added, R=R, t=t)
+        return replace(found, log_z=found.log_z + added, log_error=found.log_error + left.log(), R=R, t=t)
 
     @staticmethod
     def _directions(K: Tensor, h: int, w: int) -> tuple[Tensor, Tensor]:
