@@ -1,10 +1,12 @@
 """Close the loop: a robot that fails where simulation succeeds, its logs, the cause, and a policy trained for it.
 
-    python examples/close_the_gap.py --out loop                 MINUTES of a free core; interrupt at will
+    python examples/close_the_gap.py --out loop                 some 20 minutes of a free core; interrupt at will
     python examples/close_the_gap.py --out loop --minutes 20    stops at the next finished step; run it again to go on
+    python examples/close_the_gap.py --out loop --course boxes:0.5:900 --iterations 200       for a machine with a GPU
 
-The "real" robot is the simulated quadruped with something that its model lacks, one thing at a time. The policy that
-ships has to cross a course of boxes, with its depth camera. Then, for each robot:
+The "real" robot is the simulated quadruped with something that its model lacks, one thing at a time. The policy learnt
+on the nominal model has to walk 4 m on flat ground in 10 s, or, with `--course`, the one that ships has to cross a
+parkour course with its depth camera. Then, for each robot:
 
 1. The policy's success in simulation and on the robot.
 2. The robot is logged while it stands and sways (no walking needed), and diagnosed: with all effects of the library, or
@@ -24,6 +26,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -42,13 +45,21 @@ from trainer.physics import PhysicsConfig
 from trainer.physics.world import world_spec
 from trainer.policies import TASK, base_of
 from trainer.ppo import checkpoint
-from trainer.ppo.config import LoopConfig, PPOConfig, StrategyConfig
+from trainer.ppo.config import LoopConfig, NetworkConfig, PPOConfig, StrategyConfig
+from trainer.ppo.distributed import pick_device
 from trainer.robots import ROBOTS, TrainedRobot
 from trainer.tasks.parkour import ParkourConfig
-from trainer.tasks.parkour.config import RandomisationConfig
+from trainer.tasks.parkour.config import (
+    CommandConfig,
+    DepthConfig,
+    ObservationConfig,
+    RandomisationConfig,
+    TerminationConfig,
+)
 from trainer.tasks.parkour.terminations import SUCCESS
 from trainer.trainers import Scene, TrainConfig, find
 
+FLAT = "flat"
 ALONE = RandomisationConfig(push=0.0)
 """The trainer's own ranges: what is guessed where nothing is known."""
 EXACT = RandomisationConfig(
@@ -58,8 +69,71 @@ EXACT = RandomisationConfig(
 """A robot that is exactly its model."""
 
 
-def task(random: RandomisationConfig) -> ParkourConfig:
-    return replace(load_task(TASK), randomisation=random)
+@dataclass(frozen=True)
+class Walk:
+    """Where the robot has to go, and who can teach it."""
+
+    name: str
+    """`flat`, or a course as `realsim finetune` takes it."""
+    worlds: int = 0
+
+    @property
+    def flat(self) -> bool:
+        return self.name == FLAT
+
+    @cached_property
+    def terrain(self) -> terrain.Terrain:
+        return terrain.flat() if self.flat else find_terrain(self.name)[0]
+
+    @cached_property
+    def device(self) -> torch.device:
+        """Small networks on flat ground need no GPU."""
+        return torch.device("cpu") if self.flat else pick_device("auto")
+
+    @property
+    def engine(self) -> str:
+        return "warp" if self.device.type == "cuda" else "mujoco"
+
+    def task(self, random: RandomisationConfig) -> ParkourConfig:
+        """Flat ground needs no camera; the robot is told where the goal lies, as by somebody with a joystick."""
+        if not self.flat:
+            return replace(load_task(TASK), randomisation=random)
+        return ParkourConfig(
+            command=CommandConfig(speed=(0.6, 0.6)),
+            observation=ObservationConfig(steered=True),
+            depth=DepthConfig(use=False),
+            termination=TerminationConfig(seconds=10.0),
+            randomisation=random,
+        )
+
+    def training(self, iterations: int, random: RandomisationConfig, **more: Any) -> TrainConfig:
+        """One core and small networks (those of benchmarks/trainer_cpu.py) on flat ground, `realsim finetune`'s
+        values on a course."""
+        loop = LoopConfig(iterations=iterations, checkpoint_every=25, evaluate_every=0, tensorboard=False)
+        if not self.flat:
+            return TrainConfig(
+                worlds=self.worlds, device=str(self.device), task=self.task(random), loop=loop,
+                ppo=PPOConfig(std_limits=(1.0, 0.3)), tuning=StrategyConfig(start_std=0.3), **more,
+            )  # fmt: skip
+        return TrainConfig(
+            robot="quadruped",
+            worlds=self.worlds or 128,
+            engine="mujoco",
+            device="cpu",
+            threads=1,
+            task=self.task(random),
+            loop=loop,
+            ppo=PPOConfig(
+                networks=NetworkConfig(actor=(128, 64), critic=(128, 64), std=0.6),
+                epochs=4,
+                minibatches=2,
+                entropy_weight=0.0,
+                desired_kl=0.015,
+                learning_rates=(1e-4, 3e-3),
+                symmetry_weight=0.2,
+            ),
+            **more,
+        )
 
 
 @dataclass(frozen=True)
@@ -80,9 +154,6 @@ class Real:
         return replace(nominal, robot=replace(nominal.robot, spec=spec))
 
 
-WEAK = 0.5
-
-
 def _load(spec: Any) -> None:
     box = spec.body("trunk").add_body(name="load", pos=[-0.15, 0.06, 0.08])
     box.mass, box.inertia, box.explicitinertial = 3.0, [0.006, 0.006, 0.006], True
@@ -90,13 +161,13 @@ def _load(spec: Any) -> None:
 
 def _weak(spec: Any) -> None:
     for motor in spec.actuators:
-        motor.gainprm, motor.biasprm = WEAK * motor.gainprm, WEAK * motor.biasprm
-        motor.forcerange = WEAK * motor.forcerange
+        motor.gainprm, motor.biasprm = 0.65 * motor.gainprm, 0.65 * motor.biasprm
+        motor.forcerange = 0.65 * motor.forcerange
 
 
 REAL = {
     "payload": Real("carries 3 kg at the back and left of its trunk", _load),
-    "motors": Real(f"has motors of {WEAK:.0%} of their torque", _weak),
+    "motors": Real("has motors of 65 % of their torque", _weak),
     "delay": Real("gets its commands 50 ms late", delay=0.05),
 }
 
@@ -104,7 +175,7 @@ REAL = {
 # ---------------------------------------------------------------- 1. success
 
 
-def success(policy: Path, course: terrain.Terrain, real: Real | None, trials: int) -> dict[str, Any]:
+def success(policy: Path, walk: Walk, real: Real | None, trials: int) -> dict[str, Any]:
     """Trials of a policy on a robot; None is the robot that its model describes.
 
     `rate` of the trials that arrive in time with its `interval`; `speed` in m/s towards the goal, which still tells
@@ -112,13 +183,14 @@ def success(policy: Path, course: terrain.Terrain, real: Real | None, trials: in
     """
     real = real or Real("is its model")
     random = replace(EXACT, delay=(real.delay, real.delay))
-    setting = Setting(real.robot, "mujoco", None, task(random), PhysicsConfig(threads=1))
+    physics = PhysicsConfig(threads=1, device=str(walk.device))
+    setting = Setting(real.robot, walk.engine, None, walk.task(random), physics)
     config = EvaluationConfig(trials=trials, worlds=min(trials, 100))
-    env = trial_env(course, config.worlds, config, setting)
-    found = run(checkpoint.load(policy)[0].act, env, trials)
-    last = summarise(course, "trained", found, env, config)
+    env = trial_env(walk.terrain, config.worlds, config, setting)
+    found = run(checkpoint.load(policy)[0].to(walk.device).act, env, trials)
+    last = summarise(walk.terrain, "trained", found, env, config)
     time_taken = torch.where(found.outcome == SUCCESS, found.seconds, setting.task.termination.seconds)
-    way = float(np.linalg.norm((course.goal.centre - course.start.centre)[:2]))
+    way = float(np.linalg.norm((walk.terrain.goal.centre - walk.terrain.start.centre)[:2]))
     return {
         "what": real.what,
         "rate": last.rate,
@@ -191,25 +263,19 @@ def sway(model: Any, robot: TrainedRobot, delay: float, rng: np.random.Generator
 # ---------------------------------------------------------------- 3. training
 
 
-def train(out: Path, course: terrain.Terrain, base: Path, options: argparse.Namespace, minutes: float,
-          diagnosis: Path | None) -> bool:  # fmt: skip
+def train(out: Path, walk: Walk, iterations: int, left: Callable[[], float], random: RandomisationConfig,
+          base: Path | None, diagnosis: Path | None = None) -> bool:  # fmt: skip
     """Go on until this many iterations have been done in all; False where the time was over before."""
     last = out / "policy.pt"
     done = checkpoint.read(last)["training"]["iteration"] if last.is_file() else 0
-    if done >= options.iterations:
+    if done >= iterations:
         return True
-    config = TrainConfig(
-        worlds=options.worlds, engine="mujoco", device="cpu", threads=1, task=task(ALONE), diagnosis=diagnosis,
-        strategy="" if done else "full", resume=last if done else None,
-        loop=LoopConfig(
-            iterations=options.iterations, minutes=max(0.1, minutes), checkpoint_every=10, evaluate_every=0,
-            tensorboard=False,
-        ),
-        ppo=PPOConfig(std_limits=(1.0, 0.3)),
-        tuning=StrategyConfig(start_std=0.3),
-    )  # fmt: skip
-    result = find("ppo")(Scene((course,)), None if done else base, config, out)
-    return result.iterations >= options.iterations
+    config = walk.training(iterations, random, diagnosis=diagnosis, resume=last if done else None)
+    config = replace(config, loop=replace(config.loop, minutes=max(0.1, left())))
+    if base is not None and config.resume is None:
+        config = replace(config, strategy="full")
+    result = find("ppo")(Scene((walk.terrain,)), base if config.resume is None else None, config, out)
+    return result.iterations >= iterations
 
 
 # ---------------------------------------------------------------- the loop
@@ -220,7 +286,6 @@ class Loop:
 
     def __init__(self, out: Path, args: argparse.Namespace) -> None:
         self.out, self.args, self.began = out, args, time.monotonic()
-        self.course, _ = find_terrain(args.course)
         self.file = out / "results.json"
         self.results: dict[str, Any] = json.loads(self.file.read_text()) if self.file.is_file() else {}
 
@@ -244,23 +309,28 @@ class Loop:
         return self.results[key]
 
     def run(self) -> None:
-        base, trials, course = self.args.base or base_of("quadruped"), self.args.trials, self.course
-        kept = ("iterations", "worlds", "trials", "course")
-        options = {k: getattr(self.args, k) for k in kept} | {"base": str(self.args.base or "")}
+        walk = Walk(self.args.course, self.args.worlds)
+        own = self.out / "base"
+        shipped = own / "policy.pt" if walk.flat else base_of("quadruped")
+        base, trials, n = self.args.base or shipped, self.args.trials, self.args.iterations
+        options = {"iterations": n, "trials": trials, "base": str(self.args.base or ""), "course": walk.name}
         if self.results.setdefault("options", options) != options:
             raise SystemExit(f"{self.out} was begun with {self.results['options']}: use those, or another folder")
-        self.step("nominal", "the base in simulation", lambda: success(base, course, None, trials))
+        if self.args.base is None and walk.flat:
+            self.step("base", "the base policy, on the nominal model",
+                      lambda: train(own, walk, 400, self.left, replace(EXACT, use=False), None))  # fmt: skip
+        self.step("nominal", "the base in simulation", lambda: success(base, walk, None, trials))
         for name in self.args.robots:
             real, folder = REAL[name], self.out / name
             self.step(f"{name}/before", f"the base on the robot that {real.what}",
-                      lambda r=real: success(base, course, r, trials))  # fmt: skip
+                      lambda r=real: success(base, walk, r, trials))  # fmt: skip
             self.step(f"{name}/diagnosis", "its logs, and the diagnosis", lambda r=real, f=folder: self.diagnosed(r, f))
             for arm, diagnosis in (("patch", folder / "diagnosis"), ("random", None)):
                 out = folder / arm
                 self.step(f"{name}/{arm}/training", f"fine-tuning, {_ARMS[arm]}",
-                          lambda o=out, d=diagnosis: train(o, course, base, self.args, self.left(), d))  # fmt: skip
+                          lambda o=out, d=diagnosis: train(o, walk, n, self.left, ALONE, base, d))  # fmt: skip
                 self.step(f"{name}/{arm}", "that policy on the robot",
-                          lambda o=out, r=real: success(o / "policy.pt", course, r, trials))  # fmt: skip
+                          lambda o=out, r=real: success(o / "policy.pt", walk, r, trials))  # fmt: skip
 
     def diagnosed(self, real: Real, folder: Path) -> dict[str, Any]:
         if not (folder / "case" / "log.json").is_file():
@@ -364,12 +434,12 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("loop"))
     parser.add_argument("--minutes", type=float, default=1e6, help="stop at the next step after this time")
     parser.add_argument("--robots", nargs="+", choices=list(REAL), default=list(REAL))
-    parser.add_argument("--course", default="boxes:0.5:900", help="FAMILY:DIFFICULTY:SEED, or the name of a test")
-    parser.add_argument("--iterations", type=int, default=60, help="of each fine-tuning")
-    parser.add_argument("--worlds", type=int, default=64, help="that train at once")
+    parser.add_argument("--course", default=FLAT, help="FAMILY:DIFFICULTY:SEED, or the name of a test")
+    parser.add_argument("--worlds", type=int, default=0, help="that train at once; 128 on flat ground")
+    parser.add_argument("--iterations", type=int, default=100, help="of each fine-tuning")
     parser.add_argument("--trials", type=int, default=100, help="of each policy on each robot")
     parser.add_argument("--effects", nargs="*", default=[], help="that the diagnosis considers; all if not given")
-    parser.add_argument("--base", type=Path, default=None, help="the one that ships for the robot if not given")
+    parser.add_argument("--base", type=Path, default=None, help="a policy of this task; one is trained if not given")
     args = parser.parse_args()
     torch.set_num_threads(1)
     args.out.mkdir(parents=True, exist_ok=True)

@@ -34,10 +34,10 @@ def test_the_robot_is_logged_as_it_is_and_its_model_as_it_is_believed(name: str,
 
 
 def test_a_step_is_done_once_and_none_begins_when_the_time_is_over(tmp_path: Path) -> None:
-    args = argparse.Namespace(minutes=1.0, course="boxes:0.5:900")
+    args = argparse.Namespace(minutes=1.0)
     loop = EXAMPLE["Loop"](tmp_path, args)
     assert loop.step("a", "", lambda: {"rate": 0.5})["rate"] == 0.5
-    again = EXAMPLE["Loop"](tmp_path, argparse.Namespace(minutes=0.0, course="boxes:0.5:900"))
+    again = EXAMPLE["Loop"](tmp_path, argparse.Namespace(minutes=0.0))
     assert again.step("a", "", lambda: pytest.fail("done already"))["rate"] == 0.5
     with pytest.raises(TimeoutError):
         again.step("b", "", lambda: pytest.fail("the time is over"))
