@@ -34,6 +34,7 @@ INDEX = (
     ("First learning rate of fine-tuning", "trainer_tune", "python benchmarks/trainer_tune.py"),
     ("Places that repeat, and an unregistered Kinect", "captures", "python benchmarks/captures.py"),
     ("Loops in places that look alike", "loops", "python benchmarks/loops.py"),
+    ("Contact from the side, by columns alone and as `auto` chooses", "sides", "python -m benchmarks.sides --real"),
     ("Captures that real sensors and apps wrote", "real_captures", "python benchmarks/real_captures.py"),
     (
         "Frames that are hard to match, with and without the learned matcher",
@@ -80,6 +81,7 @@ KEYS = {
     "real_captures": ("capture",),
     "reconstruct": ("capture", "method"),
     "reconstruct_scaling": ("frames", "poses"),
+    "sides": ("scene", "contact"),
     "scale_error": ("terrain", "seed", "source", "frames"),
     "trainer_cpu": ("case", "seed"),
     "trainer_speed": ("case",),
