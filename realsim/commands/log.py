@@ -45,6 +45,7 @@ def log(
         said = logs.write_case(proposal, target, out, overwrite=overwrite, check=gap.load_case)
         case = gap.load_case(out)
         said += list(case.warnings)
-        text += "\n".join(["", "", f"case    {out} ({len(case.runs)} runs)", *(f"note    {s}" for s in said)])
+        runs = f"{len(case.runs)} run{'s' * (len(case.runs) > 1)}"
+        text += "\n".join(["", "", f"case    {out} ({runs})", *(f"note    {s}" for s in said)])
         data |= {"case": str(out), "notes": said}
     return CommandResult(text, data)

@@ -131,14 +131,19 @@ _LEGS = [f"{leg}_{joint}" for leg in ("FR", "FL", "RR", "RL") for joint in ("hip
 _ARM = ["shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow", "wrist_roll", "wrist_pitch", "wrist_yaw"]
 _LEG = ["hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll"]
 MOTOR_TABLES: dict[str, list[str]] = {
-    # Unitree's SDK: index of motor_state and motor_cmd -> joint.
+    # Unitree's SDK: index of motor_state and motor_cmd -> joint; empty where the robot has no such motor.
     "Unitree Go1, Go2, A1, B2": _LEGS,
     "Unitree G1 (29)": [f"{side}_{j}" for side in ("left", "right") for j in _LEG]
     + ["waist_yaw", "waist_roll", "waist_pitch"]
     + [f"{side}_{j}" for side in ("left", "right") for j in _ARM],
     "Unitree G1 (23)": [f"{side}_{j}" for side in ("left", "right") for j in _LEG]
-    + ["waist_yaw"]
-    + [f"{side}_{j}" for side in ("left", "right") for j in _ARM[:5]],
+    + ["waist_yaw", "", ""]
+    + [f"left_{j}" for j in _ARM[:5]]
+    + ["", ""]
+    + [f"right_{j}" for j in _ARM[:5]],
+    "Unitree H1": [f"{side}_{j}" for side in ("right", "left") for j in ("hip_roll", "hip_pitch", "knee")]
+    + ["torso", "left_hip_yaw", "right_hip_yaw", "", "left_ankle", "right_ankle"]
+    + [f"{side}_{j}" for side in ("right", "left") for j in _ARM[:4]],
     "LeRobot SO-100, SO-101": ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper"],
 }
 FEET: dict[str, list[str]] = {"Unitree Go1, Go2, A1, B2": ["FR", "FL", "RR", "RL"]}

@@ -260,3 +260,59 @@ def test_lists_in_cells(rows: list[list[float]]) -> None:
         found = cells(Path("x"), "q", [text(r) for r in rows])
         assert found is not None
         np.testing.assert_array_equal(found, np.array(rows))
+
+
+# ---------------------------------------------------------------- motors that a robot does not have
+
+
+def humanoid(folder: Path, joints: list[str]) -> Path:
+    """A tree of short links from a fixed base, a joint each."""
+    geom = '<geom size="0.02" mass="0.1"/>'
+    bodies = "".join(f'<body><joint name="{j}_joint" axis="0 1 0" range="-1 1"/>{geom}</body>' for j in joints)
+    servos = "".join(f'<position joint="{j}_joint" kp="20" kv="1"/>' for j in joints)
+    path = folder / "humanoid.xml"
+    path.write_text(
+        f'<mujoco><compiler angle="radian" autolimits="true"/><worldbody>{bodies}</worldbody>'
+        f"<actuator>{servos}</actuator></mujoco>"
+    )
+    return path
+
+
+SIDES, ARM_JOINTS = ("left", "right"), ["shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow", "wrist_roll"]
+G1 = [f"{s}_{j}" for s in SIDES for j in ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")]
+G1 += ["waist_yaw", *(f"{s}_{j}" for s in SIDES for j in ARM_JOINTS)]
+H1 = [f"{s}_{j}" for s in SIDES for j in ("hip_yaw", "hip_roll", "hip_pitch", "knee", "ankle")]
+H1 += ["torso", *(f"{s}_{j}" for s in SIDES for j in ARM_JOINTS[:4])]
+
+
+@pytest.mark.parametrize(
+    ("joints", "slots", "where"),
+    [
+        (G1, 35, {"waist_yaw": 12, "left_shoulder_pitch": 15, "right_shoulder_pitch": 22, "right_wrist_roll": 26}),
+        (H1, 20, {"right_hip_roll": 0, "left_hip_yaw": 7, "left_ankle": 10, "torso": 6, "left_elbow": 19}),
+    ],
+    ids=["g1", "h1"],
+)
+def test_motors_in_the_sdks_slots(joints: list[str], slots: int, where: dict[str, int], tmp_path: Path) -> None:
+    """LowState has a slot for motors that the robot does not have: the rest is not moved up."""
+    target = load_target(humanoid(tmp_path, joints))
+    assert max(target.orders(slots)["the motors of Unitree " + ("G1 (23)" if slots == 35 else "H1")]) < slots
+    used = [c for c in range(slots) if c not in ((13, 14, 20, 21, *range(27, 35)) if slots == 35 else (9,))]
+    time = np.arange(0, 4, 0.01)
+    q = np.zeros((len(time), slots))
+    for k in used:
+        q[:, k] = 0.4 * np.sin(time * (1 + 0.1 * k))
+    state = Stream("/lowstate", "unitree_hg/msg/LowState", {"receive": time}, {"motor_state.q": Field(q)})
+    sent = Stream("/lowcmd", "unitree_hg/msg/LowCmd", {"receive": time}, {"motor_cmd.q": Field(q)})
+    place = propose([recording(state, sent)], target).assignments["joint_pos"]
+    column = dict(zip(place.targets, place.columns, strict=True))
+    assert len(column) == len(joints)
+    assert {j: column[f"{j}_joint"] for j in where} == where
+    assert not place.doubtful
+
+
+def test_the_model_of_another_robot_is_in_doubt(quadruped: Log, tmp_path: Path) -> None:
+    target = load_target(save(tmp_path, ARM))
+    place = propose([table(quadruped, q=quadruped.pos, q_des=quadruped.command)], target).assignments["joint_pos"]
+    assert place.doubtful
+    assert any("10 more columns that move are left out" in e for e in place.evidence)
