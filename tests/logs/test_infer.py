@@ -182,10 +182,11 @@ def test_offset_and_drift_of_a_clock(offset: float, ppm: float) -> None:
     receive = true + rng.exponential(0.002, len(true))
     own = (true - 1e5) * (1 - 1e-6 * ppm) + 1e5 - offset
     time = clocked(stamped(own, receive))["/s"]
-    if abs(offset) < 0.5 and abs(ppm) < 20:  # may be one clock: stamps stay as they are
+    small = abs(offset) < 0.501  # what a message takes on its way shifts the limit of 0.5 s a little
+    if small and abs(ppm) < 20:  # may be one clock: stamps stay as they are
         assert np.abs(time.time - true).max() < abs(offset) + 0.004
         return
-    assert np.abs(time.time - true).max() < max(2e-3, 0.52 if abs(offset) < 0.5 else 0.0)
+    assert np.abs(time.time - true).max() < max(2e-3, 0.52 if small else 0.0)
     if abs(ppm) > 50:
         said = " ".join(time.said)
         assert "ppm" in said
