@@ -70,6 +70,10 @@ def diagnose(
         raise RealsimError(
             "no case given", expected="realsim diagnose CASE --out DIR, --init MODEL.xml, or --explain EFFECT"
         )
+    if model is None:
+        _refuse_recording(cases[0])
+    if since is not None:
+        _refuse_recording(since)
     if check and model is not None and len(cases) == 1:
         with TemporaryDirectory() as temporary:
             return _checked((_from_recording(cases[0], model, Path(temporary) / cases[0].stem),), config)
@@ -144,6 +148,19 @@ def _contract(folder: Path, policy: Path, deploy_yaml: Path | None) -> Found:
     case = gap.load_case(folder)
     steps = contract.read_steps(case)
     return contract.check(contract.load_policy(policy, deploy_yaml, case.joint_names), steps)
+
+
+def _refuse_recording(path: Path) -> None:
+    """A recording has no model yet; a case has. Raises RealsimError for what `realsim log` can read."""
+    from realsim.logs.reading import reader_of
+
+    if not (path / "log.json").exists() and path.exists() and reader_of(path) is not None:
+        raise RealsimError(
+            "this is a recording, not a case",
+            file=path,
+            expected="a folder with log.json, model.xml and runs/",
+            hint=f"realsim log {path} --model robot.xml --out case; or realsim diagnose {path} --model robot.xml",
+        )
 
 
 def _from_recording(recording: Path, model: Path, case: Path, overwrite: bool = False) -> Path:

@@ -20,7 +20,6 @@ from realsim.gap.logs.runs import Run as Run
 from realsim.models import odd_number
 from realsim.notebook import table, traces
 
-OF_RECORDING = "a recording becomes one by: realsim log RECORDING --model robot.xml --out CASE"
 MAX_INCLUDES = 8
 """Files of a model that include each other in a row."""
 
@@ -137,18 +136,12 @@ def load_case(folder: Path, recordings: Sequence[Path] = ()) -> Case:
     folder = Path(folder)
     if not folder.is_dir():
         raise GapError(
-            "not a case" if folder.exists() else "no such case",
-            file=folder,
-            expected="a folder with log.json, model.xml and runs/ with .npz or .csv",
-            hint=OF_RECORDING,
+            "no such case", file=folder, expected="a folder with log.json, model.xml and runs/ with .npz or .csv"
         )
     for name in ("log.json", "model.xml"):
         if not (folder / name).is_file():
             raise GapError(
-                f"{name} is missing",
-                file=folder,
-                expected="log.json, model.xml and runs/ with .npz or .csv",
-                hint=OF_RECORDING,
+                f"{name} is missing", file=folder, expected="log.json, model.xml and runs/ with .npz or .csv"
             )
     log = read_json(folder / "log.json")
     if not isinstance(log, dict):
