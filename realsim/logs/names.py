@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 ROLES = ("command", "joint_pos", "joint_vel", "joint_torque", "base_pos", "base_quat", "imu_gyro", "imu_acc", "contact")
 """Arrays of a case."""
+JOINTS = ("joint_pos", "joint_vel", "joint_torque")
 
 # Message type (last part) -> member -> (role, unit). `command.` roles say what is commanded.
 # Sources: the .msg files of common_interfaces, control_msgs, unitree_ros2 and px4_msgs.
@@ -106,7 +107,7 @@ def meaning(stream: str, kind: str, member: str) -> tuple[str, str, str]:
     known = TYPES.get(last, {}).get(member)
     if known is not None:
         role, unit = known
-        if sent and role in ("joint_pos", "joint_vel", "joint_torque"):
+        if sent and role in JOINTS:
             role = {"joint_pos": "command.position", "joint_vel": "command.velocity"}.get(role, "command.torque")
             return role, unit, f"{member} of {kind} on a topic named for commands"
         return role, unit, f"{member} of {kind}"
@@ -119,7 +120,9 @@ def meaning(stream: str, kind: str, member: str) -> tuple[str, str, str]:
     unit = named_unit(member)
     role = next((r for r, pattern in _WORDS if re.search(pattern, re.sub(rf"(^|_)({_SENT})(?=_|$)", "", text))), "")
     asked = sent or re.search(rf"(^|_)({_SENT})(_|$)", text) is not None
-    if asked and role in ("", "joint_pos", "joint_vel", "joint_torque"):
+    above = plain(member.rpartition(".")[0].rpartition(".")[2])  # motor_cmd of motor_cmd.q
+    below_sent = re.search(rf"(^|_)({_SENT})(_|$)", above) is not None
+    if (asked and role in ("", *JOINTS)) or (below_sent and role in JOINTS):
         kinds = {"joint_pos": ".position", "joint_vel": ".velocity", "joint_torque": ".torque"}
         return f"command{kinds.get(role, '')}", unit, f"the name {member!r}" + (f" in {stream!r}" if sent else "")
     return role, unit, f"the name {member!r}" if role else ""

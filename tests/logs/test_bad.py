@@ -170,6 +170,18 @@ def test_a_cell_that_is_no_number_is_said(tmp_path: Path) -> None:
     assert not np.isinf(run.streams[0].fields["q"].values).any()
 
 
+def test_decimal_commas_are_named(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time;q\n" + "".join(f"0,{t:02d};1,5\n" for t in range(30)))
+    with pytest.raises(GapError, match="decimal points"):
+        read(tmp_path / "a.csv")
+
+
+def test_a_column_without_a_name_is_an_index(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(",time,q\n" + "".join(f"{t},{0.01 * t},1.5\n" for t in range(30)))
+    (run,) = read(tmp_path / "a.csv")
+    assert list(run.streams[0].fields) == ["q"]
+
+
 def test_an_empty_folder_and_prose_are_no_recordings(tmp_path: Path) -> None:
     with pytest.raises(GapError, match=r"no recording|no samples"):
         read(tmp_path)

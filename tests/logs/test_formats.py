@@ -224,6 +224,22 @@ def test_ulog_of_an_imu(quadruped: Log, tmp_path: Path) -> None:
     assert not proposal.complete
 
 
+def test_json_lines_with_a_list_of_motors(quadruped: Log, tmp_path: Path) -> None:
+    """LowState and LowCmd as their own program writes them, line by line: a topic each, motors as objects."""
+    log, lines = quadruped, []
+    for i, t in enumerate(log.time):
+        state = [{"q": log.pos[i, j], "dq": log.vel[i, j], "name": "m"} for j in SDK]
+        lines.append({"topic": "lowstate", "time": t, "motor_state": state})
+        lines.append({"topic": "lowcmd", "time": t, "motor_cmd": [{"q": log.command[i, j], "kp": 40} for j in SDK]})
+    path = tmp_path / "run.jsonl"
+    path.write_text("\n".join(map(json.dumps, lines)))
+    proposal = propose(read(path), load_target(save(tmp_path, QUADRUPED)))
+    assert proposal.assignments["command"].source.label == "lowcmd:motor_cmd.q"
+    place = proposal.assignments["joint_pos"]
+    assert place.source.label == "lowstate:motor_state.q"
+    np.testing.assert_array_equal(proposal.recordings[0].streams[0].fields["motor_state.q"].values, log.pos[:, SDK])
+
+
 def test_json_of_a_servo_bench(arm: Log, tmp_path: Path) -> None:
     """An object with facts and its samples under `entries`, as bench logs of hobby servos are published."""
     entries = [

@@ -39,6 +39,9 @@ def read(path: Path, window: Window) -> list[Recording]:
         raise GapError("not a text file", file=path, expected="UTF-8 text", found=str(error)) from error
     except csv.Error as error:
         raise GapError("a row cannot be read", file=path, found=str(error)) from error
+    if not columns and dropped:
+        raise GapError("no column holds numbers", file=path, found=f"text in {', '.join(dropped[:8])}",
+                       hint="write decimal points, not commas")  # fmt: skip
     if not columns:
         raise no_samples(path, "a header and one row per sample")
     columns = trimmed(columns, window)
@@ -112,7 +115,7 @@ def _take(
 ) -> int:
     size = 0
     for i, name in enumerate(header):
-        if name in dropped:
+        if not name or name in dropped:  # a column without a name is a table's index
             continue
         column = cells(path, name, [row[i] for row in block])
         if column is None or (parts[name] and column.ndim != parts[name][0].ndim):
