@@ -232,7 +232,8 @@ def test_a_window_of_time(arm: Log, tmp_path: Path) -> None:
         ("observation.state", "joint_pos"), ("action", "command"), ("Present Velocity", "joint_vel"),
         ("tau_est", "joint_torque"), ("torque_cmd", "command.torque"), ("base_ang_vel", "imu_gyro"), ("temp", ""),
         ("motor_cmd.q", "command.position"), ("motor_state.q", "joint_pos"), ("motor_cmd.kp", ""),
-        ("motor_cmd.mode", ""), ("position_error", ""), ("linear_acceleration", "imu_acc"), ("foot_contacts", "contact"), ("qpos", "joint_pos"),
+        ("motor_cmd.mode", ""), ("state.tau", "joint_torque"),
+        ("position_error", ""), ("linear_acceleration", "imu_acc"), ("foot_contacts", "contact"), ("qpos", "joint_pos"),
     ],
 )  # fmt: skip
 def test_what_names_mean(name: str, role: str) -> None:
