@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from realsim.errors import GapError
 from realsim.gap import load_case
 from realsim.logs import READERS, load_target, propose, read, write_case
 
@@ -96,6 +97,11 @@ def as_json_lines(folder: Path, log: Log) -> Path:
     return folder / "run.jsonl"
 
 
+def as_rrd(folder: Path, log: Log) -> Path:
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed: pip install -e '.[rerun]'")
+    return writers.rrd(folder / "run.rrd", log, JOINTS)
+
+
 def as_npz(folder: Path, log: Log) -> Path:
     np.savez(folder / "run.npz", time=log.time, joints=np.array(JOINTS), dof_pos=log.pos, des_dof_pos=log.command)
     return folder / "run.npz"
@@ -108,7 +114,19 @@ def as_torch(folder: Path, log: Log) -> Path:
     return folder / "run.pt"
 
 
-FORMATS = [as_mcap, as_bag1, as_bag2, as_lerobot, as_parquet, as_csv, as_wide_csv, as_json_lines, as_npz, as_torch]
+FORMATS = [
+    as_mcap,
+    as_bag1,
+    as_bag2,
+    as_lerobot,
+    as_parquet,
+    as_csv,
+    as_wide_csv,
+    as_json_lines,
+    as_npz,
+    as_torch,
+    as_rrd,
+]
 
 
 @pytest.mark.parametrize("write", FORMATS, ids=lambda f: f.__name__)
@@ -222,6 +240,18 @@ def test_ulog_of_an_imu(quadruped: Log, tmp_path: Path) -> None:
     stream = proposal.recordings[0].streams[0]
     np.testing.assert_allclose(stream.fields["accelerometer_m_s2"].values, log.acc, rtol=1e-5, atol=1e-5)
     assert not proposal.complete
+
+
+def test_rerun_with_pictures_a_cloud_and_a_pose(arm: Log, tmp_path: Path) -> None:
+    (run,) = read(as_rrd(tmp_path, arm))
+    fields = {n: f for s in run.streams for n, f in s.fields.items()}
+    np.testing.assert_allclose(fields["base.translation"].values[:, 0], arm.time, atol=1e-4)
+    assert fields["base.quaternion"].values[0].tolist() == [0, 0, 0, 1]
+    assert fields["joints/position"].labels == tuple(JOINTS)
+    assert {"camera.buffer", "cloud.positions"} <= set(run.skipped)
+    (tmp_path / "cut.rrd").write_bytes((tmp_path / "run.rrd").read_bytes()[:5000])
+    with pytest.raises(GapError, match=r"not a readable .rrd"):
+        read(tmp_path / "cut.rrd")
 
 
 def test_json_lines_with_a_list_of_motors(quadruped: Log, tmp_path: Path) -> None:
