@@ -24,7 +24,8 @@ def log(
     """Say what a robot's recording holds: which topic or column is what, with the evidence; and write it as a case.
 
     Args:
-        recording: a file or a folder: MCAP, ROS bag, LeRobot, parquet, CSV, JSON, ULog, Rerun, npz; of a folder, each file.
+        recording: a file or a folder: MCAP, ROS bag, LeRobot, parquet, CSV, JSON, ULog, Rerun, npz; a folder of files
+            is runs.
         model: MJCF (or URDF) of the robot; order, units and signs of the joints are tested against it.
         out: where the case for `realsim diagnose` goes; without it nothing is written.
         use: overrides a guess: ROLE=STREAM:FIELD, or ROLE=none; ROLE is command, joint_pos, joint_vel, ...
