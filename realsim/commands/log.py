@@ -45,7 +45,7 @@ def log(
     if out is not None and target is not None:
         said = logs.write_case(proposal, target, out, overwrite=overwrite, check=gap.load_case)
         case = gap.load_case(out)
-        said += list(case.warnings)
+        said += [*(f"left out: {run}" for run in case.dropped_runs), *case.warnings]
         runs = f"{len(case.runs)} run{'s' * (len(case.runs) > 1)}"
         text += "\n".join(["", "", f"case    {out} ({runs})", *(f"note    {s}" for s in said)])
         data |= {"case": str(out), "notes": said}

@@ -17,9 +17,8 @@ from realsim.progress import track
 
 MAX_RUNS = 400
 MAX_BYTES = 64 * 2**30
-_HALF = re.compile(
-    r"(^|[_\-. ])(measured|actual|state|states|feedback|desired|reference|commands?|cmd|targets?|goals?)(?=$|[_\-. ])"
-)
+_MEASURED = ("measured", "actual", "state", "states", "feedback")
+_HALF = re.compile(rf"(^|[_\-. ])({'|'.join(_MEASURED)}|desired|reference|commands?|cmd|targets?|goals?)(?=$|[_\-. ])")
 
 
 def read(path: Path, window: Window | None = None) -> list[Recording]:
@@ -139,12 +138,18 @@ def _halves(recordings: Sequence[Recording]) -> list[Recording]:
     result = []
     for name, parts in groups.items():
         if len(parts) == 2 and all(len(p.streams) == 1 for p in parts) and _one_clock(parts):
-            streams = tuple(replace(p.streams[0], name=p.name) for p in parts)
+            streams = tuple(replace(p.streams[0], name=_half(p.name)) for p in parts)
             notes = (*parts[0].notes, *parts[1].notes, f"{parts[0].name} and {parts[1].name} are taken as one run")
             result.append(replace(parts[0], name=name or parts[0].name, streams=streams, notes=notes))
         else:
             result += parts
     return result
+
+
+def _half(name: str) -> str:
+    """`desired` or the like, or nothing for what was measured: alike in all runs of a folder, whole or in halves."""
+    found = _HALF.search(name)
+    return "" if found is None or found[2] in _MEASURED else found[2]
 
 
 def _one_clock(parts: Sequence[Recording]) -> bool:

@@ -23,6 +23,11 @@ SDK = [3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8]
 """Motor of Unitree's SDK (FR FL RR RL) -> joint of the model (FL FR RL RR)."""
 
 
+ALONE = (
+    """</body></worldbody><actuator><position name="servo" joint="elbow_joint" kp="60" kv="2"/></actuator></mujoco>"""
+)
+
+
 def need(*packages: str) -> None:
     for name in packages:
         pytest.importorskip(name, reason=f"{name} is not installed: pip install -e '.[logs]'")
@@ -295,8 +300,15 @@ def test_measured_and_desired_halves_are_one_run(arm: Log, tmp_path: Path) -> No
         np.savetxt(folder / f"{name}.csv", np.stack(columns, axis=1), delimiter=",", header=head, comments="")
     proposal = propose(read(folder))
     assert len(proposal.recordings) == 1
-    assert proposal.assignments["command"].source.stream == "data_desired"
-    assert proposal.assignments["joint_pos"].source.stream == "data_measured"
+    assert proposal.assignments["command"].source.stream == "desired"
+    assert proposal.assignments["joint_pos"].source.stream == ""
+    for name in ("measured", "desired"):
+        lines = (folder / f"data_{name}.csv").read_text().splitlines(keepends=True)
+        (folder / f"again_{name}.csv").write_text("".join(lines[:700]))
+    alone = ARM.replace("shoulder_joint", "elbow_joint").split('<body name="fore"')[0]
+    target = load_target(save(tmp_path, alone + ALONE))
+    write_case(propose(read(folder), target), target, tmp_path / "case")
+    assert [r.name for r in load_case(tmp_path / "case").runs] == ["again", "data"]
 
 
 def test_real_logs_as_they_are(shared: Callable[[str], Path], tmp_path: Path) -> None:
