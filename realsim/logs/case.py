@@ -132,6 +132,8 @@ def run_arrays(proposal: Proposal, recording: Recording) -> tuple[dict[str, F64]
     for role, (time, values, kind) in series.items():
         if role == "command":
             arrays[role] = _commanded(time, values, kind, rows)
+        elif role == "enabled":
+            arrays[role] = np.nan_to_num(held(time, values, rows), nan=1.0)
         elif role == "contact":
             arrays[role] = held(time, values, rows)
         elif role in ("joint_pos", "joint_vel", "joint_torque"):

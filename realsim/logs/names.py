@@ -5,7 +5,18 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-ROLES = ("command", "joint_pos", "joint_vel", "joint_torque", "base_pos", "base_quat", "imu_gyro", "imu_acc", "contact")
+ROLES = (
+    "command",
+    "enabled",
+    "joint_pos",
+    "joint_vel",
+    "joint_torque",
+    "base_pos",
+    "base_quat",
+    "imu_gyro",
+    "imu_acc",
+    "contact",
+)
 """Arrays of a case."""
 JOINTS = ("joint_pos", "joint_vel", "joint_torque")
 
@@ -47,6 +58,7 @@ TYPES: dict[str, dict[str, tuple[str, str]]] = {
 _SENT = r"cmds?|commands?|commanded|des|desired|targets?|goals?|ref|reference|setpoints?|actions?|ctrl|control"
 _NOT = re.compile(r"(^|_)(error|err|temp|temperature|temps|volt|volts|voltage|raw|ddq|kp|kd|limit|min|max|power)(_|$)")
 _WORDS: tuple[tuple[str, str], ...] = (
+    ("enabled", r"(^|_)(torque_enabled?|torque_on|motors?_enabled?|drives?_enabled?|enabled)(_|$)"),
     ("imu_acc", r"(^|_)(acc|accel|accelerometer|accelerations?_(linear|imu)|linear_accelerations?|imu_acc)(_|$)"),
     ("imu_gyro", r"(^|_)(gyro|gyroscope|angular_velocity|ang_vel|base_ang_vel|omega|imu_gyro)(_|$)"),
     ("base_quat", r"(^|_)(quat|quaternion|orientation|base_quat)(_|$)"),

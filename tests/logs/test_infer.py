@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from realsim.errors import GapError
 from realsim.logs import Window, load_target, propose, read
+from realsim.logs.case import run_arrays
 from realsim.logs.clocks import clocked
 from realsim.logs.names import clock_unit, is_clock, match_joints, meaning
 from realsim.logs.recording import Field, Recording, Stream
@@ -233,6 +234,7 @@ def test_a_window_of_time(arm: Log, tmp_path: Path) -> None:
         ("tau_est", "joint_torque"), ("torque_cmd", "command.torque"), ("base_ang_vel", "imu_gyro"), ("temp", ""),
         ("motor_cmd.q", "command.position"), ("motor_state.q", "joint_pos"), ("motor_cmd.kp", ""),
         ("motor_cmd.mode", ""), ("state.tau", "joint_torque"),
+        ("torque_enable", "enabled"),
         ("position_error", ""), ("linear_acceleration", "imu_acc"), ("foot_contacts", "contact"), ("qpos", "joint_pos"),
     ],
 )  # fmt: skip
@@ -319,3 +321,15 @@ def test_the_model_of_another_robot_is_in_doubt(quadruped: Log, tmp_path: Path) 
     place = propose([table(quadruped, q=quadruped.pos, q_des=quadruped.command)], target).assignments["joint_pos"]
     assert place.doubtful
     assert any("10 more columns that move are left out" in e for e in place.evidence)
+
+
+def test_drives_that_are_off(arm: Log, tmp_path: Path) -> None:
+    target = load_target(save(tmp_path, ARM))
+    on = (arm.time < 2.0).astype(float)
+    found = propose([table(arm, q=arm.pos, q_des=arm.command, torque_enable=on[:, None])], target)
+    arrays, _ = run_arrays(found, found.recordings[0])
+    assert arrays["enabled"].shape == arrays["command"].shape
+    np.testing.assert_array_equal(arrays["enabled"][:, 0], on[-len(arrays["enabled"]) :])
+    odd = propose([table(arm, q=arm.pos, q_des=arm.command, torque_enable=7 * on[:, None])], target)
+    assert "enabled" not in odd.assignments
+    assert any("torque_enable is not 0 and 1" in w for w in odd.warnings)
