@@ -91,8 +91,9 @@ def write_case(
 
 
 def _recorded(proposal: Proposal) -> str:
-    """Streams of the recordings, each once."""
+    """Streams of the recordings, each once, and what was not read."""
     names = dict.fromkeys(f"{s.name or 'table'} ({s.type})" for r in proposal.recordings for s in r.streams)
+    names |= dict.fromkeys(f"{t} (not read: {why})" for r in proposal.recordings for t, why in r.skipped.items())
     more = f" and {len(names) - 8} more" if len(names) > 8 else ""
     return (", ".join(list(names)[:8]) or "nothing") + more
 

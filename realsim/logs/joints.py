@@ -10,7 +10,7 @@ import numpy as np
 from realsim.correlation import alike
 from realsim.logs.evidence import Evidence, two_robots
 from realsim.logs.model import Target
-from realsim.logs.names import match_joints
+from realsim.logs.names import known_type, match_joints
 from realsim.logs.proposal import Candidate
 from realsim.logs.recording import Field
 from realsim.logs.signals import at, factor, smooth_derivatives, travelled
@@ -37,7 +37,9 @@ def position(e: Evidence) -> None:
     """Joint positions: the field, the joints of its columns, unit, signs."""
     found = e.candidates_for("joint_pos")
     if not found and e.target is not None and "joint_pos" not in e.chosen:
-        found = [c for c in e.candidates if not c.role and e.of(c)[1].width == len(e.target.joints) > 1]
+        # A field without a telling name, as wide as the robot; of known types it is known that it is something else.
+        wide = [c for c in e.candidates if not c.role and e.of(c)[1].width == len(e.target.joints) > 1]
+        found = [c for c in wide if not known_type(e.stream(c).type) and not _still(e.of(c)[1].values)]
     source = _best_positions(e, found)
     if source is None:
         return
@@ -120,9 +122,9 @@ def _which_joints(e: Evidence, source: Candidate, field: Field) -> tuple[list[in
 
 
 def _still(values: F64) -> bool:
-    """Whether a column holds one value, as the entry of a motor that a robot does not have."""
-    found = values[np.isfinite(values)]
-    return not len(found) or float(np.ptp(found)) < 1e-6
+    """Whether columns hold one value each, as the entry of a motor that a robot does not have."""
+    spread = np.nan_to_num(values, nan=-np.inf).max(axis=0) - np.nan_to_num(values, nan=np.inf).min(axis=0)
+    return bool((spread < 1e-6).all())
 
 
 def _order_score(e: Evidence, field: Field, order: Mapping[int, str], source: Candidate) -> tuple[float, str]:

@@ -80,6 +80,11 @@ CLOCK_UNITS = {"ms": 1e-3, "msec": 1e-3, "millis": 1e-3, "us": 1e-6, "usec": 1e-
                "nsec": 1e-9, "s": 1.0, "sec": 1.0, "secs": 1.0, "seconds": 1.0}  # fmt: skip
 
 
+def known_type(kind: str) -> bool:
+    """Whether it is known what the members of a message type mean."""
+    return bool(TYPES.get(kind.replace("::", "/").rsplit("/", 1)[-1].rsplit(".", 1)[-1]))
+
+
 def plain(name: str) -> str:
     """A name in lower case with one kind of separator: `Goal Position (deg)` -> `goal_position_deg`."""
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)
@@ -123,7 +128,7 @@ def meaning(stream: str, kind: str, member: str) -> tuple[str, str, str]:
             role = {"joint_pos": "command.position", "joint_vel": "command.velocity"}.get(role, "command.torque")
             return role, unit, f"{member} of {kind} on a topic named for commands"
         return role, unit, f"{member} of {kind}"
-    if TYPES.get(last):
+    if known_type(kind):
         return "", "", ""  # the type is known, and this member is none of these
     ending = member.rpartition(".")[2]
     text = plain(member if ending in ("data", "values", "value") else ending)

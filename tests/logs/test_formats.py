@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -183,6 +184,21 @@ def test_unitree_bag_without_definitions(quadruped: Log, tmp_path: Path) -> None
     feet = [list(case.contact_bodies).index(f"{n}_calf") for n in ("FL", "FR", "RL", "RR")]
     assert (run.signals["contact"][:, feet] == ~lifted).all()
     assert case.imu_site == "imu"
+
+
+def test_a_state_without_a_definition_is_named(quadruped: Log, tmp_path: Path) -> None:
+    """Twelve LEDs in LowCmd are no twelve joints."""
+    need("rosbags")
+    source = writers.unitree(tmp_path / "bag", quadruped, SDK)
+    with sqlite3.connect(next(source.glob("*.db3"))) as database:
+        database.execute("UPDATE topics SET type = 'my_robot/msg/State' WHERE name = '/lowstate'")
+    about = source / "metadata.yaml"
+    about.write_text(about.read_text().replace("unitree_go/msg/LowState", "my_robot/msg/State"))
+    target = load_target(save(tmp_path, QUADRUPED))
+    proposal = propose(read(source), target)
+    assert not proposal.assignments
+    with pytest.raises(GapError, match=r"/lowcmd[\s\S]*/lowstate \(not read: my_robot/msg/State: its definition"):
+        write_case(proposal, target, tmp_path / "case")
 
 
 def test_feet_that_never_lift_are_no_contact(quadruped: Log, tmp_path: Path) -> None:
