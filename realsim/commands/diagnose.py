@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
@@ -69,6 +70,13 @@ def diagnose(
         raise RealsimError(
             "no case given", expected="realsim diagnose CASE --out DIR, --init MODEL.xml, or --explain EFFECT"
         )
+    if model is None:
+        _refuse_recording(cases[0])
+    if since is not None:
+        _refuse_recording(since)
+    if check and model is not None and len(cases) == 1:
+        with TemporaryDirectory() as temporary:
+            return _checked((_from_recording(cases[0], model, Path(temporary) / cases[0].stem),), config)
     if check:
         return _checked(cases, config)
     out = out or Path("diagnosis")
@@ -76,7 +84,10 @@ def diagnose(
     if model is None and len(cases) > 1 and any(is_recording(path) for path in cases[1:]):
         cases, recordings = cases[:1], cases[1:]
     if len(cases) == 1 and many.place == "processes":
-        case = cases[0] if model is None else _from_recording(cases[0], model, out, overwrite)
+        case = cases[0]
+        if model is not None:
+            case = _from_recording(cases[0], model, out.with_name(f"{out.name}_case"), overwrite)
+            note(f"{cases[0]} is read as {case}; why: realsim log {cases[0]} --model {model}")
         refuse_within(out, case)
         found = None if policy is None else _contract(case, policy, deploy_yaml)
         with steps() as tick:
@@ -118,7 +129,7 @@ def _checked(cases: tuple[Path, ...], config: DiagnoseConfig) -> CommandResult:
 
 def _health(case: Path, found: Mapping[str, Any]) -> list[str]:
     warnings = found["health"]["warnings"]
-    first = f"{case.name}: {len(found['runs'])} runs, {found['seconds']:.0f} s of log: "
+    first = f"{case.name}: {len(found['runs'])} run{'s' * (len(found['runs']) > 1)}, {found['seconds']:.0f} s of log: "
     return [
         first
         + (
@@ -139,15 +150,27 @@ def _contract(folder: Path, policy: Path, deploy_yaml: Path | None) -> Found:
     return contract.check(contract.load_policy(policy, deploy_yaml, case.joint_names), steps)
 
 
-def _from_recording(recording: Path, model: Path, out: Path, overwrite: bool) -> Path:
-    """The case of a recording, in a folder beside the output; see `realsim log`."""
+def _refuse_recording(path: Path) -> None:
+    """A recording has no model yet; a case has. Raises RealsimError for what `realsim log` can read."""
+    from realsim.logs.reading import reader_of
+
+    if not (path / "log.json").exists() and path.exists() and reader_of(path) is not None:
+        raise RealsimError(
+            "this is a recording, not a case",
+            file=path,
+            expected="a folder with log.json, model.xml and runs/",
+            hint=f"realsim log {path} --model robot.xml --out case; or realsim diagnose {path} --model robot.xml",
+        )
+
+
+def _from_recording(recording: Path, model: Path, case: Path, overwrite: bool = False) -> Path:
+    """The case of a recording, written to a folder; see `realsim log`."""
     from realsim import logs
 
-    case = out.with_name(f"{out.name}_case")
     target = logs.load_target(model)
     proposal = logs.propose(logs.read(recording), target)
-    logs.write_case(proposal, target, case, overwrite=overwrite, check=gap.load_case)
-    note(f"{recording} is read as {case}; why: realsim log {recording} --model {model}")
+    for said in logs.write_case(proposal, target, case, overwrite=overwrite, check=gap.load_case):
+        note(said)
     return case
 
 

@@ -24,7 +24,8 @@ def log(
     """Say what a robot's recording holds: which topic or column is what, with the evidence; and write it as a case.
 
     Args:
-        recording: a file or a folder: MCAP, ROS bag, LeRobot, parquet, CSV, JSON, ULog, npz; a folder of files is runs.
+        recording: a file or a folder: MCAP, ROS bag, LeRobot, parquet, CSV, JSON, ULog, Rerun, npz; a folder of files
+            is runs.
         model: MJCF (or URDF) of the robot; order, units and signs of the joints are tested against it.
         out: where the case for `realsim diagnose` goes; without it nothing is written.
         use: overrides a guess: ROLE=STREAM:FIELD, or ROLE=none; ROLE is command, joint_pos, joint_vel, ...
@@ -44,7 +45,8 @@ def log(
     if out is not None and target is not None:
         said = logs.write_case(proposal, target, out, overwrite=overwrite, check=gap.load_case)
         case = gap.load_case(out)
-        said += list(case.warnings)
-        text += "\n".join(["", "", f"case    {out} ({len(case.runs)} runs)", *(f"note    {s}" for s in said)])
+        said += [*(f"left out: {run}" for run in case.dropped_runs), *case.warnings]
+        runs = f"{len(case.runs)} run{'s' * (len(case.runs) > 1)}"
+        text += "\n".join(["", "", f"case    {out} ({runs})", *(f"note    {s}" for s in said)])
         data |= {"case": str(out), "notes": said}
     return CommandResult(text, data)

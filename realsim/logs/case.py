@@ -91,8 +91,9 @@ def write_case(
 
 
 def _recorded(proposal: Proposal) -> str:
-    """Streams of the recordings, each once."""
+    """Streams of the recordings, each once, and what was not read."""
     names = dict.fromkeys(f"{s.name or 'table'} ({s.type})" for r in proposal.recordings for s in r.streams)
+    names |= dict.fromkeys(f"{t} (not read: {why})" for r in proposal.recordings for t, why in r.skipped.items())
     more = f" and {len(names) - 8} more" if len(names) > 8 else ""
     return (", ".join(list(names)[:8]) or "nothing") + more
 
@@ -132,6 +133,8 @@ def run_arrays(proposal: Proposal, recording: Recording) -> tuple[dict[str, F64]
     for role, (time, values, kind) in series.items():
         if role == "command":
             arrays[role] = _commanded(time, values, kind, rows)
+        elif role == "enabled":
+            arrays[role] = np.nan_to_num(held(time, values, rows), nan=1.0)
         elif role == "contact":
             arrays[role] = held(time, values, rows)
         elif role in ("joint_pos", "joint_vel", "joint_torque"):

@@ -65,6 +65,25 @@ def command(e: Evidence) -> None:
     _gains(e, source)
 
 
+def enabled(e: Evidence) -> None:
+    """Which drives are on: 0 and 1, one column for all or one a joint."""
+    command = e.proposal.assignments.get("command")
+    source = e.nearest(e.candidates_for("enabled"))
+    if command is None or source is None:
+        return
+    values = e.of(source)[1].values
+    if not set(np.unique(values[np.isfinite(values)])) <= {0.0, 1.0} or not (values == 1).any():
+        e.proposal.warnings.append(f"{source.label} is not 0 and 1 for drives that are off and on: left out")
+        return
+    columns = [0] * len(command.targets)
+    if values.shape[1] > 1:
+        columns = list(command.columns)
+        if values.shape[1] <= max(columns):
+            e.proposal.warnings.append(f"{source.label} has {values.shape[1]} columns: left out")
+            return
+    e.settle("enabled", source, columns, command.targets, [f"by {source.why}", "0 and 1"], unit="1")
+
+
 def _best(e: Evidence, found: Sequence[Candidate], wanted: str) -> Candidate | None:
     """Of the command's kind that the model takes, before others; then the nearest to the joints' topic."""
     for kinds in ((f"command.{wanted}", "command"), ("command.position", "command.velocity", "command.torque")):

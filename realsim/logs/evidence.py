@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,8 +31,6 @@ class Evidence:
     candidates: Sequence[Candidate]
     chosen: Mapping[str, Candidate | None]
     proposal: Proposal
-    orders: dict[tuple[str, int], list[str]] = field(default_factory=dict)
-    """(stream, width) -> joints of unnamed columns, once they are settled for one field of it."""
 
     def of(self, source: Candidate) -> tuple[F64, Field]:
         """(time, field) of a candidate."""

@@ -62,6 +62,7 @@ def propose(
     joints.position(evidence)
     joints.velocity(evidence)
     commands.command(evidence)
+    commands.enabled(evidence)
     joints.torque(evidence)
     body.orientation(evidence)
     body.accelerometer(evidence)

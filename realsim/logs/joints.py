@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from realsim.correlation import alike
 from realsim.logs.evidence import Evidence, two_robots
 from realsim.logs.model import Target
-from realsim.logs.names import match_joints
+from realsim.logs.names import known_type, match_joints
 from realsim.logs.proposal import Candidate
 from realsim.logs.recording import Field
 from realsim.logs.signals import at, factor, smooth_derivatives, travelled
@@ -37,7 +37,9 @@ def position(e: Evidence) -> None:
     """Joint positions: the field, the joints of its columns, unit, signs."""
     found = e.candidates_for("joint_pos")
     if not found and e.target is not None and "joint_pos" not in e.chosen:
-        found = [c for c in e.candidates if not c.role and e.of(c)[1].width == len(e.target.joints) > 1]
+        # A field without a telling name, as wide as the robot; of known types it is known that it is something else.
+        wide = [c for c in e.candidates if not c.role and e.of(c)[1].width == len(e.target.joints) > 1]
+        found = [c for c in wide if not known_type(e.stream(c).type) and not _still(e.of(c)[1].values)]
     source = _best_positions(e, found)
     if source is None:
         return
@@ -59,7 +61,6 @@ def position(e: Evidence) -> None:
     values = (values - offset) * size
     signs, turned = _signs(e.target, names, values)
     evidence = [f"by {source.why}", how, said, *turned, _within(e.target, names, values * signs)]
-    e.orders[source.stream, field.width] = names
     e.settle("joint_pos", source, columns, names, evidence, scale=size * signs, offset=offset, unit=unit,
              doubtful=doubtful)  # fmt: skip
 
@@ -87,10 +88,7 @@ def _best_positions(e: Evidence, found: Sequence[Candidate]) -> Candidate | None
 
 def _known(target: Target, field: Field) -> int:
     """How many joints of the model a field can be: by its labels, else by an order of that width."""
-    named = len(match_joints(field.labels, target.joints))
-    return (
-        max(named, *(len(o) for o in target.orders(field.width).values()), 0) if target.orders(field.width) else named
-    )
+    return max(len(match_joints(field.labels, target.joints)), *map(len, target.orders(field.width).values()), 0)
 
 
 def _which_joints(e: Evidence, source: Candidate, field: Field) -> tuple[list[int], list[str], str, bool]:
@@ -117,31 +115,41 @@ def _which_joints(e: Evidence, source: Candidate, field: Field) -> tuple[list[in
         said += f"; as likely by the data: {', '.join(rivals)}: check, or name the columns"
     elif len(ranked) > 1:
         said += f"; next {ranked[1]} {scores[ranked[1]][0]:.2f}"
-    idle = field.values[:, len(orders[best]) :]
-    if idle.size and np.nanmax(np.abs(idle)) > 1e-6:
-        said += f"; {idle.shape[1]} more columns are left out"
-    return list(range(len(orders[best]))), list(orders[best]), said, bool(rivals)
+    moving = [c for c in range(field.width) if c not in orders[best] and not _still(field.values[:, c])]
+    if moving:
+        said += f"; {len(moving)} more columns that move are left out: is it another robot's model?"
+    return list(orders[best]), list(orders[best].values()), said, bool(rivals or moving)
 
 
-def _order_score(e: Evidence, field: Field, order: Sequence[str], source: Candidate) -> tuple[float, str]:
+def _still(values: F64) -> bool:
+    """Whether columns hold one value each, as the entry of a motor that a robot does not have."""
+    spread = np.nan_to_num(values, nan=-np.inf).max(axis=0) - np.nan_to_num(values, nan=np.inf).min(axis=0)
+    return bool((spread < 1e-6).all())
+
+
+def _order_score(e: Evidence, field: Field, order: Mapping[int, str], source: Candidate) -> tuple[float, str]:
     """(agreement 0 to 1 of an order of unnamed columns with the model, what it consists of)."""
     assert e.target is not None
-    values = field.values[:, : len(order)]
-    unit, offset, _ = _unit(e.target, order, values, source.unit)
+    columns, names = list(order), list(order.values())
+    values = field.values[:, columns]
+    unit, offset, _ = _unit(e.target, names, values, source.unit)
     values = (values - offset) * ANGLES.get(unit, 2 * np.pi / TICKS)
-    parts = {"in range": _share_within(e.target, order, values)}
-    level = _feet_level(e, order, values)
+    parts = {"in range": _share_within(e.target, names, values)}
+    level = _feet_level(e, names, values)
     if level is not None:
         parts["feet level"] = level
     torque = next((c for c in e.candidates if c.role == "joint_torque" and c.stream == source.stream), None)
     if torque is not None and not e.target.floating and e.of(torque)[1].width == field.width:
-        need = _needed(e, tuple(order), values)
+        need = _needed(e, tuple(names), values)
         if need is not None:
             rows, tau = need
-            logged = e.of(torque)[1].values[rows][:, : len(order)]
-            found = [abs(alike(logged[:, k], tau[:, k])) for k in range(len(order))]
+            logged = e.of(torque)[1].values[rows][:, columns]
+            found = [abs(alike(logged[:, k], tau[:, k])) for k in range(len(names))]
             parts["torques"] = float(np.median(found))
-    return float(np.mean(list(parts.values()))), ", ".join(f"{k} {v:.2f}" for k, v in parts.items())
+    rest = [_still(field.values[:, c]) for c in range(field.width) if c not in order]
+    idle = float(np.mean(rest)) if rest else 1.0  # an order that leaves out motors which move is not the robot's
+    said = ", ".join(f"{k} {v:.2f}" for k, v in (parts | ({"the rest idle": idle} if rest else {})).items())
+    return float(np.mean(list(parts.values()))) * idle, said
 
 
 def _feet_level(e: Evidence, order: Sequence[str], values: F64) -> float | None:
@@ -255,10 +263,6 @@ def columns_for(e: Evidence, source: Candidate) -> tuple[list[int], list[str], s
         return list(e.proposal.assignments["joint_pos"].columns), joints, f"unnamed columns: as in {home.label}"
     if field.width == len(joints):
         return list(range(len(joints))), joints, "unnamed columns: in the order of the model's joints"
-    order = e.orders.get((source.stream, field.width))
-    if order is not None:
-        names = [j for j in joints if j in order]
-        return [order.index(j) for j in names], names, ""
     return [], [], ""
 
 

@@ -107,31 +107,31 @@ class Target:
         lowest = min(heights.values(), default=0.0)
         return [b for b, z in heights.items() if z < lowest + FOOT_HEIGHT]
 
-    def orders(self, width: int) -> dict[str, list[str]]:
-        """Name of an order -> the joints of this many unnamed columns, in orders that controllers use."""
+    def orders(self, width: int) -> dict[str, dict[int, str]]:
+        """Name of an order -> column -> joint, for this many unnamed columns, in orders that controllers use."""
         from realsim.logs.names import MOTOR_TABLES, match_joints
 
-        joints = list(self.joints)
-        found: dict[str, list[str]] = {}
+        joints, driven = list(self.joints), [j for j in self.driven if j]
+        lists: dict[str, list[str]] = {}
         if width == len(joints):
-            found["the model's order"] = joints
-            found["the order of the model's actuators"] = [j for j in self.driven if j]
-            found["breadth first (Isaac)"] = self._breadth_first()
-            found["alphabetical"] = sorted(joints)
-        elif width == len([j for j in self.driven if j]):
-            found["the order of the model's actuators"] = [j for j in self.driven if j]
+            lists["the model's order"] = joints
+            lists["the order of the model's actuators"] = driven
+            lists["breadth first (Isaac)"] = self._breadth_first()
+            lists["alphabetical"] = sorted(joints)
+        elif width == len(driven):
+            lists["the order of the model's actuators"] = driven
         elif width > len(joints):
-            found["the model's order, then idle columns"] = joints
+            lists["the model's order, then idle columns"] = joints
+        found = {n: dict(enumerate(o)) for n, o in lists.items() if o and len(set(o)) == len(o)}
         for name, table in MOTOR_TABLES.items():
             at = match_joints(table, joints)
-            if len(at) == len(table) <= width:
+            if len(at) == sum(map(bool, table)) and len(table) <= width:
                 # Where a table and another order are the same, the table's name says more.
-                found = {f"the motors of {name}": [at[i] for i in range(len(table))], **found}
-        good = {n: o for n, o in found.items() if o and len(set(o)) == len(o)}
-        unique: dict[tuple[str, ...], str] = {}
-        for name, order in good.items():
-            unique.setdefault(tuple(order), name)
-        return {name: list(order) for order, name in unique.items()}
+                found = {f"the motors of {name}": at, **found}
+        unique: dict[tuple[tuple[int, str], ...], str] = {}
+        for name, order in found.items():
+            unique.setdefault(tuple(order.items()), name)
+        return {name: dict(order) for order, name in unique.items()}
 
     def _breadth_first(self) -> list[str]:
         depth: dict[str, int] = {}

@@ -5,8 +5,20 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-ROLES = ("command", "joint_pos", "joint_vel", "joint_torque", "base_pos", "base_quat", "imu_gyro", "imu_acc", "contact")
+ROLES = (
+    "command",
+    "enabled",
+    "joint_pos",
+    "joint_vel",
+    "joint_torque",
+    "base_pos",
+    "base_quat",
+    "imu_gyro",
+    "imu_acc",
+    "contact",
+)
 """Arrays of a case."""
+JOINTS = ("joint_pos", "joint_vel", "joint_torque")
 
 # Message type (last part) -> member -> (role, unit). `command.` roles say what is commanded.
 # Sources: the .msg files of common_interfaces, control_msgs, unitree_ros2 and px4_msgs.
@@ -46,6 +58,7 @@ TYPES: dict[str, dict[str, tuple[str, str]]] = {
 _SENT = r"cmds?|commands?|commanded|des|desired|targets?|goals?|ref|reference|setpoints?|actions?|ctrl|control"
 _NOT = re.compile(r"(^|_)(error|err|temp|temperature|temps|volt|volts|voltage|raw|ddq|kp|kd|limit|min|max|power)(_|$)")
 _WORDS: tuple[tuple[str, str], ...] = (
+    ("enabled", r"(^|_)(torque_enabled?|torque_on|motors?_enabled?|drives?_enabled?|enabled)(_|$)"),
     ("imu_acc", r"(^|_)(acc|accel|accelerometer|accelerations?_(linear|imu)|linear_accelerations?|imu_acc)(_|$)"),
     ("imu_gyro", r"(^|_)(gyro|gyroscope|angular_velocity|ang_vel|base_ang_vel|omega|imu_gyro)(_|$)"),
     ("base_quat", r"(^|_)(quat|quaternion|orientation|base_quat)(_|$)"),
@@ -65,6 +78,11 @@ _UNITS = (
 )  # fmt: skip
 CLOCK_UNITS = {"ms": 1e-3, "msec": 1e-3, "millis": 1e-3, "us": 1e-6, "usec": 1e-6, "micros": 1e-6, "ns": 1e-9,
                "nsec": 1e-9, "s": 1.0, "sec": 1.0, "secs": 1.0, "seconds": 1.0}  # fmt: skip
+
+
+def known_type(kind: str) -> bool:
+    """Whether it is known what the members of a message type mean."""
+    return bool(TYPES.get(kind.replace("::", "/").rsplit("/", 1)[-1].rsplit(".", 1)[-1]))
 
 
 def plain(name: str) -> str:
@@ -106,11 +124,11 @@ def meaning(stream: str, kind: str, member: str) -> tuple[str, str, str]:
     known = TYPES.get(last, {}).get(member)
     if known is not None:
         role, unit = known
-        if sent and role in ("joint_pos", "joint_vel", "joint_torque"):
+        if sent and role in JOINTS:
             role = {"joint_pos": "command.position", "joint_vel": "command.velocity"}.get(role, "command.torque")
             return role, unit, f"{member} of {kind} on a topic named for commands"
         return role, unit, f"{member} of {kind}"
-    if TYPES.get(last):
+    if known_type(kind):
         return "", "", ""  # the type is known, and this member is none of these
     ending = member.rpartition(".")[2]
     text = plain(member if ending in ("data", "values", "value") else ending)
@@ -119,7 +137,9 @@ def meaning(stream: str, kind: str, member: str) -> tuple[str, str, str]:
     unit = named_unit(member)
     role = next((r for r, pattern in _WORDS if re.search(pattern, re.sub(rf"(^|_)({_SENT})(?=_|$)", "", text))), "")
     asked = sent or re.search(rf"(^|_)({_SENT})(_|$)", text) is not None
-    if asked and role in ("", "joint_pos", "joint_vel", "joint_torque"):
+    above = plain(member.rpartition(".")[0].rpartition(".")[2])  # motor_cmd of motor_cmd.q
+    below_sent = re.search(rf"(^|_)({_SENT})(_|$)", above) is not None
+    if (asked and role in ("", *JOINTS)) or (below_sent and role in JOINTS):
         kinds = {"joint_pos": ".position", "joint_vel": ".velocity", "joint_torque": ".torque"}
         return f"command{kinds.get(role, '')}", unit, f"the name {member!r}" + (f" in {stream!r}" if sent else "")
     return role, unit, f"the name {member!r}" if role else ""
@@ -131,14 +151,19 @@ _LEGS = [f"{leg}_{joint}" for leg in ("FR", "FL", "RR", "RL") for joint in ("hip
 _ARM = ["shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow", "wrist_roll", "wrist_pitch", "wrist_yaw"]
 _LEG = ["hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll"]
 MOTOR_TABLES: dict[str, list[str]] = {
-    # Unitree's SDK: index of motor_state and motor_cmd -> joint.
+    # Unitree's SDK: index of motor_state and motor_cmd -> joint; empty where the robot has no such motor.
     "Unitree Go1, Go2, A1, B2": _LEGS,
     "Unitree G1 (29)": [f"{side}_{j}" for side in ("left", "right") for j in _LEG]
     + ["waist_yaw", "waist_roll", "waist_pitch"]
     + [f"{side}_{j}" for side in ("left", "right") for j in _ARM],
     "Unitree G1 (23)": [f"{side}_{j}" for side in ("left", "right") for j in _LEG]
-    + ["waist_yaw"]
-    + [f"{side}_{j}" for side in ("left", "right") for j in _ARM[:5]],
+    + ["waist_yaw", "", ""]
+    + [f"left_{j}" for j in _ARM[:5]]
+    + ["", ""]
+    + [f"right_{j}" for j in _ARM[:5]],
+    "Unitree H1": [f"{side}_{j}" for side in ("right", "left") for j in ("hip_roll", "hip_pitch", "knee")]
+    + ["torso", "left_hip_yaw", "right_hip_yaw", "", "left_ankle", "right_ankle"]
+    + [f"{side}_{j}" for side in ("right", "left") for j in _ARM[:4]],
     "LeRobot SO-100, SO-101": ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper"],
 }
 FEET: dict[str, list[str]] = {"Unitree Go1, Go2, A1, B2": ["FR", "FL", "RR", "RL"]}

@@ -9,17 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from realsim.errors import GapError, RealsimError
+from realsim.errors import GapError, MissingExtraError, RealsimError
 from realsim.files import check_size
 from realsim.logs.readers import READERS
-from realsim.logs.recording import Reader, Recording, Window
+from realsim.logs.recording import Reader, Recording, Stream, Window, no_samples
 from realsim.progress import track
 
 MAX_RUNS = 400
 MAX_BYTES = 64 * 2**30
-_HALF = re.compile(
-    r"(^|[_\-. ])(measured|actual|state|states|feedback|desired|reference|commands?|cmd|targets?|goals?)(?=$|[_\-. ])"
-)
+_MEASURED = ("measured", "actual", "state", "states", "feedback")
+_HALF = re.compile(rf"(^|[_\-. ])({'|'.join(_MEASURED)}|desired|reference|commands?|cmd|targets?|goals?)(?=$|[_\-. ])")
 
 
 def read(path: Path, window: Window | None = None) -> list[Recording]:
@@ -41,7 +40,7 @@ def read(path: Path, window: Window | None = None) -> list[Recording]:
         return _read(reader, path, window)
     if path.is_dir():
         return _folder(path, window)
-    raise unknown(path)
+    raise _empty(path) if path.is_file() and not path.stat().st_size else unknown(path)
 
 
 def reader_of(path: Path) -> Reader | None:
@@ -59,16 +58,28 @@ def unknown(path: Path) -> GapError:
     )
 
 
+def _empty(path: Path) -> GapError:
+    return GapError("the file is empty", file=path, expected="a recording", hint="copy it again, or record it again")
+
+
 def _read(reader: Reader, path: Path, window: Window) -> list[Recording]:
     if path.is_file():
         check_size(path, MAX_BYTES)
         if path.stat().st_size == 0:
-            raise GapError("the file is empty", file=path, expected=reader.looks_for)
+            raise _empty(path)
     else:  # a reader's library would wait for ever at a pipe in place of one of its files
         for inner in path.rglob("*"):
             if not inner.is_dir():
                 check_size(inner, MAX_BYTES)
-    return [_finite(recording) for recording in reader.read(path, window)]
+    found = [_finite(replace(r, streams=filled)) for r in reader.read(path, window) if (filled := _filled(r))]
+    if not found:
+        raise no_samples(path, "samples in the window of time", window=window)
+    return found
+
+
+def _filled(recording: Recording) -> tuple[Stream, ...]:
+    """The streams that have samples; of a window of time some may have none."""
+    return tuple(s for s in recording.streams if s.count)
 
 
 def _finite(recording: Recording) -> Recording:
@@ -102,12 +113,14 @@ def _folder(folder: Path, window: Window) -> list[Recording]:
     if len(known) > MAX_RUNS:
         raise GapError("too many recordings", file=folder, expected=f"at most {MAX_RUNS}", found=str(len(known)))
     found: list[Recording] = []
-    lost: list[str] = []
+    lost = [f"{p.name}: the file is empty" for p in files if p.is_file() and not p.stat().st_size and not reader_of(p)]
     first: RealsimError | None = None
     for path, reader in track(known, "reading", len(known)):
         try:
             found += _read(reader, path, window)
-        except GapError as error:
+        except MissingExtraError:
+            raise
+        except RealsimError as error:
             first = first or error
             lost.append(f"{path.name}: {error.message}")
     if not found:
@@ -125,12 +138,18 @@ def _halves(recordings: Sequence[Recording]) -> list[Recording]:
     result = []
     for name, parts in groups.items():
         if len(parts) == 2 and all(len(p.streams) == 1 for p in parts) and _one_clock(parts):
-            streams = tuple(replace(p.streams[0], name=p.name) for p in parts)
+            streams = tuple(replace(p.streams[0], name=_half(p.name)) for p in parts)
             notes = (*parts[0].notes, *parts[1].notes, f"{parts[0].name} and {parts[1].name} are taken as one run")
             result.append(replace(parts[0], name=name or parts[0].name, streams=streams, notes=notes))
         else:
             result += parts
     return result
+
+
+def _half(name: str) -> str:
+    """`desired` or the like, or nothing for what was measured: alike in all runs of a folder, whole or in halves."""
+    found = _HALF.search(name)
+    return "" if found is None or found[2] in _MEASURED else found[2]
 
 
 def _one_clock(parts: Sequence[Recording]) -> bool:

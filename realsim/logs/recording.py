@@ -111,10 +111,11 @@ def refuse_more(path: Path, values: int) -> None:
         )
 
 
-def no_samples(path: Path, what: str, skipped: Mapping[str, str] | None = None) -> GapError:
+def no_samples(path: Path, what: str, skipped: Mapping[str, str] | None = None, window: Window = Window()) -> GapError:
     """The error for a file without anything numeric; says which topics there were."""
     there = "; ".join(f"{name} ({why})" for name, why in list((skipped or {}).items())[:12])
-    return GapError("the recording has no samples", file=path, expected=what, found=there or "nothing")
+    hint = None if window.whole else "does --skip lie beyond its end? `realsim log` without it reads the whole"
+    return GapError("the recording has no samples", file=path, expected=what, found=there or "nothing", hint=hint)
 
 
 def in_window(times: F64, window: Window) -> Any:

@@ -178,6 +178,9 @@ def _flat(item: Mapping[str, Any], place: str = "") -> dict[str, Any]:
         name = f"{place}.{key}" if place else str(key)
         if isinstance(value, Mapping):
             result |= _flat(value, name)
+        elif isinstance(value, list) and value and all(isinstance(v, Mapping) for v in value):
+            parts = [_flat(v) for v in value]  # equal parts, such as motors: every number is a list with one of each
+            result |= {f"{name}.{inner}": [p.get(inner) for p in parts] for inner in parts[0]}
         else:
             result[name] = value
     return result

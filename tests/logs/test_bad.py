@@ -14,7 +14,7 @@ from realsim.bags import mcap_records
 from realsim.cli import main
 from realsim.errors import GapError, RealsimError
 from realsim.gap import load_case
-from realsim.logs import load_target, propose, read, write_case
+from realsim.logs import Window, load_target, propose, read, write_case
 from realsim.logs.signals import follows, travelled
 
 from . import writers
@@ -170,6 +170,18 @@ def test_a_cell_that_is_no_number_is_said(tmp_path: Path) -> None:
     assert not np.isinf(run.streams[0].fields["q"].values).any()
 
 
+def test_decimal_commas_are_named(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time;q\n" + "".join(f"0,{t:02d};1,5\n" for t in range(30)))
+    with pytest.raises(GapError, match="decimal points"):
+        read(tmp_path / "a.csv")
+
+
+def test_a_column_without_a_name_is_an_index(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(",time,q\n" + "".join(f"{t},{0.01 * t},1.5\n" for t in range(30)))
+    (run,) = read(tmp_path / "a.csv")
+    assert list(run.streams[0].fields) == ["q"]
+
+
 def test_an_empty_folder_and_prose_are_no_recordings(tmp_path: Path) -> None:
     with pytest.raises(GapError, match=r"no recording|no samples"):
         read(tmp_path)
@@ -228,3 +240,65 @@ def test_hardly_any_samples_are_no_traceback(rows: int, arm: Log, tmp_path: Path
         propose(read(tmp_path / "a.jsonl"), target)
     with contextlib.suppress(RealsimError):
         follows(arm.time[:rows], arm.command[:rows, 0], arm.pos[:rows, 0])
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.jsonl", "a.rrd"])
+def test_an_empty_file_says_so(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).touch()
+    with pytest.raises(GapError, match="the file is empty"):
+        read(tmp_path / name)
+
+
+def test_one_damaged_file_of_a_folder_stops_no_other(arm: Log, tmp_path: Path) -> None:
+    np.savez(tmp_path / "good.npz", time=arm.time, q=arm.pos, q_des=arm.command)
+    (tmp_path / "bad.npz").write_bytes((tmp_path / "good.npz").read_bytes()[:500])
+    (tmp_path / "none.csv").touch()
+    (run,) = read(tmp_path)
+    assert run.name == "good"
+    assert "none.csv: the file is empty" in run.notes
+    assert any(n.startswith("bad.npz: ") for n in run.notes)
+
+
+def test_a_table_that_is_cut_off_is_read_up_to_there(tmp_path: Path) -> None:
+    rows = "".join(f'{t},"[{t}, 0.5]",{t}\n' for t in range(30))
+    path = tmp_path / "a.csv"
+    path.write_text("time,target,q\n" + rows + '30,"[30, 0.')
+    (run,) = read(path)
+    assert run.streams[0].count == 30
+    assert run.notes == ("a.csv: the last row is cut off: it is left out",)
+
+
+def test_a_ulog_that_is_cut_off_is_said_to_be(tmp_path: Path) -> None:
+    pytest.importorskip("pyulog", reason="pyulog is not installed: pip install -e '.[logs]'")
+    path = writers.ulog(tmp_path / "a.ulg", np.arange(50) * 0.01, "sensor_combined", {"gyro_rad[0]": np.zeros(50)})
+    assert not read(path)[0].notes
+    path.write_bytes(path.read_bytes()[:-5])
+    (run,) = read(path)
+    assert run.streams[0].count == 49
+    assert run.notes == ("a.ulg is damaged: read as far as it goes",)
+
+
+def test_a_window_beyond_the_end_says_so(arm: Log, mcap: Path, tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install -e '.[logs]'")
+    np.savez(tmp_path / "run.npz", time=arm.time, q=arm.pos)
+    for path in (mcap, tmp_path / "run.npz", writers.lerobot(tmp_path / "set", [arm], JOINTS)):
+        with pytest.raises(GapError, match="--skip"):
+            read(path, Window(100.0))
+
+
+def test_a_short_episode_is_left_out_of_a_window(arm: Log, tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install -e '.[logs]'")
+    short = Log(arm.time[:100], arm.command[:100], arm.pos[:100], arm.vel[:100], arm.torque[:100])
+    source = writers.lerobot(tmp_path / "set", [arm, short], JOINTS)
+    assert [r.name for r in read(source, Window(1.0))] == ["episode_000000"]
+
+
+def test_diagnose_of_a_recording(arm: Log, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = save(tmp_path, ARM)
+    np.savez(tmp_path / "run.npz", time=arm.time, q=arm.pos, q_des=arm.command)
+    run = str(tmp_path / "run.npz")
+    assert main(["diagnose", run, "--model", str(model), "--check"]) == 0
+    assert "can be used" in capsys.readouterr().out
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["robot.xml", "run.npz"]
+    assert main(["diagnose", run]) == 2
+    assert "--model robot.xml" in capsys.readouterr().err

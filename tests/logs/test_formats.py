@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from realsim.errors import GapError
 from realsim.gap import load_case
 from realsim.logs import READERS, load_target, propose, read, write_case
 
@@ -20,6 +22,11 @@ from .robots import ARM, QUADRUPED, Log, drive, save
 JOINTS = ["shoulder_joint", "elbow_joint"]
 SDK = [3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8]
 """Motor of Unitree's SDK (FR FL RR RL) -> joint of the model (FL FR RL RR)."""
+
+
+ALONE = (
+    """</body></worldbody><actuator><position name="servo" joint="elbow_joint" kp="60" kv="2"/></actuator></mujoco>"""
+)
 
 
 def need(*packages: str) -> None:
@@ -96,6 +103,11 @@ def as_json_lines(folder: Path, log: Log) -> Path:
     return folder / "run.jsonl"
 
 
+def as_rrd(folder: Path, log: Log) -> Path:
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed: pip install -e '.[rerun]'")
+    return writers.rrd(folder / "run.rrd", log, JOINTS)
+
+
 def as_npz(folder: Path, log: Log) -> Path:
     np.savez(folder / "run.npz", time=log.time, joints=np.array(JOINTS), dof_pos=log.pos, des_dof_pos=log.command)
     return folder / "run.npz"
@@ -108,7 +120,19 @@ def as_torch(folder: Path, log: Log) -> Path:
     return folder / "run.pt"
 
 
-FORMATS = [as_mcap, as_bag1, as_bag2, as_lerobot, as_parquet, as_csv, as_wide_csv, as_json_lines, as_npz, as_torch]
+FORMATS = [
+    as_mcap,
+    as_bag1,
+    as_bag2,
+    as_lerobot,
+    as_parquet,
+    as_csv,
+    as_wide_csv,
+    as_json_lines,
+    as_npz,
+    as_torch,
+    as_rrd,
+]
 
 
 @pytest.mark.parametrize("write", FORMATS, ids=lambda f: f.__name__)
@@ -160,6 +184,21 @@ def test_unitree_bag_without_definitions(quadruped: Log, tmp_path: Path) -> None
     feet = [list(case.contact_bodies).index(f"{n}_calf") for n in ("FL", "FR", "RL", "RR")]
     assert (run.signals["contact"][:, feet] == ~lifted).all()
     assert case.imu_site == "imu"
+
+
+def test_a_state_without_a_definition_is_named(quadruped: Log, tmp_path: Path) -> None:
+    """Twelve LEDs in LowCmd are no twelve joints."""
+    need("rosbags")
+    source = writers.unitree(tmp_path / "bag", quadruped, SDK)
+    with sqlite3.connect(next(source.glob("*.db3"))) as database:
+        database.execute("UPDATE topics SET type = 'my_robot/msg/State' WHERE name = '/lowstate'")
+    about = source / "metadata.yaml"
+    about.write_text(about.read_text().replace("unitree_go/msg/LowState", "my_robot/msg/State"))
+    target = load_target(save(tmp_path, QUADRUPED))
+    proposal = propose(read(source), target)
+    assert not proposal.assignments
+    with pytest.raises(GapError, match=r"/lowcmd[\s\S]*/lowstate \(not read: my_robot/msg/State: its definition"):
+        write_case(proposal, target, tmp_path / "case")
 
 
 def test_feet_that_never_lift_are_no_contact(quadruped: Log, tmp_path: Path) -> None:
@@ -224,6 +263,34 @@ def test_ulog_of_an_imu(quadruped: Log, tmp_path: Path) -> None:
     assert not proposal.complete
 
 
+def test_rerun_with_pictures_a_cloud_and_a_pose(arm: Log, tmp_path: Path) -> None:
+    (run,) = read(as_rrd(tmp_path, arm))
+    fields = {n: f for s in run.streams for n, f in s.fields.items()}
+    np.testing.assert_allclose(fields["base.translation"].values[:, 0], arm.time, atol=1e-4)
+    assert fields["base.quaternion"].values[0].tolist() == [0, 0, 0, 1]
+    assert fields["joints/position"].labels == tuple(JOINTS)
+    assert {"camera.buffer", "cloud.positions"} <= set(run.skipped)
+    (tmp_path / "cut.rrd").write_bytes((tmp_path / "run.rrd").read_bytes()[:5000])
+    with pytest.raises(GapError, match=r"not a readable .rrd"):
+        read(tmp_path / "cut.rrd")
+
+
+def test_json_lines_with_a_list_of_motors(quadruped: Log, tmp_path: Path) -> None:
+    """LowState and LowCmd as their own program writes them, line by line: a topic each, motors as objects."""
+    log, lines = quadruped, []
+    for i, t in enumerate(log.time):
+        state = [{"q": log.pos[i, j], "dq": log.vel[i, j], "name": "m"} for j in SDK]
+        lines.append({"topic": "lowstate", "time": t, "motor_state": state})
+        lines.append({"topic": "lowcmd", "time": t, "motor_cmd": [{"q": log.command[i, j], "kp": 40} for j in SDK]})
+    path = tmp_path / "run.jsonl"
+    path.write_text("\n".join(map(json.dumps, lines)))
+    proposal = propose(read(path), load_target(save(tmp_path, QUADRUPED)))
+    assert proposal.assignments["command"].source.label == "lowcmd:motor_cmd.q"
+    place = proposal.assignments["joint_pos"]
+    assert place.source.label == "lowstate:motor_state.q"
+    np.testing.assert_array_equal(proposal.recordings[0].streams[0].fields["motor_state.q"].values, log.pos[:, SDK])
+
+
 def test_json_of_a_servo_bench(arm: Log, tmp_path: Path) -> None:
     """An object with facts and its samples under `entries`, as bench logs of hobby servos are published."""
     entries = [
@@ -249,8 +316,15 @@ def test_measured_and_desired_halves_are_one_run(arm: Log, tmp_path: Path) -> No
         np.savetxt(folder / f"{name}.csv", np.stack(columns, axis=1), delimiter=",", header=head, comments="")
     proposal = propose(read(folder))
     assert len(proposal.recordings) == 1
-    assert proposal.assignments["command"].source.stream == "data_desired"
-    assert proposal.assignments["joint_pos"].source.stream == "data_measured"
+    assert proposal.assignments["command"].source.stream == "desired"
+    assert proposal.assignments["joint_pos"].source.stream == ""
+    for name in ("measured", "desired"):
+        lines = (folder / f"data_{name}.csv").read_text().splitlines(keepends=True)
+        (folder / f"again_{name}.csv").write_text("".join(lines[:700]))
+    alone = ARM.replace("shoulder_joint", "elbow_joint").split('<body name="fore"')[0]
+    target = load_target(save(tmp_path, alone + ALONE))
+    write_case(propose(read(folder), target), target, tmp_path / "case")
+    assert [r.name for r in load_case(tmp_path / "case").runs] == ["again", "data"]
 
 
 def test_real_logs_as_they_are(shared: Callable[[str], Path], tmp_path: Path) -> None:

@@ -223,3 +223,25 @@ def ulog(path: Path, stamps: np.ndarray, message: str, columns: dict[str, np.nda
         parts.append(block("D", struct.pack("<H", 1) + row))
     path.write_bytes(b"".join(parts))
     return path
+
+
+def rrd(path: Path, log: Log, names: Sequence[str]) -> Path:
+    """A Rerun recording: positions with the lines' names, each joint's speed, the base's pose, pictures."""
+    import rerun as rr
+
+    out = rr.RecordingStream("robot")
+    out.save(str(path))
+    out.log("joints/position", rr.SeriesLines(names=list(names)), static=True)
+    for i, t in enumerate(log.time):
+        out.set_time("step", sequence=i)
+        out.set_time("clock", timestamp=EPOCH + t)
+        out.log("joints/position", rr.Scalars(log.pos[i]))
+        out.log("command/q", rr.Scalars(log.command[i]))
+        for k, name in enumerate(names):
+            out.log(f"{name}/velocity", rr.Scalars(log.vel[i, k]))
+        out.log("base", rr.Transform3D(translation=[t, 0.0, 0.3], quaternion=rr.Quaternion(xyzw=[0, 0, 0, 1])))
+        if i % 100 == 0:
+            out.log("camera", rr.Image(np.zeros((20, 20, 3), np.uint8)))
+            out.log("cloud", rr.Points3D(np.zeros((1000, 3))))
+    out.flush()
+    return path

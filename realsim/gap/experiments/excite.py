@@ -65,11 +65,12 @@ def excite(
         loaded, looked, rivals = _looked(source, case, config, settings, tick)
         asked = described(looked, rivals)
         if not looked[0].helps:
+            refused = "; ".join(f"{one.name}: {one.refused}" for one in looked if one.refused)
             raise GapError(
                 "no experiment is written",
                 file=source,
-                found=asked["text"],
-                hint="; ".join(f"{one.name}: {one.refused}" for one in looked if one.refused) or None,
+                found=f"{asked['text']}{': ' if refused else ''}{refused}",
+                hint="if the robot bears more than it did in the log: --max-speed, --max-torque" if refused else None,
             )
         return write_experiment(work, loaded, looked, rivals, asked)
 

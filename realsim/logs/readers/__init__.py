@@ -12,6 +12,7 @@ READERS = Registry(
         "lerobot": "realsim.logs.readers.lerobot:READER",
         "parquet": "realsim.logs.readers.parquet:READER",
         "ulog": "realsim.logs.readers.ulog:READER",
+        "rerun": "realsim.logs.readers.rerun:READER",
         "json": "realsim.logs.readers.jsonfile:READER",
         "npz": "realsim.logs.readers.npz:READER",
         "torch": "realsim.logs.readers.torchfile:READER",

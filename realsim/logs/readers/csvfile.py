@@ -31,17 +31,21 @@ def recognise(path: Path) -> bool:
 
 def read(path: Path, window: Window) -> list[Recording]:
     check_size(path, MAX_BYTES)
+    notes: list[str] = []
     try:
         with path.open(encoding="utf-8-sig", newline="", errors="strict") as file:
-            columns, dropped, odd = _columns(path, file)
+            columns, dropped, odd = _columns(path, file, notes)
     except UnicodeDecodeError as error:
         raise GapError("not a text file", file=path, expected="UTF-8 text", found=str(error)) from error
     except csv.Error as error:
         raise GapError("a row cannot be read", file=path, found=str(error)) from error
+    if not columns and dropped:
+        raise GapError("no column holds numbers", file=path, found=f"text in {', '.join(dropped[:8])}",
+                       hint="write decimal points, not commas")  # fmt: skip
     if not columns:
         raise no_samples(path, "a header and one row per sample")
     columns = trimmed(columns, window)
-    notes = [f"{path.name}: columns of text left out: {', '.join(dropped[:8])}"] if dropped else []
+    notes += [f"{path.name}: columns of text left out: {', '.join(dropped[:8])}"] if dropped else []
     notes += [f"{path.name}: {n} has values that are no numbers, the first is {c!r}" for n, c in odd.items()]
     return [Recording(path, path.stem, "csv", (table(path, "", columns),), notes=tuple(notes))]
 
@@ -60,7 +64,7 @@ def trimmed(columns: dict[str, F64], window: Window) -> dict[str, F64]:
     return {n: v[keep] for n, v in columns.items()}
 
 
-def _columns(path: Path, lines: Iterator[str]) -> tuple[dict[str, F64], list[str], dict[str, str]]:
+def _columns(path: Path, lines: Iterator[str], notes: list[str]) -> tuple[dict[str, F64], list[str], dict[str, str]]:
     """(columns of numbers, names of the others, columns with a cell that is no number and that cell).
 
     In blocks of rows, so that no more than one block is text.
@@ -81,6 +85,9 @@ def _columns(path: Path, lines: Iterator[str]) -> tuple[dict[str, F64], list[str
         read += 1
         if not row:
             continue
+        if len(row) < len(header) and next(lines, None) is None:
+            notes.append(f"{path.name}: the last row is cut off: it is left out")
+            break
         if len(row) != len(header):
             raise GapError(
                 "a row has the wrong number of cells", file=path, expected=f"{len(header)}, as in the header",
@@ -108,7 +115,7 @@ def _take(
 ) -> int:
     size = 0
     for i, name in enumerate(header):
-        if name in dropped:
+        if not name or name in dropped:  # a column without a name is a table's index
             continue
         column = cells(path, name, [row[i] for row in block])
         if column is None or (parts[name] and column.ndim != parts[name][0].ndim):

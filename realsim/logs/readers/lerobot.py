@@ -67,12 +67,12 @@ def _episodes(
         rows = whole["episode_index"] == episode
         clock = whole["timestamp"][rows] if "timestamp" in whole else np.flatnonzero(rows) / float(info.get("fps", 30))
         keep = in_window(clock, window)
-        columns = {n: Field(v[rows][keep].reshape(int(keep.sum()), -1), labels[n]) for n, v in fields.items()}
         if keep.any():
+            columns = {n: Field(v[rows][keep].reshape(int(keep.sum()), -1), labels[n]) for n, v in fields.items()}
             stream = Stream("", "lerobot", {"timestamp": clock[keep]}, columns)
             found.append(Recording(path, f"episode_{int(episode):06d}", "lerobot", (stream,), skipped, notes, facts))
     if not found:
-        raise no_samples(path, "episodes in the window of time")
+        raise no_samples(path, "episodes with rows", window=window)
     return found
 
 

@@ -52,7 +52,9 @@ def read(path: Path, window: Window) -> list[Recording]:
     streams = topics.streams()
     notes += [f"{topic}: {what}" for topic, what in topics.failures().items()]
     if not streams:
-        raise no_samples(path, "topics with joint states, commands, an IMU or a pose", skipped | topics.failures())
+        raise no_samples(
+            path, "topics with joint states, commands, an IMU or a pose", skipped | topics.failures(), window
+        )
     return [Recording(path, path.stem, "rosbag", streams, skipped, tuple(notes))]
 
 

@@ -13,6 +13,8 @@ from realsim.logs.tables import grouped
 
 MAX_BYTES = 2**30
 MAGIC = b"ULog\x01\x12\x35"
+HEAD = 16
+"""Bytes before the first message: the magic, the version, the time of the start."""
 
 
 def recognise(path: Path) -> bool:
@@ -41,11 +43,21 @@ def read(path: Path, window: Window) -> list[Recording]:
             fields = {n: Field(f.values, f.labels, f.unit) for n, f in grouped(columns).items()}
             streams.append(Stream(name, entry.name, clocks, fields))
     if not streams:
-        raise no_samples(path, "logged messages")
+        raise no_samples(path, "logged messages", window=window)
     notes: tuple[str, ...] = (f"{len(log.dropouts)} dropouts in the log",) if log.dropouts else ()
-    if getattr(log, "file_corruption", False):
+    if log.file_corruption or not _whole(path):
         notes += (f"{path.name} is damaged: read as far as it goes",)
     return [Recording(path, path.stem, "ulog", tuple(streams), notes=notes)]
+
+
+def _whole(path: Path) -> bool:
+    """Whether the last message ends where the file does; the library stops at a cut without a word."""
+    with path.open("rb") as file:
+        end, at = path.stat().st_size, HEAD
+        while at < end:
+            file.seek(at)
+            at += 3 + int.from_bytes(file.read(3)[:2], "little")
+    return at == end
 
 
 READER = Reader("ulog", "a PX4 .ulg file", recognise, read)
