@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from realsim.errors import GapError
 
 NEVER_INFINITE = ("body_", "dof_", "geom_", "jnt_pos", "jnt_axis", "site_", "qpos0", "key_", "actuator_gear", "mesh_")
 """Fields, by how their names begin, of which an infinite one is damage; limits and ranges may be infinite."""
@@ -29,3 +32,11 @@ def odd_number(model: Any) -> str | None:
         if bad.any():
             return f"{name} holds {values[bad].flat[0]:g}"
     return None
+
+
+def not_compiled(path: Path, error: Exception) -> GapError:
+    """What to say of a model that MuJoCo refuses."""
+    found = str(error).splitlines()[0][:200]
+    missing = "opening file" in found
+    hint = "copy the robot's meshes to where the model looks for them, or take out the geoms that need them"
+    return GapError("the model does not compile", file=path, found=found, hint=hint if missing else None)

@@ -12,7 +12,7 @@ import numpy as np
 from realsim.errors import GapError
 from realsim.files import check_size
 from realsim.logs.names import words
-from realsim.models import odd_number
+from realsim.models import not_compiled, odd_number
 from realsim.types import F64
 
 MAX_MODEL_BYTES = 64 * 2**20
@@ -199,7 +199,7 @@ def load_target(path: Path) -> Target:
         spec = mujoco.MjSpec.from_file(str(path))
         model = spec.compile()
     except Exception as error:  # MuJoCo raises ValueError and its own types
-        raise GapError("the model does not compile", file=path, found=str(error).splitlines()[0][:200]) from error
+        raise not_compiled(path, error) from error
     if (odd := odd_number(model)) is not None:
         expected = "finite numbers of a robot's size"
         raise GapError("the model cannot be simulated", file=path, expected=expected, found=odd)

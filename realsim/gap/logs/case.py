@@ -17,7 +17,7 @@ from realsim.gap.logs.recordings import read_recordings
 from realsim.gap.logs.resolve import resolve
 from realsim.gap.logs.runs import Layout, layout, read_run
 from realsim.gap.logs.runs import Run as Run
-from realsim.models import odd_number
+from realsim.models import not_compiled, odd_number
 from realsim.notebook import table, traces
 
 MAX_INCLUDES = 8
@@ -268,7 +268,7 @@ def load_model(path: Path) -> tuple[Any, Any, str]:
         resolve(spec)
         model = spec.copy().compile()
     except Exception as error:  # MuJoCo raises ValueError and its own types
-        raise GapError("model.xml does not compile", file=path, found=str(error).splitlines()[0]) from error
+        raise not_compiled(path, error) from error
     if not LEAST_TIMESTEP <= model.opt.timestep <= 0.1:  # NaN too
         raise GapError(
             "the model's time step cannot be simulated",
