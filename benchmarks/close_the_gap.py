@@ -21,9 +21,11 @@ from benchmarks.store import Store
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "close_the_gap.py"
 RESULTS = Path(__file__).parent / "results" / "close_the_gap.json"
+KEY = ("robot", "iterations", "effects_considered", "course")
 FACTS = {
-    "what": "A simulated quadruped that its model does not describe: success of 4 m on flat ground in 10 s before, "
-    "after fine-tuning with the diagnosis, and after the same fine-tuning with randomisation alone. One seed.",
+    "what": "A simulated quadruped that its model does not describe: success on the way (4 m on flat ground in 10 s, "
+    "or a course) before, after fine-tuning with the diagnosis, and after the same fine-tuning with randomisation "
+    "alone. One seed.",
 }
 
 
@@ -36,7 +38,8 @@ def rows(results: dict[str, Any]) -> list[dict[str, Any]]:
             continue
         before, nominal, options = parts["before"], results["nominal"], results["options"]
         row: dict[str, Any] = {"robot": name, "truth": before["what"], "iterations": options["iterations"]}
-        row |= {"effects_considered": parts["diagnosis"].get("effects_considered") or "all"}
+        row |= {"effects_considered": ", ".join(parts["diagnosis"].get("effects_considered") or ["all"])}
+        row |= {"course": options["course"]}
         row |= {"verdict": parts["diagnosis"]["verdict"], "causes": parts["diagnosis"]["causes"]}
         row |= {"nominal": _short(nominal), "before": _short(before)}
         for arm in ("patch", "random"):
@@ -66,7 +69,7 @@ def main() -> int:
     args, rest = parser.parse_known_args()
     if not args.store_only:
         subprocess.run([sys.executable, str(EXAMPLE), "--out", str(args.out), *rest], check=True)
-    store = Store(args.store, ("robot", "iterations"))
+    store = Store(args.store, KEY)
     store.facts = FACTS
     for row in rows(json.loads((args.out / "results.json").read_text())):
         print(json.dumps(store.add(row)))

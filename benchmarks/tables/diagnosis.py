@@ -154,7 +154,8 @@ def closing() -> list[str]:
         for arm in ("random", "patch"):
             back = r[f"regained_{arm}"]
             cells += [_walked(r[arm]), f"{100 * back['rate']:.0f} %, {100 * back['speed']:.0f} %"]
-        lines.append(f"| {r['truth']} | {said} | {' | '.join(cells)} |")
+        many = "all effects" if r["effects_considered"] == "all" else "five effects"
+        lines.append(f"| {r['truth']} | {many}; {said} | {' | '.join(cells)} |")
     return lines
 
 

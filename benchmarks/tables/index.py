@@ -65,7 +65,7 @@ KEYS = {
     "bag_scene": ("terrain", "frames", "source"),
     "base_policy": base_policy.KEY,
     "captures": ("kind", "seed", "method"),
-    "close_the_gap": ("robot", "iterations"),
+    "close_the_gap": ("robot", "iterations", "effects_considered", "course"),
     "contact": ("terrain", "representation"),
     "fuzz": ("kind", "seed", "number"),
     "diagnosis": ("seed", "case"),
