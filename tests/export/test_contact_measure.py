@@ -100,3 +100,27 @@ def test_region_holds_what_rises() -> None:
     region = Region.around(reference(terrain("stairs")), 0.0)
     assert region.lower[0] == pytest.approx(-0.5)
     assert region.top == pytest.approx(0.35, abs=1e-4)
+
+
+def test_a_ray_that_meets_something_invented_first_does_not_count() -> None:
+    """A wall that no camera saw stands before one that was seen: from its far side nothing counts."""
+    import mujoco
+    import trimesh
+
+    from realsim.exports.contact.sides import side_figures
+
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 1])
+    for x in (0.0, 2.05):
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.05, 2, 1], pos=[x, 0, 1])
+    floor = trimesh.creation.box((6, 4, 0.02), trimesh.transformations.translation_matrix((0, 0, -0.01)))
+    seen = trimesh.creation.box((0.1, 4, 2), trimesh.transformations.translation_matrix((2.05, 0, 1)))
+    guess = trimesh.creation.box((0.1, 4, 2), trimesh.transformations.translation_matrix((0, 0, 1)))
+    whole = trimesh.util.concatenate([floor, seen, guess])
+    invented = np.arange(len(whole.faces)) >= len(floor.faces) + len(seen.faces)
+    vertices, faces = np.asarray(whole.vertices, float), np.asarray(whole.faces, np.int32)
+    low, high = np.array([-2.0, -1.5]), np.array([-0.5, 1.5])
+    assert side_figures(spec, Reference(vertices, faces, invented), low, high, 0.0)["rays"] == 0
+    between = side_figures(spec, Reference(vertices, faces, invented), np.array([0.5, -1.5]), np.array([1.5, 1.5]), 0.0)
+    assert between["rays"] > 50
+    assert between["stopped"] == 1.0
