@@ -127,7 +127,7 @@ def test_a_run_is_left_out_with_values_that_are_fitted_to_the_others(fitter: Fit
         assert others is not None
         whole = fitter.looked_at(all_runs, others.causes)
     assert whole is not None
-    e, x = whole.evidence, few.screen.nuisances(others.evidence, others.prior)
+    e, x = whole.evidence, few.screen.spread_nuisances(others.evidence, others.prior)[0]
     direct = 0.5 * float(e.c[0] - 2 * e.b[0] @ x + x @ e.A[0] @ x)
     assert fitter.left_out(all_runs)[0] == pytest.approx(direct, rel=0.1)
 
@@ -150,7 +150,7 @@ def test_deviations_that_would_imitate_a_cause_leave_a_gap(fitter: Fitter) -> No
     screen = fitter.screen
     assert leftover(screen, nothing).mean() > 20 * leftover(screen, both).mean()
     assert not fitter.with_deviations(nothing).about.any()
-    within = screen.nuisances(nothing.evidence, nothing.prior)
+    within = screen.spread_nuisances(nothing.evidence, nothing.prior)[0]
     assert np.all(np.abs(within) <= 3 * nothing.prior * (1 + 1e-9))
 
 

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from realsim.gap import EFFECTS, DiagnoseConfig, apply_patch, diagnose, load_case, run_case
-from realsim.gap.causes.linear import bounded, log_evidence, misfit_at, posterior
+from realsim.gap.causes import figures
+from realsim.gap.causes.linear import Spectrum, bounded, log_evidence, misfit_at, posterior, scaled
 from realsim.gap.causes.screen import Candidate
 from realsim.gap.compare import Comparison
 from realsim.gap.effects.payload import add_point_mass
@@ -226,3 +227,38 @@ def test_where_robot_and_simulator_have_parted_nothing_changes(made) -> None:
         change = comparison.change(0, nominal[0] + 1.0, nominal[0])
         assert (change[30:] == 0).all()
         assert change[:30][comparison._counts[0][:30] > 0] == pytest.approx(1.0)
+
+
+@given(seed=st.integers(0, 2**31), size=st.sampled_from([0.0, 1.0]))
+@settings(max_examples=30, deadline=None)
+def test_the_scale_of_the_deviations_follows_the_robot(seed: int, size: float) -> None:
+    """A robot that is its model has the smallest scale, one with all deviations of full size has the full one."""
+    rng = np.random.default_rng(seed)
+    p, n = 60, 400
+    G, prior = rng.normal(size=(n, p)), np.geomspace(1e-3, 1e3, p)
+    G = 5 * G / prior
+    r = G @ (size * prior * np.clip(rng.normal(size=p), -2.9, 2.9)) + rng.normal(size=n)
+    A, b, c = G.T @ G, G.T @ r, float(r @ r)
+    _, scale = scaled(A, b, c, prior, Spectrum.of(A, prior))
+    assert scale == (1.0 if size else min(figures.SCALES))
+
+
+@given(seed=st.integers(0, 2**31), size=st.floats(0, 10))
+@settings(max_examples=50, deadline=None)
+def test_a_scale_is_chosen_by_misfit_and_volume(seed: int, size: float) -> None:
+    """No scale has less, each with its deviations inside their bounds."""
+    rng = np.random.default_rng(seed)
+    p, n = 6, 20
+    G, prior = rng.normal(size=(n, p)), rng.uniform(0.5, 2, p)
+    r = G @ (size * prior * rng.normal(size=p)) + rng.normal(size=n)
+    A, b, c = G.T @ G, G.T @ r, float(r @ r)
+    least, scale = scaled(A, b, c, prior, Spectrum.of(A, prior))
+
+    def cost(s: float) -> float:
+        x = bounded(A, b, s * prior, figures.REASONABLE * s * prior)[0]
+        volume = [0.5 * np.linalg.slogdet(np.eye(p) + t**2 * prior[:, None] * A * prior)[1] for t in (s, 1.0)]
+        return misfit_at(A, b, c, x, s * prior) + volume[0] - volume[1]
+
+    costs = {s: cost(s) for s in figures.SCALES}
+    assert least == pytest.approx(min(costs.values()))
+    assert costs[scale] == pytest.approx(least)

@@ -165,9 +165,9 @@ def test_what_a_finer_step_does_is_no_gap(quadruped: Case) -> None:
         screen = Screen(simulator, comparison, range(len(case.runs)), ("armature",))
         nominal = Fitter(screen).nominal()
         step = screen.index["time_step", (), "finer"]
-        assert screen.nuisances(nominal.evidence, nominal.prior)[step] > 0
+        assert screen.spread_nuisances(nominal.evidence, nominal.prior)[0][step] > 0
         never = np.where(np.arange(len(nominal.prior)) == step, 1e-9, nominal.prior)
-        assert screen.misfit(nominal.evidence, never) > screen.misfit(nominal.evidence, nominal.prior) + 1
+        assert screen.misfit(nominal.evidence, never)[0] > screen.misfit(nominal.evidence, nominal.prior)[0] + 1
 
 
 def recover(name: str, case: Case) -> None:

@@ -11,15 +11,15 @@ PRICE = 4.0
 """A parameter that the data determine, and an effect that is rarer than another one that does the same
 (`Effect.usual`): half a log of some 3,000 independent samples. Not tuned."""
 CAUSE, CAUSE_A_JOINT = 3.0, 2.5
-"""A cause, and the same for each joint of the robot: more joints offer more places for a cause, and a servo's
-unmodelled form is worth some on every one. Set on generated cases without a gap."""
+"""A further cause, and the same for each joint of the robot: a servo's unmodelled form is worth some on every one. Set
+on generated cases without a gap. The first one costs what it takes to say which of all it is."""
 SHARED = 0.5
 """A value that holds at several places, so that those where it does nothing are left out. Not tuned."""
 CLEARLY = 5.0
 """A set takes another's place only if its score is this much lower: odds of 150 to 1. Not tuned."""
 SHARE = 0.08
-"""Share of the misfit above the noise floor that a further cause must remove beside its price. No law is exact, and a
-wrong cause can always bend to a little of what another one leaves. Set on generated cases with one cause."""
+"""Share of the misfit above the noise floor that a cause beside others must remove, too. No law is exact, and a wrong
+cause can always bend to a little of what another one leaves. Set on generated cases with one cause."""
 HOLDS = 1.0
 """Standard errors over runs by which a further cause must gain on runs left out in turn: the one-standard-error rule
 (Breiman et al., Classification and Regression Trees, 1984). A push may be in some runs only; more would drop it."""
@@ -34,6 +34,8 @@ GATE_MEDIAN, GATE_MEAN = 1.4, 2.8
 log. Set on generated cases without a gap; a single run near a resonance may exceed both."""
 REASONABLE = 3.0
 """Prior standard deviations that a nuisance parameter may take. Conventional."""
+SCALES = (1.0, 0.5, 0.25, 0.125)
+"""What share of the everyday deviations' sizes one robot may have, all of them together. Not tuned."""
 NAMED_SHARE = 1 / 3
 """Share of the squared error of the check that causes must remove to be named beside a rest; the search ends where no
 set can come to it. A cause that changes the motion by as much as the model is wrong by anyway removes about half. Set
@@ -49,9 +51,10 @@ together, and in the check. Above it a cause is not wrong, but something else is
 NEAR, NEAR_SHARE = 20.0, 0.15
 """Nats, and share of what the best removes, within which a fit can still catch up with the best by fitting further.
 Budget."""
-WORTH, WORTH_SHARE, FITTED, PLACES = 10.0, 0.04, 8, 3
+WORTH, WORTH_SHARE, FITTED, PLACES = 5.0, 0.04, 8, 3
 """Candidates of the linear screen that are fitted: those above WORTH nats and this share of the leader, FITTED of them,
-at most so many PLACES of an effect; of as many effects the best place is looked at twice. Budget."""
+at most so many PLACES of an effect, the best place of each first; of as many effects the best place is looked at twice.
+Budget."""
 PROBED, SIZES = 12, (2.0, 0.7, -0.7, -2.0)
 """Candidates of an effect that are simulated where no slope foretells it (a quadruped has twelve joints), and the sizes
 at which they are, in steps of the parameter. Budget."""

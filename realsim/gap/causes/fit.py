@@ -229,6 +229,8 @@ class Fitter(GaussNewton):
         if predicted is None:
             raise GapError("the simulator fails with the values found", hint="look at the units of the log")
         evidence = self.screen.evidence(predicted, None, about)
+        misfit, scale = self.screen.misfit(evidence, prior)
+        prior = scale * prior
         z, parameters = values_of(causes), parameters_of(causes)
         covariance = np.zeros((len(z), len(z)))
         at_bounds: list[str] = []
@@ -237,10 +239,9 @@ class Fitter(GaussNewton):
                 slopes, few = self.slopes(causes, predicted), None
             if slopes is not None:
                 seen = predicted if few is None else [predicted[k] for k in few]
-                covariance = spread(*self._local(causes, self._normal(causes, seen, slopes, few)), parameters)
+                covariance = spread(*self._local(prior, self._normal(causes, seen, slopes, few)), parameters)
             at_bounds = [p.name for p, v in zip(parameters, z, strict=True) if _at_bound(p, float(v))]
-        misfit = self.screen.misfit(evidence, prior)
-        return Fit(tuple(causes), misfit, covariance, tuple(predicted), about, evidence, prior, tuple(at_bounds))
+        return Fit(tuple(causes), misfit, covariance, tuple(predicted), about, evidence, prior, scale, tuple(at_bounds))
 
 
 def _at_bound(p: Parameter, value: float) -> bool:

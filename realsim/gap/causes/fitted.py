@@ -48,7 +48,9 @@ class Fit:
     """(p,) nuisances that were simulated; the others are linear about them."""
     evidence: Evidence
     prior: F64
-    """(p,) prior of the nuisances that stay beside these causes."""
+    """(p,) prior of the nuisances that stay beside these causes, times the scale."""
+    scale: float
+    """Of all nuisances, at its most probable value."""
     at_bounds: tuple[str, ...] = ()
 
     def settings(self) -> list[Setting]:

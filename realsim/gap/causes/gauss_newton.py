@@ -11,7 +11,7 @@ import numpy as np
 from realsim.errors import GapError
 from realsim.gap.causes import figures
 from realsim.gap.causes.fitted import Cause, at, parameters_of, values_of
-from realsim.gap.causes.linear import Evidence, bounded
+from realsim.gap.causes.linear import Evidence, Spectrum, bounded, scaled
 from realsim.gap.causes.screen import Screen
 from realsim.gap.effects.base import Parameter
 from realsim.gap.simulation.recent import Recent
@@ -109,7 +109,7 @@ class GaussNewton:
         if predicted is None:
             return None
         evidence = self.screen.evidence(predicted, few, self.beside(causes))
-        return self.screen.misfit(evidence, self.prior_beside(causes))
+        return self.screen.misfit(evidence, self.prior_beside(causes))[0]
 
     def slopes(self, causes: Causes, base: Sequence[F64], few: Few = None) -> list[F64] | None:
         """(B * C, m) a run: change of the prediction per unit, by differences that see through sticking friction."""
@@ -145,9 +145,9 @@ class GaussNewton:
             b.append(np.append(evidence.b[i], D.T @ (w * r)))
         return replace(evidence, A=A, b=b)
 
-    def _local(self, causes: Causes, evidence: Evidence) -> tuple[F64, F64]:
-        """Marginal information (m, m) and the scores (runs, m) of these normal equations."""
-        prior, A = self.prior_beside(causes), np.sum(evidence.A, axis=0)
+    def _local(self, prior: F64, evidence: Evidence) -> tuple[F64, F64]:
+        """Marginal information (m, m) and the scores (runs, m) of these normal equations, beside nuisances."""
+        A = np.sum(evidence.A, axis=0)
         p, (mean, cov) = len(prior), self.screen.spread_nuisances(evidence, prior)
         info = A[p:, p:] - A[p:, :p] @ cov @ A[:p, p:]
         return info, np.array([b[p:] - a[p:, :p] @ mean for a, b in zip(evidence.A, evidence.b, strict=True)])
@@ -160,8 +160,9 @@ class GaussNewton:
     def _step(self, causes: Causes, evidence: Evidence, damping: float) -> F64:
         """(m,) Levenberg-Marquardt's step, with the nuisances that go along within their bounds; a value that leans on
         its bound stays there."""
-        parameters, z, prior = parameters_of(causes), values_of(causes), self.prior_beside(causes)
-        info, scores = self._local(causes, evidence)
+        parameters, z = parameters_of(causes), values_of(causes)
+        prior = _beside_free(evidence, self.prior_beside(causes), [p.step for p in parameters])
+        info, scores = self._local(prior, evidence)
         gradient = scores.sum(axis=0)
         low, high = np.array([p.bounds for p in parameters]).T
         free = ~(((z <= low) & (gradient < 0)) | ((z >= high) & (gradient > 0)))
@@ -169,6 +170,17 @@ class GaussNewton:
         priors = np.append(prior, np.where(free, ridge**-0.5, 0.0))
         most = np.append(figures.REASONABLE * prior, widest(z, parameters))
         return bounded(np.sum(evidence.A, axis=0), np.sum(evidence.b, axis=0), priors, most)[0][len(prior) :]
+
+
+def _beside_free(evidence: Evidence, prior: F64, steps: Sequence[float]) -> F64:
+    """(p,) the prior of the nuisances at the scale that is the most probable where the values may still move, whose
+    normal equations stand behind those of the nuisances."""
+    A, b, p = np.sum(evidence.A, axis=0), np.sum(evidence.b, axis=0), len(prior)
+    inner = np.linalg.inv(A[p:, p:] + np.diag(0.05 / np.square(steps)))
+    across = A[:p, p:] @ inner
+    rest, score = A[:p, :p] - across @ A[p:, :p], b[:p] - across @ b[p:]
+    c = sum(evidence.c) - float(b[p:] @ inner @ b[p:])
+    return scaled(rest, score, c, prior, Spectrum.of(rest, prior))[1] * prior
 
 
 def clip(z: F64, parameters: Sequence[Parameter]) -> F64:

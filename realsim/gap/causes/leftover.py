@@ -15,8 +15,8 @@ from realsim.types import F64
 def deviations(screen: Screen, fit: Fit) -> F64:
     """(atoms,) the most probable everyday deviations beside a fit's causes. What is beyond reason of one is cut off
     and not taken over by others: a log that needs it has a gap, which they would hide."""
-    A, b = np.sum(fit.evidence.A, axis=0), np.sum(fit.evidence.b, axis=0)
-    most, (free, _) = figures.REASONABLE * fit.prior, bounded(A, b, fit.prior, np.inf)
+    A, b, prior = np.sum(fit.evidence.A, axis=0), np.sum(fit.evidence.b, axis=0), fit.prior / fit.scale
+    most, (free, _) = figures.REASONABLE * prior, bounded(A, b, prior, np.inf)
     return np.clip(free, -most, most)
 
 

@@ -72,6 +72,46 @@ def bounded(A: F64, b: F64, prior: F64, most: F64 | float) -> tuple[F64, F64]:
     return np.clip(x, -most, most), np.where(held, 0.0, prior)
 
 
+@dataclass(frozen=True)
+class Spectrum:
+    """Of the information on small deviations, in units of their prior: what it says of a scale that they share."""
+
+    values: F64
+    """(p,) eigenvalues."""
+    basis: F64
+    """(p, p) columns: eigenvectors."""
+
+    @staticmethod
+    def of(A: F64, prior: F64) -> Spectrum:
+        values, basis = np.linalg.eigh(prior[:, None] * A * prior)
+        return Spectrum(np.maximum(values, 0.0), basis)
+
+    def occam(self, scale: float) -> float:
+        """Nats that priors of `scale` times their size cost more than those of their full size do (below 0: less), by
+        the volume that they give to what the data determine."""
+        return 0.5 * float(np.log((1 + scale**2 * self.values) / (1 + self.values)).sum())
+
+    def least(self, b: F64, c: float, prior: F64, scale: float) -> float:
+        """Misfit and cost at a scale, with no bounds."""
+        square = (self.basis.T @ (prior * b)) ** 2
+        return 0.5 * float(c - (scale**2 * square / (1 + scale**2 * self.values)).sum()) + self.occam(scale)
+
+
+def scaled(A: F64, b: F64, c: float, prior: F64, spectrum: Spectrum) -> tuple[float, float]:
+    """(misfit, scale) at the most probable scale that all small deviations of this robot share.
+
+    Robots differ in how far they are from their model as a whole: one that needs hardly any deviation once a cause is
+    named has that cause, one that needs many at once to do without it has not (empirical Bayes; MacKay, Neural
+    Computation 4, 1992).
+    """
+    best = np.inf, 1.0
+    for least, s in sorted((spectrum.least(b, c, prior, s), s) for s in figures.SCALES):
+        if least < best[0]:
+            x = bounded(A, b, s * prior, figures.REASONABLE * s * prior)[0]
+            best = min(best, (misfit_at(A, b, c, x, s * prior) + spectrum.occam(s), s))
+    return best
+
+
 def misfit_at(A: F64, b: F64, c: float, x: F64, prior: F64) -> float:
     """Half the weighted squared residual beside small deviations x, and their price."""
     z = np.divide(x, prior, out=np.zeros(len(x)), where=prior > 0)

@@ -41,14 +41,16 @@ def by_slopes(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     order = ranked(fitter.screen, here)
     best = order[0][0] if order else 0.0
     least = max(figures.WORTH, figures.WORTH_SHARE * best)  # far behind, only what is far from linear can still win
-    chosen: list[Candidate] = []
+    chosen: list[tuple[int, float, Candidate, F64]] = []
     for gain, candidate, estimate in order:
-        if gain < least or len(chosen) == figures.FITTED:
+        if gain < least:
             break
-        alike = [c for c in chosen if c.effect == candidate.effect]
+        alike = [c for _, _, c, _ in chosen if c.effect == candidate.effect]
         if len(alike) < figures.PLACES and not any(nested(candidate, c) for c in alike):
-            chosen.append(candidate)
-            yield _further(fitter, here, candidate, estimate, gain)
+            chosen.append((len(alike), gain, candidate, estimate))
+    # The best place of every effect first: or places of few effects, whose slopes hold not far, would be all.
+    for _, gain, candidate, estimate in sorted(chosen, key=lambda c: c[0])[: figures.FITTED]:
+        yield _further(fitter, here, candidate, estimate, gain)
 
 
 def by_window(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
@@ -143,11 +145,13 @@ def by_effect(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
 
 def ranked(screen: Screen, here: Fit) -> list[Scored]:
     """All candidates by the linear evidence that they add to a set, with all runs or without the worst; best first."""
-    about = []
+    about, prior = [], here.prior / here.scale
     for look in here.evidence.looks():
-        centres = [marginal(e, here.prior, figures.REASONABLE * here.prior) for e in screen.centred(look)]
-        least = min(misfit for _, _, misfit in centres)
-        about += [(A, b, misfit - least) for A, b, misfit in centres]
+        spectrum = screen.spectrum(look, prior)
+        sides = [(e, s) for e in screen.centred(look) for s in figures.SCALES]
+        looks = [(*marginal(e, s * prior, figures.REASONABLE * s * prior), spectrum.occam(s)) for e, s in sides]
+        least = min(misfit + cost for _, _, misfit, cost in looks)
+        about += [(A, b, misfit + cost - least) for A, b, misfit, cost in looks]
     taken = {(c.candidate.effect, p) for c in here.causes for p in c.candidate.places}
     found = []
     for candidate in screen.candidates:

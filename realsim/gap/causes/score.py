@@ -32,9 +32,12 @@ Held = tuple[float, float]
 
 def score(screen: Screen, fit: Fit) -> float:
     """Penalised misfit of a set in nats, lower is better: half the weighted squares that stay beside the nuisance
-    parameters, and the price of causes, of parameters that the data determine, of shared values and of rare effects."""
+    parameters, and the price of causes, of parameters that the data determine, of shared values and of rare effects.
+    Where deviations leave a gap there is a cause: the first one costs as much as it takes to say which."""
     total = fit.misfit + figures.PRICE * determined(fit)
-    total += len(fit.causes) * (figures.CAUSE + figures.CAUSE_A_JOINT * len(screen.simulator.case.joint_names))
+    if fit.causes:
+        further = figures.CAUSE + figures.CAUSE_A_JOINT * len(screen.simulator.case.joint_names)
+        total += float(np.log(len(screen.candidates))) + (len(fit.causes) - 1) * further
     total += figures.SHARED * sum(len(c.candidate.places) > 1 for c in fit.causes)
     return total + figures.PRICE * sum(lookup(c.candidate.effect).usual is not None for c in fit.causes)
 
@@ -46,7 +49,10 @@ def determined(fit: Estimated) -> float:
 
 
 def asked(screen: Screen, before: Fit) -> float:
-    """Nats by which a further cause must lower the score of a set: clearly, and by a share of what is no noise."""
+    """Nats by which one more cause must lower the score of a set: clearly, and beside others by a share of what is no
+    noise, since each of them leaves a little that a wrong one can bend to."""
+    if not before.causes:
+        return figures.CLEARLY
     above = before.misfit * (1 - 1 / max(leftover(screen, before).mean(), 1.0))
     return max(figures.CLEARLY, figures.SHARE * above)
 
@@ -114,4 +120,4 @@ def searched(screen: Screen, fit: Fit) -> float:
     """Misfit on the runs that a rough fit looks at."""
     few = screen.varied
     seen = fit.predictions if few is None else [fit.predictions[k] for k in few]
-    return screen.misfit(screen.evidence(seen, few, fit.about), fit.prior)
+    return screen.misfit(screen.evidence(seen, few, fit.about), fit.prior / fit.scale)[0]

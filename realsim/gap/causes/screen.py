@@ -16,7 +16,7 @@ import numpy as np
 
 from realsim.errors import GapError
 from realsim.gap.causes import figures
-from realsim.gap.causes.linear import Evidence, bounded, misfit_at, posterior
+from realsim.gap.causes.linear import Evidence, Spectrum, bounded, posterior, scaled
 from realsim.gap.compare import Comparison
 from realsim.gap.effects import EFFECTS, ON_REQUEST
 from realsim.gap.effects.base import Effect, Parameter, Place
@@ -91,6 +91,7 @@ class Screen:
         self._A: list[F64] = []
         self._weighted: list[F64] = []
         self._covariances: dict[tuple[bytes, tuple[int, ...]], F64] = {}
+        self._spectra: dict[tuple[bytes, tuple[int, ...]], Spectrum] = {}
         context = simulator.context
         chosen = [n for n in EFFECTS if (n in effects if effects else n not in ON_REQUEST)]
         self.atoms: list[Atom] = []
@@ -237,12 +238,13 @@ class Screen:
             c.append(float((W * r * r).sum()))
         A = self._A if few is None else [self._A[k] for k in few]
         found = Evidence(A, b, c, self._version, tuple(which))
-        return min(self.centred(found), key=lambda e: self.misfit(e, self.prior))
+        return min(self.centred(found), key=lambda e: self.misfit(e, self.prior)[0])
 
     def _weigh(self) -> None:
         """The atoms' normal matrices under the comparison's present weights."""
         self._version = self.comparison.version
         self._covariances.clear()
+        self._spectra.clear()
         self._A, self._weighted = [], []
         for run, G in zip(self.runs, self._columns, strict=True):
             W = self.comparison.weights[run].reshape(-1, 1)
@@ -260,12 +262,9 @@ class Screen:
         r = self.comparison.residual(self.runs[k], simulated)
         return r - self.fitted(k, np.asarray(x)) if np.any(x) else r
 
-    def nuisances(self, evidence: Evidence, prior: F64) -> F64:
-        """(p,) the most probable nuisances, none beyond what is reasonable; they come first among the unknowns."""
-        return self._bounded(evidence, prior)[0]
-
     def spread_nuisances(self, evidence: Evidence, prior: F64) -> tuple[F64, F64]:
-        """(p,) the most probable nuisances, and their (p, p) posterior covariance; those on their bound are known.
+        """(p,) the most probable nuisances, which come first among the unknowns, and their (p, p) posterior covariance;
+        those on their bound are known.
 
         It depends on the weights and on which are free, so that one factorisation serves many fits.
         """
@@ -279,10 +278,21 @@ class Screen:
             self._covariances[key] = cov
         return x, cov
 
-    def misfit(self, evidence: Evidence, prior: F64) -> float:
-        """Half the weighted squared residual beside the most probable nuisances, and their price."""
+    def misfit(self, evidence: Evidence, prior: F64) -> tuple[float, float]:
+        """(half the weighted squared residual beside the most probable nuisances, and their price; the scale of their
+        `prior` that is the most probable)."""
         A, b = np.sum(evidence.A, axis=0), np.sum(evidence.b, axis=0)
-        return misfit_at(A, b, sum(evidence.c), self.nuisances(evidence, prior), prior)
+        return scaled(A, b, sum(evidence.c), prior, self.spectrum(evidence, prior))
+
+    def spectrum(self, evidence: Evidence, prior: F64) -> Spectrum:
+        """Of these nuisances under the evidence's weights: it serves many fits."""
+        key = prior.tobytes(), evidence.runs
+        if evidence.version == self._version and key in self._spectra:
+            return self._spectra[key]
+        found = Spectrum.of(np.sum(evidence.A, axis=0), prior)
+        if evidence.version == self._version:
+            self._spectra[key] = found
+        return found
 
     def _bounded(self, evidence: Evidence, prior: F64) -> tuple[F64, F64]:
         A, b, p = np.sum(evidence.A, axis=0), np.sum(evidence.b, axis=0), len(prior)
