@@ -155,7 +155,7 @@ class Real:
 
 
 def _load(spec: Any) -> None:
-    box = spec.body("trunk").add_body(name="load", pos=[-0.15, 0.06, 0.08])
+    box = spec.body("trunk").add_body(name="load", pos=[-0.10, 0.04, 0.08])
     box.mass, box.inertia, box.explicitinertial = 3.0, [0.006, 0.006, 0.006], True
 
 
@@ -236,7 +236,7 @@ def sway(model: Any, robot: TrainedRobot, delay: float, rng: np.random.Generator
     data.time = 0.0
     every, late = round(1 / RATE / dt), round(delay / dt)
     sent = [robot.default] * (late + 1)
-    rates, phases = rng.uniform(0.4, 2.0, 3), rng.uniform(0, 6, 3)
+    rates, phases = rng.uniform(0.3, 1.0, 3), rng.uniform(0, 6, 3)
     legs = np.array([[x, y] for x in (1, -1) for y in (1, -1)])  # FL, FR, RL, RR
     log: dict[str, list[np.ndarray]] = {n: [] for n in ("time", "command", "joint_pos", "joint_vel", "joint_torque",
                                                         "base_pos", "base_quat")}  # fmt: skip
@@ -244,7 +244,7 @@ def sway(model: Any, robot: TrainedRobot, delay: float, rng: np.random.Generator
     for k in range(round(SECONDS / dt)):
         if k % every == 0:
             ramp = np.clip((data.time - 0.4) / 0.5, 0, 1)
-            crouch, pitch, roll = ramp * np.array([0.15, 0.08, 0.07]) * np.sin(2 * np.pi * rates * data.time + phases)
+            crouch, pitch, roll = ramp * np.array([0.09, 0.05, 0.04]) * np.sin(2 * np.pi * rates * data.time + phases)
             bend = crouch + pitch * legs[:, 0]
             command = robot.default + np.stack([roll + 0 * bend, bend, -2 * bend], axis=1).ravel()
             truth = {"joint_pos": data.qpos[7:], "joint_vel": data.qvel[6:],
