@@ -11,8 +11,9 @@ PRICE = 4.0
 """A parameter that the data determine, and an effect that is rarer than another one that does the same
 (`Effect.usual`): half a log of some 3,000 independent samples. Not tuned."""
 CAUSE, CAUSE_A_JOINT = 3.0, 2.5
-"""A further cause, and the same for each joint of the robot: a servo's unmodelled form is worth some on every one. Set
-on generated cases without a gap. The first one costs what it takes to say which of all it is."""
+"""A cause, and the same for each joint of the robot: more joints offer more places for a cause, and a servo's
+unmodelled form is worth some on every one. Set on generated cases without a gap. Where one stays, there is a cause, and
+the first costs the logarithm of how many there may be."""
 SHARED = 0.5
 """A value that holds at several places, so that those where it does nothing are left out. Not tuned."""
 CLEARLY = 5.0

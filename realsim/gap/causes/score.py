@@ -33,11 +33,11 @@ Held = tuple[float, float]
 def score(screen: Screen, fit: Fit) -> float:
     """Penalised misfit of a set in nats, lower is better: half the weighted squares that stay beside the nuisance
     parameters, and the price of causes, of parameters that the data determine, of shared values and of rare effects.
-    Where deviations leave a gap there is a cause: the first one costs as much as it takes to say which."""
+    Where deviations leave a gap there is a cause, and the first one costs what it takes to say which."""
     total = fit.misfit + figures.PRICE * determined(fit)
     if fit.causes:
-        further = figures.CAUSE + figures.CAUSE_A_JOINT * len(screen.simulator.case.joint_names)
-        total += float(np.log(len(screen.candidates))) + (len(fit.causes) - 1) * further
+        dear = figures.CAUSE + figures.CAUSE_A_JOINT * len(screen.simulator.case.joint_names)
+        total += (float(np.log(len(screen.candidates))) if screen.gap else dear) + (len(fit.causes) - 1) * dear
     total += figures.SHARED * sum(len(c.candidate.places) > 1 for c in fit.causes)
     return total + figures.PRICE * sum(lookup(c.candidate.effect).usual is not None for c in fit.causes)
 

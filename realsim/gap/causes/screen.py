@@ -81,6 +81,8 @@ class Screen:
     ) -> None:
         self.simulator, self.comparison, self.runs = simulator, comparison, list(runs)
         self.skipped: dict[str, str] = {}
+        self.gap = False
+        """Whether everyday deviations alone leave a gap; the search finds out."""
         self._version = -1
         self._seen_beside: set[tuple[str, Place]] = set()
         """(effect, place) of the causes that move the robot otherwise, about which slopes were taken last."""

@@ -64,7 +64,7 @@ class Search:
         """Whether nothing in the library fits: with all the causes that a set may have, each as good as those so far,
         it would still not remove the share of the gap above the floor that causes must to be named."""
         if not self.best.causes:
-            self.gap = max(left.mean() - 1, 0.0)
+            self.gap, self.fitter.screen.gap = max(left.mean() - 1, 0.0), is_gap(left)
             return False
         stays = (left.mean() - 1) / self.gap if self.gap else 0.0
         return bool(max(stays, 0.0) ** (self.most / len(self.best.causes)) > 1 - figures.NAMED_SHARE)
