@@ -19,7 +19,6 @@ from realsim.exports.contact.sheets import sheets
 from realsim.types import TerrainMesh
 from tests.export.measured import CONFIG, FACING_UP
 
-
 made = cache(lambda make, name: spec_of(make(Shape(ROOMS[name](), 0.0), CONFIG)))
 """A room's contact in a representation, each made once."""
 
