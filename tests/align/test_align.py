@@ -217,7 +217,7 @@ def test_another_segmenter_can_be_installed(render, course, walk, monkeypatch):
         align(scene, AlignConfig(segmenter="theirs"))
 
 
-MIDDLE, HALF = np.array([1.2, 0.1]), np.array([2.0, 1.4])
+MIDDLE, HALF = np.array([1.2, 0.1]), np.array([1.9, 1.0])
 """Of the floor of a mesh made by hand, metres: as much of it as stands out from the course. It is sampled densely."""
 
 
