@@ -153,7 +153,7 @@ Say = Callable[[Row], None]
 
 
 def row(case: Case, representation: str, say: Say) -> None:
-    """Say the figures of a row piece by piece: what was said before a process is stopped is not lost."""
+    """Send the figures of a row piece by piece: what was sent before a process is stopped is not lost."""
     began = time.process_time()
     contact = REPRESENTATIONS[representation](case.mesh, case.ground_z)
     seconds = time.process_time() - began

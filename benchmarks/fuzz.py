@@ -9,7 +9,7 @@ Every trial copies a sound example (fuzz_sources.py), damages it (fuzz_damage.py
 process with a limit on time and memory. Its outcome is one of
 
     refused    an error with file, expectation and finding
-    said       read, and what a user is told differs from what is told of the sound example
+    said       read, and the reports differ from those of the sound example
     same       read, and the same values came out
     moved, less, unused, slight
                read, other values came out, and nothing false is among them (fuzz_changes.py checks and says why)

@@ -232,6 +232,7 @@ class _Robot:
 
 
 def _policy_onnx(path: Path, reading: Reading) -> None:
+    from trainer.commands.deploy import body_of
     from trainer.deploy.loop import DeployConfig, deploy
     from trainer.ppo import export
 
@@ -240,6 +241,7 @@ def _policy_onnx(path: Path, reading: Reading) -> None:
         return
     session, facts = loaded
     reading.part("facts", lambda: facts)
+    reading.get("robot", body_of, facts, path)
     config = DeployConfig(seconds=3.5 * facts.policy_dt, realtime=False)
 
     def drive() -> int:
@@ -315,7 +317,10 @@ def _diagnosis(path: Path, reading: Reading) -> None:
     from trainer.robots import ROBOTS
     from trainer.tasks.parkour import gap
 
-    reading.part("known to the trainer", gap.load, path, ROBOTS["quadruped"]())
+    known = reading.get("known to the trainer", gap.load, path, ROBOTS["quadruped"]())
+    if known is not None:
+        reading.part("known to the trainer", lambda: known)
+        reading.said += known.unused
     found = reading.part("diagnosis", rs.load_diagnosis, path.parent)
     if found is not None:
         reading.part("page", found._repr_html_)

@@ -199,7 +199,7 @@ def _gone(d: Diagnosis) -> float:
 
 
 def _baselines(labels: dict[str, Label], found: dict[str, Diagnosis], single: list[str]) -> dict[str, Any]:
-    """What simpler rules would have said first, where the diagnosis lists them (`baselines`: rule -> cause)."""
+    """What simpler rules would have named first, where the diagnosis lists them (`baselines`: rule -> cause)."""
     rules = sorted({r for n in single for r in (found[n].get("baselines") or {})})
     return {
         r: _share(hit(b, labels[n]["effects"][0]) for n in single if (b := (found[n].get("baselines") or {}).get(r)))

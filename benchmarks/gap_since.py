@@ -1,4 +1,4 @@
-"""What changed between two logs of one robot: found where it was injected, nothing said where nothing was.
+"""What changed between two logs of one robot: found where it was injected, nothing reported where nothing was.
 
     python benchmarks/gap_since.py --seed 40 --pairs 20
 

@@ -32,7 +32,7 @@ class Store:
         self.runs: dict[str, Any] = {}
         self.rows: list[Row] = []
         self.facts: Row = {}
-        """What is said of all rows together; written with the next row, or by `save`."""
+        """Facts about all rows together; written with the next row, or by `save`."""
         if path.is_file():
             self.facts = json.loads(path.read_text())
             self.runs, self.rows = self.facts.pop("runs"), self.facts.pop("rows")

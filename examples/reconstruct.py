@@ -19,7 +19,7 @@ work = Path(mkdtemp())
 if len(sys.argv) > 1:
     frames = Path(sys.argv[1])
 else:
-    frames = write_capture(work / "synthetic", SynthConfig(terrain="mixed", frames=30)).capture
+    frames = write_capture(work / "synthetic", SynthConfig(terrain="mixed", frames=20, width=320)).capture
 
 found = reconstruct(frames, work / "scene", ReconstructConfig())
 goal = found.aligned.platform("goal").centroid

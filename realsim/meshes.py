@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 LOOSE = 0.05
-"""Share of vertices without a triangle from which it is said. Sound meshes have next to none; a text file lists all of
-its vertices before the triangles, so that one that lost its last tenth has more."""
+"""Share of vertices without a triangle from which a warning is due. Sound meshes have next to none; a text file lists
+all of its vertices before the triangles, so that one that lost its last tenth has more."""
 
 
 def compact(

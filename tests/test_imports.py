@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib.util
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -32,6 +33,7 @@ STAGES = {"capture", "feedforward", "scale", "align", "meshing", "exports", "rob
 ALSO = {"gap": {"report", "robots"}, "exports": {"robots"}, "report": set(), "synth": set()}
 
 
+@cache
 def imported(path: Path) -> set[str]:
     """Absolute module names that a file imports, anywhere in it."""
     names: set[str] = set()
@@ -77,14 +79,21 @@ def bound(path: Path) -> set[str]:
     return names
 
 
+@cache
+def imported_at_once(path: Path) -> set[str]:
+    """First parts of the module names that a file imports at its top level."""
+    names: set[str] = set()
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            names |= {a.name for a in node.names} if isinstance(node, ast.Import) else {node.module or ""}
+    return {name.split(".")[0] for name in names}
+
+
 @pytest.mark.parametrize("package", [*EXTRA_OF, "mujoco"])
 def test_core_works_without_heavy_packages(package: str) -> None:
     """Nothing imports an optional package, or MuJoCo, at module level (tests/test_api.py runs the core alone)."""
     for path in sorted((ROOT / "realsim").rglob("*.py")):
-        for node in ast.parse(path.read_text()).body:
-            if isinstance(node, ast.Import | ast.ImportFrom):
-                names = [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
-                assert not any(n.split(".")[0] == package for n in names), f"{path} imports {package} at once"
+        assert package not in imported_at_once(path), f"{path} imports {package} at once"
 
 
 def test_every_module_of_the_table_of_extras_has_one() -> None:

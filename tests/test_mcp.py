@@ -143,7 +143,7 @@ def test_nothing_outside_the_folders_is_read_or_written(root: Path) -> None:
 
 
 def test_a_call_that_is_given_up_ends_its_command(root: Path) -> None:
-    assert main(["synth", "--out", str(root / "synth"), "--frames", "60", "--width", "320", "--with-poses"]) == 0
+    assert main(["synth", "--out", str(root / "synth"), "--frames", "16", "--width", "320", "--with-poses"]) == 0
 
     def commands() -> list[int]:
         found = []

@@ -6,6 +6,7 @@ Outputs of the other tests are held to them too (tests/outputs.py).
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from jsonschema import Draft202012Validator
 
 from realsim import schemas
 from realsim.cli import commands, home_of, main
+from realsim.synth.config import SynthConfig
 from tests import outputs
 from tests.gap.truth import ARM, Truth, make_case
 
@@ -82,7 +84,8 @@ def test_diagnoses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.slow
 def test_captures(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """A demonstration, and its capture again: the stages are kept."""
+    """A demonstration in pictures of half the width, and its capture again: the stages are kept."""
+    monkeypatch.setattr("realsim.synth.config.SynthConfig", partial(SynthConfig, width=320))
     monkeypatch.setenv("REALSIM_CACHE", str(tmp_path / "cache"))
     made = said(capsys, "demo", "--out", tmp_path / "demo", "--frames", 8, "--with-poses", "--robot", "quadruped")
     assert abs(made["errors"]["scale_error"]) < 0.05

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import mujoco
@@ -19,6 +20,12 @@ EXACT = Sensors(rate=200.0, velocity=True, torque_kind="measured", torque_consta
 SECONDS = 3.0
 
 
+@cache
+def _site(robot: str, seed: int) -> causes.Site:
+    made = ROBOTS[robot](np.random.default_rng(seed))
+    return site_of(made, mujoco.MjModel.from_xml_string(made.xml), seed)
+
+
 def write_exact(
     folder: Path, robot: str, effect: str | None, strength: float = 0.7, seed: int = 0
 ) -> tuple[causes.Label | None, Truth]:
@@ -30,7 +37,7 @@ def write_exact(
     """
     rng = np.random.default_rng(seed)
     made = ROBOTS[robot](rng)
-    site = site_of(made, mujoco.MjModel.from_xml_string(made.xml), seed)
+    site = _site(robot, seed)
     truth = Truth(len(made.joints))
     label = causes.available(made)[effect](truth, site, np.random.default_rng(seed), strength) if effect else None
     commands = [

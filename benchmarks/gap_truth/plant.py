@@ -277,9 +277,5 @@ class Plant:
             rows["gyro"].append(d.sensor("gyro").data.copy())
             rows["acc"].append(d.sensor("acc").data.copy())
         if self.feet:
-            touching = np.zeros(len(self.feet))
-            for contact in d.contact[: d.ncon]:
-                bodies = self.model.geom_bodyid[contact.geom]
-                for f, foot in enumerate(self.feet):
-                    touching[f] = max(touching[f], float(foot in bodies))
-            rows["contact"].append(touching)
+            bodies = self.model.geom_bodyid[d.contact.geom[: d.ncon].ravel()]
+            rows["contact"].append((np.array(self.feet)[:, None] == bodies).any(axis=1).astype(float))

@@ -94,7 +94,7 @@ KEYS = {
 
 
 def index() -> list[str]:
-    """A row for every file: claim, command, commit, date, machine; what a file does not say is said to be unknown."""
+    """A row for every file: claim, command, commit, date, machine; what a file does not hold reads "not stored"."""
     lines = ["| claim | file | command | commit | date | machine |", "|---|---|---|---|---|---|"]
     for claim, name, command in INDEX:
         commits, days, machines = _made(stored(name))
@@ -103,7 +103,7 @@ def index() -> list[str]:
 
 
 def _made(data: Any) -> tuple[str, str, str]:
-    """Commits, days and machines of stored rows; what is not stored is said to be."""
+    """Commits, days and machines of stored rows; or "not stored"."""
     runs = data.get("runs", {})
     commits = [("added by " if "note" in run else "") + run["commit"] for run in runs.values()]
     commits += [row["commit"] for row in data["rows"] if "commit" in row]

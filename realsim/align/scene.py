@@ -152,7 +152,7 @@ def _assumed(roles: Roles, source: MetricScene | Scan, stood: bool) -> list[str]
 
 
 def _gravity_in_world(gravity: Gravity, T_cloud_world: F64) -> Gravity:
-    """n·x + d = 0 in the cloud's frame, said in the capture world."""
+    """n·x + d = 0 in the cloud's frame, expressed in the capture world."""
     normal = T_cloud_world[:3, :3].T @ gravity.normal_world
     offset = gravity.offset_world + float(gravity.normal_world @ T_cloud_world[:3, 3])
     return replace(gravity, normal_world=normal, offset_world=offset)

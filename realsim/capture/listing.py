@@ -30,7 +30,7 @@ def natural_key(name: str) -> tuple:
 def list_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
     """Visible files of a folder with one of the suffixes (any case), in natural order; [] if no such folder.
 
-    Broken links and pipes are among them: a frame that cannot be read has to be said, not to vanish.
+    Broken links and pipes are among them: a frame that cannot be read has to be reported, not to vanish.
     """
     if not folder.is_dir():
         return []

@@ -20,7 +20,7 @@ UP = ("auto", "z", "y")
 FORMATS = (".ply", ".obj", ".stl", ".glb", ".off")
 MAX_TRIANGLES = 5_000_000
 RAYS = 96  # a side of the grid of rays that look at a mesh from above
-VAST = 50.0  # metres: larger than what a robot is taken across, so that the unit has to be said
+VAST = 50.0  # metres: larger than what a robot is taken across, so that the unit has to be given
 F64 = NDArray[np.float64]
 
 

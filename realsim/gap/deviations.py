@@ -48,7 +48,7 @@ def read_deviations(path: Path | None) -> Deviations:
     from realsim.gap.simulation.simulate import lookup
 
     for effect, sizes in data.items():
-        lookup(effect)  # an unknown name is said with the closest ones
+        lookup(effect)  # an unknown name is refused with the closest ones
         if not isinstance(sizes, dict) or not sizes:
             raise GapError(f"{effect} has no sizes", file=path, expected=f'{{"{effect}": {{"parameter": size}}}}')
         for parameter, size in sizes.items():

@@ -59,7 +59,7 @@ def diagnose(
     config = config or DiagnoseConfig()
     tick = progress or (lambda what, share: None)
     for name in config.effects:
-        EFFECTS[name]  # an unknown name is said with the closest ones
+        EFFECTS[name]  # an unknown name is refused with the closest ones
     began, cpu, made_by = time.perf_counter(), time.process_time(), provenance(config)
     case = limited(case, config)
     fitted, held = split_runs(case, config)

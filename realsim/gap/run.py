@@ -55,7 +55,7 @@ def run_case(
         assets = asset_files(case.spec)
         for name in assets:
             check_size(inside(Path(folder), name))
-        camera = check_camera(case, scene)  # seconds; what is wrong with its frames is said before the search
+        camera = check_camera(case, scene)  # seconds; what is wrong with its frames is reported before the search
         found = with_camera(diagnose(case, config, progress), camera)
         if found.next_experiment is not None:
             where = os.path.relpath(Path(folder).absolute(), Path(out).absolute())

@@ -1,4 +1,4 @@
-"""What a diagnosis concludes, and how each conclusion is said: one table for terminal, page, JSON and exit code."""
+"""What a diagnosis concludes, and how each conclusion is worded: one table for terminal, page, JSON and exit code."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@
     FOLDER/KEY/free.N              it waits, after N attempts; or
     FOLDER/KEY/held.N.WORKER       WORKER has it; the file's time is WORKER's last sign of life
     FOLDER/KEY/result.json         it is done, whatever else is there
-    FOLDER/KEY/log.txt             what the command said beside its result
+    FOLDER/KEY/log.txt             what the command printed beside its result
     FOLDER/KEY/cancelled           it is to be stopped
 
 A worker takes a job by renaming `free.N` or a `held.N.OTHER` whose time is too old: of many who try, one succeeds.
@@ -131,7 +131,7 @@ class Queue:
             return Outcome(key, 1, {"error": "Damaged", "message": f"the result cannot be read: {error}"})
 
     def log(self, key: str) -> Path:
-        """File with what the command said beside its result; it may not be there."""
+        """File with what the command printed beside its result; it may not be there."""
         return self.folder / key / "log.txt"
 
     def running(self, key: str) -> str | None:

@@ -111,7 +111,7 @@ def _run(
     ended: Callable[[], bool],
     beat: Callable[[], None],
 ) -> int | None:
-    """The exit code of a command; None if `ended` said that it should stop."""
+    """The exit code of a command; None if `ended` told it to stop."""
     environment = dict(os.environ, PYTHONUNBUFFERED="1", **{PARENT: str(os.getpid())})
     if threads is not None:
         environment |= {"OMP_NUM_THREADS": str(threads), "OPENBLAS_NUM_THREADS": str(threads)}

@@ -183,7 +183,7 @@ def _followed(proposal: Proposal, target: Target | None) -> None:
         try:
             arrays, _ = run_arrays(proposal, recording)
         except GapError:
-            continue  # said when it is written
+            continue  # reported when it is written
         asked, done = arrays["command"], arrays["joint_pos"]
         found = [
             follows(arrays["time"], asked[:, k], done[:, j])

@@ -83,7 +83,7 @@ def _filled(recording: Recording) -> tuple[Stream, ...]:
 
 
 def _finite(recording: Recording) -> Recording:
-    """Infinite numbers are no measurements: missing, and said."""
+    """Infinite numbers are no measurements: missing, and reported."""
     notes, streams = [], []
     for stream in recording.streams:
         fields = {}

@@ -97,7 +97,7 @@ def gather(aligned: AlignedScene, resolution: float | None, min_views: int) -> E
 
 
 def _moved(points: F64, share: float) -> tuple[str, ...]:
-    """What is said of places that were measured by some views and seen through by others (M, 3)."""
+    """The warning about places that were measured by some views and seen through by others (M, 3)."""
     if share < MOVED:
         return ()
     (x0, y0, _), (x1, y1, _) = np.percentile(points, (5, 95), axis=0)

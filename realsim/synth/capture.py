@@ -17,6 +17,7 @@ from realsim.synth.camera import DepthSensor, Rig, drift, follow_route, rig, wal
 from realsim.synth.config import SynthConfig
 from realsim.synth.render import Renderer
 from realsim.synth.terrain import Terrain, make_terrain
+from realsim.synth.textures import tile
 from realsim.synth.truth import sample_truth, write_truth
 from realsim.types import F64, U8, Intrinsics
 
@@ -55,6 +56,8 @@ def write_capture(
     cameras = rig(config.sensor, config.width, np.random.default_rng([config.seed, 7]))
     depth, color = (Renderer(terrain.solids, k, config.seed, terrain.lamps) for k in (cameras.depth, cameras.color))
     with output_folder(folder, overwrite=overwrite) as work:
+        for material in {solid.material for solid in terrain.solids}:
+            tile(material, config.seed)  # once, before threads that would each make it
         capture = work / "capture"
         frame = partial(_write_frame, capture, cameras, depth, color, sensor, config)
         # Arrays of this size release the interpreter lock, so threads share the work; every frame has its own seed.

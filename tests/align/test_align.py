@@ -217,9 +217,13 @@ def test_another_segmenter_can_be_installed(render, course, walk, monkeypatch):
         align(scene, AlignConfig(segmenter="theirs"))
 
 
-def mesh_of(boxes, size=6.0):
-    """Vertices and triangles of boxes on a square floor, z up."""
-    V = [np.array([[-size, -size, 0], [size, -size, 0], [size, size, 0], [-size, size, 0]], float)]
+MIDDLE, HALF = np.array([1.2, 0.1]), np.array([1.9, 1.0])
+"""Of the floor of a mesh made by hand, metres: as much of it as stands out from the course. It is sampled densely."""
+
+
+def mesh_of(boxes, half=HALF):
+    """Vertices and triangles of boxes on a floor, z up."""
+    V = [np.array([[*(MIDDLE + half * s), 0] for s in ((-1, -1), (1, -1), (1, 1), (-1, 1))], float)]
     F = [np.array([[0, 1, 2], [0, 2, 3]])]
     corners = np.array([[x, y, z] for z in (0, 1) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
     sides = np.array(
@@ -233,7 +237,7 @@ def mesh_of(boxes, size=6.0):
 
 
 def test_a_mesh_made_by_hand(course, source):
-    V, F = mesh_of(course[:4], 3.0)
+    V, F = mesh_of(course[:4])
     aligned = align(Scan(source, "mesh", V, F), CONFIG)
     tilt, yaw, origin = errors(aligned, np.eye(4), truth())
     assert tilt < 0.05
@@ -245,7 +249,7 @@ def test_a_mesh_made_by_hand(course, source):
 
 
 def test_a_cloud_with_y_up_and_no_normals(course, source):
-    V, F = mesh_of(course[:4], 3.0)
+    V, F = mesh_of(course[:4])
     from realsim.align.cloud import _sampled
 
     points, _ = _sampled(V, F, 0)
@@ -258,7 +262,7 @@ def test_a_cloud_with_y_up_and_no_normals(course, source):
 
 
 def test_a_sparse_cloud_is_looked_at_more_coarsely(course, source):
-    V, F = mesh_of(course[:4], 3.0)
+    V, F = mesh_of(course[:4], np.array([3.0, 3.0]))
     from realsim.align.cloud import _sampled
 
     points, _ = _sampled(V, F, 0)
@@ -273,7 +277,7 @@ def test_a_sparse_cloud_is_looked_at_more_coarsely(course, source):
 
 
 def test_a_scan_that_knows_up_is_believed(course, source):
-    V, F = mesh_of(course[:4], 3.0)
+    V, F = mesh_of(course[:4])
     T = make_T(exp_so3([2.0, 0.5, -1.0]))
     aligned = align(Scan(source, "mesh", transform(T, V), F, up_world=T[:3, 2]), CONFIG)
     assert errors(aligned, T, truth())[0] < 0.05
@@ -284,9 +288,9 @@ LYING = make_T(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]))
 HEAD_DOWN = make_T(exp_so3([np.pi, 0, 0]))
 
 
-def plinth(boxes, size=3.0, thickness=0.1):
+def plinth(boxes, thickness=0.1):
     """The same with sides and an underside: every piece is closed."""
-    return mesh_of([((0, 0, -thickness), (2 * size, 2 * size, thickness), 0.0), *boxes], 0.0)
+    return mesh_of([((*MIDDLE, -thickness), (*2 * HALF, thickness), 0.0), *boxes], 0 * HALF)
 
 
 def turned(T, V, F, up=None):
@@ -299,7 +303,7 @@ def turned(T, V, F, up=None):
 @pytest.mark.parametrize("T", [np.eye(4), LYING, ASKEW])
 @pytest.mark.parametrize(("closed", "up_known"), [(False, False), (False, True), (True, True)])
 def test_a_mesh_wound_inside_out_gives_the_same_scene(course, source, closed, up_known, T):
-    V, F = plinth(course[:4]) if closed else mesh_of(course[:4], 3.0)
+    V, F = plinth(course[:4]) if closed else mesh_of(course[:4])
     scan = Scan(source, "mesh", transform(T, V), F, up_world=T[:3, 2] if up_known else None)
     right, wrong = align(scan, CONFIG), align(replace(scan, triangles=F[:, ::-1].copy()), CONFIG)
     assert errors(right, T, truth())[0] < 0.05
@@ -312,16 +316,16 @@ def test_a_mesh_wound_inside_out_gives_the_same_scene(course, source, closed, up
 @pytest.mark.parametrize("T", [np.eye(4), LYING, HEAD_DOWN, ASKEW])
 def test_a_mesh_of_right_winding_is_left_alone(course, T):
     """Whatever its axis; and a room seen from inside is no block inside out."""
-    for V, F in (mesh_of(course[:4], 3.0), plinth(course[:4])):
+    for V, F in (mesh_of(course[:4]), plinth(course[:4])):
         assert not turned(T, V, F)
         assert not turned(T, V, F, T[:3, 2])
     assert turned(T, V, F[:, ::-1])  # a closed one
-    V, F = mesh_of([((0, 0, 0), (5.0, 4.0, 2.5), 0.0)], 0.0)
+    V, F = mesh_of([((0, 0, 0), (5.0, 4.0, 2.5), 0.0)], 0 * HALF)
     assert not turned(T, V, F[:, ::-1], T[:3, 2])
 
 
 def test_what_lies_under_a_floor_that_faces_up_in_its_file_is_a_pit(course):
-    V, F = mesh_of(course[:4], 3.0)
+    V, F = mesh_of(course[:4])
     assert not turned(HEAD_DOWN, V, F[:, ::-1])
 
 
@@ -330,7 +334,7 @@ def test_what_lies_under_a_floor_that_faces_up_in_its_file_is_a_pit(course):
 def test_of_a_slab_under_a_course_the_upper_face_is_the_ground(course, source, thickness, T):
     """Thinner or thicker than a voxel. Where no axis of the file points up, or the one that is believed points down
     (a low course hangs under its slab nearly as well as it stands on it), that is a warning and a question."""
-    V, F = plinth(course[:4], 3.0, thickness)
+    V, F = plinth(course[:4], thickness)
     aligned = align(Scan(source, "mesh", transform(T, V), F), CONFIG)
     assert any("?" in w and "up" in w for w in aligned.warnings) == (T is HEAD_DOWN or T is ASKEW)
     if T is not HEAD_DOWN:
@@ -340,14 +344,14 @@ def test_of_a_slab_under_a_course_the_upper_face_is_the_ground(course, source, t
 
 def test_the_axis_of_the_file_is_believed_where_nothing_tells(source):
     """A bare slab stands on either face."""
-    V, F = plinth([], 2.0, 0.02)
+    V, F = plinth([], 0.02)
     aligned = align(Scan(source, "mesh", V, F), CONFIG)
     assert aligned.T_sim_world[2, 2] == pytest.approx(1, abs=1e-6)
     assert not aligned.warnings
 
 
 def test_a_scanner_that_knows_where_it_stood_starts_nearest(course, source):
-    V, F = mesh_of(course[:4], 3.0)
+    V, F = mesh_of(course[:4])
     aligned = align(Scan(source, "cloud", V, F, sensor_position=np.array([2.9, 1.0, 1.5])), CONFIG)
     assert errors(aligned, np.eye(4), truth((2.4, 0.3, 0.25), (0, 0, 0.30)))[2] < 8
     assert not any("sensor stood" in a for a in aligned.assumptions)

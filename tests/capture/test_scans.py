@@ -298,6 +298,14 @@ def test_room_lidar(shared):
     assert np.ptp(scan.points, axis=0) == pytest.approx([29.25, 14.47, 3.06], abs=0.01)
 
 
+def test_triangles_that_name_a_vertex_twice_are_counted(tmp_path):
+    box = trimesh.creation.box((3, 2, 0.3))
+    faces = box.faces.copy()
+    faces[[2, 5], 1] = faces[[2, 5], 0]
+    trimesh.Trimesh(box.vertices, faces, process=False).export(tmp_path / "terrain.ply")
+    assert any("2 triangles name a vertex twice" in a for a in read(tmp_path, CaptureConfig()).assumptions)
+
+
 def test_a_face_that_cannot_be_read_and_a_vertex_far_from_all_others_are_said(tmp_path):
     path = tmp_path / "terrain.obj"
     trimesh.creation.box((3, 2, 0.3)).subdivide().export(path)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -17,10 +19,13 @@ from realsim.exports.contact.sheets import sheets
 from realsim.types import TerrainMesh
 from tests.export.measured import CONFIG, FACING_UP
 
+made = cache(lambda make, name: spec_of(make(Shape(ROOMS[name](), 0.0), CONFIG)))
+"""A room's contact in a representation, each made once."""
+
 
 def measured(make, name: str):
     mesh = ROOMS[name]()
-    spec = spec_of(make(Shape(mesh, 0.0), CONFIG))
+    spec = made(make, name).copy()
     return spec, measure(spec, Reference(mesh.vertices, mesh.triangles), 0.0, probes=1000, feet=0)
 
 
@@ -43,7 +48,7 @@ def test_sheets_stop_what_comes_from_the_side_and_from_above(name: str) -> None:
 
 def test_a_wall_is_thin_behind() -> None:
     """Nobody saw its back: it takes no more of what is there than it must."""
-    touch = SimTouch(spec_of(sheets(Shape(ROOMS["corridor"](), 0.0), CONFIG)), BALL, batch=2)
+    touch = SimTouch(made(sheets, "corridor").copy(), BALL, batch=2)
     beside = np.array([[0.0, 0.8 + 0.003, 1.0], [0.0, 0.8 + 0.006 + 0.01 + 0.002, 1.0]])
     inside, behind = touch.clearance(beside, np.tile(FACING_UP, (2, 1)))
     assert inside < 0 < behind
@@ -53,7 +58,7 @@ def test_a_wall_is_thin_behind() -> None:
 def test_the_space_below_stays_free(name: str, place: list[float]) -> None:
     free = []
     for make in (boxes, sheets):
-        touch = SimTouch(spec_of(make(Shape(ROOMS[name](), 0.0), CONFIG)), BALL, batch=1)
+        touch = SimTouch(made(make, name).copy(), BALL, batch=1)
         free.append(touch.clearance(np.array([place]), FACING_UP[None])[0] > 0)
     assert free == [False, True]
 

@@ -15,7 +15,7 @@ from realsim.feedforward.rgbd.follow import Landmarks, follow
 from realsim.feedforward.rgbd.tracks import Evidence, build_tracks
 from realsim.geometry import angle_deg, invert_T, make_T
 
-N = 22
+N = 16
 TRUTH = rooms.path(N, step=0.02)
 
 

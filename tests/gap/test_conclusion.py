@@ -11,6 +11,7 @@ import pytest
 
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
 from realsim.gap.answer.conclusion import _again, _beside_imitations, _fitted, _lasting
+from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.answer.leaveout import better, discrepancy, leave_out
 from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Cause, Fitter
@@ -63,8 +64,13 @@ def disturbed(case: Case, run: int, size: float) -> Case:
     return case.with_runs(tuple(runs))
 
 
-def test_the_run_held_out_changes_the_check_and_nothing_else(sticky: Case) -> None:
-    calm, loud = (diagnose(c, CONFIG) for c in (sticky, disturbed(sticky, 3, 0.02)))
+@pytest.fixture(scope="module")
+def calm(sticky: Case) -> Diagnosis:
+    return diagnose(sticky, CONFIG)
+
+
+def test_the_run_held_out_changes_the_check_and_nothing_else(sticky: Case, calm: Diagnosis) -> None:
+    loud = diagnose(disturbed(sticky, 3, 0.02), CONFIG)
     assert calm.shrinkage["runs"] == loud.shrinkage["runs"] == [sticky.runs[3].name]
     assert calm.shrinkage["kind"] == "validation"
     assert calm.causes == loud.causes
@@ -84,10 +90,9 @@ def test_with_one_run_nothing_is_held_out_and_it_is_said(sticky: Case) -> None:
     assert "no other was left" in found.sentence or found.verdict == "no_gap"
 
 
-def test_no_probability_is_stated_that_was_not_calibrated(sticky: Case) -> None:
-    found = diagnose(sticky, CONFIG)
-    assert found.causes
-    assert [c["probability"] for c in found.causes] == [None] * len(found.causes)
+def test_no_probability_is_stated_that_was_not_calibrated(calm: Diagnosis) -> None:
+    assert calm.causes
+    assert [c["probability"] for c in calm.causes] == [None] * len(calm.causes)
 
 
 def test_values_are_fitted_anew_without_each_run(fitter: Fitter) -> None:

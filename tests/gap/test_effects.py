@@ -165,7 +165,7 @@ def test_no_gap_with_the_whole_library(seed: int, made) -> None:
 @pytest.mark.parametrize("name", sorted(INJECTED))
 def test_found_among_the_whole_library(name: str, made) -> None:
     """By name, or as a named equivalent where the log cannot tell (two delays without an IMU, say)."""
-    found = diagnose(load_case(made(f"all_{name}", INJECTED[name], COARSE, torque="measured", span=SHORT)))
+    found = diagnose(load_case(made(f"all_{name}", INJECTED[name], COARSE, torque="measured", span=SHORT, runs=3)))
     named = {c["effect"] for s in [found.causes, *found.equivalent] for c in s}
     assert found.verdict in ("identified", "ambiguous", "partly_explained")
     assert name in named

@@ -12,6 +12,8 @@ from realsim.gap.simulation.simulate import Simulator
 from .truth import ARM, Truth
 
 PUSHED = {"run_02": 1.9, "run_03": 1.2, "run_05": 2.3, "run_06": 2.3}
+SPAN = (3.0, 3.3)
+"""Seconds of a run: the last push ends at 2.8."""
 WINDOWS = tuple((at, at + 0.5) if (at := PUSHED.get(f"run_{i:02d}")) else None for i in range(1, 7))
 
 
@@ -24,7 +26,7 @@ def onsets_of(folder) -> dict[str, float]:
 
 @pytest.fixture(scope="module")
 def bumped(made):
-    return made("bumped", Truth(force={"fore": (14.0, 0.0, 6.0)}, force_windows=WINDOWS), runs=6)
+    return made("bumped", Truth(force={"fore": (14.0, 0.0, 6.0)}, force_windows=WINDOWS), runs=6, span=SPAN)
 
 
 def test_onsets_are_read_off_the_log(bumped) -> None:
@@ -43,13 +45,13 @@ def test_onsets_are_read_off_the_log(bumped) -> None:
 )
 def test_other_gaps_have_none(made, truth: Truth) -> None:
     """A lasting cause is there from the first motion on; a force at a fixed time has that time."""
-    assert onsets_of(made(f"no_onsets_{truth.coulomb}_{bool(truth.force)}", truth, runs=6)) == {}
+    assert onsets_of(made(f"no_onsets_{truth.coulomb}_{bool(truth.force)}", truth, runs=6, span=SPAN)) == {}
 
 
 @pytest.mark.slow
 def test_a_push_beside_a_lasting_cause_is_found_once_that_is_known(made) -> None:
     truth = Truth(force={"fore": (18.0, 0.0, 8.0)}, force_windows=WINDOWS, coulomb={"shoulder": 3.0})
-    folder = made("bumped_and_stiff", truth, ARM.replace('timestep="0.002"', 'timestep="0.004"'), runs=6)
+    folder = made("bumped_and_stiff", truth, ARM.replace('timestep="0.002"', 'timestep="0.004"'), runs=6, span=SPAN)
     assert onsets_of(folder) == {}
     both = ("coulomb_friction", "external_force")
     found = diagnose(load_case(folder), DiagnoseConfig(effects=both))

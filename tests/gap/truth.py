@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -224,26 +225,35 @@ def replay(
     data.qpos[out] = data.qpos[motor] = command[0] - offset
     end = true_time[-1]
     steps = int((end + 1.0) / 0.0005)
-    pos, vel, tau = np.zeros((steps, len(joints))), np.zeros((steps, len(joints))), np.zeros((steps, len(joints)))
-    torque = np.zeros(len(joints))
+    tau = np.zeros((steps, len(joints)))
+    all_pos, all_vel = np.zeros((steps, real.nq)), np.zeros((steps, real.nv))
+    qpos, qvel, applied = data.qpos, data.qvel, data.qfrc_applied
     delay = truth.delay + nuisance * 0.0005
+    pushed = [(data.xfrc_applied[real.body(n).id], np.array([*f, 0, 0, 0])) for n, f in truth.force.items()]
+    # Most robots have few of these: what is absent is not computed 2,000 times a second.
+    slowing, rubbing = bool(truth.no_load_speed), bool(truth.stribeck or truth.load or truth.ripple)
     for k in range(steps):
         now = k * 0.0005 - 1.0
         if k % 2 == 0:
-            i = min(max(int(np.floor((now - delay) * rate)), 0), count - 1)
-            q, v = data.qpos[motor], data.qvel[dof]
-            torque = gain * (kp * (command[i] - q - offset) - kd * v)
-            torque = torque * (1 - (1 - fading) * max(now, 0) / end)
-            top = np.minimum(limit, limit * (1 - np.sign(torque) * v / v0))
-            torque = np.clip(torque, -np.maximum(top, 0), np.maximum(top, 0))
-        v = data.qvel[dof]
-        extra = stribeck * np.exp(-((v / 0.15) ** 2)) * np.tanh(v / 0.002) + load * np.abs(torque) * np.tanh(v / 0.005)
-        data.qfrc_applied[dof] = torque - extra + ripple * np.sin(9 * data.qpos[motor])
-        for name, f in truth.force.items():
-            on = truth.force_window[0] <= now < truth.force_window[1]
-            data.xfrc_applied[real.body(name).id, :3] = np.array(f) * on
-        pos[k], vel[k], tau[k] = data.qpos[out], data.qvel[link], torque
+            i = min(max(math.floor((now - delay) * rate), 0), count - 1)
+            v = qvel[dof]
+            torque = gain * (kp * (command[i] - qpos[motor] - offset) - kd * v)
+            if truth.fading:
+                torque = torque * (1 - (1 - fading) * max(now, 0) / end)
+            top = np.maximum(np.minimum(limit, limit * (1 - np.sign(torque) * v / v0)), 0) if slowing else limit
+            torque = np.minimum(np.maximum(torque, -top), top)
+            if not rubbing:
+                applied[dof] = torque
+        if rubbing:
+            v = qvel[dof]
+            extra = stribeck * np.exp(-((v / 0.15) ** 2)) * np.tanh(v / 0.002)
+            extra += load * np.abs(torque) * np.tanh(v / 0.005)
+            applied[dof] = torque - extra + ripple * np.sin(9 * qpos[motor])
+        for wrench, f in pushed:
+            wrench[:] = f * (truth.force_window[0] <= now < truth.force_window[1])
+        all_pos[k], all_vel[k], tau[k] = qpos, qvel, torque
         mujoco.mj_step(real, data)
+    pos, vel = all_pos[:, out], all_vel[:, link]
     jitter = nuisance * 2e-4
     time = true_time + rng.normal(0, jitter, count) if nuisance else true_time
     at = np.clip(((true_time + 1.0 - truth.observation_delay) / 0.0005).astype(int), 0, steps - 1)

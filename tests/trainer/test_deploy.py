@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
 
+from trainer.commands.deploy import body_of
 from trainer.deploy.loop import DeployConfig, deploy
 from trainer.deploy.mujoco import MujocoRobot, quiet
 from trainer.deploy.observer import Observer
@@ -53,6 +55,16 @@ def test_the_robot_observes_what_the_policy_was_trained_on() -> None:
         assert np.allclose(inputs["depth"], observation.depth.numpy(), atol=1e-5)
         action = torch.randn(1, 12, generator=rng)
         observation = env.step(action).observation
+
+
+def test_a_policy_that_names_other_joints_than_its_robot_is_refused() -> None:
+    layout = make(TASK, [generate("boxes", 0.3, 1)], robot="quadruped", worlds=1).layout
+    body_of(facts(layout), Path("policy.onnx"))
+    first, *rest = layout.actions
+    for actions, found in ((("tail", *rest), "tail"), ((*rest, first), "another order")):
+        with pytest.raises(TrainerError, match="other joints") as error:
+            body_of(facts(replace(layout, actions=actions)), Path("policy.onnx"))
+        assert found in error.value.render()
 
 
 def test_a_steered_policy_is_told_the_way_and_only_such_a_one() -> None:

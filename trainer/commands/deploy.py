@@ -4,17 +4,39 @@ from __future__ import annotations
 
 from itertools import count
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from realsim.commands import CommandResult
 from realsim.progress import steps
 from trainer.deploy.config import DeployConfig
-from trainer.robots import named
+from trainer.errors import TrainerError
+from trainer.robots import TrainedRobot, named
+
+if TYPE_CHECKING:  # imports torch
+    from trainer.ppo.export import Deployment
 
 SHOWN_EVERY = 25
 """Policy steps between two looks at the progress: the loop is timed."""
+
+
+def body_of(facts: Deployment, policy: Path) -> TrainedRobot:
+    """The robot that a policy was trained on.
+
+    Raises:
+        RealsimError: no robot of that name, or the policy names other joints.
+    """
+    body = named(facts.robot, policy)
+    other = [name for name in facts.layout.actions if name not in body.joints]
+    if tuple(body.joints) != facts.layout.actions:
+        raise TrainerError(
+            "the policy moves other joints than the robot has",
+            file=policy,
+            expected=f"the {len(body.joints)} joints of {facts.robot}, in their order",
+            found=", ".join(other[:4]) or "the same in another order, or fewer",
+        )
+    return body
 
 
 def deploy(
@@ -37,9 +59,7 @@ def deploy(
 
     session, facts = export.load(policy)
     terrain, _ = common.find_terrain(scene)
-    body = named(facts.robot, policy)
-    if tuple(body.joints) != facts.layout.actions:
-        raise common.TrainerError("the policy moves other joints than the robot has", file=policy, found=facts.robot)
+    body = body_of(facts, policy)
     robot = MujocoRobot(body, terrain, depth=facts.layout.depth is not None)
 
     def arrived() -> bool:

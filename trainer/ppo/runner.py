@@ -116,7 +116,7 @@ class Runner:
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> list[str]:
-        """Go on from there; what is not exact is said in the returned notes.
+        """Go on from there; the returned notes name what is not exact.
 
         With another number of ranks, rank r takes the curriculum of rank r modulo the old number. Then, and on another
         kind of device, whose random numbers are others, each rank draws anew.

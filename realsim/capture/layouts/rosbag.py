@@ -357,7 +357,7 @@ def _registration(bag: Bag, found: Found, depth: str, color: str | None, of_dept
 def _poses(
     found: Found, frame: str, times: F64, config: CaptureConfig, by_header: bool
 ) -> tuple[list[F64 | None], list[str]]:
-    """Poses of the depth camera, and what is to be said about them."""
+    """Poses of the depth camera, and notes about them."""
     tree = found.tree
     if not tree.moves(frame):
         return [None] * len(times), ["tf moves nothing above the camera: poses are found from the frames"]

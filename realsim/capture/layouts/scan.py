@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from realsim.capture.config import UNITS, CaptureConfig
 from realsim.capture.layout import Layout, Recognition
@@ -47,6 +48,7 @@ def read(path: Path, config: CaptureConfig) -> Scan:
         f"{shape} in {config.unit}{'' if config.unit == 'm' else ', as asked for'}: "
         f"{np.ptp(points, axis=0)[0]:.3g} x {np.ptp(points, axis=0)[1]:.3g} x {np.ptp(points, axis=0)[2]:.3g} m",
         *raw.notes,
+        *_flat(raw.triangles),
     ]
     if raw.up is None:
         assumptions.append("the file does not say which way is up")
@@ -65,6 +67,12 @@ def read(path: Path, config: CaptureConfig) -> Scan:
         assumptions=tuple(assumptions),
         warnings=(*raw.warnings, *warnings, *([unusual] if unusual else [])),
     )
+
+
+def _flat(triangles: NDArray[np.int32] | None) -> list[str]:
+    """A sentence on triangles that name a vertex twice, as some programs write them and damage does."""
+    count = 0 if triangles is None else int((triangles == np.roll(triangles, 1, axis=1)).any(axis=1).sum())
+    return [f"{count} triangles name a vertex twice: they have no area"] if count else []
 
 
 def check_extent(points: F64, unit: str, source: Path) -> str | None:

@@ -30,7 +30,7 @@ def solve(frames: FrameSet, config: PointsConfig) -> Solution:
 
 
 def pointmaps(frames: FrameSet, solution: Solution, config: PointsConfig) -> Pointmaps:
-    """Views from corrected sensor depth (`solution.depth_gain` times what the sensor said), camera frame, metres."""
+    """Views from corrected sensor depth (`solution.depth_gain` times the sensor's), camera frame, metres."""
     from realsim.feedforward.rgbd.registration import Registration
     from realsim.feedforward.rgbd.views import point_view
 

@@ -5,7 +5,7 @@ A link between frames far apart in the sequence is a claim: one door looks like 
 (or one part of it) on another in the same way are one loop. A loop is believed if enough independent frames say so,
 more than say otherwise; if it asks for no more than the drift that a chain has, and for no jump between frames that
 follow each other; and if, once it is closed, no surface stands where another frame looked through. Whether likeness can
-be trusted at all is measured on the claims that chains can check. Pieces that nothing joins stay apart and are said.
+be trusted at all is measured on the claims that chains can check. Pieces that nothing joins stay apart, with a warning.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ TOLERANCE = (0.05, 0.12)
 2 cm and half a degree, which is 3 cm at 2 m."""
 CLEARER = 0.35
 """Share of the misplacement that another reading may leave to be named as what went wrong. Held by tests on rendered
-captures; of two of them and the real chair with their own poses nothing is said."""
+captures; of two of them and the real chair with their own poses nothing is reported."""
 SCALE_LIMIT = 0.05
 """Relative difference of scale between poses and depth that no depth camera explains, at the least: three standard
 errors of the sensor's own scale are allowed."""

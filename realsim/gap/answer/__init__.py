@@ -1,1 +1,1 @@
-"""What is said in the end: the verdict, how much is gone on unseen runs, the patch."""
+"""The answer: the verdict, how much is gone on unseen runs, the patch."""

@@ -1,4 +1,4 @@
-"""From what the search found to what is said: what lasts on left-out runs, what is as good, the check, the verdict.
+"""From what the search found to the answer: what lasts on left-out runs, what is as good, the check, the verdict.
 
 The held-out runs are first looked at in `_checked`. All before it (which causes last, which rivals are as good, the
 intervals of values) rests on the fitted runs. The verdict is decided with the check, which is therefore a validation.
@@ -35,7 +35,7 @@ NO_GAP_THERE = (
 
 @dataclass(frozen=True)
 class Conclusion:
-    """What is said, and what it rests on."""
+    """The answer, and what it rests on."""
 
     fit: Any
     """The causes with their values."""
@@ -252,7 +252,7 @@ def _beside(screen: Any, fit: Any, runs: Sequence[int]) -> list[F64] | None:
 
 
 def _read_onsets(screen: Any, fit: Any, held: Sequence[int], nominal: Sequence[F64]) -> list[str]:
-    """When a passing force begins in a run held out cannot be foretold: that alone is read off it, and said."""
+    """When a passing force begins in a run held out cannot be foretold: that alone is read off it, and reported."""
     passing = any("lasts" in c.candidate.names for c in fit.causes)
     if not passing or not held:
         return []

@@ -32,5 +32,5 @@ def what_stays(simulator: Simulator, comparison: Comparison, fit: Fit, runs: Seq
     except (
         GapError,
         ValueError,
-    ):  # the patched model does not run on every run of the log: nothing is said of its rest
+    ):  # the patched model does not run on every run of the log: nothing is reported of its rest
         return []

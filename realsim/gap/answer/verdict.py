@@ -44,7 +44,7 @@ def judge(
         causes: how many are named.
         others: other sets that explain the runs as well.
         at_an_end: strengths at an end of their range, where a cause stands for something else.
-        unexplained_share: share of the gap from which on a rest is said to stay.
+        unexplained_share: share of the gap from which on a rest is reported as left.
     """
     ends = tuple(at_an_end)
     came = (

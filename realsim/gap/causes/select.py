@@ -56,7 +56,7 @@ def _alike(search: Search, nominal: Fit) -> tuple[Fit, list[Fit]]:
     again = (fitter.looked_at(f, f.causes) for f in others)
     others = [f for f in again if f is not None and f.misfit - best.misfit < near(removed)]
     same = [best, *(f for f in others if alike(fitter, best, f, removed))]
-    # A law that holds another as a special case always fits as well: only one of the two is said, the plain one unless
+    # A law that holds another as a special case always fits as well: only one of the two is named, the plain one unless
     # the runs ask for more.
     pairs = [(f, o, asked_for(fitter, o, f)) for f in same for o in same if _richer(f, o)]
     gone = [plain if needed else rich for rich, plain, needed in pairs]

@@ -126,7 +126,7 @@ class Effect:
     passing: tuple[str, ...] = ()
     """Parameters that say when it acts; without them it acts always."""
     absolute: bool = False
-    """Whether it is said as a thing of its size (a torque limit of 3 N m) and not as more or less of something."""
+    """Whether it is worded as a thing of its size (a torque limit of 3 N m) and not as more or less of something."""
     directed: bool = False
     """Whether its sign is a direction: then it is missing either way, and never too large in the model."""
     of_torque: bool = False

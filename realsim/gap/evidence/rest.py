@@ -12,9 +12,9 @@ from realsim.gap.evidence.inverse import TorqueResidual
 from realsim.types import F64
 
 LEAST_EXPLAINED = 0.3
-"""Share of a joint's rest that a regressor must explain to be said; as for torque residuals. Not tuned."""
+"""Share of a joint's rest that a regressor must explain to be reported; as for torque residuals. Not tuned."""
 MOST = 4
-"""Joints that are said."""
+"""Joints that are reported, at most."""
 _OF_TORQUE = {
     "against the velocity, of constant size": "friction-like",
     "in proportion to the velocity": "damping-like",

@@ -19,7 +19,7 @@ SIZES = (1.0, 0.7, 0.45, 0.25)
 FINALISTS = 3
 """Excitations whose everyday deviations are simulated: they cost more than all the rest."""
 ENOUGH = 16.0
-"""Least separation of any two rivals from which on an experiment is said to decide: a log Bayes factor of 8 is to be
+"""Least separation of any two rivals from which on an experiment counts as decisive: a log Bayes factor of 8 is to be
 expected, what the engine demands of a cause (`DiagnoseConfig.min_gain`)."""
 
 WORTH_IT = 1.2

@@ -133,8 +133,8 @@ def _overlaps(simulator: Simulator) -> list[str]:
     """Refuse a model whose own bodies are inside each other where the robot's runs begin.
 
     MuJoCo does not let parent and child collide, unless the parent is fixed to the world: a trunk that is held in the
-    air pushes its own hips away. What begins inside the ground is said and not refused: ground that is lower than in
-    the model may be the gap.
+    air pushes its own hips away. What begins inside the ground is a warning, not an error: ground that is lower than
+    in the model may be the gap.
     """
     import mujoco
 

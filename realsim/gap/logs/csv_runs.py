@@ -164,7 +164,7 @@ def _table(path: Path) -> tuple[list[str], F64]:
         if table.shape[1] == len(header):
             return header, table
     except ValueError:
-        pass  # empty cells, text or damage: cell by cell, so that it can be said where
+        pass  # empty cells, text or damage: cell by cell, so that the message can name it
     rows = _cells(path, lines[1:], delimiter, 2)
     for number, row in enumerate(rows, 2):
         if len(row) != len(header):

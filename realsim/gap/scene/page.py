@@ -23,7 +23,7 @@ def scene_page(
     """The whole page as text.
 
     Args:
-        more: what is to be said beside it.
+        more: warnings and notes beside it.
         extra: cards of other checks of the same log.
     """
     facts = [

@@ -70,7 +70,7 @@ def judge(found: FootholdMap, scene: Path, camera: CameraFound | None = None) ->
 
 
 def scan_verdict(scene: Path) -> dict[str, Any] | None:
-    """What the reconstruction said of the scene, from report.json beside it; None where there is none."""
+    """The reconstruction's verdict on the scene, from report.json beside it; None where there is none."""
     file = (scene if scene.is_dir() else scene.parent) / "report.json"
     if not file.is_file():
         return None

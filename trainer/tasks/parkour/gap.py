@@ -30,7 +30,7 @@ Interval = Callable[[str], Range | None]
 TAKEN = ("identified", "ambiguous", "partly_explained")
 """Verdicts whose causes hold on the check. Those of `unexplained` are the nearest that was tried, and wrong."""
 CAMERA = ("camera_delay", "camera_mount", "depth_noise")
-"""Effects that recorded depth tells, whatever is said of the motion (`realsim.gap.answer.camera`)."""
+"""Effects that recorded depth tells, whatever the verdict on the motion (`realsim.gap.answer.camera`)."""
 OPENCV_IN_MOUNT = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 """Columns: a camera's x (right), y (down), z (forward) in the axes of a `DepthMount` (x forward, y left, z up)."""
 
