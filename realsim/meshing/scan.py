@@ -144,7 +144,8 @@ def outward(points: F64, normals: F64, reach: float, neighbours: int = 24) -> F6
 
     Level faces face up. A side face has lower ground before it and higher ground behind it: it is turned by the level
     points that lie within `reach` metres of it seen from above. What is lower counts twice, because a room's ceiling is
-    higher and before its walls. A side face with no level point beside it is left facing up.
+    higher and before its walls (of which the lowest quarter of `reach` stays undecided: nothing beside it is lower). A
+    side face with no level point beside it is left facing up.
 
     Args:
         points, normals: (M, 3) metres, z up; unit, of either sign.
