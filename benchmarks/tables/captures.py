@@ -54,8 +54,8 @@ def _real_capture(row: Row) -> str:
 def clouds() -> list[str]:
     """Clouds that do not say from where they were seen, against the exact terrain."""
     head = [
-        "| terrain | parts | mesh off, median / p95 | contact off, median / p95 | side rays that stop | heights off > 2 cm "
-        "| phantom over gaps, leaks |",
+        "| terrain | parts | mesh off, median / p95 | contact off, median / p95 | side rays that stop "
+        "| heights off > 2 cm | phantom over gaps, leaks |",
         "|---|---:|---:|---:|---:|---:|---:|",
     ]
     return head + [
