@@ -54,7 +54,7 @@ def _real_capture(row: Row) -> str:
 def clouds() -> list[str]:
     """Clouds that do not say from where they were seen, against the exact terrain."""
     head = [
-        "| terrain | parts | mesh off, median / p95 | contact off, median / p95 | side rays that stop "
+        "| terrain | geoms | mesh off, median / p95 | contact off, median / p95 | side rays that stop "
         "| heights off > 2 cm | phantom over gaps, leaks |",
         "|---|---:|---:|---:|---:|---:|---:|",
     ]
