@@ -142,10 +142,8 @@ def _surface_of_cloud(
 def outward(points: F64, normals: F64, reach: float, neighbours: int = 24) -> F64:
     """(M, 3) the normals of a cloud of which nobody knows from where it was seen, turned out of the surface.
 
-    Level faces face up. A side face has lower ground before it and higher ground behind it: it is turned by the level
-    points that lie within `reach` metres of it seen from above. What is lower counts twice, because a room's ceiling is
-    higher and before its walls (of which the lowest quarter of `reach` stays undecided: nothing beside it is lower). A
-    side face with no level point beside it is left facing up.
+    Level faces face up. A side face has lower ground before it: it is turned to where the level points are that lie
+    lower, within `reach` metres of it seen from above. One that has none beside it is left facing up.
 
     Args:
         points, normals: (M, 3) metres, z up; unit, of either sign.
@@ -164,9 +162,8 @@ def outward(points: F64, normals: F64, reach: float, neighbours: int = 24) -> F6
     found = np.isfinite(distance)
     away = points[level][np.where(found, near, 0)] - points[side, None]
     before = np.einsum("mki,mi->mk", away[..., :2], normals[side, :2]) / np.maximum(distance, 1e-9)
-    height = np.where(found, away[..., 2], 0.0)
-    votes = 2 * (before * (height < -reach / 4)).sum(1) - (before * (height > reach / 4)).sum(1)
-    normals[side[votes < 0]] *= -1
+    lower = found & (away[..., 2] < -reach / 4)
+    normals[side[(before * lower).sum(1) < 0]] *= -1
     return normals
 
 

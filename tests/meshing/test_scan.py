@@ -103,7 +103,8 @@ def test_side_faces_of_a_block_face_out_however_they_were_guessed(
     normals = np.concatenate([np.tile([0, 0, 1.0], (len(floor) + len(top), 1)), out]) @ exp_so3([0, 0, turn]).T
     guess = np.random.default_rng(seed).choice([-1.0, 1.0], (len(points), 1))
     found = outward(points @ exp_so3([0, 0, turn]).T, guess * normals, 0.07)
-    assert (found == normals).all()
+    told = points[:, 2] > 0.07 / 4  # lower ones have no ground below them
+    assert (found == normals)[told | (normals[:, 2] > 0.5)].all()
 
 
 def test_walls_of_a_room_face_in_below_its_ceiling() -> None:
@@ -112,7 +113,7 @@ def test_walls_of_a_room_face_in_below_its_ceiling() -> None:
     points = np.concatenate([*flat, wall])
     normals = np.concatenate([np.tile([0, 0, 1.0], (len(points) - len(wall), 1)), out])
     turned = (outward(points, normals, 0.07)[-len(wall) :] == -out).all(1)
-    assert turned[wall[:, 2] > 0.07 / 4].all()  # lower points have no ground below them by which to tell
+    assert turned[wall[:, 2] > 0.07 / 4].all()
 
 
 def test_nothing_level_tells_nothing() -> None:
