@@ -41,6 +41,11 @@ def phone(terrain: Terrain, folder: Path, seed: int) -> None:
 
 def lidar(terrain: Terrain, folder: Path, seed: int) -> None:
     """A cloud of what a walk along both sides sees, with noise along the normals."""
+    rs.reconstruct(scanned(terrain, folder, seed), folder / "scene")
+
+
+def scanned(terrain: Terrain, folder: Path, seed: int) -> Path:
+    """That cloud, `scan.ply`; the true mesh is in `walk/truth`."""
     config = SynthConfig(seed=seed, both_sides=True, width=160)
     made = write_capture(folder / "walk", config, terrain=in_room(terrain, seed), overwrite=True)
     samples = read_truth(made.truth)[1]
@@ -48,7 +53,7 @@ def lidar(terrain: Terrain, folder: Path, seed: int) -> None:
     noise = np.random.default_rng([seed, 3]).normal(0, LIDAR_NOISE_M, (int(seen.sum()), 1))
     scan = folder / "scan.ply"
     trimesh.PointCloud(samples.points[seen] + noise * samples.normals[seen]).export(scan)
-    rs.reconstruct(scan, folder / "scene")
+    return scan
 
 
 def hand(terrain: Terrain, folder: Path, seed: int) -> None:

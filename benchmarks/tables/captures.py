@@ -51,6 +51,21 @@ def _real_capture(row: Row) -> str:
     )
 
 
+def clouds() -> list[str]:
+    """Clouds that do not say from where they were seen, against the exact terrain."""
+    head = [
+        "| terrain | geoms | mesh off, median / p95 | contact off, median / p95 | side rays that stop "
+        "| heights off > 2 cm | phantom over gaps, leaks |",
+        "|---|---:|---:|---:|---:|---:|---:|",
+    ]
+    return head + [
+        f"| {r['terrain']} | {r['geoms']} (`{r['chosen']}`) | {r['mesh_median_mm']:.1f} / {r['mesh_p95_mm']:.1f} mm | "
+        f"{r['median_mm']:.1f} / {r['p95_mm']:.1f} mm | {100 * r['stopped']:.1f} % | {100 * r['heights_off']:.1f} % | "
+        f"{r['phantom_over_gaps_cm2']:.0f} cm², {r['leaks']} |"
+        for r in stored("clouds")["rows"]
+    ]
+
+
 def hard_matches() -> list[str]:
     """Captures that are hard to match, without and with the learned matcher."""
     lines = [

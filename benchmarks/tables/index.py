@@ -36,6 +36,7 @@ INDEX = (
     ("Loops in places that look alike", "loops", "python benchmarks/loops.py"),
     ("Contact from the side, by columns alone and as `auto` chooses", "sides", "python -m benchmarks.sides --real"),
     ("Captures that real sensors and apps wrote", "real_captures", "python benchmarks/real_captures.py"),
+    ("Clouds that do not say from where they were seen", "clouds", "python -m benchmarks.clouds"),
     (
         "Frames that are hard to match, with and without the learned matcher",
         "matching",
@@ -65,6 +66,7 @@ KEYS = {
     "bag_scene": ("terrain", "frames", "source"),
     "base_policy": base_policy.KEY,
     "captures": ("kind", "seed", "method"),
+    "clouds": ("terrain",),
     "close_the_gap": ("robot", "iterations", "effects_considered", "course"),
     "contact": ("terrain", "representation"),
     "fuzz": ("kind", "seed", "number"),

@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.tables.captures import captures, contact, damaged, hard_matches, loops, real_captures
+from benchmarks.tables.captures import captures, clouds, contact, damaged, hard_matches, loops, real_captures
 from benchmarks.tables.diagnosis import (
     bags,
     closing,
@@ -38,6 +38,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "captures": captures,
     "contact": contact,
     "real captures": real_captures,
+    "clouds": clouds,
     "loops": loops,
     "hard matches": hard_matches,
     "bags": bags,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from realsim.errors import MeshError
@@ -14,6 +16,10 @@ from realsim.meshing.quality import degenerate
 from realsim.meshing.surface import Surface, colored_from, edges_of
 from realsim.meshing.trim import supported
 from realsim.types import F64, AlignedScene, Scan
+
+LEVEL = 0.8
+"""Least z of the normal of a level face. Between 0.7 and 0.8 as many side faces are turned rightly (0.1 to 3 % wrong on
+seven simulated scans, 38 % without)."""
 
 
 def surface_of_scan(aligned: AlignedScene, config: MeshConfig) -> tuple[Surface, float, float | None, str]:
@@ -104,7 +110,7 @@ def oriented(surface: Surface) -> Surface:
 
 
 def _surface_of_cloud(
-    points: F64, normals: F64 | None, colors: np.ndarray | None, sensor: F64, config: MeshConfig
+    points: F64, normals: F64 | None, colors: np.ndarray | None, sensor: F64 | None, config: MeshConfig
 ) -> tuple[Surface, float, float | None, str]:
     import open3d as o3d
     from scipy.spatial import cKDTree
@@ -112,27 +118,58 @@ def _surface_of_cloud(
     pick = np.linspace(0, len(points) - 1, min(len(points), 5000)).astype(int)
     tree = cKDTree(points)
     spacing = float(np.median(tree.query(points[pick], k=7, workers=2)[0][:, 6]))
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
-    if normals is None:
-        cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(3 * spacing, 40))
-        cloud.orient_normals_towards_camera_location(sensor)
-        normals = np.asarray(cloud.normals).copy()
     _, near = tree.query(points[pick], k=12, workers=2)
     local = points[near] - points[near].mean(1, keepdims=True)
     least = np.linalg.eigvalsh(np.swapaxes(local, 1, 2) @ local / 12)[:, 0]
     noise = float(np.median(np.sqrt(np.maximum(least, 0.0))))
     resolution = config.resolution or float(np.clip(max(1.5 * spacing, 2 * noise), 0.004, 0.1))
+    guessed = normals is None and sensor is None
+    if normals is None:
+        cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+        cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(3 * spacing, 40))
+        normals = np.asarray(cloud.normals).copy()
+        toward = np.array([0.0, 0.0, 1.0]) if sensor is None else sensor - points
+        normals *= np.where((normals * toward).sum(1) < 0, -1.0, 1.0)[:, None]
     fused = thin(Points(points, normals, np.ones(len(points)), np.ones(len(points)), colors), 0.75 * resolution)
+    if guessed:
+        # Of a side face about half of the points faced in: once turned, a cell's two means are one again.
+        fused = thin(replace(fused, normals=outward(fused.points, fused.normals, 3 * resolution)), 0.75 * resolution)
     surface = reconstruct(fused, resolution)
     surface = surface.where(supported(surface, fused, max(resolution, spacing)))
     return colored_from(surface, points, colors), resolution, noise, "poisson"
 
 
-def _sensor(aligned: AlignedScene, scan: Scan) -> F64:
-    """Where normals point to: the scanner if it is known, else far above (a terrain is seen from above)."""
-    if scan.sensor_position is not None:
-        return transform(aligned.T_sim_world, scan.sensor_position)
-    return np.array([*aligned.bounds.mean(0)[:2], aligned.bounds[1, 2] + 100.0])
+def outward(points: F64, normals: F64, reach: float, neighbours: int = 24) -> F64:
+    """(M, 3) the normals of a cloud of which nobody knows from where it was seen, turned out of the surface.
+
+    Level faces face up. A side face has lower ground before it: it is turned to where the level points are that lie
+    lower, within `reach` metres of it seen from above. One that has none beside it is left facing up.
+
+    Args:
+        points, normals: (M, 3) metres, z up; unit, of either sign.
+    """
+    from scipy.spatial import cKDTree
+
+    normals = np.where(normals[:, 2:] < 0, -normals, normals)
+    level = normals[:, 2] > LEVEL
+    side = np.flatnonzero(~level)
+    if not level.any() or not len(side):
+        return normals
+    distance, near = cKDTree(points[level][:, :2]).query(
+        points[side, :2], k=min(neighbours, int(level.sum())), distance_upper_bound=reach, workers=2
+    )
+    distance, near = distance.reshape(len(side), -1), near.reshape(len(side), -1)
+    found = np.isfinite(distance)
+    away = points[level][np.where(found, near, 0)] - points[side, None]
+    before = np.einsum("mki,mi->mk", away[..., :2], normals[side, :2]) / np.maximum(distance, 1e-9)
+    lower = found & (away[..., 2] < -reach / 4)
+    normals[side[(before * lower).sum(1) < 0]] *= -1
+    return normals
+
+
+def _sensor(aligned: AlignedScene, scan: Scan) -> F64 | None:
+    """Where the scanner stood, simulation frame, or None."""
+    return None if scan.sensor_position is None else transform(aligned.T_sim_world, scan.sensor_position)
 
 
 def _edge_length(surface: Surface) -> float:

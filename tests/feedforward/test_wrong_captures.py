@@ -116,6 +116,17 @@ def test_what_is_wrong_as_a_whole_is_refused_with_its_name(
         solved(folder)
 
 
+def test_poses_that_depth_agrees_with_are_of_no_other_convention(
+    two: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # as on a shared capture with the colour of another: 60 cm by features, 6 cm half a frame later, 0.6 cm by depth
+    by_chance = ("a time offset between poses and images of -0.5 frames", 0.064, "associate anew")
+    monkeypatch.setattr("realsim.feedforward.rgbd.refine_check._explain", lambda *_: by_chance)
+    folder = spoilt(two, tmp_path / "wrong", colour_of_another)
+    with pytest.raises(PoseError, match="colour images belong to other depth"):
+        solved(folder)
+
+
 @pytest.mark.parametrize("poses", ["given", "estimate"])
 @pytest.mark.parametrize(
     ("change", "word"),

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from realsim.errors import MeshError
 from realsim.geometry import exp_so3, invert_T, make_T, transform
 from realsim.meshing import MeshConfig, build
+from realsim.meshing.scan import outward
 from realsim.types import Scan
 
 from .scenes import SOURCE, Box, aligned, distance
@@ -67,3 +70,66 @@ def test_a_scan_outside_the_bounds_is_refused() -> None:
     scan = Scan(SOURCE, "test", cloud(2000) + 10.0)
     with pytest.raises(MeshError, match="too few points"):
         build(aligned(bounds=BOUNDS, scan=scan), MeshConfig())
+
+
+def faces(half: tuple[float, float], bottom: float, top: float, spacing: float = 0.02) -> tuple[np.ndarray, np.ndarray]:
+    """Points on the four upright faces of a block about the z axis, and their normals out of it."""
+    points, normals = [], []
+    for axis in (0, 1):
+        along = np.arange(-half[1 - axis], half[1 - axis], spacing) + spacing / 2
+        t, z = (a.ravel() for a in np.meshgrid(along, np.arange(bottom, top, spacing) + spacing / 2))
+        for sign in (-1.0, 1.0):
+            one, normal = np.zeros((len(t), 3)), np.zeros(3)
+            one[:, axis], one[:, 1 - axis], one[:, 2], normal[axis] = sign * half[axis], t, z, sign
+            points.append(one)
+            normals.append(np.broadcast_to(normal, one.shape))
+    return np.concatenate(points), np.concatenate(normals)
+
+
+def level(half: tuple[float, float], z: float, spacing: float = 0.02) -> np.ndarray:
+    x, y = np.meshgrid(*(np.arange(-h, h, spacing) + spacing / 2 for h in half))
+    return np.c_[x.ravel(), y.ravel(), np.full(x.size, z)]
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(0.1, 0.5), st.floats(0.1, 0.5), st.floats(0.05, 1.0), st.floats(0, 6.28), st.integers(0, 100))
+def test_side_faces_of_a_block_face_out_however_they_were_guessed(
+    x: float, y: float, high: float, turn: float, seed: int
+) -> None:
+    floor, top = level((1, 1), 0.0), level((x, y), high)
+    floor = floor[(np.abs(floor[:, :2]) > [x, y]).any(1)]
+    side, out = faces((x, y), 0.0, high)
+    points = np.concatenate([floor, top, side])
+    normals = np.concatenate([np.tile([0, 0, 1.0], (len(floor) + len(top), 1)), out]) @ exp_so3([0, 0, turn]).T
+    guess = np.random.default_rng(seed).choice([-1.0, 1.0], (len(points), 1))
+    found = outward(points @ exp_so3([0, 0, turn]).T, guess * normals, 0.07)
+    told = points[:, 2] > 0.07 / 4  # lower ones have no ground below them
+    assert (found == normals)[told | (normals[:, 2] > 0.5)].all()
+
+
+def test_walls_of_a_room_face_in_below_its_ceiling() -> None:
+    half = (1.0, 0.8)
+    flat, (wall, out) = [level(half, 0.0), level(half, 2.4)], faces(half, 0.0, 2.4)
+    points = np.concatenate([*flat, wall])
+    normals = np.concatenate([np.tile([0, 0, 1.0], (len(points) - len(wall), 1)), out])
+    turned = (outward(points, normals, 0.07)[-len(wall) :] == -out).all(1)
+    assert turned[wall[:, 2] > 0.07 / 4].all()
+
+
+def test_nothing_level_tells_nothing() -> None:
+    wall, out = faces((0.3, 0.3), 0.0, 0.5)
+    assert (outward(wall, out, 0.07) == out).all()
+    floor = level((0.5, 0.5), 0.0)
+    assert (outward(floor, np.tile([0, 0, -1.0], (len(floor), 1)), 0.07) == [0, 0, 1]).all()
+
+
+def test_side_faces_of_a_cloud_are_seen_from_outside() -> None:
+    mesh = build(aligned(bounds=BOUNDS, scan=Scan(SOURCE, "test", cloud())), MeshConfig(close=False))
+    corners = mesh.vertices[mesh.seen]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    middle = corners.mean(1)
+    side = (np.abs(normal[:, 2]) < 0.3 * np.linalg.norm(normal, axis=1)) & (np.abs(middle[:, 2] - 0.15) < 0.1)
+    area = np.linalg.norm(normal[side], axis=1)
+    out = (normal[side, :2] * middle[side, :2] / [0.25, 0.2]).sum(1) > 0
+    assert area[out].sum() > 0.99 * area.sum()
+    assert area.sum() / 2 == pytest.approx(0.2 * 1.8, rel=0.1)  # 20 cm of the height of a rim of 1.8 m

@@ -127,6 +127,9 @@ def check_poses(
         reasons.append(f"points misplaced by {100 * typical:.1f} cm (median)")
     if statistics["contradicting_edges"] > 0.5:
         reasons.append(f"{statistics['contradicting_edges']:.0%} of the pairs of frames contradict the poses")
+    fit = _by_depth_alone(edges, evidence, T) if reasons else float("inf")
+    if found and fit < TOLERANCE[0] < found[1]:
+        found = None  # the depth agrees with the poses as they are, so it is not their convention that is wrong
     if (reasons or typical > TOLERANCE[0]) and not found and (late := _late_depth(edges, evidence, T)) is not None:
         moved = f"{100 * late[1]:.1f} cm with the depth images moved back, {100 * typical:.1f} cm as they are"
         raise PoseError(
@@ -136,8 +139,7 @@ def check_poses(
             found="; ".join([*reasons, moved]),
             hint="associate colour and depth by their time stamps anew",
         )
-    fit = _by_depth_alone(edges, evidence, T) if reasons and not found else float("inf")
-    if fit < TOLERANCE[0] and not has_own_depth(evidence.views, seed):
+    if not found and fit < TOLERANCE[0] and not has_own_depth(evidence.views, seed):
         raise PoseError(
             "the colour images belong to other depth images than those they are named with",
             file=source,
