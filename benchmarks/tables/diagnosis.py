@@ -144,8 +144,8 @@ def drift() -> list[str]:
 def closing() -> list[str]:
     """What fine-tuning with a diagnosis and with randomisation alone regained, robot by robot."""
     lines = [
-        "| the robot | diagnosis | before | randomisation alone | regained | diagnosed and patched | regained |",
-        "|---|---|---|---|---|---|---|",
+        "| the robot | where | diagnosis | before | randomisation alone | regained | diagnosed and patched | regained |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for r in stored("close_the_gap")["rows"]:
         causes = [re.sub(r" at ([^:]*,[^:]*,[^:]*,[^:]*):", _counted, c) for c in r["causes"]]
@@ -155,7 +155,7 @@ def closing() -> list[str]:
             back = r[f"regained_{arm}"]
             cells += [_walked(r[arm]), f"{100 * back['rate']:.0f} %, {100 * back['speed']:.0f} %"]
         many = "all effects" if r["effects_considered"] == "all" else "five effects"
-        lines.append(f"| {r['truth']} | {many}; {said} | {' | '.join(cells)} |")
+        lines.append(f"| {r['truth']} | {r['course']} | {many}; {said} | {' | '.join(cells)} |")
     return lines
 
 

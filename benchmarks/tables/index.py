@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from benchmarks import base_policy, ttt
+from benchmarks import base_policy, pushes, ttt
 from benchmarks.tables.stored import Row, stored
 
 INDEX = (
@@ -49,6 +49,7 @@ INDEX = (
     ("Recordings that decide between causes", "gap_next", "python benchmarks/gap_next.py --seed 29"),
     ("Changes between two logs of one robot", "gap_since", "python benchmarks/gap_since.py --seed 40"),
     ("The base policy without fine-tuning", "base_policy", "python benchmarks/base_policy.py"),
+    ("Pushes that a policy withstands", "pushes", "python benchmarks/pushes.py"),
     ("Fine-tuning on one test", "ttt", "python benchmarks/ttt.py run --minutes 5"),
     (
         "Footholds: what a log says of the terrain",
@@ -65,6 +66,7 @@ INDEX = (
 KEYS = {
     "bag_scene": ("terrain", "frames", "source"),
     "base_policy": base_policy.KEY,
+    "pushes": pushes.KEY,
     "captures": ("kind", "seed", "method"),
     "clouds": ("terrain",),
     "close_the_gap": ("robot", "iterations", "effects_considered", "course"),

@@ -28,7 +28,7 @@ from benchmarks.tables.diagnosis import (
     real_logs,
 )
 from benchmarks.tables.index import index
-from benchmarks.tables.policies import base, quadruped_base, reconstructed, strategies, tuned
+from benchmarks.tables.policies import base, pushed, quadruped_base, reconstructed, strategies, tuned
 from benchmarks.tables.readme import readme
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -46,6 +46,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "diagnosis by robot": diagnosis_by_robot,
     "diagnosis by seed": diagnosis_intervals,
     "base policy": base,
+    "pushes": pushed,
     "base policy of the quadruped": quadruped_base,
     "test-time training": tuned,
     "test-time training on reconstructions": reconstructed,

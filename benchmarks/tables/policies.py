@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks import base_policy, ttt
+from benchmarks import base_policy, pushes, ttt
 from benchmarks.tables.stored import stored
 
 
@@ -20,6 +20,11 @@ def base() -> list[str]:
 def quadruped_base() -> list[str]:
     """The same of the quadruped's."""
     return base_policy.table(stored("base_policy")["rows"], "quadruped")
+
+
+def pushed() -> list[str]:
+    """The base on the thirteen tests, pushed more and more."""
+    return pushes.table(stored("pushes")["rows"])
 
 
 def tuned() -> list[str]:

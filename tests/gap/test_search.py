@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from realsim.gap import DiagnoseConfig, load_case
 from realsim.gap.answer.conclusion import _at_an_end
-from realsim.gap.causes.figures import BRIEF
+from realsim.gap.causes.figures import BRIEF, CAUSE, CAUSE_A_JOINT
 from realsim.gap.causes.fit import Cause, Fitter, _at_bound
+from realsim.gap.causes.proposals import by_slopes, ranked
 from realsim.gap.causes.score import score
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.windows import _best_window
@@ -150,3 +151,37 @@ def test_a_strength_at_an_end_of_its_range_is_no_answer(fitter: Fitter) -> None:
     fit = replace(fitter.nominal(), causes=(_cause(fitter, "motor_gain", -0.9),), at_bounds=("ratio",))
     assert _at_an_end(fit) == ["ratio"]
     assert _at_an_end(replace(fit, at_bounds=("stribeck_velocity",))) == []
+
+
+def test_the_best_place_of_every_effect_is_fitted_before_a_second_one(fitter: Fitter) -> None:
+    """Motors of all joints at 65 %: places of play in the gears had taken all the room that there is."""
+    proposed = [p.causes[-1].candidate for p in by_slopes(fitter, fitter.nominal())]
+    gains = {c.key: gain for gain, c, _ in ranked(fitter.screen, fitter.nominal())}
+    effects = [c.effect for c in proposed]
+    distinct = len(set(effects))
+    assert distinct == 2
+    assert set(effects[:distinct]) == set(effects)
+    for effect in set(effects):
+        own = [gains[c.key] for c in proposed if c.effect == effect]
+        assert own == sorted(own, reverse=True)
+
+
+def test_a_first_cause_is_cheap_where_deviations_leave_a_gap(fitter: Fitter) -> None:
+    """What it costs does not depend on the robot's joints then, and what a further one costs does not on the gap."""
+    screen = fitter.screen
+    motor, play = (next(c for c in screen.candidates if c.effect == e) for e in ("motor_gain", "backlash"))
+    one, two = (
+        fitter.fit(causes, iterations=0)
+        for causes in ((Cause(motor, (-0.2,)),), (Cause(motor, (-0.2,)), Cause(play, (0.01,))))
+    )
+    assert one is not None
+    assert two is not None
+    dear = CAUSE + CAUSE_A_JOINT * len(screen.simulator.case.joint_names)
+    try:
+        (sure_one, sure_two), (open_one, open_two) = (
+            [score(screen, f) for f in (one, two)] for screen.gap in (True, False)
+        )
+    finally:
+        screen.gap = False
+    assert open_one - sure_one == pytest.approx(dear - np.log(len(screen.candidates)))
+    assert open_two - open_one == pytest.approx(sure_two - sure_one)
