@@ -144,7 +144,7 @@ def drift() -> list[str]:
 def closing() -> list[str]:
     """What fine-tuning with a diagnosis and with randomisation alone regained, robot by robot."""
     lines = [
-        "| the robot | where | diagnosis | before | randomisation alone | regained | diagnosed and patched | regained |",
+        "| the robot | where | diagnosis | before | randomisation alone | regained | patched | regained |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for r in stored("close_the_gap")["rows"]:
