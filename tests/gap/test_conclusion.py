@@ -207,8 +207,10 @@ def test_what_stays_is_a_share_of_what_deviations_alone_leave(fitter: Fitter) ->
 
 
 def test_noise_asks_nothing_of_a_further_cause(fitter: Fitter) -> None:
-    """A longer log has more noise to be fitted; a cause need not remove a share of that."""
+    """A longer log has more noise to be fitted; a cause need not remove a share of that, nor the first one of a gap."""
     nothing, whole = fitter.nominal(), fitter.fit([cause(fitter, "coulomb_friction", 3.0)])
+    part = fitter.looked_at(nothing, [cause(fitter, "coulomb_friction", 0.3)])
     assert whole is not None
-    assert asked(fitter.screen, whole) == figures.CLEARLY
-    assert asked(fitter.screen, nothing) > max(figures.CLEARLY, 0.8 * figures.SHARE * nothing.misfit)
+    assert part is not None
+    assert asked(fitter.screen, whole) == asked(fitter.screen, nothing) == figures.CLEARLY
+    assert asked(fitter.screen, part) > max(figures.CLEARLY, 0.8 * figures.SHARE * part.misfit)
