@@ -18,6 +18,7 @@ from realsim.errors import ExportError, UnknownNameError
 from realsim.exports import EXPORTERS, export_scene, write_scene
 from realsim.exports.config import SceneConfig
 from realsim.exports.formats import load_scene
+from realsim.exports.formats.scene import collision_triangles
 from realsim.exports.heights import Surface
 
 from .terrain import GROUND, two_platforms
@@ -232,3 +233,20 @@ def test_a_scene_with_entities_is_refused(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "scene" / "scene.xml").write_text('<!DOCTYPE a [<!ENTITY b "c">]><mujoco>&b;</mujoco>')
     with pytest.raises(ExportError, match="not plain XML"):
         load_scene(tmp_path / "scene")
+
+
+def test_a_distance_field_collides_as_its_mesh_hollows_too() -> None:
+    """The measure from the side and every exporter read it: `--contact sdf` had ended with an error."""
+    ring = trimesh.creation.annulus(0.1, 0.3, 0.2)
+    ring.apply_transform(trimesh.transformations.rotation_matrix(0.4, [1, 0, 0], [0, 0, 0]))
+    spec = mujoco.MjSpec()
+    spec.add_mesh(name="ring", uservert=ring.vertices.ravel().tolist(), userface=ring.faces.ravel().tolist())
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SDF, meshname="ring", pos=[0.5, 0.0, 0.3])
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    vertices, triangles = collision_triangles(model, data)
+    found = trimesh.Trimesh(vertices, triangles)
+    assert found.is_watertight
+    assert found.volume == pytest.approx(ring.volume, rel=1e-5)
+    np.testing.assert_allclose(found.bounds, ring.bounds + np.array([0.5, 0.0, 0.3]), atol=1e-5)

@@ -163,10 +163,13 @@ def _collision(model: Any, data: Any) -> tuple[tuple[Box, ...], tuple[Convex, ..
             boxes.append(Box(name, position, rotation, model.geom_size[g].copy()))
         elif kind == mjtGeom.mjGEOM_HFIELD:
             surfaces.append(_height_field(model, model.geom_dataid[g], name, position))
-        elif kind == mjtGeom.mjGEOM_MESH:
-            start, count = model.mesh_vertadr[model.geom_dataid[g]], model.mesh_vertnum[model.geom_dataid[g]]
-            points = model.mesh_vert[start : start + count].astype(float) @ rotation.T + position
-            convex.append(_hull(name, points))
+        elif kind in (mjtGeom.mjGEOM_MESH, mjtGeom.mjGEOM_SDF):
+            points, faces = _mesh(model, model.geom_dataid[g])
+            points = points @ rotation.T + position
+            if kind == mjtGeom.mjGEOM_MESH:
+                convex.append(_hull(name, points))
+            else:  # it collides as what it is, hollows too
+                surfaces.append(Convex(name, points, faces))
         else:
             raise ExportError(
                 "a geom of a kind that other formats do not have",
@@ -193,6 +196,14 @@ def collision_triangles(model: Any, data: Any) -> tuple[F64, NDArray[np.int32]]:
     counts = np.cumsum([0, *(len(v) for v, _ in parts)])
     triangles = [faces + start for (_, faces), start in zip(parts, counts, strict=False)]
     return np.concatenate([v for v, _ in parts]), np.concatenate(triangles).astype(np.int32)
+
+
+def _mesh(model: Any, mesh: int) -> tuple[F64, NDArray[np.int32]]:
+    """(V, 3) and (K, 3) of a mesh, in its own frame."""
+    start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    first, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+    points = model.mesh_vert[start : start + count].astype(float)
+    return points, model.mesh_face[first : first + faces].astype(np.int32)
 
 
 def _hull(name: str, points: F64) -> Convex:
