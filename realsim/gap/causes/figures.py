@@ -36,7 +36,8 @@ log. Set on generated cases without a gap; a single run near a resonance may exc
 REASONABLE = 3.0
 """Prior standard deviations that a nuisance parameter may take. Conventional."""
 SCALES = (1.0, 0.5, 0.25, 0.125)
-"""What share of the everyday deviations' sizes one robot may have, all of them together. Not tuned."""
+"""What share of the everyday deviations' sizes one robot may have, all of them together. Halves; not tuned. The scale
+was worked out on a real leg (development). On report logs, with the cheap first cause: 34 of 76 right, 21 without."""
 NAMED_SHARE = 1 / 3
 """Share of the squared error of the check that causes must remove to be named beside a rest; the search ends where no
 set can come to it. A cause that changes the motion by as much as the model is wrong by anyway removes about half. Set
@@ -55,7 +56,7 @@ Budget."""
 WORTH, WORTH_SHARE, FITTED, PLACES = 5.0, 0.04, 8, 3
 """Candidates of the linear screen that are fitted: those above WORTH nats and this share of the leader, FITTED of them,
 at most so many PLACES of an effect, the best place of each first; of as many effects the best place is looked at twice.
-Budget."""
+Budget; 5 nats instead of 10 were set on the same leg, and gain what SCALES names, together."""
 PROBED, SIZES = 12, (2.0, 0.7, -0.7, -2.0)
 """Candidates of an effect that are simulated where no slope foretells it (a quadruped has twelve joints), and the sizes
 at which they are, in steps of the parameter. Budget."""
