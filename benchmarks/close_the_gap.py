@@ -23,7 +23,7 @@ EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "close_the_gap.py"
 RESULTS = Path(__file__).parent / "results" / "close_the_gap.json"
 KEY = ("robot", "iterations", "effects_considered", "course")
 FACTS = {
-    "what": "A simulated quadruped that its model does not describe: success on the way (4 m on flat ground in 10 s, "
+    "what": "A simulated robot that its model does not describe: success on the way (4 m on flat ground in 10 s, "
     "or a course) before, after fine-tuning with the diagnosis, and after the same fine-tuning with randomisation "
     "alone. One seed.",
 }
@@ -37,7 +37,8 @@ def rows(results: dict[str, Any]) -> list[dict[str, Any]]:
         if "nominal" not in results or None in parts.values():
             continue
         before, nominal, options = parts["before"], results["nominal"], results["options"]
-        row: dict[str, Any] = {"robot": name, "truth": before["what"], "iterations": options["iterations"]}
+        robot = " ".join([*[options[k] for k in ("robot",) if k in options], name])
+        row: dict[str, Any] = {"robot": robot, "truth": before["what"], "iterations": options["iterations"]}
         row |= {"effects_considered": ", ".join(parts["diagnosis"].get("effects_considered") or ["all"])}
         row |= {"course": options["course"]}
         row |= {"verdict": parts["diagnosis"]["verdict"], "causes": parts["diagnosis"]["causes"]}

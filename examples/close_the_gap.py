@@ -3,14 +3,15 @@
     python examples/close_the_gap.py --out loop                 some 20 minutes of a free core; interrupt at will
     python examples/close_the_gap.py --out loop --minutes 20    stops at the next finished step; run it again to go on
     python examples/close_the_gap.py --out loop --course boxes:0.5:900 --iterations 200       for a machine with a GPU
+    python examples/close_the_gap.py --out loop --robot g1 --course boxes:0.5:900 --iterations 200
 
-The "real" robot is the simulated quadruped with something that its model lacks, one thing at a time. The policy learnt
+The "real" robot is a simulated one with something that its model lacks, one thing at a time. The policy learnt
 on the nominal model has to walk 4 m on flat ground in 10 s, or, with `--course`, the one that ships has to cross a
-parkour course with its depth camera. Then, for each robot:
+parkour course with its depth camera. Then, for each thing that is wrong:
 
 1. The policy's success in simulation and on the robot.
-2. The robot is logged while it stands and sways (no walking needed), and diagnosed: with all effects of the library, or
-   with those of `--effects`, which takes less time.
+2. The robot is logged while it stands and sways (the quadruped) or hangs by its pelvis and moves (G1): no walking is
+   needed. It is diagnosed with all effects of the library, or with those of `--effects`, which takes less time.
 3. The policy is fine-tuned with the diagnosis: patched, and randomised about what was found. Beside it, the same base,
    samples and seed with randomisation alone.
 4. Both go back to the robot.
@@ -76,6 +77,7 @@ class Walk:
     name: str
     """`flat`, or a course as `realsim finetune` takes it."""
     worlds: int = 0
+    robot: str = "quadruped"
 
     @property
     def flat(self) -> bool:
@@ -112,7 +114,7 @@ class Walk:
         loop = LoopConfig(iterations=iterations, checkpoint_every=25, evaluate_every=0, tensorboard=False)
         if not self.flat:
             return TrainConfig(
-                worlds=self.worlds, device=str(self.device), task=self.task(random), loop=loop,
+                robot=self.robot, worlds=self.worlds, device=str(self.device), task=self.task(random), loop=loop,
                 ppo=PPOConfig(std_limits=(1.0, 0.3)), tuning=StrategyConfig(start_std=0.3), **more,
             )  # fmt: skip
         return TrainConfig(
@@ -146,17 +148,19 @@ class Real:
     delay: float = 0.0
     """Seconds by which commands come late."""
 
-    @property
-    def robot(self) -> TrainedRobot:
-        nominal = ROBOTS["quadruped"]()
+    def robot(self, name: str) -> TrainedRobot:
+        nominal = ROBOTS[name]()
         spec = nominal.robot.spec.copy()
         self.change(spec)
         return replace(nominal, robot=replace(nominal.robot, spec=spec))
 
 
-def _load(spec: Any) -> None:
-    box = spec.body("trunk").add_body(name="load", pos=[-0.10, 0.04, 0.08])
-    box.mass, box.inertia, box.explicitinertial = 3.0, [0.006, 0.006, 0.006], True
+def _load(body: str, mass: float, place: tuple[float, float, float]) -> Callable[[Any], None]:
+    def change(spec: Any) -> None:
+        box = spec.body(body).add_body(name="load", pos=place)
+        box.mass, box.inertia, box.explicitinertial = mass, [0.002 * mass] * 3, True
+
+    return change
 
 
 def _weak(spec: Any) -> None:
@@ -166,9 +170,16 @@ def _weak(spec: Any) -> None:
 
 
 REAL = {
-    "payload": Real("carries 3 kg at the back and left of its trunk", _load),
-    "motors": Real("has motors of 65 % of their torque", _weak),
-    "delay": Real("gets its commands 50 ms late", delay=0.05),
+    "quadruped": {
+        "payload": Real("carries 3 kg at the back and left of its trunk", _load("trunk", 3.0, (-0.10, 0.04, 0.08))),
+        "motors": Real("has motors of 65 % of their torque", _weak),
+        "delay": Real("gets its commands 50 ms late", delay=0.05),
+    },
+    "g1": {
+        "payload": Real("carries 6 kg on its back", _load("torso_link", 6.0, (-0.12, 0.04, 0.20))),
+        "motors": Real("has motors of 65 % of their torque", _weak),
+        "delay": Real("gets its commands 50 ms late", delay=0.05),
+    },
 }
 
 
@@ -184,7 +195,7 @@ def success(policy: Path, walk: Walk, real: Real | None, trials: int) -> dict[st
     real = real or Real("is its model")
     random = replace(EXACT, delay=(real.delay, real.delay))
     physics = PhysicsConfig(threads=1, device=str(walk.device))
-    setting = Setting(real.robot, walk.engine, None, walk.task(random), physics)
+    setting = Setting(real.robot(walk.robot), walk.engine, None, walk.task(random), physics)
     config = EvaluationConfig(trials=trials, worlds=min(trials, 100))
     env = trial_env(walk.terrain, config.worlds, config, setting)
     found = run(checkpoint.load(policy)[0].to(walk.device).act, env, trials)
@@ -209,55 +220,89 @@ RUNS, SECONDS, RATE = 4, 3.0, 100
 NOISE = {"joint_pos": 3e-4, "joint_vel": 0.01, "joint_torque": 0.1, "base_pos": 3e-4}
 
 
-def write_case(real: Real, folder: Path) -> None:
+def write_case(real: Real, name: str, folder: Path) -> None:
     """Runs of the robot and the model that is believed in, as `realsim diagnose` reads them."""
     (folder / "runs").mkdir(parents=True, exist_ok=True)
-    settings = PhysicsConfig()
-    nominal = ROBOTS["quadruped"]()
-    believed = world_spec(nominal, terrain.flat(), 0, settings)
+    nominal = ROBOTS[name]()
+    believed = _stand(nominal)
     believed.compile()
     write_text(folder / "model.xml", believed.to_xml())
     names = list(nominal.joints)
     write_text(folder / "log.json", to_json({
         "joint_names": names, "actuator_names": names, "command_kind": "position", "command_hold": "zoh",
-        "base": "floating", "torque_kind": "measured", "imu_site": None, "contact_bodies": [], "notes": "",
+        "base": "fixed" if nominal.upper_body else "floating", "torque_kind": "measured", "imu_site": None,
+        "contact_bodies": [], "notes": "",
     }))  # fmt: skip
-    model = world_spec(real.robot, terrain.flat(), 0, settings).compile()
+    model = _stand(real.robot(name)).compile()
     for k in range(RUNS):
-        np.savez(folder / "runs" / f"run_{k}.npz", **sway(model, nominal, real.delay, np.random.default_rng(k)))
+        np.savez(folder / "runs" / f"run_{k}.npz", **record(model, nominal, real.delay, np.random.default_rng(k)))
 
 
-def sway(model: Any, robot: TrainedRobot, delay: float, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """One run: the robot stands, then crouches, pitches and rolls, faster from run to run."""
+def _stand(robot: TrainedRobot) -> Any:
+    """Where the robot is logged: a quadruped on the floor, one with arms hung up by its pelvis."""
+    spec = world_spec(robot, terrain.flat(), 0, PhysicsConfig())
+    if robot.upper_body:
+        for joint in [j for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_FREE]:
+            spec.delete(joint)
+        spec.body(robot.base).pos = [0, 0, 1.5]
+    return spec
+
+
+def record(model: Any, robot: TrainedRobot, delay: float, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """One run: the robot rests on its servos, then moves."""
     data, dt = mujoco.MjData(model), model.opt.timestep
-    data.qpos[:7], data.qpos[7:] = [0, 0, robot.standing_height, 1, 0, 0, 0], robot.default
-    data.ctrl[:] = robot.default
-    mujoco.mj_step(model, data, round(2.0 / dt))  # it has sagged into its servos
+    base = model.nq - model.nu  # numbers of the free joint, or none
+    if base:
+        data.qpos[:7] = [0, 0, robot.standing_height, 1, 0, 0, 0]
+    data.qpos[base:] = data.ctrl[:] = robot.default
+    mujoco.mj_step(model, data, round((2.0 if base else 8.0) / dt))  # it has sagged into its servos; arms swing longer
     data.time = 0.0
     every, late = round(1 / RATE / dt), round(delay / dt)
-    sent = [robot.default] * (late + 1)
-    rates, phases = rng.uniform(0.3, 1.0, 3), rng.uniform(0, 6, 3)
-    legs = np.array([[x, y] for x in (1, -1) for y in (1, -1)])  # FL, FR, RL, RR
-    log: dict[str, list[np.ndarray]] = {n: [] for n in ("time", "command", "joint_pos", "joint_vel", "joint_torque",
-                                                        "base_pos", "base_quat")}  # fmt: skip
+    sent, move = [robot.default] * (late + 1), _sway(rng) if base else _wave(robot, rng)
+    signals = {"joint_pos": data.qpos[base:], "joint_vel": data.qvel[-model.nu :], "joint_torque": data.actuator_force}
+    log: dict[str, list[np.ndarray]] = {n: [] for n in ("time", "command", *signals)}
+    if base:
+        signals["base_pos"] = data.qpos[:3]
+        log |= {"base_pos": [], "base_quat": []}
     start = data.qpos.copy()
     for k in range(round(SECONDS / dt)):
         if k % every == 0:
             ramp = np.clip((data.time - 0.4) / 0.5, 0, 1)
-            crouch, pitch, roll = ramp * np.array([0.09, 0.05, 0.04]) * np.sin(2 * np.pi * rates * data.time + phases)
-            bend = crouch + pitch * legs[:, 0]
-            command = robot.default + np.stack([roll + 0 * bend, bend, -2 * bend], axis=1).ravel()
-            truth = {"joint_pos": data.qpos[7:], "joint_vel": data.qvel[6:],
-                     "joint_torque": data.actuator_force, "base_pos": data.qpos[:3]}  # fmt: skip
-            for name, value in truth.items():
+            command = robot.default + ramp * move(data.time)
+            for name, value in signals.items():
                 log[name].append(value + rng.normal(0, NOISE[name], len(value)))
             log["time"].append(np.array(data.time))
             log["command"].append(command)
-            log["base_quat"].append(data.qpos[3:7].copy())
+            if base:
+                log["base_quat"].append(data.qpos[3:7].copy())
         sent = [*sent[1:], command]
         data.ctrl[:] = sent[0]
         mujoco.mj_step(model, data)
     return {name: np.array(values) for name, values in log.items()} | {"init_qpos": start}
+
+
+Motion = Callable[[float], np.ndarray]
+"""Radians of each joint from the default pose at a time in seconds."""
+
+
+def _sway(rng: np.random.Generator) -> Motion:
+    """A quadruped crouches, pitches and rolls, at another rate in each run."""
+    rates, phases = rng.uniform(0.3, 1.0, 3), rng.uniform(0, 6, 3)
+    legs = np.array([[x, y] for x in (1, -1) for y in (1, -1)])  # FL, FR, RL, RR
+
+    def move(t: float) -> np.ndarray:
+        crouch, pitch, roll = np.array([0.09, 0.05, 0.04]) * np.sin(2 * np.pi * rates * t + phases)
+        bend = crouch + pitch * legs[:, 0]
+        return np.stack([roll + 0 * bend, bend, -2 * bend], axis=1).ravel()
+
+    return move
+
+
+def _wave(robot: TrainedRobot, rng: np.random.Generator) -> Motion:
+    """A robot that hangs moves all its joints, each at its own rate."""
+    rates, phases = rng.uniform(0.3, 1.2, len(robot.joints)), rng.uniform(0, 6, len(robot.joints))
+    room = np.minimum(robot.upper - robot.default, robot.default - robot.lower)
+    return lambda t: np.minimum(0.2, 0.7 * room) * np.sin(2 * np.pi * rates * t + phases)
 
 
 # ---------------------------------------------------------------- 3. training
@@ -309,22 +354,27 @@ class Loop:
         return self.results[key]
 
     def run(self) -> None:
-        walk = Walk(self.args.course, self.args.worlds)
+        walk = Walk(self.args.course, self.args.worlds, self.args.robot)
         own = self.out / "base"
-        shipped = own / "policy.pt" if walk.flat else base_of("quadruped")
+        shipped = own / "policy.pt" if walk.flat else base_of(walk.robot)
         base, trials, n = self.args.base or shipped, self.args.trials, self.args.iterations
         options = {"iterations": n, "trials": trials, "base": str(self.args.base or ""), "course": walk.name}
+        options |= {} if walk.robot == "quadruped" else {"robot": walk.robot}
         if self.results.setdefault("options", options) != options:
             raise SystemExit(f"{self.out} was begun with {self.results['options']}: use those, or another folder")
         if self.args.base is None and walk.flat:
             self.step("base", "the base policy, on the nominal model",
                       lambda: train(own, walk, 400, self.left, replace(EXACT, use=False), None))  # fmt: skip
         self.step("nominal", "the base in simulation", lambda: success(base, walk, None, trials))
-        for name in self.args.robots:
-            real, folder = REAL[name], self.out / name
+        for name in self.args.wrong or REAL[walk.robot]:
+            real, folder = REAL[walk.robot][name], self.out / name
             self.step(f"{name}/before", f"the base on the robot that {real.what}",
                       lambda r=real: success(base, walk, r, trials))  # fmt: skip
-            self.step(f"{name}/diagnosis", "its logs, and the diagnosis", lambda r=real, f=folder: self.diagnosed(r, f))
+            self.step(
+                f"{name}/diagnosis",
+                "its logs, and the diagnosis",
+                lambda r=real, f=folder: self.diagnosed(r, walk.robot, f),
+            )
             for arm, diagnosis in (("patch", folder / "diagnosis"), ("random", None)):
                 out = folder / arm
                 self.step(f"{name}/{arm}/training", f"fine-tuning, {_ARMS[arm]}",
@@ -332,9 +382,9 @@ class Loop:
                 self.step(f"{name}/{arm}", "that policy on the robot",
                           lambda o=out, r=real: success(o / "policy.pt", walk, r, trials))  # fmt: skip
 
-    def diagnosed(self, real: Real, folder: Path) -> dict[str, Any]:
+    def diagnosed(self, real: Real, robot: str, folder: Path) -> dict[str, Any]:
         if not (folder / "case" / "log.json").is_file():
-            write_case(real, folder / "case")
+            write_case(real, robot, folder / "case")
         config = DiagnoseConfig(effects=tuple(self.args.effects), threads=1)
         found = rs.diagnose(folder / "case", folder / "diagnosis", config, overwrite=True)
         return {
@@ -357,7 +407,7 @@ def table(results: dict[str, Any]) -> str:
     lines = (
         [] if nominal is None else [f"in simulation, of {nominal['trials']} trials of the base {_share(nominal)}", ""]
     )
-    for name, real in REAL.items():
+    for name, real in REAL[results.get("options", {}).get("robot", "quadruped")].items():
         before, found = results.get(f"{name}/before"), results.get(f"{name}/diagnosis")
         if before is None or nominal is None:
             continue
@@ -392,7 +442,7 @@ def figure(results: dict[str, Any], path: Path) -> None:
     """A group of bars a robot, with 95 % intervals, and the speed under each."""
     import cv2
 
-    names = [n for n in REAL if f"{n}/before" in results]
+    names = [n for n in ("payload", "motors", "delay") if f"{n}/before" in results]
     bars = (("before", "before", (150, 150, 150)), ("random", "randomisation alone", (60, 140, 230)),
             ("patch", "diagnosed and patched", (150, 120, 20)))  # fmt: skip
     width, height, left, low, top = 240 * max(1, len(names)) + 90, 380, 60, 290, 50
@@ -433,7 +483,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("loop"))
     parser.add_argument("--minutes", type=float, default=1e6, help="stop at the next step after this time")
-    parser.add_argument("--robots", nargs="+", choices=list(REAL), default=list(REAL))
+    parser.add_argument("--robot", choices=list(REAL), default="quadruped")
+    parser.add_argument("--wrong", nargs="+", choices=["payload", "motors", "delay"], help="with it; all if not given")
     parser.add_argument("--course", default=FLAT, help="FAMILY:DIFFICULTY:SEED, or the name of a test")
     parser.add_argument("--worlds", type=int, default=0, help="that train at once; 128 on flat ground")
     parser.add_argument("--iterations", type=int, default=100, help="of each fine-tuning")
@@ -441,6 +492,8 @@ def main() -> int:
     parser.add_argument("--effects", nargs="*", default=[], help="that the diagnosis considers; all if not given")
     parser.add_argument("--base", type=Path, default=None, help="a policy of this task; one is trained if not given")
     args = parser.parse_args()
+    if args.robot != "quadruped" and args.course == FLAT:
+        parser.error(f"--robot {args.robot} needs a --course: what ships for it crosses terrain, on a GPU")
     torch.set_num_threads(1)
     args.out.mkdir(parents=True, exist_ok=True)
     loop = Loop(args.out, args)

@@ -18,8 +18,8 @@ EXAMPLE = runpy.run_path(str(Path(__file__).resolve().parents[2] / "examples" / 
 
 @pytest.mark.parametrize(("name", "late"), [("payload", 0.0), ("motors", 0.0), ("delay", 0.05)])
 def test_the_robot_is_logged_as_it_is_and_its_model_as_it_is_believed(name: str, late: float, tmp_path: Path) -> None:
-    real = EXAMPLE["REAL"][name]
-    EXAMPLE["write_case"](real, tmp_path)
+    real = EXAMPLE["REAL"]["quadruped"][name]
+    EXAMPLE["write_case"](real, "quadruped", tmp_path)
     case = load_case(tmp_path)
     nominal = ROBOTS["quadruped"]().robot.spec.copy().compile()
     assert case.model.body_subtreemass[1] == pytest.approx(nominal.body_subtreemass[1])
@@ -31,6 +31,19 @@ def test_the_robot_is_logged_as_it_is_and_its_model_as_it_is_believed(name: str,
     assert np.ptp(moved) > 0.05
     assert np.ptp(still) < 0.01
     assert real.delay == late
+
+
+def test_g1_is_logged_as_it_hangs_and_its_model_knows_nothing_of_the_load(tmp_path: Path) -> None:
+    EXAMPLE["write_case"](EXAMPLE["REAL"]["g1"]["payload"], "g1", tmp_path)
+    case = load_case(tmp_path)
+    nominal, run = ROBOTS["g1"](), case.runs[0]
+    assert case.model.body_mass.sum() == pytest.approx(nominal.robot.spec.copy().compile().body_mass.sum())
+    assert case.model.nq == len(nominal.joints)  # it hangs by its pelvis
+    assert (np.ptp(run.command, axis=0) > 0.03).all()
+    assert ((nominal.lower < run.command) & (run.command < nominal.upper)).all()
+    waist, still = nominal.joints.index("waist_pitch_joint"), run.signals["joint_pos"][:20]
+    assert np.ptp(still, axis=0).max() < 0.02
+    assert still[:, waist].mean() < -0.05  # the load on its back pulls
 
 
 def test_a_step_is_done_once_and_none_begins_when_the_time_is_over(tmp_path: Path) -> None:
