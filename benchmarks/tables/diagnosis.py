@@ -155,7 +155,8 @@ def closing() -> list[str]:
             back = r[f"regained_{arm}"]
             cells += [_walked(r[arm]), f"{100 * back['rate']:.0f} %, {100 * back['speed']:.0f} %"]
         many = "all effects" if r["effects_considered"] == "all" else "five effects"
-        lines.append(f"| {r['truth']} | {r['course']} | {many}; {said} | {' | '.join(cells)} |")
+        who = "G1 " if r["robot"].startswith("g1 ") else ""
+        lines.append(f"| {who}{r['truth']} | {r['course']} | {many}; {said} | {' | '.join(cells)} |")
     return lines
 
 

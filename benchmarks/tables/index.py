@@ -57,11 +57,6 @@ INDEX = (
         "python -m benchmarks.footholds",
     ),
     ("Fine-tuning with a diagnosis, beside randomisation alone", "close_the_gap", "python benchmarks/close_the_gap.py"),
-    (
-        "Pretraining and fine-tuning on one GPU, an earlier recipe",
-        "training_gpu",
-        "realsim pretrain, realsim finetune (in the file)",
-    ),
 )
 KEYS = {
     "bag_scene": ("terrain", "frames", "source"),
@@ -90,7 +85,6 @@ KEYS = {
     "trainer_cpu": ("case", "seed"),
     "trainer_speed": ("case",),
     "trainer_tune": ("start", "speed", "seed"),
-    "training_gpu": ("case",),
     "ttt": ttt.KEY,
     "loops": ("place",),
 }
