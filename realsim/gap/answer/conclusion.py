@@ -19,6 +19,7 @@ from realsim.gap.answer.verdict import Fitted, Judgement, judge
 from realsim.gap.causes import figures
 from realsim.gap.causes.fitted import Z90, Cause
 from realsim.gap.causes.leftover import is_gap, leftover, nuisance_settings
+from realsim.gap.causes.score import keeps
 from realsim.gap.causes.starts import contains, suggested
 from realsim.gap.compare import Comparison
 from realsim.gap.config import DiagnoseConfig
@@ -89,7 +90,7 @@ def _lasting(screen: Any, fitter: Any, fit: Any, nominal: Any, notes: list[str])
         if len(screen.runs) < 2:
             return fit, left
         if len(fit.causes) == 1:
-            if left.gained_over(leave_out(screen, fitter, nominal))[0] > 0:
+            if keeps(*left.gained_over(leave_out(screen, fitter, nominal))):
                 return fit, left
             notes.append(f"{_name(fit.causes[0])} fits best, and makes left-out runs worse: no cause")
             return nominal, None

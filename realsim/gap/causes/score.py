@@ -50,9 +50,10 @@ def determined(fit: Estimated) -> float:
 
 def asked(screen: Screen, before: Fit) -> float:
     """Nats by which one more cause must lower the score of a set: clearly, and beside others by a share of what is no
-    noise, since each of them leaves a little that a wrong one can bend to."""
+    noise, since each of them leaves a little that a wrong one can bend to. Where deviations leave a gap, the likeliest
+    first cause is looked at: the check says whether it is one."""
     if not before.causes:
-        return figures.CLEARLY
+        return 0.0 if screen.gap else figures.CLEARLY
     above = before.misfit * (1 - 1 / max(leftover(screen, before).mean(), 1.0))
     return max(figures.CLEARLY, figures.SHARE * above)
 
@@ -65,7 +66,9 @@ def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | N
     if gain < least:
         found.append(f"gains {gain:.1f} nats, must gain {least:.1f}")
     held = left_out(fitter, before, after)
-    if held is not None and not _holds(*held):
+    # Deviations imitate a cause on runs left out as well as on the others, at their price: there it must not lose.
+    instead = fitter.screen.gap and not before.causes
+    if held is not None and not (keeps(*held) if instead else _holds(*held)):
         found.append("does not hold on runs left out in turn")
     return found, held
 
@@ -82,6 +85,11 @@ def left_out(fitter: Fitter, before: Fit, after: Fit) -> Held | None:
 
 def _holds(mean: float, error: float) -> bool:
     return mean > figures.HOLDS * error
+
+
+def keeps(mean: float, error: float) -> bool:
+    """Whether a gain on runs left out is no loss, by one standard error."""
+    return mean > -figures.HOLDS * error
 
 
 def asked_for(fitter: Fitter, plain: Fit, rich: Fit) -> bool:

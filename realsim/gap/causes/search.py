@@ -140,8 +140,9 @@ class Search:
 
     def _better(self, before: Fit, fits: Sequence[Fit]) -> bool:
         """Whether one of the fits takes the place of the best set."""
+        least = figures.CLEARLY if before.causes else asked(self.fitter.screen, before)
         for fit in fits:
-            if self._score(before) - self._score(fit) < figures.CLEARLY:
+            if self._score(before) - self._score(fit) < least:
                 break
             said, held = doubts(self.fitter, before, fit) if len(fit.causes) > len(before.causes) else ([], None)
             for trial in [t for t in self.trials if t.candidate.key == fit.causes[-1].candidate.key][-1:]:
