@@ -21,11 +21,11 @@ from realsim.files import (
     write_bytes,
     write_text,
 )
-from realsim.logs.clocks import clocked
+from realsim.logs.clocks import clocked, increasing
 from realsim.logs.model import Target
 from realsim.logs.names import plain
 from realsim.logs.proposal import Assignment, Proposal, field_of
-from realsim.logs.recording import Recording
+from realsim.logs.recording import Recording, planned
 from realsim.logs.signals import at, held
 from realsim.types import F64
 
@@ -113,7 +113,7 @@ def run_arrays(proposal: Proposal, recording: Recording) -> tuple[dict[str, F64]
         found = field_of(recording, assignment.source)
         if found is not None and _fits(assignment, found[1].width):
             stream, field = found
-            time, values = _increasing(times[stream.name].time, assignment.values(field), stream.type)
+            time, values = increasing(times[stream.name].time, assignment.values(field), stream.type)
             series[role] = time, values, stream.type
     for role in ("joint_pos", "command"):
         if role not in series:
@@ -164,31 +164,11 @@ def _rows(place: F64, sent: F64, start: float, end: float) -> tuple[F64, list[st
 
 def _commanded(time: F64, values: F64, kind: str, rows: F64) -> F64:
     """Held, from the row on which it nearly falls; between the points of a trajectory message, a straight line."""
-    if not _planned(kind):
+    if not planned(kind):
         step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
         return held(time - min(SETTLED, 0.25 * step), values, rows)
     inner = np.stack([np.interp(rows, time, values[:, k]) for k in range(values.shape[1])], axis=1)
     return np.where((rows >= time[0])[:, None], inner, np.nan)
-
-
-def _planned(kind: str) -> bool:
-    return kind.rsplit("/", 1)[-1] == "JointTrajectory"
-
-
-def _increasing(time: F64, values: F64, kind: str) -> tuple[F64, F64]:
-    """Samples in the order of their time, the newest of equal ones; those without a time are left out.
-
-    A trajectory that replaces another before its end takes the place of what was still to come.
-    """
-    good = np.isfinite(time)
-    time, values = time[good], values[good]
-    if _planned(kind):
-        later = np.minimum.accumulate(np.append(time, np.inf)[::-1])[::-1][1:]
-        time, values = time[time < later], values[time < later]
-    order = np.argsort(time, kind="stable")
-    time, values = time[order], values[order]
-    keep = np.concatenate([np.diff(time) > 0, [True]]) if len(time) else np.zeros(0, bool)
-    return time[keep], values[keep]
 
 
 def _fits(assignment: Assignment, width: int) -> bool:

@@ -56,7 +56,7 @@ def propose(
     proposal = Proposal(list(kept), model=str(target.path) if target else "")
     proposal.base = "floating" if target is not None and target.floating else "fixed"
     _said_about_clocks(proposal, times)
-    proposal.warnings += [n for r in kept for n in r.notes]
+    proposal.warnings += list(dict.fromkeys(n for r in kept for n in r.notes))
 
     evidence = Evidence(main, times, target, candidates, chosen, proposal)
     joints.position(evidence)
@@ -123,7 +123,7 @@ def _chosen(use: Sequence[str], recording: Recording, candidates: Sequence[Candi
 
 def _said_about_clocks(proposal: Proposal, times: Mapping[str, Clocked]) -> None:
     for name, found in times.items():
-        step = np.diff(found.time)
+        step = np.diff(found.time[np.isfinite(found.time)])
         rate = 1 / float(np.median(step)) if len(step) and np.median(step) > 0 else 0.0
         proposal.clocks.append(f"{name or 'table'}: {rate:.4g} Hz; " + "; ".join(found.said))
         proposal.warnings += list(found.warnings)

@@ -17,7 +17,14 @@ from realsim.logs.recording import Reader, Recording, Window, no_samples
 
 
 def recognise(path: Path) -> bool:
-    return path.is_file() and path.suffix.lower() == ".mcap"
+    return bool(_files(path))
+
+
+def _files(path: Path) -> list[Path]:
+    """The file, or those of a ROS 2 bag's folder."""
+    if path.is_dir():
+        return sorted(path.glob("*.mcap")) if (path / "metadata.yaml").is_file() else []
+    return [path] if path.is_file() and path.suffix.lower() == ".mcap" else []
 
 
 def read(path: Path, window: Window) -> list[Recording]:
@@ -25,33 +32,34 @@ def read(path: Path, window: Window) -> list[Recording]:
     topics = Topics(path)
     skipped: dict[str, str] = {}
     notes: list[str] = []
-    channels: dict[int, tuple[str, str, Callable[[bytes], Any] | None]] = {}
-    schemas: dict[int, Any] = {}
     types = Types()
     first: float | None = None
     from mcap.records import Channel, Message, Schema
 
-    for record in mcap_records(path, notes):
-        if isinstance(record, Schema):
-            schemas[record.id] = record
-        elif isinstance(record, Channel) and record.id not in channels:
-            schema = schemas.get(record.schema_id)
-            name = schema.name if schema is not None else ""
-            decode, why = _decoder(record, schema, types)
-            channels[record.id] = (record.topic, name, decode)
-            if decode is None:
-                skipped[record.topic] = f"{name or 'no type'}: {why}"
-        elif isinstance(record, Message) and record.channel_id in channels:
-            topic, name, decode = channels[record.channel_id]
-            received = 1e-9 * record.log_time
-            first = received if first is None else first
-            if decode is not None and window.holds(received - first):
-                topics.add(topic, name, _call(decode, record.data), received)
+    for file in _files(path):
+        channels: dict[int, tuple[str, str, Callable[[bytes], Any] | None]] = {}
+        schemas: dict[int, Any] = {}
+        for record in mcap_records(file, notes):
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel) and record.id not in channels:
+                schema = schemas.get(record.schema_id)
+                name = schema.name if schema is not None else ""
+                decode, why = _decoder(record, schema, types)
+                channels[record.id] = (record.topic, name, decode)
+                if decode is None:
+                    skipped[record.topic] = f"{name or 'no type'}: {why}"
+            elif isinstance(record, Message) and record.channel_id in channels:
+                topic, name, decode = channels[record.channel_id]
+                received = 1e-9 * record.log_time
+                first = received if first is None else first
+                if decode is not None and window.holds(received - first):
+                    topics.add(topic, name, _call(decode, record.data), received)
     streams = topics.streams()
     notes += [f"{topic}: {what}" for topic, what in topics.failures().items()]
     if not streams:
         raise no_samples(
-            path, "topics with joint states, commands, an IMU or a pose", skipped | topics.failures(), window
+            path, "topics with joint states, commands, an IMU or a pose", skipped | topics.failures(), window, notes
         )
     return [Recording(path, path.stem, "mcap", streams, skipped, tuple(notes))]
 
@@ -76,4 +84,6 @@ def _decoder(channel: Any, schema: Any, types: Types) -> tuple[Callable[[bytes],
     return None, f"{said} definition is not read"
 
 
-READER = Reader("mcap", "a .mcap file with ROS 1, ROS 2 or JSON messages", recognise, read)
+READER = Reader(
+    "mcap", "a .mcap file with ROS 1, ROS 2 or JSON messages, or the folder of a bag of them", recognise, read
+)
