@@ -130,5 +130,5 @@ def two_robots(recording: Recording, a: Candidate, b: Candidate) -> GapError:
         file=recording.path,
         expected="joints of one robot",
         found=f"{a.label} and {b.label} name the same joints and disagree",
-        hint=f"choose one: --only {a.stream.rsplit('/', 1)[0] or a.stream}",
+        hint=f"choose one: realsim log {recording.path} --only {a.stream.rsplit('/', 1)[0] or a.stream}",
     )

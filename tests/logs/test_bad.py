@@ -300,5 +300,6 @@ def test_diagnose_of_a_recording(arm: Log, tmp_path: Path, capsys: pytest.Captur
     assert main(["diagnose", run, "--model", str(model), "--check"]) == 0
     assert "can be used" in capsys.readouterr().out
     assert sorted(p.name for p in tmp_path.iterdir()) == ["robot.xml", "run.npz"]
-    assert main(["diagnose", run]) == 2
-    assert "--model robot.xml" in capsys.readouterr().err
+    for command in ("diagnose", "excite"):
+        assert main([command, run]) == 2
+        assert "--model robot.xml" in capsys.readouterr().err
