@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from realsim.files import (
     write_text,
 )
 from realsim.logs.clocks import clocked, increasing
+from realsim.logs.depth import write_frames
 from realsim.logs.model import Target
 from realsim.logs.names import plain
 from realsim.logs.proposal import Assignment, Proposal, field_of
@@ -65,18 +67,26 @@ def write_case(
         written: dict[str, int] = {}
         for recording in proposal.recordings:
             try:
-                arrays, notes = run_arrays(proposal, recording)
+                run = run_arrays(proposal, recording)
             except GapError as error:
                 said.append(f"{recording.name} is left out: {error.message}")
                 continue
             name = _unique(plain(recording.name) or "run", written)
             buffer = io.BytesIO()
-            np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
+            np.savez_compressed(buffer, **run.arrays)  # type: ignore[arg-type]
             write_bytes(work / "runs" / f"{name}.npz", buffer.getvalue())
+            notes = list(run.notes)
+            if proposal.depth is not None:
+                folder = work / "runs" / f"{name}_depth"
+                notes += write_frames(proposal.depth, recording, run.frames, run.span, folder)
             said += [f"{name}: {n}" for n in notes]
         if not written:
             raise GapError("no run can be written", file=proposal.recordings[0].path, found="; ".join(said[:4]))
-        write_text(work / "log.json", to_json(_log(proposal, said)))
+        log = _log(proposal, said)
+        if proposal.depth is not None and any((work / "runs").glob("*_depth")):
+            log["depth_camera"] = proposal.depth.as_dict()
+            said += proposal.depth.doubts()
+        write_text(work / "log.json", to_json(log))
         write_text(work / "proposal.json", to_json(proposal.as_dict() | {"runs_said": said}))
         _write_model(target, work)
         try:
@@ -98,7 +108,19 @@ def _recorded(proposal: Proposal) -> str:
     return (", ".join(list(names)[:8]) or "nothing") + more
 
 
-def run_arrays(proposal: Proposal, recording: Recording) -> tuple[dict[str, F64], list[str]]:
+@dataclass(frozen=True)
+class RunArrays:
+    """One run of a case."""
+
+    arrays: dict[str, F64]
+    notes: list[str]
+    span: tuple[float, float]
+    """s of its first and last row on the recording's clock."""
+    frames: F64
+    """(N,) s of the depth frames on the same clock."""
+
+
+def run_arrays(proposal: Proposal, recording: Recording) -> RunArrays:
     """The arrays of one run in the contract's names, order and units, on the times of its joint positions.
 
     Where commands were sent at other moments, these are rows too, so that no command is late by up to a sample: joint
@@ -145,7 +167,8 @@ def run_arrays(proposal: Proposal, recording: Recording) -> tuple[dict[str, F64]
             arrays[role] = at(time, values, rows)
     if proposal.torque_kind == "none":
         arrays.pop("joint_torque", None)
-    return arrays, notes
+    frames = times.get(proposal.depth.topic) if proposal.depth is not None else None
+    return RunArrays(arrays, notes, (float(rows[0]), float(rows[-1])), np.zeros(0) if frames is None else frames.time)
 
 
 def _rows(place: F64, sent: F64, start: float, end: float) -> tuple[F64, list[str]]:
@@ -187,7 +210,7 @@ def _normalised(quat: F64) -> F64:
     return quat / np.maximum(np.linalg.norm(quat, axis=1, keepdims=True), 1e-9)
 
 
-def _log(proposal: Proposal, said: list[str]) -> Mapping[str, Any]:
+def _log(proposal: Proposal, said: list[str]) -> dict[str, Any]:
     sources = ", ".join(f"{r}: {a.source.label}" for r, a in proposal.assignments.items())
     return {
         "joint_names": list(proposal.assignments["joint_pos"].targets),

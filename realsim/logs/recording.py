@@ -65,6 +65,8 @@ class Recording:
     """Repairs and omissions while reading."""
     facts: Mapping[str, Any] = field(default_factory=dict)
     """Metadata of the file: robot, rate, gains."""
+    depth: Mapping[str, Any] = field(default_factory=dict)
+    """Topic of depth frames -> its camera (`realsim.logs.depth.DepthTopic`)."""
 
 
 @dataclass(frozen=True)

@@ -327,7 +327,7 @@ def test_drives_that_are_off(arm: Log, tmp_path: Path) -> None:
     target = load_target(save(tmp_path, ARM))
     on = (arm.time < 2.0).astype(float)
     found = propose([table(arm, q=arm.pos, q_des=arm.command, torque_enable=on[:, None])], target)
-    arrays, _ = run_arrays(found, found.recordings[0])
+    arrays = run_arrays(found, found.recordings[0]).arrays
     assert arrays["enabled"].shape == arrays["command"].shape
     np.testing.assert_array_equal(arrays["enabled"][:, 0], on[-len(arrays["enabled"]) :])
     odd = propose([table(arm, q=arm.pos, q_des=arm.command, torque_enable=7 * on[:, None])], target)

@@ -11,7 +11,10 @@ from typing import Any
 import numpy as np
 
 from realsim.bags.definitions import register
+from realsim.bags.images import INFO, encoding, is_depth
+from realsim.bags.stream import full
 from realsim.errors import GapError, extra
+from realsim.logs.depth import Pictures, picture, seen
 from realsim.logs.jumps import steps_back
 from realsim.logs.messages import Topics, signal_type
 from realsim.logs.recording import Reader, Recording, Window, no_samples
@@ -31,11 +34,16 @@ def read(path: Path, window: Window) -> list[Recording]:
     topics = Topics(path)
     skipped: dict[str, str] = {}
     notes: list[str] = []
+    pictures = Pictures()
     try:
         with highlevel.AnyReader([path], default_typestore=store) as bag:
             wanted = []
             for connection in bag.connections:
-                if not signal_type(connection.msgtype):
+                if picture(connection.msgtype) and connection.msgtype in bag.typestore.fielddefs:
+                    skipped[connection.topic] = f"{connection.msgtype}: holds no signals"
+                    if _is_of_use(bag, connection):
+                        wanted.append(connection)
+                elif not signal_type(connection.msgtype):
                     skipped[connection.topic] = f"{connection.msgtype}: holds no signals"
                 elif connection.msgtype not in bag.typestore.fielddefs:
                     skipped[connection.topic] = f"{connection.msgtype}: its definition is not in the bag"
@@ -44,7 +52,7 @@ def read(path: Path, window: Window) -> list[Recording]:
             first = 1e-9 * bag.start_time
             _refuse_mixed(path, bag, first, window)
             if wanted:
-                _messages(bag, wanted, first, window, topics, notes)
+                _messages(bag, wanted, first, window, topics, pictures, notes)
     except GapError:
         raise
     except Exception as error:  # rosbags, sqlite and YAML each have their own; all mean a bag that cannot be read
@@ -61,14 +69,32 @@ def read(path: Path, window: Window) -> list[Recording]:
         raise no_samples(
             path, "topics with joint states, commands, an IMU or a pose", skipped | topics.failures(), window, notes
         )
-    return [Recording(path, path.stem, "rosbag", streams, skipped, tuple(notes))]
+    return [seen(Recording(path, path.stem, "rosbag", streams, skipped, tuple(notes)), pictures)]
 
 
-def _messages(bag: Any, wanted: Any, first: float, window: Window, topics: Topics, notes: list[str]) -> None:
+def _is_of_use(bag: Any, connection: Any) -> bool:
+    """Whether a topic of pictures is depth, by its first message, or describes a camera."""
+    if full(connection.msgtype) == INFO:
+        return True
+    for _, _, data in bag.messages(connections=[connection]):
+        try:
+            return is_depth(connection.topic, encoding(bag.deserialize(data, connection.msgtype)))
+        except Exception:  # what damage leads to
+            return False
+    return False
+
+
+def _messages(
+    bag: Any, wanted: Any, first: float, window: Window, topics: Topics, pictures: Pictures, notes: list[str]
+) -> None:
     try:
         for connection, received, data in bag.messages(connections=wanted):
             since = 1e-9 * received - first
-            if window.holds(since):
+            if picture(connection.msgtype):
+                if window.holds(since) or full(connection.msgtype) == INFO:
+                    decode = _call(bag, connection, data)
+                    pictures.take(topics, connection.topic, connection.msgtype, decode, 1e-9 * received)
+            elif window.holds(since):
                 topics.add(connection.topic, connection.msgtype, _call(bag, connection, data), 1e-9 * received)
     except GapError:
         raise
