@@ -23,7 +23,7 @@ from realsim.gap.verdicts import GapVerdict
 TRUTHS = {
     "nothing": Truth(),
     "late": Truth(camera_delay=0.04),
-    "turned": Truth(camera_turn=(0.01745, 0.0, 0.0)),
+    "turned": Truth(camera_turn=(0.0349, 0.0, 0.0)),
     "shifted": Truth(camera_shift=(0.0, 0.01, 0.0)),
     "noisy": Truth(depth_noise=2.0),
 }
@@ -52,7 +52,7 @@ def test_what_was_done_is_named_and_nothing_else(found: dict[str, CameraFound], 
 
 def test_values_are_recovered(found: dict[str, CameraFound]) -> None:
     assert found["late"].delay[0] == pytest.approx(0.04, abs=0.005)
-    assert found["turned"].turn[0][0] == pytest.approx(0.01745, abs=0.004)
+    assert found["turned"].turn[0][0] == pytest.approx(0.0349, abs=0.007)
     # By 1 cm down in the camera, which looks down by 0.45 rad: how far it is lower is known well, how far back is not,
     # since a base that is off along the way does the same.
     (_, down, forward) = found["shifted"].shift
@@ -63,7 +63,7 @@ def test_values_are_recovered(found: dict[str, CameraFound]) -> None:
     for name in ("nothing", "late"):
         assert found[name].noise is not None
         assert found[name].noise[0] == pytest.approx(1.0, abs=0.1)
-    for name, which, truth in (("late", found["late"].delay, 0.04), ("turned", found["turned"].turn[0], 0.01745)):
+    for name, which, truth in (("late", found["late"].delay, 0.04), ("turned", found["turned"].turn[0], 0.0349)):
         value, low, high = which
         assert low - 0.5 * (value - low) < truth < high + 0.5 * (high - value), name
     assert found["turned"].after < 0.5 * found["turned"].before
