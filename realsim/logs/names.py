@@ -164,7 +164,7 @@ MOTOR_TABLES: dict[str, list[str]] = {
     "Unitree H1": [f"{side}_{j}" for side in ("right", "left") for j in ("hip_roll", "hip_pitch", "knee")]
     + ["torso", "left_hip_yaw", "right_hip_yaw", "", "left_ankle", "right_ankle"]
     + [f"{side}_{j}" for side in ("right", "left") for j in _ARM[:4]],
-    # unitree_sdk2, example/h1/low_level/h1_27dof_example.cpp (H1JointIndex); the torso's name is that of h1_2_description.
+    # unitree_sdk2, example/h1/low_level/h1_27dof_example.cpp: H1JointIndex. The torso is named as in h1_2_description.
     "Unitree H1-2": [
         f"{side}_{j}"
         for side in ("left", "right")
@@ -172,8 +172,8 @@ MOTOR_TABLES: dict[str, list[str]] = {
     ]
     + ["torso"]
     + [f"{side}_{j}" for side in ("left", "right") for j in _ARM],
-    # unitree_sdk2, example/r1/low_level/r1_ankle_swing_example.cpp: slots by joint_idx_in_idl, names by R1JointIndex, whose
-    # RightShoulderPitch (29) is the 19 that its place says.
+    # unitree_sdk2, example/r1/low_level/r1_ankle_swing_example.cpp: slots are joint_idx_in_idl at the places of
+    # R1JointIndex, in which RightShoulderPitch stands at 19 (and says 29).
     "Unitree R1": [f"{side}_{j}" for side in ("left", "right") for j in _LEG]
     + ["waist_roll", "waist_yaw", ""]
     + [f"left_{j}" for j in _ARM[:5]]
