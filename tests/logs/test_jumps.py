@@ -120,3 +120,13 @@ def test_a_folder_of_mcap_is_read_like_its_files(arm: Log, tmp_path: Path) -> No
     assert found.reader == "mcap"
     assert 0 < found.streams[0].count < len(arm.time)
     assert any("cut off" in n for n in found.notes)
+
+
+def test_files_of_a_bag_are_read_as_they_were_recorded(arm: Log, tmp_path: Path) -> None:
+    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed: pip install -e '.[dev]'")
+    messages: Any = sorted(writers.joint_states(arm, JOINTS) + writers.float_commands(arm), key=lambda m: m[3])
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {version: 5}\n")
+    for k in range(12):
+        writers.mcap_ros2(tmp_path / f"bag_{k}.mcap", messages[k * 170 : (k + 1) * 170])
+    (found,) = read(tmp_path)
+    assert sum(s.count for s in found.streams) == len(messages[: 12 * 170])

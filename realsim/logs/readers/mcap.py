@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from realsim.bags import Types, mcap_records
+from realsim.bags import Types, mcap_files, mcap_records
 from realsim.bags.images import INFO
 from realsim.bags.stream import full
 from realsim.errors import extra
@@ -20,14 +20,7 @@ from realsim.logs.recording import Reader, Recording, Window, no_samples
 
 
 def recognise(path: Path) -> bool:
-    return bool(_files(path))
-
-
-def _files(path: Path) -> list[Path]:
-    """The file, or those of a ROS 2 bag's folder."""
-    if path.is_dir():
-        return sorted(path.glob("*.mcap")) if (path / "metadata.yaml").is_file() else []
-    return [path] if path.is_file() and path.suffix.lower() == ".mcap" else []
+    return bool(mcap_files(path))
 
 
 def read(path: Path, window: Window) -> list[Recording]:
@@ -39,7 +32,7 @@ def read(path: Path, window: Window) -> list[Recording]:
     first: float | None = None
     from mcap.records import Channel, Message, Schema
 
-    for file in _files(path):
+    for file in mcap_files(path):
         channels: dict[int, tuple[str, str, Callable[[bytes], Any] | None]] = {}
         schemas: dict[int, Any] = {}
         for record in mcap_records(file, notes):
