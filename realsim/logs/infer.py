@@ -52,7 +52,7 @@ def propose(
         GapError: two robots, a name in `use` or `only` that is not there.
     """
     kept = [_only(r, only) for r in recordings]
-    main = max(kept, key=lambda r: max((s.count for s in r.streams), default=0))
+    main = max(kept, key=lambda r: (len(r.streams), max((s.count for s in r.streams), default=0)))
     frames = {s.name for s in main.streams if is_frames(s)}
     times = clocked(main)
     candidates = _candidates(main)

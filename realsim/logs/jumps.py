@@ -33,7 +33,7 @@ def unbroken(recording: Recording) -> list[Recording]:
     """The recording, or where its clock jumps, its stretches between jumps.
 
     Streams that do not show the jumps (too slow, or without a stamp to compare with) are cut by the times of the one
-    that shows most; samples that may lie on either side are left out.
+    that shows most, and by the order in the file; samples that may still lie on either side are left out.
 
     Raises:
         GapError: the clock jumps more often than a recording may have runs.
@@ -57,7 +57,13 @@ def unbroken(recording: Recording) -> list[Recording]:
     parts: list[list[Stream]] = [[] for _ in spans]
     for stream in recording.streams:
         own = [k for k, _, _ in breaks.get(stream.name, ())]
-        at = _by_order(stream.count, own) if len(own) == len(found) else _by_time(_base(stream)[1], spans)
+        at = (
+            _stretch(np.arange(stream.count), own)
+            if len(own) == len(found)
+            else _by_time(
+                _base(stream)[1], spans, _stretch(stream.order, guide.order[steps] if len(guide.order) else [])
+            )
+        )
         for i, part in enumerate(parts):
             part.append(_rows(stream, np.flatnonzero(at == i), back[i]))
     sizes = ", ".join(f"{size:+.3g} s" for _, size, _ in found[:4]) + (", ..." if len(found) > 4 else "")
@@ -131,20 +137,31 @@ def _base(stream: Stream) -> tuple[str, F64]:
     return next(((n, c) for n, c in stream.clocks.items() if n != "receive"), ("", np.zeros(0)))
 
 
-def _by_order(count: int, steps: Sequence[int]) -> F64:
-    """(T,) the stretch of each sample."""
-    return np.searchsorted(steps, np.arange(count), side="right").astype(float)
+def _stretch(order: F64, steps: Sequence[Any] | F64) -> F64:
+    """(T,) the stretch of each sample by its place in an order, (0,) where that is not known."""
+    return np.searchsorted(steps, order, side="right").astype(float)
 
 
-def _by_time(clock: F64, spans: Sequence[tuple[float, float]]) -> F64:
-    """(T,) the stretch whose time is nearest; NaN for samples that lie in two."""
+def _by_time(clock: F64, spans: Sequence[tuple[float, float]], by_order: F64) -> F64:
+    """(T,) the stretch whose time is nearest; of samples that may lie in several, that of the file's order, or NaN."""
     low, high = np.array(spans).T
     off = np.maximum(np.maximum(low - clock[:, None], clock[:, None] - high), 0.0)
-    return np.where((off == 0).sum(axis=1) > 1, np.nan, off.argmin(axis=1).astype(float))
+    found = off.argmin(axis=1).astype(float)
+    near = off <= off.min(axis=1, keepdims=True) + JUMP
+    several = np.flatnonzero(near.sum(axis=1) > 1)
+    found[several] = np.nan
+    if len(by_order):
+        here = several[near[several, by_order[several].astype(int)]]
+        found[here] = by_order[here]
+    return found
 
 
 def _rows(stream: Stream, rows: Any, back: float) -> Stream:
     """These samples, with the clock of reception set back, s."""
+    if len(rows) and rows[-1] - rows[0] + 1 == len(rows):
+        rows = slice(rows[0], rows[-1] + 1)  # a view: recordings may be as large as memory allows
     clocks = {n: c[rows] - (back if n == "receive" else 0.0) for n, c in stream.clocks.items()}
     fields = {n: Field(f.values[rows], f.labels, f.unit) for n, f in stream.fields.items()}
-    return replace(stream, clocks=clocks, fields=fields)
+    return replace(
+        stream, clocks=clocks, fields=fields, order=stream.order[rows] if len(stream.order) else stream.order
+    )

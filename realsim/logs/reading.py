@@ -73,7 +73,7 @@ def _read(reader: Reader, path: Path, window: Window) -> list[Recording]:
             if not inner.is_dir():
                 check_size(inner, MAX_BYTES)
     whole = [replace(r, streams=filled) for r in reader.read(path, window) if (filled := _filled(r))]
-    found = [_finite(part) for r in whole for part in unbroken(r)]
+    found = [_finite(replace(part, streams=_filled(part))) for r in whole for part in unbroken(r)]
     if not found:
         raise no_samples(path, "samples in the window of time", window=window)
     return found

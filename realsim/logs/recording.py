@@ -44,6 +44,8 @@ class Stream:
     clocks: Mapping[str, F64]
     """Clock -> (T,) as written. `receive` and `header` are s, others (`tick`, `timestamp`) in their own unit."""
     fields: Mapping[str, Field]
+    order: Any = field(default_factory=lambda: np.zeros(0))
+    """(T,) the place of each sample among those of all streams, in the order in which they were read; (0,) unknown."""
 
     @property
     def count(self) -> int:

@@ -130,3 +130,14 @@ def test_files_of_a_bag_are_read_as_they_were_recorded(arm: Log, tmp_path: Path)
         writers.mcap_ros2(tmp_path / f"bag_{k}.mcap", messages[k * 170 : (k + 1) * 170])
     (found,) = read(tmp_path)
     assert sum(s.count for s in found.streams) == len(messages[: 12 * 170])
+
+
+def test_a_topic_that_ends_before_a_jump_is_in_one_run(arm: Log, tmp_path: Path) -> None:
+    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed: pip install -e '.[dev]'")
+    states: Any = writers.joint_states(arm, JOINTS)
+    messages = sorted(states + writers.float_commands(arm)[:200], key=lambda m: m[3])
+    back = [(*m[:3], m[3] - (2.0 if m[3] > writers.EPOCH + 2.0 else 0.0), m[4]) for m in messages]
+    found = read(writers.mcap_ros2(tmp_path / "run.mcap", back))
+    assert [len(r.streams) for r in found] == [2, 1]
+    target = load_target(save(tmp_path, ARM))
+    write_case(propose(found, target), target, tmp_path / "case")
