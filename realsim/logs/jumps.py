@@ -57,13 +57,11 @@ def unbroken(recording: Recording) -> list[Recording]:
     parts: list[list[Stream]] = [[] for _ in spans]
     for stream in recording.streams:
         own = [k for k, _, _ in breaks.get(stream.name, ())]
-        at = (
-            _stretch(np.arange(stream.count), own)
-            if len(own) == len(found)
-            else _by_time(
-                _base(stream)[1], spans, _stretch(stream.order, guide.order[steps] if len(guide.order) else [])
-            )
-        )
+        if len(own) == len(found):
+            at = _stretch(np.arange(stream.count), own)
+        else:
+            by_order = _stretch(stream.order, guide.order[steps]) if len(guide.order) else np.zeros(0)
+            at = _by_time(_base(stream)[1], spans, by_order)
         for i, part in enumerate(parts):
             part.append(_rows(stream, np.flatnonzero(at == i), back[i]))
     sizes = ", ".join(f"{size:+.3g} s" for _, size, _ in found[:4]) + (", ..." if len(found) > 4 else "")
@@ -137,8 +135,8 @@ def _base(stream: Stream) -> tuple[str, F64]:
     return next(((n, c) for n, c in stream.clocks.items() if n != "receive"), ("", np.zeros(0)))
 
 
-def _stretch(order: F64, steps: Sequence[Any] | F64) -> F64:
-    """(T,) the stretch of each sample by its place in an order, (0,) where that is not known."""
+def _stretch(order: Any, steps: Any) -> F64:
+    """(T,) the stretch of each sample by its place in an order; (0,) where it has none."""
     return np.searchsorted(steps, order, side="right").astype(float)
 
 
