@@ -54,6 +54,9 @@ SCAN = 0.002
 """m by which a scan is off here and there: pixels that lie side by side err together by it."""
 STEADY = 1e-5
 """m and rad by which any pose errs, also where the log is smooth or has none."""
+STRAIGHT = 1e-9
+"""m by which a sample is off the line between its neighbours where it was not interpolated."""
+LEAST_BENDS = 20
 LEAST_PIXELS = 500
 KINDS = (
     ("camera_delay", (0,)),
@@ -163,7 +166,7 @@ class _Fitter:
         self.runs = len(view.frames)
         self.prior = np.concatenate([WIDE, OF_ALL, np.tile(of_run, self.runs)])
         self.seen = [f.depth > 0 for f in view.frames]
-        self.jitter = [_jitter(view.case.runs[f.run]) for f in view.frames]
+        self.jitter = [jitter(view.case.runs[f.run]) for f in view.frames]
 
     def predicted(self, x: F64, which: int) -> tuple[F64, Any]:
         """Depth and geoms of one run's frames."""
@@ -321,21 +324,25 @@ LIKE = 20.0
 looked at on terrains 0 and 1 of benchmarks/crossings.py."""
 
 
-def _jitter(run: Run) -> F64:
-    """(6,) m and rad by which a logged pose of the base errs by itself, world axes: by second differences."""
+def jitter(run: Run) -> F64:
+    """(6,) m and rad by which a logged pose of the base errs by itself, world axes: by second differences.
+
+    Samples that lie straight between their neighbours were put there from slower ones: they err with these.
+    """
     found = np.full(6, STEADY)
     pos, quat = run.signals.get("base_pos"), run.signals.get("base_quat")
-    if pos is not None:
-        found[:3] += _scatter(np.diff(pos, n=2, axis=0))
-    if quat is not None:
-        turn = Rotation.from_quat(quat[np.isfinite(quat).all(axis=1)], scalar_first=True)
-        found[3:] += _scatter(np.diff((turn[1:] * turn[:-1].inv()).as_rotvec(), axis=0))
+    if pos is None or quat is None:
+        return found
+    good = np.isfinite(pos).all(axis=1) & np.isfinite(quat).all(axis=1)
+    pos, quat = pos[good], quat[good]
+    bent = np.flatnonzero((np.abs(np.diff(pos, n=2, axis=0)) > STRAIGHT).any(axis=1)) + 1
+    if len(bent) < LEAST_BENDS:
+        return found
+    turn = Rotation.from_quat(quat[bent], scalar_first=True)
+    turned = (turn[1:] * turn[:-1].inv()).as_rotvec()
+    for k, second in enumerate((np.diff(pos[bent], n=2, axis=0), np.diff(turned, axis=0))):
+        found[3 * k : 3 * k + 3] += np.median(np.abs(second), axis=0) / 0.6745 / np.sqrt(6.0)
     return found
-
-
-def _scatter(second: F64) -> F64:
-    """(3,) standard deviation of samples by their second differences (N, 3)."""
-    return np.asarray(np.nanmedian(np.abs(second), axis=0) / 0.6745 / np.sqrt(6.0))
 
 
 def _width(rays: F64) -> int:
