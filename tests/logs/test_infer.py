@@ -18,7 +18,7 @@ from realsim.logs.names import clock_unit, is_clock, match_joints, meaning
 from realsim.logs.recording import Field, Recording, Stream
 from realsim.logs.tables import cells
 
-from .robots import ARM, QUADRUPED, Log, save
+from .robots import ARM, PLACES, QUADRUPED, Log, save
 
 SDK = [3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8]
 
@@ -355,6 +355,18 @@ def test_the_model_of_another_robot_is_in_doubt(quadruped: Log, tmp_path: Path) 
     place = propose([table(quadruped, q=quadruped.pos, q_des=quadruped.command)], target).assignments["joint_pos"]
     assert place.doubtful
     assert any("10 more columns that move are left out" in e for e in place.evidence)
+
+
+def test_feet_are_those_that_the_columns_name(quadruped: Log, tmp_path: Path) -> None:
+    """In the robot's own order, which is not that of Unitree's motors."""
+    target = load_target(save(tmp_path, QUADRUPED))
+    stands = (np.sin(quadruped.time[:, None] * 9 + np.arange(4)) > 0).astype(float)
+    for labels in (tuple(f"{n}_foot" for n in PLACES), tuple(f"foot_{n.lower()}" for n in PLACES)):
+        fields = {"q": Field(quadruped.pos), "q_des": Field(quadruped.command), "contact": Field(stands, labels)}
+        found = propose([recording(Stream("", "table", {"time": quadruped.time}, fields))], target)
+        contact = found.assignments["contact"]
+        assert contact.targets == tuple(f"{n}_calf" for n in PLACES)
+        assert "its columns name them" in contact.evidence
 
 
 def test_drives_that_are_off(arm: Log, tmp_path: Path) -> None:
