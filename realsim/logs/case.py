@@ -167,6 +167,10 @@ def run_arrays(proposal: Proposal, recording: Recording) -> RunArrays:
             arrays[role] = at(time, values, rows)
     if proposal.torque_kind == "none":
         arrays.pop("joint_torque", None)
+    if proposal.world is not None:
+        arrays["base_pos"] = proposal.world.place(arrays["base_pos"])
+        if "base_quat" in arrays:
+            arrays["base_quat"] = proposal.world.turn(arrays["base_quat"])
     frames = times.get(proposal.depth.topic) if proposal.depth is not None else None
     return RunArrays(arrays, notes, (float(rows[0]), float(rows[-1])), np.zeros(0) if frames is None else frames.time)
 

@@ -22,6 +22,7 @@ from realsim.logs.names import ROLES, meaning
 from realsim.logs.proposal import Candidate, Proposal
 from realsim.logs.recording import Recording, Stream
 from realsim.logs.signals import follows
+from realsim.logs.world import World
 
 MOVES = 1e-3
 """rad of spread from which a joint moves."""
@@ -38,6 +39,7 @@ def propose(
     use: Sequence[str] = (),
     only: str = "",
     camera: str = "",
+    world: World | None = None,
 ) -> Proposal:
     """Content of recordings of one layout, and the proposed case.
 
@@ -47,6 +49,7 @@ def propose(
         use: what the user knows better: `ROLE=STREAM:FIELD`, or `ROLE=none`.
         only: topics whose names begin so; for recordings of several robots.
         camera: of the model, by which depth frames were seen (see `realsim.logs.depth.choose`).
+        world: of the scene into whose frame base poses are put.
 
     Raises:
         GapError: two robots, a name in `use` or `only` that is not there.
@@ -76,6 +79,13 @@ def propose(
     if target is not None:
         proposal.depth, lacks = choose(main, target, camera)
         proposal.missing += [lacks] if lacks else []
+    if world is not None and "base_pos" not in proposal.assignments:
+        raise GapError(
+            "there is no base pose to put into the scene", file=main.path,
+            expected="an Odometry or PoseStamped of the base, and the model of a robot that moves",
+            found=", ".join(proposal.assignments) or "nothing",
+        )  # fmt: skip
+    proposal.world = world
     _followed(proposal, target)
     _missing(proposal, target)
     used = {a.source.label for a in proposal.assignments.values()}

@@ -247,3 +247,19 @@ def test_bags_of_both_versions_hold_frames(version: int, arm: Log, tmp_path: Pat
     assert lens is not None
     (found,), _ = read_frames(case, lens, 100, 1000)
     np.testing.assert_allclose(found.depth[:, -1], 1e-3 * (1000 + np.rint(found.time / 0.1)), atol=1e-9)
+
+
+def test_a_frame_of_another_size_is_left_out(arm: Log, tmp_path: Path) -> None:
+    messages = writers.joint_states(arm, ["shoulder_joint", "elbow_joint"]) + writers.float_commands(arm)
+    for k, t in enumerate(np.arange(0.0, arm.time[-1], 0.1)):
+        shape = (6, 8) if k == 7 else (12, 16)
+        frame = _frame("/head/depth", writers.EPOCH + t, np.full(shape, 1.5, np.float32), 20.0)
+        messages += frame if k != 7 else frame[1:]
+    path = writers.mcap_ros2(tmp_path / "run.mcap", sorted(messages, key=lambda m: m[3]))
+    target = load_target(_model(tmp_path, "head"))
+    said = write_case(propose(read(path), target), target, tmp_path / "case")
+    assert any("1 depth frames cannot be read: of another size than camera_info says, (6, 8)" in s for s in said)
+    lens = depth_camera(load_case(tmp_path / "case"))
+    assert lens is not None
+    (frames,), _ = read_frames(load_case(tmp_path / "case"), lens, 100, 1000)
+    assert (frames.depth == 1.5).all()
