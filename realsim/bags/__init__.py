@@ -5,6 +5,7 @@ A file that ends in the middle, as when the recorder was killed, is read as far 
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
 from collections.abc import Callable, Iterator
@@ -41,6 +42,14 @@ class Types:
             return None, f"unknown definition ({type(error).__name__}: {str(error)[:80]})"
         read = store.deserialize_ros1 if encoding == "ros1msg" else store.deserialize_cdr
         return lambda data: read(data, full), ""
+
+
+def mcap_files(path: Path) -> list[Path]:
+    """The file, or those of a ROS 2 bag's folder in the order in which they were recorded (bag_2 before bag_10)."""
+    if path.is_dir():
+        found = list(path.glob("*.mcap")) if (path / "metadata.yaml").is_file() else []
+        return sorted(found, key=lambda f: [int(t) if t.isdigit() else t for t in re.split(r"(\d+)", f.name)])
+    return [path] if path.is_file() and path.suffix.lower() == ".mcap" else []
 
 
 def mcap_records(path: Path, notes: list[str], problem: type[RealsimError] = GapError) -> Iterator[Any]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from realsim.bags import Types, mcap_records
+from realsim.bags import Types, mcap_files, mcap_records
 from realsim.bags.definitions import register
 from realsim.errors import RealsimError, extra
 
@@ -29,7 +29,7 @@ class Bag:
     def messages(self, wanted: Callable[[str, str], bool]) -> Iterator[tuple[str, str, Any, float]]:
         """(topic, type, message, time of reception in s) of the topics that `wanted(topic, type)` asks for."""
         self.notes.clear()
-        files = self._mcap_files()
+        files = mcap_files(self.path)
         raw = self._of_mcap(files, wanted) if files else self._of_bag(wanted)
         for topic, kind, decode, data, received in raw:
             try:
@@ -38,11 +38,6 @@ class Bag:
                 self.failures[topic] = f"{kind}: {type(error).__name__}: {error}"[:160]
                 continue
             yield topic, kind, message, received
-
-    def _mcap_files(self) -> list[Path]:
-        if self.path.is_dir():
-            return sorted(self.path.glob("*.mcap"))
-        return [self.path] if self.path.suffix.lower() == ".mcap" else []
 
     def _of_mcap(self, files: list[Path], wanted: Callable[[str, str], bool]) -> Iterator[tuple[Any, ...]]:
         extra("mcap", "logs", "reading .mcap")

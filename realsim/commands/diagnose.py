@@ -71,9 +71,9 @@ def diagnose(
             "no case given", expected="realsim diagnose CASE --out DIR, --init MODEL.xml, or --explain EFFECT"
         )
     if model is None:
-        _refuse_recording(cases[0])
+        refuse_recording(cases[0])
     if since is not None:
-        _refuse_recording(since)
+        refuse_recording(since)
     if check and model is not None and len(cases) == 1:
         with TemporaryDirectory() as temporary:
             return _checked((_from_recording(cases[0], model, Path(temporary) / cases[0].stem),), config)
@@ -146,11 +146,11 @@ def _contract(folder: Path, policy: Path, deploy_yaml: Path | None) -> Found:
     from realsim.gap import contract
 
     case = gap.load_case(folder)
-    steps = contract.read_steps(case)
-    return contract.check(contract.load_policy(policy, deploy_yaml, case.joint_names), steps)
+    trained = contract.load_policy(policy, deploy_yaml, case.joint_names)
+    return contract.check(trained, contract.read_steps(case))
 
 
-def _refuse_recording(path: Path) -> None:
+def refuse_recording(path: Path) -> None:
     """A recording has no model yet; a case has. Raises RealsimError for what `realsim log` can read."""
     from realsim.logs.reading import reader_of
 

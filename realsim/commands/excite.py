@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from realsim.commands import CommandResult
+from realsim.commands.diagnose import refuse_recording
 from realsim.errors import RealsimError
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.experiments.config import ExciteConfig
@@ -34,6 +35,7 @@ def excite(
     """
     if threads is not None and threads < 1:
         raise RealsimError("threads must be at least 1", found=str(threads))
+    refuse_recording(source)
     settings = DiagnoseConfig() if threads is None else DiagnoseConfig(threads=threads)
     with steps() as tick:
         plan = choose(source, out, config, settings, tick, case=case, overwrite=overwrite)

@@ -17,6 +17,8 @@ def log(
     out: Path | None = None,
     use: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ROLE=STREAM:FIELD")] = (),
     only: str = "",
+    camera: Annotated[str, tyro.conf.arg(metavar="NAME[=TOPIC]")] = "",
+    scene: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     skip: float = 0.0,
     seconds: float = float("inf"),
     overwrite: bool = False,
@@ -30,6 +32,10 @@ def log(
         out: where the case for `realsim diagnose` goes; without it nothing is written.
         use: overrides a guess: ROLE=STREAM:FIELD, or ROLE=none; ROLE is command, joint_pos, joint_vel, ...
         only: prefix of the topics to read, if a recording holds several robots.
+        camera: camera of the model that saw the recording's depth frames, where several may have; `none` leaves them
+            out.
+        scene: of `realsim reconstruct`, from a capture whose poses are in the frame of the log's base pose: base poses
+            are put into its frame, for `realsim footholds` and `diagnose --scene`.
         skip: seconds after the first message from which the recording is read.
         seconds: how many seconds of it are read.
         overwrite: replace a case that realsim wrote before.
@@ -40,7 +46,9 @@ def log(
     if out is not None and model is None:
         raise GapError("a case needs a model", expected="realsim log RECORDING --model robot.xml --out case")
     target = logs.load_target(model) if model is not None else None
-    proposal = logs.propose(logs.read(recording, Window(skip, seconds)), target, use=use, only=only)
+    world = logs.load_world(scene) if scene is not None else None
+    recordings = logs.read(recording, Window(skip, seconds))
+    proposal = logs.propose(recordings, target, use=use, only=only, camera=camera, world=world)
     text, data = proposal.render(), proposal.as_dict()
     if out is not None and target is not None:
         said = logs.write_case(proposal, target, out, overwrite=overwrite, check=gap.load_case)

@@ -19,5 +19,9 @@ from realsim.logs.proposal import Proposal
 from realsim.logs.readers import READERS
 from realsim.logs.reading import read
 from realsim.logs.recording import Recording, Window
+from realsim.logs.world import World, load_world
 
-__all__ = ["READERS", "Proposal", "Recording", "Target", "Window", "load_target", "propose", "read", "write_case"]
+__all__ = [
+    "READERS", "Proposal", "Recording", "Target", "Window", "World", "load_target", "load_world", "propose", "read",
+    "write_case",
+]  # fmt: skip

@@ -204,9 +204,11 @@ def _feet(e: Evidence, labels: tuple[str, ...], width: int) -> tuple[list[str], 
         f"the feet of {n}": f for n, f in FEET.items() if len(f) == width
     }
     for how, names in lists.items():
-        found = [next((b for b in leaves if set(words(n)) & set(words(b)[:2])), "") for n in names]
-        if len(found) == width and all(found) and len(set(found)) == width:
-            return found, how
+        parts = [set(words(n)) for n in names]
+        alike = set.intersection(*parts) if len(parts) > 1 else set()  # `foot`, which tells none from the others
+        found = [[b for b in leaves if part - alike and part - alike <= set(words(b))] for part in parts]
+        if len(found) == width and all(len(f) == 1 for f in found) and len({f[0] for f in found}) == width:
+            return [f[0] for f in found], how
     return [], ""
 
 

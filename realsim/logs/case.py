@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,12 @@ from realsim.files import (
     write_bytes,
     write_text,
 )
-from realsim.logs.clocks import clocked
+from realsim.logs.clocks import clocked, increasing
+from realsim.logs.depth import write_frames
 from realsim.logs.model import Target
 from realsim.logs.names import plain
 from realsim.logs.proposal import Assignment, Proposal, field_of
-from realsim.logs.recording import Recording
+from realsim.logs.recording import Recording, planned
 from realsim.logs.signals import at, held
 from realsim.types import F64
 
@@ -65,18 +67,26 @@ def write_case(
         written: dict[str, int] = {}
         for recording in proposal.recordings:
             try:
-                arrays, notes = run_arrays(proposal, recording)
+                run = run_arrays(proposal, recording)
             except GapError as error:
                 said.append(f"{recording.name} is left out: {error.message}")
                 continue
             name = _unique(plain(recording.name) or "run", written)
             buffer = io.BytesIO()
-            np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
+            np.savez_compressed(buffer, **run.arrays)  # type: ignore[arg-type]
             write_bytes(work / "runs" / f"{name}.npz", buffer.getvalue())
+            notes = list(run.notes)
+            if proposal.depth is not None:
+                folder = work / "runs" / f"{name}_depth"
+                notes += write_frames(proposal.depth, recording, run.frames, run.span, folder)
             said += [f"{name}: {n}" for n in notes]
         if not written:
             raise GapError("no run can be written", file=proposal.recordings[0].path, found="; ".join(said[:4]))
-        write_text(work / "log.json", to_json(_log(proposal, said)))
+        log = _log(proposal, said)
+        if proposal.depth is not None and any((work / "runs").glob("*_depth")):
+            log["depth_camera"] = proposal.depth.as_dict()
+            said += proposal.depth.doubts()
+        write_text(work / "log.json", to_json(log))
         write_text(work / "proposal.json", to_json(proposal.as_dict() | {"runs_said": said}))
         _write_model(target, work)
         try:
@@ -98,7 +108,19 @@ def _recorded(proposal: Proposal) -> str:
     return (", ".join(list(names)[:8]) or "nothing") + more
 
 
-def run_arrays(proposal: Proposal, recording: Recording) -> tuple[dict[str, F64], list[str]]:
+@dataclass(frozen=True)
+class RunArrays:
+    """One run of a case."""
+
+    arrays: dict[str, F64]
+    notes: list[str]
+    span: tuple[float, float]
+    """s of its first and last row on the recording's clock."""
+    frames: F64
+    """(N,) s of the depth frames on the same clock."""
+
+
+def run_arrays(proposal: Proposal, recording: Recording) -> RunArrays:
     """The arrays of one run in the contract's names, order and units, on the times of its joint positions.
 
     Where commands were sent at other moments, these are rows too, so that no command is late by up to a sample: joint
@@ -113,7 +135,7 @@ def run_arrays(proposal: Proposal, recording: Recording) -> tuple[dict[str, F64]
         found = field_of(recording, assignment.source)
         if found is not None and _fits(assignment, found[1].width):
             stream, field = found
-            time, values = _increasing(times[stream.name].time, assignment.values(field), stream.type)
+            time, values = increasing(times[stream.name].time, assignment.values(field), stream.type)
             series[role] = time, values, stream.type
     for role in ("joint_pos", "command"):
         if role not in series:
@@ -145,7 +167,12 @@ def run_arrays(proposal: Proposal, recording: Recording) -> tuple[dict[str, F64]
             arrays[role] = at(time, values, rows)
     if proposal.torque_kind == "none":
         arrays.pop("joint_torque", None)
-    return arrays, notes
+    if proposal.world is not None:
+        arrays["base_pos"] = proposal.world.place(arrays["base_pos"])
+        if "base_quat" in arrays:
+            arrays["base_quat"] = proposal.world.turn(arrays["base_quat"])
+    frames = times.get(proposal.depth.topic) if proposal.depth is not None else None
+    return RunArrays(arrays, notes, (float(rows[0]), float(rows[-1])), np.zeros(0) if frames is None else frames.time)
 
 
 def _rows(place: F64, sent: F64, start: float, end: float) -> tuple[F64, list[str]]:
@@ -164,31 +191,11 @@ def _rows(place: F64, sent: F64, start: float, end: float) -> tuple[F64, list[st
 
 def _commanded(time: F64, values: F64, kind: str, rows: F64) -> F64:
     """Held, from the row on which it nearly falls; between the points of a trajectory message, a straight line."""
-    if not _planned(kind):
+    if not planned(kind):
         step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
         return held(time - min(SETTLED, 0.25 * step), values, rows)
     inner = np.stack([np.interp(rows, time, values[:, k]) for k in range(values.shape[1])], axis=1)
     return np.where((rows >= time[0])[:, None], inner, np.nan)
-
-
-def _planned(kind: str) -> bool:
-    return kind.rsplit("/", 1)[-1] == "JointTrajectory"
-
-
-def _increasing(time: F64, values: F64, kind: str) -> tuple[F64, F64]:
-    """Samples in the order of their time, the newest of equal ones; those without a time are left out.
-
-    A trajectory that replaces another before its end takes the place of what was still to come.
-    """
-    good = np.isfinite(time)
-    time, values = time[good], values[good]
-    if _planned(kind):
-        later = np.minimum.accumulate(np.append(time, np.inf)[::-1])[::-1][1:]
-        time, values = time[time < later], values[time < later]
-    order = np.argsort(time, kind="stable")
-    time, values = time[order], values[order]
-    keep = np.concatenate([np.diff(time) > 0, [True]]) if len(time) else np.zeros(0, bool)
-    return time[keep], values[keep]
 
 
 def _fits(assignment: Assignment, width: int) -> bool:
@@ -207,7 +214,7 @@ def _normalised(quat: F64) -> F64:
     return quat / np.maximum(np.linalg.norm(quat, axis=1, keepdims=True), 1e-9)
 
 
-def _log(proposal: Proposal, said: list[str]) -> Mapping[str, Any]:
+def _log(proposal: Proposal, said: list[str]) -> dict[str, Any]:
     sources = ", ".join(f"{r}: {a.source.label}" for r, a in proposal.assignments.items())
     return {
         "joint_names": list(proposal.assignments["joint_pos"].targets),

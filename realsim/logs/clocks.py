@@ -13,14 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from realsim.errors import GapError
+from realsim.logs.jumps import JUMP, shifts
 from realsim.logs.names import clock_unit
-from realsim.logs.recording import Recording, Stream
+from realsim.logs.recording import Recording, Stream, planned
 from realsim.types import F64
 
 SAME_CLOCK = 0.5
 """s of offset up to which two clocks may be one and the offset the time on the way."""
-JUMP = 0.1
-"""s by which a clock steps aside from the receiver's."""
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 RATES = (5.0, 5000.0)
 """Hz that a log of a robot is likely to have."""
@@ -97,7 +96,7 @@ def seconds_of(name: str, raw: F64) -> tuple[F64, str]:
 
 def _unit_by(raw: F64, receive: F64) -> tuple[F64, str]:
     """A counter in s by the receiver's clock: the unit whose seconds are the receiver's."""
-    span, own = float(np.ptp(receive)), float(np.ptp(raw))
+    span, own = (float(np.median(np.abs(np.diff(c)))) for c in (receive, raw))  # a jump does not matter to these
     ratio = own / span if span > 0 else 1.0
     unit = min(UNITS, key=lambda u: abs(np.log(max(ratio, 1e-12) * UNITS[u])))
     return raw * UNITS[unit], unit
@@ -120,19 +119,25 @@ def _unfit(raw: F64) -> str:
 
 def _laid_on(own: F64, receive: F64) -> tuple[F64, str, str]:
     """(own clock on the receiver's, what was found, why it cannot be used)."""
-    delay = receive - own
-    base, slope, scatter = _least_delay(own, delay)
-    rest = delay - base - slope * (own - own[0])
-    jumps = int((np.abs(np.diff(rest)) > JUMP).sum())
-    if np.percentile(rest, 99) - np.percentile(rest, 1) > 5 * JUMP and jumps:
+    good = np.isfinite(own) & np.isfinite(receive)
+    base, slope, scatter = _least_delay(own[good], (receive - own)[good])
+    start = own[good][0]
+    rest = receive - own - base - slope * (own - start)
+    ahead = rest < -JUMP  # received before it was stamped: a wrong stamp, where there are few
+    jumps = len(shifts(own, receive))
+    low, high = np.nanpercentile(rest, [1, 99])
+    if not jumps and (high - low > 5 * JUMP or ahead.mean() > 0.01):
+        jumps = int((np.abs(np.diff(rest)) > JUMP).sum())
+    if jumps:
         return own, "", f"it jumps against the receiver's clock ({jumps} times by more than {JUMP:g} s)"
+    own, rest = np.where(ahead, np.nan, own), rest[good & ~ahead]
     wait = f"messages wait {1e3 * np.median(rest):.3g} ms (p99 {1e3 * np.percentile(rest, 99):.3g}) beyond the least"
-    span = float(np.ptp(own))
+    span = float(np.ptp(own[good & ~ahead]))
     drifts = abs(slope) * span > max(3 * scatter, 1e-3)
     drift = f", drifts by {1e6 * slope:.3g} ppm" if drifts else ", no drift seen"
     if abs(base) < SAME_CLOCK and not drifts:
         return own, f"{1e3 * base:.3g} ms before it is received at least{drift}; {wait}", ""
-    line = own + base + (slope * (own - own[0]) if drifts else 0.0)
+    line = own + base + (slope * (own - start) if drifts else 0.0)
     off = f"off by {base:.6g} s" if abs(base) < 1e8 else "counted from its own start"
     return line, f"its clock is {off}{drift}: laid on the receiver's; {wait}", ""
 
@@ -145,8 +150,8 @@ def _least_delay(own: F64, delay: F64) -> tuple[float, float, float]:
     if len(lowest) < 3 or np.ptp(t) <= 0:
         return float(delay.min()), 0.0, float(np.std(d))
     slope, base = _theil_sen(t, d)
-    scatter = float(np.median(np.abs(d - base - slope * t)))
-    return base + float(np.min(d - base - slope * t)), slope, scatter
+    rest = d - base - slope * t
+    return base + float(np.min(rest[rest > -JUMP])), slope, float(np.median(np.abs(rest)))
 
 
 def _theil_sen(t: F64, d: F64) -> tuple[float, float]:
@@ -155,6 +160,22 @@ def _theil_sen(t: F64, d: F64) -> tuple[float, float]:
     apart = np.abs(t[j] - t[i]) > 0
     slope = float(np.median((d[j] - d[i])[apart] / (t[j] - t[i])[apart]))
     return slope, float(np.median(d - slope * t))
+
+
+def increasing(time: F64, values: F64, kind: str) -> tuple[F64, F64]:
+    """Samples in the order of their time, the newest of equal ones; those without a time are left out.
+
+    A trajectory that replaces another before its end takes the place of what was still to come.
+    """
+    good = np.isfinite(time)
+    time, values = time[good], values[good]
+    if planned(kind):
+        later = np.minimum.accumulate(np.append(time, np.inf)[::-1])[::-1][1:]
+        time, values = time[time < later], values[time < later]
+    order = np.argsort(time, kind="stable")
+    time, values = time[order], values[order]
+    keep = np.concatenate([np.diff(time) > 0, [True]]) if len(time) else np.zeros(0, bool)
+    return time[keep], values[keep]
 
 
 def common_start(times: Sequence[F64]) -> tuple[float, float]:

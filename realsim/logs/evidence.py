@@ -10,7 +10,7 @@ import numpy as np
 
 from realsim.correlation import alike
 from realsim.errors import GapError
-from realsim.logs.clocks import Clocked
+from realsim.logs.clocks import Clocked, increasing
 from realsim.logs.model import Target
 from realsim.logs.proposal import Assignment, Candidate, Proposal, field_of
 from realsim.logs.recording import Field, Recording, Stream
@@ -33,10 +33,15 @@ class Evidence:
     proposal: Proposal
 
     def of(self, source: Candidate) -> tuple[F64, Field]:
-        """(time, field) of a candidate."""
+        """(time, field) of a candidate, in the order of time."""
         found = field_of(self.recording, source)
         assert found is not None
-        return self.times[source.stream].time, found[1]
+        stream, field_ = found
+        time = self.times[source.stream].time
+        if (np.diff(time) > 0).all():
+            return time, field_
+        time, values = increasing(time, field_.values, stream.type)
+        return time, Field(values, field_.labels, field_.unit)
 
     def stream(self, source: Candidate) -> Stream:
         return next(s for s in self.recording.streams if s.name == source.stream)
@@ -125,5 +130,5 @@ def two_robots(recording: Recording, a: Candidate, b: Candidate) -> GapError:
         file=recording.path,
         expected="joints of one robot",
         found=f"{a.label} and {b.label} name the same joints and disagree",
-        hint=f"choose one: --only {a.stream.rsplit('/', 1)[0] or a.stream}",
+        hint=f"choose one: realsim log {recording.path} --only {a.stream.rsplit('/', 1)[0] or a.stream}",
     )

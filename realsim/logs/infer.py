@@ -15,12 +15,14 @@ from realsim.errors import GapError, did_you_mean
 from realsim.logs import body, commands, joints
 from realsim.logs.case import run_arrays
 from realsim.logs.clocks import Clocked, clocked
+from realsim.logs.depth import choose, is_frames
 from realsim.logs.evidence import Evidence
 from realsim.logs.model import Target
 from realsim.logs.names import ROLES, meaning
 from realsim.logs.proposal import Candidate, Proposal
 from realsim.logs.recording import Recording, Stream
 from realsim.logs.signals import follows
+from realsim.logs.world import World
 
 MOVES = 1e-3
 """rad of spread from which a joint moves."""
@@ -36,6 +38,8 @@ def propose(
     *,
     use: Sequence[str] = (),
     only: str = "",
+    camera: str = "",
+    world: World | None = None,
 ) -> Proposal:
     """Content of recordings of one layout, and the proposed case.
 
@@ -44,19 +48,22 @@ def propose(
         target: the model that the case is for; without it, order and signs are not tested.
         use: what the user knows better: `ROLE=STREAM:FIELD`, or `ROLE=none`.
         only: topics whose names begin so; for recordings of several robots.
+        camera: of the model, by which depth frames were seen (see `realsim.logs.depth.choose`).
+        world: of the scene into whose frame base poses are put.
 
     Raises:
         GapError: two robots, a name in `use` or `only` that is not there.
     """
     kept = [_only(r, only) for r in recordings]
-    main = max(kept, key=lambda r: max((s.count for s in r.streams), default=0))
+    main = max(kept, key=lambda r: (len(r.streams), max((s.count for s in r.streams), default=0)))
+    frames = {s.name for s in main.streams if is_frames(s)}
     times = clocked(main)
     candidates = _candidates(main)
     chosen = _chosen(use, main, candidates)
     proposal = Proposal(list(kept), model=str(target.path) if target else "")
     proposal.base = "floating" if target is not None and target.floating else "fixed"
-    _said_about_clocks(proposal, times)
-    proposal.warnings += [n for r in kept for n in r.notes]
+    _said_about_clocks(proposal, times, frames)
+    proposal.warnings += list(dict.fromkeys(n for r in kept for n in r.notes))
 
     evidence = Evidence(main, times, target, candidates, chosen, proposal)
     joints.position(evidence)
@@ -69,10 +76,20 @@ def propose(
     body.gyroscope(evidence)
     body.place(evidence)
     body.contact(evidence)
+    if target is not None:
+        proposal.depth, lacks = choose(main, target, camera)
+        proposal.missing += [lacks] if lacks else []
+    if world is not None and "base_pos" not in proposal.assignments:
+        raise GapError(
+            "there is no base pose to put into the scene", file=main.path,
+            expected="an Odometry or PoseStamped of the base, and the model of a robot that moves",
+            found=", ".join(proposal.assignments) or "nothing",
+        )  # fmt: skip
+    proposal.world = world
     _followed(proposal, target)
     _missing(proposal, target)
     used = {a.source.label for a in proposal.assignments.values()}
-    proposal.unused = sorted({_label(s, n) for s in main.streams for n in s.fields} - used)
+    proposal.unused = sorted({_label(s, n) for s in main.streams if not is_frames(s) for n in s.fields} - used)
     return proposal
 
 
@@ -91,7 +108,7 @@ def _only(recording: Recording, prefix: str) -> Recording:
 
 def _candidates(recording: Recording) -> list[Candidate]:
     found = []
-    for stream in recording.streams:
+    for stream in (s for s in recording.streams if not is_frames(s)):
         for name, field in stream.fields.items():
             role, unit, why = meaning(stream.name, stream.type, name)
             found.append(Candidate(stream.name, name, role, field.unit or unit, why))
@@ -121,12 +138,14 @@ def _chosen(use: Sequence[str], recording: Recording, candidates: Sequence[Candi
     return said
 
 
-def _said_about_clocks(proposal: Proposal, times: Mapping[str, Clocked]) -> None:
+def _said_about_clocks(proposal: Proposal, times: Mapping[str, Clocked], frames: set[str]) -> None:
     for name, found in times.items():
-        step = np.diff(found.time)
+        step = np.diff(found.time[np.isfinite(found.time)])
         rate = 1 / float(np.median(step)) if len(step) and np.median(step) > 0 else 0.0
         proposal.clocks.append(f"{name or 'table'}: {rate:.4g} Hz; " + "; ".join(found.said))
         proposal.warnings += list(found.warnings)
+        if name in frames:
+            continue
         if 0 < rate < 20:
             proposal.warnings.append(
                 f"{name or 'table'}: {rate:.3g} samples per second are few: delay, friction and gains blur"
@@ -181,7 +200,7 @@ def _followed(proposal: Proposal, target: Target | None) -> None:
     driven = [proposal.joints.index(joints_of.get(a, a)) for a in asked_of]
     for recording in proposal.recordings[:MOST_RUNS]:
         try:
-            arrays, _ = run_arrays(proposal, recording)
+            arrays = run_arrays(proposal, recording).arrays
         except GapError:
             continue  # reported when it is written
         asked, done = arrays["command"], arrays["joint_pos"]

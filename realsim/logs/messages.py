@@ -43,6 +43,7 @@ class _Columns:
     labels: Mapping[str, tuple[str, ...]]
     widths: Mapping[str, int]
     receive: array = field(default_factory=lambda: array("d"))
+    order: array = field(default_factory=lambda: array("d"))
     clocks: dict[str, array] = field(default_factory=dict)
     values: dict[str, array] = field(default_factory=dict)
 
@@ -61,7 +62,7 @@ class Collector:
         self._shapes: dict[Any, _Columns] = {}
         self.size = 0
 
-    def add(self, message: Any, receive: float, later: float = 0.0) -> int:
+    def add(self, message: Any, receive: float, later: float = 0.0, order: int = 0) -> int:
         """Take one message, received at `receive` s, that holds from `later` s on. Returns how many numbers it held."""
         leaves: dict[str, Any] = {}
         texts: dict[str, tuple[str, ...]] = {}
@@ -86,6 +87,7 @@ class Collector:
         for name, series in columns.clocks.items():
             series.append(clocks.get(name, np.nan))
         columns.receive.append(receive + later)
+        columns.order.append(order)
         count = sum(widths.values())
         self.size += count
         return count
@@ -109,7 +111,7 @@ class Collector:
             if len(kept) > 1:
                 first = next(iter(columns.labels.values()), ())
                 name += f"[{', '.join(first[:2])}{', ...' if len(first) > 2 else ''}]" if first else f"[{len(found)}]"
-            found.append(Stream(name, self.kind, clocks, _axes(fields)))
+            found.append(Stream(name, self.kind, clocks, _axes(fields), _array(columns.order)))
         return found
 
 
@@ -120,7 +122,7 @@ class Topics:
         self.path = path
         self._collectors: dict[str, Collector] = {}
         self._failures: dict[str, tuple[int, str]] = {}
-        self._size = 0
+        self._size = self._count = 0
 
     def add(self, topic: str, kind: str, decode: Callable[[], Any], receive: float) -> None:
         """Decode and take one message; one that cannot be decoded is counted."""
@@ -128,7 +130,8 @@ class Topics:
             message = decode()
             collector = self._collectors.setdefault(topic, Collector(self.path, topic, kind))
             for later, part in unfold(kind, message):
-                self._size += collector.add(part, receive, later)
+                self._size += collector.add(part, receive, later, self._count)
+            self._count += 1
         except Exception as error:  # decoders of damaged messages raise whatever the damage leads to
             count, _ = self._failures.get(topic, (0, ""))
             self._failures[topic] = (count + 1, f"{type(error).__name__}: {error}"[:120])

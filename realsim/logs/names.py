@@ -164,6 +164,22 @@ MOTOR_TABLES: dict[str, list[str]] = {
     "Unitree H1": [f"{side}_{j}" for side in ("right", "left") for j in ("hip_roll", "hip_pitch", "knee")]
     + ["torso", "left_hip_yaw", "right_hip_yaw", "", "left_ankle", "right_ankle"]
     + [f"{side}_{j}" for side in ("right", "left") for j in _ARM[:4]],
+    # unitree_sdk2, example/h1/low_level/h1_27dof_example.cpp: H1JointIndex. The torso is named as in h1_2_description.
+    "Unitree H1-2": [
+        f"{side}_{j}"
+        for side in ("left", "right")
+        for j in ("hip_yaw", "hip_pitch", "hip_roll", "knee", "ankle_pitch", "ankle_roll")
+    ]
+    + ["torso"]
+    + [f"{side}_{j}" for side in ("left", "right") for j in _ARM],
+    # unitree_sdk2, example/r1/low_level/r1_ankle_swing_example.cpp: slots are joint_idx_in_idl at the places of
+    # R1JointIndex, in which RightShoulderPitch stands at 19 (and says 29).
+    "Unitree R1": [f"{side}_{j}" for side in ("left", "right") for j in _LEG]
+    + ["waist_roll", "waist_yaw", ""]
+    + [f"left_{j}" for j in _ARM[:5]]
+    + ["", ""]
+    + [f"right_{j}" for j in _ARM[:5]]
+    + ["", "", "head_pitch", "head_yaw"],
     "LeRobot SO-100, SO-101": ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper"],
 }
 FEET: dict[str, list[str]] = {"Unitree Go1, Go2, A1, B2": ["FR", "FL", "RR", "RL"]}

@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from realsim.logs.depth import Depth
 from realsim.logs.names import ROLES
 from realsim.logs.recording import Field, Recording, Stream
+from realsim.logs.world import World
 from realsim.types import F64
 
 
@@ -81,6 +83,10 @@ class Proposal:
     unused: list[str] = field(default_factory=list)
     """Fields that no role was found for."""
     model: str = ""
+    depth: Depth | None = None
+    """Depth frames that go into the case."""
+    world: World | None = None
+    """How the scene lies, into whose frame base poses are put."""
 
     @property
     def complete(self) -> bool:
@@ -100,6 +106,8 @@ class Proposal:
             "arrays": {r: self.assignments[r].as_dict() for r in ROLES if r in self.assignments},
             "clocks": self.clocks, "missing": self.missing, "warnings": self.warnings, "unused": self.unused,
             "skipped": dict(first.skipped), "facts": dict(first.facts),
+            "scene": None if self.world is None else str(self.world.scene),
+            "depth": None if self.depth is None else {"topic": self.depth.topic, **self.depth.as_dict()},
         }  # fmt: skip
 
     def render(self) -> str:
@@ -118,6 +126,12 @@ class Proposal:
             if len(found.targets) > 1 or role in ("command", "joint_pos"):
                 lines.append(f"  {'':<13} {_order(found)}")
             lines += [f"  {'':<13} - {e}" for e in found.evidence]
+        if self.world is not None:
+            lines.append(f"  {'scene':<13} base poses are put from the world of its capture into {self.world.scene}")
+        if self.depth is not None:
+            lens = self.depth.source.camera
+            lines.append(f"  {'depth':<13} {self.depth.topic}, seen by the model's camera {self.depth.camera}")
+            lines.append(f"  {'':<13} - {lens.width}x{lens.height}, focal length {lens.fx:.4g} pixels by camera_info")
         if not self.assignments:
             lines.append("  nothing: neither names nor values identify a field")
         for title, items in (("time", self.clocks), ("missing", self.missing), ("warnings", self.warnings)):

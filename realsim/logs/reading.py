@@ -11,6 +11,7 @@ import numpy as np
 
 from realsim.errors import GapError, MissingExtraError, RealsimError
 from realsim.files import check_size
+from realsim.logs.jumps import unbroken
 from realsim.logs.readers import READERS
 from realsim.logs.recording import Reader, Recording, Stream, Window, no_samples
 from realsim.progress import track
@@ -71,7 +72,8 @@ def _read(reader: Reader, path: Path, window: Window) -> list[Recording]:
         for inner in path.rglob("*"):
             if not inner.is_dir():
                 check_size(inner, MAX_BYTES)
-    found = [_finite(replace(r, streams=filled)) for r in reader.read(path, window) if (filled := _filled(r))]
+    whole = [replace(r, streams=filled) for r in reader.read(path, window) if (filled := _filled(r))]
+    found = [_finite(replace(part, streams=_filled(part))) for r in whole for part in unbroken(r)]
     if not found:
         raise no_samples(path, "samples in the window of time", window=window)
     return found

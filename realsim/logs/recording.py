@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -44,6 +44,8 @@ class Stream:
     clocks: Mapping[str, F64]
     """Clock -> (T,) as written. `receive` and `header` are s, others (`tick`, `timestamp`) in their own unit."""
     fields: Mapping[str, Field]
+    order: Any = field(default_factory=lambda: np.zeros(0))
+    """(T,) the place of each sample among those of all streams, in the order in which they were read; (0,) unknown."""
 
     @property
     def count(self) -> int:
@@ -65,6 +67,8 @@ class Recording:
     """Repairs and omissions while reading."""
     facts: Mapping[str, Any] = field(default_factory=dict)
     """Metadata of the file: robot, rate, gains."""
+    depth: Mapping[str, Any] = field(default_factory=dict)
+    """Topic of depth frames -> its camera (`realsim.logs.depth.DepthTopic`)."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +85,7 @@ class Window:
 
     def holds(self, since: float) -> bool:
         """Whether a moment, s after the first one, lies in the window."""
-        return self.start <= since < self.start + self.seconds
+        return self.whole or self.start <= since < self.start + self.seconds
 
     @property
     def whole(self) -> bool:
@@ -111,9 +115,15 @@ def refuse_more(path: Path, values: int) -> None:
         )
 
 
-def no_samples(path: Path, what: str, skipped: Mapping[str, str] | None = None, window: Window = Window()) -> GapError:
+def no_samples(
+    path: Path,
+    what: str,
+    skipped: Mapping[str, str] | None = None,
+    window: Window = Window(),
+    notes: Sequence[str] = (),
+) -> GapError:
     """The error for a file without anything numeric; says which topics there were."""
-    there = "; ".join(f"{name} ({why})" for name, why in list((skipped or {}).items())[:12])
+    there = "; ".join([*(f"{name} ({why})" for name, why in list((skipped or {}).items())[:12]), *notes[:2]])
     hint = None if window.whole else "does --skip lie beyond its end? `realsim log` without it reads the whole"
     return GapError("the recording has no samples", file=path, expected=what, found=there or "nothing", hint=hint)
 
@@ -124,6 +134,11 @@ def in_window(times: F64, window: Window) -> Any:
         return np.ones(len(times), bool)
     since = times - np.nanmin(times)
     return (since >= window.start) & (since < window.start + window.seconds)
+
+
+def planned(kind: str) -> bool:
+    """Whether messages of a type hold points of a plan, each with a time to come."""
+    return kind.rsplit("/", 1)[-1] == "JointTrajectory"
 
 
 def first_line(path: Path, limit: int = 65536) -> bytes:

@@ -18,7 +18,7 @@ from realsim.logs.names import clock_unit, is_clock, match_joints, meaning
 from realsim.logs.recording import Field, Recording, Stream
 from realsim.logs.tables import cells
 
-from .robots import ARM, QUADRUPED, Log, save
+from .robots import ARM, PLACES, QUADRUPED, Log, save
 
 SDK = [3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8]
 
@@ -288,21 +288,55 @@ G1 = [f"{s}_{j}" for s in SIDES for j in ("hip_pitch", "hip_roll", "hip_yaw", "k
 G1 += ["waist_yaw", *(f"{s}_{j}" for s in SIDES for j in ARM_JOINTS)]
 H1 = [f"{s}_{j}" for s in SIDES for j in ("hip_yaw", "hip_roll", "hip_pitch", "knee", "ankle")]
 H1 += ["torso", *(f"{s}_{j}" for s in SIDES for j in ARM_JOINTS[:4])]
+LEG = ("hip_yaw", "hip_pitch", "hip_roll", "knee", "ankle_pitch", "ankle_roll")
+H1_2 = [f"{s}_{j}" for s in SIDES for j in LEG]
+H1_2 += ["torso", *(f"{s}_{j}" for s in SIDES for j in (*ARM_JOINTS, "wrist_pitch", "wrist_yaw"))]
+R1 = [j for j in G1 if j != "waist_yaw"] + ["waist_roll", "waist_yaw", "head_pitch", "head_yaw"]
 
 
 @pytest.mark.parametrize(
-    ("joints", "slots", "where"),
+    ("robot", "joints", "slots", "where"),
     [
-        (G1, 35, {"waist_yaw": 12, "left_shoulder_pitch": 15, "right_shoulder_pitch": 22, "right_wrist_roll": 26}),
-        (H1, 20, {"right_hip_roll": 0, "left_hip_yaw": 7, "left_ankle": 10, "torso": 6, "left_elbow": 19}),
+        (
+            "G1 (23)",
+            G1,
+            35,
+            {"waist_yaw": 12, "left_shoulder_pitch": 15, "right_shoulder_pitch": 22, "right_wrist_roll": 26},
+        ),
+        ("H1", H1, 20, {"right_hip_roll": 0, "left_hip_yaw": 7, "left_ankle": 10, "torso": 6, "left_elbow": 19}),
+        (
+            "H1-2",
+            H1_2,
+            35,
+            {"left_hip_pitch": 1, "right_hip_yaw": 6, "torso": 12, "left_wrist_yaw": 19, "right_shoulder_pitch": 20},
+        ),
+        (
+            "R1",
+            R1,
+            35,
+            {
+                "left_hip_pitch": 0,
+                "right_hip_pitch": 6,
+                "left_knee": 3,
+                "left_ankle_roll": 5,
+                "waist_yaw": 13,
+                "left_shoulder_roll": 16,
+                "right_shoulder_pitch": 22,
+                "head_pitch": 29,
+                "head_yaw": 30,
+            },
+        ),
     ],
-    ids=["g1", "h1"],
+    ids=["g1", "h1", "h1-2", "r1"],
 )
-def test_motors_in_the_sdks_slots(joints: list[str], slots: int, where: dict[str, int], tmp_path: Path) -> None:
+def test_motors_in_the_sdks_slots(
+    robot: str, joints: list[str], slots: int, where: dict[str, int], tmp_path: Path
+) -> None:
     """LowState has a slot for motors that the robot does not have: the rest is not moved up."""
     target = load_target(humanoid(tmp_path, joints))
-    assert max(target.orders(slots)["the motors of Unitree " + ("G1 (23)" if slots == 35 else "H1")]) < slots
-    used = [c for c in range(slots) if c not in ((13, 14, 20, 21, *range(27, 35)) if slots == 35 else (9,))]
+    table_ = target.orders(slots)[f"the motors of Unitree {robot}"]
+    assert max(table_) < slots
+    used = sorted(table_)
     time = np.arange(0, 4, 0.01)
     q = np.zeros((len(time), slots))
     for k in used:
@@ -323,11 +357,23 @@ def test_the_model_of_another_robot_is_in_doubt(quadruped: Log, tmp_path: Path) 
     assert any("10 more columns that move are left out" in e for e in place.evidence)
 
 
+def test_feet_are_those_that_the_columns_name(quadruped: Log, tmp_path: Path) -> None:
+    """In the robot's own order, which is not that of Unitree's motors."""
+    target = load_target(save(tmp_path, QUADRUPED))
+    stands = (np.sin(quadruped.time[:, None] * 9 + np.arange(4)) > 0).astype(float)
+    for labels in (tuple(f"{n}_foot" for n in PLACES), tuple(f"foot_{n.lower()}" for n in PLACES)):
+        fields = {"q": Field(quadruped.pos), "q_des": Field(quadruped.command), "contact": Field(stands, labels)}
+        found = propose([recording(Stream("", "table", {"time": quadruped.time}, fields))], target)
+        contact = found.assignments["contact"]
+        assert contact.targets == tuple(f"{n}_calf" for n in PLACES)
+        assert "its columns name them" in contact.evidence
+
+
 def test_drives_that_are_off(arm: Log, tmp_path: Path) -> None:
     target = load_target(save(tmp_path, ARM))
     on = (arm.time < 2.0).astype(float)
     found = propose([table(arm, q=arm.pos, q_des=arm.command, torque_enable=on[:, None])], target)
-    arrays, _ = run_arrays(found, found.recordings[0])
+    arrays = run_arrays(found, found.recordings[0]).arrays
     assert arrays["enabled"].shape == arrays["command"].shape
     np.testing.assert_array_equal(arrays["enabled"][:, 0], on[-len(arrays["enabled"]) :])
     odd = propose([table(arm, q=arm.pos, q_des=arm.command, torque_enable=7 * on[:, None])], target)

@@ -94,8 +94,11 @@ def float_commands(log: Log, *, topic: str = "/position_controller/commands", of
     ]
 
 
-def bag(path: Path, log: Log, names: Sequence[str], version: int) -> Path:
-    """A ROS 1 bag, or a ROS 2 bag in sqlite, with JointState and a JointState of commands."""
+def bag(path: Path, log: Log, names: Sequence[str], version: int, more: Any = None) -> Path:
+    """A ROS 1 bag, or a ROS 2 bag in sqlite, with JointState and a JointState of commands.
+
+    `more` is given a function that sends (topic, message, s since the start), for further messages.
+    """
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
@@ -127,6 +130,16 @@ def bag(path: Path, log: Log, names: Sequence[str], version: int) -> Path:
             pack = store.serialize_ros1 if version == 1 else store.serialize_cdr
             out.write(state, round((sec + 0.003) * 1e9), pack(read, kind))
             out.write(asked, round(sec * 1e9), pack(said, kind))
+        if more is not None:
+            others: dict[str, Any] = {}
+
+            def send(topic: str, message: Any, seconds: float) -> None:
+                last = message.__msgtype__
+                if topic not in others:
+                    others[topic] = out.add_connection(topic, last, typestore=store)
+                out.write(others[topic], round((EPOCH + seconds) * 1e9), pack(message, last))
+
+            more(send)
     return path
 
 

@@ -14,6 +14,20 @@ from typing import Any
 
 import numpy as np
 
+from realsim.bags.images import (
+    COLORS,
+    IMAGES,
+    INFO,
+    camera_name,
+    camera_of,
+    color_of,
+    depth_of,
+    encoding,
+    info_beside,
+    is_depth,
+    packed_depth,
+    seen_from,
+)
 from realsim.bags.stream import Bag, stamp_of
 from realsim.capture.assemble import View, capture, depth_unit, frames_with
 from realsim.capture.association import associate
@@ -21,18 +35,14 @@ from realsim.capture.config import CaptureConfig
 from realsim.capture.layout import Layout, Recognition
 from realsim.capture.layouts.realsense import cache_folder
 from realsim.capture.listing import Pair, single_file
-from realsim.capture.rosimages import COLORS, DEPTHS, camera_of, color_of, depth_of, encoding, seen_from
 from realsim.capture.transforms import Tree, matrix
 from realsim.errors import CaptureError, RealsimError
 from realsim.files import digest, output_folder, read_head, read_json, to_json, write_bytes, write_text
 from realsim.types import F64, Dropped, FrameSet, Intrinsics
 
 SUFFIXES = (".mcap", ".db3", ".bag")
-IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-INFO, TF, ODOMETRY = "sensor_msgs/msg/CameraInfo", "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
+TF, ODOMETRY = "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
 OLD_TF = "tf/msg/tfMessage"
-PART = re.compile(r"^(aligned_depth.*|depth.*|colou?r.*|rgb.*|image.*|infra.*|stereo.*|left.*|right.*|camera_info)$")
-"""The component of a topic's name at which the name of its camera ends."""
 JUMP = 0.5
 """s by which a header's clock steps against the receiver's before it is not believed."""
 AHEAD = 64 * 2**10
@@ -159,27 +169,10 @@ def _first_look(bag: Bag) -> Found:
     return found
 
 
-def camera_name(topic: str) -> str:
-    """/front/camera/aligned_depth_to_color/image_raw -> /front/camera."""
-    parts = topic.strip("/").split("/")
-    end = next((i for i, part in enumerate(parts) if PART.match(part)), len(parts) - 1)
-    return "/" + "/".join(parts[:end])
-
-
-def info_of(topic: str, found: Found) -> tuple[Intrinsics, bool] | None:
-    """The camera_info beside an image topic."""
-    name = topic
-    while name:
-        name = name.rpartition("/")[0]
-        if f"{name}/camera_info" in found.cameras:
-            return found.cameras[f"{name}/camera_info"]
-    return None
-
-
 def _chosen(bag: Bag, found: Found, camera: str) -> tuple[str, str | None]:
     """(topic of depth, topic of colour or None)."""
-    depths = [t for t, e in found.encodings.items() if _is_depth(t, e) and t.startswith(camera)]
-    usable = [t for t in depths if info_of(t, found) is not None]
+    depths = [t for t, e in found.encodings.items() if is_depth(t, e) and t.startswith(camera)]
+    usable = [t for t in depths if info_beside(t, found.cameras) is not None]
     if not usable:
         what = "camera_info of the depth" if depths else "depth images"
         raise CaptureError(
@@ -196,15 +189,11 @@ def _chosen(bag: Bag, found: Found, camera: str) -> tuple[str, str | None]:
             hint=" or ".join(f"--camera {c}" for c in cameras),
         )  # fmt: skip
     colors = [t for t in found.encodings if _is_color(t, found.encodings[t]) and camera_name(t) == cameras[0]]
-    colors = [t for t in colors if info_of(t, found)] or colors
+    colors = [t for t in colors if info_beside(t, found.cameras)] or colors
     color = min(colors, key=lambda t: (not re.search("colou?r|rgb", t), len(t)), default=None)
     # Depth that is registered to colour shares its frame.
     depth = min(usable, key=lambda t: (color is None or found.frames[t] != found.frames[color], len(t)))
     return depth, color
-
-
-def _is_depth(topic: str, kind: str) -> bool:
-    return kind in DEPTHS and not (kind == "mono16" and "depth" not in topic)
 
 
 def _is_color(topic: str, kind: str) -> bool:
@@ -225,7 +214,7 @@ def _unpack(
     warnings, notes = list(found.tree.doubts), []
     by_header = _believed(found, [depth] + ([color] if color else []), warnings)
     clocks = {t: np.array([s[0 if by_header else 1] for s in found.stamps[t]]) for t in (depth, color) if t}
-    of_depth, bent = info_of(depth, found) or (None, False)
+    of_depth, bent = info_beside(depth, found.cameras) or (None, False)
     assert of_depth is not None
     if bent:
         warnings.append("the depth camera's lens distorts: that is not undone")
@@ -257,11 +246,12 @@ def _unpack(
         try:
             if topic == depth:
                 image = depth_of(message)
-                _write_depth(work, name, image)
+                suffix, data = packed_depth(image)
+                write_bytes(work / f"depth/{name}{suffix}", data)
                 if way is not None:
                     waiting[index] = _metres(image)
                 row = rows.setdefault(index, {"name": name, "time": times[index], "color": None, "depth": None})
-                row["depth"] = f"depth/{name}.{'npy' if image.dtype == np.float32 else 'png'}"
+                row["depth"] = f"depth/{name}{suffix}"
             else:
                 rows.setdefault(index, {"name": name, "time": times[index], "color": None, "depth": None})
                 rows[index]["message"] = color_of(message)
@@ -299,21 +289,6 @@ def _finish_color(row: dict[str, Any], waiting: dict[int, np.ndarray], at: int, 
     write_bytes(work / row["color"], data.tobytes())
 
 
-def _write_depth(work: Path, name: str, image: np.ndarray) -> None:
-    import io
-
-    import cv2
-
-    if image.dtype == np.float32:
-        buffer = io.BytesIO()
-        np.save(buffer, np.where(np.isfinite(image), image, 0).astype(np.float32))
-        write_bytes(work / f"depth/{name}.npy", buffer.getvalue())
-        return
-    done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    assert done
-    write_bytes(work / f"depth/{name}.png", data.tobytes())
-
-
 def _metres(image: np.ndarray) -> F64:
     values = image.astype(float) * (1.0 if image.dtype == np.float32 else 1e-3)
     return np.where(np.isfinite(values), values, 0.0)
@@ -334,7 +309,7 @@ def _registration(bag: Bag, found: Found, depth: str, color: str | None, of_dept
     """((colour's camera, depth's, T) where colour must be resampled or None; colour's camera if another; in words)."""
     if color is None:
         return None, None, "there is no colour"
-    info = info_of(color, found)
+    info = info_beside(color, found.cameras)
     of_color = info[0] if info else None
     if found.frames[depth] == found.frames[color] or of_color is None:
         same = of_color is None or (of_color.width, of_color.height) == (of_depth.width, of_depth.height)

@@ -39,7 +39,7 @@ class View:
     def __init__(self, case: Case, terrain: Terrain, camera: DepthCamera, frames: list[Frames], rays: F64) -> None:
         import mujoco
 
-        self.terrain, self.camera, self.frames, self.rays = terrain, camera, frames, rays
+        self.case, self.terrain, self.camera, self.frames, self.rays = case, terrain, camera, frames, rays
         self._model = case.spec.copy().compile()
         self._data = mujoco.MjData(self._model)
         self._own = case.spec.copy().compile()

@@ -10,14 +10,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from realsim.bags import Types, mcap_records
+from realsim.bags import Types, mcap_files, mcap_records
+from realsim.bags.images import INFO
+from realsim.bags.stream import full
 from realsim.errors import extra
+from realsim.logs.depth import Pictures, picture, seen
 from realsim.logs.messages import Topics, signal_type
 from realsim.logs.recording import Reader, Recording, Window, no_samples
 
 
 def recognise(path: Path) -> bool:
-    return path.is_file() and path.suffix.lower() == ".mcap"
+    return bool(mcap_files(path))
 
 
 def read(path: Path, window: Window) -> list[Recording]:
@@ -25,35 +28,41 @@ def read(path: Path, window: Window) -> list[Recording]:
     topics = Topics(path)
     skipped: dict[str, str] = {}
     notes: list[str] = []
-    channels: dict[int, tuple[str, str, Callable[[bytes], Any] | None]] = {}
-    schemas: dict[int, Any] = {}
-    types = Types()
+    types, pictures = Types(), Pictures()
     first: float | None = None
     from mcap.records import Channel, Message, Schema
 
-    for record in mcap_records(path, notes):
-        if isinstance(record, Schema):
-            schemas[record.id] = record
-        elif isinstance(record, Channel) and record.id not in channels:
-            schema = schemas.get(record.schema_id)
-            name = schema.name if schema is not None else ""
-            decode, why = _decoder(record, schema, types)
-            channels[record.id] = (record.topic, name, decode)
-            if decode is None:
-                skipped[record.topic] = f"{name or 'no type'}: {why}"
-        elif isinstance(record, Message) and record.channel_id in channels:
-            topic, name, decode = channels[record.channel_id]
-            received = 1e-9 * record.log_time
-            first = received if first is None else first
-            if decode is not None and window.holds(received - first):
-                topics.add(topic, name, _call(decode, record.data), received)
+    for file in mcap_files(path):
+        channels: dict[int, tuple[str, str, Callable[[bytes], Any] | None]] = {}
+        schemas: dict[int, Any] = {}
+        for record in mcap_records(file, notes):
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel) and record.id not in channels:
+                schema = schemas.get(record.schema_id)
+                name = schema.name if schema is not None else ""
+                decode, why = _decoder(record, schema, types)
+                channels[record.id] = (record.topic, name, decode)
+                if decode is None or picture(name):
+                    skipped[record.topic] = f"{name or 'no type'}: {why or 'holds no signals'}"
+            elif isinstance(record, Message) and record.channel_id in channels:
+                topic, name, decode = channels[record.channel_id]
+                received = 1e-9 * record.log_time
+                first = received if first is None else first
+                if decode is None:
+                    continue
+                if picture(name):
+                    if pictures.wants(topic, name) and (window.holds(received - first) or full(name) == INFO):
+                        pictures.take(topics, topic, name, _call(decode, record.data), received)
+                elif window.holds(received - first):
+                    topics.add(topic, name, _call(decode, record.data), received)
     streams = topics.streams()
     notes += [f"{topic}: {what}" for topic, what in topics.failures().items()]
     if not streams:
         raise no_samples(
-            path, "topics with joint states, commands, an IMU or a pose", skipped | topics.failures(), window
+            path, "topics with joint states, commands, an IMU or a pose", skipped | topics.failures(), window, notes
         )
-    return [Recording(path, path.stem, "mcap", streams, skipped, tuple(notes))]
+    return [seen(Recording(path, path.stem, "mcap", streams, skipped, tuple(notes)), pictures)]
 
 
 def _call(decode: Callable[[bytes], Any], data: bytes) -> Callable[[], Any]:
@@ -62,7 +71,7 @@ def _call(decode: Callable[[bytes], Any], data: bytes) -> Callable[[], Any]:
 
 def _decoder(channel: Any, schema: Any, types: Types) -> tuple[Callable[[bytes], Any] | None, str]:
     """(how the messages of a channel are decoded, or None; why not)."""
-    if schema is not None and not signal_type(schema.name):
+    if schema is not None and not signal_type(schema.name) and not picture(schema.name):
         return None, "holds no signals"
     if channel.message_encoding == "json":
         return json.loads, ""
@@ -76,4 +85,6 @@ def _decoder(channel: Any, schema: Any, types: Types) -> tuple[Callable[[bytes],
     return None, f"{said} definition is not read"
 
 
-READER = Reader("mcap", "a .mcap file with ROS 1, ROS 2 or JSON messages", recognise, read)
+READER = Reader(
+    "mcap", "a .mcap file with ROS 1, ROS 2 or JSON messages, or the folder of a bag of them", recognise, read
+)

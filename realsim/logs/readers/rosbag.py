@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from realsim.bags.definitions import register
+from realsim.bags.images import INFO, encoding, is_depth
+from realsim.bags.stream import full
 from realsim.errors import GapError, extra
+from realsim.logs.depth import Pictures, picture, seen
+from realsim.logs.jumps import steps_back
 from realsim.logs.messages import Topics, signal_type
 from realsim.logs.recording import Reader, Recording, Window, no_samples
 
@@ -26,19 +34,25 @@ def read(path: Path, window: Window) -> list[Recording]:
     topics = Topics(path)
     skipped: dict[str, str] = {}
     notes: list[str] = []
+    pictures = Pictures()
     try:
         with highlevel.AnyReader([path], default_typestore=store) as bag:
             wanted = []
             for connection in bag.connections:
-                if not signal_type(connection.msgtype):
+                if picture(connection.msgtype) and connection.msgtype in bag.typestore.fielddefs:
+                    skipped[connection.topic] = f"{connection.msgtype}: holds no signals"
+                    if _is_of_use(bag, connection):
+                        wanted.append(connection)
+                elif not signal_type(connection.msgtype):
                     skipped[connection.topic] = f"{connection.msgtype}: holds no signals"
                 elif connection.msgtype not in bag.typestore.fielddefs:
                     skipped[connection.topic] = f"{connection.msgtype}: its definition is not in the bag"
                 else:
                     wanted.append(connection)
             first = 1e-9 * bag.start_time
+            _refuse_mixed(path, bag, first, window)
             if wanted:
-                _messages(bag, wanted, first, window, topics, notes)
+                _messages(bag, wanted, first, window, topics, pictures, notes)
     except GapError:
         raise
     except Exception as error:  # rosbags, sqlite and YAML each have their own; all mean a bag that cannot be read
@@ -53,16 +67,34 @@ def read(path: Path, window: Window) -> list[Recording]:
     notes += [f"{topic}: {what}" for topic, what in topics.failures().items()]
     if not streams:
         raise no_samples(
-            path, "topics with joint states, commands, an IMU or a pose", skipped | topics.failures(), window
+            path, "topics with joint states, commands, an IMU or a pose", skipped | topics.failures(), window, notes
         )
-    return [Recording(path, path.stem, "rosbag", streams, skipped, tuple(notes))]
+    return [seen(Recording(path, path.stem, "rosbag", streams, skipped, tuple(notes)), pictures)]
 
 
-def _messages(bag: Any, wanted: Any, first: float, window: Window, topics: Topics, notes: list[str]) -> None:
+def _is_of_use(bag: Any, connection: Any) -> bool:
+    """Whether a topic of pictures is depth, by its first message, or describes a camera."""
+    if full(connection.msgtype) == INFO:
+        return True
+    for _, _, data in bag.messages(connections=[connection]):
+        try:
+            return is_depth(connection.topic, encoding(bag.deserialize(data, connection.msgtype)))
+        except Exception:  # what damage leads to
+            return False
+    return False
+
+
+def _messages(
+    bag: Any, wanted: Any, first: float, window: Window, topics: Topics, pictures: Pictures, notes: list[str]
+) -> None:
     try:
         for connection, received, data in bag.messages(connections=wanted):
             since = 1e-9 * received - first
-            if window.holds(since):
+            if picture(connection.msgtype):
+                if window.holds(since) or full(connection.msgtype) == INFO:
+                    decode = _call(bag, connection, data)
+                    pictures.take(topics, connection.topic, connection.msgtype, decode, 1e-9 * received)
+            elif window.holds(since):
                 topics.add(connection.topic, connection.msgtype, _call(bag, connection, data), 1e-9 * received)
     except GapError:
         raise
@@ -70,6 +102,39 @@ def _messages(bag: Any, wanted: Any, first: float, window: Window, topics: Topic
         if not topics.streams():
             raise
         notes.append(f"{bag.paths[0].name} is damaged: read as far as it goes ({type(error).__name__}: {error})"[:200])
+
+
+def _refuse_mixed(path: Path, bag: Any, first: float, window: Window) -> None:
+    """A bag is read in the order of reception: where that clock stepped back, what came before and after is mixed.
+
+    Raises:
+        GapError: it did in the window; says what can be read.
+    """
+    for clock in _as_written(path, bag):
+        time = 1e-9 * clock - first
+        for k in steps_back(time):
+            low, high = max(time[k:].min(), time[:k].min()), min(time[:k].max(), time[k:].max())
+            if low < high and window.start < high and low < window.start + window.seconds:
+                before, after = f"--seconds {low:.3f}", f"--skip {high:.3f}"
+                raise GapError(
+                    f"the clock of reception steps back by {time[k - 1] - time[k]:.3g} s", file=path,
+                    expected="messages that can be put in order by it", found=f"times from {low:.3f} to {high:.3f} s "
+                    "after the first message come twice",
+                    hint=f"read what lies before, with {before}, or after, with {after}; record as MCAP, which "
+                    "keeps the order",
+                )  # fmt: skip
+
+
+def _as_written(path: Path, bag: Any) -> Iterator[Any]:
+    """(T,) ns of reception of the messages of each topic, in the order in which they were written."""
+    for reader in bag.readers:
+        for index in getattr(reader, "indexes", {}).values():  # a ROS 1 bag's
+            yield np.array([e.time for e in sorted(index, key=lambda e: (e.chunk_pos, e.offset))], dtype=float)
+    for file in sorted(path.glob("*.db3")) if path.is_dir() else [path] if path.suffix.lower() == ".db3" else []:
+        with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as database:
+            rows = np.array(database.execute("SELECT topic_id, timestamp FROM messages ORDER BY id").fetchall())
+        for topic in np.unique(rows[:, 0]) if len(rows) else ():
+            yield rows[rows[:, 0] == topic, 1].astype(float)
 
 
 def _call(bag: Any, connection: Any, data: bytes) -> Callable[[], Any]:

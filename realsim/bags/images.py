@@ -1,8 +1,11 @@
-"""ROS image messages to arrays: raw, jpeg, png, and depth as `compressedDepth` packs it."""
+"""ROS image messages to arrays: raw, jpeg, png, and depth as `compressedDepth` packs it; cameras and their topics."""
 
 from __future__ import annotations
 
+import io
+import re
 import struct
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,6 +15,10 @@ from realsim.types import F64, Intrinsics
 
 DEPTHS = ("16UC1", "mono16", "32FC1")
 COLORS = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1, "8UC3": 3}
+IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+INFO = "sensor_msgs/msg/CameraInfo"
+PART = re.compile(r"^(aligned_depth.*|depth.*|colou?r.*|rgb.*|image.*|infra.*|stereo.*|left.*|right.*|camera_info)$")
+"""The component of a topic's name at which the name of its camera ends."""
 MAX_PIXELS = 64 * 2**20
 HEADER = struct.Struct("<iff")
 """Of compressedDepth: the format, and A and B of a 32-bit depth that is stored as A / depth + B."""
@@ -25,6 +32,41 @@ def encoding(message: Any) -> str:
     if "compressedDepth" in text:
         return "32FC1" if text.startswith("32FC1") else "16UC1"
     return text.partition(";")[0].strip() or text
+
+
+def is_depth(topic: str, kind: str) -> bool:
+    """Whether images of this encoding on this topic are depth."""
+    return kind in DEPTHS and not (kind == "mono16" and "depth" not in topic)
+
+
+def camera_name(topic: str) -> str:
+    """/front/camera/aligned_depth_to_color/image_raw -> /front/camera."""
+    parts = topic.strip("/").split("/")
+    end = next((i for i, part in enumerate(parts) if PART.match(part)), len(parts) - 1)
+    return "/" + "/".join(parts[:end])
+
+
+def info_beside(topic: str, cameras: Mapping[str, tuple[Intrinsics, bool]]) -> tuple[Intrinsics, bool] | None:
+    """The camera of the camera_info topic beside an image topic."""
+    name = topic
+    while name:
+        name = name.rpartition("/")[0]
+        if f"{name}/camera_info" in cameras:
+            return cameras[f"{name}/camera_info"]
+    return None
+
+
+def packed_depth(image: np.ndarray) -> tuple[str, bytes]:
+    """(file ending, bytes) of a depth image: .npy of m where it is float32, else a 16-bit .png."""
+    import cv2
+
+    if image.dtype == np.float32:
+        buffer = io.BytesIO()
+        np.save(buffer, np.where(np.isfinite(image), image, 0).astype(np.float32))
+        return ".npy", buffer.getvalue()
+    done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    assert done
+    return ".png", data.tobytes()
 
 
 def depth_of(message: Any) -> np.ndarray:
