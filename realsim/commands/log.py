@@ -35,7 +35,7 @@ def log(
         camera: NAME or NAME=TOPIC: camera of the model that saw the recording's depth frames, where several may have;
             `none` leaves them out.
         scene: of `realsim reconstruct`, from a capture whose poses are in the frame of the log's base pose: base poses
-            are put into its frame, for `realsim footholds` and `diagnose --scene`.
+            are put into its frame, in which `realsim footholds` expects them.
         skip: seconds after the first message from which the recording is read.
         seconds: how many seconds of it are read.
         overwrite: replace a case that realsim wrote before.
