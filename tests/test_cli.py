@@ -147,6 +147,7 @@ def test_every_option_that_is_spoken_of_exists(capsys: pytest.CaptureFixture[str
     others |= {"--logdir", "--nproc-per-node", "--nnodes", "--rdzv-endpoint"}  # of tensorboard and torchrun
     others |= {"--env"}  # of GNU parallel
     others |= {"--row-seconds", "--cases", "--course"}  # of benchmarks/contact.py, gap_withheld.py, close_the_gap.py
+    others |= {"--alone"}  # of benchmarks/gap_depth.py
     for name in commands()[0]:
         assert main(["help", name]) == 0
     known = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out)) | {"--help", "--json", "--quiet", "--version"}

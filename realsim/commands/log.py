@@ -17,8 +17,8 @@ def log(
     out: Path | None = None,
     use: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ROLE=STREAM:FIELD")] = (),
     only: str = "",
-    camera: Annotated[str, tyro.conf.arg(metavar="NAME[=TOPIC]")] = "",
-    scene: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    camera: str = "",
+    scene: Annotated[Path | None, tyro.conf.arg(metavar="STR")] = None,
     skip: float = 0.0,
     seconds: float = float("inf"),
     overwrite: bool = False,
@@ -32,10 +32,10 @@ def log(
         out: where the case for `realsim diagnose` goes; without it nothing is written.
         use: overrides a guess: ROLE=STREAM:FIELD, or ROLE=none; ROLE is command, joint_pos, joint_vel, ...
         only: prefix of the topics to read, if a recording holds several robots.
-        camera: camera of the model that saw the recording's depth frames, where several may have; `none` leaves them
-            out.
+        camera: NAME or NAME=TOPIC: camera of the model that saw the recording's depth frames, where several may have;
+            `none` leaves them out.
         scene: of `realsim reconstruct`, from a capture whose poses are in the frame of the log's base pose: base poses
-            are put into its frame, for `realsim footholds` and `diagnose --scene`.
+            are put into its frame, in which `realsim footholds` expects them.
         skip: seconds after the first message from which the recording is read.
         seconds: how many seconds of it are read.
         overwrite: replace a case that realsim wrote before.

@@ -13,16 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from realsim.errors import GapError
-from realsim.logs.jumps import JUMP, shifts
-from realsim.logs.names import clock_unit
+from realsim.logs.jumps import JUMP, own_clocks, shifts
+from realsim.logs.names import UNITS, seconds_of
 from realsim.logs.recording import Recording, Stream, planned
 from realsim.types import F64
 
 SAME_CLOCK = 0.5
 """s of offset up to which two clocks may be one and the offset the time on the way."""
-UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-RATES = (5.0, 5000.0)
-"""Hz that a log of a robot is likely to have."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +47,7 @@ def _of_stream(recording: Recording, stream: Stream) -> Clocked:
     receive = stream.clocks.get("receive")
     if receive is not None and not np.isfinite(receive).any():
         receive = None
-    for name in ("header", *(n for n in stream.clocks if n not in ("header", "receive"))):
-        if name not in stream.clocks:
-            continue
+    for name in own_clocks(stream):
         raw = stream.clocks[name]
         why = _unfit(raw)
         if why:
@@ -81,17 +76,6 @@ def _of_stream(recording: Recording, stream: Stream) -> Clocked:
         expected="a column named time, timestamp, stamp or t",
         found=", ".join(stream.fields)[:200],
     )
-
-
-def seconds_of(name: str, raw: F64) -> tuple[F64, str]:
-    """(a clock in s, its unit): as its name says, else as gives a likely rate, s before ms, us, ns."""
-    factor = clock_unit(name)
-    if factor is None:
-        step = float(np.median(np.abs(np.diff(raw)))) if len(raw) > 1 else 1.0
-        fits = [f for f in UNITS.values() if RATES[0] <= 1 / max(step * f, 1e-12) <= RATES[1]]
-        factor = fits[0] if fits else 1.0
-    unit = next(u for u, f in UNITS.items() if f == factor)
-    return raw * factor, unit
 
 
 def _unit_by(raw: F64, receive: F64) -> tuple[F64, str]:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from realsim.errors import GapError
+from realsim.logs.names import seconds_of
 from realsim.logs.recording import Field, Recording, Stream, planned
 from realsim.types import F64
 
@@ -128,11 +129,17 @@ def _breaks(stream: Stream) -> list[tuple[int, float, bool]]:
 
 
 def _base(stream: Stream) -> tuple[str, F64]:
-    """The clock that a stream is laid on: the time of reception, else its first."""
+    """The clock that a stream is laid on, s: the time of reception, else its first."""
     receive = stream.clocks.get("receive")
     if receive is not None and np.isfinite(receive).any():
         return "receive", receive
-    return next(((n, c) for n, c in stream.clocks.items() if n != "receive"), ("", np.zeros(0)))
+    return next(iter(own_clocks(stream).items()), ("", np.zeros(0)))
+
+
+def own_clocks(stream: Stream) -> dict[str, F64]:
+    """The messages' own clocks, s: the header's first, and a counter that wraps after one that runs on."""
+    own = {n: c if n == "header" else seconds_of(n, c)[0] for n, c in stream.clocks.items() if n != "receive"}
+    return dict(sorted(own.items(), key=lambda item: (item[0] != "header", bool(steps_back(item[1])))))
 
 
 def _stretch(order: Any, steps: Any) -> F64:

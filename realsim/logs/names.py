@@ -5,6 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+import numpy as np
+
+from realsim.types import F64
+
 ROLES = (
     "command",
     "enabled",
@@ -76,6 +80,9 @@ _UNITS = (
     ("deg/s", r"(deg_?p?e?r?_?s|dps|degs)$"), ("deg", r"(_|\[|\()deg(rees)?[\])]?$"), ("rad/s", r"rad_?(per_)?s$"),
     ("rpm", r"rpm$"), ("mN m", r"mnm$"), ("mm", r"_mm$"), ("g", r"_g$"), ("rad", r"_rad$"), ("N m", r"_nm$"),
 )  # fmt: skip
+UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+RATES = (5.0, 5000.0)
+"""Hz that a log of a robot is likely to have."""
 CLOCK_UNITS = {"ms": 1e-3, "msec": 1e-3, "millis": 1e-3, "us": 1e-6, "usec": 1e-6, "micros": 1e-6, "ns": 1e-9,
                "nsec": 1e-9, "s": 1.0, "sec": 1.0, "secs": 1.0, "seconds": 1.0}  # fmt: skip
 
@@ -106,6 +113,17 @@ def clock_unit(name: str) -> float | None:
     found = _CLOCK.match(plain(name))
     last = found.group(3) if found else None
     return CLOCK_UNITS.get(last) if last else None
+
+
+def seconds_of(name: str, raw: F64) -> tuple[F64, str]:
+    """(a clock in s, its unit): as its name says, else as gives a likely rate, s before ms, us, ns."""
+    factor = clock_unit(name)
+    if factor is None:
+        step = float(np.median(np.abs(np.diff(raw)))) if len(raw) > 1 else 1.0
+        fits = [f for f in UNITS.values() if RATES[0] <= 1 / max(step * f, 1e-12) <= RATES[1]]
+        factor = fits[0] if fits else 1.0
+    unit = next(u for u, f in UNITS.items() if f == factor)
+    return raw * factor, unit
 
 
 def named_unit(name: str) -> str:

@@ -141,3 +141,20 @@ def test_a_topic_that_ends_before_a_jump_is_in_one_run(arm: Log, tmp_path: Path)
     assert [len(r.streams) for r in found] == [2, 1]
     target = load_target(save(tmp_path, ARM))
     write_case(propose(found, target), target, tmp_path / "case")
+
+
+@pytest.mark.parametrize(("name", "unit"), [("time_us", 1e6), ("tick", 1e3)])
+def test_a_gap_of_ten_samples_is_no_pause_in_any_unit(name: str, unit: float, arm: Log) -> None:
+    late = arm.time + np.where(arm.time > 2.0, 0.06, 0.0)
+    stream = Stream("", "table", {name: late * unit}, {"q": Field(arm.pos)})
+    (whole,) = unbroken(Recording(Path("a.csv"), "a", "csv", (stream,)))
+    assert not whole.notes
+    stream = Stream("", "table", {name: (arm.time % 2.0) * unit}, {"q": Field(arm.pos)})
+    assert len(unbroken(Recording(Path("a.csv"), "a", "csv", (stream,)))) == 2
+
+
+def test_a_counter_that_wraps_is_no_clock_where_there_is_another(arm: Log) -> None:
+    clocks = {"tick": np.arange(len(arm.time)) % 256 * 1.0, "time": arm.time}
+    stream = Stream("", "table", clocks, {"q": Field(arm.pos)})
+    (whole,) = unbroken(Recording(Path("a.csv"), "a", "csv", (stream,)))
+    np.testing.assert_array_equal(clocked(whole)[""].time, arm.time)

@@ -54,8 +54,7 @@ def trimmed(columns: dict[str, F64], window: Window) -> dict[str, F64]:
     """The rows of a window, by the first column that is a clock in s (`Window` asks for one)."""
     if window.whole:
         return columns
-    from realsim.logs.clocks import seconds_of
-    from realsim.logs.names import is_clock
+    from realsim.logs.names import is_clock, seconds_of
 
     name = next((n for n, v in columns.items() if is_clock(n) and v.ndim == 1), None)
     if name is None:
