@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,20 +22,40 @@ def solve(frames: FrameSet, config: PointsConfig) -> Solution:
     """Poses in metres by the sensor's depth, in the capture's world if its poses can be used, else the first camera's.
 
     Frames that do not fit are left out and named. With metric poses given, the depth sensor's gain comes with it.
+    What moves with the camera is sought under given poses before these are judged, else under those that were found,
+    which are then found again without it.
 
     Raises:
         PoseError: see `realsim.feedforward.solve`.
     """
+    from realsim.feedforward.rgbd.carried import carried, told, without
+
     given = _posed(frames, config)
-    return _estimated(frames, config) if given is None else _given(frames, given, config)
+    if given is not None and frames.poses_metric:
+        posed = [frames.frames[i] for i in given]
+        cells = carried(posed, np.stack([f.T_world_camera for f in posed if f.T_world_camera is not None]))
+    else:
+        first = _solved(frames, given, config)
+        cells = carried([frames.frames[i] for i in first.used], first.T_world_camera)
+        if cells is None:
+            return first
+    if cells is None:
+        return _solved(frames, given, config)
+    masked = replace(frames, frames=tuple(without(f, cells) for f in frames.frames))
+    solution = _solved(masked, given, config)
+    arrays = {**solution.arrays, "carried": cells}
+    return replace(solution, arrays=arrays, warnings=(told(cells), *solution.warnings))
 
 
 def pointmaps(frames: FrameSet, solution: Solution, config: PointsConfig) -> Pointmaps:
     """Views from corrected sensor depth (`solution.depth_gain` times the sensor's), camera frame, metres."""
+    from realsim.feedforward.rgbd.carried import without
     from realsim.feedforward.rgbd.registration import Registration
     from realsim.feedforward.rgbd.views import point_view
 
     used = tuple(frames.frames[i] for i in solution.used)
+    if (cells := solution.arrays.get("carried")) is not None:
+        used = tuple(without(f, cells) for f in used)
     for row in solution.arrays.get("registration", ()):
         used = tuple(Registration.of(row).applied(f) for f in used)
     return Pointmaps(
@@ -51,6 +72,10 @@ def pointmaps(frames: FrameSet, solution: Solution, config: PointsConfig) -> Poi
         warnings=solution.warnings,
         statistics=solution.statistics,
     )
+
+
+def _solved(frames: FrameSet, given: list[int] | None, config: PointsConfig) -> Solution:
+    return _estimated(frames, config) if given is None else _given(frames, given, config)
 
 
 def _posed(frames: FrameSet, config: PointsConfig) -> list[int] | None:
