@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from realsim import feedforward
 from realsim.feedforward.config import PointsConfig
-from realsim.feedforward.rgbd.carried import carried, told, without
+from realsim.feedforward.rgbd.carried import carried, still, told, without
+from realsim.feedforward.rgbd.tracks import prepare
 from realsim.types import Frame
 
 POSES = rooms.path(16)
@@ -57,6 +58,17 @@ def test_it_is_found_wherever_it_is(plain: list[Frame], left: int, top: int, at:
 def test_what_moves_by_itself_is_not_carried(plain: list[Frame]) -> None:
     moved = [holding(f, np.roll(HAND, (0, 12 * k), (0, 1)), 0.4 + 0.05 * (k % 5)) for k, f in enumerate(plain)]
     assert carried(moved, POSES) is None
+
+
+def test_features_that_stay_while_the_rest_moves_need_no_poses(plain: list[Frame]) -> None:
+    assert still(prepare(plain)) is None
+    assert still(prepare([plain[0]] * 8)) is None  # a camera that stands still
+    assert still(prepare(plain[:2])) is None
+    cells = still(prepare([holding(f) for f in plain]))
+    assert cells is not None
+    full = cells[np.arange(240)[:, None] * len(cells) // 240, np.arange(320) * cells.shape[1] // 320]
+    assert full[HAND].mean() > 0.6
+    assert (full & ~HAND).mean() < 0.05
 
 
 @pytest.mark.parametrize("poses", ["given", "estimate"])

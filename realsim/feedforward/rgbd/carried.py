@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.feedforward.rgbd.tracks import View, alike, rigid_ransac
 from realsim.geometry import invert_T, transform
 from realsim.types import F64, Bool, Frame
 
@@ -34,6 +35,14 @@ RARELY = 0.15
 """Share of the rest of the picture that may be looked through: beyond it poses are wrong, and nothing is known."""
 LEAST = 0.002
 """Share of the picture."""
+STEP, PAIRS = 2, 16
+"""Frames from one of a pair to the other, and pairs of which the features are asked."""
+NEAR, FAR = 2.0, 8.0
+"""Pixels within which a feature stays, and pixels by which the motion of the rest must carry it."""
+MATCHES, PAIRED, OFTEN = 3, 3, 0.25
+"""Such features of a pair, and the pairs, and their share, that must have as many. Without anything carried no pair of
+ten captures, three of them real, has more than one; something well marked has 10 to 120 in every pair, a plain foot up
+to 3, which do no harm."""
 
 
 def carried(frames: Sequence[Frame], T_world_camera: F64) -> Bool | None:
@@ -65,6 +74,43 @@ def carried(frames: Sequence[Frame], T_world_camera: F64) -> Bool | None:
     if found.mean() < LEAST or not len(rest) or rest.mean() > RARELY:
         return None
     return _wider(found)
+
+
+def still(views: Sequence[View], seed: int = 0) -> Bool | None:
+    """Cells (h, w) of the picture in which features keep their place while the rest moves, or None; no poses are asked.
+
+    Such features hold the camera where it is: in pairs in which they are more than what the place shows, they win.
+    """
+    rng = np.random.default_rng(seed)
+    camera = views[0].camera
+    size = round(COLUMNS * camera.height / camera.width), COLUMNS
+    hits = np.zeros(size, int)
+    asked = told = 0
+    for i in np.unique(np.linspace(0, len(views) - 1 - STEP, PAIRS).round().astype(int)) if len(views) > STEP else ():
+        xy = _staying(views[i], views[i + STEP], rng)
+        if xy is None:
+            continue
+        asked += 1
+        told += len(xy) >= MATCHES
+        at = (xy * (camera.fx, camera.fy) + (camera.cx + 0.5, camera.cy + 0.5)) / (camera.width, camera.height)
+        column, row = np.clip((at * size[::-1]).astype(int), 0, np.array(size[::-1]) - 1).T
+        hits[row, column] += 1
+    if told < max(PAIRED, OFTEN * asked):
+        return None
+    return _wider(_wider(hits >= 2))
+
+
+def _staying(A: View, B: View, rng: np.random.Generator) -> F64 | None:
+    """(M, 2) on the plane z = 1: features of A that lie where they are in B, though the motion of the others would
+    carry them FAR away. None where the others do not tell a motion."""
+    a, b = alike(A, B)
+    stays = (np.linalg.norm(A.xy[a] - B.xy[b], axis=1) * A.focal < NEAR) & (np.abs(A.z[a] / B.z[b] - 1) < STEADY)
+    found = rigid_ransac(A.points[a[~stays]], B.points[b[~stays]], rng) if (~stays).sum() >= 12 else None
+    if found is None:
+        return None
+    moved = transform(found[0], B.points[b[stays]])
+    off = np.linalg.norm(moved[:, :2] / np.maximum(moved[:, 2:], 1e-6) - A.xy[a[stays]], axis=1) * A.focal
+    return np.asarray(A.xy[a[stays]][off > FAR], np.float64)
 
 
 def without(frame: Frame, cells: NDArray[Any]) -> Frame:
