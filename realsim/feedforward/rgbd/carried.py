@@ -27,7 +27,7 @@ CLEAR = 0.05
 between the metres of the two are off."""
 JUDGED, MOST = 5, 0.5
 """Frames at least that can tell of a cell, and the share of them in which it must be looked through. Set by hand before
-it was tried: what is carried is then found in ten of ten rendered captures, and nothing in fifteen without it (five
+it was tried: what is carried is then found in ten of ten rendered captures, and nothing in sixteen without it (five
 of them with somebody who walks or stands there), nor in an iPhone's."""
 STEADY = 0.1
 """Spread of a cell's distances over the frames (between quartiles, over their median)."""
