@@ -76,7 +76,7 @@ def test_the_scene_is_made_without_it(plain: list[Frame], poses: str) -> None:
     frames = rooms.frame_set([holding(f) for f in plain])
     config = PointsConfig(poses=poses)
     solution = feedforward.solve(frames, config)
-    assert "moves with the camera" in solution.warnings[0]
+    assert "which moves with the camera" in solution.statistics["left_out"][0]
     maps = feedforward.pointmaps(frames, solution, config)
     assert not any(maps.load(i).mask[HAND].any() for i in range(len(maps)))
     steps = np.linalg.norm(np.diff(solution.T_world_camera[:, :3, 3], axis=0), axis=1)
@@ -86,7 +86,7 @@ def test_the_scene_is_made_without_it(plain: list[Frame], poses: str) -> None:
 def test_it_is_said_where(plain: list[Frame]) -> None:
     cells = np.zeros((48, 64), bool)
     cells[36:, 16:32] = True
-    assert "6% of the picture moves with the camera (between 25 and 50 % from the left, 75 and 100 %" in told(cells)
+    assert "6% of every picture (25 to 50 % from the left, 75 to 100 % from the top)" in told(cells)
     depth = without(plain[0], cells).depth()
     assert not depth[180:, 80:160].any()
     np.testing.assert_array_equal(depth[:180], plain[0].depth()[:180])

@@ -44,8 +44,8 @@ def solve(frames: FrameSet, config: PointsConfig) -> Solution:
         return _solved(frames, given, config)
     masked = replace(frames, frames=tuple(without(f, cells) for f in frames.frames))
     solution = _solved(masked, given, config)
-    arrays = {**solution.arrays, "carried": cells}
-    return replace(solution, arrays=arrays, warnings=(told(cells), *solution.warnings))
+    statistics = {**solution.statistics, "left_out": [told(cells)]}
+    return replace(solution, arrays={**solution.arrays, "carried": cells}, statistics=statistics)
 
 
 def pointmaps(frames: FrameSet, solution: Solution, config: PointsConfig) -> Pointmaps:

@@ -126,15 +126,14 @@ def without(frame: Frame, cells: NDArray[Any]) -> Frame:
 
 
 def told(cells: NDArray[Any]) -> str:
-    """The warning about cells (h, w) of the picture."""
+    """Which part of the picture the cells (h, w) are, in words."""
     (top, bottom), (left, right) = (
         (100 * np.flatnonzero(cells.any(axis))[[0, -1]] / cells.shape[1 - axis]).round() for axis in (1, 0)
     )
     step = 100 / np.array(cells.shape)
     return (
-        f"{cells.mean():.0%} of the picture moves with the camera (between {left:.0f} and {right + step[1]:.0f} % from "
-        f"the left, {top:.0f} and {bottom + step[0]:.0f} % from the top): a foot, a hand, a part of the robot? Its "
-        "depth was left out in all frames"
+        f"{cells.mean():.0%} of every picture ({left:.0f} to {right + step[1]:.0f} % from the left, {top:.0f} to "
+        f"{bottom + step[0]:.0f} % from the top), which moves with the camera: a foot, a hand, a part of the robot?"
     )
 
 
