@@ -22,6 +22,7 @@ from benchmarks.store import Store
 from benchmarks.ttt_sources import scanned
 from realsim.exports.contact.fidelity import measure
 from realsim.exports.contact.probe import Reference
+from realsim.exports.unite import united
 from realsim.geometry import transform
 from realsim.pipeline import reconstruct
 from trainer import terrain as terrains
@@ -35,7 +36,7 @@ def row(name: str, folder: Path) -> dict[str, Any]:
     found = reconstruct(scanned(terrains.named(name), folder, SEED), folder / "scene")
     exact: Any = trimesh.load(folder / "walk" / "truth" / "mesh.ply", process=False)
     vertices = transform(found.aligned.T_sim_world, np.asarray(exact.vertices, float))
-    truth = Reference(vertices, np.asarray(exact.faces, np.int32))
+    truth = Reference(*united(vertices, np.asarray(exact.faces, np.int32))[:2])
     off = 1000 * truth.distance(found.mesh.vertices[np.unique(found.mesh.seen)])
     spec = mujoco.MjSpec.from_file(str(found.scene.folder / "scene.xml"))
     against = measure(spec, truth, found.aligned.ground_z).figures

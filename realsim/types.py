@@ -204,7 +204,7 @@ class Pointmaps:
     dropped: tuple[Dropped, ...] = ()
     warnings: tuple[str, ...] = ()
     statistics: Mapping[str, Any] = field(default_factory=dict)
-    """JSON-able figures of the backend for the report."""
+    """JSON-able figures of the backend for the report; `left_out`: sentences on what of the frames is not used."""
 
     def __len__(self) -> int:
         return len(self.frames)

@@ -66,6 +66,24 @@ def clouds() -> list[str]:
     ]
 
 
+def movers() -> list[str]:
+    """Captures with somebody who moves, or something that moves with the camera."""
+    head = [
+        "| what | poses | frames | F at 1 cm | tops off | false surface of all | collision parts | said |",
+        "|---|---|---:|---:|---:|---:|---:|---|",
+    ]
+    said = {"": "no", "moves with": "cut: moves with the camera", "moved there": "warned: somebody moved there"}
+    lines = []
+    for r in stored("movers")["rows"]:
+        how = next((words for words in said if words and words in r["said"]), "")
+        false = f"{r['false_m2']:.2f} of {r['area_m2']:.1f} m²"
+        lines.append(
+            f"| {r['kind']} | {r['poses']} | {r['frames']} | {r['f_1cm']:.3f} | {r['tops_mm']:.2f} mm | {false} | "
+            f"{r['geoms']} | {said[how]} |"
+        )
+    return head + lines
+
+
 def hard_matches() -> list[str]:
     """Captures that are hard to match, without and with the learned matcher."""
     lines = [

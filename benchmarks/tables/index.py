@@ -37,6 +37,7 @@ INDEX = (
     ("Contact from the side, by columns alone and as `auto` chooses", "sides", "python -m benchmarks.sides --real"),
     ("Captures that real sensors and apps wrote", "real_captures", "python benchmarks/real_captures.py"),
     ("Clouds that do not say from where they were seen", "clouds", "python -m benchmarks.clouds"),
+    ("Somebody who moves, and what moves with the camera", "movers", "python -m benchmarks.movers"),
     (
         "Frames that are hard to match, with and without the learned matcher",
         "matching",
@@ -64,6 +65,7 @@ KEYS = {
     "pushes": pushes.KEY,
     "captures": ("kind", "seed", "method"),
     "clouds": ("terrain",),
+    "movers": ("kind", "poses"),
     "close_the_gap": ("robot", "iterations", "effects_considered", "course"),
     "contact": ("terrain", "representation"),
     "fuzz": ("kind", "seed", "number"),

@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.tables.captures import captures, clouds, contact, damaged, hard_matches, loops, real_captures
+from benchmarks.tables.captures import captures, clouds, contact, damaged, hard_matches, loops, movers, real_captures
 from benchmarks.tables.diagnosis import (
     bags,
     closing,
@@ -40,6 +40,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "real captures": real_captures,
     "clouds": clouds,
     "loops": loops,
+    "movers": movers,
     "hard matches": hard_matches,
     "bags": bags,
     "diagnosis by set": diagnosis_by_set,

@@ -69,6 +69,8 @@ def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:
 
     platforms, outside = _kept(platforms, bounds)
     cropped += outside
+    if isinstance(source, MetricScene):
+        cropped = [*source.statistics.get("left_out", ()), *cropped]
 
     T_sim_world = T_sim_level @ T_level_world
     return AlignedScene(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from realsim.errors import ExportError
 from realsim.exports.contact.columns import check_extent, crossings
+from realsim.exports.unite import united
 from realsim.exports.winding import turn_closed, turn_stray
 from realsim.files import check_size
 from realsim.meshes import compact, lonely_vertex, loose_vertices
@@ -124,7 +125,7 @@ def mend(vertices: F64, triangles: NDArray[Any]) -> tuple[TerrainMesh, list[str]
     quality = _quality(vertices, faces, int(flat.sum()))
     terrain = TerrainMesh(vertices, faces, None, np.zeros(len(faces), bool), quality, "file", 0.0)
     check_extent(terrain)
-    inside_out, overlap = _from_above(terrain)
+    inside_out, _ = _from_above(terrain)
     if inside_out:
         faces = np.ascontiguousarray(faces[:, ::-1])
         terrain = TerrainMesh(vertices, faces, None, terrain.invented, quality, "file", 0.0)
@@ -133,8 +134,14 @@ def mend(vertices: F64, triangles: NDArray[Any]) -> tuple[TerrainMesh, list[str]
     if turned:
         terrain = TerrainMesh(vertices, faces, None, terrain.invented, quality, "file", 0.0)
         notes.append(f"{turned} closed pieces were inside out and have been flipped")
-    if overlap:
-        notes.append("solids of the mesh overlap or its surface crosses itself: whatever lies in any of them is solid")
+    if _from_above(terrain)[1]:
+        vertices, faces, count = united(vertices, faces)
+        vertices, faces = compact(vertices, faces)
+        quality = _quality(vertices, faces, int(flat.sum()))
+        terrain = TerrainMesh(vertices, faces, None, np.zeros(len(faces), bool), quality, "file", 0.0)
+        made = f": {count} closed pieces were made one" if count else ""
+        crossing = "solids of the mesh overlap or its surface crosses itself"
+        notes.append(f"{crossing}{made or ': whatever lies in any of them is solid'}")
     if not quality.manifold:
         notes.append("the mesh is not manifold: solids are taken from columns of rays, which need no manifold")
     if _open(vertices, faces):

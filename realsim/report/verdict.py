@@ -112,6 +112,7 @@ _METRES = (
 )
 _ROLES = "name the platforms yourself: --start X Y --goal X Y --overwrite, in metres as on the map from above"
 _POSES = "check the camera poses and the unit of the depth (`realsim inspect`), or try --poses estimate"
+_FOUND = "check the unit of the depth (`realsim inspect`), or record again from closer and more slowly"
 _MESH = "look at the mesh with `realsim view`, or try another --resolution"
 _TOUCH = "look at the collision geometry with `realsim view`, or try another --contact"
 
@@ -214,7 +215,10 @@ def _surface(result: Reconstruction) -> Iterator[Check]:
     mesh = result.mesh
     if mesh.residuals:
         typical = float(np.median([r.median_abs_m for r in mesh.residuals]))
-        yield graded("Distance of the depth from the mesh (median)", typical, 0.006, 0.020, millimetres, advice=_POSES)
+        points = result.points
+        estimated = points is not None and points.statistics.get("poses") == "estimated"
+        advice = _FOUND if estimated else _POSES
+        yield graded("Distance of the depth from the mesh (median)", typical, 0.006, 0.020, millimetres, advice=advice)
     yield from _coverage(result)
     q = mesh.quality
     faults = [

@@ -201,3 +201,20 @@ def test_a_self_intersecting_mesh_is_one_solid(tmp_path: Path) -> None:
     assert files.contact["p95_mm"] < 10
     assert files.contact["leaks"] == 0
     assert {"scene.xml", "contact.json", "contact.png", "mesh.ply"} <= {p.name for p in out.iterdir()}
+
+
+def test_what_lies_inside_another_solid_is_no_surface() -> None:
+    """A ridge of blocks leaning into each other: rays that start inside one of them had met the next from its front."""
+    blocks = [block(0.1 * k, 0, 0.2, 0.3, 0.2 + 0.02 * k).to_mesh64() for k in range(4)]
+    parts = [with_floor(block(2, 0, 0.1, 0.1, 0.1))]
+    vertices = [parts[0].vertices, *(np.asarray(b.vert_properties)[:, :3] for b in blocks)]
+    starts = np.cumsum([0, *(len(v) for v in vertices)])
+    faces = [parts[0].triangles, *(np.asarray(b.tri_verts, np.int32) for b in blocks)]
+    mended, notes = mend(np.vstack(vertices), np.vstack([f + s for f, s in zip(faces, starts, strict=False)]))
+    assert any("5 closed pieces were made one" in note for note in notes)
+    whole = block(0, 0, 0.2, 0.3, 0.2)
+    for k in range(1, 4):
+        whole += block(0.1 * k, 0, 0.2, 0.3, 0.2 + 0.02 * k)
+    near = mended.vertices[mended.triangles]
+    near = near[(near[:, :, 0].max(1) < 1) & (near[:, :, 0].min(1) > -0.2)]
+    assert np.linalg.norm(normals(near), axis=1).sum() / 2 == pytest.approx(whole.surface_area(), rel=1e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -52,6 +53,25 @@ def test_a_wall_is_thin_behind() -> None:
     beside = np.array([[0.0, 0.8 + 0.003, 1.0], [0.0, 0.8 + 0.006 + 0.01 + 0.002, 1.0]])
     inside, behind = touch.clearance(beside, np.tile(FACING_UP, (2, 1)))
     assert inside < 0 < behind
+
+
+def test_a_slanting_sheet_stays_below_what_was_seen() -> None:
+    """As thick along its normal it would stand out beside its upper edge, and hold what falls past."""
+    level = TerrainMesh(*_quad([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]), ROOMS["table"]().quality, "", 0.0)
+    corners, triangles = _quad([[0, -0.3, 0.5], [0.4, -0.3, 0.9], [0.4, 0.3, 0.9], [0, 0.3, 0.5]])[:2]
+    mesh = replace(
+        level,
+        vertices=np.concatenate([level.vertices, corners]),
+        triangles=np.concatenate([level.triangles, triangles + 4]),
+        invented=np.zeros(4, bool),
+    )
+    touch = SimTouch(spec_of(sheets(Shape(mesh, 0.0), CONFIG)), BALL, batch=2)
+    beside, on = touch.clearance(np.array([[0.425, 0, 0.88], [0.2, 0, 0.705]]), np.tile(FACING_UP, (2, 1)))
+    assert on < 0 < beside
+
+
+def _quad(corners: list[list[float]]) -> tuple[np.ndarray, np.ndarray, None, np.ndarray]:
+    return np.array(corners, float), np.array([[0, 1, 2], [0, 2, 3]], np.int32), None, np.zeros(2, bool)
 
 
 @pytest.mark.parametrize(("name", "place"), [("table", [0.0, 0.0, 0.4]), ("chair", [0.0, 0.0, 0.2])])

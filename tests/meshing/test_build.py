@@ -63,6 +63,12 @@ def test_somebody_who_walks_by_is_left_out_and_said(block: tuple[AlignedScene, T
     assert lost.mean() < 0.05
 
 
+def test_somebody_who_shifts_from_foot_to_foot_is_said() -> None:
+    path = [Box((x, 0.4, 0.0), (x + 0.15, 0.55, 0.5)) for x in 0.1 * np.sin(1.3 * np.arange(24))]
+    mesh = build(scene([BLOCK], ring(24), noise=0.0015, passing=path), CONFIG)
+    assert any("looked through" in w for w in mesh.warnings)
+
+
 def test_same_input_same_bytes(block: tuple[AlignedScene, TerrainMesh]) -> None:
     again = build(block[0], CONFIG)
     for name in ("vertices", "triangles", "invented", "colors"):

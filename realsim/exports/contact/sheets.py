@@ -57,7 +57,7 @@ def sheets(shape: Shape, config: SceneConfig) -> ContactModel:
         _add(geoms, assets, as_geom(f"part_{len(geoms)}", prism))
     for patch in patches(lost, whole.tolerance):
         for slab in _slabs(patch, lost, caster, whole.tolerance):
-            _add(geoms, assets, as_geom(f"sheet_{len(geoms)}", slab, patch.axes.T, patch.origin))
+            _add(geoms, assets, as_geom(f"sheet_{len(geoms)}", *slab))
             count += 1
     statistics = whole.statistics | {
         "solids": len(kept),
@@ -184,9 +184,17 @@ class _Caster:
         return self.scene.compute_distance(query).numpy().astype(np.float64)  # type: ignore[attr-defined]
 
 
-def _slabs(patch: Patch, samples: Samples, caster: _Caster, tolerance: float) -> list[Prism]:
-    """Convex sheets behind a patch, in its own frame: u, v, and the normal as z; `tolerance` metres that its points
-    may lie off its plane."""
+def _slabs(
+    patch: Patch, samples: Samples, caster: _Caster, tolerance: float
+) -> list[tuple[Prism, F64 | None, F64 | None]]:
+    """Convex sheets behind a patch, and the frame that each is given in (rotation and place; None: the world's).
+
+    Behind a face is straight below or above it, unless it is upright: a slanting sheet that were as thick along its
+    normal would stand out beside what was seen, and hold what falls past.
+
+    Args:
+        tolerance: metres that the patch's points may lie off its plane.
+    """
     from scipy import ndimage
 
     cell = samples.spacing / 2
@@ -203,22 +211,28 @@ def _slabs(patch: Patch, samples: Samples, caster: _Caster, tolerance: float) ->
     normal = patch.axes[2]
     t, cosine = caster.cast(at + 2 * tolerance * normal, -normal)
     mask[rows, columns] = (np.abs(t - 2 * tolerance) < 1.5 * tolerance) & (cosine < 0)
-    thick = _thickness(points, normal, caster)
+    facing = 0.0 if abs(normal[2]) < 0.5 else float(np.sign(normal[2]))
+    behind = np.array([0.0, 0.0, -facing]) if facing else -normal
+    thick = _thickness(points, behind, caster, {-1.0: SHEET, 0.0: THIN, 1.0: THICK}[facing])
     out = []
     for part in convex_parts(outlines(mask, min(EDGE, FELT / cell)), BULGE):
-        outline = lower + cell * part[:, ::-1]
-        x, y = outline.T
+        corners = np.column_stack([lower + cell * part[:, ::-1], np.zeros(len(part))])
+        frame: tuple[F64 | None, F64 | None] = (None, None)
+        if facing:
+            corners = corners @ patch.axes + patch.origin
+        else:
+            frame = (patch.axes.T, patch.origin)
+        x, y = corners[:, 0], corners[:, 1]
         if x @ np.roll(y, -1) - y @ np.roll(x, -1) < 0:
-            outline = outline[::-1]
-        level = np.zeros(len(outline))
-        out.append(Prism(outline, level, level - thick))
-    return [slab for slab in out if not slab.flat]
+            corners = corners[::-1]
+        z = corners[:, 2]
+        out.append((Prism(corners[:, :2], z + thick * (facing < 0), z - thick * (facing >= 0)), *frame))
+    return [slab for slab in out if not slab[0].flat]
 
 
-def _thickness(points: F64, normal: F64, caster: _Caster) -> float:
-    """Metres of a sheet: THICK, or less where another face behind it was seen, SHEET where it was seen from below."""
-    most = SHEET if normal[2] < -0.5 else THICK if normal[2] > 0.5 else THIN
-    t, cosine = caster.cast(points - 0.003 * normal, -normal)
+def _thickness(points: F64, behind: F64, caster: _Caster, most: float) -> float:
+    """Metres of a sheet: `most`, or less where another face behind it was seen."""
+    t, cosine = caster.cast(points + 0.003 * behind, behind)
     # A face that is left there was seen from behind: solid in between. One that is met from its front has air.
     room = np.where(cosine > 0, t + 0.003, t - FRONT)
     return float(np.clip(np.percentile(np.minimum(room, THICK), 10), THIN, most))

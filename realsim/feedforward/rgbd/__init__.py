@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,20 +22,41 @@ def solve(frames: FrameSet, config: PointsConfig) -> Solution:
     """Poses in metres by the sensor's depth, in the capture's world if its poses can be used, else the first camera's.
 
     Frames that do not fit are left out and named. With metric poses given, the depth sensor's gain comes with it.
+    What moves with the camera is left out: sought under given poses before these are judged, else among features that
+    keep their place and under the poses that were found, which are then found again without it.
 
     Raises:
         PoseError: see `realsim.feedforward.solve`.
     """
+    from realsim.feedforward.rgbd.carried import carried, told, without
+
     given = _posed(frames, config)
-    return _estimated(frames, config) if given is None else _given(frames, given, config)
+    if given is not None and frames.poses_metric:
+        posed = [frames.frames[i] for i in given]
+        cells = carried(posed, np.stack([f.T_world_camera for f in posed if f.T_world_camera is not None]))
+    else:
+        first = _solved(frames, given, config)
+        cells = carried([frames.frames[i] for i in first.used], first.T_world_camera)
+        cells = first.arrays.get("carried") if cells is None else cells
+        if cells is None:
+            return first
+    if cells is None:
+        return _solved(frames, given, config)
+    masked = replace(frames, frames=tuple(without(f, cells) for f in frames.frames))
+    solution = _solved(masked, given, config)
+    statistics = {**solution.statistics, "left_out": [told(cells)]}
+    return replace(solution, arrays={**solution.arrays, "carried": cells}, statistics=statistics)
 
 
 def pointmaps(frames: FrameSet, solution: Solution, config: PointsConfig) -> Pointmaps:
     """Views from corrected sensor depth (`solution.depth_gain` times the sensor's), camera frame, metres."""
+    from realsim.feedforward.rgbd.carried import without
     from realsim.feedforward.rgbd.registration import Registration
     from realsim.feedforward.rgbd.views import point_view
 
     used = tuple(frames.frames[i] for i in solution.used)
+    if (cells := solution.arrays.get("carried")) is not None:
+        used = tuple(without(f, cells) for f in used)
     for row in solution.arrays.get("registration", ()):
         used = tuple(Registration.of(row).applied(f) for f in used)
     return Pointmaps(
@@ -51,6 +73,10 @@ def pointmaps(frames: FrameSet, solution: Solution, config: PointsConfig) -> Poi
         warnings=solution.warnings,
         statistics=solution.statistics,
     )
+
+
+def _solved(frames: FrameSet, given: list[int] | None, config: PointsConfig) -> Solution:
+    return _estimated(frames, config) if given is None else _given(frames, given, config)
 
 
 def _posed(frames: FrameSet, config: PointsConfig) -> list[int] | None:
@@ -108,12 +134,17 @@ def _given(frames: FrameSet, posed: list[int], config: PointsConfig) -> Solution
 
 def _estimated(frames: FrameSet, config: PointsConfig) -> Solution:
     from realsim.feedforward.rgbd.anchor import anchored
+    from realsim.feedforward.rgbd.carried import still, without
     from realsim.feedforward.rgbd.estimate import estimate
     from realsim.feedforward.rgbd.settle import refine_all
 
     if len(frames) == 1:
         return Solution((0,), np.eye(4)[None], world_is_capture=False, statistics={"poses": "one frame"})
     chosen, evidence, registration, noted = _registered(frames.frames, frames.source, config.seed)
+    cells = still(evidence.views, config.seed)
+    if cells is not None:
+        bare = [without(f, cells) for f in frames.frames]
+        chosen, evidence, registration, noted = _registered(bare, frames.source, config.seed)
     result = estimate(evidence.views, config.seed, config.learned_matches)
     found: dict[str, Any] = {"T_world_camera": result.T_world_camera, "statistics": {}, "warnings": ()}
     if result.statistics.get("by_shape"):  # without features nothing has looked at all views at once yet
@@ -131,7 +162,8 @@ def _estimated(frames: FrameSet, config: PointsConfig) -> Solution:
     found["warnings"] = _told(noted) + result.warnings + found["warnings"]
     dropped = tuple(Dropped(frames.frames[i].name, why) for i, why in sorted(result.lost.items()))
     found = anchored(found, [frames.frames[i] for i in result.used], frames, config.correct_depth_bias)
-    return Solution(used=result.used, dropped=dropped, arrays={"registration": registration}, **found)
+    arrays = {"registration": registration} | ({} if cells is None else {"carried": cells})
+    return Solution(used=result.used, dropped=dropped, arrays=arrays, **found)
 
 
 def _registered(frames: Sequence[Frame], source: Path, seed: int) -> tuple[list[Frame], Evidence, F64, dict[str, Any]]:

@@ -1,0 +1,68 @@
+"""Solids of a mesh that overlap, made one: what lies inside another solid is no surface that anything can touch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
+
+SHARED = 1e-6
+"""Share of the solids' volume that two of them must share, lest rounding be taken for an overlap."""
+
+
+def united(vertices: F64, triangles: I32) -> tuple[F64, I32, int]:
+    """Vertices, triangles, and how many closed pieces were made one, 0 where none overlap; open pieces stay.
+
+    Args:
+        vertices: (V, 3) metres. triangles: (K, 3), closed pieces facing out.
+    """
+    from manifold3d import Manifold, OpType
+
+    solids: list[Any] = []
+    rest = np.arange(len(triangles))
+    merged = np.unique(np.round(vertices, 7), axis=0, return_inverse=True)[1].reshape(-1)
+    # By place, solids that share an edge are one piece, and still overlap; by their own vertices, an STL has no piece.
+    for faces in (triangles, merged[triangles]):
+        open_ = [rest[:0]]
+        for piece in _pieces(faces[rest]):
+            solid = _solid(vertices, triangles[rest[piece]])
+            (open_.append(rest[piece]) if solid is None else solids.append(solid))
+        rest = np.sort(np.concatenate(open_))
+    whole = Manifold.batch_boolean(solids, OpType.Add) if solids else None
+    if whole is None or whole.volume() > (1 - SHARED) * sum(solid.volume() for solid in solids):
+        return vertices, triangles, 0
+    union = whole.to_mesh64()
+    joined = np.asarray(union.tri_verts).astype(np.int32) + len(vertices)
+    corners = np.asarray(union.vert_properties, np.float64)[:, :3]
+    return np.concatenate([vertices, corners]), np.concatenate([triangles[rest], joined]).astype(np.int32), len(solids)
+
+
+def _pieces(faces: NDArray[Any]) -> Iterator[NDArray[np.int64]]:
+    """Indices of the triangles (K, 3) of each connected piece."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    if not len(faces):
+        return
+    size = int(faces.max()) + 1
+    edges = faces[:, [0, 1, 1, 2]].reshape(-1, 2)
+    graph = coo_matrix((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), (size, size))
+    piece = connected_components(graph, directed=False)[1][faces[:, 0]]
+    order = np.argsort(piece, kind="stable")
+    yield from np.split(order, np.flatnonzero(np.diff(piece[order])) + 1)
+
+
+def _solid(vertices: F64, triangles: I32) -> Any:
+    """The solid of triangles (K, 3), or None where they do not close one."""
+    from manifold3d import Manifold, Mesh64
+
+    if len(triangles) < 4:
+        return None
+    places, faces = np.unique(np.round(vertices[triangles], 7).reshape(-1, 3), axis=0, return_inverse=True)
+    solid = Manifold(Mesh64(places, faces.reshape(-1, 3).astype(np.uint64)))
+    return None if solid.is_empty() or solid.volume() <= 0 else solid
