@@ -51,10 +51,9 @@ class Search:
             expanded.add(self.best.full_key)
             if self._hopeless(leftover(self.fitter.screen, self.fitter.remeasure(self.best))):
                 break
-            # Each of several causes was chosen while another one was missing: they are exchanged before one is added.
+            # A poor law, or a cause that was chosen while another one was missing, is exchanged before one is added.
             several = len(self.best.causes) > 1
-            moves = (self._dropped, self._exchanged, self._added) if several else (self._added, self._exchanged)
-            better = any(move() for move in moves)
+            better = (several and self._dropped()) or self._exchanged() or self._added()
         self.best = self.fitter.prepared(self.best)
         if self.best.causes:  # what was found on some of the runs, on all of them
             self.best = self.fitter.fit(self.best.causes) or self.best

@@ -56,6 +56,7 @@ EFFECT = Effect(
     "that begins suddenly and dies away.",
     excitation="Several poses tell a constant force from a payload; replicates tell a passing one from the command.",
     directed=True,
+    usual="payload",  # a mass that was left out is commoner than a hand or a tether
     passing=PASSING,
     places=_places,
     parameters=_parameters,
