@@ -73,7 +73,7 @@ def write_case(
                 continue
             name = _unique(plain(recording.name) or "run", written)
             buffer = io.BytesIO()
-            np.savez_compressed(buffer, **run.arrays)  # type: ignore[arg-type]
+            np.savez_compressed(buffer, allow_pickle=False, **run.arrays)
             write_bytes(work / "runs" / f"{name}.npz", buffer.getvalue())
             notes = list(run.notes)
             if proposal.depth is not None:

@@ -66,6 +66,8 @@ class Pictures:
     encodings: dict[str, str] = field(default_factory=dict)
     frames: dict[str, str] = field(default_factory=dict)
     cameras: dict[str, tuple[Intrinsics, bool]] = field(default_factory=dict)
+    damaged: dict[str, str] = field(default_factory=dict)
+    """Topic that describes a camera -> why its last message could not be read."""
 
     def wants(self, topic: str, kind: str) -> bool:
         """Whether further messages of a topic are of use: depth, and the first description of a camera."""
@@ -78,8 +80,8 @@ class Pictures:
         if full(kind) == INFO:
             try:
                 self.cameras[topic] = camera_of(decode())
-            except Exception:  # what damage leads to; the next one may be whole
-                return
+            except Exception as error:  # what damage leads to; the next one may be whole
+                self.damaged[topic] = f"{type(error).__name__}: {error}"[:120]
         elif self.wants(topic, kind):
             topics.add(topic, kind, lambda: self._time_of(topic, decode(), received), received)
 
@@ -99,6 +101,7 @@ def seen(recording: Recording, pictures: Pictures) -> Recording:
     found = pictures.found()
     streams = tuple(s for s in recording.streams if not is_frames(s) or s.name in found)
     skipped = {t: why for t, why in recording.skipped.items() if t not in found and t not in pictures.cameras}
+    skipped |= {t: f"cannot be decoded ({why})" for t, why in pictures.damaged.items() if t not in pictures.cameras}
     for topic in {s.name for s in recording.streams if is_frames(s)} - set(found):
         skipped[topic] = "depth without camera_info beside it"
     return replace(recording, streams=streams, skipped=skipped, depth=found)

@@ -48,6 +48,7 @@ def load_world(scene: Path) -> World:
     if not report.is_file():
         raise GapError("how the scene lies is not known", file=scene, expected=expected, found="no report.json")
     said = read_json(report)
+    said = said if isinstance(said, dict) else {}
     if said.get("world") == "chosen by the backend":
         raise GapError(
             "the scene was made without poses of its capture", file=report,
@@ -55,8 +56,10 @@ def load_world(scene: Path) -> World:
         )  # fmt: skip
     try:
         T, scale = np.array(said["T_sim_world"], float), float(said["scale"]["value"])
-        good = T.shape == (4, 4) and np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-6) and 0 < scale < np.inf
-    except (KeyError, TypeError, ValueError):
+        R = T[:3, :3]
+        good = T.shape == (4, 4) and np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0
+        good = good and 0 < scale < np.inf
+    except (IndexError, KeyError, TypeError, ValueError):
         good = False
     if not good:
         raise GapError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from realsim.gap.camera.recorded import depth_camera, read_frames
 from realsim.gap.logs.case import load_case
 from realsim.gap.scene.run import check_camera
 from realsim.logs import Window, load_target, propose, read, write_case
+from realsim.logs.readers.rosbag import _is_of_use
 
 from . import writers
 from .robots import ARM, Log, save
@@ -205,6 +207,31 @@ def test_depth_without_camera_info_is_listed(arm: Log, tmp_path: Path) -> None:
     (recording,) = read(_arm_bag(tmp_path / "run.mcap", arm, infos=False))
     assert "without camera_info" in recording.skipped["/head/depth/image_raw"]
     assert propose([recording], target).depth is None
+
+
+def test_a_camera_info_that_cannot_be_read_is_listed_with_the_reason(arm: Log, tmp_path: Path) -> None:
+    messages = writers.joint_states(arm, ["shoulder_joint", "elbow_joint"]) + writers.float_commands(arm)
+    for t in np.arange(0.0, arm.time[-1], 0.1):
+        info, picture = _frame("/head/depth", writers.EPOCH + t, np.full((12, 16), 1000, np.uint16), 20.0)
+        info[-1]["k"] = [0.0] * 9
+        messages += [info, picture]
+    (recording,) = read(writers.mcap_ros2(tmp_path / "run.mcap", sorted(messages, key=lambda m: m[3])))
+    assert "cannot be decoded" in recording.skipped["/head/depth/camera_info"]
+    assert "without camera_info" in recording.skipped["/head/depth/image_raw"]
+
+
+def test_a_topic_is_depth_by_its_first_picture_that_can_be_read() -> None:
+    class Damaged:
+        def messages(self, connections: list[Any]) -> list[tuple[Any, int, bytes]]:
+            return [(connections[0], k, bytes([k])) for k in range(3)]
+
+        def deserialize(self, data: bytes, kind: str) -> Any:
+            if data == bytes([0]):
+                raise ValueError("damaged")
+            return SimpleNamespace(encoding="16UC1")
+
+    connection = SimpleNamespace(msgtype="sensor_msgs/msg/Image", topic="/head/image_raw")
+    assert _is_of_use(Damaged(), connection)
 
 
 @pytest.mark.parametrize("version", [1, 2])

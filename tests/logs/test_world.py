@@ -61,12 +61,21 @@ def test_a_log_in_the_captures_world_is_put_into_the_scene(quadruped: Log, tmp_p
     [
         ({"world": "chosen by the backend"}, "without poses"),
         ({"T_sim_world": [[1, 0], [0, 1]]}, "cannot be read"),
+        ({"T_sim_world": np.diag([1.0, 1.0, -1.0, 1.0]).tolist()}, "cannot be read"),
+        ({"T_sim_world": 1.0}, "cannot be read"),
         ({"scale": None}, "cannot be read"),
     ],
 )
 def test_scenes_that_do_not_say_how_they_lie(changes: dict[str, object], said: str, tmp_path: Path) -> None:
     with pytest.raises(GapError, match=said):
         load_world(_scene(tmp_path / "scene", **changes))
+
+
+def test_a_report_that_is_no_object_is_refused(tmp_path: Path) -> None:
+    scene = _scene(tmp_path / "scene")
+    (scene / "report.json").write_text("[1, 2]")
+    with pytest.raises(GapError, match="cannot be read"):
+        load_world(scene)
 
 
 def test_a_scene_needs_a_report_and_a_log_a_base_pose(arm: Log, tmp_path: Path) -> None:

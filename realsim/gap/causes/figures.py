@@ -17,13 +17,15 @@ the first costs the logarithm of how many there may be."""
 SHARED = 0.5
 """A value that holds at several places, so that those where it does nothing are left out. Not tuned."""
 CLEARLY = 5.0
-"""A set takes another's place only if its score is this much lower: odds of 150 to 1. Not tuned."""
+"""A set takes another's place only if its score is this much lower: odds of 150 to 1; a first cause beside a gap, if it
+is lower at all. Not tuned."""
 SHARE = 0.08
 """Share of the misfit above the noise floor that a cause beside others must remove, too. No law is exact, and a wrong
 cause can always bend to a little of what another one leaves. Set on generated cases with one cause."""
 HOLDS = 1.0
 """Standard errors over runs by which a further cause must gain on runs left out in turn: the one-standard-error rule
-(Breiman et al., Classification and Regression Trees, 1984). A push may be in some runs only; more would drop it."""
+(Breiman et al., Classification and Regression Trees, 1984), or may lose, where it is the first one beside a gap. A push
+may be in some runs only; more would drop it."""
 LEAST = 0.02
 """Share of the squared error of runs left out that it must remove in any case; and mean square in units of the floor
 below which two predictions are the same. Not tuned."""

@@ -73,14 +73,16 @@ def read(path: Path, window: Window) -> list[Recording]:
 
 
 def _is_of_use(bag: Any, connection: Any) -> bool:
-    """Whether a topic of pictures is depth, by its first message, or describes a camera."""
+    """Whether a topic of pictures is depth, by the first message that can be read, or describes a camera."""
     if full(connection.msgtype) == INFO:
         return True
     for _, _, data in bag.messages(connections=[connection]):
         try:
             return is_depth(connection.topic, encoding(bag.deserialize(data, connection.msgtype)))
-        except Exception:  # what damage leads to
-            return False
+        except (
+            Exception
+        ):  # what damage leads to; the next one may be whole, and if none is, the topic is listed as unused
+            continue
     return False
 
 
