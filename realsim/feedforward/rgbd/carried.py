@@ -18,8 +18,8 @@ from realsim.feedforward.rgbd.tracks import View, alike, rigid_ransac
 from realsim.geometry import invert_T, transform
 from realsim.types import F64, Bool, Frame
 
-# With CLEAR, STEADY, RARELY and LEAST halved or doubled, MOST halved or 0.7, twice as many JUDGED, or COLUMNS halved, the
-# same is found with true poses in 29 rendered captures, all of ten carried things and nothing else; but a STEADY twice as
+# Each of CLEAR, STEADY, RARELY, LEAST and COLUMNS halved or doubled, MOST halved or 0.7, and twice as many JUDGED find
+# the same with true poses in 29 rendered captures: all of ten carried things and nothing else. Only a STEADY twice as
 # wide takes somebody for carried who walks ahead of the camera.
 FRAMES = 40
 """Frames that are looked at, evenly over the capture. Budget."""
@@ -35,7 +35,8 @@ of them with somebody who walks or stands there), nor in an iPhone's."""
 STEADY = 0.1
 """Spread of a cell's distances over the frames (between quartiles, over their median). Not tuned."""
 RARELY = 0.15
-"""Share of the rest of the picture that may be looked through: beyond it poses are wrong, and nothing is known. Not tuned."""
+"""Share of the rest of the picture that may be looked through: beyond it poses are wrong, and nothing is known. Not
+tuned."""
 LEAST = 0.002
 """Share of the picture that is worth leaving out. Not tuned."""
 STEP, PAIRS = 2, 16
