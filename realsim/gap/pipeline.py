@@ -166,6 +166,7 @@ def _assemble(
             "ci90": list(checked.ci90),
             "beside_deviations": list(checked.beside90) if checked.beside90 and checked.ci90[0] <= 0 else None,
             "above_floor": checked.above_floor,
+            "where_it_acts": checked.where_it_acts,
             "runs": list(checked.runs),
             "unseen": checked.unseen,
             "kind": checked.kind,

@@ -129,20 +129,21 @@ def test_a_cause_that_left_out_runs_do_not_need_is_taken_out(fitter: Fitter) -> 
     both = fitter.fit([cause(fitter, "coulomb_friction", 3.0), cause(fitter, "viscous_friction", 0.001)], iterations=1)
     assert both is not None
     notes: list[str] = []
-    fit, left = _lasting(fitter.screen, fitter, both, fitter.nominal(), notes)
+    fit, left = _lasting(fitter.screen, fitter, both, notes)
     assert [c.candidate.effect for c in fit.causes] == ["coulomb_friction"]
     assert left is not None
     assert "left-out runs do not need it" in notes[0]
 
 
-def test_a_cause_that_makes_left_out_runs_worse_is_none(fitter: Fitter) -> None:
+def test_a_single_cause_is_left_to_the_check(fitter: Fitter) -> None:
+    """Deviations imitate it on runs left out; a weaker calf, 2.5 times what a real leg's model leaves, was lost so."""
     wrong = fitter.looked_at(fitter.nominal(), [cause(fitter, "stiffness_gain", -1.5)])
     assert wrong is not None
     notes: list[str] = []
-    fit, left = _lasting(fitter.screen, fitter, wrong, fitter.nominal(), notes)
-    assert fit.causes == ()
-    assert left is None
-    assert "no cause" in notes[0]
+    fit, left = _lasting(fitter.screen, fitter, wrong, notes)
+    assert fit is wrong
+    assert left is not None
+    assert not notes
 
 
 def test_a_law_without_its_own_part_is_no_rival(fitter: Fitter) -> None:

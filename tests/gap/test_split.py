@@ -109,7 +109,21 @@ def test_many_alike_runs_need_no_regime_held_out():
 
 def test_of_many_runs_the_liveliest_are_fitted():
     speeds = [2.0, 2.1, 2.2, 2.3, 2.25, 2.05, 2.15, 2.4, 2.0]
-    fitted, held = split_runs(case_of(speeds), DiagnoseConfig())
-    assert 8 in held
+    fitted, _ = split_runs(case_of(speeds), DiagnoseConfig())
     assert len(fitted) == 6
     assert 0 not in fitted  # the slowest
+
+
+def test_every_run_that_is_not_fitted_is_a_check():
+    fitted, held = split_runs(case_of([2.0 + 0.01 * i for i in range(12)]), DiagnoseConfig())
+    assert sorted([*fitted, *held]) == list(range(12))
+
+
+def test_a_spare_repetition_of_a_fitted_run_is_no_check():
+    fitted, held = split_runs(repeated("ABCDEFAG"), DiagnoseConfig())
+    assert len(fitted) == 6
+    assert held == [7]
+
+
+def test_nothing_is_a_check_where_none_is_asked_for():
+    assert split_runs(case_of([2.0 + 0.01 * i for i in range(12)]), DiagnoseConfig(holdout=0))[1] == []

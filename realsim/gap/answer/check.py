@@ -53,6 +53,9 @@ class Check:
     beside90: tuple[float, float] | None = None
     """90 percent interval of the share that the causes remove beside everyday deviations; None where that cannot be
     simulated."""
+    where_it_acts: float = 0.0
+    """Share of the squared error that the patch removes in the channels that it changes, weighed by how much of its
+    change falls in each: one joint's cause is not judged by another joint's gap."""
 
     @property
     def holds(self) -> bool:
@@ -109,6 +112,7 @@ def check(
         signals=_signals(comparison, runs, before, after),
         structure=structure,
         beside90=_gone(nothing, beside, *drawn) if nothing is not None else None,
+        where_it_acts=_where_it_acts(comparison, runs, before, after),
     )
 
 
@@ -120,6 +124,15 @@ def _gone(
     pick = np.random.default_rng(seed).integers(0, len(before), (resamples, len(before)))
     fractions = 1 - after[pick].sum(axis=1) / np.maximum(before[pick].sum(axis=1), 1e-12)
     return float(np.quantile(fractions, 0.05)), float(np.quantile(fractions, 0.95))
+
+
+def _where_it_acts(comparison: Comparison, runs: Sequence[int], before: Sequence[F64], after: Sequence[F64]) -> float:
+    change = [x - y for x, y in zip(before, after, strict=True)]
+    had, left, moved = (
+        sum(np.nansum(r**2 / comparison.floor(run), axis=0) for run, r in zip(runs, rs, strict=True))
+        for rs in (before, after, change)
+    )
+    return float(np.sum(moved * (1 - left / np.maximum(had, 1e-12))) / max(np.sum(moved), 1e-12))
 
 
 def errors(

@@ -19,7 +19,6 @@ from realsim.gap.answer.verdict import Fitted, Judgement, judge
 from realsim.gap.causes import figures
 from realsim.gap.causes.fitted import Z90, Cause
 from realsim.gap.causes.leftover import is_gap, leftover, nuisance_settings
-from realsim.gap.causes.score import keeps
 from realsim.gap.causes.starts import contains, suggested
 from realsim.gap.compare import Comparison
 from realsim.gap.config import DiagnoseConfig
@@ -63,7 +62,7 @@ def conclude(
         nominal: (T, C) a run, of the nominal simulator, all runs of the case.
     """
     notes: list[str] = list(selection.notes)
-    fit, left = _lasting(screen, fitter, selection.fit, selection.nominal, notes)
+    fit, left = _lasting(screen, fitter, selection.fit, notes)
     changed = fit is not selection.fit
     given = [] if changed else [f for f in selection.equivalent if not _again(screen, f, fit)]
     fit, left, others = _beside_imitations(screen, fitter, fit, left, given, notes)
@@ -83,17 +82,12 @@ def conclude(
 # ---------------------------------------------------------------- on the fitted runs
 
 
-def _lasting(screen: Any, fitter: Any, fit: Any, nominal: Any, notes: list[str]) -> tuple[Any, LeftOut | None]:
-    """The causes without those that do not help to predict left-out runs."""
+def _lasting(screen: Any, fitter: Any, fit: Any, notes: list[str]) -> tuple[Any, LeftOut | None]:
+    """The causes without those that do not help the others to predict left-out runs."""
     while fit.causes:
         left = leave_out(screen, fitter, fit)
-        if len(screen.runs) < 2:
+        if len(screen.runs) < 2 or len(fit.causes) == 1:
             return fit, left
-        if len(fit.causes) == 1:
-            if keeps(*left.gained_over(leave_out(screen, fitter, nominal))):
-                return fit, left
-            notes.append(f"{_name(fit.causes[0])} fits best, and makes left-out runs worse: no cause")
-            return nominal, None
         weakest: tuple[float, Any, Any] | None = None
         for i, cause in enumerate(fit.causes):
             less = fitter.fit([c for j, c in enumerate(fit.causes) if j != i])

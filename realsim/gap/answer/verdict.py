@@ -62,8 +62,9 @@ def judge(
         doubt = f"{', '.join(ends)}: as far as the library goes, so it stands for something else"
         return Judgement(GapVerdict.UNEXPLAINED, (came, doubt), ends)
     stays = rest(fitted, checked, unexplained_share)
-    if stays and checked.fraction < figures.NAMED_SHARE:
-        return Judgement(GapVerdict.UNEXPLAINED, (came, stays, f"only {checked.fraction:.0%} of the check is removed"))
+    if stays and checked.where_it_acts < figures.NAMED_SHARE:
+        doubt = f"only {checked.where_it_acts:.0%} of the check's error is removed in what the causes change"
+        return Judgement(GapVerdict.UNEXPLAINED, (came, stays, doubt))
     if others:
         return Judgement(GapVerdict.AMBIGUOUS, tuple(r for r in (came, stays) if r))
     if stays:

@@ -33,7 +33,8 @@ def split_runs(case: Case, config: DiagnoseConfig) -> tuple[list[int], list[int]
 
     Where there are enough runs, the one whose regime (speed, posture) is farthest from the others' is held out too:
     a cause must hold beyond the motions that it was found in. Of many runs only some carry the sensitivities: the most
-    lively ones first, repetitions last. Runs that were recorded to tell causes apart (`Case.added`) are always fitted.
+    lively ones first, repetitions last; the others are held out too. Runs that were recorded to tell causes apart
+    (`Case.added`) are always fitted.
     """
     count = len(case.runs)
     added = {i for i, run in enumerate(case.runs) if run.name in case.added}
@@ -53,6 +54,9 @@ def split_runs(case: Case, config: DiagnoseConfig) -> tuple[list[int], list[int]
         repeated = {i for g in twins for i in g[1:]}
         order = sorted(fitted, key=lambda i: (i not in added, i in repeated, -motion[i]))
         fitted = sorted(order[:MOST_FITTED])
+        again = {i for g in twins if set(g) & set(fitted) for i in g}
+        spared = set(order[MOST_FITTED:]) - again - added
+        held = sorted({*held, *spared}) if held else held
     return fitted, held
 
 
