@@ -130,8 +130,10 @@ def table(rows: list[dict[str, Any]], robot: str = "g1") -> list[str]:
     found = {setting: groups for setting, groups in found.items() if groups or setting != "self"}
     head = ["courses", *(titles[s] for s in found), "trials"]
     lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
-    for name, (_, trials) in found["mild"].items():
-        cells = [_share(groups.get(name, (0, 0))) for groups in found.values()]
+    names = dict.fromkeys(name for groups in found.values() for name in groups)
+    for name in names:
+        counts = [groups.get(name, (0, 0)) for groups in found.values()]
+        cells, trials = [_share(c) for c in counts], max(count for _, count in counts)
         lines.append(f"| {' | '.join([name, *cells, str(trials)])} |")
     return lines
 
