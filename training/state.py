@@ -1,6 +1,6 @@
 """A base's training state without its weights, which ship already: the file that is kept, and the checkpoint again.
 
-    python training/state.py split base/policy.pt g1    the state into training/g1/state.pt, the policy to where it ships
+    python training/state.py split base/policy.pt g1    training/g1/state.pt, and the policy where it ships
     python training/state.py join base/policy.pt g1     the checkpoint from both, for `realsim pretrain --resume`
 
 Moments of the optimiser are kept in bfloat16, which halves them.
