@@ -8,8 +8,9 @@
 
 Methods: `base` is the policy that ships, `ttt1` fine-tunes it on one test, `ttt13` on all tests at once, `scratch`
 trains without it for the same time. Every policy is judged on the exact terrain, also if it was trained on a
-reconstruction (`--sources`): by 1000 trials with randomisation at 0.3 of its width, and by as many with all of it and
-pushes. Tests are ours, not the paper's: names and families agree, their dimensions are unknown (docs/paper.md).
+reconstruction (`--sources`): by 1000 trials with randomisation at 0.3 of its width, by as many with all of it and
+pushes, and by as many with little of it where the robot's links collide with each other. Tests are ours, not the
+paper's: names and families agree, their dimensions are unknown (docs/paper.md).
 """
 
 from __future__ import annotations
@@ -143,8 +144,10 @@ def run(options: Options) -> None:
             continue
         policy, training = trained(job, options)
         for test in todo:
-            row = _identity(job, test, options) | training | judged(policy, test, options)
-            print("  ".join(f"{k} {v}" for k, v in store.add(row).items()), flush=True)
+            row = _identity(job, test, options) | training
+            for found in judged(policy, test, options):  # kept one by one: what is cut short has the first
+                row = store.add(row | found)
+            print("  ".join(f"{k} {v}" for k, v in row.items()), flush=True)
 
 
 def _identity(job: Job, test: str, options: Options) -> Row:
@@ -162,7 +165,7 @@ def trained(job: Job, options: Options) -> tuple[Path, Row]:
     scratch = job.method == "scratch"
     lands = tuple(_terrain(test, job.source, options) for test in job.tests)
     task = load_task(options.task_file)
-    if scratch or any(not judged(base, test, replace(options, trials=40), robust=False)["won"] for test in job.tests):
+    if scratch or any(not next(judged(base, test, replace(options, trials=40)))["won"] for test in job.tests):
         task = helped(task)
     config = TrainConfig(
         robot="g1" if scratch else "",
@@ -202,8 +205,8 @@ def _terrain(test: str, source: Source, options: Options) -> terrains.Terrain:
     return load_scene(options.work / "scenes" / source / test / "scene")
 
 
-def judged(file: Path, test: str, options: Options, *, robust: bool = True) -> Row:
-    """Successes on the exact terrain, with little randomisation and with all of it."""
+def judged(file: Path, test: str, options: Options) -> Iterator[Row]:
+    """Successes on the exact terrain: with little randomisation, with all of it, and with self-collision."""
     device = pick_device(options.device)
     policy = load_policy(file).to(device)
 
@@ -220,8 +223,9 @@ def judged(file: Path, test: str, options: Options, *, robust: bool = True) -> R
 
     plain = trials("mild")
     row: Row = {"trials": plain.trials, "won": plain.successes, "covered": round(plain.covered, 3)}
-    row |= {"causes": dict(plain.reasons), "device": str(device)}
-    return row | {"won_robust": trials("full").successes} if robust else row
+    yield row | {"causes": dict(plain.reasons), "device": str(device)}
+    yield {"won_robust": trials("full").successes}
+    yield {"won_self": trials("self").successes}
 
 
 # ---------------------------------------------------------------- tables
@@ -256,8 +260,9 @@ def _cell(seeds: list[Row]) -> str:
 
 def _outcome(row: Row) -> str:
     text = f"{100 * row['won'] / row['trials']:.1f} %"
-    if "won_robust" in row:
-        text += f" (robust {100 * row['won_robust'] / row['trials']:.1f} %)"
+    more = {"won_robust": "robust", "won_self": "self-collision"}
+    if said := ", ".join(f"{title} {100 * row[k] / row['trials']:.1f} %" for k, title in more.items() if k in row):
+        text += f" ({said})"
     if row["method"] != "base":
         reached = "not reached" if row.get("to_target") is None else f"after {row['to_target']}"
         text += f", 97 % {reached} of {row['iterations']}"

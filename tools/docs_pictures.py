@@ -135,7 +135,6 @@ PICTURES = (
     Picture("tutorials/phone_map.jpg", PHONE, page("phone_scene/report.html", 940, 2010)),
     Picture("tutorials/scan_scene.jpg", SCAN, scene("scan_scene")),
     Picture("tutorials/scan_report.jpg", SCAN, page("scan_scene/report.html", 780, 1860)),
-    Picture("tutorials/servo_report.jpg", SERVO, page("servo_diagnosis/report.html", 0, 965)),
     Picture("tutorials/quadruped_report.jpg", QUADRUPED, page("quadruped_diagnosis/report.html", 0, 1080)),
     Picture("tutorials/training.jpg", (*TUNED, "training.html"), page("training.html", 0, 1000)),
     Picture("tutorials/trial.jpg", (*TUNED, "trial.mp4"), trial),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from benchmarks import base_policy, pushes, ttt
+from benchmarks import base_policy, parkour, pushes, ttt
 from benchmarks.tables.stored import Row, stored
 
 INDEX = (
@@ -57,6 +57,7 @@ INDEX = (
         "footholds",
         "python -m benchmarks.footholds",
     ),
+    ("From frames to a tuned policy, by the clock", "parkour", "python benchmarks/parkour.py --part scene, policy"),
     ("Fine-tuning with a diagnosis, beside randomisation alone", "close_the_gap", "python benchmarks/close_the_gap.py"),
 )
 KEYS = {
@@ -89,6 +90,7 @@ KEYS = {
     "trainer_tune": ("start", "speed", "seed"),
     "ttt": ttt.KEY,
     "loops": ("place",),
+    "parkour": parkour.KEY,
 }
 """File -> the values that tell its rows apart; each row says by `run` or `commit` what made it."""
 

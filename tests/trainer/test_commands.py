@@ -158,9 +158,9 @@ def test_a_run_of_the_critic_alone_is_said(folder: Path, capsys: pytest.CaptureF
 
 def test_task_files(tmp_path: Path) -> None:
     path = tmp_path / "task.json"
-    path.write_text('{"command": {"speed": 0.5}, "depth": {"latency": [1, 3]}, "amp": true}')
+    path.write_text('{"command": {"speed": 0.5}, "depth": {"latency": [1, 3]}, "self_collision": true}')
     task = load_task(path)
-    assert (task.command.speed, task.depth.latency, task.amp) == ((0.5, 0.5), (1, 3), True)
+    assert (task.command.speed, task.depth.latency, task.self_collision) == ((0.5, 0.5), (1, 3), True)
     for text, message in (
         ('{"comand": {}}', "unknown task field"),
         ('{"depth": {"use": "no"}}', "depth.use has a value of the wrong kind"),
@@ -221,6 +221,7 @@ def test_resume_is_exact_in_the_real_task(tmp_path: Path, monkeypatch: pytest.Mo
         depth=DepthConfig(frames=2),
         termination=TerminationConfig(seconds=0.3),
         randomisation=RandomisationConfig(terrain_variants=2),
+        self_collision=True,
     )
     networks = NetworkConfig(channels=(8,), latent=8, actor=(16,), critic=(16,))
     config = TrainConfig(

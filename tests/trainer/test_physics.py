@@ -12,6 +12,8 @@ from trainer import terrain as terrains  # noqa: E402
 from trainer.physics import ENGINES, Physics, PhysicsConfig, WorldParams  # noqa: E402
 from trainer.physics.world import world_spec  # noqa: E402
 from trainer.robots import ROBOTS, TrainedRobot  # noqa: E402
+from trainer.tasks.parkour import ParkourConfig, make  # noqa: E402
+from trainer.tasks.parkour.config import DepthConfig  # noqa: E402
 
 
 def engine(robot: TrainedRobot, lands, worlds: int, **config) -> Physics:
@@ -204,3 +206,22 @@ def test_a_robots_own_limbs_collide_when_asked(quadruped: TrainedRobot) -> None:
             state = physics.step(crossed)
         touched[self_collision] = bool(state.other_contact[0]) or float(state.foot_force.sum()) > 0
     assert touched == {False: False, True: True}
+
+
+@pytest.mark.parametrize("name", list(ROBOTS))
+def test_no_robot_touches_itself_in_its_default_pose(name: str) -> None:
+    """Otherwise training with self-collision would begin with a penalty that nothing can lower."""
+    robot = ROBOTS[name]()
+    physics = engine(robot, [terrains.flat()], 1, self_collision=True)
+    place(physics, 1.0)
+    state = physics.step(default(physics))
+    assert not state.other_contact[0]
+    assert float(state.foot_force.sum()) == 0.0
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_the_task_says_whether_links_collide(asked: bool) -> None:
+    for physics in (None, PhysicsConfig(threads=1), PhysicsConfig(threads=1, self_collision=True)):
+        task = ParkourConfig(self_collision=asked, depth=DepthConfig(use=False))
+        env = make(task, [terrains.flat()], robot="quadruped", worlds=1, physics=physics)
+        assert env.physics.config.self_collision == (asked or (physics is not None and physics.self_collision))

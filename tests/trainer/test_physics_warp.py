@@ -27,10 +27,10 @@ compiles = pytest.mark.skipif(
 )
 
 
-def pair(name: str, lands=LANDS) -> list[Physics]:
+def pair(name: str, lands=LANDS, **options) -> list[Physics]:
     """Both engines with the same worlds, standing a centimetre above the start, every second world on land 1."""
     robot, ids = ROBOTS[name](), torch.arange(WORLDS)
-    engines = [ENGINES[e](robot, lands, WORLDS, PhysicsConfig(threads=1)) for e in ("warp", "mujoco")]
+    engines = [ENGINES[e](robot, lands, WORLDS, PhysicsConfig(threads=1, **options)) for e in ("warp", "mujoco")]
     for physics in engines:
         place(physics, ids)
     return engines
@@ -118,6 +118,29 @@ def test_parameters_pushes_divergence_and_resets_are_the_same() -> None:
     for step in range(10):
         assert_near(warp.step(targets(cpu, step)), cpu.step(targets(cpu, step)))
     assert warp.state.ground_contact.tolist() == [False, True, False, False]
+
+
+@compiles
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(ROBOTS))
+def test_limbs_that_cross_collide_in_both(name: str) -> None:
+    """In the air, legs are turned inwards until they meet; contact of two feet is no undesired contact."""
+    warp, cpu = pair(name, self_collision=True)
+    ids, touched = torch.arange(WORLDS), False
+    for physics in (warp, cpu):
+        place(physics, ids, height=1.0)
+    inwards = cpu.robot.default.copy()
+    for j, joint in enumerate(cpu.robot.joints):
+        if joint.endswith(("hip_roll_joint", "L_hip_joint", "R_hip_joint")):
+            inwards[j] = -0.8 if joint.startswith(("left", "FL", "RL")) else 0.8
+    wanted = torch.tensor(inwards, dtype=torch.float32).repeat(WORLDS, 1)
+    for _ in range(15):
+        ours, theirs = warp.step(wanted), cpu.step(wanted)
+        touched |= bool(theirs.other_contact.any()) or float(theirs.foot_force.sum()) > 0
+        assert_near(ours, theirs)
+        assert torch.equal(ours.other_contact, theirs.other_contact)
+    assert touched
+    assert warp.overflowed == 0
 
 
 @compiles

@@ -30,7 +30,7 @@ class PhysicsConfig:
     decimation: int = 4
     """Physics steps a policy step (4 x 5 ms: 50 Hz)."""
     self_collision: bool = False
-    """Whether the robot's own capsules collide with each other."""
+    """Whether the robot's own capsules collide with each other; a task may ask for it too (`ParkourConfig`)."""
     device: str = "cpu"
     """torch device of the state; `warp` needs a CUDA device to be fast."""
     iterations: int = 10

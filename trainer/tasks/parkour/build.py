@@ -62,6 +62,7 @@ def make(
     """
     body = ROBOTS[robot]() if isinstance(robot, str) else robot
     settings = physics or PhysicsConfig(seed=seed)
+    settings = replace(settings, self_collision=settings.self_collision or config.self_collision)
     check_device(settings.device)
     if worlds < 1:
         raise TrainerError("there must be at least one world", found=str(worlds))

@@ -293,6 +293,9 @@ class ParkourConfig:
     reset: ResetConfig = field(default_factory=ResetConfig)
     floor: FloorConfig = field(default_factory=FloorConfig)
     randomisation: RandomisationConfig = field(default_factory=RandomisationConfig)
+    self_collision: bool = False
+    """Whether the robot's links collide with each other; feet that touch each other then cost nothing, all else is an
+    undesired contact. A policy that was trained without loses most where feet pass close by each other."""
     amp: bool = False
     """Whether transition features for a motion discriminator are made."""
     action_limit: float = 20.0

@@ -1,0 +1,43 @@
+"""The state of a base's training, kept without the weights that ship."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+torch = pytest.importorskip("torch", reason="the trainer needs torch")
+
+from trainer.errors import TrainerError  # noqa: E402
+from trainer.policies import BASES, base_of  # noqa: E402
+from trainer.ppo import checkpoint  # noqa: E402
+from training import state  # noqa: E402
+
+
+def test_the_base_that_ships_goes_on_from_its_state(tmp_path: Path) -> None:
+    whole, ships, kept = tmp_path / "whole.pt", tmp_path / "ships.pt", tmp_path / "state.pt"
+    state.join(whole, base_of("g1"), state.HERE / "g1" / "state.pt")
+    policy, training = checkpoint.load(whole)
+    assert training is not None
+    assert training["iteration"] > 5000
+    state.split(whole, ships, kept)
+    state.join(tmp_path / "again.pt", ships, kept)
+    again, same = checkpoint.load(tmp_path / "again.pt")
+    assert state.fingerprint(again) == state.fingerprint(policy)
+    assert _equal(training, same)
+
+
+def test_a_state_of_another_policy_is_refused(tmp_path: Path) -> None:
+    assert "quadruped" in BASES
+    with pytest.raises(TrainerError, match="another policy"):
+        state.join(tmp_path / "whole.pt", base_of("quadruped"), state.HERE / "g1" / "state.pt")
+    with pytest.raises(TrainerError, match="no training state"):
+        state.split(base_of("g1"), tmp_path / "ships.pt", tmp_path / "state.pt")
+
+
+def _equal(a, b) -> bool:
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(_equal(a[k], b[k]) for k in a)
+    if isinstance(a, list | tuple):
+        return len(a) == len(b) and all(map(_equal, a, b))
+    return torch.equal(a, b) if torch.is_tensor(a) else a == b

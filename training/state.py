@@ -1,0 +1,84 @@
+"""A base's training state without its weights, which ship already: the file that is kept, and the checkpoint again.
+
+    python training/state.py split base/policy.pt g1    training/g1/state.pt, and the policy where it ships
+    python training/state.py join base/policy.pt g1     the checkpoint from both, for `realsim pretrain --resume`
+
+Moments of the optimiser are kept in bfloat16, which halves them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import torch
+import tyro
+
+from trainer.errors import TrainerError
+from trainer.policies import base_of
+from trainer.ppo import checkpoint
+from trainer.ppo.policy import Policy
+
+HERE = Path(__file__).resolve().parent
+
+
+@dataclass(frozen=True)
+class Options:
+    do: Annotated[Literal["split", "join"], tyro.conf.Positional]
+    file: Annotated[Path, tyro.conf.Positional]
+    """The whole checkpoint (.pt)."""
+    robot: Annotated[str, tyro.conf.Positional]
+
+
+def main(options: Options) -> None:
+    ships, state = base_of(options.robot), HERE / options.robot / "state.pt"
+    if options.do == "split":
+        split(options.file, ships, state)
+    else:
+        join(options.file, ships, state)
+
+
+def split(whole: Path, ships: Path, state: Path) -> None:
+    """Write the policy as it ships, and what else there is to go on from.
+
+    Raises:
+        TrainerError: no checkpoint, or one without a training state.
+    """
+    policy, training = checkpoint.load(whole)
+    if training is None:
+        raise TrainerError("the checkpoint holds a policy but no training state", file=whole)
+    for moments in training["ppo"]["adam"]["state"].values():
+        moments |= {name: moments[name].bfloat16() for name in ("exp_avg", "exp_avg_sq")}
+    checkpoint.save(ships, policy)
+    torch.save({"policy": fingerprint(policy), "training": training}, state)
+
+
+def join(whole: Path, ships: Path, state: Path) -> None:
+    """Write the checkpoint from which training goes on.
+
+    Raises:
+        TrainerError: the state is that of another policy than the one that ships.
+    """
+    policy, _ = checkpoint.load(ships)
+    kept: dict[str, Any] = torch.load(state, map_location="cpu", weights_only=True)
+    if kept["policy"] != fingerprint(policy):
+        raise TrainerError("the state belongs to another policy", file=state, expected=f"that of {ships}")
+    checkpoint.save(whole, policy, kept["training"])
+
+
+def fingerprint(policy: Policy) -> str:
+    """Of all weights."""
+    digest = hashlib.sha256()
+    for network in (policy.actor, policy.critic):
+        for name, value in network.state_dict().items():
+            digest.update(name.encode() + value.cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))
