@@ -3,7 +3,9 @@
     python training/state.py split base/policy.pt g1    training/g1/state.pt, and the policy where it ships
     python training/state.py join base/policy.pt g1     the checkpoint from both, for `realsim pretrain --resume`
 
-Moments of the optimiser are kept in bfloat16, which halves them.
+Of the optimiser's moments the second are kept, in bfloat16. The first forget within one iteration: without them the
+next update of G1 moved the policy by a KL divergence of 0.022 instead of 0.019; without both, by 0.151 (160 worlds, one
+seed).
 """
 
 from __future__ import annotations
@@ -52,8 +54,9 @@ def split(whole: Path, ships: Path, state: Path) -> None:
     policy, training = checkpoint.load(whole)
     if training is None:
         raise TrainerError("the checkpoint holds a policy but no training state", file=whole)
-    for moments in training["ppo"]["adam"]["state"].values():
-        moments |= {name: moments[name].bfloat16() for name in ("exp_avg", "exp_avg_sq")}
+    for moments in _moments(training):
+        moments["exp_avg_sq"] = moments["exp_avg_sq"].bfloat16()
+        del moments["exp_avg"]
     checkpoint.save(ships, policy)
     torch.save({"policy": fingerprint(policy), "training": training}, state)
 
@@ -68,7 +71,13 @@ def join(whole: Path, ships: Path, state: Path) -> None:
     kept: dict[str, Any] = torch.load(state, map_location="cpu", weights_only=True)
     if kept["policy"] != fingerprint(policy):
         raise TrainerError("the state belongs to another policy", file=state, expected=f"that of {ships}")
+    for moments in _moments(kept["training"]):
+        moments["exp_avg"] = torch.zeros_like(moments["exp_avg_sq"])
     checkpoint.save(whole, policy, kept["training"])
+
+
+def _moments(training: dict[str, Any]) -> list[dict[str, Any]]:
+    return list(training["ppo"]["adam"]["state"].values())
 
 
 def fingerprint(policy: Policy) -> str:
