@@ -74,24 +74,38 @@ VISIBLE = (1.0, 1.5, 2.5, 4.0, 8.0)
 
 
 def real_logs() -> list[str]:
-    """Known errors in real logs: the measures with their bars, by log, and by how visible the largest error is."""
-    rows = stored("gap_real")["rows"]
+    """Known errors in real logs: the measures with their bars, by log, and by how visible the largest error is.
+
+    A column for each engine, each of all cases in one go.
+    """
+    engines: dict[str, list[Row]] = {}
+    for row in stored("gap_real")["rows"]:
+        engines.setdefault(row["engine"], []).append(row)
+    columns = [_of_engine(rows) for rows in engines.values()]
+    lines = [f"| measure | {' | '.join(engines)} | bar |", "|---|" + "---|" * (len(engines) + 1)]
+    for measure, (_, bar) in columns[0].items():
+        lines.append(f"| {measure} | {' | '.join(column[measure][0] for column in columns)} | {bar} |")
+    return lines
+
+
+def _of_engine(rows: list[Row]) -> dict[str, tuple[str, str]]:
+    """Measure -> (result, bar) of one engine."""
     found = gap_real.figures(rows)
 
     def of(share: list[int]) -> str:
         return f"{share[0]} of {share[1]}" + (f" ({share[0] / share[1]:.0%})" if share[1] else "")
 
-    lines = ["| measure | result | bar |", "|---|---|---|"]
-    lines += [f"| {title} | {of(found[name])} | {bar} |" for name, (title, bar) in REAL.items()]
-    lines += [f"| right cause first, {log} | {of(share)} | |" for log, share in found["first_right_by_log"].items()]
+    lines = {title: (of(found[name]), bar) for name, (title, bar) in REAL.items()}
+    for log, share in found["first_right_by_log"].items():
+        lines[f"right cause first, whatever the verdict, {log}"] = of(share), ""
     for low, high in zip(VISIBLE, (*VISIBLE[1:], float("inf")), strict=True):
         part = [r for r in rows if r["visibility"] and low <= max(r["visibility"]) < high]
         right = [sum(r["first_right"] and r["verdict"] in gap_real.NAMES for r in part), len(part)]
         title = f"{low:g} to {high:g}" if high < float("inf") else f"{low:g} and more"
-        lines.append(f"| right and named, change {title} times what the baseline leaves | {of(right)} | |")
+        lines[f"right and named, change {title} times what the baseline leaves"] = of(right), ""
     for cls, verdicts in found["verdicts"].items():
         said = ", ".join(f"{count} `{verdict}`" for verdict, count in verdicts.items())
-        lines.append(f"| verdicts, {cls} | {said} | |")
+        lines[f"verdicts, {cls}"] = said, ""
     return lines
 
 
