@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,8 @@ from realsim.errors import GapError
 from realsim.gap import Case, DiagnoseConfig, load_case
 from realsim.gap.health import examine
 from realsim.gap.health.conventions import _odd_torque
+from realsim.gap.health.examination import _runaway
+from realsim.gap.logs.runs import Run
 from realsim.gap.simulation.simulate import Simulator
 
 JOINTS = ["one", "two", "three"]
@@ -135,6 +139,27 @@ def test_a_joint_that_spins_up_runs_away_and_one_without_numbers_explodes(tmp_pa
         np.savez(tmp_path / name / "runs" / "a.npz", time=time, command=torque, joint_pos=0.1 * time[:, None] ** 2)
         with pytest.raises(GapError, match=word):
             health(load_case(tmp_path / name))
+
+
+@pytest.mark.parametrize(("scale", "said"), [(1.0, ""), (1e-3, "cannot drive the logged motion"), (1e3, "runs away")])
+def test_torques_of_another_unit_are_refused(tmp_path: Path, scale: float, said: str) -> None:
+    xml = chain(options='<flag contact="disable"/>').replace("<position", "<motor")
+    xml = re.sub(r' k[pv]="[^"]*"', "", xml).replace('armature="0.02"', 'armature="0.02" damping="0.5"')
+    torques = 0.4 * waves()
+    case = case_of(tmp_path / "case", xml, scale * torques, logged(xml, torques), command_kind="torque")
+    if not said:
+        health(case)
+        return
+    with pytest.raises(GapError, match=said) as caught:
+        health(case)
+    assert '"command": "N cm"' in str(caught.value) or "torques in N m" in str(caught.value)
+
+
+def test_a_wheel_that_the_log_too_has_fast_does_not_run_away() -> None:
+    run = Run("a", np.arange(101) / 100, np.zeros((101, 1)), {"joint_pos": 2.0 * np.arange(101.0)[:, None]})
+    track = {"vel": np.full((500, 1), 200.0), "settle": (0.0, 0.002)}
+    assert _runaway(run, track, 500) is None
+    assert _runaway(replace(run, signals={"joint_pos": np.zeros((101, 1))}), track, 500) == 0
 
 
 def test_the_unit_of_a_torque_is_asked_for_only_where_the_courses_agree() -> None:

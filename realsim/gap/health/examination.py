@@ -12,7 +12,7 @@ from realsim.errors import GapError
 from realsim.gap.evidence.inverse import torque_residual
 from realsim.gap.health.conventions import log_conventions, nominal_conventions
 from realsim.gap.health.signals import clocks, initial_states, missing, noise, quanta, saturation, spikes
-from realsim.gap.logs.case import Case
+from realsim.gap.logs.case import Case, Run
 from realsim.gap.logs.repeats import replicates
 from realsim.gap.simulation.channels import uncompared
 from realsim.gap.simulation.edit import Edit
@@ -21,10 +21,14 @@ from realsim.gap.simulation.start import initial_state
 
 UNDRIVEN = 0.5
 """Share of a torque's variance that may have nothing to do with the motion."""
+OTHER_UNIT = 30.0
+"""Times the logged torque that a motion may need: N cm and kN m are farther off, friction and wrong masses nearer."""
 OVERLAP = 0.005
 """m that bodies of a robot may be inside each other: meshes' hulls touch at a joint by some millimetres."""
 RUNAWAY = 100.0
 """rad/s or m/s that no joint of a robot reaches."""
+IMPACT = 0.05
+"""Seconds that a joint may be so fast in a simulator after an impact."""
 SOME_FALLS = 1 / 3
 """Share of the runs in which the nominal simulator may fall over before the log is refused."""
 
@@ -65,6 +69,16 @@ def _undriven(simulator: Simulator) -> list[str]:
     found = torque_residual(simulator)
     if found is None:
         return []
+    case, needed = simulator.case, np.sqrt(found.share)
+    if (needed > OTHER_UNIT).all():
+        array = "command" if case.torque_kind == "none" else "joint_torque"
+        raise GapError(
+            "the logged torque cannot drive the logged motion",
+            file=case.folder,
+            expected="torques in N m, of the same joints at the same time as the motion",
+            found=f"{found.joints[0]} lacks {needed[0]:.3g} times its logged torque (rms)",
+            hint=f'write its unit into log.json, "units": {{"{array}": "N cm"}}, or look which columns are torques',
+        )
     return [
         f"{joint}: the logged torque cannot drive the logged motion ({share:.0%} of its variance is not what that asks "
         "for, friction included): is it this joint's, in this order, of the same instant, and not filtered?"
@@ -107,19 +121,21 @@ def _excitation(case: Case) -> list[str]:
     return said
 
 
-def _failure(case: Case, run: str, track: dict[str, Any], row: int) -> GapError:
-    """What went wrong before the first row without numbers: no numbers at once, or ever more speed."""
+def _failure(case: Case, run: str, track: dict[str, Any], row: int, joint: int | None) -> GapError:
+    """What went wrong before the first row without numbers: no numbers at once, or ever more speed of a joint."""
     settle, dt = track["settle"]
+    if joint is not None:
+        row = int(np.argmax(np.abs(track["vel"][:, joint]) > RUNAWAY))
     when = row * dt - settle
     where = f"in {run} at {when:.2f} s" if when >= 0 else f"while it settles before {run} begins"
-    fast = np.abs(track["vel"][:row]) > RUNAWAY
-    if fast.any() and (joint := int(np.argmax(fast.sum(axis=0)))) >= 0 and fast[:, joint].sum() * dt > 0.05:
+    if joint is not None:
+        unit = "look whether commands are torques in N m; " if case.command_kind == "torque" else ""
         return GapError(
             "the nominal simulator runs away",
             file=case.folder / "model.xml",
             found=f"{case.joint_names[joint]} turns faster than {RUNAWAY:g} rad/s {where}",
-            hint="give the joint its range, friction and damping; or shorten the runs (--max-seconds): a robot that "
-            "was kept upright by feedback falls when its torques are only replayed",
+            hint=f"{unit}give the joint its range, friction and damping; or shorten the runs (--max-seconds): a robot "
+            "that was kept upright by feedback falls when its torques are only replayed",
         )
     return GapError(
         "the nominal simulator explodes",
@@ -127,6 +143,14 @@ def _failure(case: Case, run: str, track: dict[str, Any], row: int) -> GapError:
         found=where,
         hint="check gains, inertias and the time step of model.xml before looking for a gap",
     )
+
+
+def _runaway(run: Run, track: dict[str, Any], rows: int) -> int | None:
+    """The joint that is faster than any robot's for longer than an impact, where the logged one is not on the whole."""
+    fast = (np.abs(track["vel"][:rows]) > RUNAWAY).sum(axis=0) * track["settle"][1]
+    way = np.nansum(np.abs(np.diff(run.signals["joint_pos"], axis=0)), axis=0)
+    fast = np.where(way > RUNAWAY * run.duration, 0.0, fast)
+    return int(np.argmax(fast)) if fast.max(initial=0.0) > IMPACT else None
 
 
 def _overlaps(simulator: Simulator) -> list[str]:
@@ -187,8 +211,10 @@ def _failures(simulator: Simulator) -> list[str]:
     for run, track in zip(case.runs, simulator.nominal_tracks, strict=True):
         settle, dt = track["settle"]
         bad = ~np.isfinite(track["pos"]).all(axis=1)
-        if bad.any():
-            raise _failure(case, run.name, track, int(np.argmax(bad)))
+        rows = int(np.argmax(bad)) if bad.any() else bad.size
+        joint = _runaway(run, track, rows)
+        if bad.any() or joint is not None:
+            raise _failure(case, run.name, track, rows, joint)
         if "base_pos" in track and "base_pos" in run.signals:
             real = run.signals["base_pos"][:, 2]
             low = float(np.nanmin(track["base_pos"][:, 2]))
@@ -201,6 +227,6 @@ def _failures(simulator: Simulator) -> list[str]:
             "the nominal simulator falls over where the robot does not",
             file=case.folder / "model.xml",
             found=said,
-            hint="shorten the runs (max_seconds), or fix the model first",
+            hint="shorten the runs (max_seconds), or fix the model first: do gains and force ranges bear the robot?",
         )
     return [f"the nominal simulator falls over where the robot does not, {said}"] if falls else []
