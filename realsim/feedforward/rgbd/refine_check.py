@@ -20,7 +20,7 @@ from realsim.errors import PoseError
 from realsim.feedforward.rgbd.loops import plausible
 from realsim.feedforward.rgbd.refine_pairs import choose_pairs, look_up, overlap, sample_surface
 from realsim.feedforward.rgbd.together import has_own_depth
-from realsim.feedforward.rgbd.tracks import Evidence
+from realsim.feedforward.rgbd.tracks import Evidence, View
 from realsim.geometry import invert_T, make_T, transform
 from realsim.types import F64, Dropped, Frame
 
@@ -45,10 +45,11 @@ class Edge:
     j: int
     p: F64
     """(M, 3) camera i."""
-    q: F64 | None
-    """(M, 3) the same points in camera j by features; None: to be looked up in j's depth."""
+    q: F64
+    """(M, 3) the same points in camera j by features; else (K, 3) points that j sees. Where `t` is None, points of
+    either are looked up in the other's depth."""
     t: F64 | None
-    """(3,) where camera j stands in camera i, by features and depth alone."""
+    """(3,) where camera j stands in camera i, by features and depth alone; None: no features."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ def check_poses(
     edges = _edges(evidence, T, seed)
     error = _errors(edges, evidence, T)
     pair = np.array([(e.i, e.j) for e in edges]).reshape(-1, 2)
-    weight = np.array([1.0 if e.q is not None else 0.3 for e in edges])
+    weight = np.array([0.3 if e.t is None else 1.0 for e in edges])
     seen = np.isfinite(error)
     if not seen.any() and (found := _explain(edges, evidence, T, 2 * TOLERANCE[1], None)):
         raise PoseError(
@@ -198,7 +199,7 @@ def scale_by_depth(evidence: Evidence, T_world_camera: F64) -> tuple[float, floa
 
 def _edges(evidence: Evidence, T: F64, seed: int) -> list[Edge]:
     pairs = choose_pairs(evidence.views, T)
-    matched = {(m.i, m.j): m for m in plausible(evidence, pairs)}
+    matched = {(m.i, m.j): m for m in plausible(evidence, pairs, T)}
     rng = np.random.default_rng(seed)
     samples = [sample_surface(view, rng, 100)[0] for view in evidence.views]
     out = []
@@ -208,8 +209,8 @@ def _edges(evidence: Evidence, T: F64, seed: int) -> list[Edge]:
             some = np.unique(np.linspace(0, len(m.a) - 1, 60).astype(int))
             p, q = evidence.views[i].points[m.a[some]], evidence.views[j].points[m.b[some]]
             out.append(Edge(i, j, p, q, m.T_i_j[:3, 3]))
-        elif len(samples[i]) >= 20:
-            out.append(Edge(i, j, samples[i], None, None))
+        else:
+            out.append(Edge(i, j, samples[i], samples[j], None))
     return out
 
 
@@ -218,21 +219,29 @@ def _errors(edges: Sequence[Edge], evidence: Evidence, T: F64) -> F64:
     out = np.full(len(edges), np.nan)
     for k, e in enumerate(edges):
         D = invert_T(T[e.j]) @ T[e.i]
-        y = transform(D, e.p)
-        if e.q is not None:
-            out[k] = np.median(np.linalg.norm(y - e.q, axis=1))
+        if e.t is not None:
+            out[k] = np.median(np.linalg.norm(transform(D, e.p) - e.q, axis=1))
             continue
-        q, _, ok = look_up(evidence.views[e.j], y)
-        if ok.sum() >= 20:
-            out[k] = np.median(np.abs(y[ok, 2] - q[ok, 2]))
+        views = evidence.views
+        off = np.concatenate([_off(views[e.j], transform(D, e.p)), _off(views[e.i], transform(invert_T(D), e.q))])
+        if len(off) >= 20:
+            out[k] = np.median(np.abs(off))
     return out
+
+
+def _off(view: View, y: F64) -> F64:
+    """By how much points y (M, 3) of a view's camera lie behind what it sees there (K,), metres; not those that it
+    cannot see because something hides them, which no pose forbids."""
+    q, _, ok = look_up(view, y)
+    behind = y[ok, 2] - q[ok, 2]
+    return behind[behind < TOLERANCE[1]]
 
 
 def _by_depth_alone(edges: Sequence[Edge], evidence: Evidence, T: F64) -> float:
     """Median misplacement by depth of the pairs that features speak of; infinite where it cannot be told."""
     rng = np.random.default_rng(0)
-    matched = [e for e in edges if e.q is not None]
-    bare = [Edge(e.i, e.j, sample_surface(evidence.views[e.i], rng, 100)[0], None, None) for e in matched]
+    matched = [e for e in edges if e.t is not None]
+    bare = [Edge(e.i, e.j, *(sample_surface(evidence.views[k], rng, 100)[0] for k in (e.i, e.j)), None) for e in matched]
     error = _errors(bare, evidence, T)
     return float(np.nanmedian(error)) if np.isfinite(error).sum() >= 4 else float("inf")
 
@@ -378,7 +387,7 @@ def _explain(
     edges: Sequence[Edge], evidence: Evidence, T: F64, typical: float, scale: float | None
 ) -> tuple[str, float, str] | None:
     """(name, median misplacement once undone, hint) of the convention that agrees best, if it clearly beats none."""
-    certain = [e for e in edges if e.q is not None]
+    certain = [e for e in edges if e.t is not None]
     # By depth alone, only frames next to each other surely see the same; poses do not decide who is compared.
     certain = certain if len(certain) >= 8 else [e for e in edges if e.j - e.i <= 3]
     if not certain or typical < 0.02:
