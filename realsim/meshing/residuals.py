@@ -9,8 +9,8 @@ from realsim.types import AlignedScene, ViewResidual
 
 
 def residuals(aligned: AlignedScene, surface: Surface, count: int, step: int = 4) -> tuple[ViewResidual, ...]:
-    """Of `count` evenly spread views, those that see the mesh, each on every `step`-th pixel: measured minus mesh along the
-    ray, metres."""
+    """Of `count` evenly spread views, those that see the mesh, each on every `step`-th pixel: measured minus mesh
+    along the ray, metres."""
     import open3d as o3d
 
     metric = aligned.metric

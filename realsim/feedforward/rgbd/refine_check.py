@@ -241,7 +241,8 @@ def _by_depth_alone(edges: Sequence[Edge], evidence: Evidence, T: F64) -> float:
     """Median misplacement by depth of the pairs that features speak of; infinite where it cannot be told."""
     rng = np.random.default_rng(0)
     matched = [e for e in edges if e.t is not None]
-    bare = [Edge(e.i, e.j, *(sample_surface(evidence.views[k], rng, 100)[0] for k in (e.i, e.j)), None) for e in matched]
+    seen = [[sample_surface(evidence.views[k], rng, 100)[0] for k in (e.i, e.j)] for e in matched]
+    bare = [Edge(e.i, e.j, p, q, None) for e, (p, q) in zip(matched, seen, strict=True)]
     error = _errors(bare, evidence, T)
     return float(np.nanmedian(error)) if np.isfinite(error).sum() >= 4 else float("inf")
 
