@@ -35,7 +35,8 @@ SLACK_M, SLACK_DEG = 0.06, 3.0
 TURN_DRIFT = 0.04
 """Share of all turning by which a chain may be turned, degrees a degree."""
 LINKS = 3
-"""Independent links, each of other frames on both sides, that a loop within a piece needs."""
+"""Independent links, each of other frames on both sides, that a loop within a piece needs; false ones that show that
+likeness errs."""
 ASKED = 12
 """Pairs of frames that are asked whether a closed loop violates free space."""
 PACE = 1.25
@@ -180,7 +181,7 @@ def _borne_out(evidence: Evidence, found: list[Match], T: F64) -> list[Match]:
     sure = off < SLACK_M
     way = dijkstra(coo_matrix((off[sure] + 1e-6, (i[sure], j[sure])), (len(T), len(T))).tocsr(), directed=False)
     false = off > SLACK_M + SURER * way[i, j]
-    if false.sum() >= PROVEN and sure.sum() < HONEST * (sure | false).sum():
+    if false.sum() >= LINKS and sure.sum() < HONEST * (sure | false).sum():
         false = ~sure
     return [m for m, out in zip(found, false, strict=True) if not out]
 

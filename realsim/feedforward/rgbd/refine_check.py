@@ -180,8 +180,8 @@ def check_poses(
         )
     if found and typical > 0.02:
         warnings.append(f"poses agree only roughly ({100 * typical:.1f} cm); {found[0]} would explain it")
-    if (alone := int((np.isnan(agreement) & ~bad).sum())) > 0:
-        warnings.append(f"{alone} frames share no surface with others: their poses could not be checked")
+    if (alone := n - int(bad.sum()) - sum(map(len, pieces))) > 0:
+        warnings.append(f"{alone} frames share no surface with others that are used: their poses could not be checked")
     if len(pieces) > 1:
         names = " and ".join(_span(frames, p) for p in pieces[:4])
         warnings.append(
