@@ -7,7 +7,7 @@
 Places that repeat (corridor, ring, stairwell, stake_row), poses hidden: links between frames far apart that were
 believed, how many of them are false, and the error of the trajectory; `all links` is a robust pose graph over every
 pair that matches. Kinect (colour not registered to depth, poses that drift by 1 cm): error of the poses and of the
-surface's scale, as given, and as delivered.
+surface's scale, as given, and as delivered; F of the delivered surface beside that of a plain TSDF with the given poses.
 """
 
 from __future__ import annotations
@@ -60,7 +60,8 @@ def _rows(folder: Path, kind: str, seed: int, options: Options) -> Iterator[Row]
     else:
         made = write_capture(folder, SynthConfig(kind, **size))
     rows = _kinect(made.capture, made.truth) if kind == "kinect" else _place(made.capture)
-    for row in rows:
+    surfaces = _surfaces(made.capture, made.truth, folder) if kind == "kinect" else ()
+    for row in (*rows, *surfaces):
         yield {"kind": kind, "seed": seed, **row}
 
 
@@ -125,6 +126,30 @@ def _kinect(source: Path, truth_folder: Path) -> Iterator[Row]:
         }
 
 
+def _surfaces(source: Path, truth_folder: Path, work: Path) -> Iterator[Row]:
+    """The surface of a plain TSDF with the given poses, which is to be beaten, and the one that is delivered."""
+    import open3d
+
+    from benchmarks.reconstruct_peers import fuse
+    from realsim import capture
+    from realsim.capture.config import CaptureConfig
+    from realsim.pipeline import reconstruct
+    from realsim.synth.errors import compare
+    from realsim.synth.truth import read_truth
+
+    frames: Any = capture.read(source, CaptureConfig(keep_blurred=True))
+    given = np.stack([f.T_world_camera for f in frames.frames])
+    R, a, b = _laid(given, np.asarray(read_truth(truth_folder)[0]["T_sim_camera"]))
+    T_sim_world = np.eye(4)
+    T_sim_world[:3, :3], T_sim_world[:3, 3] = R, b - R @ a
+    (work / "plain").mkdir()
+    open3d.io.write_triangle_mesh(str(work / "plain" / "mesh.ply"), fuse(frames.frames, T_sim_world @ given))
+    reconstruct(source, work / "scene")
+    for method, scene in (("plain TSDF, poses given", "plain"), ("scene, poses given", "scene")):
+        figures = compare(work / scene, truth_folder)
+        yield {"method": method, **{k: figures[k] for k in ("f_score_1cm", "f_score_2cm", "tops_mm")}}
+
+
 def _off(e: Any, truth: np.ndarray) -> float:
     from realsim.geometry import invert_T
 
@@ -133,10 +158,15 @@ def _off(e: Any, truth: np.ndarray) -> float:
 
 def ate(found: np.ndarray, truth: np.ndarray) -> float:
     """RMS distance of camera centres after the best rigid motion (Sturm et al. 2012), metres."""
-    a, b = (T[:, :3, 3] - T[:, :3, 3].mean(0) for T in (found, truth))
-    U, _, Vt = np.linalg.svd(b.T @ a)
-    R = U @ np.diag([1, 1, np.sign(np.linalg.det(U @ Vt))]) @ Vt
-    return float(np.sqrt(((a @ R.T - b) ** 2).sum(1).mean()))
+    R, a, b = _laid(found, truth)
+    return float(np.sqrt((((found[:, :3, 3] - a) @ R.T - truth[:, :3, 3] + b) ** 2).sum(1).mean()))
+
+
+def _laid(found: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(rotation that lays camera centres onto the true ones, middle of the found, middle of the true)."""
+    a, b = found[:, :3, 3].mean(0), truth[:, :3, 3].mean(0)
+    U, _, Vt = np.linalg.svd((truth[:, :3, 3] - b).T @ (found[:, :3, 3] - a))
+    return U @ np.diag([1, 1, np.sign(np.linalg.det(U @ Vt))]) @ Vt, a, b
 
 
 if __name__ == "__main__":

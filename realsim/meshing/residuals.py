@@ -9,7 +9,8 @@ from realsim.types import AlignedScene, ViewResidual
 
 
 def residuals(aligned: AlignedScene, surface: Surface, count: int, step: int = 4) -> tuple[ViewResidual, ...]:
-    """Of `count` evenly spread views, each on every `step`-th pixel: measured minus mesh along the ray, metres."""
+    """Of `count` evenly spread views, those that see the mesh, each on every `step`-th pixel: measured minus mesh
+    along the ray, metres."""
     import open3d as o3d
 
     metric = aligned.metric
@@ -28,5 +29,6 @@ def residuals(aligned: AlignedScene, surface: Surface, count: int, step: int = 4
         hit = scene.cast_rays(o3d.core.Tensor.from_numpy(np.ascontiguousarray(rays)))["t_hit"].numpy()
         image = np.where(mask & np.isfinite(hit), length - hit, np.nan).astype(np.float32)
         known = np.abs(image[np.isfinite(image)])
-        out.append(ViewResidual(metric.frames[i].name, image, float(np.median(known)) if known.size else float("nan")))
+        if known.size:
+            out.append(ViewResidual(metric.frames[i].name, image, float(np.median(known))))
     return tuple(out)

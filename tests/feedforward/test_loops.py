@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 import rooms
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from realsim.feedforward.rgbd import shapes
 from realsim.feedforward.rgbd.graph import Edge, whitening
@@ -108,10 +113,11 @@ def test_a_break_is_bridged_where_likeness_has_proven_true() -> None:
 
 
 class Said(Evidence):
-    """Evidence whose matches are given."""
+    """Evidence whose matches are given, of points 2 m away."""
 
     def __init__(self, n: int, edges: list[Edge]) -> None:
-        super().__init__(blind(n))
+        points: dict[str, Any] = {"xy": np.random.default_rng(0).normal(0, 0.3, (50, 2)), "z": np.full(50, 2.0)}
+        super().__init__([replace(v, **points) for v in blind(n)])
         some = np.arange(50)
         self._matches.update({(e.i, e.j): Match(e.i, e.j, some, some, e.T_i_j) for e in edges})
 
@@ -121,7 +127,7 @@ def test_likeness_that_the_chain_rules_out_is_no_evidence_against_poses() -> Non
     true = [*chain(T), *(edge(T, i, 39 - i) for i in range(10))]
     false = [edge(T, i, i + 6, 2.5) for i in range(20)]
     evidence = Said(40, true + false)
-    kept = plausible(evidence, list(evidence._matches))
+    kept = plausible(evidence, list(evidence._matches), T)
     assert {(m.i, m.j) for m in kept} == {(e.i, e.j) for e in true}
 
 
@@ -129,7 +135,32 @@ def test_without_order_no_likeness_is_ruled_out() -> None:
     T = there_and_back(40)
     false = [edge(T, i, i + 6, 2.5) for i in range(20)]
     evidence = Said(40, false)
-    assert len(plausible(evidence, list(evidence._matches))) == 20
+    assert len(plausible(evidence, list(evidence._matches), T)) == 20
+
+
+def test_likeness_cannot_contradict_poses_that_a_chain_of_matches_agrees_with() -> None:
+    """A camera that goes fast past equal doors: neighbours match, of frames further apart most likenesses are false."""
+    T = there_and_back(40)
+    true, false = chain(T), [edge(T, i, i + k, 2.5) for k in (2, 3, 4) for i in range(40 - k)]
+    evidence = Said(40, true + false)
+    assert len(plausible(evidence, list(evidence._matches), T)) == 39
+    other = T.copy()
+    other[:, :3, 3] *= 1.1  # another unit: nothing is exact, and far matches are off by no more than steps add up to
+    evidence = Said(40, [*chain(T), *(edge(T, i, i + k) for k in (2, 3, 4, 8) for i in range(40 - k))])
+    assert len(plausible(evidence, list(evidence._matches), other)) == len(evidence._matches)
+
+
+@given(st.integers(1, 38), st.floats(0.3, 3.0), st.floats(-1.5, 1.5))
+@settings(deadline=None, max_examples=20)
+def test_matches_that_a_wrong_pose_contradicts_all_stay(wrong: int, off: float, turn: float) -> None:
+    T = there_and_back(40)
+    evidence = Said(40, [edge(T, i, i + k) for k in (1, 2, 3) for i in range(40 - k)])
+    other = T.copy()
+    other[wrong] = other[wrong] @ make_T(exp_so3([0, turn, 0]), [off, 0, 0])
+    kept = {(m.i, m.j) for m in plausible(evidence, list(evidence._matches), other)}
+    against = {pair for pair in evidence._matches if wrong in pair}
+    assert against & kept
+    assert kept >= set(evidence._matches) - against
 
 
 def test_without_order_one_link_joins_where_no_likeness_is_false() -> None:

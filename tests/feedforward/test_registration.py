@@ -37,6 +37,8 @@ def test_the_colour_camera_is_found(kinect: tuple[FrameSet, Path]) -> None:
     assert zoom == pytest.approx(truth["depth"]["fx"] / truth["color"]["fx"], abs=0.015)
     assert any("not registered" in w for w in solution.warnings)
     assert abs(solution.depth_gain - 1) < 0.02  # poses that drift by a centimetre have a scale of their own
+    shift = sum(row[3:] for row in solution.arrays["registration"])
+    np.testing.assert_allclose(shift, np.array(truth["T_depth_color"])[:2, 3], atol=0.012)
     tried = solution.statistics["held_out"][-1]
     assert tried["after_m"] <= tried["before_m"]
     camera = feedforward.pointmaps(frames, solution, PointsConfig()).frames[0].color_intrinsics

@@ -58,10 +58,14 @@ def colour_of_another(folder: Path, other: Path) -> None:
         shutil.copy(theirs, mine)
 
 
-def half_of_another(folder: Path, other: Path) -> None:
+def three_of_another(folder: Path, other: Path) -> None:
+    half_of_another(folder, other, FRAMES - 3)
+
+
+def half_of_another(folder: Path, other: Path, first: int = FRAMES // 2) -> None:
     for kind in ("color", "depth"):
         pairs = list(zip(*(sorted((f / kind).iterdir()) for f in (folder, other)), strict=True))
-        for mine, theirs in pairs[FRAMES // 2 :]:
+        for mine, theirs in pairs[first:]:
             shutil.copy(theirs, mine)
 
 
@@ -146,14 +150,26 @@ def test_colour_and_depth_that_do_not_belong_together_are_refused_with_or_withou
         solved(folder, poses)
 
 
-def test_half_the_frames_of_another_room_are_not_blamed_on_colour(two: tuple[Path, Path], tmp_path: Path) -> None:
+def test_half_the_frames_of_another_room_are_named(two: tuple[Path, Path], tmp_path: Path) -> None:
     folder = spoilt(two, tmp_path / "half", half_of_another)
-    try:
-        said = solved(folder)[1].warnings
-    except PoseError as error:
-        said = (str(error),)
-    assert said
-    assert not any("colour images belong" in text for text in said)
+    with pytest.raises(PoseError, match="more than one place") as caught:
+        solved(folder)
+    assert f"000000 to {FRAMES // 2 - 1:06d} ({FRAMES // 2} frames) agree with each other" in str(caught.value)
+
+
+def test_frames_of_another_room_take_none_of_this_one_with_them(two: tuple[Path, Path], tmp_path: Path) -> None:
+    folder = spoilt(two, tmp_path / "some", three_of_another)
+    _, found = solved(folder)
+    assert found.used[: FRAMES - 3] == tuple(range(FRAMES - 3))
+    assert len(found.dropped) >= 2  # the third sees little but floor, which fits every floor
+
+
+def test_exact_poses_past_equal_doors_are_used_whole(tmp_path: Path) -> None:
+    """Of frames so far apart, most matches take one door for the next."""
+    made = write_capture(tmp_path / "doors", SynthConfig("corridor", 24, True, width=320, seed=1, once=True))
+    frames, found = solved(made.capture)
+    assert len(found.used) == len(frames)
+    assert found.warnings == ()
 
 
 def test_half_the_frames_of_another_room_are_not_mixed_in(two: tuple[Path, Path], tmp_path: Path) -> None:

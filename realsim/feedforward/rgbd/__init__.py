@@ -110,16 +110,13 @@ def _given(frames: FrameSet, posed: list[int], config: PointsConfig) -> Solution
         chosen, T, evidence=evidence, seed=config.seed, sensor_sigma=frames.sensor_sigma, source=frames.source
     )
     keep = check.kept(chosen)
+    gain = config.correct_depth_bias and frames.poses_metric
+    options: dict[str, Any] = {"estimate_gain": gain, "sensor_sigma": frames.sensor_sigma, "seed": config.seed}
+    if config.refine and len(registration):
+        chosen, evidence, registration = _registered_under(T, chosen, evidence, keep, registration, noted, options)
     found: dict[str, Any] = {"T_world_camera": T[keep], "statistics": {"poses": "given"}, "warnings": ()}
     if config.refine:
-        found = settle(
-            [chosen[k] for k in keep],
-            T[keep],
-            evidence.subset(keep),
-            estimate_gain=config.correct_depth_bias and frames.poses_metric,
-            sensor_sigma=frames.sensor_sigma,
-            seed=config.seed,
-        )
+        found = settle([chosen[k] for k in keep], T[keep], evidence.subset(keep), **options)
     found["statistics"] |= {"check": dict(check.statistics), **noted}
     found["warnings"] = said + _told(noted) + check.warnings + found["warnings"]
     unposed = tuple(Dropped(f.name, "has no pose") for f in frames.frames if f.T_world_camera is None)
@@ -194,6 +191,36 @@ def _registered(frames: Sequence[Frame], source: Path, seed: int) -> tuple[list[
         chosen = [found.registration.applied(f) for f in chosen]
         evidence = Evidence.of(chosen, seed)
     return chosen, evidence, np.array(applied).reshape(-1, 5), statistics
+
+
+def _registered_under(
+    T: F64,
+    frames: list[Frame],
+    evidence: Evidence,
+    keep: list[int],
+    registration: F64,
+    noted: Mapping[str, Any],
+    options: Mapping[str, Any],
+) -> tuple[list[Frame], Evidence, F64]:
+    """As `_registered`, where colour turned out to be another camera and poses are given: surfaces alone refine these,
+    and matches under them say where that camera stands. Features, which are to refine the poses next, would else pull
+    them to where the colour camera is taken to be."""
+    from realsim.feedforward.rgbd.loops import plausible
+    from realsim.feedforward.rgbd.refine_pairs import choose_pairs
+    from realsim.feedforward.rgbd.registration import seek
+    from realsim.feedforward.rgbd.settle import refine_all
+    from realsim.feedforward.rgbd.tracks import Evidence
+
+    own = evidence.subset(keep)
+    alone = refine_all([frames[k] for k in keep], T[keep], own.without_color(), trust="metric", **options)
+    poses = alone.T_world_camera
+    matches = plausible(own, choose_pairs(own.views, poses), poses)
+    found = seek(own.views, matches, poses, alone.result.depth_gain)
+    if found is None or found.after >= found.before:
+        return frames, evidence, registration
+    noted["registration"].append({**found.summary(), "applied": True})
+    frames = [found.registration.applied(f) for f in frames]
+    return frames, Evidence.of(frames, options["seed"]), np.vstack([registration, found.registration.row])
 
 
 def _told(noted: Mapping[str, Any]) -> tuple[str, ...]:

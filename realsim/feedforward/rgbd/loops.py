@@ -22,7 +22,7 @@ from realsim.feedforward.rgbd.graph import Edge, components, optimise, spanning_
 from realsim.feedforward.rgbd.overlap import overlap
 from realsim.feedforward.rgbd.pairs import MIN_AGREEMENT, MIN_OVERLAP, WINDOW, as_edge
 from realsim.feedforward.rgbd.tracks import Evidence, Match, View
-from realsim.geometry import angle_deg, invert_T
+from realsim.geometry import angle_deg, invert_T, transform
 from realsim.types import F64
 
 EDGE_LIMIT = 6.0
@@ -35,7 +35,8 @@ SLACK_M, SLACK_DEG = 0.06, 3.0
 TURN_DRIFT = 0.04
 """Share of all turning by which a chain may be turned, degrees a degree."""
 LINKS = 3
-"""Independent links, each of other frames on both sides, that a loop within a piece needs."""
+"""Independent links, each of other frames on both sides, that a loop within a piece needs; false ones that show that
+likeness errs."""
 ASKED = 12
 """Pairs of frames that are asked whether a closed loop violates free space."""
 PACE = 1.25
@@ -49,6 +50,10 @@ rendered corridors and stairwells 0 to 15 of 100 far links are true, of walks ar
 PROVEN, PROVEN_SHARE = 20, 0.95
 """Links that could be checked, and the share of true ones, from which looking alike is being the same: one link needs
 no second, and no step is too long."""
+SURER = 3.0
+"""Times as far as a chain of matches that agree with given poses is off by, beyond which a match that contradicts it is
+false: what is true of each step of a way is true of its ends, but for levers and slack. Not tuned: likeness errs by a
+bay or a stake (0.2 to 2.6 m in rendered places), poses in another unit by as much as their steps add up to."""
 STEPS = range(1, WINDOW + 2)
 """Kinds of links: this many steps apart in the sequence; the last are all that are more than the window."""
 
@@ -146,20 +151,46 @@ def join(views: Sequence[View], edges: Sequence[Edge]) -> Joined:
     return _placed(n, kept + believed, refused)
 
 
-def plausible(evidence: Evidence, pairs: Sequence[tuple[int, int]]) -> list[Match]:
-    """Verified matches of pairs i < j, without those that the chain of neighbours between their frames rules out: one
-    door looks like the next. Nobody's poses are asked, so that what is left may judge them. Where neighbours do not
-    agree with each other (depth of another time), there is no chain, and all are returned."""
+def plausible(evidence: Evidence, pairs: Sequence[tuple[int, int]], T: F64) -> list[Match]:
+    """Verified matches of pairs i < j, without those that other matches rule out: one door looks like the next.
+
+    Two chains can: that of neighbours, whatever the poses T (N, 4, 4) are, so that what is left may judge them (where
+    neighbours do not agree with each other, as with depth of another time, there is none); and that of matches that
+    agree with T. Poses that are wrong do not agree with many independent matches by chance.
+    """
     found = evidence.matches(pairs)
     edges = [as_edge(m) for m in found]
     n = len(evidence.views)
     chains, kept = _chains(n, edges, steady=False)
     near = [e for e in edges if 1 < e.j - e.i <= WINDOW]
     agree = sum(e.j - e.i > 1 for e in kept)
-    if not in_order(n, edges) or agree < HONEST * len(near):
-        return found
-    apart = [chains.piece[e.i] != chains.piece[e.j] for e in edges]
-    return [m for m, e, open_ in zip(found, edges, apart, strict=True) if open_ or _drifted(chains, e)]
+    if in_order(n, edges) and agree >= HONEST * len(near):
+        apart = [chains.piece[e.i] != chains.piece[e.j] for e in edges]
+        found = [m for m, e, open_ in zip(found, edges, apart, strict=True) if open_ or _drifted(chains, e)]
+    return _borne_out(evidence, found, T)
+
+
+def _borne_out(evidence: Evidence, found: list[Match], T: F64) -> list[Match]:
+    """Without matches that put their frames farther from where T has them than a way between the two, along matches
+    that agree with T, can be off by. Where many are false, those that no such way can check say nothing either."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import dijkstra
+
+    i, j = np.array([(m.i, m.j) for m in found], int).reshape(-1, 2).T
+    off = np.array([_misplaced(evidence, m, T) for m in found])
+    sure = off < SLACK_M
+    way = dijkstra(coo_matrix((off[sure] + 1e-6, (i[sure], j[sure])), (len(T), len(T))).tocsr(), directed=False)
+    false = off > SLACK_M + SURER * way[i, j]
+    if false.sum() >= LINKS and sure.sum() < HONEST * (sure | false).sum():
+        false = ~sure
+    return [m for m, out in zip(found, false, strict=True) if not out]
+
+
+def _misplaced(evidence: Evidence, m: Match, T: F64) -> float:
+    """Median distance of the matched points under poses T from where the match has them, metres."""
+    p = evidence.views[m.i].points[m.a]
+    moved = transform(invert_T(T[m.j]) @ T[m.i], p) - transform(invert_T(m.T_i_j), p)
+    return float(np.median(np.linalg.norm(moved, axis=1)))
 
 
 def in_order(n: int, edges: Sequence[Edge]) -> bool:

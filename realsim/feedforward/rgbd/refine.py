@@ -89,7 +89,7 @@ def refine(
     evidence = evidence or Evidence.of(frames, seed)
     views = evidence.views
     pairs, held_out = hold_out(choose_pairs(views, T))
-    matches = plausible(evidence, pairs)
+    matches = plausible(evidence, pairs, T)
     tracks = build_tracks(views, matches)
     step, surface, given = _solve(views, T, pairs, tracks, estimate_gain, trust, seed)
     per_frame = _per_frame(step, tracks, surface, len(views))

@@ -20,7 +20,7 @@ from realsim.errors import PoseError
 from realsim.feedforward.rgbd.loops import plausible
 from realsim.feedforward.rgbd.refine_pairs import choose_pairs, look_up, overlap, sample_surface
 from realsim.feedforward.rgbd.together import has_own_depth
-from realsim.feedforward.rgbd.tracks import Evidence
+from realsim.feedforward.rgbd.tracks import Evidence, View
 from realsim.geometry import invert_T, make_T, transform
 from realsim.types import F64, Dropped, Frame
 
@@ -33,6 +33,15 @@ captures; of two of them and the real chair with their own poses nothing is repo
 SCALE_LIMIT = 0.05
 """Relative difference of scale between poses and depth that no depth camera explains, at the least: three standard
 errors of the sensor's own scale are allowed."""
+MOST = 0.75
+"""Share of the points of two depth images that must agree: half of them lie on a floor, and floors fit each other. Set
+on two captures with frames of two places under the poses of one: all of 70 pairs across contradict, while half of the
+points agree in 20 of them. Within six captures with their own poses 0 to 2 % of the pairs contradict, in one with poses
+2 cm off 19 % do by the least limit."""
+STRANGE = 3
+"""Pairs of frames of two pieces that by the poses see the same surface, of which by depth none does, from which the
+smaller piece does not belong to the larger one. Likeness does not count: it may be false at every place where pieces
+meet."""
 MANY = 0.3
 """Share of contradicting frames from which the poses as a whole are in question."""
 
@@ -45,10 +54,11 @@ class Edge:
     j: int
     p: F64
     """(M, 3) camera i."""
-    q: F64 | None
-    """(M, 3) the same points in camera j by features; None: to be looked up in j's depth."""
+    q: F64
+    """(M, 3) the same points in camera j by features; else (K, 3) points that j sees. Where `t` is None, points of
+    either are looked up in the other's depth."""
     t: F64 | None
-    """(3,) where camera j stands in camera i, by features and depth alone."""
+    """(3,) where camera j stands in camera i, by features and depth alone; None: no features."""
 
 
 @dataclass(frozen=True)
@@ -86,9 +96,9 @@ def check_poses(
     evidence = evidence or Evidence.of(frames, seed)
     n = len(frames)
     edges = _edges(evidence, T, seed)
-    error = _errors(edges, evidence, T)
+    error = _errors(edges, evidence, T, MOST)
     pair = np.array([(e.i, e.j) for e in edges]).reshape(-1, 2)
-    weight = np.array([1.0 if e.q is not None else 0.3 for e in edges])
+    weight = np.array([0.3 if e.t is None else 1.0 for e in edges])
     seen = np.isfinite(error)
     if not seen.any() and (found := _explain(edges, evidence, T, 2 * TOLERANCE[1], None)):
         raise PoseError(
@@ -104,6 +114,11 @@ def check_poses(
     bad = _greedy(pair[seen], weight[seen], error[seen] > limit, n)
     agreement, middle = _per_frame(pair[seen], weight[seen], error[seen], limit, n)
     bad |= _nowhere(evidence, T, agreement)
+    agreeing = pair[seen & (error <= limit)]
+    pieces = _pieces(agreeing, np.zeros(n, bool), n)
+    strangers = [p for p in pieces[1:] if _between(pair[seen & (weight < 1)], p, pieces[0]) >= STRANGE]
+    bad[[k for p in strangers for k in p]] = True
+    pieces = _pieces(agreeing, bad, n)
     scale, spread = _scale(edges, T)
     found = _explain(edges, evidence, T, typical, scale)
     statistics: dict[str, Any] = {
@@ -148,12 +163,14 @@ def check_poses(
             hint="check that colour and depth come from one capture and carry the same numbers or times",
         )
     if reasons:
+        several = not found and bad.sum() > MANY * n and bool(pieces) and len(pieces[0]) > MANY * n
+        seems = found[0] if found else "poses of more than one place" if several else ""
         raise PoseError(
-            "the given poses contradict the depth" + (f": they look like {found[0]}" if found else ""),
+            "the given poses contradict the depth" + (f": they look like {seems}" if seems else ""),
             file=source,
             expected="camera to world, OpenCV camera axes (x right, y down, z forward), metres",
             found="; ".join(reasons) + (f"; {100 * found[1]:.1f} cm with {found[0]} undone" if found else ""),
-            hint=found[2] if found else _way_out(fit),
+            hint=found[2] if found else _leave(frames, pieces[0]) if several else _way_out(fit),
         )
     warnings = []
     if not found and typical > TOLERANCE[0] and (fit := _by_depth_alone(edges, evidence, T)) < CLEARER * typical:
@@ -163,16 +180,16 @@ def check_poses(
         )
     if found and typical > 0.02:
         warnings.append(f"poses agree only roughly ({100 * typical:.1f} cm); {found[0]} would explain it")
-    if (alone := int((np.isnan(agreement) & ~bad).sum())) > 0:
-        warnings.append(f"{alone} frames share no surface with others: their poses could not be checked")
-    pieces = _pieces(pair[seen & (error <= limit)], bad, n)
+    if (alone := n - int(bad.sum()) - sum(map(len, pieces))) > 0:
+        warnings.append(f"{alone} frames share no surface with others that are used: their poses could not be checked")
     if len(pieces) > 1:
-        names = " and ".join(f"{frames[p[0]].name} to {frames[p[-1]].name} ({len(p)} frames)" for p in pieces[:4])
+        names = " and ".join(_span(frames, p) for p in pieces[:4])
         warnings.append(
             f"nothing that the frames show joins {names}: their poses to each other could not be checked; "
             "are they of one place?"
         )
-    return PoseCheck(agreement, _named(frames, bad, agreement, middle), tuple(warnings), statistics)
+    dropped = _named(frames, bad, agreement, middle, strangers, pieces)
+    return PoseCheck(agreement, dropped, tuple(warnings), statistics)
 
 
 def scale_by_depth(evidence: Evidence, T_world_camera: F64) -> tuple[float, float]:
@@ -198,7 +215,7 @@ def scale_by_depth(evidence: Evidence, T_world_camera: F64) -> tuple[float, floa
 
 def _edges(evidence: Evidence, T: F64, seed: int) -> list[Edge]:
     pairs = choose_pairs(evidence.views, T)
-    matched = {(m.i, m.j): m for m in plausible(evidence, pairs)}
+    matched = {(m.i, m.j): m for m in plausible(evidence, pairs, T)}
     rng = np.random.default_rng(seed)
     samples = [sample_surface(view, rng, 100)[0] for view in evidence.views]
     out = []
@@ -208,31 +225,41 @@ def _edges(evidence: Evidence, T: F64, seed: int) -> list[Edge]:
             some = np.unique(np.linspace(0, len(m.a) - 1, 60).astype(int))
             p, q = evidence.views[i].points[m.a[some]], evidence.views[j].points[m.b[some]]
             out.append(Edge(i, j, p, q, m.T_i_j[:3, 3]))
-        elif len(samples[i]) >= 20:
-            out.append(Edge(i, j, samples[i], None, None))
+        else:
+            out.append(Edge(i, j, samples[i], samples[j], None))
     return out
 
 
-def _errors(edges: Sequence[Edge], evidence: Evidence, T: F64) -> F64:
-    """Median misplacement of each edge's points under poses T, metres; NaN where too little is seen to tell."""
+def _errors(edges: Sequence[Edge], evidence: Evidence, T: F64, share: float = 0.5) -> F64:
+    """Median misplacement of each edge's points under poses T, metres; by depth the one that a `share` of them is
+    within. NaN where too little is seen to tell."""
     out = np.full(len(edges), np.nan)
     for k, e in enumerate(edges):
         D = invert_T(T[e.j]) @ T[e.i]
-        y = transform(D, e.p)
-        if e.q is not None:
-            out[k] = np.median(np.linalg.norm(y - e.q, axis=1))
+        if e.t is not None:
+            out[k] = np.median(np.linalg.norm(transform(D, e.p) - e.q, axis=1))
             continue
-        q, _, ok = look_up(evidence.views[e.j], y)
-        if ok.sum() >= 20:
-            out[k] = np.median(np.abs(y[ok, 2] - q[ok, 2]))
+        views = evidence.views
+        off = np.concatenate([_off(views[e.j], transform(D, e.p)), _off(views[e.i], transform(invert_T(D), e.q))])
+        if len(off) >= 20:
+            out[k] = np.quantile(np.abs(off), share)
     return out
+
+
+def _off(view: View, y: F64) -> F64:
+    """By how much points y (M, 3) of a view's camera lie behind what it sees there (K,), metres; not those that it
+    cannot see because something hides them, which no pose forbids."""
+    q, _, ok = look_up(view, y)
+    behind = y[ok, 2] - q[ok, 2]
+    return behind[behind < TOLERANCE[1]]
 
 
 def _by_depth_alone(edges: Sequence[Edge], evidence: Evidence, T: F64) -> float:
     """Median misplacement by depth of the pairs that features speak of; infinite where it cannot be told."""
     rng = np.random.default_rng(0)
-    matched = [e for e in edges if e.q is not None]
-    bare = [Edge(e.i, e.j, sample_surface(evidence.views[e.i], rng, 100)[0], None, None) for e in matched]
+    matched = [e for e in edges if e.t is not None]
+    seen = [[sample_surface(evidence.views[k], rng, 100)[0] for k in (e.i, e.j)] for e in matched]
+    bare = [Edge(e.i, e.j, p, q, None) for e, (p, q) in zip(matched, seen, strict=True)]
     error = _errors(bare, evidence, T)
     return float(np.nanmedian(error)) if np.isfinite(error).sum() >= 4 else float("inf")
 
@@ -245,6 +272,17 @@ def _way_out(fit: float) -> str:
         f"surfaces agree with the poses to {100 * fit:.1f} cm, features do not: leave out frames in which "
         "something large moved, or that are of another place, or estimate the poses (--poses estimate)"
     )
+
+
+def _leave(frames: Sequence[Frame], piece: Sequence[int]) -> str:
+    return (
+        f"of these {_span(frames, piece)} agree with each other: leave out the others if they are of another place, or "
+        "estimate the poses (--poses estimate)"
+    )
+
+
+def _span(frames: Sequence[Frame], piece: Sequence[int]) -> str:
+    return f"{frames[piece[0]].name} to {frames[piece[-1]].name} ({len(piece)} frames)"
 
 
 def _late_depth(edges: Sequence[Edge], evidence: Evidence, T: F64) -> tuple[int, float] | None:
@@ -290,6 +328,12 @@ def _pieces(agreeing: np.ndarray, bad: np.ndarray, n: int) -> list[list[int]]:
     _, piece = connected_components(coo_matrix((np.ones(len(links)), links.T), shape=(n, n)), directed=False)
     found = [np.flatnonzero((piece == k) & ~bad).tolist() for k in np.unique(piece[~bad])]
     return sorted((p for p in found if len(p) > 1), key=len, reverse=True)
+
+
+def _between(pair: np.ndarray, a: Sequence[int], b: Sequence[int]) -> int:
+    """Number of pairs (M, 2) of a frame of one piece and one of the other."""
+    of = [np.isin(pair, piece) for piece in (a, b)]
+    return int(((of[0][:, 0] & of[1][:, 1]) | (of[1][:, 0] & of[0][:, 1])).sum())
 
 
 def _nowhere(evidence: Evidence, T: F64, agreement: F64) -> np.ndarray:
@@ -378,7 +422,7 @@ def _explain(
     edges: Sequence[Edge], evidence: Evidence, T: F64, typical: float, scale: float | None
 ) -> tuple[str, float, str] | None:
     """(name, median misplacement once undone, hint) of the convention that agrees best, if it clearly beats none."""
-    certain = [e for e in edges if e.q is not None]
+    certain = [e for e in edges if e.t is not None]
     # By depth alone, only frames next to each other surely see the same; poses do not decide who is compared.
     certain = certain if len(certain) >= 8 else [e for e in edges if e.j - e.i <= 3]
     if not certain or typical < 0.02:
@@ -395,10 +439,23 @@ def _explain(
     return best
 
 
-def _named(frames: Sequence[Frame], bad: np.ndarray, agreement: F64, middle: F64) -> tuple[Dropped, ...]:
+def _named(
+    frames: Sequence[Frame],
+    bad: np.ndarray,
+    agreement: F64,
+    middle: F64,
+    strangers: Sequence[Sequence[int]],
+    pieces: Sequence[Sequence[int]],
+) -> tuple[Dropped, ...]:
     out = []
+    of = {k: piece for piece in strangers for k in piece}
     for k in np.flatnonzero(bad).tolist():
-        if np.isnan(agreement[k]):
+        if k in of:
+            reason = (
+                f"{_span(frames, of[k])} agree with each other and with no frame of {_span(frames, pieces[0])}, where "
+                "by the poses both see the same surface: of another place, or their poses jump"
+            )
+        elif np.isnan(agreement[k]):
             reason = "its pose looks at nothing that the frames before and after see"
         else:
             against, off = 100 * (1 - agreement[k]), 100 * middle[k]

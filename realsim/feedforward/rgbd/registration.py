@@ -2,13 +2,13 @@
 
 A feature's ray comes from the colour camera and its depth from the depth image. Under a wrong focal length, centre or
 place of the colour camera the points of two frames are not related by a rigid motion. So five figures are sought that
-make them so, whatever the frames' poses:
+make them so, whatever the frames' poses, or under poses that are known without colour:
 
     ray seen from the depth camera = zoom * ray as read + centre + shift / depth
 
-(The shift is the metres by which the colour camera stands right of and below the depth camera.) Each pair of frames
-keeps its own best rigid motion (variable projection, Golub and Pereyra 1973); the five are found by Gauss-Newton steps
-on what remains.
+(The shift is the metres by which the colour camera stands right of and below the depth camera.) Without poses each pair
+of frames keeps its own best rigid motion (variable projection, Golub and Pereyra 1973); the five are found by
+Gauss-Newton steps on what remains.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from realsim.feedforward.rgbd.tracks import Match, View
+from realsim.geometry import invert_T
 from realsim.types import F64, Frame, Intrinsics
 
 PRIOR = np.array([0.1, 0.03, 0.03, 0.03, 0.03])
@@ -114,34 +115,45 @@ def neighbours(count: int) -> list[tuple[int, int]]:
     return [(i, i + step) for step in (1, 3) for i in range(0, count - step, every)]
 
 
-def seek(views: Sequence[View], matches: Sequence[Match]) -> Found | None:
-    """The registration that matched features have, or None if there are too few."""
+def seek(views: Sequence[View], matches: Sequence[Match], T: F64 | None = None, gain: float = 1.0) -> Found | None:
+    """The registration that matched features have, or None if there are too few.
+
+    Args:
+        T: (N, 4, 4) poses of the depth camera, and the depth's gain under them, if they are known without the features.
+            Without poses the shift is hardly seen: points that are all as far to the side move like a rigid thing too.
+    """
     far = [_thinned(m) for m in matches if len(m.a) >= 20]
     far = [far[k] for k in np.unique(np.linspace(0, len(far) - 1, PAIRS).astype(int))] if far else []
     held, used = far[::4], [m for k, m in enumerate(far) if k % 4]
     if sum(len(m.a) for m in used) < LEAST or not held:
         return None
     theta = np.zeros(5)
+    known = None if T is None else (T, gain)
     for _ in range(STEPS):
-        r, J, group = _linearised(views, used, theta)
+        r, J, group = _linearised(views, used, theta, known)
         w = 1 / (1 + (r / SCALE) ** 2) / SCALE**2
         H = (J * w[:, None]).T @ J + np.diag(PRIOR**-2.0)
         step = -np.linalg.solve(H, (J * w[:, None]).T @ r + theta / PRIOR**2)
         # Noise in the slopes of depth makes steps too short: the best of some multiples is taken.
         tries = [theta + k * step for k in (1, 3, 6, 10)]
-        theta = min(tries, key=lambda t: _cost(views, used, t))
+        theta = min(tries, key=lambda t: _cost(views, used, t, known))
         if np.abs(step / PRIOR).max() < 0.01:
             break
     scores = np.zeros((len(used), 5))
     np.add.at(scores, group, J * (w * r)[:, None])
     inverse = np.linalg.inv(H)
     sigma = np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse))
-    before, after = (float(np.median(_lengths(views, held, t))) for t in (np.zeros(5), theta))
+    before, after = (float(np.median(_lengths(views, held, t, known))) for t in (np.zeros(5), theta))
     return Found(Registration.of(theta), sigma, before, after, sum(len(m.a) for m in used))
 
 
-def _cost(views: Sequence[View], matches: Sequence[Match], theta: F64) -> float:
-    return float(np.log1p((_lengths(views, matches, theta) / SCALE) ** 2).mean() + 1e-3 * ((theta / PRIOR) ** 2).sum())
+Known = tuple[F64, float] | None
+"""Poses and gain, as `seek` has them."""
+
+
+def _cost(views: Sequence[View], matches: Sequence[Match], theta: F64, known: Known) -> float:
+    length = _lengths(views, matches, theta, known)
+    return float(np.log1p((length / SCALE) ** 2).mean() + 1e-3 * ((theta / PRIOR) ** 2).sum())
 
 
 def _thinned(m: Match) -> Match:
@@ -149,37 +161,42 @@ def _thinned(m: Match) -> Match:
     return replace(m, a=m.a[keep], b=m.b[keep])
 
 
-def _lengths(views: Sequence[View], matches: Sequence[Match], theta: F64) -> F64:
-    length = np.concatenate([np.linalg.norm(_residual(views[m.i], views[m.j], m, theta), axis=1) for m in matches])
+def _lengths(views: Sequence[View], matches: Sequence[Match], theta: F64, known: Known) -> F64:
+    length = np.concatenate([np.linalg.norm(_residual(views, m, theta, known), axis=1) for m in matches])
     return length[np.isfinite(length)]
 
 
-def _linearised(views: Sequence[View], matches: Sequence[Match], theta: F64) -> tuple[F64, F64, np.ndarray]:
+def _linearised(
+    views: Sequence[View], matches: Sequence[Match], theta: F64, known: Known
+) -> tuple[F64, F64, np.ndarray]:
     """Residuals (K,), their derivatives by the five figures (K, 5), and the pair of each (K,)."""
     rs, Js, groups = [], [], []
     for pair, m in enumerate(matches):
-        A, B = views[m.i], views[m.j]
-        around = [_residual(A, B, m, theta + d) for d in (np.zeros(5), *np.diag(DELTA), *np.diag(-DELTA))]
+        around = [_residual(views, m, theta + d, known) for d in (np.zeros(5), *np.diag(DELTA), *np.diag(-DELTA))]
         # A point that falls off a surface at any of these is not a derivative but a loss.
-        known = np.isfinite(around).all((0, 2))
-        J = np.stack([(around[1 + k] - around[6 + k])[known].ravel() / (2 * DELTA[k]) for k in range(5)], 1)
-        rs.append(around[0][known].ravel())
+        on = np.isfinite(around).all((0, 2))
+        J = np.stack([(around[1 + k] - around[6 + k])[on].ravel() / (2 * DELTA[k]) for k in range(5)], 1)
+        rs.append(around[0][on].ravel())
         Js.append(J)
         groups.append(np.full(len(J), pair))
     return np.concatenate(rs), np.concatenate(Js), np.concatenate(groups)
 
 
-def _residual(A: View, B: View, m: Match, theta: F64) -> F64:
-    """(M, 3) what is left between the points of a pair after their best rigid motion, over depth; NaN where unknown."""
-    P, Q = _points(A, m.a, theta), _points(B, m.b, theta)
-    known = np.isfinite(P).all(1) & np.isfinite(Q).all(1)
+def _residual(views: Sequence[View], m: Match, theta: F64, known: Known) -> F64:
+    """(M, 3) what is left between the points of a pair under its motion (where it is not known, the rigid one that fits
+    best), over depth; NaN where unknown."""
+    P, Q = _points(views[m.i], m.a, theta), _points(views[m.j], m.b, theta)
+    on = np.isfinite(P).all(1) & np.isfinite(Q).all(1)
     out = np.full((len(P), 3), np.nan)
-    p, q = P[known], Q[known]
+    p, q = P[on], Q[on]
     if len(p) < 6:
         return out
     z = np.minimum(p[:, 2], q[:, 2])
+    if known is not None:
+        D = invert_T(known[0][m.i]) @ known[0][m.j]
+        r = (p - q @ D[:3, :3].T - D[:3, 3] / known[1]) / z[:, None]
     w = 1 / z**2
-    for _ in range(3):
+    for _ in range(3 if known is None else 0):
         pc, qc = (w[:, None] * p).sum(0) / w.sum(), (w[:, None] * q).sum(0) / w.sum()
         U, _, Vt = np.linalg.svd((w[:, None] * (p - pc)).T @ (q - qc))
         R = U @ np.diag([1, 1, np.sign(np.linalg.det(U @ Vt))]) @ Vt
@@ -187,7 +204,7 @@ def _residual(A: View, B: View, m: Match, theta: F64) -> F64:
         w = 1 / z**2 / (1 + (r**2).sum(1) / SCALE**2)
     # Rays that are wider by the zoom have wider errors too; without this the best fit would be a world of no width.
     r[:, :2] /= 1 + theta[0]
-    out[known] = r
+    out[on] = r
     return out
 
 
