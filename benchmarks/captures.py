@@ -7,7 +7,7 @@
 Places that repeat (corridor, ring, stairwell, stake_row), poses hidden: links between frames far apart that were
 believed, how many of them are false, and the error of the trajectory; `all links` is a robust pose graph over every
 pair that matches. Kinect (colour not registered to depth, poses that drift by 1 cm): error of the poses and of the
-surface's scale, as given, and as delivered; F of the delivered surface beside that of a plain TSDF with the given poses.
+surface's scale, as given, and as delivered; F of the delivered surface beside that of a plain TSDF with given poses.
 """
 
 from __future__ import annotations

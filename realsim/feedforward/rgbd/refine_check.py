@@ -109,7 +109,8 @@ def check_poses(
     if not seen.any():
         text = "the poses could not be checked: no two frames show the same surface"
         return PoseCheck(np.full(n, np.nan), (), (text,), {"edges": 0})
-    typical = float(np.median(error[seen & (weight == weight[seen].max())]))
+    certain = seen & (weight == weight[seen].max())
+    typical = float(np.median(_errors(edges, evidence, T)[certain]))
     limit = float(np.clip(4 * typical, *TOLERANCE))
     bad = _greedy(pair[seen], weight[seen], error[seen] > limit, n)
     agreement, middle = _per_frame(pair[seen], weight[seen], error[seen], limit, n)
@@ -130,7 +131,7 @@ def check_poses(
         "pose_scale": None if scale is None else 1 / scale,
     }
     allowed = max(SCALE_LIMIT, 3 * sensor_sigma, 3 * spread)
-    certain = found is not None and typical > TOLERANCE[0] and found[1] < CLEARER * typical
+    explained = found is not None and typical > TOLERANCE[0] and found[1] < CLEARER * typical
     reasons = []
     if bad.sum() > MANY * n:
         named = f"{frames[np.flatnonzero(bad)[0]].name} to {frames[np.flatnonzero(bad)[-1]].name}"
@@ -138,7 +139,7 @@ def check_poses(
     if scale is not None and abs(scale - 1) > allowed:
         off = scale - 1
         reasons.append(f"baselines by depth are {off:+.1%} of those by the poses; this sensor allows {allowed:.0%}")
-    if certain or typical >= TOLERANCE[1]:
+    if explained or typical >= TOLERANCE[1]:
         reasons.append(f"points misplaced by {100 * typical:.1f} cm (median)")
     if statistics["contradicting_edges"] > 0.5:
         reasons.append(f"{statistics['contradicting_edges']:.0%} of the pairs of frames contradict the poses")
