@@ -119,9 +119,7 @@ def rows(lands: dict[str, Any], setting: str, policy: Any, device: Any, options:
     ]
 
 
-def grouped(
-    rows: list[dict[str, Any]], setting: str, robot: str = "g1", base: str = ""
-) -> dict[str, tuple[int, int]]:
+def grouped(rows: list[dict[str, Any]], setting: str, robot: str = "g1", base: str = "") -> dict[str, tuple[int, int]]:
     """(successes, trials) of a robot's base in a setting by family and difficulty, or by test; of the last base that
     was measured, if none is given."""
     base = base or bases(rows, robot)[-1]

@@ -60,7 +60,7 @@ def readme() -> list[str]:
         (
             "Policy: G1 crosses unseen courses of difficulty 0.5 / 0.8, mean and worst of eight families",
             " / ".join(families(difficulty) for difficulty in ("0.5", "0.8")),
-            "the base that ships, not fine-tuned, in simulation; 79 minutes of training, 23 of them on three or four GPUs",
+            "the base that ships, not fine-tuned, in simulation; 79 minutes of training, 23 of them on several GPUs",
         ),
         (
             "Policy: fine-tuned for five minutes on the terrain in front of it: tests crossed in 97 % of 1000 trials",
