@@ -11,7 +11,7 @@ BASES = {"g1": "g1_parkour.pt", "quadruped": "quadruped_parkour.pt"}
 """Robot -> its base."""
 TASK = FOLDER / "task.json"
 """What differs from the paper's task in the one that the bases were trained in last; fine-tuning them goes on in it. A
-beginner's help (raised floor, starts along the course) and G1's more frequent pushes are not in it, but in training/*/task.json."""
+beginner's help (raised floor, starts along the course) and G1's more frequent pushes are in training/*/task.json."""
 
 
 def base_of(robot: str) -> Path:
