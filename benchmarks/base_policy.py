@@ -11,6 +11,7 @@ and stores the counts of every course.
 
 from __future__ import annotations
 
+import hashlib
 import sys
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -35,7 +36,8 @@ from trainer.tasks.parkour.terminations import OUTCOMES
 ROOT = Path(__file__).resolve().parents[1]
 DIFFICULTIES = (0.5, 0.8)
 FIRST_SEED = 900
-KEY = ("robot", "course", "setting", "seed")
+KEY = ("robot", "base", "course", "setting", "seed")
+"""`base` is the beginning of the SHA-256 of the policy: a new one does not replace old rows."""
 SETTINGS = {
     "mild": (ParkourConfig(randomisation=RandomisationConfig(strength=0.3, push_seconds=0.0)), False),
     "full": (ParkourConfig(), True),
@@ -68,7 +70,7 @@ def main(options: Options) -> None:
     """Run all trials, store them, print them."""
     device = pick_device(options.device)
     file = options.policy or base_of(options.robot)
-    policy = load_policy(file).to(device)
+    policy, name = load_policy(file).to(device), fingerprint(file)
     lands = {
         f"{family}:{difficulty:g}:{FIRST_SEED + k}": terrains.generate(family, difficulty, FIRST_SEED + k)
         for family in terrains.ALL
@@ -79,8 +81,13 @@ def main(options: Options) -> None:
     store = Store(options.out, KEY)
     for setting in options.settings:
         for row in rows(lands, setting, policy, device, options):
-            store.add(row)
+            store.add(row | {"base": name})
     print("\n".join(table(store.rows, policy.robot)))
+
+
+def fingerprint(policy: Path) -> str:
+    """What a policy is called in rows."""
+    return hashlib.sha256(policy.read_bytes()).hexdigest()[:8]
 
 
 def rows(lands: dict[str, Any], setting: str, policy: Any, device: Any, options: Options) -> list[dict[str, Any]]:
@@ -112,30 +119,41 @@ def rows(lands: dict[str, Any], setting: str, policy: Any, device: Any, options:
     ]
 
 
-def grouped(rows: list[dict[str, Any]], setting: str, robot: str = "g1") -> dict[str, tuple[int, int]]:
-    """(successes, trials) of a robot in a setting by family and difficulty, or by test."""
+def grouped(rows: list[dict[str, Any]], setting: str, robot: str = "g1", base: str = "") -> dict[str, tuple[int, int]]:
+    """(successes, trials) of a robot's base in a setting by family and difficulty, or by test; of the last base that
+    was measured, if none is given."""
+    base = base or bases(rows, robot)[-1]
     sums: dict[str, tuple[int, int]] = {}
     for row in rows:
-        if (row["robot"], row["setting"]) == (robot, setting):
+        if (row["robot"], row["base"], row["setting"]) == (robot, base, setting):
             name = ":".join(row["course"].split(":")[:2])
             won, count = sums.get(name, (0, 0))
             sums[name] = won + row.get("success", 0), count + row["trials"]
     return sums
 
 
+def bases(rows: list[dict[str, Any]], robot: str = "g1") -> list[str]:
+    """Of a robot, the last measured last."""
+    return list(dict.fromkeys(row["base"] for row in rows if row["robot"] == robot))
+
+
 def table(rows: list[dict[str, Any]], robot: str = "g1") -> list[str]:
-    """A line for each family and difficulty, and for each test, with Wilson's intervals of 95 %."""
+    """A line for each family and difficulty, and for each test, with Wilson's intervals of 95 %; in brackets the base
+    that was measured before."""
     titles = {"mild": "little randomisation", "full": "all of it, and pushes", "self": "little, with self-collision"}
-    found = {setting: grouped(rows, setting, robot) for setting in SETTINGS}
-    found = {setting: groups for setting, groups in found.items() if groups or setting != "self"}
+    found = {s: [grouped(rows, s, robot, base) for base in bases(rows, robot)[:-3:-1]] for s in SETTINGS}
+    found = {setting: groups for setting, groups in found.items() if any(groups) or setting != "self"}
     head = ["courses", *(titles[s] for s in found), "trials"]
     lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
-    names = dict.fromkeys(name for groups in found.values() for name in groups)
-    for name in names:
-        counts = [groups.get(name, (0, 0)) for groups in found.values()]
-        cells, trials = [_share(c) for c in counts], max(count for _, count in counts)
+    for name in dict.fromkeys(name for now, *_ in found.values() for name in now):
+        counts = [[groups.get(name, (0, 0)) for groups in both] for both in found.values()]
+        cells, trials = [_cell(*c) for c in counts], max(now[1] for now, *_ in counts)
         lines.append(f"| {' | '.join([name, *cells, str(trials)])} |")
     return lines
+
+
+def _cell(now: tuple[int, int], before: tuple[int, int] = (0, 0)) -> str:
+    return _share(now) + (f" ({100 * before[0] / before[1]:.1f})" if before[1] else "")
 
 
 def _share(counts: tuple[int, int]) -> str:

@@ -15,10 +15,9 @@ paper's: names and families agree, their dimensions are unknown (docs/paper.md).
 
 from __future__ import annotations
 
-import hashlib
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -27,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import tyro
 
-from benchmarks.base_policy import SETTINGS
+from benchmarks.base_policy import SETTINGS, fingerprint
 from benchmarks.store import Row, Store
 from trainer import terrain as terrains
 from trainer.commands.common import load_policy
@@ -152,7 +151,7 @@ def run(options: Options) -> None:
 
 def _identity(job: Job, test: str, options: Options) -> Row:
     minutes = 0.0 if job.method == "base" else options.minutes
-    base = hashlib.sha256((options.policy or base_of("g1")).read_bytes()).hexdigest()[:8]
+    base = fingerprint(options.policy or base_of("g1"))
     identity = (base, test, job.method, job.source, job.strategy, minutes, options.seed)
     return dict(zip(KEY, identity, strict=True))
 
@@ -231,27 +230,36 @@ def judged(file: Path, test: str, options: Options) -> Iterator[Row]:
 # ---------------------------------------------------------------- tables
 
 
-def table(rows: list[Row], base: str = "") -> list[str]:
-    """Success by test, a column a policy, with iterations to 97 % and in all; every seed. Of the last base, if none is
-    given."""
-    base = base or (rows[-1]["base"] if rows else "")
-    rows = [r for r in rows if r["base"] == base]
-    columns = sorted({(r["method"], r["source"], r["strategy"], r["minutes"]) for r in rows})
+def table(rows: list[Row], bases: Mapping[str, str] | None = None) -> list[str]:
+    """Success by test, a column a policy, with iterations to 97 % and in all; every seed.
+
+    Args:
+        rows: of any base.
+        bases: those that are shown, and what a column says of them; if not given, only the last, without its name.
+    """
+    bases = bases or {row["base"]: "" for row in rows[-1:]}
+    rows = [r for r in rows if r["base"] in bases]
+    columns = sorted({_column(r) for r in rows})
     tests = [t for t in terrains.TESTS if any(r["test"] == t for r in rows)]
     found: dict[Any, list[Row]] = {}
     for r in sorted(rows, key=lambda r: int(r["seed"])):
-        found.setdefault((r["test"], r["method"], r["source"], r["strategy"], r["minutes"]), []).append(r)
-    lines = ["| test | " + " | ".join(_title(c) for c in columns) + " |", "|---|" + "---|" * len(columns)]
+        found.setdefault((r["test"], *_column(r)), []).append(r)
+    lines = ["| test | " + " | ".join(_title(c, bases) for c in columns) + " |", "|---|" + "---|" * len(columns)]
     for test in tests:
         cells = [_cell(found.get((test, *c), [])) for c in columns]
         lines.append(f"| {test} | " + " | ".join(cells) + " |")
     return lines
 
 
-def _title(column: tuple[Any, ...]) -> str:
-    method, source, strategy, minutes = column
+def _column(row: Row) -> tuple[Any, ...]:
+    return row["method"], row["source"], row["strategy"], row["minutes"], row["base"]
+
+
+def _title(column: tuple[Any, ...], bases: Mapping[str, str]) -> str:
+    method, source, strategy, minutes, base = column
     words = [method, *([source] if source != "exact" else []), *([strategy] if strategy != "full" else [])]
-    return " ".join(words) + (f", {minutes:g} min" if minutes else "")
+    begun = bases[base] if method != "scratch" else ""
+    return ", ".join(filter(None, (" ".join(words), f"{minutes:g} min" if minutes else "", begun)))
 
 
 def _cell(seeds: list[Row]) -> str:

@@ -199,6 +199,6 @@ def _write(path: Path, image: U8) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) < 2 or shutil.which("chromium") is None:
+    if len(sys.argv) < 2 or sys.argv[1].startswith("-") or shutil.which("chromium") is None:
         sys.exit(__doc__)
     main(Path(sys.argv[1]), sys.argv[2:])

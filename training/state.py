@@ -1,6 +1,6 @@
 """A base's training state without its weights, which ship already: the file that is kept, and the checkpoint again.
 
-    python training/state.py split base/policy.pt g1    training/g1/state.pt, and the policy where it ships
+    python training/state.py split base/policy.pt g1    training/g1/state.pt.xz, and the policy where it ships
     python training/state.py join base/policy.pt g1     the checkpoint from both, for `realsim pretrain --resume`
 
 Of the optimiser's moments the second are kept, in bfloat16. The first forget within one iteration: without them the
@@ -11,6 +11,8 @@ seed).
 from __future__ import annotations
 
 import hashlib
+import io
+import lzma
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +29,7 @@ from trainer.ppo import checkpoint
 from trainer.ppo.policy import Policy
 
 HERE = Path(__file__).resolve().parent
+STATE = "state.pt.xz"
 
 
 @dataclass(frozen=True)
@@ -38,7 +41,7 @@ class Options:
 
 
 def main(options: Options) -> None:
-    ships, state = base_of(options.robot), HERE / options.robot / "state.pt"
+    ships, state = base_of(options.robot), HERE / options.robot / STATE
     if options.do == "split":
         split(options.file, ships, state)
     else:
@@ -58,7 +61,9 @@ def split(whole: Path, ships: Path, state: Path) -> None:
         moments["exp_avg_sq"] = moments["exp_avg_sq"].bfloat16()
         del moments["exp_avg"]
     checkpoint.save(ships, policy)
-    torch.save({"policy": fingerprint(policy), "training": training}, state)
+    plain = io.BytesIO()
+    torch.save({"policy": fingerprint(policy), "training": training}, plain)
+    state.write_bytes(lzma.compress(plain.getvalue()))
 
 
 def join(whole: Path, ships: Path, state: Path) -> None:
@@ -68,7 +73,9 @@ def join(whole: Path, ships: Path, state: Path) -> None:
         TrainerError: the state is that of another policy than the one that ships.
     """
     policy, _ = checkpoint.load(ships)
-    kept: dict[str, Any] = torch.load(state, map_location="cpu", weights_only=True)
+    kept: dict[str, Any] = torch.load(
+        io.BytesIO(lzma.decompress(state.read_bytes())), map_location="cpu", weights_only=True
+    )
     if kept["policy"] != fingerprint(policy):
         raise TrainerError("the state belongs to another policy", file=state, expected=f"that of {ships}")
     for moments in _moments(kept["training"]):

@@ -28,7 +28,7 @@ from benchmarks.tables.diagnosis import (
     real_logs,
 )
 from benchmarks.tables.index import index
-from benchmarks.tables.policies import base, pushed, quadruped_base, reconstructed, strategies, tuned
+from benchmarks.tables.policies import base, kept, pushed, quadruped_base, reconstructed, strategies, tuned
 from benchmarks.tables.readme import readme
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -50,6 +50,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "pushes": pushed,
     "base policy of the quadruped": quadruped_base,
     "test-time training": tuned,
+    "kept with pushes": kept,
     "test-time training on reconstructions": reconstructed,
     "test-time training by strategy": strategies,
     "footholds": footholds,

@@ -1,13 +1,17 @@
 """The policies that ship load, fit the task as it is today, and are what their exported form computes."""
 
 # ruff: noqa: E402 - what needs torch is imported after it is known to be there
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
 pytest.importorskip("onnxruntime", reason="running an exported policy needs onnxruntime")
 
-from trainer.policies import BASES, FOLDER, base_of
+from trainer.commands.task_file import load_task
+from trainer.policies import BASES, FOLDER, TASK, base_of
 from trainer.ppo import checkpoint, export
 from trainer.ppo.policy import check_layout
 from trainer.robots import ROBOTS
@@ -15,6 +19,7 @@ from trainer.tasks import Observation
 from trainer.tasks.parkour import ParkourConfig
 from trainer.tasks.parkour.observations import layout
 
+TRAINING = Path(__file__).resolve().parents[2] / "training"
 MOST_BYTES = 8 * 2**20
 """Of a robot's files."""
 
@@ -46,3 +51,13 @@ def test_the_exported_policy_is_the_checkpoint(robot: str) -> None:
     (action, *_) = session.run(None, given)
     expected = policy.act(Observation(torch.from_numpy(vector), torch.zeros(1, 1), torch.from_numpy(depth))).numpy()
     np.testing.assert_allclose(action, expected, atol=1e-4)
+
+
+@pytest.mark.parametrize("robot", BASES)
+def test_fine_tuning_goes_on_in_the_task_of_the_base(robot: str) -> None:
+    """But for a beginner's help and the interval of pushes; trials without a task file stay as they were."""
+    task, trained = load_task(TASK), load_task(TRAINING / robot / "task.json")
+    random = replace(trained.randomisation, push_seconds=task.randomisation.push_seconds)
+    assert task == replace(trained, floor=task.floor, reset=task.reset, randomisation=random)
+    assert task.self_collision
+    assert not ParkourConfig().self_collision

@@ -14,12 +14,13 @@ from trainer.ppo import checkpoint  # noqa: E402
 from training import state  # noqa: E402
 
 
-def test_the_base_that_ships_goes_on_from_its_state(tmp_path: Path) -> None:
-    whole, ships, kept = tmp_path / "whole.pt", tmp_path / "ships.pt", tmp_path / "state.pt"
-    state.join(whole, base_of("g1"), state.HERE / "g1" / "state.pt")
+@pytest.mark.parametrize(("robot", "iterations"), [("g1", 5780), ("quadruped", 2089)])
+def test_the_base_that_ships_goes_on_from_its_state(robot: str, iterations: int, tmp_path: Path) -> None:
+    whole, ships, kept = tmp_path / "whole.pt", tmp_path / "ships.pt", tmp_path / state.STATE
+    state.join(whole, base_of(robot), state.HERE / robot / state.STATE)
     policy, training = checkpoint.load(whole)
     assert training is not None
-    assert training["iteration"] > 5000
+    assert training["iteration"] == iterations
     state.split(whole, ships, kept)
     state.join(tmp_path / "again.pt", ships, kept)
     again, same = checkpoint.load(tmp_path / "again.pt")
@@ -30,9 +31,9 @@ def test_the_base_that_ships_goes_on_from_its_state(tmp_path: Path) -> None:
 def test_a_state_of_another_policy_is_refused(tmp_path: Path) -> None:
     assert "quadruped" in BASES
     with pytest.raises(TrainerError, match="another policy"):
-        state.join(tmp_path / "whole.pt", base_of("quadruped"), state.HERE / "g1" / "state.pt")
+        state.join(tmp_path / "whole.pt", base_of("quadruped"), state.HERE / "g1" / state.STATE)
     with pytest.raises(TrainerError, match="no training state"):
-        state.split(base_of("g1"), tmp_path / "ships.pt", tmp_path / "state.pt")
+        state.split(base_of("g1"), tmp_path / "ships.pt", tmp_path / state.STATE)
 
 
 def _equal(a, b) -> bool:

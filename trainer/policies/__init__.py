@@ -10,8 +10,8 @@ FOLDER = Path(__file__).parent
 BASES = {"g1": "g1_parkour.pt", "quadruped": "quadruped_parkour.pt"}
 """Robot -> its base."""
 TASK = FOLDER / "task.json"
-"""What differs from the paper's task in the one that the bases were trained in; fine-tuning them goes on in it. A
-beginner's help (raised floor, starts along the course) is not in it: training/g1/task.json has it."""
+"""What differs from the paper's task in the one that the bases were trained in last; fine-tuning them goes on in it. A
+beginner's help (raised floor, starts along the course) and G1's more frequent pushes are in training/*/task.json."""
 
 
 def base_of(robot: str) -> Path:

@@ -1,0 +1,46 @@
+"""Tables of policies: bases are told apart, and nothing of two is added up."""
+
+from __future__ import annotations
+
+import hashlib
+
+from benchmarks import base_policy, ttt
+from benchmarks.tables import policies
+from benchmarks.tables.stored import stored
+from trainer.policies import base_of
+
+
+def test_a_base_stands_beside_the_one_before_it() -> None:
+    rows = [
+        {"robot": "g1", "base": base, "course": f"beams:0.8:{seed}", "setting": "full", "trials": 20, "success": won}
+        for base, won in (("first", 1), ("second", 5), ("third", 10))
+        for seed in (900, 901)
+    ]
+    line = base_policy.table(rows)[-1]
+    assert "50.0 %" in line
+    assert "(25.0)" in line
+    assert line.endswith("| 40 |")
+    assert base_policy.grouped(rows, "full", base="first") == {"beams:0.8": (2, 40)}
+    assert not any("(" in line for line in base_policy.table(rows[:2]))
+
+
+def test_the_tables_are_of_the_bases_that_ship() -> None:
+    assert base_policy.fingerprint(base_of("g1")) == policies.SHIPS
+    for robot in ("g1", "quadruped"):
+        bases = base_policy.bases(stored("base_policy")["rows"], robot)
+        assert hashlib.sha256(base_of(robot).read_bytes()).hexdigest().startswith(bases[-1])
+
+
+def test_fine_tuning_says_what_it_began_with() -> None:
+    row = {"test": "boxes", "source": "exact", "strategy": "full", "minutes": 5.0, "seed": 0, "trials": 10, "won": 9}
+    row |= {"iterations": 3, "to_target": None}
+    rows = [
+        row | {"base": "a", "method": "ttt1"},
+        row | {"base": "b", "method": "ttt1", "won": 10},
+        row | {"base": "a", "method": "scratch", "won": 0},
+    ]
+    head, _, line = ttt.table(rows, {"a": "from A", "b": "from B"})
+    assert head == "| test | scratch, 5 min | ttt1, 5 min, from A | ttt1, 5 min, from B |"
+    assert line.count("not reached of 3") == 3
+    assert [cell in line for cell in ("0.0 %", "90.0 %", "100.0 %")] == [True] * 3
+    assert ttt.table(rows[:2])[0] == "| test | ttt1, 5 min |"
