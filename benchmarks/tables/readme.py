@@ -7,7 +7,7 @@ from benchmarks.tables.diagnosis import robots
 from benchmarks.tables.policies import families, well_crossed
 from benchmarks.tables.stored import counts, of, span, stored
 
-FRESH = 977
+FRESH = 1087
 """The last seed that the search was measured on with enough cases for a table; its engine is named beside it."""
 
 
