@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from realsim.errors import PoseError
-from realsim.feedforward.rgbd.loops import plausible
+from realsim.feedforward.rgbd.loops import LINKS, plausible
 from realsim.feedforward.rgbd.refine_pairs import choose_pairs, look_up, overlap, sample_surface
 from realsim.feedforward.rgbd.together import has_own_depth
 from realsim.feedforward.rgbd.tracks import Evidence, View
@@ -38,10 +38,6 @@ MOST = 0.75
 on two captures with frames of two places under the poses of one: all of 70 pairs across contradict, while half of the
 points agree in 20 of them. Within six captures with their own poses 0 to 2 % of the pairs contradict, in one with poses
 2 cm off 19 % do by the least limit."""
-STRANGE = 3
-"""Pairs of frames of two pieces that by the poses see the same surface, of which by depth none does, from which the
-smaller piece does not belong to the larger one. Likeness does not count: it may be false at every place where pieces
-meet."""
 MANY = 0.3
 """Share of contradicting frames from which the poses as a whole are in question."""
 
@@ -117,7 +113,8 @@ def check_poses(
     bad |= _nowhere(evidence, T, agreement)
     agreeing = pair[seen & (error <= limit)]
     pieces = _pieces(agreeing, np.zeros(n, bool), n)
-    strangers = [p for p in pieces[1:] if _between(pair[seen & (weight < 1)], p, pieces[0]) >= STRANGE]
+    # By depth alone: likeness may be false wherever pieces meet. So many pairs see the same surface, and none agrees.
+    strangers = [p for p in pieces[1:] if _between(pair[seen & (weight < 1)], p, pieces[0]) >= LINKS]
     bad[[k for p in strangers for k in p]] = True
     pieces = _pieces(agreeing, bad, n)
     scale, spread = _scale(edges, T)
