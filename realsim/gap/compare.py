@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -67,6 +68,7 @@ class Comparison:
         self.case, self.channels, self.config = case, tuple(channels), config
         self._starts, self._counts, self._values, self.times = [], [], [], []
         self._valid, self._phase = [], []
+        self._free: dict[int, list[tuple[Any, F64, F64]]] = {}
         for run in case.runs:
             bins = np.floor(run.time / config.bin_seconds).astype(int)
             starts = np.flatnonzero(np.diff(bins, prepend=bins[0] - 1))
@@ -112,17 +114,40 @@ class Comparison:
 
     def residual(self, run: int, simulated: F64) -> F64:
         """(B, C) mean of measured - simulated in each bin; NaN where a bin has no sample or the simulator failed."""
-        diff = np.where(self._valid[run], self._values[run] - simulated, 0.0)
-        total = np.add.reduceat(diff, self._starts[run], axis=0)
-        count = self._counts[run]
-        return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+        return np.where(self._counts[run] > 0, self._mean(run, self._values[run] - simulated), np.nan)
 
     def change(self, run: int, simulated: F64, base: F64) -> F64:
         """(B, C) mean change of the prediction in each bin; 0 where none of its samples count."""
-        diff = np.where(self._valid[run], simulated - base, 0.0)
-        total = np.add.reduceat(diff, self._starts[run], axis=0)
-        count = self._counts[run]
-        return np.where(count > 0, total / np.maximum(count, 1), 0.0)
+        return np.where(self._counts[run] > 0, self._mean(run, simulated - base), 0.0)
+
+    def _mean(self, run: int, values: F64) -> F64:
+        """(B, C) mean of (T, C) over the samples of each bin, beside the states that the run's parts begin in."""
+        total = np.add.reduceat(np.where(self._valid[run], values, 0.0), self._starts[run], axis=0)
+        return self._beside_starts(run, total / np.maximum(self._counts[run], 1))
+
+    def free_starts(self, run: int, slopes: F64, parts: Any) -> None:
+        """Let each part of a run begin where it fits best: what the state that it begins in can explain is no error.
+
+        Args:
+            slopes: (T, C, K) change of the prediction by one unit of each coordinate of those states.
+            parts: (B,) the part that each bin lies in.
+        """
+        columns = [self._mean(run, slopes[:, :, k]) for k in range(slopes.shape[2])]
+        S, known = np.stack(columns, axis=2), self._counts[run] > 0
+        root = np.where(known, self.floor(run) ** -0.5, 0.0)
+        self._free[run] = []
+        for part in np.unique(parts):
+            rows = parts == part
+            there = S[rows].reshape(-1, S.shape[2])
+            fit = np.linalg.pinv(root[rows].reshape(-1, 1) * there, rcond=1e-6) * root[rows].reshape(-1)
+            self._free[run].append((rows, there, fit))
+
+    def _beside_starts(self, run: int, values: F64) -> F64:
+        """(B, C) without what the states that the parts of the run begin in explain."""
+        for rows, slopes, fit in self._free.get(run, []):
+            flat = values[rows].reshape(-1)
+            values[rows] = (flat - slopes @ (fit @ flat)).reshape(values[rows].shape)
+        return values
 
     def set_detail(self, detail: Sequence[F64]) -> None:
         """Set the size of slow structure, (C,) or (B, C) a run, and with it the weights."""

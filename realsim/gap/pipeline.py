@@ -33,6 +33,7 @@ from realsim.gap.logs.repeats import replicates as replicates
 from realsim.gap.logs.runs import LEAST_SAMPLES
 from realsim.gap.logs.split import split_runs
 from realsim.gap.provenance import provenance
+from realsim.gap.simulation.anchors import free_starts
 from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.verdicts import GapVerdict
 from realsim.types import F64
@@ -68,6 +69,7 @@ def diagnose(
         health = examine(simulator)
         nominal = simulator.simulate()
         comparison = Comparison(case, simulator.channels, nominal, config, fitted)
+        free_starts(simulator, comparison)
         for name, at in comparison.parted.items():
             health["warnings"].append(f"{name}: robot and simulator diverge at {at:.1f} s; the rest is left out")
         simulator.onsets = find_onsets(comparison, nominal, fitted)

@@ -60,7 +60,7 @@ def suggested(screen: Screen, cause: Cause) -> list[tuple[Candidate, list[list[f
 def twins(simulator: Simulator, effect: str, place: Place, values: dict[str, float]) -> list[str]:
     """Effects that do exactly the same at this place with these values, so that no score tells them apart: of a robot
     that begins at rest, joints alone do not tell late commands from late readings."""
-    if any(start.moving for start in simulator.starts):
+    if any(start.reads_the_log for start in simulator.starts):
         return []
     others = lookup(effect).suggests(simulator.context, place, values)
     return [o.effect for o in others if o.effect != effect and (o.place, o.values) == (place, values)]

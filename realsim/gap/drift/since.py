@@ -24,6 +24,7 @@ from realsim.gap.drift.change import DAILY, Changed, Joint
 from realsim.gap.drift.pair import pair_of
 from realsim.gap.drift.words import sentence
 from realsim.gap.logs.case import Case
+from realsim.gap.simulation.anchors import free_starts
 from realsim.gap.simulation.simulate import Simulator, lookup
 from realsim.types import F64
 
@@ -82,6 +83,7 @@ def changed_since(
     with threadpool_limits(1, user_api="blas"), Simulator(pair.case, config, fitted) as simulator:
         nominal = simulator.simulate()
         comparison = Comparison(pair.case, simulator.channels, nominal, config, fitted)
+        free_starts(simulator, comparison)
         earlier = Screen(simulator, comparison, pair.before, config.effects, tick)
         shared = select(earlier, Fitter(earlier), config, tick)
         screen = Screen(simulator, comparison, fitted, config.effects, tick)

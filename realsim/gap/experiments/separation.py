@@ -30,7 +30,6 @@ from realsim.gap.experiments.plan import Experiment, Rig, planned_case
 from realsim.gap.experiments.rivals import Rival
 from realsim.gap.simulation.nuisances import NUISANCES
 from realsim.gap.simulation.simulate import Setting, Simulator, lookup
-from realsim.gap.simulation.start import Start
 from realsim.types import F64
 
 DRAWS = 2000
@@ -70,9 +69,8 @@ class Bench:
 
     def simulator(self, experiment: Experiment) -> Simulator:
         """Its runs, begun at rest. Effects count in the scales of the log, so the context is the log's."""
-        simulator = Simulator(planned_case(self.rig, experiment.runs), self.config)
+        simulator = Simulator(planned_case(self.rig, experiment.runs), self.config, planned=True)
         simulator.context = replace(self.rig.context)
-        simulator.starts = tuple(Start() for _ in experiment.runs)
         return simulator
 
     def predicted(self, experiment: Experiment, rivals: Sequence[Rival]) -> Predicted | str:

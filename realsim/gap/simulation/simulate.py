@@ -6,6 +6,7 @@ import threading
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from realsim.gap.deviations import check_places, read_deviations
 from realsim.gap.effects import EFFECTS
 from realsim.gap.effects.base import Effect, Place
 from realsim.gap.logs.case import Case, Run
+from realsim.gap.simulation.anchors import anchored
 from realsim.gap.simulation.channels import Channel as Channel
 from realsim.gap.simulation.channels import channels
 from realsim.gap.simulation.context import Context, build_context, measure
@@ -54,8 +56,14 @@ class Simulator:
     of a step exact in the mean.
     """
 
-    def __init__(self, case: Case, config: DiagnoseConfig, known: Sequence[int] | None = None) -> None:
-        """`known`: runs that scales of effects (peak torque, travel) are taken from; all if None."""
+    def __init__(
+        self, case: Case, config: DiagnoseConfig, known: Sequence[int] | None = None, planned: bool = False
+    ) -> None:
+        """
+        Args:
+            known: runs that scales of effects (peak torque, travel) are taken from; all if None.
+            planned: whether the runs are yet to be recorded: each begins at rest, and goes on from no state of a log.
+        """
         self.case, self.config = case, config
         self.known = tuple(range(len(case.runs)) if known is None else known)
         self.context: Context = build_context(case)
@@ -73,7 +81,8 @@ class Simulator:
         self._raw = self.roll_out(Edit(self.context), None)
         self.rests = [r["pos"][round(float(r["settle"][0] / r["settle"][1]))] for r in self._raw]
         """(J,) a run: where the nominal simulator rests under the first command."""
-        self._start_in_motion()
+        if not planned:
+            self._start_in_motion()
         self.context.travels = self._travels(self.known)
         self.context.deviations = read_deviations(config.deviations)
         measure(self.context, [_inside(self._raw[i]) for i in self.known])
@@ -141,7 +150,7 @@ class Simulator:
 
     def _raw_of(self, edit: Edit, chosen: list[int], coarse: int) -> list[dict[str, F64]]:
         """Signals on the simulator's own grid; what only reads them otherwise needs no simulation of its own."""
-        moving = any(self.starts[i].moving for i in chosen)
+        moving = any(self.starts[i].reads_the_log for i in chosen)
         moves = edit.touched or edit.signals.moves_the_robot() or (moving and edit.signals.observation_delay)
         if coarse == 1 and not moves:
             assert self._raw is not None
@@ -158,7 +167,8 @@ class Simulator:
         self.starts = find_starts(
             self, [self.read(run, raw, edit) for run, raw in zip(self.case.runs, self._raw, strict=True)]
         )
-        moving = [i for i, start in enumerate(self.starts) if start.moving]
+        self.starts = anchored(self)
+        moving = [i for i, start in enumerate(self.starts) if start.reads_the_log]
         for i, raw in zip(moving, self.roll_out(edit, moving) if moving else [], strict=True):
             self._raw[i] = raw
 
@@ -197,10 +207,16 @@ class Simulator:
         settle = [self._settle_steps(start, edit, dt) for start in begun]
         lengths = [int(np.ceil((min(run.duration, seconds) + 0.05) / dt)) + 2 for run in runs]
         steps = [lead + length for lead, length in zip(settle, lengths, strict=True)]
-        state = [initial_state(self.case, model, r, edit, s) for r, s in zip(runs, begun, strict=True)]
         control = [self._control(model, run, edit, n, k, dt) for run, n, k in zip(runs, steps, settle, strict=True)]
         off = [self._off(model, run, edit, n, k, dt) for run, n, k in zip(runs, steps, settle, strict=True)]
-        sensors = self.rolled(model, state, control, edit, off)
+        edges = [
+            [0, *self._anchored_at(start, edit, k, dt), n] for start, n, k in zip(begun, steps, settle, strict=True)
+        ]
+        parts = [(i, part, slice(*ends)) for i, e in enumerate(edges) for part, ends in enumerate(pairwise(e))]
+        states = [initial_state(self.case, model, runs[i], edit, begun[i].part(part)) for i, part, _ in parts]
+        offs = [None if off[i] is None else off[i][rows] for i, _, rows in parts]
+        rolled = iter(self.rolled(model, states, [control[i][rows] for i, _, rows in parts], edit, offs))
+        sensors = [np.concatenate([next(rolled) for _ in e[1:]]) for e in edges]
         with self._counting:
             self.simulated_seconds += float(sum(steps)) * dt
         return [self._tracks(model, s, k, edit) for s, k in zip(sensors, settle, strict=True)]
@@ -231,6 +247,11 @@ class Simulator:
                 seconds, RESTING
             )  # the logged state is the robot's own rest; contacts would creep away from it
         return round(seconds / dt)
+
+    def _anchored_at(self, start: Start, edit: Edit, settle: int, dt: float) -> list[int]:
+        """Steps at which a run goes on from a state of the log: late encoders read there what was earlier."""
+        late = 0.0 if self.case.floating else edit.signals.observation_delay
+        return [settle + round((anchor.time - late) / dt) for anchor in start.anchors]
 
     def _control(self, model: Any, run: Run, edit: Edit, steps: int, settle: int, dt: float) -> F64:
         command = run.command.copy()

@@ -39,6 +39,18 @@ LEAST_MOTION = 2e-3
 
 
 @dataclass(frozen=True)
+class Anchor:
+    """A state of the log from which a replay goes on."""
+
+    time: float
+    """s in the run."""
+    qpos: F64
+    """(nq,) of the nominal model."""
+    qvel: F64
+    """(nv,)"""
+
+
+@dataclass(frozen=True)
 class Start:
     """How one run begins."""
 
@@ -52,10 +64,21 @@ class Start:
     encoders: bool = True
     """Joint positions are encoder readings: an encoder's offset and delay are in them too."""
     reason: str = "the robot stands still"
+    anchors: tuple[Anchor, ...] = ()
+    """Where the replay goes on from the log's state; see realsim.gap.simulation.anchors."""
 
     @property
     def moving(self) -> bool:
         return self.qpos is not None
+
+    @property
+    def reads_the_log(self) -> bool:
+        """Whether what the sensors do changes a state that the simulator is in."""
+        return self.moving or bool(self.anchors)
+
+    def part(self, k: int) -> Start:
+        """How part k of the run begins."""
+        return replace(self, anchors=()) if k == 0 else Start("log", self.anchors[k - 1].qpos, self.anchors[k - 1].qvel)
 
 
 def initial_state(case: Case, model: Any, run: Run, edit: Edit, start: Start | None = None) -> F64:

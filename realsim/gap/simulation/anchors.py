@@ -1,0 +1,174 @@
+"""Multiple shooting: where replay would run away, the simulator goes on from a state of the log.
+
+A pendulum that is balanced, or a drone, is held up by its controller. Replayed without it, any small error grows, and
+soon says more of the first state than of the robot. So a replay takes the log's state anew each time that a small error
+of the last one has grown GROWTH-fold. That is a matter of the model and its commands: the gap does not decide it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from realsim.errors import GapError
+from realsim.gap.evidence.motion import Motion, estimate
+from realsim.gap.logs.case import Case, Run
+from realsim.gap.simulation.edit import Edit
+from realsim.gap.simulation.sampling import rotation_from
+from realsim.gap.simulation.start import Anchor, Start, initial_state
+from realsim.types import F64
+
+if TYPE_CHECKING:
+    from realsim.gap.compare import Comparison
+    from realsim.gap.simulation.simulate import Simulator
+
+GROWTH = 10.0
+"""An encoder's millimetre or milliradian becomes a centimetre. Not tuned."""
+SMALL = 1e-4
+"""rad or m of the error that is let grow."""
+LEAST = 0.1
+"""s between two states: what a velocity needs to be estimated from the log."""
+
+
+def anchored(simulator: Simulator) -> tuple[Start, ...]:
+    """The starts of the runs, with the states from which each goes on."""
+    case = simulator.case
+    if not _all_logged(case):
+        return simulator.starts
+    return tuple(_anchored(simulator, run, start) for run, start in zip(case.runs, simulator.starts, strict=True))
+
+
+def _all_logged(case: Case) -> bool:
+    """Whether the log has the whole state: every joint, and the base."""
+    base = {"base_pos", "base_quat"} if case.floating else set()
+    known = len(case.joint_names) + 6 * case.floating
+    return case.model.nv == known and case.model.na == 0 and all(base <= run.signals.keys() for run in case.runs)
+
+
+def _anchored(simulator: Simulator, run: Run, start: Start) -> Start:
+    try:
+        motion = estimate(simulator.case, run)
+    except GapError:
+        return start
+    if _in_contact(simulator.case.model, motion):  # feet that strike part from the log for good; see Comparison
+        return start
+    replay, last = _Replay(simulator, run, motion), run.duration - LEAST
+    if replay.bears(start, 0.0) > last:
+        return start
+    here = start if start.moving else Start("log", motion.qpos[0], motion.qvel[0])  # nothing rests here
+    found, anchors, at = replace(here, reason="a small error would grow too fast in replay"), list[Anchor](), 0.0
+    while (at := at + max(replay.bears(here, at, near=True), LEAST)) <= last:
+        good = np.flatnonzero(motion.good & (motion.time >= at))
+        if not len(good):
+            break
+        at, qpos, qvel = (float(motion.time[good[0]]), motion.qpos[good[0]], motion.qvel[good[0]])
+        anchors.append(Anchor(at, qpos, qvel))
+        here = Start("log", qpos, qvel)
+    return replace(found, anchors=tuple(anchors))
+
+
+class _Replay:
+    """One run, replayed from states of the log."""
+
+    def __init__(self, simulator: Simulator, run: Run, motion: Motion) -> None:
+        self.simulator, self.run, self.edit = simulator, run, Edit(simulator.context)
+        self.model = self.edit.set_up(run.setup).compile()
+        self.dt = float(self.model.opt.timestep)
+        self.steps = int(np.ceil(run.duration / self.dt)) + 2
+        self.control = simulator._control(self.model, run, self.edit, self.steps, 0, self.dt)
+        self.off = simulator._off(self.model, run, self.edit, self.steps, 0, self.dt)
+        case = simulator.case
+        tracks = {"pos": motion.qpos[:, [case.model.joint(n).qposadr[0] for n in case.joint_names]]}
+        if case.floating:
+            adr = int(case.model.jnt_qposadr[np.flatnonzero(case.model.jnt_type == 0)[0]])
+            tracks |= {"base_pos": motion.qpos[:, adr : adr + 3], "base_quat": motion.qpos[:, adr + 3 : adr + 7]}
+        grid = np.searchsorted(motion.time, np.arange(self.steps) * self.dt).clip(0, len(motion.time) - 1)
+        self.logged = {name: values[grid] for name, values in tracks.items()}
+        self.spread = np.maximum(self._coordinates(self.logged, 0).std(axis=0), 10 * SMALL)
+
+    def bears(self, start: Start, at: float, near: bool = False) -> float:
+        """s from a moment of the run for which a small error of the state that the replay begins in stays small and,
+        if asked, the replay itself stays nearer to the log than the robot moves; inf to the run's end."""
+        import mujoco
+
+        first, simulator = round(at / self.dt), self.simulator
+        state = initial_state(simulator.case, self.model, self.run, self.edit, start)
+        data, kind = mujoco.MjData(self.model), mujoco.mjtState.mjSTATE_FULLPHYSICS
+        mujoco.mj_setState(self.model, data, state, kind)
+        mujoco.mj_integratePos(self.model, data.qpos, np.full(self.model.nv, SMALL), 1.0)
+        aside = np.zeros(len(state))
+        mujoco.mj_getState(self.model, data, aside, kind)
+        offs = None if self.off is None else [self.off[first:]] * 2
+        rolled = simulator.rolled(self.model, [state, aside], [self.control[first:]] * 2, self.edit, offs)
+        one, other = (self._coordinates(simulator._tracks(self.model, s, 0, self.edit), first) for s in rolled)
+        lost = ~(np.abs(one - other).max(axis=1) <= GROWTH * SMALL)
+        if near:
+            off = (one - self._coordinates(self.logged, first)[first:]) / self.spread
+            lost |= ~(np.square(off).mean(axis=1) <= 1.0)
+        return float(np.argmax(lost)) * self.dt if lost.any() else np.inf
+
+    def _coordinates(self, tracks: Mapping[str, F64], first: int) -> F64:
+        """(N, K) of joints and base, turns counted from the log's orientation at a step."""
+        if "base_pos" not in tracks:
+            return tracks["pos"]
+        turn = rotation_from(tracks["base_quat"], self.logged["base_quat"][first])
+        return np.concatenate([tracks["pos"], tracks["base_pos"], turn], axis=1)
+
+
+def _in_contact(model: Any, motion: Motion, every: float = 0.1) -> bool:
+    """Whether the robot touches anything in some state of the log."""
+    import mujoco
+
+    data, step = mujoco.MjData(model), max(round(every / (motion.time[1] - motion.time[0])), 1)
+    for qpos in motion.qpos[motion.good][::step]:
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        if data.ncon:
+            return True
+    return False
+
+
+def free_starts(simulator: Simulator, comparison: Comparison) -> None:
+    """Let a comparison fit the states that the log gave, which noise is in, of every part of a run."""
+    runs = [i for i, start in enumerate(simulator.starts) if start.anchors]
+    for i, columns in zip(runs, _slopes(simulator, runs), strict=True):
+        parts = np.searchsorted([a.time for a in simulator.starts[i].anchors], comparison.times[i], side="right")
+        comparison.free_starts(i, columns, parts)
+
+
+def _slopes(simulator: Simulator, runs: Sequence[int]) -> list[F64]:
+    """(T, C, K) a run: change of what is read by one unit of each position and speed that its parts begin with."""
+    if not runs:
+        return []
+    model, starts = simulator.case.model, [simulator.starts[i] for i in runs]
+    edit, base = Edit(simulator.context), simulator.simulate(runs=runs)
+    columns: list[list[F64]] = [[] for _ in runs]
+    for dof in range(2 * model.nv):
+        moved = [_aside(model, start, dof) for start in starts]
+        raw = simulator.roll_out(edit, list(runs), starts=moved)
+        for k, (i, r) in enumerate(zip(runs, raw, strict=True)):
+            columns[k].append((simulator.read(simulator.case.runs[i], r, edit) - base[k]) / SMALL)
+    return [np.stack(c, axis=2) for c in columns]
+
+
+def _aside(model: Any, start: Start, dof: int) -> Start:
+    """All parts begun a little aside in one position, or from nv on one speed."""
+    import mujoco
+
+    step = np.zeros(2 * model.nv)
+    step[dof] = SMALL
+
+    def moved(qpos: F64, qvel: F64) -> tuple[F64, F64]:
+        there = qpos.copy()
+        mujoco.mj_integratePos(model, there, step[: model.nv], 1.0)
+        return there, qvel + step[model.nv :]
+
+    anchors = tuple(Anchor(a.time, *moved(a.qpos, a.qvel)) for a in start.anchors)
+    if start.qpos is None or start.qvel is None:
+        return replace(start, anchors=anchors)
+    qpos, qvel = moved(start.qpos, start.qvel)
+    return replace(start, qpos=qpos, qvel=qvel, anchors=anchors)
