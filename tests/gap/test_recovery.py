@@ -14,7 +14,7 @@ from benchmarks.gap_truth.robots import ROBOTS
 from benchmarks.gap_truth.truth import Truth as TrueRobot
 from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
 from realsim.gap.causes.fit import Cause, Fitter
-from realsim.gap.causes.leftover import is_gap, leftover
+from realsim.gap.causes.leftover import deviations, is_gap, leftover
 from realsim.gap.causes.linear import log_evidence, marginal
 from realsim.gap.causes.proposals import by_simulation
 from realsim.gap.causes.screen import Screen, slab
@@ -165,7 +165,7 @@ def test_what_a_finer_step_does_is_no_gap(quadruped: Case) -> None:
         screen = Screen(simulator, comparison, range(len(case.runs)), ("armature",))
         nominal = Fitter(screen).nominal()
         step = screen.index["time_step", (), "finer"]
-        assert screen.spread_nuisances(nominal.evidence, nominal.prior)[0][step] > 0
+        assert deviations(screen, nominal)[step] > 0
         never = np.where(np.arange(len(nominal.prior)) == step, 1e-9, nominal.prior)
         assert screen.misfit(nominal.evidence, never)[0] > screen.misfit(nominal.evidence, nominal.prior)[0] + 1
 

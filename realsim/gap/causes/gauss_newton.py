@@ -11,7 +11,7 @@ import numpy as np
 from realsim.errors import GapError
 from realsim.gap.causes import figures
 from realsim.gap.causes.fitted import Cause, at, parameters_of, values_of
-from realsim.gap.causes.linear import Evidence, Spectrum, bounded, scaled
+from realsim.gap.causes.linear import Evidence, bounded, posterior, scaled
 from realsim.gap.causes.screen import Screen
 from realsim.gap.effects.base import Parameter
 from realsim.gap.simulation.recent import Recent
@@ -147,8 +147,9 @@ class GaussNewton:
 
     def _local(self, prior: F64, evidence: Evidence) -> tuple[F64, F64]:
         """Marginal information (m, m) and the scores (runs, m) of these normal equations, beside nuisances."""
-        A = np.sum(evidence.A, axis=0)
-        p, (mean, cov) = len(prior), self.screen.spread_nuisances(evidence, prior)
+        A, b, p = np.sum(evidence.A, axis=0), np.sum(evidence.b, axis=0), len(prior)
+        mean, free = bounded(A[:p, :p], b[:p], prior, figures.REASONABLE * prior)
+        cov = posterior(A[:p, :p], b[:p], free)[1]
         info = A[p:, p:] - A[p:, :p] @ cov @ A[:p, p:]
         return info, np.array([b[p:] - a[p:, :p] @ mean for a, b in zip(evidence.A, evidence.b, strict=True)])
 
@@ -180,7 +181,7 @@ def _beside_free(evidence: Evidence, prior: F64, steps: Sequence[float]) -> F64:
     across = A[:p, p:] @ inner
     rest, score = A[:p, :p] - across @ A[p:, :p], b[:p] - across @ b[p:]
     c = sum(evidence.c) - float(b[p:] @ inner @ b[p:])
-    return scaled(rest, score, c, prior, Spectrum.of(rest, prior))[1] * prior
+    return scaled(rest, score, c, prior)[1] * prior
 
 
 def clip(z: F64, parameters: Sequence[Parameter]) -> F64:

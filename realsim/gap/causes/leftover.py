@@ -29,13 +29,10 @@ def nuisance_settings(screen: Screen, fit: Fit, scale: float = 1.0) -> list[Sett
 
 def leftover(screen: Screen, fit: Fit) -> F64:
     """(runs,) mean square in units of the tolerance that stays beside causes and everyday deviations."""
-    # A robot has one set of deviations in all runs: where they leave more on the whole, slopes cannot tell them.
     tolerance = screen.comparison.tolerance
-    found = [
-        [float(np.nanmean(r**2 / tolerance(run))) for run, r in zip(screen.runs, rest, strict=True)]
-        for rest in (rests(screen, fit), [screen.residual(k, y) for k, y in enumerate(fit.predictions)])
-    ]
-    return np.array(min(found, key=np.mean))
+    return np.array(
+        [float(np.nanmean(r**2 / tolerance(run))) for run, r in zip(screen.runs, rests(screen, fit), strict=True)]
+    )
 
 
 def rests(screen: Screen, fit: Fit) -> list[F64]:

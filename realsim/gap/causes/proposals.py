@@ -10,8 +10,7 @@ import numpy as np
 from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
-from realsim.gap.causes.linear import log_evidence, marginal
-from realsim.gap.causes.score import near
+from realsim.gap.causes.linear import Spectrum, log_evidence, marginal
 from realsim.gap.causes.screen import Candidate, Screen, slab
 from realsim.gap.causes.starts import Guess, nested, starts, suggested
 from realsim.gap.causes.windows import window_candidates
@@ -104,40 +103,11 @@ def _sized(fitter: Fitter, here: Fit, candidate: Candidate, estimate: F64) -> tu
     return most, cause(best)
 
 
-def by_slopes_instead(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
-    """Another cause in the place of each: by the linear screen, what is about as likely beside the rest."""
-    for i, cause in enumerate(here.causes):
-        others = _others(here, i)
-        rest = fitter.fit(others, iterations=2) if others else fitter.looked_at(here, ())
-        if rest is None:
-            continue
-        order = ranked(fitter.screen, rest)
-        own = next((gain for gain, c, _ in order if c.key == cause.candidate.key), 0.0)
-        free = [(gain, c, x) for gain, c, x in order if gain > max(own - near(own), 0.0) and not _taken(c, here)]
-        for gain, c, estimate in free[: figures.PLACES]:
-            yield _further(fitter, rest, c, estimate, gain)
-
-
-def by_simulation_instead(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
-    """Another cause in the place of each of several, by simulation: where feet slip and land, slopes foretell little,
-    and what sets a foot higher (the ground, an encoder) looks like the other until it is simulated. In the place of a
-    single one, all were looked at when it was added."""
-    screen = fitter.screen
-    if not screen.simulator.context.touches or len(here.causes) < 2:
-        return
-    gap = is_gap(leftover(screen, here))
-    for i, cause in enumerate(here.causes):
-        effect = lookup(cause.candidate.effect)
-        rest = fitter.looked_at(here, _others(here, i))
-        if rest is not None and (gap or effect.scope == "terrain" or cause.candidate.names == effect.footing):
-            yield from (p for p in by_simulation(fitter, rest) if p.causes[-1].candidate.key != cause.candidate.key)
-
-
 def by_effect(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     """Another cause in the place of each: with all its effect's parameters, or what the effect suggests, which is a law
     that contains it, one that does the same by its nature, the same at another place, or other values of its own."""
     for i, cause in enumerate(here.causes):
-        others = _others(here, i)
+        others = [c for j, c in enumerate(here.causes) if j != i]
         done = tuple(v for c in others for v in c.values)
         for candidate, (first, *more) in suggested(fitter.screen, cause):
             yield Proposal((*others, Cause(candidate, tuple(first))), tuple((*done, *v) for v in more))
@@ -147,7 +117,7 @@ def ranked(screen: Screen, here: Fit) -> list[Scored]:
     """All candidates by the linear evidence that they add to a set, with all runs or without the worst; best first."""
     about, prior = [], here.prior / here.scale
     for look in here.evidence.looks():
-        spectrum = screen.spectrum(look, prior)
+        spectrum = Spectrum.of(np.sum(look.A, axis=0), prior)
         sides = [(e, s) for e in screen.centred(look) for s in figures.SCALES]
         looks = [(*marginal(e, s * prior, figures.REASONABLE * s * prior), spectrum.occam(s)) for e, s in sides]
         least = min(misfit + cost for _, _, misfit, cost in looks)
@@ -171,15 +141,5 @@ def _further(fitter: Fitter, here: Fit, candidate: Candidate, guess: Guess, gain
     return Proposal((*here.causes, Cause(candidate, tuple(first))), tuple((*done, *s) for s in more), gain)
 
 
-def _others(here: Fit, i: int) -> list[Cause]:
-    return [c for j, c in enumerate(here.causes) if j != i]
-
-
-def _taken(c: Candidate, here: Fit) -> bool:
-    """Whether a cause is this effect at one of these places."""
-    mine = [o.candidate for o in here.causes if o.candidate.effect == c.effect]
-    return any(set(o.place) & set(c.place) or not o.place for o in mine)
-
-
 ADD: Sequence[Propose] = (by_slopes, by_window, by_simulation)
-EXCHANGE: Sequence[Propose] = (by_effect, by_slopes_instead, by_simulation_instead)
+EXCHANGE: Sequence[Propose] = (by_effect,)

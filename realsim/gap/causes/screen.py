@@ -16,7 +16,7 @@ import numpy as np
 
 from realsim.errors import GapError
 from realsim.gap.causes import figures
-from realsim.gap.causes.linear import Evidence, Spectrum, bounded, posterior, scaled
+from realsim.gap.causes.linear import Evidence, scaled
 from realsim.gap.compare import Comparison
 from realsim.gap.effects import EFFECTS, ON_REQUEST
 from realsim.gap.effects.base import Effect, Parameter, Place
@@ -92,8 +92,6 @@ class Screen:
         """Held where the normal matrices are made anew."""
         self._A: list[F64] = []
         self._weighted: list[F64] = []
-        self._covariances: dict[tuple[bytes, tuple[int, ...]], F64] = {}
-        self._spectra: dict[tuple[bytes, tuple[int, ...]], Spectrum] = {}
         context = simulator.context
         chosen = [n for n in EFFECTS if (n in effects if effects else n not in ON_REQUEST)]
         self.atoms: list[Atom] = []
@@ -245,8 +243,6 @@ class Screen:
     def _weigh(self) -> None:
         """The atoms' normal matrices under the comparison's present weights."""
         self._version = self.comparison.version
-        self._covariances.clear()
-        self._spectra.clear()
         self._A, self._weighted = [], []
         for run, G in zip(self.runs, self._columns, strict=True):
             W = self.comparison.weights[run].reshape(-1, 1)
@@ -264,41 +260,11 @@ class Screen:
         r = self.comparison.residual(self.runs[k], simulated)
         return r - self.fitted(k, np.asarray(x)) if np.any(x) else r
 
-    def spread_nuisances(self, evidence: Evidence, prior: F64) -> tuple[F64, F64]:
-        """(p,) the most probable nuisances, which come first among the unknowns, and their (p, p) posterior covariance;
-        those on their bound are known.
-
-        It depends on the weights and on which are free, so that one factorisation serves many fits.
-        """
-        x, free = self._bounded(evidence, prior)
-        key = free.tobytes(), evidence.runs
-        if evidence.version == self._version and key in self._covariances:
-            return x, self._covariances[key]
-        p = len(prior)
-        cov = posterior(np.sum(evidence.A, axis=0)[:p, :p], np.zeros(p), free)[1]
-        if evidence.version == self._version:
-            self._covariances[key] = cov
-        return x, cov
-
     def misfit(self, evidence: Evidence, prior: F64) -> tuple[float, float]:
         """(half the weighted squared residual beside the most probable nuisances, and their price; the scale of their
         `prior` that is the most probable)."""
         A, b = np.sum(evidence.A, axis=0), np.sum(evidence.b, axis=0)
-        return scaled(A, b, sum(evidence.c), prior, self.spectrum(evidence, prior))
-
-    def spectrum(self, evidence: Evidence, prior: F64) -> Spectrum:
-        """Of these nuisances under the evidence's weights: it serves many fits."""
-        key = prior.tobytes(), evidence.runs
-        if evidence.version == self._version and key in self._spectra:
-            return self._spectra[key]
-        found = Spectrum.of(np.sum(evidence.A, axis=0), prior)
-        if evidence.version == self._version:
-            self._spectra[key] = found
-        return found
-
-    def _bounded(self, evidence: Evidence, prior: F64) -> tuple[F64, F64]:
-        A, b, p = np.sum(evidence.A, axis=0), np.sum(evidence.b, axis=0), len(prior)
-        return bounded(A[:p, :p], b[:p], prior, figures.REASONABLE * prior)
+        return scaled(A, b, sum(evidence.c), prior)
 
     def fitted(self, k: int, x: F64) -> Any:
         """(B, C) change of the prediction of screened run k by atoms x."""

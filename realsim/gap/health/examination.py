@@ -210,14 +210,14 @@ def _failures(simulator: Simulator) -> list[str]:
     A few falls refuse no log: such a run is compared up to where robot and simulator part for good.
     """
     case, falls = simulator.case, []
-    for run, start, track in zip(case.runs, simulator.starts, simulator.nominal_tracks, strict=True):
+    for run, begun, track in zip(case.runs, simulator.starts, simulator.nominal_tracks, strict=True):
         settle, dt = track["settle"]
         bad = ~np.isfinite(track["pos"]).all(axis=1)
         rows = int(np.argmax(bad)) if bad.any() else bad.size
         joint = _runaway(run, track, rows)
         if bad.any() or joint is not None:
             raise _failure(case, run.name, track, rows, joint)
-        if "base_pos" in track and "base_pos" in run.signals and not start.anchors:
+        if "base_pos" in track and "base_pos" in run.signals and not begun.anchors:
             real = run.signals["base_pos"][:, 2]
             low = float(np.nanmin(track["base_pos"][:, 2]))
             start = float(np.nanmedian(real[:5]))

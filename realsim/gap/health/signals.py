@@ -247,9 +247,19 @@ def initial_states(simulator: Simulator) -> tuple[dict[str, Any], Said]:
             said.append(
                 f"{run.name}: the run does not begin at rest: {case.joint_names[j]} moves at {speed[j]:.2g} rad/s{done}"
             )
-        elif start.moving:
+        elif start.moving and not start.anchors:
             said.append(f"{run.name}: the run does not begin at rest{done}")
         said += _given_state(case, run, start, first)
+    if parts := [
+        length
+        for run, start in zip(case.runs, simulator.starts, strict=True)
+        if start.anchors
+        for length in np.diff([0.0, *(a.time for a in start.anchors), run.duration])
+    ]:
+        said.append(
+            f"a small error grows fast in replay: it goes on from states of the log, after {np.median(parts):.1f} s "
+            f"(median of {len(parts)} parts), each begun where it fits best"
+        )
     return {"farthest_from_rest": max(off), "fastest_at_start": max(fast), "runs": how}, said
 
 

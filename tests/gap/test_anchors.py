@@ -1,0 +1,130 @@
+"""Replays that would run away go on from states of the log; all others are as they were."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.gap_unstable import DRONE, fly
+from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
+from realsim.gap.compare import Comparison
+from realsim.gap.simulation.anchors import LEAST, free_starts
+from realsim.gap.simulation.simulate import Simulator
+
+from .truth import Truth
+
+CONFIG = DiagnoseConfig(threads=1, bootstrap=50)
+LOG = {"joint_names": ["tilt"], "actuator_names": [f"rotor{i}" for i in range(4)], "command_kind": "torque"}
+EFFECTS = replace(CONFIG, effects=("payload", "com_offset", "external_force", "viscous_friction"))
+
+
+def flights(folder: Path, *, payload: float = 0.0, com: float = 0.0, runs: int = 4, seconds: float = 3.0) -> Case:
+    """Of a drone that is `payload` kg heavier than its model, its centre of mass `com` m in front."""
+    spec, rng = mujoco.MjSpec.from_string(DRONE), np.random.default_rng(0)
+    spec.body("drone").mass += payload
+    spec.body("drone").ipos = [com, 0.0, 0.0]
+    (folder / "runs").mkdir(parents=True)
+    (folder / "model.xml").write_text(DRONE)
+    (folder / "log.json").write_text(json.dumps(LOG | {"base": "floating", "torque_kind": "none", "imu_site": "imu"}))
+    for k in range(runs):
+        np.savez(folder / "runs" / f"flight_{k}.npz", **fly(spec.compile(), rng, seconds=seconds))
+    return load_case(folder)
+
+
+@pytest.fixture(scope="module")
+def arm(made: Callable[..., Path]) -> Case:
+    return load_case(made("anchors_law", Truth(), runs=1))
+
+
+@pytest.fixture(scope="module")
+def hovering(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    return flights(tmp_path_factory.mktemp("drone") / "case", runs=2, seconds=2.0)
+
+
+def errors(case: Case) -> tuple[list[float], list[float]]:
+    """Mean squares in units of the floor, a run: of the replay, and with the states of its parts fitted."""
+    with Simulator(case, CONFIG) as simulator:
+        nominal = simulator.simulate()
+        comparison = Comparison(case, simulator.channels, nominal, CONFIG)
+
+        def left() -> list[float]:
+            return [
+                float(np.nanmean(comparison.residual(i, y) ** 2 / comparison.floor(i))) for i, y in enumerate(nominal)
+            ]
+
+        before = left()
+        free_starts(simulator, comparison)
+        return before, left()
+
+
+def test_a_drone_goes_on_from_the_log_before_a_small_error_has_grown(hovering: Case) -> None:
+    with Simulator(hovering, CONFIG) as simulator:
+        for start, run in zip(simulator.starts, hovering.runs, strict=True):
+            at = np.array([0.0, *(a.time for a in start.anchors), run.duration])
+            assert len(start.anchors) > 0
+            assert (np.diff(at) >= LEAST - 0.01).all()
+            assert np.diff(at).max() < 2.0  # a tilt of 1 mrad is 10 mm after 1.4 s
+
+
+def test_what_noise_in_those_states_does_is_no_error(hovering: Case) -> None:
+    before, after = errors(hovering)
+    assert max(after) < 2.0 < 10.0 < max(before)
+
+
+def test_a_robot_whose_errors_do_not_grow_is_replayed_as_a_whole(made: Callable[..., Path]) -> None:
+    case = load_case(made("anchors", Truth(armature={"elbow": 0.2})))
+    with Simulator(case, CONFIG) as simulator:
+        assert not any(start.anchors for start in simulator.starts)
+        nominal = simulator.simulate()
+        comparison = Comparison(case, simulator.channels, nominal, CONFIG)
+        kept = [comparison.residual(i, y) for i, y in enumerate(nominal)]
+        free_starts(simulator, comparison)
+        for i, y in enumerate(nominal):
+            np.testing.assert_array_equal(comparison.residual(i, y), kept[i])
+
+
+@settings(max_examples=20, deadline=None)
+@given(scale=st.lists(st.floats(-5, 5), min_size=4, max_size=4))
+def test_states_of_parts_explain_what_is_a_sum_of_their_slopes(arm: Case, scale: list[float]) -> None:
+    """A law: residual and change do not depend on the states that parts begin in, to first order."""
+    with Simulator(arm, CONFIG) as simulator:
+        nominal = simulator.simulate()
+        comparison = Comparison(arm, simulator.channels, nominal, CONFIG)
+        rng = np.random.default_rng(0)
+        slopes = rng.normal(size=(*nominal[0].shape, 2))
+        parts = (np.arange(len(comparison.times[0])) > 20).astype(int)
+        comparison.free_starts(0, slopes, parts)
+        part = (np.floor(arm.runs[0].time / CONFIG.bin_seconds) > 20).astype(int)
+        moved = nominal[0] + np.einsum("tck,tk->tc", slopes, np.array(scale).reshape(2, 2)[part])
+        size = 1e-6 * (1 + np.abs(scale).max())
+        np.testing.assert_allclose(comparison.change(0, moved, nominal[0]), 0, atol=size)
+        np.testing.assert_allclose(
+            comparison.residual(0, moved), comparison.residual(0, nominal[0]), atol=size, equal_nan=True
+        )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("truth", "effect", "name"),
+    [({"payload": 0.1}, "payload", "mass"), ({"com": 0.01}, "com_offset", "x")],
+)
+def test_a_drone_is_diagnosed(tmp_path: Path, truth: dict[str, float], effect: str, name: str) -> None:
+    """Open loop, the second tumbles within 0.2 s."""
+    found = diagnose(flights(tmp_path / "case", **truth), EFFECTS)
+    assert found.verdict == "identified"
+    (cause,) = found.causes
+    assert cause["effect"] == effect
+    assert cause["parameters"][name]["value"] == pytest.approx(next(iter(truth.values())), rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_drone_as_modelled_has_no_gap(tmp_path: Path) -> None:
+    assert diagnose(flights(tmp_path / "case"), EFFECTS).verdict == "no_gap"
