@@ -37,20 +37,20 @@ def tuned() -> list[str]:
 
 
 def reconstructed() -> list[str]:
-    """One base, fine-tuned on the exact terrain and on what was reconstructed of it."""
-    return ttt.table([r for r in _of_before() if r["method"] == "ttt1" and r["strategy"] == "full"], BASES)
+    """Bases fine-tuned on the exact terrain and on what was reconstructed of it."""
+    return ttt.table([r for r in _of_both() if r["strategy"] == "full"], BASES)
 
 
 def strategies() -> list[str]:
-    """The same base, fine-tuned in part, on the tests on which that was tried."""
-    rows = [r for r in _of_before() if r["method"] == "ttt1" and r["source"] == "exact"]
+    """The same, fine-tuned in part, on the tests on which that was tried."""
+    rows = [r for r in _of_both() if r["source"] == "exact"]
     tried = {r["test"] for r in rows if r["strategy"] != "full"}
     return ttt.table([r for r in rows if r["test"] in tried], BASES)
 
 
-def _of_before() -> list[ttt.Row]:
-    """Rows of the base before the one that ships: with that one only the thirteen tests were fine-tuned."""
-    return [r for r in stored("ttt")["rows"] if r["base"] == BEFORE]
+def _of_both() -> list[ttt.Row]:
+    """Rows of the base that ships and of the one before, fine-tuned on one test."""
+    return [r for r in stored("ttt")["rows"] if r["base"] in BASES and r["method"] == "ttt1"]
 
 
 def _tuned_now() -> list[ttt.Row]:
