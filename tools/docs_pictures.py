@@ -23,13 +23,13 @@ from PIL import Image, ImageSequence
 
 from realsim.report.picture import draw
 from realsim.types import U8
-from trainer.replay import write_gif
+from trainer.replay import write_animation
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGES = ROOT / "docs" / "images"
-MOST_BYTES, MOST_BYTES_GIF = 150_000, 1_000_000
+MOST_BYTES, MOST_BYTES_MOVING = 150_000, 400_000
 EVERY, FPS = 4, 12.5 / 4
-"""Of a .gif: one frame of so many that `realsim play` wrote, and how many a second."""
+"""Of a .webp: one frame of so many that `realsim play` wrote, and how many a second."""
 
 STEPS = {
     "synthetic": "realsim synth --terrain mixed --frames 40 --with-poses --out synthetic",
@@ -54,8 +54,8 @@ STEPS = {
     "tuned": "realsim finetune phone_scene --device cpu --worlds 16 --iterations 4 --final-trials 8 --out tuned",
     "training.html": "realsim training report tuned --out training.html",
     "stakes": "python benchmarks/ttt.py prepare --sources rgbd --tests stake3 --work stakes --store stakes/rows.json",
-    "crossing.gif": (
-        "realsim play stakes/scenes/rgbd/stake3/scene --policy trainer/policies/g1_parkour.pt --out crossing.gif"
+    "crossing.webp": (
+        "realsim play stakes/scenes/rgbd/stake3/scene --policy trainer/policies/g1_parkour.pt --out crossing.webp"
     ),
     "trial.mp4": "realsim play phone_scene --policy tuned/policy.pt --out trial.mp4",
 }
@@ -70,7 +70,7 @@ class Picture:
     needs: tuple[str, ...]
     """Steps in the order in which they are run."""
     take: Callable[[Path], U8]
-    """WORK -> (H, W, 3) RGB; of a .gif (T, H, W, 3)."""
+    """WORK -> (H, W, 3) RGB; of a .webp (T, H, W, 3)."""
 
 
 def page(html: str, top: int, bottom: int, left: int = 60, right: int = 1220) -> Callable[[Path], U8]:
@@ -116,7 +116,7 @@ def crossing(work: Path) -> U8:
     """What the camera saw, beside the robot on the scene that was made of it."""
     color = work / "stakes" / "scenes" / "rgbd" / "stake3" / "frames" / "capture" / "color"
     seen = [_rgb(cv2.imread(str(f))) for f in sorted(color.iterdir())]
-    video = Image.open(work / "crossing.gif")
+    video = Image.open(work / "crossing.webp")
     robot = [np.asarray(f.convert("RGB")) for f in ImageSequence.Iterator(video)]
     shown = range(0, len(robot), EVERY)
     return np.stack([_beside([seen[i * len(seen) // len(robot)], robot[i]], 176) for i in shown])
@@ -129,7 +129,7 @@ QUADRUPED = ("quadruped", "quadruped_case", "quadruped_diagnosis")
 TUNED = (*PHONE, "tuned")
 PICTURES = (
     Picture("demo.jpg", PHONE, frame_and_scene),
-    Picture("crossing.gif", ("stakes", "crossing.gif"), crossing),
+    Picture("crossing.webp", ("stakes", "crossing.webp"), crossing),
     Picture("diagnosis.jpg", SERVO, page("servo_diagnosis/report.html", 0, 965)),
     Picture("tutorials/phone_report.jpg", PHONE, page("phone_scene/report.html", 0, 935)),
     Picture("tutorials/phone_map.jpg", PHONE, page("phone_scene/report.html", 940, 2010)),
@@ -184,10 +184,10 @@ def _beside(images: list[U8], height: int) -> U8:
 
 
 def _write(path: Path, image: U8) -> None:
-    """As JPEG, at the best quality that keeps it small; several as .gif, as `realsim play` writes them."""
+    """As JPEG, at the best quality that keeps it small; several as .webp, as `realsim play` writes them."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if image.ndim == 4:
-        write_gif(list(image), path, FPS)
+        write_animation(list(image), path, FPS)
         print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1000:.0f} kB", flush=True)
         return
     for quality in (88, 80, 72, 64, 56):

@@ -36,7 +36,12 @@ BELOW = 0.02
 
 FORMATS = Registry(
     "replay format",
-    {".mp4": "trainer.replay:video", ".gif": "trainer.replay:video", ".glb": "trainer.replay_glb:glb"},
+    {
+        ".mp4": "trainer.replay:video",
+        ".gif": "trainer.replay:video",
+        ".webp": "trainer.replay:video",
+        ".glb": "trainer.replay_glb:glb",
+    },
 )
 """File ending -> `(recording, robot, terrain, path) -> Path`."""
 
@@ -111,24 +116,24 @@ def video(
     fps: float | None = None,
     distance: float = 2.8,
 ) -> Path:
-    """The trial from the side, the camera following, as .gif if the name ends so, else as .mp4.
+    """The trial from the side, the camera following, as .gif or .webp if the name ends so, else as .mp4.
 
     Args:
-        size: (width, height) pixels; 640 x 360, or 360 x 202 of a .gif, which compresses badly.
-        fps: frames per second of the trial; 25, or 12.5 of a .gif.
+        size: (width, height) pixels; 640 x 360, or 360 x 202 of a picture that moves (.gif, .webp).
+        fps: frames per second of the trial; 25, or 12.5 of a picture that moves.
         distance: metres from the camera to the robot.
 
     Raises:
         TrainerError: no way to render on this machine.
     """
     path = Path(path)
-    gif = path.suffix == ".gif"
-    size = size or ((360, 202) if gif else (640, 360))
-    fps = fps or (12.5 if gif else 25.0)
+    picture = path.suffix in (".gif", ".webp")
+    size = size or ((360, 202) if picture else (640, 360))
+    fps = fps or (12.5 if picture else 25.0)
     frames = _frames(recording, robot, terrain, size, fps, distance)
     with explain_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        (write_gif if gif else _write_mp4)(frames, path, fps)
+        (write_animation if picture else _write_mp4)(frames, path, fps)
     return path
 
 
@@ -235,11 +240,16 @@ def _write_mp4(frames: list[NDArray[np.uint8]], path: Path, fps: float) -> None:
     writer.release()
 
 
-def write_gif(frames: list[NDArray[np.uint8]], path: Path, fps: float) -> None:
-    """(H, W, 3) RGB frames of one size as an endless animation."""
+def write_animation(frames: list[NDArray[np.uint8]], path: Path, fps: float) -> None:
+    """(H, W, 3) RGB frames of one size as an endless animation: .webp, which is a quarter as large, or .gif."""
     from PIL import Image
 
+    endless = {"save_all": True, "duration": round(1000 / fps), "loop": 0}
+    if path.suffix == ".webp":
+        first, *others = map(Image.fromarray, frames)
+        first.save(path, append_images=others, quality=75, **endless)
+        return
     # One palette for all and no dithering: what does not move is then the same in every frame, and costs nothing.
     palette = Image.fromarray(np.vstack([frames[0], frames[-1]])).quantize(64)
     images = [Image.fromarray(f).quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
-    images[0].save(path, save_all=True, append_images=images[1:], duration=round(1000 / fps), loop=0)
+    images[0].save(path, append_images=images[1:], **endless)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.docs_pictures import IMAGES, MOST_BYTES, MOST_BYTES_GIF, PICTURES, STEPS
+from tools.docs_pictures import IMAGES, MOST_BYTES, MOST_BYTES_MOVING, PICTURES, STEPS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 TUTORIALS = sorted((DOCS / "tutorials").glob("*.md"))
@@ -22,7 +22,7 @@ def test_every_command_stands_in_a_tutorial() -> None:
 
 @pytest.mark.parametrize("picture", PICTURES, ids=lambda p: p.name)
 def test_pictures_are_there_and_small(picture) -> None:
-    most = MOST_BYTES_GIF if picture.name.endswith(".gif") else MOST_BYTES
+    most = MOST_BYTES_MOVING if picture.name.endswith(".webp") else MOST_BYTES
     assert (IMAGES / picture.name).stat().st_size <= most
 
 

@@ -30,7 +30,7 @@ def play(
     Args:
         scene: a folder of `realsim reconstruct`, or the name of a terrain (see `realsim finetune --help`).
         policy: policy.pt.
-        out: .mp4, .gif, or .glb (an animated model for any glTF viewer).
+        out: .mp4, .gif, .webp, or .glb (an animated model for any glTF viewer).
         overwrite: replace a file that is there already.
         trial: which of the trials of this seed.
         seed: of the trials.
