@@ -244,7 +244,7 @@ def write_animation(frames: list[NDArray[np.uint8]], path: Path, fps: float) -> 
     """(H, W, 3) RGB frames of one size as an endless animation: .webp, which is a quarter as large, or .gif."""
     from PIL import Image
 
-    endless = {"save_all": True, "duration": round(1000 / fps), "loop": 0}
+    endless: dict[str, Any] = {"save_all": True, "duration": round(1000 / fps), "loop": 0}
     if path.suffix == ".webp":
         first, *others = map(Image.fromarray, frames)
         first.save(path, append_images=others, quality=75, **endless)
