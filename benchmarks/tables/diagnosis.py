@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from benchmarks import gap_real
+from benchmarks import gap_real, gap_unstable
 from benchmarks.tables.stored import Row, counts, of, stored
 
 
@@ -141,6 +141,11 @@ def _then(found: Row) -> str:
     if "verdict" not in found:
         return "-"
     return f"{found['verdict']}{', right' if found.get('right') else ''}"
+
+
+def unstable() -> list[str]:
+    """Robots that only their controller holds up: replayed as a whole, and in parts."""
+    return gap_unstable.table(stored("gap_unstable")["rows"])
 
 
 def drift() -> list[str]:

@@ -26,6 +26,7 @@ from benchmarks.tables.diagnosis import (
     experiments,
     footholds,
     real_logs,
+    unstable,
 )
 from benchmarks.tables.index import index
 from benchmarks.tables.policies import base, kept, pushed, quadruped_base, reconstructed, strategies, tuned
@@ -56,6 +57,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "footholds": footholds,
     "damaged": damaged,
     "real logs": real_logs,
+    "unstable robots": unstable,
     "experiments": experiments,
     "drift": drift,
     "closing the loop": closing,
