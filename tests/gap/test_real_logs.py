@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from realsim.errors import GapError
-from realsim.gap import Case, DiagnoseConfig, load_case
+from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
 from realsim.gap.compare import Comparison
 from realsim.gap.evidence.where import evidence, localise
 from realsim.gap.health import examine
@@ -48,6 +48,21 @@ def test_pendulum_driven_by_its_torque(shared: Callable[[str], Path], tmp_path: 
     assert errors[0] < 5e-3 < errors[-1]
     # The documented friction of the gear is some tenths of a newton metre, and the model has none.
     assert 0.2 < more["torque_residual"]["swing"]["rms_Nm"] < 1.0
+
+
+@pytest.mark.slow
+def test_swing_ups_with_feedback_are_diagnosed_from_states_of_the_log(
+    shared: Callable[[str], Path], tmp_path: Path
+) -> None:
+    """Replayed as a whole they end 10 rad off. Documented: Coulomb friction 0.18 N m, viscous 0.047 N m s/rad."""
+    case = load_case(
+        pendulum(shared("real_logs"), tmp_path / "case", ["energy_shaping_nominal", "sac", "pd_1nm_limit"])
+    )
+    found = diagnose(case, CONFIG)
+    assert found.causes[0]["effect"] == "coulomb_friction"
+    assert found.causes[0]["parameters"]["friction"]["value"] == pytest.approx(0.2, abs=0.05)
+    assert found.shrinkage["fraction"] > 0.9
+    assert any("it goes on from states of the log" in w for w in found.health["warnings"])
 
 
 def test_pendulum_whose_bus_is_slower_than_its_log(shared: Callable[[str], Path], tmp_path: Path) -> None:
