@@ -219,7 +219,8 @@ def _tolerated(case: Case, signal: str) -> float:
 def initial_states(simulator: Simulator) -> tuple[dict[str, Any], Said]:
     """How the runs begin: largest distance from the nominal simulator's rest, rad, and largest speed, rad/s.
 
-    `runs` says of every run how it was started in the simulator.
+    `runs` says of every run how it was started in the simulator, `parts` in how many those are replayed that are not
+    replayed as a whole.
     """
     case = simulator.case
     said, off, fast = [], [0.0], [0.0]
@@ -250,17 +251,18 @@ def initial_states(simulator: Simulator) -> tuple[dict[str, Any], Said]:
         elif start.moving and not start.anchors:
             said.append(f"{run.name}: the run does not begin at rest{done}")
         said += _given_state(case, run, start, first)
-    if parts := [
-        length
+    parts = [
+        float(length)
         for run, start in zip(case.runs, simulator.starts, strict=True)
         if start.anchors
         for length in np.diff([0.0, *(a.time for a in start.anchors), run.duration])
-    ]:
+    ]
+    if parts:
         said.append(
             f"a small error grows fast in replay: it goes on from states of the log, after {np.median(parts):.1f} s "
             f"(median of {len(parts)} parts), each begun where it fits best"
         )
-    return {"farthest_from_rest": max(off), "fastest_at_start": max(fast), "runs": how}, said
+    return {"farthest_from_rest": max(off), "fastest_at_start": max(fast), "runs": how, "parts": len(parts)}, said
 
 
 def _first_position(position: F64) -> F64:

@@ -39,6 +39,8 @@ def overlays_card(found: Diagnosis) -> str:
         f"Stretches of {said} where the nominal simulator is far from the robot; below each, measured minus simulated"
     )
     note += " (in the stripe: within twice the noise floor)."
+    if found.health.get("start", {}).get("parts"):
+        note += " Where a curve jumps, the simulator goes on from a state of the log."
     if kept.reason:
         note = f"{note} {kept.reason}"
     body = f'<div {_ROW}>{"".join(parts)}</div><div class="legend">{legend}</div>'
