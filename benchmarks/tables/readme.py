@@ -7,7 +7,7 @@ from benchmarks.tables.diagnosis import robots
 from benchmarks.tables.policies import families, well_crossed
 from benchmarks.tables.stored import counts, of, span, stored
 
-FRESH = 1087
+FRESH = 1123
 """The last seed that the search was measured on with enough cases for a table; its engine is named beside it."""
 
 
