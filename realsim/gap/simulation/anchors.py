@@ -2,7 +2,8 @@
 
 A pendulum that is balanced, or a drone, is held up by its controller. Replayed without it, any small error grows, and
 soon says more of the first state than of the robot. So a replay takes the log's state anew each time that a small error
-of the last one has grown GROWTH-fold. That is a matter of the model and its commands: the gap does not decide it.
+of the last one has grown GROWTH-fold. Whether a run is replayed in parts is a matter of the model and its commands, not
+of the gap. Such parts also end where the replay is off by as much as the robot moves: beyond that no slope holds.
 """
 
 from __future__ import annotations
