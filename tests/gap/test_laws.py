@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from realsim.gap import EFFECTS, DiagnoseConfig, apply_patch, diagnose, load_case, run_case
 from realsim.gap.causes import figures
-from realsim.gap.causes.linear import Spectrum, bounded, log_evidence, misfit_at, posterior, scaled
+from realsim.gap.causes.linear import bounded, log_evidence, misfit_at, posterior, scaled
 from realsim.gap.causes.screen import Candidate
 from realsim.gap.compare import Comparison
 from realsim.gap.effects.payload import add_point_mass
@@ -239,7 +239,7 @@ def test_the_scale_of_the_deviations_follows_the_robot(seed: int, size: float) -
     G = 5 * G / prior
     r = G @ (size * prior * np.clip(rng.normal(size=p), -2.9, 2.9)) + rng.normal(size=n)
     A, b, c = G.T @ G, G.T @ r, float(r @ r)
-    _, scale = scaled(A, b, c, prior, Spectrum.of(A, prior))
+    _, scale = scaled(A, b, c, prior)
     assert scale == (1.0 if size else min(figures.SCALES))
 
 
@@ -252,7 +252,7 @@ def test_a_scale_is_chosen_by_misfit_and_volume(seed: int, size: float) -> None:
     G, prior = rng.normal(size=(n, p)), rng.uniform(0.5, 2, p)
     r = G @ (size * prior * rng.normal(size=p)) + rng.normal(size=n)
     A, b, c = G.T @ G, G.T @ r, float(r @ r)
-    least, scale = scaled(A, b, c, prior, Spectrum.of(A, prior))
+    least, scale = scaled(A, b, c, prior)
 
     def cost(s: float) -> float:
         x = bounded(A, b, s * prior, figures.REASONABLE * s * prior)[0]
