@@ -3,8 +3,9 @@
     python benchmarks/gap_unstable.py --jobs 2            # makes, diagnoses and scores; what is done stays
     python benchmarks/gap_unstable.py --open-loop         # the same by an engine that replays every run as a whole
 
-The real robot has one error, or none; its noise, phases and goals are drawn by the case's number. Nothing was set on
-these cases but that a small error may grow tenfold, which was chosen before.
+The real robot has one error, or none; its noise, phases and goals are drawn by the case's number. The replay in
+parts was developed on four other flights of this drone: as modelled, with a payload, weaker rotors, and its centre of
+mass 1 cm off; the last one asked for parts that also end where the replay leaves the log.
 """
 
 from __future__ import annotations
