@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from realsim.gap.simulation.simulate import Simulator
 
 GROWTH = 10.0
-"""An encoder's millimetre or milliradian becomes a centimetre. The first value tried, on four made flights of a drone; not
-tuned. On 22 other cases: `benchmarks/gap_unstable.py`."""
+"""An encoder's millimetre or milliradian becomes a centimetre. The first value tried, on four made flights of a drone;
+not tuned. On 22 other cases: `benchmarks/gap_unstable.py`."""
 SMALL = 1e-4
 """rad or m of the error that is let grow, and of the steps that slopes are taken over: small enough to be linear, large
 beside rounding. Not tuned."""
