@@ -186,3 +186,34 @@ def test_no_pair_of_geoms_needs_the_convex_solver(name: str) -> None:
             )
             if meet:
                 assert {int(model.geom_type[a]), int(model.geom_type[b])} & cheap
+
+
+def test_nothing_is_freed_while_a_graph_is_captured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """CUDA refuses to free a graph during a capture, and gives up the capture as well."""
+    import gc
+    import weakref
+
+    from trainer.physics import warp
+
+    class Capture:
+        graph = "graph"
+
+        def __enter__(self) -> Capture:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+    class World:
+        def __init__(self) -> None:
+            self.itself = self  # only the collector frees it
+
+    monkeypatch.setattr(warp.wp, "ScopedCapture", Capture)
+    gone = weakref.ref(World())
+    seen = []
+    assert warp._captured(lambda: seen.append((gone() is None, gc.isenabled()))) == "graph"
+    assert seen == [(True, False)]
+    assert gc.isenabled()
+    with pytest.raises(ZeroDivisionError):
+        warp._captured(lambda: 1 / 0)
+    assert gc.isenabled()

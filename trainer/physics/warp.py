@@ -6,6 +6,7 @@ worlds have the same model; terrain, friction, masses and gains are rows of its 
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Sequence
 from typing import Any
 
@@ -307,8 +308,17 @@ def _device(name: str) -> Any:
 
 
 def _captured(function: Any) -> Any:
-    with wp.ScopedCapture() as capture:
-        function()
+    """A function as a CUDA graph. Graphs of worlds that are gone are freed before, not while this one is captured: CUDA
+    would refuse both."""
+    gc.collect()
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        with wp.ScopedCapture() as capture:
+            function()
+    finally:
+        if collects:
+            gc.enable()
     return capture.graph
 
 
