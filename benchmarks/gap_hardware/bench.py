@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from scipy.optimize import least_squares
 from benchmarks.gap_hardware.errors import Error, Label, Robot, errors
 from realsim.errors import RealsimError
 from realsim.gap import Case, DiagnoseConfig, load_case
+from realsim.gap.evidence.motion import estimate
 from realsim.gap.simulation.simulate import Simulator, measured
 
 FREE = {
@@ -36,6 +38,14 @@ SAME = 0.1
 
 BEGINNING = 0.2
 """Seconds of a run in which its estimated start matters: another error would have given another one."""
+PART = 0.5
+"""Seconds for which a robot that only torques drive is replayed from a state of its log: a pendulum that nothing holds
+up falls either way. The first value tried, on the development log."""
+NUDGE = 1e-4
+"""rad and rad/s by which the states that parts begin in are moved for their slopes."""
+FROM_ZERO = 5.0
+"""Added to all sizes in the fit, whose steps are a share of their value: one from next to no friction would be lost in
+what keeps a robot from moving."""
 
 Tracks = list[np.ndarray]
 
@@ -131,44 +141,106 @@ def real(case: Case) -> tuple[Tracks, list[str]]:
     return [measured(r, channels) for r in case.runs], [c.signal for c in channels]
 
 
+# ---------------------------------------------------------------- in parts
+
+
+def parted(case: Case) -> Case:
+    """The case of a robot that only torques drive, in parts of PART seconds from states of the log; others whole."""
+    if case.command_kind != "torque":
+        return case
+    parts = []
+    for run in case.runs:
+        motion = estimate(case, run)
+        edges = np.linspace(0.0, run.duration + 1e-9, max(1, round(run.duration / PART)) + 1)
+        for k, (begin, end) in enumerate(pairwise(edges)):
+            part = run.where((run.time >= begin) & (run.time < end))
+            at = int(np.argmin(np.abs(motion.time - part.time[0])))
+            state = {"init_qpos": motion.qpos[at], "init_qvel": motion.qvel[at]}
+            parts.append(replace(part, name=f"{run.name}_{k}", time=part.time - part.time[0], **state))
+    return case.with_runs(tuple(parts))
+
+
+@dataclass(frozen=True)
+class Starts:
+    """What the states that parts begin in, which are the log's and noisy, can explain is no error of a model."""
+
+    slopes: Tracks
+    """(T, C, K) a run: change of what is read by one unit of each coordinate of its first state; K is 0 if it rests."""
+    scale: np.ndarray
+    """(C,) by which errors of the signals are compared."""
+
+    @staticmethod
+    def of(case: Case, errors: Sequence[tuple[Error, float]], base: Tracks, scale: np.ndarray) -> Starts:
+        columns: list[Tracks] = []
+        for k in range(2 * case.model.nv if case.command_kind == "torque" else 0):
+            moved = predict(case.with_runs(tuple(_nudged(r, k) for r in case.runs)), errors)
+            columns.append([(a - b) / NUDGE for a, b in zip(moved, base, strict=True)])
+        empty = [np.empty((*y.shape, 0)) for y in base]
+        return Starts([np.stack(c, axis=2) for c in zip(*columns, strict=True)] if columns else empty, scale)
+
+    def beside(self, tracks: Tracks) -> Tracks:
+        """Errors or changes (T, C) a run, without what the first state explains."""
+        return [self._without(y, s) for y, s in zip(tracks, self.slopes, strict=True)]
+
+    def _without(self, values: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        known = np.isfinite(values) & np.isfinite(slopes).all(axis=2)
+        if not slopes.shape[2] or not known.any():
+            return values
+        left = np.where(known, values, np.nan)
+        columns = (slopes / self.scale[:, None])[known]
+        left[known] -= slopes[known] @ np.linalg.lstsq(columns, (values / self.scale)[known], rcond=1e-8)[0]
+        return left
+
+
+def _nudged(run: Any, k: int) -> Any:
+    """The run begun NUDGE aside in a position, or behind these in a speed."""
+    state = np.concatenate([run.init_qpos, run.init_qvel])
+    state[k] += NUDGE
+    return replace(run, init_qpos=state[: len(run.init_qpos)], init_qvel=state[len(run.init_qpos) :])
+
+
 # ---------------------------------------------------------------- baseline
 
 
 def fit(bench: Bench) -> Baseline:
-    """Bounded least squares over whole runs, for every delay of 0 .. LATEST samples; the best of them."""
-    case = bench.fitted
-    known = errors(bench.robot(case))
+    """Bounded least squares over all runs, for every delay of 0 .. LATEST samples; the best of them."""
+    case = parted(bench.fitted)
+    known = errors(bench.robot(bench.fitted))
     free = [e for e in known if e.kind in FREE[case.command_kind]]
     delay = next(e for e in known if e.kind == "command_delay")
-    sample = bench.robot(case).sample
+    sample = bench.robot(bench.fitted).sample
     log, _ = real(case)
     scale = _spread(log)
     step = max(1, round(STRIDE / sample))
     low = np.array([max(e.least, -2.0) for e in free])
 
-    def residual(x: np.ndarray, late: int) -> np.ndarray:
+    def residual(z: np.ndarray, late: int) -> np.ndarray:
+        x = z - FROM_ZERO
+        wrong = [(delay, late * sample), *zip(free, x.tolist(), strict=True)]
         try:
-            tracks = predict(case, [(delay, late * sample), *zip(free, x.tolist(), strict=True)])
+            tracks = predict(case, wrong)
+            rest = Starts.of(case, wrong, tracks, scale).beside([a - b for a, b in zip(log, tracks, strict=True)])
         except (ValueError, RealsimError):  # no such body: as bad as a simulation that fails
-            tracks = [np.full_like(y, np.nan) for y in log]
+            rest = [np.full_like(y, np.nan) for y in log]
         parts = []
-        for a, b in zip(log, tracks, strict=True):
+        for a, error in zip(log, rest, strict=True):
             failed = np.where(np.isnan(a), 0.0, 3.0)  # of the simulation; a missing sample counts for nothing
-            parts.append(np.where(np.isnan(a - b), failed, (a - b) / scale)[::step].ravel())
+            parts.append(np.where(np.isnan(error), failed, error / scale)[::step].ravel())
         rows = np.clip(np.concatenate(parts), -3, 3)
         return np.concatenate([rows / np.sqrt(len(rows)), PRIOR * x])
 
     x, best = np.clip(np.zeros(len(free)), low + 1e-3, None), None
     for late in range(LATEST + 1):
-        bounds = (low - 1e-9, np.full(len(free), 3.0))
-        found = least_squares(residual, x, bounds=bounds, diff_step=2e-3, max_nfev=EVALUATIONS, args=(late,))
-        x = np.clip(found.x, low + 1e-6, 2.99)
+        bounds = (low + FROM_ZERO - 1e-9, np.full(len(free), 3.0 + FROM_ZERO))
+        start = x + FROM_ZERO
+        found = least_squares(residual, start, bounds=bounds, diff_step=2e-3, max_nfev=EVALUATIONS, args=(late,))
+        x = np.clip(found.x - FROM_ZERO, low + 1e-6, 2.99)
         if best is not None and found.cost > 0.995 * best[0].cost:
             break
         best = (found, late)
     assert best is not None
     found, late = best
-    sizes = {f"{e.kind}@{e.place}": float(v) for e, v in zip(free, found.x, strict=True)}
+    sizes = {f"{e.kind}@{e.place}": float(v) for e, v in zip(free, found.x - FROM_ZERO, strict=True)}
     baseline = Baseline(sizes, late, {})
     return replace(baseline, left=_left(bench, baseline))
 
@@ -185,15 +257,22 @@ def applied(bench: Bench, case: Case, baseline: Baseline) -> Case:
 def _left(bench: Bench, baseline: Baseline) -> dict[str, dict[str, float]]:
     found: dict[str, dict[str, float]] = {}
     for name, case in (("fitted", bench.fitted), ("unseen", bench.others)):
-        changed = applied(bench, case, baseline)
+        changed = parted(applied(bench, case, baseline))
         log, signals = real(changed)
-        rest = [a - b for a, b in zip(log, predict(changed), strict=True)]
+        rest = _errors(changed, log)[0]
         for signal in dict.fromkeys(signals):
             columns = [i for i, s in enumerate(signals) if s == signal]
             row = found.setdefault(signal, {})
             row[name] = float(np.sqrt(np.nanmean(np.concatenate([r[:, columns] for r in rest]) ** 2)))
             row.setdefault("motion", float(np.sqrt(np.mean(_spread(log)[columns] ** 2))))
     return found
+
+
+def _errors(case: Case, log: Tracks) -> tuple[Tracks, Tracks, Starts]:
+    """(what a model leaves, what it predicts, beside what) of a log in parts."""
+    base = predict(case)
+    starts = Starts.of(case, (), base, _spread(log))
+    return starts.beside([a - b for a, b in zip(log, base, strict=True)]), base, starts
 
 
 def _spread(tracks: Tracks) -> np.ndarray:
@@ -217,33 +296,48 @@ class Drawn:
 
 def draw(case: Case, robot: Robot, kinds: Sequence[str], rng: np.random.Generator) -> Drawn | None:
     """One error of each of these kinds at a random place; None where none is visible at any size tried."""
-    known = errors(robot)
-    base = predict(case)
-    log, _ = real(case)
-    left = np.sqrt(np.nanmean(np.concatenate([a - b for a, b in zip(log, base, strict=True)]) ** 2, axis=0))
+    known, whole, case = errors(robot), case, parted(case)
+    rest, base, starts = _errors(case, real(case)[0])
+    ruler = Ruler(case, base, starts, np.sqrt(np.nanmean(np.concatenate(rest) ** 2, axis=0)))
     chosen: list[tuple[Error, float]] = []
     seen, likes = [], []
     for kind in kinds:
         places = [e for e in known if e.kind == kind and e.drawn]
         rng.shuffle(places)  # type: ignore[arg-type]
-        found = next((f for e in places if (f := _sized(case, e, base, left, rng)) is not None), None)
+        found = next((f for e in places if (f := _sized(ruler, e, rng)) is not None), None)
         if found is None:
             return None
         error, size, change, visibility = found
         chosen.append((error, size))
         seen.append(visibility)
-        likes.append(tuple(_like(case, known, error, base, change, left)))
+        likes.append(tuple(_like(ruler, known, error, change)))
     try:
-        if not _runs(predict(case, chosen)):
+        if not _runs(predict(whole, chosen)):
             return None
     except ValueError:
         return None
     return Drawn(tuple(chosen), tuple(e.label(s) for e, s in chosen), tuple(seen), tuple(likes))
 
 
-def _sized(
-    case: Case, error: Error, base: Tracks, left: np.ndarray, rng: np.random.Generator
-) -> tuple[Error, float, np.ndarray, float] | None:
+@dataclass(frozen=True)
+class Ruler:
+    """By how much errors change what is read."""
+
+    case: Case
+    base: Tracks
+    starts: Starts
+    left: np.ndarray
+    """(C,) rms of what the baseline leaves."""
+
+    def change(self, tracks: Tracks) -> np.ndarray:
+        """(N, C) what differs, in units of what the baseline leaves; of whole runs without their BEGINNING."""
+        rows = self.starts.beside([b - a for a, b in zip(self.base, tracks, strict=True)])
+        skip = [0.0 if s.shape[2] else BEGINNING for s in self.starts.slopes]
+        kept = [np.nan_to_num(d)[r.time > t] for r, d, t in zip(self.case.runs, rows, skip, strict=True)]
+        return np.concatenate(kept) / self.left
+
+
+def _sized(ruler: Ruler, error: Error, rng: np.random.Generator) -> tuple[Error, float, np.ndarray, float] | None:
     size = float(np.exp(rng.uniform(np.log(error.low), np.log(error.high))))
     sign = float(rng.choice([-1.0, 1.0])) if error.either else 1.0
     if error.shifts:
@@ -254,21 +348,19 @@ def _sized(
             if amount <= error.least:
                 continue
             try:
-                tracks = predict(case, [(error, amount)])
+                tracks = predict(ruler.case, [(error, amount)])
             except (ValueError, RealsimError):  # no such body: another size or sign
                 continue
             if not _runs(tracks):
                 continue
-            change = change_of(case, base, tracks, left)
+            change = ruler.change(tracks)
             visibility = float(np.sqrt((change**2).mean(axis=0)).max())
             if visibility >= 1.0:
                 return error, amount, change, visibility
     return None
 
 
-def _like(
-    case: Case, known: Sequence[Error], error: Error, base: Tracks, change: np.ndarray, left: np.ndarray
-) -> list[Label]:
+def _like(ruler: Ruler, known: Sequence[Error], error: Error, change: np.ndarray) -> list[Label]:
     """Labels of other errors that change the motion as this one does, but for a share SAME of it."""
     found = []
     for other in known:
@@ -279,7 +371,7 @@ def _like(
         for _ in range(4):
             size = float(np.clip(size, max(other.least, -3.0), 3.0)) if not other.shifts else max(size, 1e-4)
             try:
-                own = change_of(case, base, predict(case, [(other, size)]), left)
+                own = ruler.change(predict(ruler.case, [(other, size)]))
             except (ValueError, RealsimError):  # no such body
                 break
             power = float((own * own).sum())
@@ -295,12 +387,6 @@ def _like(
         if best < SAME:
             found.append(other.label(at))
     return found
-
-
-def change_of(case: Case, base: Tracks, tracks: Tracks, left: np.ndarray) -> np.ndarray:
-    """(N, C) what differs, in units of what the baseline leaves; without the BEGINNING of each run."""
-    rows = [np.nan_to_num(b - a)[r.time > BEGINNING] for r, a, b in zip(case.runs, base, tracks, strict=True)]
-    return np.concatenate(rows) / left
 
 
 def _runs(tracks: Tracks) -> bool:

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from benchmarks.gap_ablation import mcnemar, right
-from benchmarks.gap_hardware.bench import Bench, _like, change_of, predict, with_error, write
+from benchmarks.gap_hardware.bench import Bench, Ruler, Starts, _like, fit, parted, predict, with_error, write
 from benchmarks.gap_hardware.errors import errors
-from benchmarks.gap_hardware.logs import LOGS, windows, write_case, write_windows
+from benchmarks.gap_hardware.logs import LOGS, PENDULUM, windows, write_case, write_windows
 from benchmarks.gap_pool import take_out
 from benchmarks.gap_real import SHARES, _class, accepted_sets, figures, reliability, row
 from realsim.gap import load_case
@@ -85,14 +85,35 @@ def test_the_diagnosis_s_own_effect_with_the_label_s_value_mends_every_error(ben
     assert {"stiffness_gain", "coulomb_friction", "armature", "joint_offset", "payload", "link_geometry"} <= seen
 
 
+def test_a_pendulum_that_only_torque_drives_is_fitted_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Near the top a replay of the whole would say more of its first state than of the model."""
+    monkeypatch.setattr("benchmarks.gap_hardware.bench.LATEST", 0)
+    model = mujoco.MjModel.from_xml_string(PENDULUM.replace('damping="0.01"', 'damping="0.08"'))
+    folder = write_case(tmp_path / "case", PENDULUM, ["swing"], ["swing_motor"], command_kind="torque")
+    rng, time = np.random.default_rng(0), np.arange(0.0, 4.0, 0.01)
+    data, seen, command = mujoco.MjData(model), [], 2 * np.sin(4 * time)[:, None]
+    data.qpos[0] = 3.0
+    for data.ctrl[0] in command[:, 0]:
+        seen.append(data.qpos.copy())
+        mujoco.mj_step(model, data, 5)
+    noisy = np.array(seen) + rng.normal(0, 1e-3, (len(time), 1))
+    write_windows(folder, "one", {"time": time, "command": command, "joint_pos": noisy}, 1.0)
+    bench = Bench(folder)
+    parts = parted(bench.others)
+    assert len(parts.runs) == 2 * len(bench.others.runs)
+    assert max(r.duration for r in parts.runs) < 0.55
+    (left,) = fit(bench).left.values()
+    assert left["unseen"] < 0.01 < 1.0 < left["motion"]
+
+
 def test_late_commands_and_late_readings_are_alike_and_a_mass_is_not(bench: Bench) -> None:
     case = bench.others
     known = errors(bench.robot(case))
     delay = next(e for e in known if e.kind == "command_delay")
     base = predict(case)
     left = np.full(base[0].shape[1], 1e-3)
-    change = change_of(case, base, predict(case, [(delay, 0.03)]), left)
-    likes = {label["effect"] for label in _like(case, known, delay, base, change, left)}
+    ruler = Ruler(case, base, Starts.of(case, (), base, left), left)
+    likes = {label["effect"] for label in _like(ruler, known, delay, ruler.change(predict(case, [(delay, 0.03)])))}
     assert "observation_delay" in likes
     assert "payload" not in likes
 

@@ -91,6 +91,34 @@ def test_a_robot_whose_errors_do_not_grow_is_replayed_as_a_whole(made: Callable[
             np.testing.assert_array_equal(comparison.residual(i, y), kept[i])
 
 
+PENDULUM = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body name="rod" pos="0 0 1">
+<joint name="swing" axis="0 1 0" damping="0.02"/>
+<inertial pos="0 0 -0.4" mass="0.7" diaginertia="0.006 0.006 0.001"/></body></worldbody>
+<actuator><motor name="m" joint="swing"/></actuator></mujoco>"""
+
+
+def test_what_falls_in_one_run_begins_in_the_log_in_all(tmp_path: Path) -> None:
+    """Just below upright, held by friction that the model lacks: no command keeps the model there."""
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "model.xml").write_text(PENDULUM)
+    log = {"joint_names": ["swing"], "actuator_names": ["m"], "command_kind": "torque", "base": "fixed"}
+    (tmp_path / "log.json").write_text(json.dumps(log | {"torque_kind": "none", "imu_site": None}))
+    time = np.arange(0.0, 2.0, 0.01)
+    model = mujoco.MjModel.from_xml_string(PENDULUM)
+    data, swing, noise = mujoco.MjData(model), [], np.random.default_rng(0).normal(0, 1e-3, (2, len(time), 1))
+    data.qpos[0] = 3.05
+    for _ in time:
+        swing.append(data.qpos.copy())
+        mujoco.mj_step(model, data, 5)
+    still, held = np.zeros((len(time), 1)), np.full((len(time), 1), 3.12)
+    for name, where in (("falls", np.array(swing) + noise[0]), ("held", held + noise[1]), ("hangs", still + noise[1])):
+        np.savez(tmp_path / "runs" / f"{name}.npz", time=time, command=still, joint_pos=where)
+    with Simulator(load_case(tmp_path), CONFIG) as simulator:
+        falls, hangs, held_up = simulator.starts
+    assert {s.kind for s in (falls, held_up, hangs)} == {"log"}
+    assert held_up.anchors  # the model falls, and leaves the log
+
+
 @settings(max_examples=20, deadline=None)
 @given(scale=st.lists(st.floats(-5, 5), min_size=4, max_size=4))
 def test_states_of_parts_explain_what_is_a_sum_of_their_slopes(arm: Case, scale: list[float]) -> None:

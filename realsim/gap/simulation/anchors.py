@@ -2,8 +2,8 @@
 
 A pendulum that is balanced, or a drone, is held up by its controller. Replayed without it, any small error grows, and
 soon says more of the first state than of the robot. So a replay takes the log's state anew each time that a small error
-of the last one has grown GROWTH-fold. Whether a run is replayed in parts is a matter of the model and its commands, not
-of the gap. Such parts also end where the replay is off by as much as the robot moves: beyond that no slope holds.
+of the last one has grown GROWTH-fold. Whether a robot is replayed in parts is a matter of the model and its commands,
+not of the gap. Such parts also end where the replay is off by as much as the robot moves: beyond that no slope holds.
 """
 
 from __future__ import annotations
@@ -37,11 +37,18 @@ LEAST = 0.1
 
 
 def anchored(simulator: Simulator) -> tuple[Start, ...]:
-    """The starts of the runs, with the states from which each goes on."""
-    case = simulator.case
+    """The starts of the runs, with the states from which each goes on.
+
+    A robot that falls in one run is held up by its controller in all: every run then begins in a state of the log, also
+    one in which it keeps still, which no command of its own makes it do.
+    """
+    case, starts = simulator.case, simulator.starts
     if not _all_logged(case):
-        return simulator.starts
-    return tuple(_anchored(simulator, run, start) for run, start in zip(case.runs, simulator.starts, strict=True))
+        return starts
+    replays = [_Replay.of(simulator, run, start) for run, start in zip(case.runs, starts, strict=True)]
+    if not any(replay and replay.falls() for replay in replays):
+        return starts
+    return tuple(replay.in_parts() if replay else start for replay, start in zip(replays, starts, strict=True))
 
 
 def _all_logged(case: Case) -> bool:
@@ -51,33 +58,12 @@ def _all_logged(case: Case) -> bool:
     return case.model.nv == known and case.model.na == 0 and all(base <= run.signals.keys() for run in case.runs)
 
 
-def _anchored(simulator: Simulator, run: Run, start: Start) -> Start:
-    try:
-        motion = estimate(simulator.case, run)
-    except GapError:
-        return start
-    if _in_contact(simulator.case.model, motion):  # feet that strike part from the log for good; see Comparison
-        return start
-    replay, last = _Replay(simulator, run, motion), run.duration - LEAST
-    if replay.bears(start, 0.0) > last:
-        return start
-    here = start if start.moving else Start("log", motion.qpos[0], motion.qvel[0])  # nothing rests here
-    found, anchors, at = replace(here, reason="a small error would grow too fast in replay"), list[Anchor](), 0.0
-    while (at := at + max(replay.bears(here, at, near=True), LEAST)) <= last:
-        good = np.flatnonzero(motion.good & (motion.time >= at))
-        if not len(good):
-            break
-        at, qpos, qvel = (float(motion.time[good[0]]), motion.qpos[good[0]], motion.qvel[good[0]])
-        anchors.append(Anchor(at, qpos, qvel))
-        here = Start("log", qpos, qvel)
-    return replace(found, anchors=tuple(anchors))
-
-
 class _Replay:
     """One run, replayed from states of the log."""
 
-    def __init__(self, simulator: Simulator, run: Run, motion: Motion) -> None:
-        self.simulator, self.run, self.edit = simulator, run, Edit(simulator.context)
+    def __init__(self, simulator: Simulator, run: Run, start: Start, motion: Motion) -> None:
+        self.simulator, self.run, self.motion, self.edit = simulator, run, motion, Edit(simulator.context)
+        self.start, self.last = start, run.duration - LEAST
         self.model = self.edit.set_up(run.setup).compile()
         self.dt = float(self.model.opt.timestep)
         self.steps = int(np.ceil(run.duration / self.dt)) + 2
@@ -91,6 +77,34 @@ class _Replay:
         grid = np.searchsorted(motion.time, np.arange(self.steps) * self.dt).clip(0, len(motion.time) - 1)
         self.logged = {name: values[grid] for name, values in tracks.items()}
         self.spread = np.maximum(self._coordinates(self.logged, 0).std(axis=0), 10 * SMALL)
+
+    @staticmethod
+    def of(simulator: Simulator, run: Run, start: Start) -> _Replay | None:
+        """None of a run that is too short, or in which the robot touches something: feet that strike part from the log
+        for good (see Comparison)."""
+        try:
+            motion = estimate(simulator.case, run)
+        except GapError:
+            return None
+        return None if _in_contact(simulator.case.model, motion) else _Replay(simulator, run, start, motion)
+
+    def falls(self) -> bool:
+        """Whether a small error of the state that the run begins in grows too much before its end."""
+        return self.bears(self.start, 0.0) <= self.last
+
+    def in_parts(self) -> Start:
+        """The run's start with the states from which its replay goes on."""
+        motion, reason = self.motion, "a small error would grow too fast in replay"
+        begun = self.start if self.start.moving else Start("log", motion.qpos[0], motion.qvel[0])
+        here, anchors, at = begun, list[Anchor](), 0.0
+        while (at := at + max(self.bears(here, at, near=True), LEAST)) <= self.last:
+            good = np.flatnonzero(motion.good & (motion.time >= at))
+            if not len(good):
+                break
+            at, qpos, qvel = (float(motion.time[good[0]]), motion.qpos[good[0]], motion.qvel[good[0]])
+            anchors.append(Anchor(at, qpos, qvel))
+            here = Start("log", qpos, qvel)
+        return replace(begun, reason=reason, anchors=tuple(anchors))
 
     def bears(self, start: Start, at: float, near: bool = False) -> float:
         """s from a moment of the run for which a small error of the state that the replay begins in stays small and,
@@ -137,7 +151,8 @@ def _in_contact(model: Any, motion: Motion, every: float = 0.1) -> bool:
 
 def free_starts(simulator: Simulator, comparison: Comparison) -> None:
     """Let a comparison fit the states that the log gave, which noise is in, of every part of a run."""
-    runs = [i for i, start in enumerate(simulator.starts) if start.anchors]
+    parted = any(start.anchors for start in simulator.starts)
+    runs = [i for i, start in enumerate(simulator.starts) if parted and start.moving]
     for i, columns in zip(runs, _slopes(simulator, runs), strict=True):
         parts = np.searchsorted([a.time for a in simulator.starts[i].anchors], comparison.times[i], side="right")
         comparison.free_starts(i, columns, parts)
