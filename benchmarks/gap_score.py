@@ -21,6 +21,7 @@ PLACELESS = {
     "contact_compliance",
     "terrain_tilt",
     "terrain_scale",
+    "thrust_gain",
 }
 LARGE_SHARE = 0.3
 

@@ -79,6 +79,8 @@ ERRORS = [
     Error("pole", "motor_gain", "pivot", 1.2),
     Error("pole", "payload", "pole", 0.2),
     Error("pole", "command_delay", "", 0.015),
+    Error("drone", "thrust_gain", "", 0.85),
+    Error("drone", "thrust_gain", "", 1.1),
 ]
 
 
@@ -146,8 +148,9 @@ def _apply(spec: Any, error: Error) -> None:
         spec.joint(error.place).damping = spec.joint(error.place).damping + np.array([error.size, 0, 0])
     elif error.effect == "armature":
         spec.joint(error.place).armature += error.size
-    elif error.effect == "motor_gain":
-        spec.actuators[0].gainprm = spec.actuators[0].gainprm * error.size
+    elif error.effect in ("motor_gain", "thrust_gain"):
+        for actuator in spec.actuators:
+            actuator.gainprm = actuator.gainprm * error.size
 
 
 def fly(model: Any, rng: np.random.Generator, late: float = 0.0, seconds: float = 5.0) -> dict[str, np.ndarray]:

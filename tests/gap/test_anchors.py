@@ -23,14 +23,19 @@ from .truth import Truth
 
 CONFIG = DiagnoseConfig(threads=1, bootstrap=50)
 LOG = {"joint_names": ["tilt"], "actuator_names": [f"rotor{i}" for i in range(4)], "command_kind": "torque"}
-EFFECTS = replace(CONFIG, effects=("payload", "com_offset", "external_force", "viscous_friction"))
+EFFECTS = replace(CONFIG, effects=("payload", "com_offset", "external_force", "viscous_friction", "thrust_gain"))
 
 
-def flights(folder: Path, *, payload: float = 0.0, com: float = 0.0, runs: int = 4, seconds: float = 3.0) -> Case:
-    """Of a drone that is `payload` kg heavier than its model, its centre of mass `com` m in front."""
+def flights(
+    folder: Path, *, payload: float = 0.0, com: float = 0.0, thrust: float = 1.0, runs: int = 4, seconds: float = 3.0
+) -> Case:
+    """Of a drone that is `payload` kg heavier than its model, its centre of mass `com` m in front, its thrust `thrust`
+    times as high."""
     spec, rng = mujoco.MjSpec.from_string(DRONE), np.random.default_rng(0)
     spec.body("drone").mass += payload
     spec.body("drone").ipos = [com, 0.0, 0.0]
+    for rotor in spec.actuators:
+        rotor.gainprm = rotor.gainprm * thrust
     (folder / "runs").mkdir(parents=True)
     (folder / "model.xml").write_text(DRONE)
     (folder / "log.json").write_text(json.dumps(LOG | {"base": "floating", "torque_kind": "none", "imu_site": "imu"}))
@@ -142,7 +147,11 @@ def test_states_of_parts_explain_what_is_a_sum_of_their_slopes(arm: Case, scale:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("truth", "effect", "name"),
-    [({"payload": 0.1}, "payload", "mass"), ({"com": 0.01}, "com_offset", "x")],
+    [
+        ({"payload": 0.1}, "payload", "mass"),
+        ({"com": 0.01}, "com_offset", "x"),
+        ({"thrust": 0.9}, "thrust_gain", "ratio"),
+    ],
 )
 def test_a_drone_is_diagnosed(tmp_path: Path, truth: dict[str, float], effect: str, name: str) -> None:
     """Open loop, the second tumbles within 0.2 s."""

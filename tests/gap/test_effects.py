@@ -8,10 +8,11 @@ import pytest
 from realsim.gap import EFFECTS, DiagnoseConfig, diagnose, explain, load_case
 from realsim.gap.simulation.simulate import Simulator
 
+from .test_anchors import hovering
 from .test_recovery import UNSEEN, quadruped
 from .truth import ARM, Truth
 
-__all__ = ["quadruped"]  # a fixture
+__all__ = ["hovering", "quadruped"]  # fixtures
 
 CONTRACT = [
     "command_delay",
@@ -46,6 +47,7 @@ CONTRACT = [
     "link_geometry",
     "friction_of_joints",
     "position_torque",
+    "thrust_gain",
 ]
 
 INJECTED = {
@@ -95,17 +97,25 @@ def walking(quadruped):
         yield found
 
 
-def somewhere(name: str, simulator: Simulator, walking: Simulator) -> tuple[Simulator, list[tuple[str, ...]]]:
+@pytest.fixture(scope="module")
+def flying(hovering):
+    with Simulator(hovering, DiagnoseConfig()) as found:
+        yield found
+
+
+@pytest.fixture
+def somewhere(name: str, simulator: Simulator, walking: Simulator, flying: Simulator):
     """A robot on which the effect has places, and these; effects of the ground and the IMU need one that walks."""
     place = EFFECTS[name].places
-    found = next(((s, place(s.context)) for s in (simulator, walking) if place(s.context)), (simulator, []))
+    robots = (simulator, walking, flying)
+    found = next(((s, place(s.context)) for s in robots if place(s.context)), (simulator, []))
     assert bool(found[1]) != (name in UNSEEN)
     return found
 
 
 @pytest.mark.parametrize("name", CONTRACT)
-def test_nothing_changes_at_the_nominal_values(name: str, simulator: Simulator, walking: Simulator) -> None:
-    robot, places = somewhere(name, simulator, walking)
+def test_nothing_changes_at_the_nominal_values(name: str, somewhere: tuple[Simulator, list]) -> None:
+    robot, places = somewhere
     nominal = robot.simulate()
     for place in places[:4]:
         again = robot.simulate([(name, place, {})])
@@ -114,9 +124,9 @@ def test_nothing_changes_at_the_nominal_values(name: str, simulator: Simulator, 
 
 
 @pytest.mark.parametrize("name", CONTRACT)
-def test_parameters_are_well_formed(name: str, simulator: Simulator, walking: Simulator) -> None:
+def test_parameters_are_well_formed(name: str, somewhere: tuple[Simulator, list]) -> None:
     effect = EFFECTS[name]
-    simulator, places = somewhere(name, simulator, walking)
+    simulator, places = somewhere
     for place in places:
         for p in effect.parameters(simulator.context, place):
             assert p.bounds[0] <= p.default <= p.bounds[1]

@@ -84,7 +84,7 @@ def logged(case: Case, settings: list, seed: int = 0) -> Case:
     return case.with_runs(tuple(runs))
 
 
-@pytest.mark.parametrize("name", [n for n in EFFECTS if n not in (*UNSEEN, *GROUND, "imu_bias")])
+@pytest.mark.parametrize("name", [n for n in EFFECTS if n not in (*UNSEEN, *GROUND, "imu_bias", "thrust_gain")])
 def test_recovered_on_an_arm(name: str, arm: Case) -> None:
     recover(name, arm)
 

@@ -39,6 +39,7 @@ EFFECTS = Registry(
             "link_geometry",
             "friction_of_joints",
             "position_torque",
+            "thrust_gain",
         )
     },
 )
