@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.gap_pool import Job, diagnose_all, read
 from benchmarks.gap_score import MixedEnginesError, one_engine, score
 from benchmarks.gap_truth.cases import Draw, make_labelled, plan, read_labels
-from realsim.files import to_json, write_text
+from benchmarks.store import Store
 
 LEVELS = {"deviations_0.5": (0.5, 1.0), "as_drawn": (1.0, 1.0), "deviations_2": (2.0, 1.0), "deviations_4": (4.0, 1.0),
           "noise_3": (1.0, 3.0)}  # fmt: skip
@@ -31,6 +31,10 @@ COLUMNS = (
     "false_alarms", "single_top1", "single_top1_with_equivalents", "double_both_found", "outside_said",
     "confounded_named", "ci90_holds_truth", "missed_gaps",
 )  # fmt: skip
+
+
+SHOWN = (*COLUMNS, "identified_right")
+KEY = ("seed", "engine", "level")
 
 
 def main() -> int:
@@ -88,11 +92,20 @@ def _score(args: argparse.Namespace, labels: dict[str, dict[str, Any]]) -> int:
         right = found["causes_right_by_verdict"].get("identified", [0, 0])
         figures[level]["identified_right"] = right
     print(f"engine {made_by.get('engine')}: {len(shared)} cases at every level")
-    for column in (*COLUMNS, "identified_right"):
+    for column in SHOWN:
         cells = [f"{v} {_text(found[column])}" for v, found in figures.items()]
         print(f"{column:<30} {'   '.join(cells)}")
-    store = args.store or args.work / "figures.json"
-    write_text(store, to_json({"provenance": made_by, "seed": args.seed, "levels": figures}))
+    store = Store(args.store or args.work / "figures.json", KEY)
+    robots = sorted({labels[level][n]["robot"] for level, found in answers.items() for n in found})
+    for level, found in figures.items():
+        row = {
+            "seed": args.seed,
+            "engine": made_by.get("engine"),
+            "level": level,
+            "cases": len(shared),
+            "robots": robots,
+        }
+        store.add(row | {column: found[column] for column in SHOWN})
     return 0
 
 

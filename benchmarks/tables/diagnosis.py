@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from benchmarks import gap_real, gap_unstable
+from benchmarks import gap_real, gap_sweep, gap_unstable
 from benchmarks.tables.stored import Row, counts, of, stored
 
 
@@ -146,6 +146,32 @@ def _then(found: Row) -> str:
 def unstable() -> list[str]:
     """Robots that only their controller holds up: replayed as a whole, and in parts."""
     return gap_unstable.table(stored("gap_unstable")["rows"])
+
+
+SWEPT = {
+    "false_alarms": ("nothing wrong, something named", "10 % at x2"),
+    "single_top1": ("one cause, named first", ""),
+    "single_top1_with_equivalents": ("one cause, first or as an equivalent", ""),
+    "double_both_found": ("two causes, both", ""),
+    "outside_said": ("outside the library, reported as such", ""),
+    "confounded_named": ("look-alikes named", ""),
+    "ci90_holds_truth": ("90 % intervals hold the truth", ""),
+    "missed_gaps": ("gaps missed", ""),
+    "identified_right": ("`identified`: causes that are right", "90 % at x2"),
+}
+
+
+def sweep() -> list[str]:
+    """The same cases with other everyday deviations and noise, by the last engine that was swept."""
+    rows = stored("gap_sweep")["rows"]
+    last = {r["level"]: r for r in rows if r["engine"] == rows[-1]["engine"]}
+    levels = [level for level in gap_sweep.LEVELS if level in last]
+    titles = [f"deviations x{d:g}" if n == 1 else f"noise x{n:g}" for d, n in map(gap_sweep.LEVELS.get, levels)]
+    lines = [f"| {last[levels[0]]['cases']} cases | {' | '.join(titles)} | wanted |", "|---" * (len(levels) + 2) + "|"]
+    for column, (title, wanted) in SWEPT.items():
+        cells = " | ".join("{} of {}".format(*last[level][column]) for level in levels)
+        lines.append(f"| {title} | {cells} | {wanted} |")
+    return lines
 
 
 def drift() -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from benchmarks import base_policy, gap_unstable, parkour, pushes, ttt
+from benchmarks import base_policy, gap_sweep, gap_unstable, parkour, pushes, ttt
 from benchmarks.tables.stored import Row, stored
 
 INDEX = (
@@ -29,6 +29,11 @@ INDEX = (
         "python benchmarks/gap_real.py score --part report",
     ),
     ("Robots that only their controller holds up", "gap_unstable", "python benchmarks/gap_unstable.py [--open-loop]"),
+    (
+        "Diagnosis with everyday deviations and noise beyond their priors",
+        "gap_sweep",
+        "python benchmarks/gap_sweep.py score --seed SEED",
+    ),
     ("Diagnosis beside mujoco.sysid", "gap_sysid", "python benchmarks/gap_sysid.py"),
     ("Speed of training", "trainer_speed", "python benchmarks/trainer_speed.py"),
     ("Learning on one CPU core", "trainer_cpu", "python benchmarks/trainer_cpu.py"),
@@ -79,6 +84,7 @@ KEYS = {
     "gap_next": ("seed", "case", "engine"),
     "gap_real": ("case", "engine"),
     "gap_since": ("seed", "pair"),
+    "gap_sweep": gap_sweep.KEY,
     "gap_sysid": ("case",),
     "gap_unstable": gap_unstable.KEY,
     "matching": ("capture", "kind", "learned", "frames"),

@@ -26,6 +26,7 @@ from benchmarks.tables.diagnosis import (
     experiments,
     footholds,
     real_logs,
+    sweep,
     unstable,
 )
 from benchmarks.tables.index import index
@@ -58,6 +59,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "damaged": damaged,
     "real logs": real_logs,
     "unstable robots": unstable,
+    "sweep": sweep,
     "experiments": experiments,
     "drift": drift,
     "closing the loop": closing,
