@@ -40,7 +40,7 @@ def anchored(simulator: Simulator) -> tuple[Start, ...]:
     """The starts of the runs, with the states from which each goes on.
 
     A robot that falls in one run is held up by its controller in all: every run then begins in a state of the log, also
-    one in which it keeps still, which no command of its own makes it do.
+    one in which it keeps still, which no command of its own makes it do. Only runs in which it falls are in parts.
     """
     case, starts = simulator.case, simulator.starts
     if not _all_logged(case):
@@ -97,6 +97,8 @@ class _Replay:
         motion, reason = self.motion, "a small error would grow too fast in replay"
         begun = self.start if self.start.moving else Start("log", motion.qpos[0], motion.qvel[0])
         here, anchors, at = begun, list[Anchor](), 0.0
+        if not self.falls():  # a replay that only drifts shows what is wrong the longer it is
+            return replace(begun, reason="nothing but its controller holds this robot")
         while (at := at + max(self.bears(here, at, near=True), LEAST)) <= self.last:
             good = np.flatnonzero(motion.good & (motion.time >= at))
             if not len(good):
