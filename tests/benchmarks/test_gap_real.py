@@ -88,6 +88,7 @@ def test_the_diagnosis_s_own_effect_with_the_label_s_value_mends_every_error(ben
 def test_a_pendulum_that_only_torque_drives_is_fitted_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Near the top a replay of the whole would say more of its first state than of the model."""
     monkeypatch.setattr("benchmarks.gap_hardware.bench.LATEST", 0)
+    monkeypatch.setattr("benchmarks.gap_hardware.bench.EVALUATIONS", 6)
     model = mujoco.MjModel.from_xml_string(PENDULUM.replace('damping="0.01"', 'damping="0.08"'))
     folder = write_case(tmp_path / "case", PENDULUM, ["swing"], ["swing_motor"], command_kind="torque")
     rng, time = np.random.default_rng(0), np.arange(0.0, 4.0, 0.01)
