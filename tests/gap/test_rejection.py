@@ -23,8 +23,8 @@ from .truth import PENDULUM, Truth
 
 __all__ = ["quadruped"]  # a fixture
 
-FLOATING = (*(n for n in GROUND if n != "terrain_tilt"), "imu_bias")
-"""Effects that need a ground or an IMU."""
+FLOATING = (*(n for n in GROUND if n != "terrain_tilt"), "imu_bias", "thrust_gain")
+"""Effects that need a ground, an IMU or rotors."""
 FIXED = tuple(n for n in EFFECTS if n not in (*FLOATING, *UNSEEN, *ON_REQUEST))
 
 
