@@ -111,6 +111,8 @@ def make_case(draw: Draw, folder: Path, runs: int = 6, deviations: float = 1.0, 
         site = site_of(robot, model, draw.seed + attempt)
         again = copy.deepcopy(rng)
         truths, labels, strength = _truth(draw, site, sensors, rng, attempt // 3)
+        if causes.one_by_physics(labels, site):
+            continue
         commands = _commands(robot, sensors, runs, rng)
         traces = _drive(robot, truths[-1], commands)
         if traces is None:

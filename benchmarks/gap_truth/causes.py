@@ -398,6 +398,15 @@ def equivalents(labels: list[Label], site: Site, *, torque_logged: bool) -> list
     return out
 
 
+MASSES = {"payload", "com_offset", "armature", "link_inertia"}
+
+
+def one_by_physics(labels: list[Label], site: Site) -> bool:
+    """Whether two causes are one: on a single hinge all masses together are a torque of gravity and an inertia, and one
+    payload gives both."""
+    return len(site.robot.joints) == 1 and len(labels) == 2 and all(label["effect"] in MASSES for label in labels)
+
+
 def enact(label: Label, truth: Truth, site: Site) -> None:
     """Give a truth one of the causes that `equivalents` names."""
     value = label["parameters"][0]["value"]

@@ -93,8 +93,16 @@ def with_deviations(name: str, parameters: tuple[Any, ...], place: tuple[str, ..
     found = []
     for p in parameters:
         size = known.of(name, p.name, place)
-        found.append(p if size is None else replace(p, nuisance=size / _unit(p)))
+        found.append(p if size is None else replace(p, nuisance=_coordinate(p, size)))
     return tuple(found)
+
+
+def _coordinate(p: Any, size: float) -> float:
+    """The size of a deviation in a parameter's coordinate. A stiffness is endless in the model, and its coordinate is
+    what gives: there the size is itself reported (c / z is its own inverse), and no slope about the model says it."""
+    if size and math.isclose(p.report(p.report(size)), size, rel_tol=1e-6):
+        return abs(float(p.report(size)))
+    return size / _unit(p)
 
 
 def _unit(p: Any) -> float:

@@ -14,6 +14,7 @@ from realsim.gap.effects import EFFECTS
 from realsim.gap.provenance import provenance
 from realsim.gap.simulation.simulate import Simulator
 
+from .test_recovery import logged
 from .truth import Truth
 
 
@@ -38,6 +39,28 @@ def test_sizes_are_in_the_reported_unit_and_by_place(folder: Path, tmp_path: Pat
         (theirs,) = EFFECTS["coulomb_friction"].parameters(context, ("shoulder",))
         assert mine.nuisance == pytest.approx(0.3)
         assert theirs.nuisance < 0.3
+
+
+@pytest.mark.parametrize(("steps", "named"), [(0.1, set()), (2.0, {"joint_compliance"})])
+def test_any_joint_gives_a_little(steps: float, named: set[str], made: Callable[..., Path]) -> None:
+    case = load_case(made("gives", Truth(), runs=3))
+    with Simulator(case, DiagnoseConfig(threads=1)) as simulator:
+        (p,) = EFFECTS["joint_compliance"].parameters(simulator.context, ("shoulder",))
+    soft = logged(case, [("joint_compliance", ("shoulder",), {"stiffness": steps * p.step})])
+    effects = ("joint_compliance", "coulomb_friction", "stiffness_gain")
+    found = diagnose(soft, DiagnoseConfig(threads=1, effects=effects, bootstrap=20))
+    assert {c["effect"] for c in found.causes} == named
+
+
+def test_a_compliance_has_the_size_of_the_stiffness_that_gives_it(folder: Path, tmp_path: Path) -> None:
+    def size(stiffness: float) -> float:
+        sizes = {"joint_compliance": {"stiffness": stiffness}}
+        with Simulator(load_case(folder), config(tmp_path, sizes)) as simulator:
+            (p,) = EFFECTS["joint_compliance"].parameters(simulator.context, ("elbow",))
+            return p.nuisance
+
+    assert size(8000.0) == pytest.approx(1 / 8000)
+    assert size(0) == 0
 
 
 def test_what_is_everyday_for_this_user_is_no_gap(folder: Path, tmp_path: Path) -> None:

@@ -113,6 +113,14 @@ def test_an_accelerometer_alone_has_a_bias(arm: Case) -> None:
     assert found.causes[0]["parameters"]["acc_y"]["value"] == pytest.approx(0.6, rel=0.1)
 
 
+def test_a_rotor_and_the_link_that_it_turns_first_are_alike(arm: Case) -> None:
+    """The rival's values are brought up to date before it is compared: they were found under other weights."""
+    heavy = logged(arm, [("link_inertia", ("upper",), {"ratio": 2.0})])
+    found = diagnose(heavy, replace(CONFIG, effects=("link_inertia", "armature", "com_offset"), bootstrap=20))
+    said = [found.causes, *found.equivalent]
+    assert {c["effect"] for causes in said for c in causes} == {"link_inertia", "armature"}
+
+
 @pytest.mark.parametrize("moving", [False, True])
 def test_twins_are_alike_whatever_the_steps_of_the_simulator_make_of_them(arm: Case, moving: bool) -> None:
     """Of a robot that begins at rest, joints alone do not tell late commands from late readings."""

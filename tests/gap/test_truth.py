@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
@@ -30,6 +31,18 @@ NAMES = {f"{prefix}{a}": a for prefix in ("pos_", "d") for a in "xyz"}
 
 def causes_of(robot: str) -> list[str]:
     return sorted(causes.available(ROBOTS[robot](np.random.default_rng(0))))
+
+
+def test_masses_of_a_single_hinge_are_one_cause() -> None:
+    def one(robot: str, *effects: str) -> bool:
+        made = ROBOTS[robot](np.random.default_rng(0))
+        site = causes.Site(made, mujoco.MjModel.from_xml_string(made.xml), np.ones(1), np.ones(1))
+        return causes.one_by_physics([{"effect": e} for e in effects], site)
+
+    assert one("pendulum", "payload", "com_offset")
+    assert not one("pendulum", "payload", "coulomb_friction")
+    assert not one("pendulum", "payload")
+    assert not one("arm2", "payload", "com_offset")
 
 
 @pytest.fixture(scope="module")

@@ -137,7 +137,8 @@ class Screen:
         self.prior = np.array([a.parameter.nuisance for a in self.atoms])
         self.usual = np.array([a.parameter.usual for a in self.atoms])
         """(p,) what the small deviations may scatter about instead of zero."""
-        self.simulable = np.array([not (lookup(a.effect).stepwise or a.parameter.fine) for a in self.atoms])
+        slow = [(e := lookup(a.effect)).stepwise or e.stiff or a.parameter.fine for a in self.atoms]
+        self.simulable = ~np.array(slow)
         """(p,) False for atoms that cost steps one by one, or many of them: as nuisances they stay linear."""
         self.candidates = self._candidates(chosen)
 

@@ -55,6 +55,8 @@ def _alike(search: Search, nominal: Fit) -> tuple[Fit, list[Fit]]:
     others = [f for k, f in search.seen.items() if k != best.key and len(f.causes) == len(best.causes)]
     again = (fitter.looked_at(f, f.causes) for f in others)
     others = [f for f in again if f is not None and f.misfit - best.misfit < near(removed)]
+    # Their values were found under other weights, and on some of the runs: at their best, all are compared.
+    others = [min(fitter.fit(f.causes, iterations=3) or f, f, key=lambda f: f.misfit) for f in others]
     same = [best, *(f for f in others if alike(fitter, best, f, removed))]
     # A law that holds another as a special case always fits as well: only one of the two is named, the plain one unless
     # the runs ask for more.
