@@ -31,9 +31,9 @@ class Said:
 
 SAID = {
     GapVerdict.NO_GAP: Said("No gap", "the runs show no gap beyond noise and everyday deviations", "good"),
-    GapVerdict.IDENTIFIED: Said("Identified", "the cause is named, and it holds on the check", "good"),
+    GapVerdict.IDENTIFIED: Said("Identified", "what is named holds on the check", "good"),
     GapVerdict.AMBIGUOUS: Said("Cannot tell apart", "several causes explain these runs equally well", "look"),
-    GapVerdict.PARTLY_EXPLAINED: Said("Partly explained", "the cause holds on the check, and part of the gap stays",
+    GapVerdict.PARTLY_EXPLAINED: Said("Partly explained", "what is named holds on the check, and part of the gap stays",
                                       "look"),
     GapVerdict.UNEXPLAINED: Said("Unexplained", "no known effect explains the gap: do not use the patched model",
                                  "bad"),

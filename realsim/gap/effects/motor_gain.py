@@ -20,11 +20,7 @@ def _excited(context: Context, place: Place) -> Excitation:
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     ratio = math.exp(values["ratio"])
     for joint in place:
-        actuator = edit.spec.actuator(edit.context.actuator[joint])
-        actuator.gainprm = actuator.gainprm * ratio
-        actuator.biasprm = actuator.biasprm * ratio
-        if actuator.forcerange[1] > actuator.forcerange[0]:
-            actuator.forcerange = actuator.forcerange * ratio
+        edit.scale_drive(edit.context.actuator[joint], ratio)
 
 
 EFFECT = Effect(

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from realsim.gap.effects.base import EXACT, Edit, Effect, Parameter, Place, always, gain
 from realsim.gap.simulation.context import Context
 
@@ -30,9 +28,7 @@ def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     ratio = math.exp(values["ratio"])
     for name in _thrusters(edit.context):
-        actuator = edit.spec.actuator(name)
-        actuator.gainprm, actuator.biasprm = actuator.gainprm * ratio, actuator.biasprm * ratio
-        actuator.forcerange = np.asarray(actuator.forcerange) * ratio
+        edit.scale_drive(name, ratio)
 
 
 EFFECT = Effect(

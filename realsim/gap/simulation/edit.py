@@ -150,6 +150,12 @@ class Edit:
         tendon.wrap_joint(joint, -1.0)
         return tendon
 
+    def scale_drive(self, name: str, ratio: float) -> None:
+        """Multiply all that an actuator gives, and the range that it gives it in."""
+        actuator = self.spec.actuator(name)
+        actuator.gainprm, actuator.biasprm = actuator.gainprm * ratio, actuator.biasprm * ratio
+        actuator.forcerange = np.asarray(actuator.forcerange) * ratio
+
     def limit_drive(self, joint: str, most: float) -> None:
         """Let a joint's actuator give at most this torque (N m at the joint) either way, within the model's range."""
         drive = self.context.actuator[joint]
