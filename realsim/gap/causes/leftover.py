@@ -23,7 +23,7 @@ def deviations(screen: Screen, fit: Fit) -> F64:
 def nuisance_settings(screen: Screen, fit: Fit, scale: float = 1.0) -> list[Setting]:
     """The most probable everyday deviations, times `scale` as settings for the simulator; tiny ones are left out."""
     x = deviations(screen, fit)
-    x = fit.evidence.centre + np.where(np.abs(x) > 0.02 * fit.prior, x, 0.0)
+    x = fit.evidence.centre + np.where((np.abs(x) > 0.02 * fit.prior) & ~screen.stiff, x, 0.0)
     return screen.settings(scale * x)
 
 

@@ -137,8 +137,10 @@ class Screen:
         self.prior = np.array([a.parameter.nuisance for a in self.atoms])
         self.usual = np.array([a.parameter.usual for a in self.atoms])
         """(p,) what the small deviations may scatter about instead of zero."""
-        slow = [(e := lookup(a.effect)).stepwise or e.stiff or a.parameter.fine for a in self.atoms]
-        self.simulable = ~np.array(slow)
+        self.stiff = np.array([lookup(a.effect).stiff for a in self.atoms])
+        """(p,) True for atoms that no time step bears at the size of a deviation: a spring would have to be softer."""
+        slow = [lookup(a.effect).stepwise or a.parameter.fine for a in self.atoms]
+        self.simulable = ~(self.stiff | slow)
         """(p,) False for atoms that cost steps one by one, or many of them: as nuisances they stay linear."""
         self.candidates = self._candidates(chosen)
 
