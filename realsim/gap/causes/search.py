@@ -90,8 +90,8 @@ class Search:
         """Fit the neighbours of the best set that some moves lead to; whether one of them takes its place."""
         self.best = here = self.fitter.prepared(self.best)
         screen, further = self.fitter.screen, moves is ADD
-        if screen.simulator.context.touches and not here.causes and leftover(screen, here).mean() <= 1:
-            return False  # simulated deviations leave noise, which some cause of many always fits a little better
+        if screen.simulator.context.touches and not here.causes:  # now deviations are simulated: do they leave a gap?
+            screen.gap = is_gap(leftover(screen, here))
         fits: list[Fit] = []
         for p in self._proposed(moves, here):
             # Of many further causes each is looked at roughly; what would not catch up with the best is broken off.
