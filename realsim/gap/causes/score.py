@@ -50,9 +50,9 @@ def determined(fit: Estimated) -> float:
 
 def asked(screen: Screen, before: Fit) -> float:
     """Nats by which one more cause must lower the score of a set: clearly, and beside others by a share of what is no
-    noise, since each of them leaves a little that a wrong one can bend to. Where deviations leave a gap, the likeliest
-    first cause is looked at: the check says whether it is one. Where they leave none, feet that slip and land still
-    differ from a simulator's by many nats, and the first cause must take its share of all."""
+    noise, since each of them leaves a little that a wrong one can bend to. Where deviations leave a gap, the
+    likeliest first cause is looked at: the check says whether it is one. Where they leave none, feet that slip and
+    land still differ from a simulator's by many nats, and the first cause must take its share of all."""
     if not before.causes:
         least = max(figures.CLEARLY, figures.SHARE * before.misfit * screen.simulator.context.touches)
         return 0.0 if screen.gap else least
