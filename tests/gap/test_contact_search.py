@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -86,19 +87,20 @@ def test_a_height_is_found_short_of_one_at_which_the_foot_meets_other_ground(qua
     assert best.named == {"height": pytest.approx(-0.015)}
 
 
-@pytest.mark.parametrize(("left", "expected"), [(0.9, False), (1.1, True)])
-def test_where_simulated_deviations_leave_noise_no_cause_is_looked_for(
+@pytest.mark.parametrize(("left", "gap"), [(1.3, False), (1.5, True)])
+def test_whether_there_is_a_gap_is_judged_beside_simulated_deviations(
     quadruped: Case,  # noqa: F811
     monkeypatch: pytest.MonkeyPatch,
     left: float,
-    expected: bool,
+    gap: bool,
 ) -> None:
-    looked: list[bool] = []
-    monkeypatch.setattr(Search, "_proposed", lambda *_: looked.append(True) or iter(()))
-    monkeypatch.setattr("realsim.gap.causes.search.leftover", lambda *_: np.full(1, left))
+    """Slopes alone leave one; what simulated deviations leave says how much a first cause must bring."""
+    stays = itertools.chain([np.full(1, 9.0)], itertools.repeat(np.full(1, left)))
+    monkeypatch.setattr(Search, "_proposed", lambda *_: iter(()))
+    monkeypatch.setattr("realsim.gap.causes.search.leftover", lambda *_: next(stays))
     case = logged(quadruped, [("coulomb_friction", ("fl_calf",), {"friction": 1.0})])
     with fitter_for(case, ("coulomb_friction",)) as fitter:
         search = Search(fitter, 3, fitter.nominal())
         search.run(lambda *_: None)
-    assert bool(looked) is expected
+        assert fitter.screen.gap is gap
     assert not search.best.causes

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from realsim.gap import DiagnoseConfig, load_case
 from realsim.gap.answer.conclusion import _at_an_end
-from realsim.gap.causes.figures import BRIEF, CAUSE, CAUSE_A_JOINT
+from realsim.gap.causes.figures import BRIEF, CAUSE, CAUSE_A_JOINT, CLEARLY, SHARE
 from realsim.gap.causes.fit import Cause, Fitter, _at_bound
 from realsim.gap.causes.proposals import by_slopes, ranked
-from realsim.gap.causes.score import score
+from realsim.gap.causes.score import asked, score
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.windows import _best_window
 from realsim.gap.compare import Comparison
@@ -164,6 +164,20 @@ def test_the_best_place_of_every_effect_is_fitted_before_a_second_one(fitter: Fi
     for effect in set(effects):
         own = [gains[c.key] for c in proposed if c.effect == effect]
         assert own == sorted(own, reverse=True)
+
+
+@pytest.mark.parametrize(
+    ("touches", "gap", "share"), [(False, False, 0.0), (True, False, SHARE), (False, True, 0.0), (True, True, 0.0)]
+)
+def test_a_first_cause_on_feet_takes_its_share_of_all(
+    fitter: Fitter, touches: bool, gap: bool, share: float, monkeypatch
+) -> None:
+    """Where deviations leave no gap: feet that slip and land differ from a simulator's by many nats without a cause."""
+    screen = fitter.screen
+    monkeypatch.setattr(screen, "gap", gap)
+    monkeypatch.setattr(screen.simulator.context, "touches", touches)
+    nothing = replace(fitter.nominal(), misfit=1000.0)
+    assert asked(screen, nothing) == max(0.0 if gap else CLEARLY, 1000.0 * share)
 
 
 def test_a_first_cause_is_cheap_where_deviations_leave_a_gap(fitter: Fitter) -> None:
