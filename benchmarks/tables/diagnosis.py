@@ -55,8 +55,9 @@ def diagnosis_intervals() -> list[str]:
         "|---|---|---|---|---|",
     ]
     for s in stored("diagnosis")["sets"]:
-        gone = 100 * s["gap_gone_median_where_right"]
-        cells = (of(s["ci90_holds_truth"]), of(s["outside_said"]), of(s["confounded_named"]), f"{gone:.1f} %")
+        gone = s["gap_gone_median_where_right"]
+        held = of(s["ci90_holds_truth"] or (0, 0))
+        cells = (held, of(s["outside_said"]), of(s["confounded_named"]), "" if gone is None else f"{100 * gone:.1f} %")
         name = ", ".join(str(s[k]) for k in ("seed", "commit") if k in s)
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return lines

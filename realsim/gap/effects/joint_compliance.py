@@ -9,7 +9,7 @@ EVERYDAY = 0.1
 """Share of the step by which any joint gives: 2 mrad at its peak torque. No gear is rigid, and friction gives before it
 slips (bristles: Canudas de Wit et al., IEEE Trans. Automatic Control 40, 1995). Set on seven arms of seeds 1087 and
 1123, where a little compliance was named beside a joint's friction. Not on robots whose feet touch: no time step bears
-so stiff a spring, and its slopes hide there what a cause leaves (seed 1301: another cause beside three of ten)."""
+so stiff a spring, so it stays linear there, and beside it three of ten quadrupeds of seed 1301 got a cause too many."""
 
 
 def _softest_step(context: Context, place: Place) -> float:
