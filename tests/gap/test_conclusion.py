@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
-from realsim.gap.answer.conclusion import _again, _beside_imitations, _fitted, _lasting
+from realsim.gap.answer.conclusion import _again, _beside_imitations, _fitted, _lasting, _told_from_none
 from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.answer.leaveout import better, discrepancy, leave_out
 from realsim.gap.causes import figures
@@ -144,6 +144,29 @@ def test_a_single_cause_is_left_to_the_check(fitter: Fitter) -> None:
     assert fit is wrong
     assert left is not None
     assert not notes
+
+
+def test_the_nearest_cause_is_told_from_none(fitter: Fitter) -> None:
+    """A log without an error had a friction of 0.008 [-0.06, 0.008] N m s/rad as its nearest cause."""
+    fit = fitter.looked_at(fitter.nominal(), [cause(fitter, "coulomb_friction", 3.0)])
+    assert fit is not None
+    assert _told_from_none(fit, np.array([1.8]))
+    assert not _told_from_none(fit, np.array([1.9]))
+    law = fitter.looked_at(fitter.nominal(), [cause(fitter, "stribeck_friction", 0.0, 3.0, 0.1)])
+    assert law is not None
+    assert _told_from_none(law, np.array([1.0, 1.0, 0.5]))
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_of_what_is_not_explained_the_nearest_is_named_only_if_it_is_told_from_none(
+    sticky: Case, told: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("realsim.gap.answer.conclusion._told_from_none", lambda fit, sigmas: told)
+    monkeypatch.setattr("realsim.gap.answer.check.Check.holds", False)
+    found = diagnose(sticky, CONFIG)
+    assert found.verdict == "unexplained"
+    assert [c["effect"] for c in found.causes] == ["coulomb_friction"] * told
+    assert any("not told from none" in note for note in found.statistics["notes"]) != told
 
 
 def test_a_law_without_its_own_part_is_no_rival(fitter: Fitter) -> None:

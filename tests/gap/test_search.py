@@ -20,7 +20,7 @@ from realsim.gap.causes.windows import _best_window
 from realsim.gap.compare import Comparison
 from realsim.gap.effects.base import Parameter
 from realsim.gap.simulation.recent import Recent
-from realsim.gap.simulation.simulate import Setting, Simulator
+from realsim.gap.simulation.simulate import Setting, Simulator, lookup
 
 from .test_recovery import logged
 from .truth import Truth
@@ -145,6 +145,14 @@ def test_no_friction_at_all_is_an_answer_and_twice_the_range_is_none() -> None:
     ends = [_at_bound(friction, v) for v in (-0.1, -0.05, 0.0, 100.0)]
     assert ends == [False, False, False, True]
     assert [_at_bound(ratio, v) for v in (-0.85, -0.8, 0.0, 2.0)] == [True, False, False, True]
+
+
+def test_a_rotor_without_inertia_is_an_answer(fitter: Fitter) -> None:
+    """The model of a real leg had a rotor that the leg has not: the search stopped at a tenth of it."""
+    context, joint = fitter.screen.simulator.context, fitter.screen.simulator.context.driven[0]
+    (inertia,) = lookup("armature").parameters(context, (joint,))
+    assert inertia.bounds[0] == -context.armature(joint)
+    assert not _at_bound(inertia, inertia.bounds[0])
 
 
 def test_a_strength_at_an_end_of_its_range_is_no_answer(fitter: Fitter) -> None:

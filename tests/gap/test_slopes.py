@@ -164,8 +164,12 @@ def test_what_does_nothing_beside_a_cause_explains_nothing_there(arm: Case) -> N
 
 def test_a_search_that_fails_on_a_run_it_did_not_look_at_finds_nothing(made, monkeypatch) -> None:
     screen = screened(load_case(made("slopes_four", Truth(), runs=4)), ("armature",))
+    assert screen.varied is None  # an arm is simulated fast: all runs are looked at
+    monkeypatch.setattr(screen.simulator.context, "touches", True)
+    screen.varied = screen._varied()
     assert screen.varied is not None
     assert len(screen.varied) < len(screen.runs)
+    monkeypatch.setattr(screen.simulator.context, "touches", False)
     fitter = Fitter(screen)
     cause = Cause(screen.candidates[0], (0.01,))
     assert fitter.fit([cause], rough=True) is not None

@@ -7,7 +7,7 @@ intervals of values) rests on the fitted runs. The verdict is decided with the c
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from realsim.gap.answer.check import Check, check, errors, mean_square, predicta
 from realsim.gap.answer.leaveout import LeftOut, better, leave_out
 from realsim.gap.answer.verdict import Fitted, Judgement, judge
 from realsim.gap.causes import figures
-from realsim.gap.causes.fitted import Z90, Cause
+from realsim.gap.causes.fitted import Z90, Cause, values_of
 from realsim.gap.causes.leftover import is_gap, leftover, nuisance_settings
 from realsim.gap.causes.starts import contains, suggested
 from realsim.gap.compare import Comparison
@@ -76,6 +76,10 @@ def conclude(
     sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)) if fit.causes else np.zeros(0)
     if left is not None:
         sigmas = np.maximum(sigmas, left.sigmas)
+    if judgement.verdict is GapVerdict.UNEXPLAINED and fit.causes and not _told_from_none(fit, sigmas):
+        notes.append(f"{', '.join(map(_name, fit.causes))}: not told from none, so it is not named as the nearest")
+        without = replace(selection, fit=selection.nominal, equivalent=[], notes=notes)
+        return conclude(config, screen, fitter, without, held, nominal)
     return Conclusion(fit, sigmas, tuple(others), checked, judgement, left, tuple(notes), tuple(warnings))
 
 
@@ -179,6 +183,12 @@ def _at_an_end(fit: Any) -> list[str]:
     """Strengths at an end of their range; a law's shape may be at one, as where dry friction has no dip."""
     strengths = {p.name for c in fit.causes for p in c.candidate.parameters if p.strength}
     return [name for name in fit.at_bounds if name in strengths]
+
+
+def _told_from_none(fit: Any, sigmas: F64) -> bool:
+    """Whether the 90 percent interval of some cause's strength leaves out zero, where nothing is changed."""
+    strengths = [p.strength for c in fit.causes for p in c.candidate.parameters]
+    return bool(np.any(np.abs(values_of(fit.causes)[strengths]) > Z90 * sigmas[strengths]))
 
 
 # ---------------------------------------------------------------- on the runs of the check

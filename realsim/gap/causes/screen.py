@@ -145,8 +145,9 @@ class Screen:
         self.candidates = self._candidates(chosen)
 
     def _varied(self, count: int = 3) -> tuple[int, ...] | None:
-        """Positions of a few screened runs from calm to lively, for the searches of rivals; None where all are few."""
-        if len(self.runs) <= count:
+        """Positions of a few screened runs from calm to lively, for the searches of rivals on robots with feet, which
+        are slow to simulate; None where all are few."""
+        if len(self.runs) <= count or not self.simulator.context.touches:
             return None
         commands = [self.simulator.case.runs[r].command for r in self.runs]
         order = np.argsort([float(np.abs(np.diff(c, axis=0)).sum() / len(c)) for c in commands])

@@ -10,7 +10,8 @@ def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     nominal = min(context.armature(j) for j in place)
     inertia = min(context.inertia[j] for j in place)
     step = max(0.4 * nominal, 0.1 * inertia, 1e-6)
-    return (Parameter("armature", "kg m^2", (-0.9 * nominal, 20 * max(nominal, inertia)), step, 0.03 * nominal + 1e-7),)
+    bounds, price = (-nominal, 20 * max(nominal, inertia)), 0.03 * nominal + 1e-7
+    return (Parameter("armature", "kg m^2", bounds, step, nuisance=price, none_left=True),)
 
 
 def _excited(context: Context, place: Place) -> Excitation:
