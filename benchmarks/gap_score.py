@@ -103,8 +103,8 @@ def score(labels: dict[str, Label], found: dict[str, Diagnosis]) -> dict[str, An
     out["set_recall"] = _share(any(hit(c, t) for c in causes) for t, causes in wanted)
     out["false_alarms"] = _share(found[n]["verdict"] != "no_gap" for n in of("none"))
     out["missed_gaps"] = _share(found[n]["verdict"] == "no_gap" for n in single + both + of("outside"))
-    out["outside_said"] = _share(_unexplained(found[n]) for n in of("outside"))
-    out["confounded_named"] = _share(_confounded(labels[n], found[n]) for n in of("confounded"))
+    out["outside_said"] = _share(reported_unexplained(found[n]) for n in of("outside"))
+    out["confounded_named"] = _share(look_alikes_named(labels[n], found[n]) for n in of("confounded"))
     out["outside_partly_explained"] = _share(found[n]["verdict"] == "partly_explained" for n in of("outside"))
     causes = [(n, c) for n in sorted(found) for c in found[n]["causes"]]
     out["causes_right_by_verdict"] = {
@@ -146,16 +146,21 @@ def top1(label: Label, d: Diagnosis) -> int:
     return int(any(same(n, a) for n in named for a in accepted))
 
 
-def _unexplained(d: Diagnosis) -> bool:
+def reported_unexplained(d: Diagnosis) -> bool:
     share = d.get("unexplained_share")
     return d["verdict"] == "unexplained" or (d["verdict"] != "no_gap" and share is not None and share >= LARGE_SHARE)
 
 
-def _confounded(label: Label, d: Diagnosis) -> bool:
+def look_alikes_named(label: Label, d: Diagnosis) -> bool:
     """At least two of the sets that no log can tell apart are named, and the verdict does not pretend to know one."""
     members = [label["effects"], *label["equivalents"]]
     named = [d["causes"], *d["equivalent"]]
     return d["verdict"] == "ambiguous" and sum(any(same(n, m) for n in named) for m in members) >= 2
+
+
+def intervals_hold(label: Label, d: Diagnosis) -> list[bool]:
+    """Of each true cause that is named, whether its interval holds the true value."""
+    return _parameters({"": label}, {"": d}, [""] if label["cls"] in ("single", "double") else [])[1]
 
 
 def _parameters(
@@ -175,7 +180,7 @@ def _parameters(
             errors.append(abs(given["value"] - value["value"]) / max(abs(value["value"]), 1e-9))
             ci = given.get("ci90")
             if ci and None not in ci and all(map(math.isfinite, ci)):
-                held.append(min(ci) <= value["value"] <= max(ci))
+                held.append(bool(min(ci) <= value["value"] <= max(ci)))
     return errors, held
 
 

@@ -24,7 +24,15 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.gap_score import BARS, MixedEnginesError, one_engine, score, table
+from benchmarks.gap_score import (
+    BARS,
+    MixedEnginesError,
+    intervals_hold,
+    look_alikes_named,
+    one_engine,
+    score,
+    table,
+)
 from benchmarks.gap_truth.cases import make_labelled, plan, read_labels
 from benchmarks.store import described_run
 from realsim.files import to_json, write_text
@@ -133,6 +141,9 @@ def kept_row(label: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:
         "equivalent": [[short(c) for c in group] for group in found["equivalent"]],
         "unexplained_share": found.get("unexplained_share"),
         "visibility": [round(float(v), 1) for v in label["visibility"]],
+        "held": intervals_hold(label, found),
+        "look_alikes_named": look_alikes_named(label, found) if label["cls"] == "confounded" else None,
+        "seconds": (found.get("statistics") or {}).get("seconds"),
         "cpu_seconds": found.get("cpu_seconds"),
     }
 

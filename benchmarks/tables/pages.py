@@ -29,6 +29,7 @@ from benchmarks.tables.diagnosis import (
     sweep,
     unstable,
 )
+from benchmarks.tables.fresh import by_robot, fresh
 from benchmarks.tables.index import index
 from benchmarks.tables.policies import base, kept, pushed, quadruped_base, reconstructed, strategies, tuned
 from benchmarks.tables.readme import readme
@@ -48,6 +49,8 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "diagnosis by set": diagnosis_by_set,
     "diagnosis by robot": diagnosis_by_robot,
     "diagnosis by seed": diagnosis_intervals,
+    "fresh seed": fresh,
+    "fresh seed by robot": by_robot,
     "base policy": base,
     "pushes": pushed,
     "base policy of the quadruped": quadruped_base,

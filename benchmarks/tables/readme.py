@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from benchmarks import reconstruct
 from benchmarks.tables.diagnosis import robots
+from benchmarks.tables.fresh import FRESH, rows_of
 from benchmarks.tables.policies import families, well_crossed
 from benchmarks.tables.stored import counts, of, span, stored
-
-FRESH = 1123
-"""The last seed that the search was measured on with enough cases for a table; its engine is named beside it."""
 
 
 def readme() -> list[str]:
@@ -20,7 +18,7 @@ def readme() -> list[str]:
         ]
         for mode in reconstruct.MODES
     }  # fmt: skip
-    latest = [row for row in stored("diagnosis")["rows"] if row["seed"] == FRESH]
+    latest = rows_of(FRESH)
     fresh = counts(latest)
     engine = ", ".join(dict.fromkeys(row["commit"] for row in latest))
     measured_on = f"seed {FRESH}, by {engine}: {robots(latest)}"

@@ -13,6 +13,7 @@ from realsim.gap import DiagnoseConfig, load_case
 from realsim.gap.answer.conclusion import _at_an_end
 from realsim.gap.causes.figures import BRIEF, CAUSE, CAUSE_A_JOINT, CLEARLY, SHARE
 from realsim.gap.causes.fit import Cause, Fitter, _at_bound
+from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.proposals import by_slopes, ranked
 from realsim.gap.causes.score import asked, score
 from realsim.gap.causes.screen import Screen
@@ -177,7 +178,7 @@ def test_the_best_place_of_every_effect_is_fitted_before_a_second_one(fitter: Fi
 @pytest.mark.parametrize(
     ("touches", "gap", "share"), [(False, False, 0.0), (True, False, SHARE), (False, True, 0.0), (True, True, 0.0)]
 )
-def test_a_first_cause_on_feet_takes_its_share_of_all(
+def test_a_cause_on_feet_takes_its_share_of_all(
     fitter: Fitter, touches: bool, gap: bool, share: float, monkeypatch
 ) -> None:
     """Where deviations leave no gap: feet that slip and land differ from a simulator's by many nats without a cause."""
@@ -186,6 +187,10 @@ def test_a_first_cause_on_feet_takes_its_share_of_all(
     monkeypatch.setattr(screen.simulator.context, "touches", touches)
     nothing = replace(fitter.nominal(), misfit=1000.0)
     assert asked(screen, nothing) == max(0.0 if gap else CLEARLY, 1000.0 * share)
+    found = fitter.fit([_cause(fitter, "motor_gain", -0.2)])
+    assert found is not None
+    assert leftover(screen, found).mean() < 1  # beside the right cause noise stays, and feet
+    assert asked(screen, replace(found, misfit=1000.0)) == max(CLEARLY, 1000.0 * SHARE * touches)
 
 
 def test_a_first_cause_is_cheap_where_deviations_leave_a_gap(fitter: Fitter) -> None:

@@ -21,9 +21,9 @@ CLEARLY = 5.0
 is lower at all. Not tuned."""
 SHARE = 0.08
 """Share of the misfit above the noise floor that a cause beside others must remove, too. No law is exact, and a wrong
-cause can always bend to a little of what another one leaves. Set on generated cases with one cause. Where feet touch
-and there is no gap, a first cause must remove it of all: of quadrupeds with nothing wrong wrong ones took 2 and 6 %, of
-two with a turned encoder the right ones 28 and 34 % (seeds 1123, 601)."""
+cause can always bend to a little of what another one leaves. Set on generated cases with one cause. Where feet touch,
+it is a share of all, and of a first cause beside no gap, too: of quadrupeds with nothing wrong wrong ones took 2 and
+6 %, of two with a turned encoder the right ones 28 and 34 % (seeds 1123, 601)."""
 HOLDS = 1.0
 """Standard errors over runs by which a further cause must gain on runs left out in turn: the one-standard-error rule
 (Breiman et al., Classification and Regression Trees, 1984). A push may be in some runs only; more would drop it."""

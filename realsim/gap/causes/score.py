@@ -50,14 +50,14 @@ def determined(fit: Estimated) -> float:
 
 def asked(screen: Screen, before: Fit) -> float:
     """Nats by which one more cause must lower the score of a set: clearly, and beside others by a share of what is no
-    noise, since each of them leaves a little that a wrong one can bend to. Where deviations leave a gap, the
-    likeliest first cause is looked at: the check says whether it is one. Where they leave none, feet that slip and
-    land still differ from a simulator's by many nats, and the first cause must take its share of all."""
-    if not before.causes:
-        least = max(figures.CLEARLY, figures.SHARE * before.misfit * screen.simulator.context.touches)
-        return 0.0 if screen.gap else least
-    above = before.misfit * (1 - 1 / max(leftover(screen, before).mean(), 1.0))
-    return max(figures.CLEARLY, figures.SHARE * above)
+    noise, since each of them leaves a little that a wrong one can bend to. Feet that slip and land differ from a
+    simulator's by many nats whatever stays, so there it is a share of all, for a first cause, too. Where deviations
+    leave a gap, the likeliest first cause is looked at: the check says whether it is one."""
+    touches = screen.simulator.context.touches
+    if not before.causes and (screen.gap or not touches):
+        return 0.0 if screen.gap else figures.CLEARLY
+    noise = 0.0 if touches else 1 / max(leftover(screen, before).mean(), 1.0)
+    return max(figures.CLEARLY, figures.SHARE * before.misfit * (1 - noise))
 
 
 def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | None]:
