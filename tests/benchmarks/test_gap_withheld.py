@@ -166,8 +166,10 @@ def test_kept_cases_replace_themselves_alone(tmp_path: Path) -> None:
     old = [{"seed": 5, "case": "case_000", "commit": "old"}, {"seed": 4}]
     path.write_text(json.dumps({"days": [], "sets": [{"seed": 5}], "rows": old}))
     causes = [{"effect": "armature", "joints": ["a", "b"], "bodies": []}]
-    label = {"cls": "single", "robot": "arm2", "effects": causes, "visibility": [np.float64(2.345)]}
-    found = {"verdict": "identified", "causes": causes, "equivalent": []}
+    true = causes[0] | {"parameters": [{"name": "armature", "value": 0.02, "unit": "kg m^2"}]}
+    given = causes[0] | {"parameters": {"armature": {"value": 0.021, "unit": "kg m^2", "ci90": [0.019, 0.023]}}}
+    label = {"cls": "single", "robot": "arm2", "effects": [true], "visibility": [np.float64(2.345)]}
+    found = {"verdict": "identified", "causes": [given], "equivalent": []}
     figures = dict.fromkeys(KEPT) | {"run": {"commit": "c", "cpu": "x", "cores": 2}}
     keep("abc", 5, {"case_000": label}, {"case_000": found}, figures, path)
     stored = json.loads(path.read_text())
@@ -176,6 +178,8 @@ def test_kept_cases_replace_themselves_alone(tmp_path: Path) -> None:
     row = stored["rows"][1]
     assert (row["truth"], row["causes"], row["commit"]) == (["armature@a+b"], ["armature@a+b"], "abc")
     assert row["visibility"] == [2.3]
+    assert row["held"] == [True]
+    assert row["look_alikes_named"] is None
     keep("def", 5, {"case_009": label}, {"case_009": found}, figures, path)
     stored = json.loads(path.read_text())
     assert [r.get("commit") for r in stored["rows"]] == [None, "abc", "def"]
