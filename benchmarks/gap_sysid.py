@@ -151,7 +151,7 @@ def compare(folder: Path, label: dict[str, Any], found: dict[str, Any], args: ar
             "top1_with_equivalents": hit(says, truth) or any(hit(says, t) for e in label["equivalents"] for t in e),
             "beyond_three_units": sum(abs(v - k.nominal) > 3 * k.unit for k, v in knobs),
             "parameters": len(knobs),
-            "after": _ratio(mean_square(comparison, left, held), mean_square(comparison, before, held)),
+            "after": ratio(mean_square(comparison, left, held), mean_square(comparison, before, held)),
             "seconds": round(time.perf_counter() - began, 1),
             "cpu_seconds": round(time.process_time() - cpu, 1),
         },
@@ -167,7 +167,7 @@ def compare(folder: Path, label: dict[str, Any], found: dict[str, Any], args: ar
     }
 
 
-def _ratio(after: float, before: float) -> float | None:
+def ratio(after: float, before: float) -> float | None:
     return after / before if np.isfinite(after) else None
 
 
