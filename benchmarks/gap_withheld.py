@@ -160,11 +160,16 @@ def read_found(work: Path, names: list[str]) -> dict[str, dict[str, Any]]:
     for name in names:
         if (file := work / "out" / name / "diagnosis.json").is_file():
             found[name] = json.loads(file.read_text())
-        elif (work / "refused" / f"{name}.json").is_file():
-            refusal = json.loads((work / "refused" / f"{name}.json").read_text())
+        elif refused := next((f for f in _refusals(work, name) if f.is_file()), None):
+            refusal = json.loads(refused.read_text())
             made = {"provenance": refusal.get("provenance")}
             found[name] = {"verdict": "refused", "causes": [], "equivalent": [], **made}
     return found
+
+
+def _refusals(work: Path, name: str) -> tuple[Path, Path]:
+    """Where a refusal may lie: `realsim diagnose` says it, `gap_pool` writes it beside the answers."""
+    return work / "refused" / f"{name}.json", work / "out" / name / "refused.json"
 
 
 def diagnose_all(args: argparse.Namespace, names: list[str]) -> float:
