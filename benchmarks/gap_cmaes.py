@@ -29,7 +29,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.gap_score import hit, top1
-from benchmarks.gap_sysid import ROBOTS, chosen, ratio
+from benchmarks.gap_sysid import ROBOTS, chosen, ratio, summary
 from benchmarks.store import Store
 from realsim.errors import GapError
 from realsim.gap import EFFECTS, DiagnoseConfig, load_case
@@ -82,7 +82,7 @@ def main() -> int:
             kept.parent.mkdir(parents=True, exist_ok=True)
             kept.write_text(json.dumps(row, indent=1) + "\n")
         row = {"case": name, **json.loads(kept.read_text())}
-        store.facts = {"summary": summary([*store.rows, row])}
+        store.facts = {"summary": summary([*store.rows, row], "cmaes")}
         store.add(row)
         print(f"{name} {row['truth']['effect']}: {row['cmaes']} | {row['realsim']}", flush=True)
     print(json.dumps(store.facts, indent=1))
@@ -173,25 +173,6 @@ def fit(
     options = {"bounds": [low, high], "maxfevals": evaluations, "seed": seed, "verbose": -9}
     found, strategy = cma.fmin2(cost, np.zeros(len(knobs)), 1.0, options)
     return steps * np.asarray(found), int(strategy.result.evaluations)
-
-
-def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Shares as [hits, of]; medians of the error left on unseen runs."""
-    inside = [r for r in rows if r["in_its_set"]]
-    out: dict[str, Any] = {}
-    for who in ("cmaes", "realsim"):
-        left = [r[who]["after"] for r in rows if r[who]["after"] is not None]
-        out[who] = {
-            "top1": [sum(r[who]["top1"] for r in rows), len(rows)],
-            "top1_with_equivalents": [sum(r[who]["top1_with_equivalents"] for r in rows), len(rows)],
-            "top1_where_the_cause_is_in_paces_set": [sum(r[who]["top1"] for r in inside), len(inside)],
-            "left_on_unseen_runs_median": float(np.median(left)) if left else None,
-            "worse_than_nominal_on_unseen_runs": [sum(v > 1 for v in left), len(left)],
-            "cpu_seconds_median": float(np.median([r[who]["cpu_seconds"] for r in rows])),
-        }
-    moved = [r["cmaes"]["beyond_three_units"] for r in rows]
-    out["cmaes"]["parameters_moved_beyond_three_units_median"] = float(np.median(moved))
-    return out
 
 
 if __name__ == "__main__":

@@ -319,22 +319,22 @@ def _at(cause: dict[str, Any]) -> str:
     return ", ".join([*(cause.get("joints") or []), *(cause.get("bodies") or [])])
 
 
-def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Shares as [hits, of]; medians of the error left on unseen runs."""
+def summary(rows: list[dict[str, Any]], peer: str = "sysid") -> dict[str, Any]:
+    """Shares as [hits, of] and medians of the error left on unseen runs, of a peer that fits everything and of realsim."""
     inside = [r for r in rows if r["in_its_set"]]
     out: dict[str, Any] = {}
-    for who in ("sysid", "realsim"):
+    for who in (peer, "realsim"):
         left = [r[who]["after"] for r in rows if r[who]["after"] is not None]
         out[who] = {
             "top1": [sum(r[who]["top1"] for r in rows), len(rows)],
             "top1_with_equivalents": [sum(r[who]["top1_with_equivalents"] for r in rows), len(rows)],
-            "top1_where_the_cause_is_in_sysids_set": [sum(r[who]["top1"] for r in inside), len(inside)],
+            "top1_where_the_peer_has_the_cause": [sum(r[who]["top1"] for r in inside), len(inside)],
             "left_on_unseen_runs_median": float(np.median(left)) if left else None,
             "worse_than_nominal_on_unseen_runs": [sum(v > 1 for v in left), len(left)],
             "cpu_seconds_median": float(np.median([r[who]["cpu_seconds"] for r in rows])),
         }
-    moved = [r["sysid"]["beyond_three_units"] for r in rows]
-    out["sysid"]["parameters_moved_beyond_three_units_median"] = float(np.median(moved))
+    moved = [r[peer]["beyond_three_units"] for r in rows]
+    out[peer]["parameters_moved_beyond_three_units_median"] = float(np.median(moved))
     return out
 
 

@@ -7,23 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.gap_cmaes import DELAY, OF_JOINTS, all_knobs, fit, summary
+from benchmarks.gap_cmaes import DELAY, OF_JOINTS, all_knobs, fit
+from benchmarks.gap_sysid import summary
 from realsim.gap import DiagnoseConfig, load_case
 from realsim.gap.compare import Comparison
 from realsim.gap.simulation.simulate import Simulator
-from tests.gap.truth import Truth, make_case
-
-ARM = """
-<mujoco><compiler angle="radian"/><option timestep="0.002"/><worldbody>
-<body name="link"><joint name="hinge" axis="0 1 0" damping="0.1" armature="0.01"/>
-<geom type="capsule" size="0.03" fromto="0 0 0 0 0 -0.4" mass="1"/></body></worldbody>
-<actuator><position name="hinge" joint="hinge" kp="60" kv="2" forcerange="-40 40"/></actuator></mujoco>
-"""
+from tests.gap.truth import PENDULUM, Truth, make_case
 
 
 def test_a_rotor_is_found_among_all_parameters_of_a_joint(tmp_path: Path) -> None:
     pytest.importorskip("cma")
-    make_case(tmp_path / "case", ARM, Truth(armature={"hinge": 0.08}), runs=2, seed=3, span=(1.5, 2.0))
+    make_case(tmp_path / "case", PENDULUM, Truth(armature={"swing": 0.08}), runs=2, seed=3, span=(1.5, 2.0))
     case = load_case(tmp_path / "case")
     config = DiagnoseConfig(threads=1)
     with Simulator(case, config) as simulator:
@@ -42,9 +36,9 @@ def test_the_sums_are_of_all_cases_and_of_those_that_the_fit_could_name() -> Non
         side = {"top1": top1, "top1_with_equivalents": True, "after": after, "cpu_seconds": 2.0}
         return {"in_its_set": inside, "cmaes": side | {"beyond_three_units": 4}, "realsim": side}
 
-    found = summary([row(True, True, 0.1), row(False, True, 1.5), row(False, False, None)])
+    found = summary([row(True, True, 0.1), row(False, True, 1.5), row(False, False, None)], "cmaes")
     assert found["cmaes"]["top1"] == [1, 3]
-    assert found["cmaes"]["top1_where_the_cause_is_in_paces_set"] == [1, 2]
+    assert found["cmaes"]["top1_where_the_peer_has_the_cause"] == [1, 2]
     assert found["cmaes"]["worse_than_nominal_on_unseen_runs"] == [1, 2]
     assert found["cmaes"]["left_on_unseen_runs_median"] == pytest.approx(0.8)
     assert found["cmaes"]["parameters_moved_beyond_three_units_median"] == 4
