@@ -320,7 +320,7 @@ def _at(cause: dict[str, Any]) -> str:
 
 
 def summary(rows: list[dict[str, Any]], peer: str = "sysid") -> dict[str, Any]:
-    """Shares as [hits, of] and medians of the error left on unseen runs, of a peer that fits everything and of realsim."""
+    """Shares as [hits, of] and medians of the error left on unseen runs, of a peer and of realsim."""
     inside = [r for r in rows if r["in_its_set"]]
     out: dict[str, Any] = {}
     for who in (peer, "realsim"):
