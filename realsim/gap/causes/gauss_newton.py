@@ -154,7 +154,7 @@ class GaussNewton:
         return info, np.array([b[p:] - a[p:, :p] @ mean for a, b in zip(evidence.A, evidence.b, strict=True)])
 
     def _steps(self, causes: Causes, base: list[F64], slopes: list[F64], damping: float, few: Few) -> list[F64]:
-        """Steps to try: that of all runs, and that of all but the worst."""
+        """Steps to try: that of all runs, and that of the better half."""
         looks = self._normal(causes, base, slopes, few).looks()
         return [self._step(causes, look, damping) for look in looks]
 

@@ -114,7 +114,7 @@ def by_effect(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
 
 
 def ranked(screen: Screen, here: Fit) -> list[Scored]:
-    """All candidates by the linear evidence that they add to a set, with all runs or without the worst; best first."""
+    """All candidates by the linear evidence that they add to a set, with all runs or the better half; best first."""
     about, prior = [], here.prior / here.scale
     for look in here.evidence.looks():
         spectrum = Spectrum.of(np.sum(look.A, axis=0), prior)
