@@ -84,6 +84,19 @@ def test_runs_whose_slopes_hold_for_nothing_do_not_hide_what_the_others_show(fit
     assert there >= 0.9 * gain > 0
 
 
+def test_a_set_that_the_search_comes_back_to_may_still_get_another_cause(fitter: Fitter, monkeypatch) -> None:
+    """An exchange may lead to the same causes at better values, beside which another one helps."""
+    search, tried = Search(fitter, 2, fitter.nominal()), list[str]()
+
+    def move(name: str, moves: int) -> None:
+        monkeypatch.setattr(search, name, lambda: tried.append(name) or tried.count(name) <= moves)
+
+    move("_exchanged", 1)
+    move("_added", 0)
+    search.run(lambda what, share: None)
+    assert tried == ["_exchanged", "_added"]
+
+
 def test_a_late_command_beside_a_weak_damper_is_found_with_it(made) -> None:
     """Each alone swings otherwise than both, so that neither explains much of the gap by itself."""
     nominal = load_case(made("causes_pendulum", Truth(), xml=PENDULUM, runs=4))

@@ -46,14 +46,15 @@ class Search:
         self.trials = list(best.values())
         expanded: set[frozenset] = set()
         better = True
-        while better and self.best.full_key not in expanded:
+        while better:
             tick("search for causes", len(expanded) / (len(expanded) + 3))
+            new = self.best.full_key not in expanded  # else with better values, so that another cause may help it now
             expanded.add(self.best.full_key)
             if self._hopeless(leftover(self.fitter.screen, self.fitter.remeasure(self.best))):
                 break
             # A poor law, or a cause that was chosen while another one was missing, is exchanged before one is added.
             several = len(self.best.causes) > 1
-            better = (several and self._dropped()) or self._exchanged() or self._added()
+            better = (new and several and self._dropped()) or (new and self._exchanged()) or self._added()
         self.best = self.fitter.prepared(self.best)
         if self.best.causes:  # what was found on some of the runs, on all of them
             self.best = self.fitter.fit(self.best.causes) or self.best
