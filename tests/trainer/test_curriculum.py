@@ -61,3 +61,61 @@ def test_a_saved_curriculum_fits_another_number_of_worlds():
 def test_a_grid_that_is_not_full_is_refused():
     with pytest.raises(TrainerError, match="do not fill"):
         Curriculum(7, 2, 4, torch.device("cpu"), torch.Generator())
+
+
+def drawn_by_failure(share=0.5, worlds=4000, columns=4):
+    generator = torch.Generator().manual_seed(0)
+    return Curriculum(columns, 1, worlds, torch.device("cpu"), generator, share), generator
+
+
+def test_terrains_that_are_failed_come_more_often():
+    c, generator = drawn_by_failure()
+    everyone, tried = torch.arange(4000), torch.ones(4000, dtype=torch.bool)
+    for _ in range(3000):  # the third terrain is never crossed, the others always
+        c.count(tried, c.column != 2)
+    assert c.chances().tolist() == pytest.approx([0.125, 0.125, 0.625, 0.125], abs=1e-3)
+    c.update(everyone, tried, torch.ones(4000), generator)
+    found = c.column.bincount(minlength=4) / 4000
+    assert found.tolist() == pytest.approx([0.125, 0.125, 0.625, 0.125], abs=0.03)
+    assert c.terrain(everyone).max() == 3
+
+
+def test_what_was_no_trial_says_nothing_of_a_terrain():
+    c, _ = drawn_by_failure()
+    c.count(torch.zeros(4000, dtype=torch.bool), torch.zeros(4000, dtype=torch.bool))
+    assert c.chances().tolist() == pytest.approx([0.25] * 4)
+
+
+def test_failures_of_long_ago_are_forgotten():
+    c, _ = drawn_by_failure()
+    tried = torch.ones(4000, dtype=torch.bool)
+    for crossed in (c.column != 0, c.column != 1):
+        for _ in range(3000):
+            c.count(tried, crossed)
+    assert c.chances().argmax() == 1
+
+
+def test_a_graded_grid_keeps_its_columns():
+    generator = torch.Generator().manual_seed(0)
+    c = Curriculum(40, 10, 400, torch.device("cpu"), generator, 0.5)
+    before = c.column.clone()
+    c.update(torch.arange(400), torch.zeros(400, dtype=torch.bool), torch.zeros(400), generator)
+    assert torch.equal(c.column, before)
+
+
+def test_how_often_terrains_are_failed_is_resumed():
+    c, _ = drawn_by_failure()
+    c.count(torch.ones(4000, dtype=torch.bool), c.column != 2)
+    other = drawn_by_failure(worlds=7)[0]
+    other.load_state_dict(c.state_dict())
+    assert torch.equal(other.chances(), c.chances())
+    plain = Curriculum(4, 1, 7, torch.device("cpu"), torch.Generator())
+    plain.load_state_dict(c.state_dict())
+    other.load_state_dict(plain.state_dict())  # saved without: what is known stays
+    assert torch.equal(other.chances(), c.chances())
+
+
+def test_where_nothing_fails_all_come_alike():
+    c, _ = drawn_by_failure(worlds=40)
+    c.failed.zero_()
+    assert c.chances().tolist() == pytest.approx([0.25] * 4)

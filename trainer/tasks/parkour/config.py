@@ -178,9 +178,15 @@ class ResetConfig:
     along: float = 0.0
     """Share of episodes that begin somewhere on the course, where both soles are supported, instead of on the start
     platform. They move no world of a curriculum and do not count in the log."""
+    by_failure: float = 0.0
+    """Share of new episodes whose terrain is drawn by how often it is failed lately, the others evenly, where several
+    terrains have no order of difficulty. In a graded grid worlds move from row to row instead."""
     spread_ages: bool = True
     """Whether the first episodes begin at random ages, so that they do not end together. Such an episode that runs out
     of time moves no world of a curriculum and is no failure in the log."""
+
+    def __post_init__(self) -> None:
+        _require(self, (0 <= self.by_failure <= 1, "by_failure must lie between 0 and 1"))
 
 
 @dataclass(frozen=True)

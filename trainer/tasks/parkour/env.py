@@ -122,7 +122,8 @@ class ParkourEnv:
         self.generator = Dice(device)
         self.generator.manual_seed(seed)
         self.course = Course.of(physics.terrains, device)
-        self.curriculum = Curriculum(len(physics.terrains) // variants, rows, worlds, device, self.generator)
+        kinds, by_failure = len(physics.terrains) // variants, config.reset.by_failure
+        self.curriculum = Curriculum(kinds, rows, worlds, device, self.generator, by_failure)
         self.command = GoalCommand(config.command, worlds, device)
         self.randomiser = Randomiser(config.randomisation, known or Known(), physics)
         self.probe = FootholdProbe(physics.terrains, edges, caster, self.body, config.reward.edge_radius)
@@ -260,6 +261,7 @@ class ParkourEnv:
         helped = self.floor.touched & (outcome == SUCCESS)
         trial = outcome.masked_fill(helped, TIMEOUT).masked_fill(no_trial, RUNNING)
         self.tally.add(terms, trial, covered, self.age * self.policy_dt, self.terrain_ids)
+        self.curriculum.count(trial > DIVERGED, trial == SUCCESS)
         way = covered.masked_fill(no_trial, 1.0)  # what was no trial leaves its world in its row
         over = outcome != RUNNING
         terminated, truncated = over & (outcome < TIMEOUT), outcome >= TIMEOUT
