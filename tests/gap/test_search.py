@@ -17,6 +17,7 @@ from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.proposals import by_slopes, ranked
 from realsim.gap.causes.score import asked, score
 from realsim.gap.causes.screen import Screen
+from realsim.gap.causes.search import Search
 from realsim.gap.causes.windows import _best_window
 from realsim.gap.compare import Comparison
 from realsim.gap.effects.base import Parameter
@@ -212,3 +213,26 @@ def test_a_first_cause_is_cheap_where_deviations_leave_a_gap(fitter: Fitter) -> 
         screen.gap = False
     assert open_one - sure_one == pytest.approx(dear - np.log(len(screen.candidates)))
     assert open_two - open_one == pytest.approx(sure_two - sure_one)
+
+
+def test_a_cause_is_proposed_with_all_that_the_log_can_show_of_it(made) -> None:
+    """A mass at the tip of a pendulum: with the link's own centre for its place it had fitted so badly that a weaker
+    motor came first, and where it sits was not asked any more."""
+    nominal = load_case(made("tip", Truth(), runs=3))
+    case = logged(nominal, [("payload", ("fore",), {"mass": 0.4, "x": 0.0, "y": 0.0, "z": -0.36})])
+    with Simulator(case, CONFIG) as simulator:
+        comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
+        effects = ("payload", "com_offset", "external_force", "motor_gain")
+        fitter = Fitter(Screen(simulator, comparison, range(len(case.runs)), effects))
+        parameters = {c.effect: c.names for c in fitter.screen.candidates if c.place == ("fore",)}
+        assert parameters == {  # the arm moves in the plane of x and z
+            "payload": ("mass", "x", "y", "z"),
+            "com_offset": ("x", "z"),
+            "external_force": ("fx", "fz"),
+        }
+        search = Search(fitter, 1, fitter.nominal())
+        search.run(lambda what, share: None)
+        (cause,) = search.best.causes
+    assert cause.candidate.key[:2] == ("payload", ("fore",))
+    assert cause.named["mass"] == pytest.approx(0.4, rel=0.05)
+    assert cause.named["z"] == pytest.approx(-0.36, abs=0.02)

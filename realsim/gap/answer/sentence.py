@@ -190,7 +190,7 @@ def share(value: float) -> str:
 
 
 def _share(value: float, digits: int) -> str:
-    return ">99.9" if 0.9995 <= value < 1 else f"{100 * value:.{digits}f}".replace("-", "−")
+    return ">99.9" if 0.9995 <= value < 1 else f"{100 * value:z.{digits}f}".replace("-", "−")
 
 
 def _size(parameters: dict[str, dict[str, Any]], sign: int = 1) -> str:

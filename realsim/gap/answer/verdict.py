@@ -56,14 +56,14 @@ def judge(
         return Judgement(verdict, (f"{said}without them)",))
     low, high = checked.ci90
     if not checked.holds:
-        doubt = f"the causes do not hold: of the check's squared error {checked.fraction:.0%} goes, 90 % interval "
-        return Judgement(GapVerdict.UNEXPLAINED, (came, f"{doubt}{low:.0%} to {high:.0%}"), ends)
+        doubt = f"the causes do not hold: of the check's squared error {checked.fraction:z.0%} goes, 90 % interval "
+        return Judgement(GapVerdict.UNEXPLAINED, (came, f"{doubt}{low:z.0%} to {high:z.0%}"), ends)
     if ends:
         doubt = f"{', '.join(ends)}: as far as the library goes, so it stands for something else"
         return Judgement(GapVerdict.UNEXPLAINED, (came, doubt), ends)
     stays = rest(fitted, checked, unexplained_share)
     if stays and checked.where_it_acts < figures.NAMED_SHARE:
-        doubt = f"only {checked.where_it_acts:.0%} of the check's error is removed in what the causes change"
+        doubt = f"only {checked.where_it_acts:z.0%} of the check's error is removed in what the causes change"
         return Judgement(GapVerdict.UNEXPLAINED, (came, stays, doubt))
     if others:
         return Judgement(GapVerdict.AMBIGUOUS, tuple(r for r in (came, stays) if r))

@@ -12,7 +12,7 @@ from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.linear import Spectrum, log_evidence, marginal
 from realsim.gap.causes.screen import Candidate, Screen, slab
-from realsim.gap.causes.starts import Guess, nested, starts, suggested
+from realsim.gap.causes.starts import Guess, starts, suggested
 from realsim.gap.causes.windows import window_candidates
 from realsim.gap.simulation.simulate import lookup
 from realsim.types import F64
@@ -44,9 +44,9 @@ def by_slopes(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     for gain, candidate, estimate in order:
         if gain < least:
             break
-        alike = [c for _, _, c, _ in chosen if c.effect == candidate.effect]
-        if len(alike) < figures.PLACES and not any(nested(candidate, c) for c in alike):
-            chosen.append((len(alike), gain, candidate, estimate))
+        alike = sum(c.effect == candidate.effect for _, _, c, _ in chosen)
+        if alike < figures.PLACES:
+            chosen.append((alike, gain, candidate, estimate))
     # The best place of every effect first: or places of few effects, whose slopes hold not far, would be all.
     for _, gain, candidate, estimate in sorted(chosen, key=lambda c: c[0])[: figures.FITTED]:
         yield _further(fitter, here, candidate, estimate, gain)
@@ -104,8 +104,8 @@ def _sized(fitter: Fitter, here: Fit, candidate: Candidate, estimate: F64) -> tu
 
 
 def by_effect(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
-    """Another cause in the place of each: with all its effect's parameters, or what the effect suggests, which is a law
-    that contains it, one that does the same by its nature, the same at another place, or other values of its own."""
+    """Another cause in the place of each, as its effect suggests: a law that contains it, one that does the same by its
+    nature, the same at another place, or other values of its own."""
     for i, cause in enumerate(here.causes):
         others = [c for j, c in enumerate(here.causes) if j != i]
         done = tuple(v for c in others for v in c.values)

@@ -340,7 +340,9 @@ class Screen:
                 linear.append(p.name)
         if not directions:
             return None
-        return Candidate(effect.name, group, parameters, np.stack(directions, axis=1), tuple(linear))
+        # A planar arm cannot feel a force across its plane: that is no parameter of its log.
+        felt = tuple(p for p in parameters if p.name in linear or not p.strength or p.like)
+        return Candidate(effect.name, group, felt, np.stack(directions, axis=1), tuple(linear))
 
 
 def slab(candidate: Candidate) -> F64:

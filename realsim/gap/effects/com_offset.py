@@ -43,5 +43,4 @@ EFFECT = Effect(
     excited_by=_excited,
     apply=_apply,
     form=EXACT,
-    variants=(("x",), ("y",), ("z",), ("x", "y", "z")),
 )

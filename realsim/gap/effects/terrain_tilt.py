@@ -62,5 +62,4 @@ EFFECT = Effect(
     excited_by=_excited,
     apply=_apply,
     form=EXACT,
-    variants=(("roll",), ("pitch",), ("roll", "pitch")),
 )
