@@ -215,21 +215,19 @@ def test_a_first_cause_is_cheap_where_deviations_leave_a_gap(fitter: Fitter) -> 
     assert open_two - open_one == pytest.approx(sure_two - sure_one)
 
 
-def test_a_cause_is_proposed_with_all_that_the_log_can_show_of_it(made) -> None:
-    """A mass at the tip of a pendulum: with the link's own centre for its place it had fitted so badly that a weaker
-    motor came first, and where it sits was not asked any more."""
+def test_a_cause_is_proposed_in_its_simplest_form_and_with_all_that_the_log_can_show_of_it(made) -> None:
+    """A mass at the tip of an arm: at the link's own centre it had fitted so badly that a weaker motor came first, and
+    where it sits was not asked any more."""
     nominal = load_case(made("tip", Truth(), runs=3))
     case = logged(nominal, [("payload", ("fore",), {"mass": 0.4, "x": 0.0, "y": 0.0, "z": -0.36})])
     with Simulator(case, CONFIG) as simulator:
         comparison = Comparison(case, simulator.channels, simulator.simulate(), CONFIG)
-        effects = ("payload", "com_offset", "external_force", "motor_gain")
+        effects = ("payload", "external_force", "motor_gain")
         fitter = Fitter(Screen(simulator, comparison, range(len(case.runs)), effects))
-        parameters = {c.effect: c.names for c in fitter.screen.candidates if c.place == ("fore",)}
-        assert parameters == {  # the arm moves in the plane of x and z
-            "payload": ("mass", "x", "y", "z"),
-            "com_offset": ("x", "z"),
-            "external_force": ("fx", "fz"),
-        }
+        forms = {c.names for c in fitter.screen.candidates if (c.effect, c.place) == ("external_force", ("fore",))}
+        assert forms == {("fx",), ("fz",), ("fx", "fz")}  # the arm moves in the plane of x and z
+        proposed = [p.causes[-1].candidate.key for p in by_slopes(fitter, fitter.nominal())]
+        assert {("payload", ("fore",), ("mass",)), ("payload", ("fore",), ("mass", "x", "y", "z"))} <= set(proposed)
         search = Search(fitter, 1, fitter.nominal())
         search.run(lambda what, share: None)
         (cause,) = search.best.causes

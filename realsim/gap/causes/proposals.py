@@ -12,7 +12,7 @@ from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.linear import Spectrum, log_evidence, marginal
 from realsim.gap.causes.screen import Candidate, Screen, slab
-from realsim.gap.causes.starts import Guess, starts, suggested
+from realsim.gap.causes.starts import Guess, nested, starts, suggested
 from realsim.gap.causes.windows import window_candidates
 from realsim.gap.simulation.simulate import lookup
 from realsim.types import F64
@@ -40,16 +40,23 @@ def by_slopes(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     order = ranked(fitter.screen, here)
     best = order[0][0] if order else 0.0
     least = max(figures.WORTH, figures.WORTH_SHARE * best)  # far behind, only what is far from linear can still win
-    chosen: list[tuple[int, float, Candidate, F64]] = []
-    for gain, candidate, estimate in order:
+    chosen: list[tuple[int, list[Scored]]] = []
+    for scored in order:
+        gain, candidate, _ = scored
         if gain < least:
             break
-        alike = sum(c.effect == candidate.effect for _, _, c, _ in chosen)
-        if alike < figures.PLACES:
-            chosen.append((alike, gain, candidate, estimate))
-    # The best place of every effect first: or places of few effects, whose slopes hold not far, would be all.
-    for _, gain, candidate, estimate in sorted(chosen, key=lambda c: c[0])[: figures.FITTED]:
-        yield _further(fitter, here, candidate, estimate, gain)
+        forms = next((f for _, f in chosen if nested(candidate, f[0][1])), None)
+        alike = sum(f[0][1].effect == candidate.effect for _, f in chosen)
+        if forms:
+            forms.append(scored)
+        elif alike < figures.PLACES:
+            chosen.append((alike, [scored]))
+    # The best place of every effect first: or places of few effects, whose slopes hold not far, would be all. Where on
+    # a link a mass sits, slopes tell badly: with all its parameters each is fitted, too.
+    for _, forms in sorted(chosen, key=lambda c: c[0])[: figures.FITTED]:
+        richest = max(forms, key=lambda form: len(form[1].names))
+        for evidence, candidate, estimate in forms[:1] if richest is forms[0] else (forms[0], richest):
+            yield _further(fitter, here, candidate, estimate, evidence)
 
 
 def by_window(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
@@ -104,8 +111,8 @@ def _sized(fitter: Fitter, here: Fit, candidate: Candidate, estimate: F64) -> tu
 
 
 def by_effect(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
-    """Another cause in the place of each, as its effect suggests: a law that contains it, one that does the same by its
-    nature, the same at another place, or other values of its own."""
+    """Another cause in the place of each: with all its effect's parameters, or what the effect suggests, which is a law
+    that contains it, one that does the same by its nature, the same at another place, or other values of its own."""
     for i, cause in enumerate(here.causes):
         others = [c for j, c in enumerate(here.causes) if j != i]
         done = tuple(v for c in others for v in c.values)

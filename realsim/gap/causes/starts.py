@@ -43,12 +43,16 @@ def starts(screen: Screen, candidate: Candidate, guess: Guess) -> list[list[floa
 
 
 def suggested(screen: Screen, cause: Cause) -> list[tuple[Candidate, list[list[float]]]]:
-    """(candidate, values to begin from) of what may stand in a cause's place, as its effect suggests."""
+    """(candidate, values to begin from) of what may stand in a cause's place: the same with all its parameters, and
+    what its effect suggests."""
     own = cause.candidate
     found: dict[tuple, tuple[Candidate, list[list[float]]]] = {}
+    more = [c for c in screen.candidates if nested(c, own) and len(c.names) > len(own.names)]
+    for full in sorted(more, key=lambda c: -len(c.names))[:1]:
+        found[full.key] = full, [[cause.named.get(p.name, p.default) for p in full.parameters]]
     for other in lookup(own.effect).suggests(screen.simulator.context, own.place, cause.named):
         for c in screen.candidates:
-            if (c.effect, c.place) == (other.effect, other.place) and set(c.names) <= set(other.values):
+            if (c.effect, c.place) == (other.effect, other.place) and set(c.names) == set(other.values):
                 found.setdefault(c.key, (c, []))[1].append([other.values[n] for n in c.names])
     return list(found.values())
 
@@ -60,6 +64,12 @@ def twins(simulator: Simulator, effect: str, place: Place, values: dict[str, flo
         return []
     others = lookup(effect).suggests(simulator.context, place, values)
     return [o.effect for o in others if o.effect != effect and (o.place, o.values) == (place, values)]
+
+
+def nested(a: Candidate, b: Candidate) -> bool:
+    """Whether one is the other with further parameters."""
+    few, many = sorted((set(a.names), set(b.names)), key=len)
+    return a.effect == b.effect and a.place == b.place and few <= many
 
 
 def contains(rich: Candidate, plain: Candidate) -> bool:

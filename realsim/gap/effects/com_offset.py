@@ -43,4 +43,5 @@ EFFECT = Effect(
     excited_by=_excited,
     apply=_apply,
     form=EXACT,
+    variants=(("x",), ("y",), ("z",), ("x", "y", "z")),
 )

@@ -62,5 +62,5 @@ EFFECT = Effect(
     parameters=_parameters,
     excited_by=_excited,
     apply=_apply,
-    variants=(("fx", "fy", "fz"),),
+    variants=(("fx",), ("fy",), ("fz",), ("fx", "fy", "fz")),
 )

@@ -90,4 +90,5 @@ EFFECT = Effect(
     apply=_apply,
     form=EXACT,
     suggests=_suggests,
+    variants=(("mass",), ("mass", "x", "y", "z")),  # the link's own, or something that sits elsewhere on it
 )

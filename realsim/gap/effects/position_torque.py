@@ -43,6 +43,7 @@ EFFECT = Effect(
     excitation="Slow motion over the joint's range, both ways; other loads tell it from gravity.",
     places=each_joint,
     parameters=_parameters,
+    variants=(("constant",), ("constant", "cos_1", "sin_1"), ()),
     excited_by=_excited,
     apply=_apply,
     patchable=False,

@@ -96,6 +96,7 @@ EFFECT = Effect(
     changed_by="wear or lack of grease",
     places=each_joint,
     parameters=_parameters,
+    variants=(("static_friction", "stribeck_velocity"), ("static_friction", "coulomb", "stribeck_velocity")),
     excited_by=_excited,
     apply=_apply,
     stiff=True,

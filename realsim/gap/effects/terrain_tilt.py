@@ -62,4 +62,5 @@ EFFECT = Effect(
     excited_by=_excited,
     apply=_apply,
     form=EXACT,
+    variants=(("roll",), ("pitch",), ("roll", "pitch")),
 )
