@@ -18,10 +18,9 @@ def readme() -> list[str]:
         ]
         for mode in reconstruct.MODES
     }  # fmt: skip
-    latest = rows_of(FRESH)
+    latest = rows_of(*FRESH)
     fresh = counts(latest)
-    engine = ", ".join(dict.fromkeys(row["commit"] for row in latest))
-    measured_on = f"seed {FRESH}, by {engine}: {robots(latest)}"
+    measured_on = f"seed {FRESH[0]}, by {FRESH[1]}: {robots(latest)}"
     contact = next(line for line in stored("contact")["summary"] if line.startswith("| `auto` | 13 exact")).split("|")
     seconds = [r["seconds"] for rows in scenes.values() for r in rows]
     rows = [

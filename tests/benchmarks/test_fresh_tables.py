@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from benchmarks.tables.fresh import FRESH, measures, rows_of, share
+from benchmarks.tables.fresh import COLUMNS, by_robot, measures, rows_of, share
 
 
 def row(cls: str, truth: list[str], verdict: str, causes: list[str], **more: Any) -> dict[str, Any]:
@@ -42,5 +42,15 @@ def test_a_share_is_stated_of_twenty_cases_or_more() -> None:
     assert share((0, 0)) == ""
 
 
-def test_the_fresh_seed_is_of_one_engine() -> None:
-    assert len({r["commit"] for r in rows_of(FRESH)}) == 1
+def test_each_column_is_of_one_engine_and_has_all_its_robots() -> None:
+    for engine, robots in COLUMNS.values():
+        rows = [row for row in rows_of(*engine) if row["robot"] in robots]
+        assert {row["commit"] for row in rows} == {engine[1]}
+        assert {row["robot"] for row in rows} == set(robots)
+
+
+def test_every_case_of_an_engine_is_counted_with_its_robot() -> None:
+    lines = [line.split(" | ") for line in by_robot()[2:]]
+    for engine in {engine for engine, _ in COLUMNS.values()}:
+        own = [line for line in lines if line[0] == f"| {engine[0]}, {engine[1]}"]
+        assert sum(int(line[2]) for line in own) == len(rows_of(*engine))
