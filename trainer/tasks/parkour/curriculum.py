@@ -14,7 +14,8 @@ from trainer.tasks.parkour.draw import rand, randint
 DEMOTE = 0.5
 """An episode that ends with less than this share of the way covered moves its world one row down."""
 KEPT = 0.998
-"""Share of the counted episodes that a step keeps: failures of the last 500 steps, some ten seconds, count."""
+"""Share of the counted episodes that a step keeps: those of the last 500 steps, ten simulated seconds, count. An
+episode is about as long, so each of thirteen terrains is judged by some 300 trials of 4096 worlds. Not tuned."""
 
 
 class Curriculum:
@@ -47,6 +48,8 @@ class Curriculum:
 
     def count(self, tried: Tensor, success: Tensor) -> None:
         """A step: of all worlds, (N,) whether a trial ended, and whether it succeeded."""
+        if not self.by_failure:
+            return
         column = (self.column[:, None] == torch.arange(self.columns, device=self.column.device)).float()
         for total, now in ((self.tried, tried), (self.failed, tried & ~success)):
             total.mul_(KEPT).add_(now.float() @ column)
