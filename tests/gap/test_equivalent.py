@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
+from realsim.gap.causes.figures import CLEARLY
 from realsim.gap.causes.fit import Cause, Fitter
+from realsim.gap.causes.fitted import values_of
 from realsim.gap.causes.proposals import by_effect
-from realsim.gap.causes.score import alike
+from realsim.gap.causes.score import alike, score
 from realsim.gap.causes.screen import Screen
-from realsim.gap.causes.select import _richer
+from realsim.gap.causes.select import _in_order, _richer
 from realsim.gap.compare import Comparison
 from realsim.gap.effects import EFFECTS
 from realsim.gap.simulation.simulate import Simulator
@@ -44,7 +46,7 @@ def test_a_law_that_contains_another_is_compared_with_it_both_ways(arm: Case) ->
     assert back.causes[0].named["coulomb"] == 0.4
 
 
-def test_of_laws_that_the_runs_do_not_tell_apart_only_the_plain_one_is_said(arm: Case) -> None:
+def test_a_law_that_holds_another_one_is_said_only_where_its_score_is_clearly_lower(arm: Case) -> None:
     with Simulator(arm, CONFIG) as simulator:
         comparison = Comparison(arm, simulator.channels, simulator.simulate(), CONFIG)
         effects = ("stribeck_friction", "coulomb_friction", "armature")
@@ -64,6 +66,13 @@ def test_of_laws_that_the_runs_do_not_tell_apart_only_the_plain_one_is_said(arm:
     assert not _richer(plain, rich)
     assert not _richer(other, replace(nominal, causes=(by_effect["armature"],)))
     assert not _richer(plain, plain)
+
+    screen = fitter.screen
+    plain, rich = (replace(f, covariance=np.zeros((len(values_of(f.causes)),) * 2)) for f in (plain, rich))
+    level = replace(rich, misfit=rich.misfit + score(screen, plain) - score(screen, rich))
+    hardly, clearly = (replace(level, misfit=level.misfit - nats) for nats in (CLEARLY - 1, CLEARLY + 1))
+    assert [f is plain for f in _in_order(screen, [hardly, plain])] == [True]
+    assert [f is plain for f in _in_order(screen, [plain, clearly])] == [False, True]
 
 
 def test_what_an_effect_is_taken_for_is_among_what_it_suggests(arm: Case) -> None:

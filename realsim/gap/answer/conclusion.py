@@ -143,8 +143,10 @@ def _as_good(screen: Any, fitter: Any, trials: Sequence[Any], fit: Any, left: Le
         return []
     own = fit.causes[0].candidate
     tried = [t for t in trials if t.stage == 0 and t.gain is not None and t.candidate.effect != own.effect]
+    # Of the forms of an effect at one place the one that gains most.
+    best = {(t.candidate.effect, t.candidate.places): t for t in sorted(tried, key=lambda t: t.gain)}
     found: list[Any] = []
-    for trial in sorted(tried, key=lambda t: -t.gain)[: figures.PLACES]:
+    for trial in sorted(best.values(), key=lambda t: -t.gain)[: figures.PLACES]:
         rival = fitter.fit([Cause(trial.candidate, trial.values)])
         if rival is None or _again(screen, rival, fit):
             continue

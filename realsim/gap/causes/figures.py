@@ -76,9 +76,6 @@ land. Budget."""
 # ---------------------------------------------------------------- fits
 WIDE = 0.1
 """Share of a step over which slopes are taken: wide differences see through sticking friction."""
-ROUNDS = 30
-"""Of the active set of everyday deviations at their bounds. On two arms and a quadruped 97 % of 3,608 solutions took
-six at most, the others 17 at most, but for five that went round in circles. Budget."""
 PACES = 6.0
 """A fit ends where this many more steps as good as the last would not reach its target. Budget."""
 SWITCHED = 0.5

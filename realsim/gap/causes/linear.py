@@ -61,18 +61,17 @@ def bounded(A: F64, b: F64, prior: F64, most: F64 | float) -> tuple[F64, F64]:
 
     Beside a large gap, a Gaussian alone would let many small deviations grow to absurd values, and hide the one cause
     that explains it. Primal-dual active set (Hintermueller, Ito and Kunisch, SIAM J. Optim. 13, 2003): what exceeds its
-    bound is held there, what would come back from it is free again, until neither happens.
+    bound is held there, what would come back from it is free again, until a set of bounds comes a second time.
     """
-    x, held = np.zeros(len(b)), np.zeros(len(b), bool)
-    for _ in range(figures.ROUNDS):
+    x, held, seen = np.zeros(len(b)), np.zeros(len(b), bool), set[bytes]()
+    while held.tobytes() not in seen:
+        seen.add(held.tobytes())
         free = (prior > 0) & ~held
         scale, rest = prior[free], b[free] - A[np.ix_(free, ~free)] @ x[~free]
         inner = np.eye(len(scale)) + scale[:, None] * A[np.ix_(free, free)] * scale
         x[free] = scale * np.linalg.solve(inner, scale * rest)
         pull = b - A @ x - np.divide(x, prior**2, out=np.zeros(len(x)), where=prior > 0)
         now = np.where(held, pull * x > 0, free & (np.abs(x) > most))
-        if np.array_equal(now, held):
-            break
         x, held = np.where(now, np.copysign(most, x), x), now
     return np.clip(x, -most, most), np.where(held, 0.0, prior)
 

@@ -55,8 +55,8 @@ def by_slopes(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     # a link a mass sits, slopes tell badly: with all its parameters each is fitted, too.
     for _, forms in sorted(chosen, key=lambda c: c[0])[: figures.FITTED]:
         richest = max(forms, key=lambda form: len(form[1].names))
-        for evidence, candidate, estimate in forms[:1] if richest is forms[0] else (forms[0], richest):
-            yield _further(fitter, here, candidate, estimate, evidence)
+        for gain, candidate, estimate in forms[:1] if richest is forms[0] else (forms[0], richest):
+            yield _further(fitter, here, candidate, estimate, gain)
 
 
 def by_window(fitter: Fitter, here: Fit) -> Iterator[Proposal]:

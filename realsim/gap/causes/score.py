@@ -90,15 +90,6 @@ def _holds(mean: float, error: float) -> bool:
     return mean > figures.HOLDS * error
 
 
-def asked_for(fitter: Fitter, plain: Fit, rich: Fit) -> bool:
-    """Whether the runs ask for a law that holds another one as a special case: its score is clearly lower, and what its
-    further parameters bring holds on runs that are left out."""
-    if score(fitter.screen, plain) - score(fitter.screen, rich) < figures.CLEARLY:
-        return False
-    held = left_out(fitter, plain, rich)
-    return held is None or _holds(*held)
-
-
 def alike(fitter: Fitter, best: Fit, rival: Fit, removed: float) -> bool:
     """Whether the runs do not tell a rival from the best set, of which `removed` is the gain over no cause."""
     screen = fitter.screen

@@ -17,7 +17,7 @@ from realsim.gap.causes.fitted import Trial
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.proposals import ADD, EXCHANGE, Proposal, Propose, ranked
 from realsim.gap.causes.score import asked, doubts, near, score, searched
-from realsim.gap.simulation.nuisances import MANY_JOINTS
+from realsim.gap.causes.second_look import second_look
 from realsim.types import F64
 
 Tick = Callable[[str, float], None]
@@ -53,8 +53,7 @@ class Search:
             if self._hopeless(leftover(self.fitter.screen, self.fitter.remeasure(self.best))):
                 break
             # A poor law, or a cause that was chosen while another one was missing, is exchanged before one is added.
-            several = len(self.best.causes) > 1
-            better = (new and several and self._dropped()) or (new and self._exchanged()) or self._added()
+            better = (new and (self._dropped() or self._moved(EXCHANGE))) or self._moved(ADD)
         self.best = self.fitter.prepared(self.best)
         if self.best.causes:  # what was found on some of the runs, on all of them
             self.best = self.fitter.fit(self.best.causes) or self.best
@@ -71,6 +70,8 @@ class Search:
 
     def _dropped(self) -> bool:
         """Whether a cause is superfluous beside the others; the one that brings least is looked at first."""
+        if len(self.best.causes) < 2:
+            return False
         self.best = here = self.fitter.prepared(self.best)
         fits = [self.fitter.fit(here.causes[:i] + here.causes[i + 1 :]) for i in range(len(here.causes))]
         for less in sorted((f for f in fits if f is not None), key=self._score):
@@ -79,18 +80,13 @@ class Search:
                 return True
         return False
 
-    def _added(self) -> bool:
-        """Whether one cause more is better."""
-        return len(self.best.causes) < self.most and self._moved(ADD)
-
-    def _exchanged(self) -> bool:
-        """Whether another cause, or a richer law, in the place of one is better."""
-        return bool(self.best.causes) and self._moved(EXCHANGE)
-
     def _moved(self, moves: Sequence[Propose]) -> bool:
         """Fit the neighbours of the best set that some moves lead to; whether one of them takes its place."""
-        self.best = here = self.fitter.prepared(self.best)
-        screen, further = self.fitter.screen, moves is ADD
+        further = moves is ADD
+        if len(self.best.causes) == (self.most if further else 0):
+            return False
+        screen, self.best = self.fitter.screen, self.fitter.prepared(self.best)
+        here = self.best
         if screen.simulator.context.touches and not here.causes:  # now deviations are simulated: do they leave a gap?
             screen.gap = is_gap(leftover(screen, here))
         fits: list[Fit] = []
@@ -106,28 +102,10 @@ class Search:
                 if further:
                     c, gain = fit.causes[-1], here.misfit - fit.misfit
                     self.trials.append(Trial(c.candidate, len(here.causes), p.foretold, gain=gain, values=c.values))
-        return self._better(*self._second_look(here, sorted(fits, key=self._score)))
-
-    def _second_look(self, here: Fit, fits: Sequence[Fit]) -> tuple[Fit, list[Fit]]:
-        """(a set, its best neighbours) under weights for what the best one leaves: beside a large gap every one
-        looks good enough. Each stands beside its own everyday deviations, which else hide what a cause does."""
-        fitter, simulator = self.fitter, self.fitter.screen.simulator
-        if not fits or (len(simulator.case.joint_names) < MANY_JOINTS and not simulator.context.touches):
-            return here, list(fits)  # few deviations hide nothing: slopes tell them from causes
-        if not is_gap(leftover(fitter.screen, here)):  # weights hardly change: only what comes near can win
-            least = asked(fitter.screen, here) if len(fits[0].causes) > len(here.causes) else figures.CLEARLY
-            fits = [f for f in fits if self._score(here) - self._score(f) + near(here.misfit - f.misfit) > least]
-            if not fits:
-                return here, []
-        # Of each effect its best place, or places of one effect would be all that is looked at.
-        ways = {tuple(c.candidate.effect for c in f.causes): f for f in reversed(fits)}
-        best = sorted(ways.values(), key=self._score)[: figures.PLACES]
-        settled = [fitter.settled(f) for f in (here, *best)]
-        fitter.reweighted(min(settled[1:], key=self._score))
-        here, *fits = map(fitter.remeasure, settled)
+        here, fits = second_look(self.fitter, here, sorted(fits, key=self._score))
         for fit in fits:
             self._keep(fit)
-        return here, sorted(fits, key=self._score)
+        return self._better(here, fits)
 
     def _proposed(self, moves: Sequence[Propose], here: Fit) -> Iterator[Proposal]:
         """Neighbours of a set; of those that begin from the linear estimate alone, each once."""

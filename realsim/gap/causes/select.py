@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.fitted import Trial
-from realsim.gap.causes.score import alike, asked_for, near, score
+from realsim.gap.causes.score import alike, near, score
 from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.search import Search, Tick
 from realsim.gap.causes.starts import contains
@@ -58,12 +60,19 @@ def _alike(search: Search, nominal: Fit) -> tuple[Fit, list[Fit]]:
     # Their values were found under other weights, and on some of the runs: at their best, all are compared.
     others = [min(fitter.fit(f.causes, iterations=3) or f, f, key=lambda f: f.misfit) for f in others]
     same = [best, *(f for f in others if alike(fitter, best, f, removed))]
-    # A law that holds another as a special case always fits as well: only one of the two is named, the plain one unless
-    # the runs ask for more.
-    pairs = [(f, o, asked_for(fitter, o, f)) for f in same for o in same if _richer(f, o)]
-    gone = [plain if needed else rich for rich, plain, needed in pairs]
-    best, *rest = sorted((f for f in same if not any(f is g for g in gone)), key=lambda f: score(fitter.screen, f))
+    best, *rest = _in_order(fitter.screen, same)
     return fitter.spread(best), rest
+
+
+def _in_order(screen: Screen, same: Sequence[Fit]) -> list[Fit]:
+    """The lowest score first, without laws that hold another one as a special case, and so always fit as well, but have
+    no clearly lower score."""
+    scored = [(score(screen, fit), k, fit) for k, fit in enumerate(same)]
+    return [
+        fit
+        for cost, _, fit in sorted(scored)
+        if not any(_richer(fit, other) and theirs - cost < figures.CLEARLY for theirs, _, other in scored)
+    ]
 
 
 def _richer(fit: Fit, other: Fit) -> bool:
