@@ -167,8 +167,7 @@ def trained(job: Job, options: Options) -> tuple[Path, Row]:
     task = load_task(options.task_file)
     if scratch or any(not next(judged(base, test, replace(options, trials=40)))["won"] for test in job.tests):
         task = helped(task)
-    if job.method == "ttt13f":
-        task = replace(task, reset=replace(task.reset, by_failure=0.5))
+    task = replace(task, reset=replace(task.reset, by_failure=0.5 if job.method == "ttt13f" else 0.0))
     config = TrainConfig(
         robot="g1" if scratch else "",
         strategy="" if scratch else job.strategy,

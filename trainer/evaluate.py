@@ -184,7 +184,7 @@ def trial_config(task: ParkourConfig, config: EvaluationConfig) -> ParkourConfig
     task = replace(
         task,
         randomisation=random,
-        reset=replace(task.reset, spread_ages=False, along=0.0),
+        reset=replace(task.reset, spread_ages=False, along=0.0, by_failure=0.0),
         floor=replace(task.floor, share=0.0),
         amp=False,
     )

@@ -103,6 +103,18 @@ def test_a_graded_grid_keeps_its_columns():
     assert torch.equal(c.column, before)
 
 
+def test_one_terrain_alone_takes_no_draw():
+    generator = torch.Generator().manual_seed(0)
+    c = Curriculum(1, 1, 8, torch.device("cpu"), generator, 0.5)
+    c.count(torch.ones(8, dtype=torch.bool), torch.zeros(8, dtype=torch.bool))
+    assert set(c.state_dict()) == {"row", "rows", "columns"}
+    plain = torch.Generator().manual_seed(0)
+    Curriculum(1, 1, 8, torch.device("cpu"), plain)
+    for which, dice in ((c, generator), (Curriculum(1, 1, 8, torch.device("cpu"), torch.Generator()), plain)):
+        which.update(torch.arange(8), torch.zeros(8, dtype=torch.bool), torch.zeros(8), dice)
+    assert torch.equal(generator.get_state(), plain.get_state())
+
+
 def test_how_often_terrains_are_failed_is_resumed():
     c, _ = drawn_by_failure()
     c.count(torch.ones(4000, dtype=torch.bool), c.column != 2)

@@ -30,7 +30,8 @@ class Curriculum:
         generator: torch.Generator,
         by_failure: float = 0.0,
     ) -> None:
-        """`by_failure`: share of new episodes whose terrain is drawn by how often it is failed, where `rows` is 1."""
+        """`by_failure`: share of new episodes whose terrain is drawn by how often it is failed, where there are several
+        and `rows` is 1."""
         if rows < 1 or terrains % rows:
             raise TrainerError(
                 "the terrains do not fill the grid", expected=f"a multiple of {rows} rows", found=str(terrains)
@@ -40,7 +41,7 @@ class Curriculum:
         # The easy half first: the harder rows have to be earned.
         top = max(1, (rows + 1) // 2)
         self.row = randint(0, top, worlds, generator)
-        self.by_failure = by_failure if rows == 1 else 0.0
+        self.by_failure = by_failure if rows == 1 and self.columns > 1 else 0.0
         self.tried = torch.ones(self.columns, device=device)
         """(columns,) trials that ended lately."""
         self.failed = torch.ones(self.columns, device=device)
