@@ -105,14 +105,14 @@ KEPT = (
 def keep(
     commit: str, seed: int, labels: dict[str, Any], found: dict[str, Any], figures: dict[str, Any], path: Path = STORED
 ) -> None:
-    """Add the diagnosed cases of a seed to the stored ones, in place of those that are there already."""
+    """Add the diagnosed cases of a seed to the stored ones, in place of those that this engine gave before."""
     data = json.loads(path.read_text())
     run = figures["run"]
     scored_by = {k: run[k] for k in ("commit", "cpu", "cores")}
     made = {"seed": seed, "commit": commit, "cases": len(found), "scored_by": scored_by}
-    rows = [r for r in data.pop("rows") if r["seed"] != seed or r["case"] not in found]
-    others = any(r["seed"] == seed for r in rows)  # other cases of the seed, by another engine: their figures stay too
-    stay = [s for s in data["sets"] if s["seed"] != seed or (others and s.get("commit") != commit)]
+    engine = (seed, commit)
+    rows = [r for r in data.pop("rows") if (r["seed"], r["commit"]) != engine or r["case"] not in found]
+    stay = [s for s in data["sets"] if (s["seed"], s.get("commit")) != engine]
     data["sets"] = [*stay, made | {k: figures[k] for k in KEPT}]
     rows += [kept_row(labels[n], found[n]) | {"seed": seed, "case": n, "commit": commit} for n in sorted(found)]
     day = datetime.now(UTC).strftime("%Y-%m-%d")

@@ -21,14 +21,14 @@ def diagnosis_by_set() -> list[str]:
     ]
     for (seed, commit), part in sets.items():
         lines.append(f"| {seed}, {commit} | {robots(part)} | {_cells(part)} |")
-    return [*lines, f"| all | {len(rows)} cases | {_cells(rows)} |"]
+    return [*lines, f"| all | {len(rows)} answers | {_cells(rows)} |"]
 
 
 def diagnosis_by_robot() -> list[str]:
-    """The same cases by robot."""
+    """The same answers by robot."""
     rows = stored("diagnosis")["rows"]
     lines = [
-        "| robot | cases | one cause: first | or equivalent | two causes: both | false alarms | missed gaps |",
+        "| robot | answers | one cause: first | or equivalent | two causes: both | false alarms | missed gaps |",
         "|---|---|---|---|---|---|---|",
     ]
     for robot in ("pendulum", "arm2", "arm6", "quadruped", "g1"):

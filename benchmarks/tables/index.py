@@ -77,7 +77,7 @@ KEYS = {
     "close_the_gap": ("robot", "iterations", "effects_considered", "course"),
     "contact": ("terrain", "representation"),
     "fuzz": ("kind", "seed", "number"),
-    "diagnosis": ("seed", "case"),
+    "diagnosis": ("seed", "case", "commit"),
     "footholds": ("change", "seed"),
     "gap_blind": ("case",),
     "gap_depth": ("case", "seed", "crossings"),

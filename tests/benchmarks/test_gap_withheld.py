@@ -161,10 +161,10 @@ def test_two_causes_are_alike_only_if_every_run_is() -> None:
     assert not same_log(label, robot, sensors, site, truths, [calm, calm, calm, calm, calm, wild])
 
 
-def test_kept_cases_replace_themselves_alone(tmp_path: Path) -> None:
+def test_kept_cases_replace_those_of_their_engine_alone(tmp_path: Path) -> None:
     path = tmp_path / "diagnosis.json"
-    old = [{"seed": 5, "case": "case_000", "commit": "old"}, {"seed": 4}]
-    path.write_text(json.dumps({"days": [], "sets": [{"seed": 5}], "rows": old}))
+    old = [{"seed": 5, "case": "case_000", "commit": "old"}, {"seed": 4, "case": "case_000", "commit": "old"}]
+    path.write_text(json.dumps({"days": [], "sets": [{"seed": 5, "commit": "old"}], "rows": old}))
     causes = [{"effect": "armature", "joints": ["a", "b"], "bodies": []}]
     true = causes[0] | {"parameters": [{"name": "armature", "value": 0.02, "unit": "kg m^2"}]}
     given = causes[0] | {"parameters": {"armature": {"value": 0.021, "unit": "kg m^2", "ci90": [0.019, 0.023]}}}
@@ -173,16 +173,17 @@ def test_kept_cases_replace_themselves_alone(tmp_path: Path) -> None:
     figures = dict.fromkeys(KEPT) | {"run": {"commit": "c", "cpu": "x", "cores": 2}}
     keep("abc", 5, {"case_000": label}, {"case_000": found}, figures, path)
     stored = json.loads(path.read_text())
-    assert [(r["seed"], r.get("case")) for r in stored["rows"]] == [(4, None), (5, "case_000")]
-    assert [(s["seed"], s["cases"]) for s in stored["sets"]] == [(5, 1)]
-    row = stored["rows"][1]
+    assert [(r["seed"], r["commit"]) for r in stored["rows"]] == [(5, "old"), (4, "old"), (5, "abc")]
+    assert [s["commit"] for s in stored["sets"]] == ["old", "abc"]
+    row = stored["rows"][-1]
     assert (row["truth"], row["causes"], row["commit"]) == (["armature@a+b"], ["armature@a+b"], "abc")
     assert row["visibility"] == [2.3]
     assert row["held"] == [True]
     assert row["look_alikes_named"] is None
     keep("def", 5, {"case_009": label}, {"case_009": found}, figures, path)
     stored = json.loads(path.read_text())
-    assert [r.get("commit") for r in stored["rows"]] == [None, "abc", "def"]
-    assert [s["commit"] for s in stored["sets"]] == ["abc", "def"]
+    assert [r["commit"] for r in stored["rows"]] == ["old", "old", "abc", "def"]
     keep("def", 5, {"case_009": label}, {"case_009": found}, figures, path)
-    assert [s["commit"] for s in json.loads(path.read_text())["sets"]] == ["abc", "def"]
+    stored = json.loads(path.read_text())
+    assert [r["commit"] for r in stored["rows"]] == ["old", "old", "abc", "def"]
+    assert [s["commit"] for s in stored["sets"]] == ["old", "abc", "def"]

@@ -23,7 +23,7 @@ def test_the_tables_are_the_stored_figures(page: str) -> None:
 def test_no_measured_set_of_the_diagnosis_is_left_out() -> None:
     rows = stored("diagnosis")["rows"]
     table = diagnosis.diagnosis_by_set()
-    assert len({(r["seed"], r["case"]) for r in rows}) == len(rows)
+    assert len({(r["seed"], r["case"], r["commit"]) for r in rows}) == len(rows)
     for seed, commit in {(r["seed"], r["commit"]) for r in rows}:
         assert any(line.startswith(f"| {seed}, {commit} |") for line in table)
     by_robot = [counts([r for r in rows if r["robot"] == robot]) for robot in {r["robot"] for r in rows}]
