@@ -9,8 +9,8 @@ from benchmarks import gap_score
 from benchmarks.tables.stored import Row, answered, counts, stored
 
 FRESH = (1613, "c5748cd")
-"""(seed, engine) of the last search that was measured on all five robots; README and docs show it. Drawn after the search
-was frozen."""
+"""(seed, engine) of the last search that was measured on all five robots; README and docs show it. Drawn after that
+search was frozen."""
 WHOLE = (1511, "788ecca")
 """The same of the one before."""
 FIXED, WALKING = ("pendulum", "arm2", "arm6"), ("quadruped", "g1")

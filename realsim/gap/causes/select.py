@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.fitted import Trial
 from realsim.gap.causes.score import alike, near, score
@@ -65,14 +64,13 @@ def _alike(search: Search, nominal: Fit) -> tuple[Fit, list[Fit]]:
 
 
 def _in_order(screen: Screen, same: Sequence[Fit]) -> list[Fit]:
-    """The lowest score first, without laws that hold another one as a special case, and so always fit as well, but have
-    no clearly lower score."""
-    scored = [(score(screen, fit), k, fit) for k, fit in enumerate(same)]
-    return [
-        fit
-        for cost, _, fit in sorted(scored)
-        if not any(_richer(fit, other) and theirs - cost < figures.CLEARLY for theirs, _, other in scored)
-    ]
+    """The lowest score first, without laws that hold another one with a lower score as a special case: they always fit
+    as well."""
+    kept: list[Fit] = []
+    for fit in sorted(same, key=lambda f: score(screen, f)):
+        if not any(_richer(fit, better) for better in kept):
+            kept.append(fit)
+    return kept
 
 
 def _richer(fit: Fit, other: Fit) -> bool:

@@ -30,7 +30,7 @@ def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[
     """The same in motion, and more of it at rest; under a load that changes little, friction in proportion to it."""
     friction, load = values["friction"], context.usual_torque(place)
     grows = [Suggestion("load_friction", place, {"ratio": friction / load})] if load else []
-    return [*higher_at_rest(context, place, friction), *grows] if friction > 0 else []
+    return [higher_at_rest(context, place, friction), *grows] if friction > 0 else []
 
 
 EFFECT = Effect(
