@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from realsim.gap import Case, DiagnoseConfig, load_case
+from realsim.gap.answer.ranking import ranked_effects
 from realsim.gap.causes.figures import CLEARLY, PRICE
 from realsim.gap.causes.fit import Cause, Fit, Fitter
+from realsim.gap.causes.fitted import Trial
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.linear import Evidence, bounded
 from realsim.gap.causes.proposals import ADD, EXCHANGE, Propose, ranked
@@ -183,6 +185,20 @@ def test_the_search_ends_where_no_set_could_be_named(fitter: Fitter) -> None:
     assert not search._hopeless(np.full(3, 81.0))  # or 51 %
     search.most = 1
     assert search._hopeless(np.full(3, 81.0))
+
+
+def test_a_cause_in_the_place_of_another_one_is_ranked_by_what_it_gains_itself(fitter: Fitter) -> None:
+    nothing, soft, rotor = fitter.nominal(), fit(fitter, stiffness_gain=-0.3), fit(fitter, armature=0.05)
+    (first,), (better,) = soft.causes, rotor.causes
+    search = Search(fitter, 1, soft)
+    poor = Trial(better.candidate, 0, 9.0, "does not hold", -5.0, held=(-1.0, 1.0))
+    search.trials = [poor, Trial(first.candidate, 0, 1.0, "accepted", nothing.misfit - soft.misfit, held=(9.0, 1.0))]
+    assert search._better(soft, [rotor])
+    ranking = ranked_effects(Selection(rotor, nothing, search.trials, [], {}, []), fitter.screen)
+    row = next(r for r in ranking if r["effect"] == "armature")
+    assert (row["outcome"], row["linear_gain"]) == ("accepted", 9.0)
+    assert row["gain"] == pytest.approx(nothing.misfit - rotor.misfit)
+    assert ranking[0] == row
 
 
 def test_the_score_prefers_fewer_causes_fewer_places_and_usual_effects(fitter: Fitter) -> None:

@@ -35,10 +35,10 @@ def _row(trials: list[Trial]) -> dict[str, Any]:
     }
 
 
-def _merit(trial: Trial) -> tuple[bool, bool, float]:
-    """What was judged goes before what was only fitted, and that before what was only screened."""
+def _merit(trial: Trial) -> tuple[bool, bool, bool, float]:
+    """What was accepted goes first, then what was judged, what was only fitted, and what was only screened."""
     gain = trial.linear_gain if trial.gain is None else trial.gain
-    return trial.held is not None, trial.gain is not None, gain
+    return trial.outcome == "accepted", trial.held is not None, trial.gain is not None, gain
 
 
 def _said(trial: Trial) -> dict[str, Any]:

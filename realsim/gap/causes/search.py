@@ -126,9 +126,20 @@ class Search:
             for trial in [t for t in self.trials if t.candidate.key == fit.causes[-1].candidate.key][-1:]:
                 trial.outcome, trial.held = "; ".join(said) or "accepted", held
             if not said:
+                if len(fit.causes) == len(before.causes):
+                    self.trials.append(self._exchanged(before, fit))
                 self._replace(fit, "")
                 return True
         return False
+
+    def _exchanged(self, before: Fit, fit: Fit) -> Trial:
+        """The row of a cause in another one's place: it gains what that one did, and what it fits better."""
+        new, stay = fit.causes[-1], {c.candidate.key for c in fit.causes[:-1]}
+        gone = {c.candidate.key for c in before.causes} - stay
+        old = next(t for t in reversed(self.trials) if t.candidate.key in gone and t.gain is not None)
+        linear = max((t.linear_gain for t in self.trials if t.candidate.key == new.candidate.key), default=0.0)
+        gain = old.gain + before.misfit - fit.misfit if old.gain is not None else None
+        return Trial(new.candidate, old.stage, linear, "accepted", gain, new.values)
 
     def _replace(self, fit: Fit, why: str) -> None:
         gone = [c.candidate for c in self.best.causes if c.candidate.key not in {o.candidate.key for o in fit.causes}]
