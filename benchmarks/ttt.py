@@ -56,7 +56,7 @@ class Options:
     tests: tuple[str, ...] = tuple(terrains.TESTS)
     methods: tuple[Method, ...] = ("base", "ttt1", "scratch")
     sources: tuple[Source, ...] = ("exact",)
-    """What ttt1 is trained on."""
+    """What ttt1, ttt13 and ttt13f are trained on."""
     strategies: tuple[str, ...] = ("full",)
     """What ttt1 changes."""
     minutes: float = 5.0
@@ -125,7 +125,7 @@ def jobs(options: Options) -> Iterator[Job]:
     """What there is to do, the cheap first."""
     for method in options.methods:
         if method in ("ttt13", "ttt13f"):
-            yield Job(options.tests, method)
+            yield from (Job(options.tests, method, source) for source in options.sources)
         elif method == "ttt1":
             for source in options.sources:
                 for strategy in options.strategies:
