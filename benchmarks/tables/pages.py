@@ -31,7 +31,16 @@ from benchmarks.tables.diagnosis import (
 )
 from benchmarks.tables.fresh import by_robot, fresh
 from benchmarks.tables.index import index
-from benchmarks.tables.policies import base, kept, pushed, quadruped_base, reconstructed, strategies, tuned
+from benchmarks.tables.policies import (
+    all_reconstructed,
+    base,
+    kept,
+    pushed,
+    quadruped_base,
+    reconstructed,
+    strategies,
+    tuned,
+)
 from benchmarks.tables.readme import readme
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -57,6 +66,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "test-time training": tuned,
     "kept with pushes": kept,
     "test-time training on reconstructions": reconstructed,
+    "test-time training on all reconstructions": all_reconstructed,
     "test-time training by strategy": strategies,
     "footholds": footholds,
     "damaged": damaged,

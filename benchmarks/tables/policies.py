@@ -43,6 +43,11 @@ def reconstructed() -> list[str]:
     return ttt.table([r for r in _of_one_test() if r["strategy"] == "full"], {SHIPS: ""})
 
 
+def all_reconstructed() -> list[str]:
+    """The same, one policy for all of them at once."""
+    return ttt.table([r for r in stored("ttt")["rows"] if r["base"] == SHIPS and r["method"] == "ttt13f"], {SHIPS: ""})
+
+
 def strategies() -> list[str]:
     """The same, fine-tuned in part, on the tests on which that was tried."""
     rows = [r for r in _of_one_test() if r["source"] == "exact"]
