@@ -18,9 +18,9 @@ import numpy as np
 
 from benchmarks.crossings import Truth, make_case
 from benchmarks.store import Store
+from realsim.gap.camera.terrain import load_terrain
 from realsim.gap.logs.case import load_case
 from realsim.gap.scene.run import check_scene
-from realsim.gap.scene.terrain import load_terrain
 
 CHANGES = {
     "none": (Truth(), "", ""),

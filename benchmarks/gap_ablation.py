@@ -5,7 +5,7 @@
     python benchmarks/gap_ablation.py score
 
 `run` diagnoses with the full engine and once without each function given (it proposes nothing then), with another
-figure in its place (`--without realsim.gap.causes.figures:TIMES=1.0`), or with other settings
+figure in its place (`--without realsim.gap.figures:TIMES=1.0`), or with other settings
 (`--with max_causes=1`). `score` compares case by case: a case is right if the verdict is, and with it the
 cause where there is one. Rules that every diagnosis reports beside its own answer (the largest fit of a single cause)
 are compared by the first cause. No other engine's answers are taken in.

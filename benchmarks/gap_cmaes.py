@@ -34,7 +34,7 @@ from benchmarks.store import Store
 from realsim.errors import GapError
 from realsim.gap import EFFECTS, DiagnoseConfig, load_case
 from realsim.gap.answer.check import mean_square
-from realsim.gap.compare import Comparison
+from realsim.gap.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Setting, Simulator
 from realsim.types import F64
 

@@ -41,7 +41,6 @@ from benchmarks.store import Store
 from realsim.errors import RealsimError
 from realsim.files import to_json, write_text
 from realsim.gap import DiagnoseConfig, diagnose, load_case
-from realsim.gap.compare import Comparison
 from realsim.gap.experiments.choose import random_experiment
 from realsim.gap.experiments.config import ExciteConfig
 from realsim.gap.experiments.excitations import EXCITATIONS
@@ -49,6 +48,7 @@ from realsim.gap.experiments.plan import Experiment, Planned
 from realsim.gap.experiments.proposal import bench_of
 from realsim.gap.experiments.rivals import rivals_from
 from realsim.gap.experiments.write import setups
+from realsim.gap.likelihood.comparison import Comparison
 from realsim.gap.provenance import engine
 from realsim.gap.simulation.simulate import Simulator
 

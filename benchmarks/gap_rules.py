@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from realsim.gap.causes.linear import posterior
-from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import Selection
 from realsim.gap.effects import EFFECTS
-from realsim.gap.simulation.simulate import lookup
+from realsim.gap.effects.lookup import lookup
+from realsim.gap.likelihood.linear import posterior
+from realsim.gap.likelihood.screen import Screen
 
 
 def first_choices(screen: Screen, selection: Selection) -> dict[str, Any]:

@@ -33,8 +33,8 @@ from benchmarks.gap_truth.cases import read_labels
 from benchmarks.store import Store
 from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
 from realsim.gap.answer.check import mean_square
-from realsim.gap.compare import Comparison
-from realsim.gap.simulation.edit import Edit
+from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.model.edit import Edit
 from realsim.gap.simulation.sampling import held_mean
 from realsim.gap.simulation.simulate import Simulator
 

@@ -233,7 +233,7 @@ def next_experiment(
     Raises:
         GapError: nothing is to be told apart, or nothing within the limits tells it.
     """
-    from realsim.gap.experiments.excite import excite
+    from realsim.gap.excite import excite
 
     folder = None if case is None else Path(case)
     target = None if out is None else Path(out)
@@ -265,8 +265,8 @@ def footholds(
         GapError: the log lacks base pose, contacts or positions, or does not lie on the scene.
     """
     from realsim import gap
+    from realsim.gap.camera.terrain import load_terrain
     from realsim.gap.scene.run import check_scene, run_scene, terrain_of_case
-    from realsim.gap.scene.terrain import load_terrain
 
     where = None if scene is None else Path(scene)
     if out is not None:

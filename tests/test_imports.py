@@ -6,6 +6,7 @@ import ast
 import importlib.util
 import tomllib
 from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -128,3 +129,17 @@ def _is_module(name: str) -> bool:
         return importlib.util.find_spec(name) is not None
     except ModuleNotFoundError:
         return False
+
+
+def test_packages_of_the_gap_have_no_circles() -> None:
+    """Each can be read once those below it are known."""
+    gap = ROOT / "realsim" / "gap"
+    folders = [p.name for p in gap.iterdir() if (p / "__init__.py").is_file()]
+    below: dict[str, set[str]] = {}
+    for path in sorted(gap.rglob("*.py")):
+        inside = path.relative_to(gap).parts
+        parts = [name.split(".")[2] for name in imported(path) if name.startswith("realsim.gap.")]
+        others = {p if p in folders else f"{p}.py" for p in parts if p in folders or (gap / f"{p}.py").is_file()}
+        below.setdefault(inside[0], set()).update(others - {inside[0]})
+    order = TopologicalSorter(below).static_order()  # raises CycleError with the circle
+    assert set(folders) <= set(order)

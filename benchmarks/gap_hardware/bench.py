@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from benchmarks.gap_hardware.errors import Error, Label, Robot, errors
 from realsim.errors import RealsimError
 from realsim.gap import Case, DiagnoseConfig, load_case
-from realsim.gap.evidence.motion import estimate
+from realsim.gap.logs.motion import estimate
 from realsim.gap.simulation.simulate import Simulator, measured
 
 FREE = {

@@ -11,8 +11,8 @@ from realsim.commands import CommandResult
 from realsim.commands.diagnose import refuse_recording
 from realsim.errors import RealsimError
 from realsim.gap.config import DiagnoseConfig
+from realsim.gap.excite import excite as choose
 from realsim.gap.experiments.config import ExciteConfig
-from realsim.gap.experiments.excite import excite as choose
 from realsim.progress import steps
 
 

@@ -19,21 +19,21 @@ from realsim.gap.answer.ranking import ranked_effects
 from realsim.gap.answer.sentence import advice, sentence
 from realsim.gap.answer.stays import what_stays
 from realsim.gap.causes.fit import Fitter
-from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import Selection, select
-from realsim.gap.compare import Comparison
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects import EFFECTS
 from realsim.gap.evidence.onsets import find_onsets
 from realsim.gap.evidence.where import by_horizon, by_signal, evidence, localise
 from realsim.gap.experiments.proposal import propose, with_text
 from realsim.gap.health import examine
+from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.likelihood.free_starts import free_starts
+from realsim.gap.likelihood.screen import Screen
 from realsim.gap.logs.case import Case
 from realsim.gap.logs.repeats import replicates as replicates
 from realsim.gap.logs.runs import LEAST_SAMPLES
 from realsim.gap.logs.split import split_runs
 from realsim.gap.provenance import provenance
-from realsim.gap.simulation.anchors import free_starts
 from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.verdicts import GapVerdict
 from realsim.types import F64

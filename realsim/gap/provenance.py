@@ -10,9 +10,9 @@ from typing import Any
 
 from realsim import __version__
 from realsim.gap.config import DiagnoseConfig
-from realsim.gap.deviations import read_deviations
+from realsim.gap.effects.deviations_file import read_deviations
 
-NO_ANSWER = ("report", "explanation.py", "experiments", "drift")
+NO_ANSWER = ("report", "explanation.py", "excite.py", "experiments", "drift")
 """Below realsim/gap: what shows an answer, or asks for another recording, and cannot change verdict or causes."""
 NO_SETTING = ("threads", "report")
 """Settings that cannot change an answer."""

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 
 from benchmarks.gap_unstable import DRONE, fly
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
-from realsim.gap.compare import Comparison
-from realsim.gap.simulation.anchors import LEAST, free_starts
+from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.likelihood.free_starts import free_starts
+from realsim.gap.simulation.anchors import LEAST
 from realsim.gap.simulation.simulate import Simulator
 
 from .truth import Truth

@@ -10,17 +10,17 @@ import pytest
 
 from realsim.gap import Case, DiagnoseConfig, load_case
 from realsim.gap.answer.ranking import ranked_effects
-from realsim.gap.causes.figures import CLEARLY, PRICE
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.fitted import Trial
 from realsim.gap.causes.leftover import leftover
-from realsim.gap.causes.linear import Evidence, bounded
 from realsim.gap.causes.proposals import ADD, EXCHANGE, Propose, ranked
 from realsim.gap.causes.score import doubts, left_out, score
-from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.search import Search
 from realsim.gap.causes.select import Selection, select
-from realsim.gap.compare import Comparison
+from realsim.gap.figures import CLEARLY, PRICE
+from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.likelihood.linear import Evidence, bounded
+from realsim.gap.likelihood.screen import Screen
 from realsim.gap.simulation.simulate import Simulator
 
 from .test_recovery import logged

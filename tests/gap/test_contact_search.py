@@ -13,9 +13,9 @@ import pytest
 from realsim.gap import EFFECTS, Case, DiagnoseConfig
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.proposals import by_simulation
-from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.causes.search import Search
-from realsim.gap.compare import Comparison
+from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.likelihood.screen import Candidate, Screen
 from realsim.gap.simulation.simulate import Simulator
 
 from .test_recovery import logged, quadruped  # noqa: F401

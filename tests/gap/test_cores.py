@@ -10,8 +10,8 @@ import pytest
 
 from realsim.gap import DiagnoseConfig, load_case
 from realsim.gap.causes.fit import Cause, Fitter
-from realsim.gap.causes.screen import Screen
-from realsim.gap.compare import Comparison
+from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.likelihood.screen import Screen
 from realsim.gap.simulation.cores import Cores
 from realsim.gap.simulation.simulate import Simulator
 

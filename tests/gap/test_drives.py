@@ -14,11 +14,11 @@ import pytest
 from realsim.files import to_json
 from realsim.gap import DiagnoseConfig, apply_patch, load_case
 from realsim.gap.answer.patch import make_patch, patched_xml
-from realsim.gap.compare import _torque_steps
 from realsim.gap.evidence.inverse import _phase
-from realsim.gap.evidence.motion import estimate
 from realsim.gap.health.conventions import log_conventions
 from realsim.gap.health.signals import saturation
+from realsim.gap.likelihood.comparison import _torque_steps
+from realsim.gap.logs.motion import estimate
 from realsim.gap.simulation.simulate import Setting, Simulator
 
 MODEL = """

@@ -12,10 +12,10 @@ from realsim.gap.causes.fit import Cause, Fitter
 from realsim.gap.causes.fitted import values_of
 from realsim.gap.causes.proposals import by_effect
 from realsim.gap.causes.score import alike, score
-from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import _in_order, _richer
-from realsim.gap.compare import Comparison
 from realsim.gap.effects import EFFECTS
+from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.likelihood.screen import Screen
 from realsim.gap.simulation.simulate import Simulator
 
 from .test_recovery import logged

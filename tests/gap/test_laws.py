@@ -11,14 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from realsim.gap import EFFECTS, DiagnoseConfig, apply_patch, diagnose, load_case, run_case
-from realsim.gap.causes import figures
-from realsim.gap.causes.linear import bounded, log_evidence, misfit_at, posterior, scaled
-from realsim.gap.causes.screen import Candidate
-from realsim.gap.compare import Comparison
+from realsim.gap import EFFECTS, DiagnoseConfig, apply_patch, diagnose, figures, load_case, run_case
 from realsim.gap.effects.payload import add_point_mass
 from realsim.gap.effects.terrain_tilt import quaternion, rotation
-from realsim.gap.simulation.groups import kind_of, like_joints
+from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.likelihood.linear import bounded, log_evidence, misfit_at, posterior, scaled
+from realsim.gap.likelihood.screen import Candidate
+from realsim.gap.model.groups import kind_of, like_joints
 from realsim.gap.simulation.sampling import continuous_turn, held_mean, nearest_turn, rotation_from
 from realsim.gap.simulation.simulate import Simulator
 

@@ -12,9 +12,9 @@ import pytest
 
 from realsim.errors import GapError
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
-from realsim.gap.compare import Comparison
 from realsim.gap.evidence.where import evidence, localise
 from realsim.gap.health import examine
+from realsim.gap.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
 from .real_logs import legs, pendulum, servo

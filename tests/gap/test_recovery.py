@@ -15,11 +15,11 @@ from benchmarks.gap_truth.truth import Truth as TrueRobot
 from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
 from realsim.gap.causes.fit import Cause, Fitter
 from realsim.gap.causes.leftover import deviations, is_gap, leftover
-from realsim.gap.causes.linear import log_evidence, marginal
 from realsim.gap.causes.proposals import by_simulation
-from realsim.gap.causes.screen import Screen, slab
 from realsim.gap.causes.starts import starts
-from realsim.gap.compare import Comparison
+from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.likelihood.linear import log_evidence, marginal
+from realsim.gap.likelihood.screen import Screen, slab
 from realsim.gap.simulation.simulate import Simulator
 
 from .truth import Truth

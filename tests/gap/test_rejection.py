@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from realsim.gap import EFFECTS, Case, load_case
-from realsim.gap.causes.figures import WORTH
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.proposals import ranked
-from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import select
-from realsim.gap.compare import Comparison
 from realsim.gap.effects import ON_REQUEST
+from realsim.gap.figures import CLEARLY
+from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.likelihood.screen import Screen
 from realsim.gap.simulation.simulate import Setting, Simulator
 
 from .test_recovery import CONFIG, GROUND, SIZE, UNSEEN, logged, quadruped
@@ -73,7 +73,7 @@ def without(pendulum: Case, arm: Case) -> dict[str, dict[str, float]]:
 def test_absent_on_a_perfect_log(name: str, robot: str, without: dict[str, dict[str, float]]) -> None:
     if name not in without[robot]:
         pytest.skip("no place on this robot, or not excited")
-    assert without[robot][name] < WORTH
+    assert without[robot][name] < CLEARLY
 
 
 def test_every_fixed_effect_was_looked_for_somewhere(without: dict[str, dict[str, float]]) -> None:
@@ -103,7 +103,7 @@ def test_nothing_gets_in_beside_the_true_cause(name: str, pendulum: Case, arm: C
         assert not is_gap(leftover(screen, true))
         rivals = {e: g for e, g in gains(screen, true).items() if e != name}
         assert len(rivals) > 5
-        assert max(rivals.values()) < WORTH
+        assert max(rivals.values()) < CLEARLY
 
 
 @pytest.mark.slow
@@ -113,7 +113,7 @@ def test_absent_on_a_perfect_log_of_a_floating_base(quadruped: Case) -> None:
         case = logged(case, [], seed)
     found = perfect(case, (*FLOATING, "terrain_tilt", "external_force"))
     assert set(found) >= {"ground_friction", "terrain_height", "terrain_tilt", "imu_bias"}
-    assert max(found.values()) < WORTH
+    assert max(found.values()) < CLEARLY
 
 
 @pytest.mark.slow

@@ -11,18 +11,19 @@ from hypothesis import strategies as st
 
 from realsim.gap import DiagnoseConfig, load_case
 from realsim.gap.answer.conclusion import _at_an_end
-from realsim.gap.causes.figures import BRIEF, CAUSE, CAUSE_A_JOINT, CLEARLY, SHARE
 from realsim.gap.causes.fit import Cause, Fitter, _at_bound
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.proposals import by_slopes, ranked
 from realsim.gap.causes.score import asked, score
-from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.search import Search
 from realsim.gap.causes.windows import _best_window
-from realsim.gap.compare import Comparison
 from realsim.gap.effects.base import Parameter
+from realsim.gap.effects.lookup import lookup
+from realsim.gap.figures import BRIEF, CAUSE, CAUSE_A_JOINT, CLEARLY, SHARE
+from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.likelihood.screen import Screen
 from realsim.gap.simulation.recent import Recent
-from realsim.gap.simulation.simulate import Setting, Simulator, lookup
+from realsim.gap.simulation.simulate import Setting, Simulator
 
 from .test_recovery import logged
 from .truth import Truth

@@ -16,12 +16,12 @@ from benchmarks.gap_truth.truth import Truth as TrueRobot
 from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
 from realsim.gap.causes.fit import Cause, Fitter
 from realsim.gap.causes.leftover import leftover
-from realsim.gap.causes.linear import Evidence
 from realsim.gap.causes.proposals import by_effect
-from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.search import Search
-from realsim.gap.compare import Comparison
-from realsim.gap.simulation.edit import Edit
+from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.likelihood.linear import Evidence
+from realsim.gap.likelihood.screen import Screen
+from realsim.gap.model.edit import Edit
 from realsim.gap.simulation.sampling import AT, either_side
 from realsim.gap.simulation.simulate import Simulator
 

@@ -9,7 +9,7 @@ import pytest
 
 from realsim.gap.answer.check import Check
 from realsim.gap.answer.verdict import Fitted, judge
-from realsim.gap.causes.figures import EXPLAINED
+from realsim.gap.figures import EXPLAINED
 from realsim.gap.verdicts import SAID, GapVerdict
 
 

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from realsim.errors import GapError
 from realsim.gap.answer.patch import patched_xml
 from realsim.gap.causes.fitted import Fit
-from realsim.gap.compare import Comparison
 from realsim.gap.evidence.inverse import TorqueResidual, torque_residual
 from realsim.gap.evidence.shooting import Shots, shoot
+from realsim.gap.likelihood.comparison import Comparison
 from realsim.gap.logs.case import Case
-from realsim.gap.simulation.channels import Channel
+from realsim.gap.model.channels import Channel
 from realsim.gap.simulation.simulate import Simulator
 from realsim.types import F64
 

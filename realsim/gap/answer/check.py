@@ -14,9 +14,9 @@ import numpy as np
 
 from realsim.errors import GapError
 from realsim.gap.causes.leftover import is_gap
-from realsim.gap.compare import Comparison
 from realsim.gap.evidence.blackbox import predict
-from realsim.gap.simulation.channels import unit_of
+from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.model.channels import unit_of
 from realsim.gap.simulation.simulate import Setting, Simulator, measured
 from realsim.types import F64
 

@@ -12,7 +12,8 @@ from realsim.files import to_json, write_text
 from realsim.gap.answer.arrays import Arrays
 from realsim.gap.causes.fit import Cause, Fit
 from realsim.gap.causes.fitted import Z90
-from realsim.gap.simulation.simulate import Simulator, lookup
+from realsim.gap.effects.lookup import lookup
+from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.verdicts import GapVerdict
 
 MODEL_ERROR = 0.07

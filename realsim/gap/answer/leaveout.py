@@ -15,7 +15,7 @@ import numpy as np
 from realsim.gap.answer.check import BLOCK_SECONDS, errors, mean_square
 from realsim.gap.causes.fitted import values_of
 from realsim.gap.causes.leftover import rests
-from realsim.gap.compare import CORRELATION, Comparison
+from realsim.gap.likelihood.comparison import CORRELATION, Comparison
 from realsim.types import F64
 
 

@@ -11,8 +11,8 @@ from realsim.gap.causes.fit import Fit
 from realsim.gap.effects import EFFECTS
 from realsim.gap.logs.case import Case
 from realsim.gap.logs.resolve import resolve
-from realsim.gap.simulation.context import Context, build_context
-from realsim.gap.simulation.edit import Edit, Signals
+from realsim.gap.model.context import Context, build_context
+from realsim.gap.model.edit import Edit, Signals
 from realsim.gap.simulation.simulate import Setting, Simulator
 
 FORMAT, EARLIER = "realsim.gap.patch/2", "realsim.gap.patch/1"

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from realsim.gap.causes.fitted import Trial
-from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import Selection
 from realsim.gap.effects import EFFECTS
+from realsim.gap.likelihood.screen import Screen
 
 
 def ranked_effects(selection: Selection, screen: Screen) -> list[dict[str, Any]]:

@@ -9,9 +9,9 @@ from typing import Any
 from realsim.errors import GapError
 from realsim.gap.answer.patch import apply_patch, make_patch
 from realsim.gap.causes.fitted import Fit
-from realsim.gap.compare import Comparison
 from realsim.gap.evidence.inverse import torque_residual
 from realsim.gap.evidence.rest import looks_like
+from realsim.gap.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
 

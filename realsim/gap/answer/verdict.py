@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from realsim.gap import figures
 from realsim.gap.answer.check import Check
-from realsim.gap.causes import figures
 from realsim.gap.causes.leftover import is_gap
 from realsim.gap.verdicts import GapVerdict
 from realsim.types import F64

@@ -17,11 +17,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from realsim.errors import GapError
+from realsim.gap.camera.mixed import Fit
 from realsim.gap.camera.rays import Correction, Mount, View
 from realsim.gap.camera.recorded import DepthCamera, depth_camera, read_frames
+from realsim.gap.camera.terrain import Terrain
 from realsim.gap.logs.case import Case, Run
-from realsim.gap.scene.mixed import Fit
-from realsim.gap.scene.terrain import Terrain
 from realsim.types import F64
 
 Z90 = 1.645

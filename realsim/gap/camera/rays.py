@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from realsim.gap.camera.recorded import DepthCamera, Frames
-from realsim.gap.evidence.motion import Motion, estimate
+from realsim.gap.camera.terrain import Terrain
 from realsim.gap.logs.case import Case
-from realsim.gap.scene.terrain import Terrain
+from realsim.gap.logs.motion import Motion, estimate
 from realsim.geometry import exp_so3
 from realsim.types import F64
 

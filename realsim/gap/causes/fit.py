@@ -10,16 +10,16 @@ from functools import partial
 import numpy as np
 
 from realsim.errors import GapError
-from realsim.gap.causes import figures
+from realsim.gap import figures
 from realsim.gap.causes.fitted import Cause as Cause
 from realsim.gap.causes.fitted import Fit as Fit
 from realsim.gap.causes.fitted import at, form, parameters_of, spread, values_of
 from realsim.gap.causes.gauss_newton import Few, GaussNewton, clip, widest
 from realsim.gap.causes.leftover import deviations, is_gap, leftover
-from realsim.gap.causes.linear import bounded
 from realsim.gap.effects.base import Parameter
+from realsim.gap.effects.lookup import lookup
 from realsim.gap.evidence.onsets import find_onsets
-from realsim.gap.simulation.simulate import lookup
+from realsim.gap.likelihood.linear import bounded
 from realsim.types import F64
 
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from realsim.gap.causes.linear import Evidence
-from realsim.gap.causes.screen import Candidate
 from realsim.gap.effects.base import Parameter, Place
-from realsim.gap.simulation.simulate import Setting, lookup
+from realsim.gap.effects.lookup import lookup
+from realsim.gap.likelihood.linear import Evidence
+from realsim.gap.likelihood.screen import Candidate
+from realsim.gap.simulation.simulate import Setting
 from realsim.types import F64
 
 Z90 = 1.6449
@@ -86,6 +87,16 @@ class Trial:
     values: tuple[float, ...] = ()
     held: tuple[float, float] | None = None
     """Gain on runs left out in turn, as the logarithm of a ratio, and its error; if looked at."""
+
+
+def exchanged(trials: Sequence[Trial], before: Fit, fit: Fit) -> Trial:
+    """The row of a cause in another one's place: it gains what that one did, and what it fits better."""
+    new, stay = fit.causes[-1], {c.candidate.key for c in fit.causes[:-1]}
+    gone = {c.candidate.key for c in before.causes} - stay
+    old = next(t for t in reversed(trials) if t.candidate.key in gone and t.gain is not None)
+    linear = max((t.linear_gain for t in trials if t.candidate.key == new.candidate.key), default=0.0)
+    gain = old.gain + before.misfit - fit.misfit if old.gain is not None else None
+    return Trial(new.candidate, old.stage, linear, "accepted", gain, new.values)
 
 
 def values_of(causes: Sequence[Cause]) -> F64:

@@ -9,11 +9,11 @@ from typing import TypeVar
 import numpy as np
 
 from realsim.errors import GapError
-from realsim.gap.causes import figures
+from realsim.gap import figures
 from realsim.gap.causes.fitted import Cause, at, parameters_of, values_of
-from realsim.gap.causes.linear import Evidence, bounded, posterior, scaled
-from realsim.gap.causes.screen import Screen
 from realsim.gap.effects.base import Parameter
+from realsim.gap.likelihood.linear import Evidence, bounded, posterior, scaled
+from realsim.gap.likelihood.screen import Screen
 from realsim.gap.simulation.recent import Recent
 from realsim.types import F64
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.gap.causes import figures
+from realsim.gap import figures
 from realsim.gap.causes.fitted import Fit
-from realsim.gap.causes.linear import bounded
-from realsim.gap.causes.screen import Screen
+from realsim.gap.likelihood.linear import bounded
+from realsim.gap.likelihood.screen import Screen
 from realsim.gap.simulation.simulate import Setting
 from realsim.types import F64
 

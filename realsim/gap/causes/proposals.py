@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from realsim.gap.causes import figures
+from realsim.gap import figures
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
-from realsim.gap.causes.linear import Spectrum, log_evidence, marginal
-from realsim.gap.causes.screen import Candidate, Screen, slab
 from realsim.gap.causes.starts import Guess, nested, starts, suggested
 from realsim.gap.causes.windows import window_candidates
-from realsim.gap.simulation.simulate import lookup
+from realsim.gap.effects.lookup import lookup
+from realsim.gap.likelihood.linear import Spectrum, log_evidence, marginal
+from realsim.gap.likelihood.screen import Candidate, Screen, slab
 from realsim.types import F64
 
 Scored = tuple[float, Candidate, F64]
@@ -39,7 +39,7 @@ def by_slopes(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     """One more cause: the best places of the best effects by the linear screen."""
     order = ranked(fitter.screen, here)
     best = order[0][0] if order else 0.0
-    least = max(figures.WORTH, figures.WORTH_SHARE * best)  # far behind, only what is far from linear can still win
+    least = max(figures.CLEARLY, figures.WORTH_SHARE * best)  # far behind, only what is far from linear can still win
     chosen: list[tuple[int, list[Scored]]] = []
     for scored in order:
         gain, candidate, _ = scored
@@ -80,7 +80,7 @@ def by_simulation(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     for candidates in abrupt.values():
         looks = fitter.each(lambda item: _sized(fitter, here, *item), candidates[: figures.PROBED])
         for gain, cause in sorted(looks, key=lambda item: -item[0])[: figures.PLACES]:
-            if gain > figures.WORTH:
+            if gain > figures.CLEARLY:
                 yield _further(fitter, here, cause.candidate, cause.named, gain)
 
 

@@ -7,12 +7,12 @@ from typing import Protocol
 
 import numpy as np
 
-from realsim.gap.causes import figures
+from realsim.gap import figures
 from realsim.gap.causes.fit import Cause, Fit, Fitter
 from realsim.gap.causes.leftover import leftover
-from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.starts import twins
-from realsim.gap.simulation.simulate import lookup
+from realsim.gap.effects.lookup import lookup
+from realsim.gap.likelihood.screen import Screen
 from realsim.types import F64
 
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from realsim.gap.causes import figures
+from realsim.gap import figures
 from realsim.gap.causes.fit import Fit, Fitter
-from realsim.gap.causes.fitted import Trial
+from realsim.gap.causes.fitted import Trial, exchanged
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.proposals import ADD, EXCHANGE, Proposal, Propose, ranked
 from realsim.gap.causes.score import asked, doubts, near, score, searched
@@ -127,19 +127,10 @@ class Search:
                 trial.outcome, trial.held = "; ".join(said) or "accepted", held
             if not said:
                 if len(fit.causes) == len(before.causes):
-                    self.trials.append(self._exchanged(before, fit))
+                    self.trials.append(exchanged(self.trials, before, fit))
                 self._replace(fit, "")
                 return True
         return False
-
-    def _exchanged(self, before: Fit, fit: Fit) -> Trial:
-        """The row of a cause in another one's place: it gains what that one did, and what it fits better."""
-        new, stay = fit.causes[-1], {c.candidate.key for c in fit.causes[:-1]}
-        gone = {c.candidate.key for c in before.causes} - stay
-        old = next(t for t in reversed(self.trials) if t.candidate.key in gone and t.gain is not None)
-        linear = max((t.linear_gain for t in self.trials if t.candidate.key == new.candidate.key), default=0.0)
-        gain = old.gain + before.misfit - fit.misfit if old.gain is not None else None
-        return Trial(new.candidate, old.stage, linear, "accepted", gain, new.values)
 
     def _replace(self, fit: Fit, why: str) -> None:
         gone = [c.candidate for c in self.best.causes if c.candidate.key not in {o.candidate.key for o in fit.causes}]

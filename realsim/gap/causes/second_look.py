@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from realsim.gap.causes import figures
+from realsim.gap import figures
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.leftover import is_gap, leftover
 from realsim.gap.causes.score import asked, near, score
-from realsim.gap.simulation.nuisances import MANY_JOINTS
+from realsim.gap.effects.nuisances import MANY_JOINTS
 
 
 def second_look(fitter: Fitter, here: Fit, fits: Sequence[Fit]) -> tuple[Fit, list[Fit]]:

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from realsim.gap.causes.fit import Fit, Fitter
 from realsim.gap.causes.fitted import Trial
 from realsim.gap.causes.score import alike, near, score
-from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.search import Search, Tick
 from realsim.gap.causes.starts import contains
 from realsim.gap.config import DiagnoseConfig
+from realsim.gap.likelihood.screen import Screen
 
 
 @dataclass

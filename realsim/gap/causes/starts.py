@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.gap.causes import figures
+from realsim.gap import figures
 from realsim.gap.causes.fitted import Cause
-from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.effects.base import Place
-from realsim.gap.simulation.simulate import Simulator, lookup
+from realsim.gap.effects.lookup import lookup
+from realsim.gap.likelihood.screen import Candidate, Screen
+from realsim.gap.simulation.simulate import Simulator
 from realsim.types import F64
 
 Guess = F64 | dict[str, float]

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from realsim.gap.causes import figures
+from realsim.gap import figures
 from realsim.gap.causes.fit import Fit
 from realsim.gap.causes.leftover import rests
-from realsim.gap.causes.screen import Candidate, Screen
 from realsim.gap.effects.base import Place
-from realsim.gap.simulation.edit import NEAR
-from realsim.gap.simulation.simulate import lookup
+from realsim.gap.effects.lookup import lookup
+from realsim.gap.likelihood.screen import Candidate, Screen
+from realsim.gap.model.edit import NEAR
 from realsim.types import F64
 
 

@@ -10,22 +10,23 @@ import numpy as np
 from scipy.stats import t as student
 from threadpoolctl import threadpool_limits
 
+from realsim.gap import figures
 from realsim.gap.answer.diagnosis import MODEL_ERROR
-from realsim.gap.causes import figures
 from realsim.gap.causes.fit import Fitter
 from realsim.gap.causes.fitted import Z90, Cause
 from realsim.gap.causes.leftover import is_gap
 from realsim.gap.causes.score import determined
-from realsim.gap.causes.screen import Screen
 from realsim.gap.causes.select import Selection, select
-from realsim.gap.compare import Comparison
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.drift.change import DAILY, Changed, Joint
 from realsim.gap.drift.pair import pair_of
 from realsim.gap.drift.words import sentence
+from realsim.gap.effects.lookup import lookup
+from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.likelihood.free_starts import free_starts
+from realsim.gap.likelihood.screen import Screen
 from realsim.gap.logs.case import Case
-from realsim.gap.simulation.anchors import free_starts
-from realsim.gap.simulation.simulate import Simulator, lookup
+from realsim.gap.simulation.simulate import Simulator
 from realsim.types import F64
 
 HOLDS, MOST_RUNS = 0.5, 0.6

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, Suggestion, each_joint
-from realsim.gap.simulation.context import Context
-from realsim.gap.simulation.edit import STIFFEST
+from realsim.gap.model.context import Context
+from realsim.gap.model.edit import STIFFEST
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:

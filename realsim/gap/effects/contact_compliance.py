@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
-from realsim.gap.simulation.context import Context
+from realsim.gap.model.context import Context
 
 
 def _places(context: Context) -> list[Place]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, Suggestion, each_joint
 from realsim.gap.effects.stribeck_friction import higher_at_rest
-from realsim.gap.simulation.context import Context
+from realsim.gap.model.context import Context
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:

@@ -16,7 +16,7 @@ from realsim.gap.effects.base import (
     gain,
     servo_damping,
 )
-from realsim.gap.simulation.context import Context
+from realsim.gap.model.context import Context
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:

@@ -13,7 +13,7 @@ from realsim.gap.effects.base import (
     everywhere,
     joint_signals_only,
 )
-from realsim.gap.simulation.context import Context
+from realsim.gap.model.context import Context
 
 
 def delay(name: str, title: str, twin: str, description: str, signature: str, excitation: str) -> Effect:

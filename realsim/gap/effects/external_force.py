@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
-from realsim.gap.simulation.context import Context
-from realsim.gap.simulation.edit import EVER, NEAR, Pulse
+from realsim.gap.model.context import Context
+from realsim.gap.model.edit import EVER, NEAR, Pulse
 
 FOREVER = 1e6
 PASSING = ("start", "end", "since", "lasts")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from realsim.gap.effects import coulomb_friction, viscous_friction
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
-from realsim.gap.simulation.context import Context
+from realsim.gap.model.context import Context
 
 MOST = 12
 """Joints; with more, this many values at once can explain anything."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
-from realsim.gap.simulation.context import Context
+from realsim.gap.model.context import Context
 
 HARMONICS = 2
 """Periods of one turn and of half a turn: what cables, springs and magnets with two poles do."""

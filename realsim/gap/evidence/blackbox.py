@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from realsim.gap.compare import Comparison
+from realsim.gap.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Simulator
 from realsim.types import F64
 

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from realsim.gap.evidence.motion import Motion, blur, estimate
 from realsim.gap.logs.case import Case, Run
-from realsim.gap.simulation.edit import Edit
+from realsim.gap.logs.motion import Motion, blur, estimate
+from realsim.gap.model.edit import Edit
 from realsim.gap.simulation.simulate import Simulator
 from realsim.resampling import interval90, resampled
 from realsim.types import F64

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from realsim.gap.compare import Comparison
 from realsim.gap.evidence.inverse import TorqueResidual
+from realsim.gap.likelihood.comparison import Comparison
 from realsim.types import F64
 
 LEAST_EXPLAINED = 0.3

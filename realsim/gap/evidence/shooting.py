@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from realsim.gap.evidence.motion import Motion, estimate
 from realsim.gap.logs.case import Run
+from realsim.gap.logs.motion import Motion, estimate
 from realsim.gap.simulation.simulate import Setting, Simulator, rotation_from, sample
 from realsim.gap.simulation.start import Start, initial_state
 from realsim.types import F64

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from realsim.gap.compare import Comparison
-from realsim.gap.simulation.channels import Channel, named_place
+from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.model.channels import Channel, named_place
 from realsim.resampling import resampled
 from realsim.types import F64
 

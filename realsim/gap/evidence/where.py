@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from realsim.gap.compare import Comparison
 from realsim.gap.evidence.inverse import base_wrench, torque_residual
 from realsim.gap.evidence.shooting import Shots, shoot
 from realsim.gap.evidence.standout import excesses, significant, standouts, tail
-from realsim.gap.simulation.channels import named_place
+from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.model.channels import named_place
 from realsim.gap.simulation.simulate import Simulator
 from realsim.types import F64
 

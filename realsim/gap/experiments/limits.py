@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from realsim.gap.logs.case import Case
-from realsim.gap.simulation.context import Context
+from realsim.gap.model.context import Context
 from realsim.types import F64
 
 SPEED_RATIO = 1.5

@@ -11,8 +11,8 @@ from realsim.gap.experiments.choose import Looked
 from realsim.gap.experiments.rivals import Rival
 from realsim.gap.experiments.separation import Predicted
 from realsim.gap.logs.case import Case
+from realsim.gap.model.channels import unit_of
 from realsim.gap.report.words import signal_name
-from realsim.gap.simulation.channels import unit_of
 from realsim.report import page, svg
 from realsim.types import F64
 

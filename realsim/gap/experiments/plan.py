@@ -12,7 +12,7 @@ from realsim.errors import GapError
 from realsim.gap.logs.case import Case
 from realsim.gap.logs.runs import Run
 from realsim.gap.logs.setups import Setup
-from realsim.gap.simulation.context import Context
+from realsim.gap.model.context import Context
 from realsim.types import F64
 
 LEAST_RATE = 20.0

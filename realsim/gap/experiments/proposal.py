@@ -9,7 +9,6 @@ from realsim.errors import GapError
 from realsim.gap.answer.diagnosis import describe_set
 from realsim.gap.answer.sentence import phrase
 from realsim.gap.causes.fitted import Fit
-from realsim.gap.compare import Noise
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.experiments.choose import FINALISTS, Looked, look
 from realsim.gap.experiments.config import ExciteConfig
@@ -17,7 +16,8 @@ from realsim.gap.experiments.limits import limits_of
 from realsim.gap.experiments.plan import rig_of
 from realsim.gap.experiments.rivals import Rival, rival_of
 from realsim.gap.experiments.separation import Bench
-from realsim.gap.simulation.context import Context
+from realsim.gap.likelihood.comparison import Noise
+from realsim.gap.model.context import Context
 from realsim.gap.simulation.simulate import Simulator
 
 TELLS = "to tell them apart, record "

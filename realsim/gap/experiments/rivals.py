@@ -12,8 +12,9 @@ from realsim.errors import GapError
 from realsim.gap.causes.fitted import Fit
 from realsim.gap.effects import EFFECTS
 from realsim.gap.effects.base import Parameter, Place
-from realsim.gap.simulation.context import Context
-from realsim.gap.simulation.simulate import Setting, lookup
+from realsim.gap.effects.lookup import lookup
+from realsim.gap.model.context import Context
+from realsim.gap.simulation.simulate import Setting
 from realsim.types import F64
 
 

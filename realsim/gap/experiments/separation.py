@@ -22,14 +22,15 @@ import numpy as np
 from realsim.errors import GapError
 from realsim.gap.answer.diagnosis import MODEL_ERROR
 from realsim.gap.causes.starts import twins
-from realsim.gap.compare import CORRELATION, Comparison, Noise
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects import EFFECTS, ON_REQUEST
+from realsim.gap.effects.lookup import lookup
+from realsim.gap.effects.nuisances import NUISANCES
 from realsim.gap.experiments.limits import Limits
 from realsim.gap.experiments.plan import Experiment, Rig, planned_case
 from realsim.gap.experiments.rivals import Rival
-from realsim.gap.simulation.nuisances import NUISANCES
-from realsim.gap.simulation.simulate import Setting, Simulator, lookup
+from realsim.gap.likelihood.comparison import CORRELATION, Comparison, Noise
+from realsim.gap.simulation.simulate import Setting, Simulator
 from realsim.types import F64
 
 DRAWS = 2000

@@ -14,8 +14,8 @@ from realsim.gap.health.conventions import log_conventions, nominal_conventions
 from realsim.gap.health.signals import clocks, initial_states, missing, noise, quanta, saturation, spikes
 from realsim.gap.logs.case import Case, Run
 from realsim.gap.logs.repeats import replicates
-from realsim.gap.simulation.channels import uncompared
-from realsim.gap.simulation.edit import Edit
+from realsim.gap.model.channels import uncompared
+from realsim.gap.model.edit import Edit
 from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.simulation.start import initial_state
 

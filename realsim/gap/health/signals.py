@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from realsim.errors import GapError
-from realsim.gap.compare import DETAIL
+from realsim.gap.likelihood.comparison import DETAIL
 from realsim.gap.logs.case import Case, Run
 from realsim.gap.logs.kinks import median_size, third_differences
 from realsim.gap.logs.repeats import replicates, spread

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from realsim.gap.answer.diagnosis import Diagnosis
+from realsim.gap.model.channels import UNITS
 from realsim.gap.report.words import percent, short, signal_name
-from realsim.gap.simulation.channels import UNITS
 from realsim.report import page, svg
 
 _SATURATED = {"nominal_drive": "at its force range in the simulator", "logged_torque": "logged torque at its top"}

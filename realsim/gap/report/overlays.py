@@ -7,9 +7,9 @@ import numpy as np
 from realsim.gap.answer.arrays import Arrays
 from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.logs.case import Case
+from realsim.gap.model.channels import unit_of
 from realsim.gap.report.series import worst_windows
 from realsim.gap.report.words import HEAT, NOT_KEPT, short, signal_name
-from realsim.gap.simulation.channels import unit_of
 from realsim.gap.simulation.simulate import measured
 from realsim.report import page, raster, svg
 from realsim.report.solids import solids

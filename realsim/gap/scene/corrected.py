@@ -9,9 +9,9 @@ import numpy as np
 
 from realsim.files import check_size, inside, read_bytes, write_bytes, write_text
 from realsim.gap.answer.patch import asset_files
+from realsim.gap.camera.terrain import Terrain
 from realsim.gap.effects.terrain_tilt import multiply, quaternion
 from realsim.gap.scene.footholds import Foothold, FootholdMap
-from realsim.gap.scene.terrain import Terrain
 
 
 def write_corrected(folder: Path, terrain: Terrain, found: FootholdMap, weight: float) -> list[str]:

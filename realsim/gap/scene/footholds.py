@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from realsim.gap.camera.mixed import Fit, fit
+from realsim.gap.camera.terrain import Terrain
 from realsim.gap.logs.case import Case
-from realsim.gap.scene.mixed import Fit, fit
-from realsim.gap.scene.terrain import Terrain
 from realsim.gap.scene.touches import Touch, Touches, find_touches
 from realsim.types import F64
 

@@ -8,8 +8,8 @@ from math import degrees
 import numpy as np
 
 from realsim.gap.camera.calibrate import CameraFound
+from realsim.gap.camera.terrain import Terrain
 from realsim.gap.scene.footholds import Foothold, FootholdMap, Quantity
-from realsim.gap.scene.terrain import Terrain
 from realsim.gap.scene.verdict import SceneVerdict, said
 from realsim.report import page, svg
 

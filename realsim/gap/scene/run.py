@@ -14,11 +14,11 @@ from realsim.files import output_folder, to_json, write_text
 from realsim.gap.camera.calibrate import CameraFound, calibrate
 from realsim.gap.camera.rays import Correction
 from realsim.gap.camera.recorded import depth_camera
+from realsim.gap.camera.terrain import Terrain, load_terrain, terrain_of
 from realsim.gap.logs.case import Case, load_case
 from realsim.gap.scene.corrected import write_corrected
 from realsim.gap.scene.footholds import FootholdMap, survey
 from realsim.gap.scene.page import camera_cards, scene_page
-from realsim.gap.scene.terrain import Terrain, load_terrain, terrain_of
 from realsim.gap.scene.verdict import SceneVerdict, judge
 from realsim.types import F64
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from realsim.errors import GapError
+from realsim.gap.camera.terrain import Terrain
 from realsim.gap.evidence.inverse import drive_force, needed_force
-from realsim.gap.evidence.motion import Motion, estimate
 from realsim.gap.logs.case import Case, Run
-from realsim.gap.scene.terrain import Terrain
+from realsim.gap.logs.motion import Motion, estimate
 from realsim.types import F64
 
 REACH = 0.12

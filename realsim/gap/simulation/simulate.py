@@ -13,17 +13,16 @@ import numpy as np
 
 from realsim.errors import GapError
 from realsim.gap.config import DiagnoseConfig
-from realsim.gap.deviations import check_places, read_deviations
-from realsim.gap.effects import EFFECTS
-from realsim.gap.effects.base import Effect, Place
+from realsim.gap.effects.base import Place
+from realsim.gap.effects.deviations_file import check_places, read_deviations
+from realsim.gap.effects.lookup import lookup
 from realsim.gap.logs.case import Case, Run
+from realsim.gap.model.channels import Channel as Channel
+from realsim.gap.model.channels import channels
+from realsim.gap.model.context import Context, build_context, measure
+from realsim.gap.model.edit import Edit
 from realsim.gap.simulation.anchors import anchored
-from realsim.gap.simulation.channels import Channel as Channel
-from realsim.gap.simulation.channels import channels
-from realsim.gap.simulation.context import Context, build_context, measure
 from realsim.gap.simulation.cores import Cores
-from realsim.gap.simulation.edit import Edit
-from realsim.gap.simulation.nuisances import NUISANCES
 from realsim.gap.simulation.recent import Recent
 from realsim.gap.simulation.sampling import continuous_turn, either_side, nearest_turn
 from realsim.gap.simulation.sampling import held_mean as held_mean
@@ -350,11 +349,6 @@ class Simulator:
             before, after = either_side(raw["acc"], then, commands)
             columns["imu_acc"] = before + s.imu_phase * (after - before) + np.array(s.acc_bias)
         return np.stack([columns[c.signal][:, c.index] for c in self.channels], axis=1)
-
-
-def lookup(name: str) -> Effect:
-    """An effect of the library, or one of the nuisances."""
-    return NUISANCES[name] if name in NUISANCES else EFFECTS[name]
 
 
 def measured(run: Run, channels: Sequence[Channel]) -> F64:

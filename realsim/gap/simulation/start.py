@@ -16,7 +16,7 @@ import numpy as np
 from realsim.errors import GapError
 from realsim.gap.logs.case import Case, Run
 from realsim.gap.logs.kinks import median_size, third_differences
-from realsim.gap.simulation.edit import Edit
+from realsim.gap.model.edit import Edit
 from realsim.types import F64
 
 if TYPE_CHECKING:
@@ -208,7 +208,7 @@ def _given(case: Case, run: Run) -> Start:
 
 def _from_log(case: Case, run: Run) -> Start:
     """The state of the first samples; of parts that are not logged, the given one."""
-    from realsim.gap.evidence.motion import estimate
+    from realsim.gap.logs.motion import estimate
 
     motion = estimate(case, run)
     qpos, qvel = motion.qpos[0].copy(), motion.qvel[0].copy()

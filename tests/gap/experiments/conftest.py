@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from realsim.gap import DiagnoseConfig, load_case
-from realsim.gap.compare import Comparison
 from realsim.gap.experiments.limits import limits_of
 from realsim.gap.experiments.plan import rig_of
 from realsim.gap.experiments.rivals import Part, Rival
 from realsim.gap.experiments.separation import Bench
+from realsim.gap.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
 from ..truth import PENDULUM, Truth, make_case

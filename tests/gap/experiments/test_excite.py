@@ -12,8 +12,8 @@ import pytest
 from realsim.cli import main
 from realsim.errors import GapError
 from realsim.gap import load_case
+from realsim.gap.excite import excite
 from realsim.gap.experiments.config import ExciteConfig
-from realsim.gap.experiments.excite import excite
 from realsim.gap.logs.split import split_runs
 from realsim.gap.provenance import engine
 

@@ -13,9 +13,9 @@ import realsim as rs
 from benchmarks.crossings import Truth, make_case
 from realsim.cli import main
 from realsim.errors import GapError, RealsimError
+from realsim.gap.camera.mixed import fit
+from realsim.gap.camera.terrain import CELL, load_terrain
 from realsim.gap.logs.case import load_case
-from realsim.gap.scene.mixed import fit
-from realsim.gap.scene.terrain import CELL, load_terrain
 from realsim.gap.scene.touches import Part, clearance
 
 XML = """<mujoco><worldbody><geom name="ground" type="plane" size="1 1 .1"/>

@@ -8,7 +8,7 @@ import numpy as np
 
 from realsim.gap.experiments.excitations.motions import sines
 from realsim.gap.experiments.plan import Experiment, Rig
-from realsim.gap.simulation.groups import kind_of
+from realsim.gap.model.groups import kind_of
 
 PUSH_HZ = 1.0
 AWAY = 0.06

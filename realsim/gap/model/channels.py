@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from realsim.gap.logs.case import Case
-from realsim.gap.simulation.context import base_body
+from realsim.gap.model.context import base_body
 
 UNITS = {
     "joint_pos": "rad",

@@ -15,15 +15,16 @@ from typing import Any
 import numpy as np
 
 from realsim.errors import GapError
-from realsim.gap.causes import figures
-from realsim.gap.causes.linear import Evidence, scaled
-from realsim.gap.compare import Comparison
+from realsim.gap import figures
 from realsim.gap.effects import EFFECTS, ON_REQUEST
 from realsim.gap.effects.base import Effect, Parameter, Place
-from realsim.gap.simulation.groups import like_joints
-from realsim.gap.simulation.nuisances import NUISANCES
+from realsim.gap.effects.lookup import lookup
+from realsim.gap.effects.nuisances import NUISANCES
+from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.likelihood.linear import Evidence, scaled
+from realsim.gap.model.groups import like_joints
 from realsim.gap.simulation.recent import Recent
-from realsim.gap.simulation.simulate import Setting, Simulator, lookup
+from realsim.gap.simulation.simulate import Setting, Simulator
 from realsim.types import F32, F64
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from realsim.gap.effects.base import Effect, Parameter, Place, always
-from realsim.gap.simulation.edit import Edit
+from realsim.gap.model.edit import Edit
 
 MANY_JOINTS = 8
 """Driven joints from which on what the time step does to all of them at once can be told from their own deviations.

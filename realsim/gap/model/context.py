@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from realsim.gap.deviations import Deviations
 from realsim.gap.logs.case import Case
+from realsim.gap.model.deviations import Deviations
 from realsim.types import F64
 
 

@@ -57,8 +57,8 @@ together, and in the check. Above it a cause is not wrong, but something else is
 NEAR, NEAR_SHARE = 20.0, 0.15
 """Nats, and share of what the best removes, within which a fit can still catch up with the best by fitting further.
 Budget."""
-WORTH, WORTH_SHARE, FITTED, PLACES = 5.0, 0.04, 8, 3
-"""Candidates of the linear screen that are fitted: those above WORTH nats and this share of the leader, FITTED of them,
+WORTH_SHARE, FITTED, PLACES = 0.04, 8, 3
+"""Candidates of the linear screen that are fitted: those above CLEARLY and this share of the leader, FITTED of them,
 at most so many PLACES of an effect, the best place of each first; of as many effects the best place is looked at twice.
 Budget; 5 nats instead of 10 were set on the same leg, and gain what SCALES names, together."""
 PROBED, SIZES = 12, (2.0, 0.7, -0.7, -2.0)

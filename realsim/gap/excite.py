@@ -10,15 +10,17 @@ from threadpoolctl import threadpool_limits
 
 from realsim.errors import GapError
 from realsim.files import output_folder, read_json
-from realsim.gap.compare import Comparison
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.experiments.choose import Looked, look
 from realsim.gap.experiments.config import ExciteConfig
 from realsim.gap.experiments.proposal import bench_of, described
 from realsim.gap.experiments.rivals import Rival, rivals_from
 from realsim.gap.experiments.write import write_experiment
+from realsim.gap.likelihood.comparison import Comparison
 from realsim.gap.logs.case import Case, load_case
 from realsim.gap.logs.recordings import RECORDED
+from realsim.gap.pipeline import diagnose as diagnosed
+from realsim.gap.pipeline import limited
 from realsim.gap.provenance import engine
 from realsim.gap.simulation.simulate import Simulator
 
@@ -89,11 +91,9 @@ def _looked(
 
 def _read(source: Path, folder: Path | None, settings: DiagnoseConfig, tick: Progress) -> tuple[Case, list[Any]]:
     """(case, rivals as in diagnosis.json)."""
-    from realsim.gap.pipeline import diagnose, limited
-
     if not (source / "diagnosis.json").is_file():
         case = limited(load_case(source), settings)
-        found = diagnose(case, settings, tick).as_dict()
+        found = diagnosed(case, settings, tick).as_dict()
         return case, _rivals(found, source)
     found = read_json(source / "diagnosis.json")
     if not isinstance(found, Mapping):

@@ -11,7 +11,7 @@ from realsim.gap.logs.setups import Setup
 from realsim.types import F64
 
 if TYPE_CHECKING:
-    from realsim.gap.simulation.context import Context
+    from realsim.gap.model.context import Context
 
 STIFFEST = 2.2
 """Time steps in which a constraint gives way at the fastest; below 2, MuJoCo takes 2."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from realsim.gap.causes import figures
+from realsim.gap import figures
 from realsim.types import F64
 
 
