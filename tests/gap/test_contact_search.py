@@ -87,6 +87,17 @@ def test_a_height_is_found_short_of_one_at_which_the_foot_meets_other_ground(qua
     assert best.named == {"height": pytest.approx(-0.015)}
 
 
+def test_ground_that_slants_is_looked_at_about_each_axis(quadruped: Case, monkeypatch) -> None:  # noqa: F811
+    """Slopes of feet that slip and land tell badly which way: their direction alone would miss it."""
+    wrong = lambda screen, here: [(0.0, c, np.ones(len(c.linear))) for c in screen.candidates]  # noqa: E731
+    monkeypatch.setattr("realsim.gap.causes.proposals.ranked", wrong)
+    case = logged(logged(quadruped, []), [("terrain_tilt", (), {"roll": -0.03})])
+    with fitter_for(case, ("terrain_tilt",)) as fitter:
+        best = next(by_simulation(fitter, fitter.nominal())).causes[0]
+    assert best.candidate.names == ("roll",)
+    assert best.named["roll"] == pytest.approx(-0.03, abs=0.01)
+
+
 @pytest.mark.parametrize(("left", "gap"), [(1.3, False), (1.5, True)])
 def test_whether_there_is_a_gap_is_judged_beside_simulated_deviations(
     quadruped: Case,  # noqa: F811

@@ -14,7 +14,7 @@ from realsim.gap.answer.conclusion import _at_an_end
 from realsim.gap.causes.fit import Cause, Fitter, _at_bound
 from realsim.gap.causes.leftover import leftover
 from realsim.gap.causes.proposals import by_slopes, ranked
-from realsim.gap.causes.score import asked, score
+from realsim.gap.causes.score import asked, doubts, score
 from realsim.gap.causes.search import Search
 from realsim.gap.causes.windows import _best_window
 from realsim.gap.effects.base import Parameter
@@ -193,6 +193,19 @@ def test_a_cause_on_feet_takes_its_share_of_all(
     assert found is not None
     assert leftover(screen, found).mean() < 1  # beside the right cause noise stays, and feet
     assert asked(screen, replace(found, misfit=1000.0)) == max(CLEARLY, 1000.0 * SHARE * touches)
+
+
+def test_a_first_cause_on_feet_holds_on_runs_left_out(fitter: Fitter, monkeypatch) -> None:
+    """With a fixed base the check is on it alone: deviations imitate it on runs left out."""
+    nothing = fitter.nominal()
+    found = fitter.fit([_cause(fitter, "motor_gain", -0.2)])
+    assert found is not None
+    monkeypatch.setattr("realsim.gap.causes.score.left_out", lambda *_: (-0.1, 0.2))
+    monkeypatch.setattr(fitter.screen, "gap", True)
+    for touches in (False, True):
+        monkeypatch.setattr(fitter.screen.simulator.context, "touches", touches)
+        said = doubts(fitter, nothing, found)[0]
+        assert said == ["does not hold on runs left out in turn"] * touches
 
 
 def test_a_first_cause_is_cheap_where_deviations_leave_a_gap(fitter: Fitter) -> None:

@@ -74,7 +74,7 @@ def by_simulation(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     abrupt: dict[str, list[tuple[Candidate, F64]]] = {}
     for _, c, estimate in ranked(fitter.screen, here):
         effect = lookup(c.effect)
-        stands = fitter.screen.simulator.context.touches and c.names == effect.footing
+        stands = fitter.screen.simulator.context.touches and set(c.names) <= set(effect.footing)
         if len(c.places) == 1 and (effect.abrupt or stands):
             abrupt.setdefault(c.effect, []).append((c, estimate))
     for candidates in abrupt.values():

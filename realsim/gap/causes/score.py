@@ -68,10 +68,10 @@ def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | N
     if gain < least:
         found.append(f"gains {gain:.1f} nats, must gain {least:.1f}")
     held = left_out(fitter, before, after)
-    # Deviations imitate a first cause beside a gap on runs left out as well as on the others, at their price: the check
-    # is on it, without them.
-    instead = fitter.screen.gap and not before.causes
-    if held is not None and not (instead or _holds(*held)):
+    # Deviations imitate a first cause on runs left out as well as on the others, at their price: the check is on it,
+    # without them. Feet may slip with it in some runs only.
+    alone = not before.causes and not fitter.screen.simulator.context.touches
+    if held is not None and not (alone or _holds(*held)):
         found.append("does not hold on runs left out in turn")
     return found, held
 
