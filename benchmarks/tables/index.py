@@ -60,6 +60,11 @@ INDEX = (
     ("Pushes that a policy withstands", "pushes", "python benchmarks/pushes.py"),
     ("Fine-tuning on one test", "ttt", "python benchmarks/ttt.py run --minutes 5"),
     (
+        "Fine-tuning on all tests, by number of worlds",
+        "ttt_worlds",
+        "python benchmarks/ttt.py run --methods ttt13f --minutes 8 --worlds 8192 --store FILE",
+    ),
+    (
         "Footholds: what a log says of the terrain",
         "footholds",
         "python -m benchmarks.footholds",
@@ -99,6 +104,7 @@ KEYS = {
     "trainer_speed": ("case",),
     "trainer_tune": ("start", "speed", "seed"),
     "ttt": ttt.KEY,
+    "ttt_worlds": (*ttt.KEY, "worlds"),
     "loops": ("place",),
     "parkour": parkour.KEY,
 }

@@ -34,6 +34,7 @@ from benchmarks.tables.index import index
 from benchmarks.tables.policies import (
     all_reconstructed,
     base,
+    by_worlds,
     kept,
     pushed,
     quadruped_base,
@@ -67,6 +68,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "kept with pushes": kept,
     "test-time training on reconstructions": reconstructed,
     "test-time training on all reconstructions": all_reconstructed,
+    "test-time training by worlds": by_worlds,
     "test-time training by strategy": strategies,
     "footholds": footholds,
     "damaged": damaged,

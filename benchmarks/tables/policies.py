@@ -48,6 +48,19 @@ def all_reconstructed() -> list[str]:
     return ttt.table([r for r in stored("ttt")["rows"] if r["base"] == SHIPS and r["method"] == "ttt13f"], {SHIPS: ""})
 
 
+def by_worlds() -> list[str]:
+    """One policy for all tests after eight minutes, by how many worlds practise at once; every run."""
+    lines = ["| worlds | seed | iterations | mean | all randomisation | self-collision | `stake2` |", "|---" * 7 + "|"]
+    rows = stored("ttt_worlds")["rows"]
+    for worlds, seed in sorted({(r["worlds"], r["seed"]) for r in rows}):
+        of = [r for r in rows if (r["worlds"], r["seed"]) == (worlds, seed)]
+        means = [100 * sum(r[k] for r in of) / sum(r["trials"] for r in of) for k in ("won", "won_robust", "won_self")]
+        hard = next(100 * r["won"] / r["trials"] for r in of if r["test"] == "stake2")
+        shares = " | ".join(f"{share:.1f} %" for share in (*means, hard))
+        lines.append(f"| {worlds} | {seed} | {of[0]['iterations']} | {shares} |")
+    return lines
+
+
 def strategies() -> list[str]:
     """The same, fine-tuned in part, on the tests on which that was tried."""
     rows = [r for r in _of_one_test() if r["source"] == "exact"]
