@@ -12,8 +12,10 @@ import pytest
 
 from realsim.gap import EFFECTS, Case, DiagnoseConfig
 from realsim.gap.causes.fit import Cause, Fit, Fitter
+from realsim.gap.causes.leftover import deviations, is_gap, leftover
 from realsim.gap.causes.proposals import by_simulation
 from realsim.gap.causes.search import Search
+from realsim.gap.causes.second_look import second_look
 from realsim.gap.likelihood.comparison import Comparison
 from realsim.gap.likelihood.screen import Candidate, Screen
 from realsim.gap.simulation.simulate import Simulator
@@ -42,9 +44,9 @@ def at(fitter: Fitter, effect: str, place: str, value: float) -> Fit:
 
 
 def test_causes_and_deviations_are_settled_together_and_nothing_else_moves(quadruped: Case) -> None:  # noqa: F811
-    deviations = [("motor_gain", (j,), {"ratio": 0.04}) for j in ("fl_thigh", "hr_calf")]
+    weaker = [("motor_gain", (j,), {"ratio": 0.04}) for j in ("fl_thigh", "hr_calf")]
     cause = ("coulomb_friction", ("fl_calf",), {"friction": 1.0})
-    case = logged(logged(quadruped, []), [cause, *deviations])
+    case = logged(logged(quadruped, []), [cause, *weaker])
     with fitter_for(case, ("coulomb_friction", "motor_gain")) as fitter:
         before, about = at(fitter, "coulomb_friction", "fl_calf", 0.8), fitter.about.copy()
         after = fitter.settled(before)
@@ -52,6 +54,33 @@ def test_causes_and_deviations_are_settled_together_and_nothing_else_moves(quadr
         assert after.about.any()
         assert after.misfit < before.misfit
         assert 0.8 < after.causes[0].values[0] < 1.1
+
+
+def test_deviations_move_by_part_of_a_step_that_goes_too_far(quadruped: Case, monkeypatch) -> None:  # noqa: F811
+    """Slopes of feet that land may overshoot: here by a factor of three."""
+    weaker = [("motor_gain", (j,), {"ratio": 0.04}) for j in ("fl_thigh", "hr_calf")]
+    case = logged(logged(quadruped, []), weaker)
+    with fitter_for(case, ("motor_gain",)) as fitter:
+        before = fitter.nominal()
+        monkeypatch.setattr("realsim.gap.causes.fit.deviations", lambda screen, fit: 3 * deviations(screen, fit))
+        after = fitter.beside_own(before)
+        assert fitter._cost(after) < 0.5 * fitter._cost(before)
+
+
+def test_a_set_may_have_the_deviations_that_its_neighbours_found(quadruped: Case, monkeypatch) -> None:  # noqa: F811
+    """Else a cause that does nothing gains what only other deviations do."""
+    weaker = [("motor_gain", (j,), {"ratio": 0.04}) for j in ("fl_thigh", "hr_calf")]
+    case = logged(logged(quadruped, []), weaker)
+    with fitter_for(case, ("coulomb_friction", "motor_gain")) as fitter:
+        nothing, idle = fitter.nominal(), at(fitter, "coulomb_friction", "fl_calf", 0.0)
+        lucky = fitter.beside_own(idle)
+        monkeypatch.setattr(fitter, "settled", lambda fit: lucky if fit.causes else fit)
+        fitter.screen.gap = False
+        here, (found,) = second_look(fitter, nothing, [idle])
+        assert fitter.screen.gap == is_gap(leftover(fitter.screen, here))
+        assert found.misfit < fitter.remeasure(nothing).misfit
+        assert here.misfit <= found.misfit + 1e-6
+        assert not here.causes
 
 
 @pytest.mark.slow

@@ -77,19 +77,28 @@ class Fitter(GaussNewton):
         self.about = np.where([atom.effect in ways for atom in self.screen.atoms], self.about, 0.0)
         return self.reweighted(self.looked_at(fit, fit.causes) or fit)
 
-    def beside_own(self, fit: Fit, rounds: int = 4) -> Fit:
+    def beside_own(self, fit: Fit) -> Fit:
         """The same causes beside the everyday deviations that are most probable beside them, by simulation: slopes lead
-        there in a few rounds, as long as the simulation itself comes nearer."""
+        there in a few steps, each halved where the simulation itself does not come nearer."""
         whole = [atom.parameter.whole for atom in self.screen.atoms]
         with self.beside_those_of(fit):
-            for _ in range(rounds):
+            nearer: Fit | None = fit
+            while nearer is not None:
+                fit, nearer = nearer, None
                 x = self.screen.possible(fit.evidence.centre + deviations(self.screen, fit))
-                self.about = np.where(whole, self.about, x)
-                moved = self.looked_at(fit, fit.causes)
-                if moved is None or self._cost(moved) > self._cost(fit) - 2 * figures.CLEARLY:
-                    break
-                fit = moved
+                for share in (1.0, 0.5, 0.25):
+                    self.about = np.where(whole, fit.about, fit.about + share * (x - fit.about))
+                    moved = self.looked_at(fit, fit.causes)
+                    if moved is not None and self._cost(moved) < self._cost(fit) - 2 * figures.CLEARLY:
+                        nearer = moved
+                        break
         return fit
+
+    def beside_those(self, other: Fit, fit: Fit) -> Fit | None:
+        """The causes of a fit beside deviations that are searched for from those of another one."""
+        with self.beside_those_of(other):
+            there = self.looked_at(fit, fit.causes)
+        return self.beside_own(there) if there is not None else None
 
     def settled(self, fit: Fit) -> Fit:
         """The set beside its own everyday deviations. Where feet slip and land, its last cause is moved to where the

@@ -11,7 +11,7 @@ def _places(context: Context) -> list[Place]:
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("ratio", "ratio", (-0.92, 2.0), -0.4, nuisance=0.04, report=lambda z: 1 + z),)
+    return (Parameter("ratio", "ratio", (-0.92, 2.0), -0.4, nuisance=0.1, report=lambda z: 1 + z),)
 
 
 def _excited(context: Context, place: Place) -> Excitation:

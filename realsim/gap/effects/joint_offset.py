@@ -26,9 +26,9 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 
 def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[Suggestion]:
-    """Play in the gear that the load keeps on one side."""
-    off = max(abs(values.get("reading_offset", 0.0)), abs(values.get("offset", 0.0)))
-    return [Suggestion("backlash", place, {"gap": 2 * off})] if off else []
+    """Where only the logged encoder is off, play in the gear that the load keeps on one side."""
+    read = values.get("reading_offset", 0.0)
+    return [Suggestion("backlash", place, {"gap": 2 * abs(read)})] if read else []
 
 
 EFFECT = Effect(
