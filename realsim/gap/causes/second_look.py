@@ -35,7 +35,7 @@ def second_look(fitter: Fitter, here: Fit, fits: Sequence[Fit]) -> tuple[Fit, li
     # Feet that land leave many optima of the deviations: the set itself may have those that its neighbours found.
     heres = [settled[0], *filter(None, (fitter.beside_those(f, here) for f in settled[1:]))]
     here = min(map(fitter.remeasure, heres), key=lambda f: f.misfit)
-    if simulator.context.touches and not here.causes:  # and leave no gap beside those
+    if not here.causes:  # and leave no gap beside those
         screen.gap = is_gap(leftover(screen, here))
     again = map(fitter.remeasure, settled[1:])
     return here, sorted(again, key=lambda f: score(screen, f))
