@@ -74,6 +74,8 @@ SLIDES = (0.3, 0.1, 0.03)
 land. Budget."""
 
 # ---------------------------------------------------------------- fits
+PARTS = (1.0, 0.5, 0.25)
+"""Shares of a step of the everyday deviations that are tried, until the simulation comes nearer. Budget."""
 WIDE = 0.1
 """Share of a step over which slopes are taken: wide differences see through sticking friction."""
 PACES = 6.0

@@ -86,7 +86,7 @@ class Fitter(GaussNewton):
             while nearer is not None:
                 fit, nearer = nearer, None
                 x = self.screen.possible(fit.evidence.centre + deviations(self.screen, fit))
-                for share in (1.0, 0.5, 0.25):
+                for share in figures.PARTS:
                     self.about = np.where(whole, fit.about, fit.about + share * (x - fit.about))
                     moved = self.looked_at(fit, fit.causes)
                     if moved is not None and self._cost(moved) < self._cost(fit) - 2 * figures.CLEARLY:

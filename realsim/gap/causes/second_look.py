@@ -32,10 +32,10 @@ def second_look(fitter: Fitter, here: Fit, fits: Sequence[Fit]) -> tuple[Fit, li
     best = sorted(ways.values(), key=lambda f: score(screen, f))[: figures.PLACES]
     settled = [fitter.settled(f) for f in (here, *best)]
     fitter.reweighted(min(settled[1:], key=lambda f: score(screen, f)))
-    # Feet that land leave many optima of the deviations: the set itself may have those that its neighbours found.
+    # Deviations have many optima, above all where feet land: the set itself may have those that its neighbours found.
     heres = [settled[0], *filter(None, (fitter.beside_those(f, here) for f in settled[1:]))]
     here = min(map(fitter.remeasure, heres), key=lambda f: f.misfit)
-    if not here.causes:  # and leave no gap beside those
+    if not here.causes:  # beside those there may be no gap
         screen.gap = is_gap(leftover(screen, here))
     again = map(fitter.remeasure, settled[1:])
     return here, sorted(again, key=lambda f: score(screen, f))
