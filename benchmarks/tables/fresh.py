@@ -15,10 +15,10 @@ BEFORE = (1823, "304381d")
 """The same of the one before."""
 FIXED, WALKING = ("pendulum", "arm2", "arm6"), ("quadruped", "g1")
 COLUMNS = {
-    "2023, fixed base": (FRESH, FIXED),
-    "2023, walking": (FRESH, WALKING),
-    "2023, all": (FRESH, (*FIXED, *WALKING)),
-    "1823, all, by a search before": (BEFORE, (*FIXED, *WALKING)),
+    f"{FRESH[0]}, fixed base": (FRESH, FIXED),
+    f"{FRESH[0]}, walking": (FRESH, WALKING),
+    f"{FRESH[0]}, all": (FRESH, (*FIXED, *WALKING)),
+    f"{BEFORE[0]}, all, by a search before": (BEFORE, (*FIXED, *WALKING)),
 }
 """Title -> the engine on its seed, and which robots."""
 WANTED = {
