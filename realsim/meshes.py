@@ -40,7 +40,7 @@ def loose_vertices(path: Path, count: int, triangles: NDArray[Any]) -> str | Non
 
 
 def lonely_vertex(points: NDArray[Any]) -> str | None:
-    """A sentence where a single vertex of (V, 3) makes a mesh more than twice as long as it is without it."""
+    """A sentence where one vertex of (V, 3), of a mesh or a cloud, makes it more than twice as long as without it."""
     if len(points) < 8:
         return None
     low, high = (np.sort(np.partition(points, ends, axis=0)[ends], axis=0) for ends in ([0, 1], [-2, -1]))
@@ -50,9 +50,7 @@ def lonely_vertex(points: NDArray[Any]) -> str | None:
         without = np.where(last == k, high[0], high[1]) - np.where(first == k, low[1], low[0])
         if size > 2 * float(without.max()):
             place = ", ".join(f"{v:.4g}" for v in points[k])
-            return (
-                f"a single vertex at {place} makes the mesh {size / float(without.max()):.1f} times as long: damaged?"
-            )
+            return f"a single vertex at {place} makes it {size / float(without.max()):.1f} times as long: damaged?"
     return None
 
 

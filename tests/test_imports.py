@@ -16,6 +16,7 @@ from realsim.errors import EXTRA_OF
 ROOT = Path(__file__).resolve().parents[1]
 BASE = {
     "types",
+    "contact_limits",
     "correlation",
     "errors",
     "registry",

@@ -82,9 +82,10 @@ def _said(cloud: Cloud, labels: Labels, bounds: F64, left: list[F64], margin: fl
     said = []
     share = float(np.mean(outside[labels == Label.GROUND])) if (labels == Label.GROUND).any() else 0.0
     if share > 0.005:
-        said.append(f"{100 * share:.0f} percent of the seen ground, further than {margin:g} m from the terrain")
+        far = f"further than {margin:g} m from the terrain (--keep all keeps it)"
+        said.append(f"{100 * share:.0f} percent of the seen ground, {far}")
     for cluster in left:
-        centre, extent = cluster.mean(0), np.ptp(cluster, axis=0)
+        centre, extent = cluster.mean(0), np.ptp(cluster, axis=0) + cloud.voxel
         said.append(
             f"an object of {extent[0]:.1f} x {extent[1]:.1f} m at x {centre[0]:.1f}, y {centre[1]:.1f} m, "
             "away from the terrain"

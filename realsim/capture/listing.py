@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from realsim.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
+from realsim.errors import PoseError
 
 COLOR_FOLDERS = ("color", "colour", "rgb", "image", "images")
 DEPTH_FOLDERS = ("depth", "depths", "depth_images")
@@ -36,6 +38,22 @@ def list_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
         return []
     found = [p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith(".")]
     return sorted(found, key=lambda p: natural_key(p.name))
+
+
+def pose_file(folder: Path, names: Sequence[str]) -> Path | None:
+    """The first of the names that is a file, or None where there is nothing of such a name.
+
+    Raises:
+        PoseError: a broken link, a folder or a pipe has the name: poses were meant, and must not be missed in silence.
+    """
+    there = [folder / name for name in names if os.path.lexists(folder / name)]
+    if found := next((path for path in there if path.is_file()), None):
+        return found
+    if there:
+        hint = "mend or remove it, or pass --ignore-poses"
+        what = "a link to nothing" if there[0].is_symlink() and not there[0].exists() else "no file"
+        raise PoseError("the camera poses cannot be read", file=there[0], expected="a file", found=what, hint=hint)
+    return None
 
 
 def single_file(path: Path, suffixes: Sequence[str]) -> Path | None:

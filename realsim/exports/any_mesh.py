@@ -11,6 +11,7 @@ from typing import Any
 from realsim.errors import ExportError
 from realsim.exports.config import SceneConfig
 from realsim.exports.contact.heatmap import heatmap_png
+from realsim.contact_limits import shares
 from realsim.exports.ground import DEEP, GroundLevel, ground_level, hidden_cm2
 from realsim.exports.mend import read_mesh
 from realsim.exports.scene import write_terrain
@@ -83,10 +84,10 @@ def _under_the_ground(mesh: Path, ground: GroundLevel, found: str) -> ExportErro
 def contact_verdict(contact: Mapping[str, Any], tolerance: tuple[float, float]) -> dict[str, Any]:
     """Whether collision geometry can be used, JSON-able: `level` (good, look, bad), `headline`, `reasons`, `next`.
 
-    Bad is what lets a robot fall through or hides part of the mesh; look is a tolerance that is not met.
+    Bad is what lets a robot fall or walk through, or hides part of the mesh; look is a tolerance that is not met.
 
     Args:
-        contact: the figures of the measure, and `hidden_cm2`.
+        contact: the figures of the measure, and `hidden_cm2`; `drop` and `sides` may be missing.
         tolerance: metres at the median and at the 95th percentile.
     """
     bad, look, todo = [], [], []
@@ -103,7 +104,11 @@ def contact_verdict(contact: Mapping[str, Any], tolerance: tuple[float, float]) 
             look.append(f"The contact error is {found:.1f} mm ({name}), above the limit of {1000 * most:g} mm.")
     if contact["phantom_over_gaps_cm2"]:
         look.append(f"{contact['phantom_over_gaps_cm2']:.0f} cm2 of contact surface span gaps that a foot fits in.")
-    if look:
+    off = [(name, share, check, reject) for name, share, check, reject in shares(contact) if share > check]
+    for name, share, check, reject in off:
+        most, said = (reject, bad) if share > reject else (check, look)
+        said.append(f"{name}: {share:.1%}, above the limit of {most:.0%}.")
+    if look or off:
         todo.append("look at contact.png, and try another --contact or a finer --hfield-resolution")
     level = "bad" if bad else "look" if look else "good"
     return {"level": level, "headline": HEADLINES[level], "reasons": bad + look, "next": todo}

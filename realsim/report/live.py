@@ -22,7 +22,7 @@ def view(folder: Path, port: int = 8080, *, wait: bool = True) -> Any:
     """Serve a scene on this machine until interrupted.
 
     Args:
-        folder: a folder that `realsim reconstruct` wrote.
+        folder: that `realsim reconstruct` or `realsim contact` wrote; the latter has no cameras and no platforms.
         port: where the page is served (http://localhost:PORT).
         wait: False returns the running server at once; `server.stop()` ends it.
 
@@ -33,15 +33,17 @@ def view(folder: Path, port: int = 8080, *, wait: bool = True) -> Any:
         MissingExtraError: viser is not installed.
         RealsimError: no scene in the folder.
     """
-    for name in ("scene.xml", "mesh.ply", "mesh.glb", "report.json"):
+    for name in ("scene.xml", "mesh.ply", "mesh.glb"):
         if not (folder / name).is_file():
-            raise RealsimError("no scene here", file=folder / name, hint="give a folder made by `realsim reconstruct`")
+            hint = "give a folder made by `realsim reconstruct` or `realsim contact`"
+            raise RealsimError("no scene here", file=folder / name, hint=hint)
         check_size(folder / name)
     try:
         import viser
     except ImportError as error:
         raise MissingExtraError("viser", "viewer", "the live viewer") from error
-    report = read_json(folder / "report.json")
+    said = folder / "report.json"
+    report = read_json(said) if said.is_file() else {}
     with contextlib.redirect_stdout(io.StringIO()):  # viser prints a table of its own, whatever `verbose` says
         server = viser.ViserServer(
             host="127.0.0.1", port=port, label=f"realsim: {folder.absolute().name}", verbose=False
@@ -159,7 +161,7 @@ def _frames(server: Any, report: dict[str, Any]) -> list[Any]:
 def _platforms(server: Any, report: dict[str, Any]) -> list[Any]:
     """The rectangle of every platform's top, and its role."""
     handles = []
-    for i, p in enumerate(report["platforms"]):
+    for i, p in enumerate(report.get("platforms", ())):
         centre, (length, width, _) = np.asarray(p["centroid"], float), p["size"]
         c, s = np.cos(p["yaw"]), np.sin(p["yaw"])
         ring = 0.5 * np.array(

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from realsim.contact_limits import shares
 from realsim.report.page import Level
 from realsim.types import F64, Dropped, Reconstruction, ScaleEstimate
 
@@ -281,19 +282,9 @@ def unseen_share(result: Reconstruction) -> float:
 
 
 def _contact(result: Reconstruction) -> Iterator[Check]:
-    """What a robot would feel against what the cameras saw. The limits to reject are wide of what five real captures
-    have (at most 4 % through), and far below a corridor that had lost its walls (99 %)."""
-    contact = result.scene.contact
-    drop, sides = contact.get("drop"), contact.get("sides")
-    if drop:
-        off = drop["phantom_share"] + drop["missing_share"]
-        name = "Places where the collision geometry is off by more than 2 cm in height"
-        yield graded(name, off, 0.05, 0.5, percent, advice=_TOUCH)
-    if sides and sides["stopped"] is not None:
-        yield graded(
-            "Rays from the side that pass through what was seen", sides["through"], 0.05, 0.25, percent, advice=_TOUCH
-        )
-        yield graded("Rays from the side that stop in free air", sides["early"], 0.05, 0.5, percent, advice=_TOUCH)
+    """What a robot would feel against what the cameras saw."""
+    for name, share, look, bad in shares(result.scene.contact):
+        yield graded(name, share, look, bad, percent, advice=_TOUCH)
 
 
 def _upward(result: Reconstruction) -> F64:

@@ -6,12 +6,13 @@ import contextlib
 import os
 import shutil
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from realsim.capture import CaptureConfig, read
-from realsim.errors import CaptureError, RealsimError
+from realsim.errors import CaptureError, PoseError, RealsimError
 
 from .damage import cut, reason
 from .scene import CAMERA, walk
@@ -204,6 +205,26 @@ def test_what_is_no_file_is_a_frame_that_was_dropped(layout, name, kind, tmp_pat
     (tmp_path / name).unlink()
     BROKEN[kind](tmp_path / name)
     assert reason(frames_of(tmp_path), (tmp_path / name).stem)
+
+
+POSES = {
+    "open3d": "trajectory.log",
+    "tum": "groundtruth.txt",
+    "stray": "odometry.csv",
+    "arkitscenes": "lowres_wide.traj",
+}
+
+
+@pytest.mark.parametrize("kind", list(BROKEN))
+@pytest.mark.parametrize("layout", list(POSES))
+def test_poses_that_are_no_file_are_not_taken_for_none(layout, kind, tmp_path):
+    WRITERS[layout](tmp_path, walk(6))
+    for path in tmp_path.rglob(POSES[layout]):
+        path.unlink()
+        BROKEN[kind](path)
+    with pytest.raises(PoseError, match=POSES[layout]):
+        read(tmp_path, CONFIG)
+    assert all(f.T_world_camera is None for f in read(tmp_path, replace(CONFIG, ignore_poses=True)).frames)
 
 
 def test_a_frame_without_confidence_is_said(tmp_path):

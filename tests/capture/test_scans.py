@@ -317,3 +317,13 @@ def test_a_face_that_cannot_be_read_and_a_vertex_far_from_all_others_are_said(tm
     vertex = next(line for line in text.splitlines() if line.startswith("v "))
     path.write_text(text.replace(vertex, "v 9 0 0"))
     assert any("a single vertex at 9, 0, 0" in w for w in read(tmp_path, CaptureConfig()).warnings)
+
+
+def test_a_wild_point_of_a_cloud_is_said(tmp_path):
+    rng = np.random.default_rng(0)
+    points = rng.uniform([0, 0, 0], [3, 2, 0.1], (5000, 3))
+    for name, wild in (("near", 2.9), ("far", 1.7e13)):
+        points[7, 0] = wild
+        trimesh.PointCloud(points).export(tmp_path / f"{name}.ply")
+    assert not read(tmp_path / "near.ply", CaptureConfig()).warnings
+    assert any("a single vertex at 1.7e+13" in w for w in read(tmp_path / "far.ply", CaptureConfig()).warnings)

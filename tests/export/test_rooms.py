@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks.rooms import ROOMS
 from benchmarks.solids import terrain
+from realsim.exports.any_mesh import contact_verdict
 from realsim.exports.contact.boxes import boxes
 from realsim.exports.contact.choose import fit_contact
 from realsim.exports.contact.fidelity import OFF, measure
@@ -37,6 +38,10 @@ def test_columns_know_no_wall_that_was_seen_from_one_side() -> None:
     assert found.figures["sides"]["through"] > 0.97
     assert found.figures["sides"]["balls_through"] > 0.97
     assert not found.meets(*CONFIG.contact_tolerance)
+    verdict = contact_verdict(found.figures | {"hidden_cm2": 0.0}, CONFIG.contact_tolerance)
+    assert verdict["level"] == "bad"
+    assert any("pass through what was seen" in said for said in verdict["reasons"])
+    assert verdict["next"]
 
 
 @pytest.mark.parametrize("name", ["corridor", "room", "table", "chair"])

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import trimesh
 
+import realsim as rs
 from realsim.errors import RealsimError
 from realsim.report import write_report
 from realsim.report.live import view
@@ -31,6 +32,15 @@ def test_viewer_serves_and_stops(tmp_path: Path) -> None:
         server.stop()
     with pytest.raises((urllib.error.URLError, ConnectionError)):
         urllib.request.urlopen(url, timeout=120)
+
+
+def test_viewer_shows_a_scene_of_a_mesh(tmp_path: Path) -> None:
+    """`realsim contact` writes no report.json: there are no cameras and no platforms to show."""
+    pytest.importorskip("viser")
+    trimesh.creation.box((1.0, 0.6, 0.2)).export(tmp_path / "box.stl")
+    rs.contact(tmp_path / "box.stl", tmp_path / "out")
+    server = view(tmp_path / "out", 18432, wait=False)
+    server.stop()
 
 
 def test_viewer_says_what_is_missing(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from realsim.capture.config import CaptureConfig
 from realsim.capture.images import ConfidenceImage, DepthImage, common_size
 from realsim.capture.intrinsics import Camera, no_intrinsics
 from realsim.capture.layout import PHONE, Layout, Recognition
-from realsim.capture.listing import Pair, list_files
+from realsim.capture.listing import Pair, list_files, pose_file
 from realsim.errors import CaptureError, PoseError
 from realsim.files import read_text
 from realsim.geometry import exp_so3, invert_T, make_T
@@ -71,8 +71,9 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     pairs = [Pair(color[i].stem, color[i], depth[j]) for i, j in matches]
     reason = f"no depth image within {config.max_time_difference:g} s"
     lonely = tuple(Dropped(p.stem, reason) for p in color if p.stem not in times)
-    posed = (root / TRAJECTORY).is_file() and not config.ignore_poses
-    poses = poses_at(root / TRAJECTORY, times, config) if posed else {}
+    trajectory = None if config.ignore_poses else pose_file(root, (TRAJECTORY,))
+    posed = trajectory is not None
+    poses = {} if trajectory is None else poses_at(trajectory, times, config)
 
     def view_of(pair: Pair) -> View:
         time = times[pair.name]

@@ -14,7 +14,7 @@ from realsim.capture.config import CaptureConfig
 from realsim.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
 from realsim.capture.intrinsics import Camera, no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
-from realsim.capture.listing import Pair, color_folder, depth_folder, last_number, list_files, pair_by_stem
+from realsim.capture.listing import Pair, color_folder, depth_folder, last_number, list_files, pair_by_stem, pose_file
 from realsim.capture.poses import parse_matrix
 from realsim.errors import CaptureError, PoseError
 from realsim.files import read_text
@@ -91,7 +91,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     unit = depth_unit(0.001, "Open3D's convention", config, camera)
     assumptions = [*camera.notes, *assumed, rule, unit.note, "depth is registered to colour"]
 
-    trajectory = None if config.ignore_poses else trajectory_file(folder)
+    trajectory = None if config.ignore_poses else pose_file(folder, TRAJECTORIES)
     poses: dict[str, F64] = {}
     if trajectory is not None:
         headers, matrices = read_trajectory(trajectory)

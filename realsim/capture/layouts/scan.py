@@ -121,7 +121,7 @@ def _checked(raw: RawScan, source: Path) -> tuple[RawScan, list[str]]:
     triangles = raw.triangles
     if triangles is not None and (loose := loose_vertices(source, len(raw.points), triangles)):
         warnings.append(loose)
-    if triangles is not None and (alone := lonely_vertex(raw.points[finite])):
+    if alone := lonely_vertex(raw.points[finite]):
         warnings.append(alone)
     if triangles is None and source.suffix.lower() == ".obj":
         warnings.append("the file has no faces and is taken as a cloud: is it cut off?")

@@ -18,7 +18,7 @@ from realsim.capture.config import CaptureConfig
 from realsim.capture.images import ConfidenceImage, DepthImage, common_size
 from realsim.capture.intrinsics import Camera, no_intrinsics, read_camera
 from realsim.capture.layout import PHONE, Layout, Recognition
-from realsim.capture.listing import last_number, list_files
+from realsim.capture.listing import last_number, list_files, pose_file
 from realsim.capture.video import VideoFrame, open_video
 from realsim.errors import CaptureError, PoseError, RealsimError
 from realsim.files import read_text
@@ -87,14 +87,14 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     steps = DepthUnit(unit, unit, f"depth is in steps of {unit:g} m ({why})")
     warnings: list[str] = []
     table: dict[int, Row] = {}
-    if (folder / ODOMETRY).is_file():
-        try:
-            table = read_odometry(folder / ODOMETRY)
-        except PoseError as error:
-            # Its poses are not wanted, and the camera has a file of its own.
-            if not config.ignore_poses:
-                raise
-            warnings.append(f"{ODOMETRY} cannot be read: {one_line(error)}")
+    try:
+        odometry = pose_file(folder, (ODOMETRY,))
+        table = {} if odometry is None else read_odometry(odometry)
+    except PoseError as error:
+        # Its poses are not wanted, and the camera has a file of its own.
+        if not config.ignore_poses:
+            raise
+        warnings.append(f"{ODOMETRY} cannot be read: {one_line(error)}")
     posed = bool(table) and not config.ignore_poses
     sure = {n: p for p in list_files(folder / "confidence", (".png",)) if (n := last_number(p.stem)) is not None}
     camera = read_camera(folder / CAMERA)

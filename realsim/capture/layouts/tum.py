@@ -16,7 +16,7 @@ from realsim.capture.association import associate, interpolate_poses
 from realsim.capture.config import CaptureConfig
 from realsim.capture.intrinsics import Camera, no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
-from realsim.capture.listing import Pair
+from realsim.capture.listing import Pair, pose_file
 from realsim.errors import CaptureError, PoseError
 from realsim.files import inside, read_text
 from realsim.geometry import make_T, quat_to_R
@@ -95,8 +95,9 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         "depth is registered to colour",
     ]
     poses: dict[str, F64] = {}
-    if (folder / POSES).is_file() and not config.ignore_poses:
-        poses, late, pose_notes, pose_warnings = poses_at(folder / POSES, times, config)
+    trajectory = None if config.ignore_poses else pose_file(folder, (POSES,))
+    if trajectory is not None:
+        poses, late, pose_notes, pose_warnings = poses_at(trajectory, times, config)
         pairs = [pair for pair in pairs if pair.name in poses]
         lonely += late
         assumptions += pose_notes
