@@ -291,7 +291,7 @@ EVERYWHERE = "everywhere: --json for machines, --quiet without progress"
 
 
 TITLES = {"config": "general options ", "many": "options for several inputs "}
-NONE = re.compile(r"\{None\}\|(\S+)|\{None,(\S+)")
+NONE = re.compile(r"\{None\}\|(?:\{([^}\n]*)\}|(\S+))|\{None,(\S+)")
 """What an option takes that may be left out: the help shows what it takes."""
 UNSET = re.compile(r"\(default:(\s*(?:│\n│)?\s*)(None|'')?\)")
 """A default that says nothing; it may stand on two lines of a box."""
@@ -305,7 +305,7 @@ def _group(match: re.Match[str]) -> str:
 
 
 def _without_none(match: re.Match[str]) -> str:
-    kept = match[1] or "{" + match[2]
+    kept = match[1] or match[2] or "{" + match[3]
     return kept + " " * (len(match[0]) - len(kept))
 
 

@@ -107,6 +107,14 @@ def test_a_flag_takes_the_same_kind_of_value_everywhere(capsys: pytest.CaptureFi
     assert {flag: by for flag, by in kinds.items() if len(set(by.values())) > 1} == {}
 
 
+def test_the_help_says_what_an_option_takes_that_may_be_left_out(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["help", "reconstruct"]) == 0
+    text = capsys.readouterr().out
+    assert "--start FLOAT FLOAT " in text
+    assert "--depth-unit FLOAT " in text
+    assert "None}" not in text
+
+
 def test_a_long_help_shows_what_is_used_most(capsys: pytest.CaptureFixture[str]) -> None:
     """The options that are named exist, each is described as in the full help, and it fits on a screen."""
     from trainer.commands import COMMON as TRAINER

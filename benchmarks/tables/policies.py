@@ -9,8 +9,9 @@ SHIPS = "883606ff"
 """The base of G1 that ships (see `ttt.KEY`). Trainings that began with another one are in results/ttt.json alone."""
 
 
-def families(difficulty: str) -> str:
-    groups = base_policy.grouped(stored("base_policy")["rows"], "mild")
+def families(difficulty: str, setting: str = "mild") -> str:
+    """Mean and worst share over the eight families; settings are `base_policy.SETTINGS`."""
+    groups = base_policy.grouped(stored("base_policy")["rows"], setting)
     shares = [100 * won / of for name, (won, of) in groups.items() if name.endswith(f":{difficulty}")]
     return f"{sum(shares) / len(shares):.0f} and {min(shares):.0f} %"
 

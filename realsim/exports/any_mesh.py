@@ -8,10 +8,10 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from realsim.contact_limits import shares
 from realsim.errors import ExportError
 from realsim.exports.config import SceneConfig
 from realsim.exports.contact.heatmap import heatmap_png
-from realsim.contact_limits import shares
 from realsim.exports.ground import DEEP, GroundLevel, ground_level, hidden_cm2
 from realsim.exports.mend import read_mesh
 from realsim.exports.scene import write_terrain

@@ -135,6 +135,7 @@ def _image_input(path: Path, inputs: list[Port]) -> Port:
         file=path,
         expected=f"{' or '.join(IMAGE_NAMES)} of shape (1, N, 3, H, W) or (N, 3, H, W)",
         found=", ".join(map(str, inputs)) or "no inputs",
+        hint="a policy is run by `realsim deploy`" if any(port.name == "vector" for port in inputs) else None,
     )
 
 
