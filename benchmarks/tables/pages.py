@@ -15,6 +15,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from benchmarks.tables.api import functions
 from benchmarks.tables.captures import captures, clouds, contact, damaged, hard_matches, loops, movers, real_captures
 from benchmarks.tables.diagnosis import (
     bags,
@@ -45,9 +46,17 @@ from benchmarks.tables.policies import (
 from benchmarks.tables.readme import readme
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = ("README.md", "docs/figures.md", "docs/gap_figures.md", "docs/captures.md", "benchmarks/results/README.md")
+PAGES = (
+    "README.md",
+    "docs/figures.md",
+    "docs/gap_figures.md",
+    "docs/captures.md",
+    "docs/api.md",
+    "benchmarks/results/README.md",
+)
 TABLES: dict[str, Callable[[], list[str]]] = {
     "readme": readme,
+    "functions": functions,
     "captures": captures,
     "contact": contact,
     "real captures": real_captures,
