@@ -161,6 +161,19 @@ def test_rivals_without_a_signal_that_tells_are_told_by_motion() -> None:
     assert EFFECTS["coulomb_friction"].excitation.rstrip(".").lower() in said.lower()
 
 
+def test_no_signal_is_asked_for_that_the_log_has() -> None:
+    damping = cause("damping_gain", 1.4, "ratio", 1.2, 1.6, joints=["left_knee_joint"])
+    viscous = cause("viscous_friction", 0.4, "N m s/rad", 0.3, 0.5, joints=["left_knee_joint"])
+    assert say("ambiguous", [damping], [[viscous]], has=()).endswith("record measured torque.")
+    assert say("ambiguous", [damping], [[viscous]]).endswith("record fast motion; several speeds.")
+    assert say("ambiguous", [LATE], [[SEEN_LATE]], has=("base_pos",)).endswith("record commands that change; motion.")
+
+
+def test_what_only_some_rivals_are_told_by_is_no_clause_of_the_advice() -> None:
+    damping = cause("damping_gain", 1.4, "ratio", 1.2, 1.6, joints=["left_knee_joint"])
+    assert "tells it" not in say("ambiguous", [damping], [[KNEE]], has=())
+
+
 def test_unknown_causes_say_how_far_off_the_simulator_is_and_what_it_looks_like() -> None:
     said = say("unexplained", [])
     assert said.startswith(
@@ -211,7 +224,7 @@ def test_what_the_check_is_and_no_gap_are_said() -> None:
 
 
 def test_every_verdict_has_its_advice() -> None:
-    case: Any = SimpleNamespace(has=lambda s: True, floating=False, has_imu=False, runs=[], command_kind="position")
+    case: Any = SimpleNamespace(has=lambda s: False, floating=False, has_imu=False, runs=[], command_kind="position")
     said = {v: advice(Judgement(v, ()), [LATE], [[SEEN_LATE]], WHERE, case) for v in GapVerdict}
     assert said[GapVerdict.AMBIGUOUS] == "to tell them apart, record an IMU or base pose"
     assert "model.xml" in said[GapVerdict.IDENTIFIED]

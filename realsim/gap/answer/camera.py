@@ -21,11 +21,12 @@ def with_camera(found: Diagnosis, camera: CameraFound | None) -> Diagnosis:
     if not camera.named:
         return replace(found, statistics=statistics)
     said = "; ".join(camera.sentences())
-    verdict = GapVerdict.IDENTIFIED if found.verdict is GapVerdict.NO_GAP else found.verdict
+    found = replace(found, causes=(*found.causes, *camera.causes()), statistics=statistics)
+    if found.verdict is not GapVerdict.NO_GAP:
+        return replace(found, sentence=f"{found.sentence} Beside the motion: {said}.")
     return replace(
         found,
-        verdict=verdict,
-        sentence=f"{found.sentence} Beside the motion: {said}.",
-        causes=(*found.causes, *camera.causes()),
-        statistics=statistics,
+        verdict=GapVerdict.IDENTIFIED,
+        sentence=f"{said[:1].upper()}{said[1:]}. In the motion: {found.sentence[:1].lower()}{found.sentence[1:]}",
+        advice="correct the camera; change nothing else in the model",
     )

@@ -61,7 +61,7 @@ def sentence(
         gain = f"does not surely reduce the squared error on {_runs(checked)} (by {removed(checked)})"
     if verdict is GapVerdict.AMBIGUOUS:
         stays = f" What stays: {errors_of(checked)}." if len(judgement.reasons) > 1 else ""
-        tells = _what_tells([causes, *equivalent])
+        tells = _what_tells([causes, *equivalent], case)
         return f"{_either(causes, equivalent)} {gain}; to tell them apart, record {tells}.{stays}"
     text = f"{said}; {_verb(causes)} {gain}"
     if verdict is GapVerdict.PARTLY_EXPLAINED:
@@ -111,7 +111,7 @@ def advice(
     if verdict is GapVerdict.IDENTIFIED:
         return "simulate with the patched model.xml, and check it on a new run"
     if verdict is GapVerdict.AMBIGUOUS:
-        return f"to tell them apart, record {_what_tells([causes, *equivalent])}"
+        return f"to tell them apart, record {_what_tells([causes, *equivalent], case)}"
     return f"record {_next_for_unknown(where, case)}"
 
 
@@ -281,16 +281,27 @@ def _mostly(where: Sequence[dict[str, Any]]) -> str:
     return f", most of it in {_plain(name) if name else first['signal'].replace('_', ' ')} ({first['phase']})"
 
 
-def _what_tells(sets: Sequence[Sequence[Cause]]) -> str:
-    """What to record: the signals that tell one from the other where an effect names them, else what excites each."""
+def _what_tells(sets: Sequence[Sequence[Cause]], case: Case) -> str:
+    """What to record: the signals that tell one from the other where an effect names them and the log lacks them, else
+    what excites each."""
     names = [{c["effect"] for c in s} for s in sets]
     rivals = set.union(*names) - set.intersection(*names) or set.union(*names)
     listed = dict.fromkeys(n for s in sets for n in _effects(s) if n in rivals)
-    clauses = {n: [c.strip(" .") for c in EFFECTS[n].excitation.split(";")] for n in listed}
+    clauses = {n: [c.strip(" .") for c in EFFECTS[n].excitation.split(";") if not _logged(c, case)] for n in listed}
     tell = {n: [c.split(" tell")[0] for c in parts if " tell" in c] for n, parts in clauses.items()}
-    chosen = tell if all(tell.values()) else clauses
+    excite = {n: [c for c in parts if " tell" not in c] for n, parts in clauses.items()}
+    chosen = tell if all(tell.values()) else {n: excite[n] or tell[n] for n in listed}
     listed_once = list(dict.fromkeys(_lower(text) for parts in chosen.values() for text in parts))
     return "; ".join(listed_once[:_MOST_RECORDINGS])
+
+
+def _logged(clause: str, case: Case) -> bool:
+    """Whether a log has the signal by which a clause would tell two effects apart."""
+    signal = clause.partition(" tell")[0]
+    if signal == clause:
+        return False
+    torque = case.has("joint_torque") or case.command_kind == "torque"
+    return ("torque" in signal and torque) or ("IMU" in signal and (case.has_imu or case.has("base_pos")))
 
 
 def _lower(text: str) -> str:

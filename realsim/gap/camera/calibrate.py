@@ -92,7 +92,7 @@ class CameraFound:
     def causes(self) -> list[dict[str, Any]]:
         """The effects that were named, in the form of diagnosis.json."""
         found = []
-        for name, odds in self.named.items():
+        for name in self.named:
             if name == "camera_delay":
                 parameters = {"delay": _parameter(self.delay, "s")}
             elif name == "camera_mount":
@@ -103,7 +103,7 @@ class CameraFound:
             else:
                 assert self.noise is not None
                 parameters = {"ratio": _parameter(self.noise, "ratio")}
-            found.append({"effect": name, "parameters": parameters, "probability": float(0.86 / (1 + np.exp(-odds)))})
+            found.append({"effect": name, "parameters": parameters, "probability": None})
         return found
 
     def as_dict(self) -> dict[str, Any]:

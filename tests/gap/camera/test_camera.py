@@ -78,6 +78,9 @@ def test_a_diagnosis_has_the_camera_among_its_causes(found: dict[str, CameraFoun
     assert late.verdict == "identified"
     assert late.causes[0]["effect"] == "camera_delay"
     assert "late by" in late.sentence
+    assert "no gap" in late.sentence
+    assert late.advice == "correct the camera; change nothing else in the model"
+    assert late.causes[0]["probability"] is None
     assert late.as_dict()["statistics"]["camera"]["camera"] == "head"
 
 
