@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +83,7 @@ def record(policy: Policy, env: ParkourEnv, world: int = 0) -> Recording:
     """The next episode of one world, from its start to its end."""
     observation = env.reset()
     rows = [_pose(env, world)]
-    while True:
+    for _ in track(count(), "simulating"):
         observation = env.step(policy(observation)).observation
         ended = [] if env.ends is None else env.ends.ids.tolist()
         if world in ended:
@@ -90,6 +91,7 @@ def record(policy: Policy, env: ParkourEnv, world: int = 0) -> Recording:
             outcome = OUTCOMES[int(env.ends.outcome[ended.index(world)])]
             return Recording(np.array(rows), env.policy_dt, outcome)
         rows.append(_pose(env, world))
+    raise AssertionError("counting has no end")
 
 
 def _pose(env: ParkourEnv, world: int) -> F64:
