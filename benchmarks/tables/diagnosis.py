@@ -168,7 +168,8 @@ def sweep() -> list[str]:
     last = {r["level"]: r for r in rows if r["engine"] == rows[-1]["engine"]}
     levels = [level for level in gap_sweep.LEVELS if level in last]
     titles = [f"deviations x{d:g}" if n == 1 else f"noise x{n:g}" for d, n in map(gap_sweep.LEVELS.get, levels)]
-    lines = [f"| {last[levels[0]]['cases']} cases | {' | '.join(titles)} | wanted |", "|---" * (len(levels) + 2) + "|"]
+    lines = [f"| | {' | '.join(titles)} | wanted |", "|---" * (len(levels) + 2) + "|"]
+    lines.append(f"| cases | {' | '.join(str(last[level]['cases']) for level in levels)} | |")
     for column, (title, wanted) in SWEPT.items():
         cells = " | ".join("{} of {}".format(*last[level][column]) for level in levels)
         lines.append(f"| {title} | {cells} | {wanted} |")
