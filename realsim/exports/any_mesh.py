@@ -104,9 +104,9 @@ def contact_verdict(contact: Mapping[str, Any], tolerance: tuple[float, float]) 
             look.append(f"The contact error is {found:.1f} mm ({name}), above the limit of {1000 * most:g} mm.")
     if contact["phantom_over_gaps_cm2"]:
         look.append(f"{contact['phantom_over_gaps_cm2']:.0f} cm2 of contact surface span gaps that a foot fits in.")
-    off = [(name, share, check, reject) for name, share, check, reject in shares(contact) if share > check]
+    off = [(name, share, check, reject) for name, share, check, reject in shares(contact) if not share <= check]
     for name, share, check, reject in off:
-        most, said = (reject, bad) if share > reject else (check, look)
+        most, said = (check, look) if share <= reject else (reject, bad)
         said.append(f"{name}: {share:.1%}, above the limit of {most:.0%}.")
     if look or off:
         todo.append("look at contact.png, and try another --contact or a finer --hfield-resolution")

@@ -33,7 +33,10 @@ def view(folder: Path, port: int = 8080, *, wait: bool = True) -> Any:
         MissingExtraError: viser is not installed.
         RealsimError: no scene in the folder.
     """
-    for name in ("scene.xml", "mesh.ply", "mesh.glb"):
+    # `realsim contact` writes contact.json, which has no cameras and no platforms.
+    names = ("report.json", "contact.json")
+    figures = next((name for name in names if (folder / name).is_file()), names[0])
+    for name in ("scene.xml", "mesh.ply", "mesh.glb", figures):
         if not (folder / name).is_file():
             hint = "give a folder made by `realsim reconstruct` or `realsim contact`"
             raise RealsimError("no scene here", file=folder / name, hint=hint)
@@ -42,8 +45,7 @@ def view(folder: Path, port: int = 8080, *, wait: bool = True) -> Any:
         import viser
     except ImportError as error:
         raise MissingExtraError("viser", "viewer", "the live viewer") from error
-    said = folder / "report.json"
-    report = read_json(said) if said.is_file() else {}
+    report = read_json(folder / figures)
     with contextlib.redirect_stdout(io.StringIO()):  # viser prints a table of its own, whatever `verbose` says
         server = viser.ViserServer(
             host="127.0.0.1", port=port, label=f"realsim: {folder.absolute().name}", verbose=False
