@@ -35,7 +35,7 @@ from trainer.commands.finetune import helped
 from trainer.commands.task_file import load_task
 from trainer.evaluate import EvaluationConfig, Result, Setting, evaluate
 from trainer.physics import PhysicsConfig
-from trainer.policies import TASK, base_of
+from trainer.policies import TASKS, base_of
 from trainer.ppo.config import LoopConfig, PPOConfig, StrategyConfig
 from trainer.ppo.distributed import pick_device
 from trainer.terrain.scene import load as load_scene
@@ -46,8 +46,11 @@ Source = Literal["exact", "rgbd", "lidar", "phone", "hand"]
 Method = Literal["base", "ttt1", "ttt13", "ttt13f", "scratch"]
 WATCHED = 250
 """Trials in an evaluation on the way: as long as one of 100, and at 97 % uncertain by one point instead of two."""
-KEY = ("base", "test", "method", "source", "strategy", "minutes", "seed")
-"""`base` is the beginning of the SHA-256 of the policy that was begun with: a new one does not replace old rows."""
+KEY = ("base", "test", "method", "source", "strategy", "minutes", "seed", "pushes")
+"""`base` is the beginning of the SHA-256 of the policy that was begun with: a new one does not replace old rows.
+`pushes` are those of training; `base` has none."""
+FEW_PUSHES = "0.5 m/s every 6 s"
+"""Those of every training before G1's were made smaller and more frequent."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,7 @@ class Options:
     """Simulated robots; 0 takes 4096 on a GPU and 64 on the CPU."""
     policy: Path | None = None
     """The base; the one that ships if not given."""
-    task_file: Path = TASK
+    task_file: Path = TASKS["g1"]
     seed: int = 0
     device: str = "auto"
     work: Path = Path("out/ttt")
@@ -153,7 +156,9 @@ def run(options: Options) -> None:
 def _identity(job: Job, test: str, options: Options) -> Row:
     minutes = 0.0 if job.method == "base" else options.minutes
     base = fingerprint(options.policy or base_of("g1"))
-    identity = (base, test, job.method, job.source, job.strategy, minutes, options.seed)
+    random = load_task(options.task_file).randomisation
+    pushes = f"{random.push:g} m/s every {random.push_seconds:g} s" if minutes else None
+    identity = (base, test, job.method, job.source, job.strategy, minutes, options.seed, pushes)
     return dict(zip(KEY, identity, strict=True))
 
 
@@ -254,14 +259,16 @@ def table(rows: list[Row], bases: Mapping[str, str] | None = None) -> list[str]:
 
 
 def _column(row: Row) -> tuple[Any, ...]:
-    return row["method"], row["source"], row["strategy"], row["minutes"], row["base"]
+    pushes = row.get("pushes") or FEW_PUSHES
+    return row["method"], row["source"], row["strategy"], row["minutes"], row["base"], pushes
 
 
 def _title(column: tuple[Any, ...], bases: Mapping[str, str]) -> str:
-    method, source, strategy, minutes, base = column
+    method, source, strategy, minutes, base, pushes = column
     words = [method, *([source] if source != "exact" else []), *([strategy] if strategy != "full" else [])]
     begun = bases[base] if method != "scratch" else ""
-    return ", ".join(filter(None, (" ".join(words), f"{minutes:g} min" if minutes else "", begun)))
+    trained = (f"{minutes:g} min" if minutes else "", "" if pushes == FEW_PUSHES else f"pushes of {pushes}")
+    return ", ".join(filter(None, (" ".join(words), *trained, begun)))
 
 
 def _cell(seeds: list[Row]) -> str:

@@ -35,6 +35,7 @@ from benchmarks.tables.index import index
 from benchmarks.tables.policies import (
     all_reconstructed,
     base,
+    by_pushes,
     by_worlds,
     kept,
     pushed,
@@ -78,6 +79,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "test-time training on reconstructions": reconstructed,
     "test-time training on all reconstructions": all_reconstructed,
     "test-time training by worlds": by_worlds,
+    "test-time training by pushes": by_pushes,
     "test-time training by strategy": strategies,
     "footholds": footholds,
     "damaged": damaged,

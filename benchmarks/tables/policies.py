@@ -33,7 +33,7 @@ def pushed() -> list[str]:
 
 def tuned() -> list[str]:
     """The thirteen tests: fine-tuned on each or on all, and trained from scratch."""
-    rows = [r for r in stored("ttt")["rows"] if r["source"] == "exact" and r["strategy"] == "full"]
+    rows = [r for r in _trained() if r["source"] == "exact" and r["strategy"] == "full"]
     # Without a base it makes no difference which one shipped when they were trained.
     rows = [r for r in rows if r["base"] == SHIPS or (r["method"], r["base"]) == ("scratch", "64a03f3f")]
     return ttt.table(rows, dict.fromkeys((r["base"] for r in rows), ""))
@@ -46,19 +46,31 @@ def reconstructed() -> list[str]:
 
 def all_reconstructed() -> list[str]:
     """The same, one policy for all of them at once."""
-    return ttt.table([r for r in stored("ttt")["rows"] if r["base"] == SHIPS and r["method"] == "ttt13f"], {SHIPS: ""})
+    return ttt.table([r for r in _trained() if r["base"] == SHIPS and r["method"] == "ttt13f"], {SHIPS: ""})
 
 
 def by_worlds() -> list[str]:
     """One policy for all tests after eight minutes, by how many worlds practise at once; every run."""
-    lines = ["| worlds | seed | iterations | mean | all randomisation | self-collision | `stake2` |", "|---" * 7 + "|"]
-    rows = stored("ttt_worlds")["rows"]
-    for worlds, seed in sorted({(r["worlds"], r["seed"]) for r in rows}):
-        of = [r for r in rows if (r["worlds"], r["seed"]) == (worlds, seed)]
+    return _means("worlds", stored("ttt_worlds")["rows"])
+
+
+def by_pushes() -> list[str]:
+    """One policy for all tests after fourteen minutes, by the pushes of its training; every run of pairs."""
+    rows = [r for r in stored("ttt")["rows"] if r["method"] == "ttt13f" and r["source"] == "exact"]
+    paired = {(r["minutes"], r["seed"]) for r in rows if r["pushes"] != ttt.FEW_PUSHES}
+    return _means("pushes", [r for r in rows if (r["minutes"], r["seed"]) in paired])
+
+
+def _means(what: str, rows: list[ttt.Row]) -> list[str]:
+    """A line a run: means over the tests, and the two narrowest footholds by themselves."""
+    head = (what, "seed", "iterations", "mean", "all randomisation", "self-collision", "`stake2`", "`narrow3`")
+    lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
+    for value, seed in sorted({(r[what], r["seed"]) for r in rows}):
+        of = [r for r in rows if (r[what], r["seed"]) == (value, seed)]
         means = [100 * sum(r[k] for r in of) / sum(r["trials"] for r in of) for k in ("won", "won_robust", "won_self")]
-        hard = next(100 * r["won"] / r["trials"] for r in of if r["test"] == "stake2")
-        shares = " | ".join(f"{share:.1f} %" for share in (*means, hard))
-        lines.append(f"| {worlds} | {seed} | {of[0]['iterations']} | {shares} |")
+        hard = [100 * r["won"] / r["trials"] for test in ("stake2", "narrow3") for r in of if r["test"] == test]
+        shares = " | ".join(f"{share:.1f} %" for share in (*means, *hard))
+        lines.append(f"| {value} | {seed} | {of[0]['iterations']} | {shares} |")
     return lines
 
 
@@ -71,13 +83,17 @@ def strategies() -> list[str]:
 
 def _of_one_test() -> list[ttt.Row]:
     """Rows of the base that ships, fine-tuned on one test."""
-    return [r for r in stored("ttt")["rows"] if r["base"] == SHIPS and r["method"] == "ttt1"]
+    return [r for r in _trained() if r["base"] == SHIPS and r["method"] == "ttt1"]
+
+
+def _trained() -> list[ttt.Row]:
+    """Those with the pushes that G1 had in fine-tuning before; `by_pushes` has what is beside them."""
+    return [r for r in stored("ttt")["rows"] if r["pushes"] in (None, ttt.FEW_PUSHES)]
 
 
 def _tuned_now() -> list[ttt.Row]:
-    """The base that ships, fine-tuned on the exact terrain, all weights."""
-    column = (SHIPS, "ttt1", "exact", "full")
-    return [r for r in stored("ttt")["rows"] if (r["base"], r["method"], r["source"], r["strategy"]) == column]
+    """The base that ships, fine-tuned for five minutes on the exact terrain, all weights."""
+    return [r for r in _of_one_test() if (r["source"], r["strategy"], r["minutes"]) == ("exact", "full", 5.0)]
 
 
 def kept() -> list[str]:

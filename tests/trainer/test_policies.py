@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `tra
 pytest.importorskip("onnxruntime", reason="running an exported policy needs onnxruntime")
 
 from trainer.commands.task_file import load_task
-from trainer.policies import BASES, FOLDER, TASK, base_of
+from trainer.policies import BASES, FOLDER, TASKS, base_of
 from trainer.ppo import checkpoint, export
 from trainer.ppo.policy import check_layout
 from trainer.robots import ROBOTS
@@ -55,9 +55,9 @@ def test_the_exported_policy_is_the_checkpoint(robot: str) -> None:
 
 @pytest.mark.parametrize("robot", BASES)
 def test_fine_tuning_goes_on_in_the_task_of_the_base(robot: str) -> None:
-    """But for a beginner's help and the interval of pushes; trials without a task file stay as they were."""
-    task, trained = load_task(TASK), load_task(TRAINING / robot / "task.json")
-    random = replace(trained.randomisation, push_seconds=task.randomisation.push_seconds)
+    """But for a beginner's help and how hard a push is; trials without a task file stay as they were."""
+    task, trained = load_task(TASKS[robot]), load_task(TRAINING / robot / "task.json")
+    random = replace(trained.randomisation, push=task.randomisation.push)
     assert task == replace(trained, floor=task.floor, reset=task.reset, randomisation=random)
     assert task.self_collision
     assert not ParkourConfig().self_collision

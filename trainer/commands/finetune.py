@@ -12,7 +12,7 @@ from realsim.commands import CommandResult
 from realsim.files import to_json, write_text
 from realsim.progress import note
 from trainer.config import EvaluationConfig
-from trainer.policies import TASK, base_of
+from trainer.policies import TASKS, base_of
 from trainer.tasks.parkour import ParkourConfig
 from trainer.tasks.parkour.config import FloorConfig
 from trainer.trainers import Scene, TrainConfig, find
@@ -69,7 +69,8 @@ def finetune(
             found="both",
         )
     if policy is None and not from_scratch and config.resume is None:
-        policy, task_file = base_of(config.robot or "g1"), task_file or TASK
+        robot = config.robot or "g1"
+        policy, task_file = base_of(robot), task_file or TASKS[robot]
         note(f"from the base that ships with realsim: {policy.name}")
     scene = common.find_scene(scenes)
     config = replace(config, task=load_task(task_file))

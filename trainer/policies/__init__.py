@@ -9,9 +9,9 @@ from trainer.errors import TrainerError
 FOLDER = Path(__file__).parent
 BASES = {"g1": "g1_parkour.pt", "quadruped": "quadruped_parkour.pt"}
 """Robot -> its base."""
-TASK = FOLDER / "task.json"
-"""What differs from the paper's task in the one that the bases were trained in last; fine-tuning them goes on in it. A
-beginner's help (raised floor, starts along the course) and G1's more frequent pushes are in training/*/task.json."""
+TASKS = {"g1": FOLDER / "g1_task.json", "quadruped": FOLDER / "quadruped_task.json"}
+"""Robot -> what differs from the paper's task where its base is fine-tuned. It is the task that the base was trained in
+last, without a beginner's help (raised floor, starts along the course); G1 is pushed less hard, and as often."""
 
 
 def base_of(robot: str) -> Path:
