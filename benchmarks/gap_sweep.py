@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.gap_pool import Job, diagnose_all, read
 from benchmarks.gap_score import MixedEnginesError, one_engine, score
-from benchmarks.gap_truth.cases import Draw, make_labelled, plan, read_labels
+from benchmarks.gap_truth.cases import STRATA, Draw, make_labelled, plan, read_labels
 from benchmarks.store import Store
 
 LEVELS = {"deviations_0.5": (0.5, 1.0), "as_drawn": (1.0, 1.0), "deviations_2": (2.0, 1.0), "deviations_4": (4.0, 1.0),
@@ -43,6 +43,7 @@ def main() -> int:
     parser.add_argument("--cases", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--robots", nargs="*", help="only these robots")
+    parser.add_argument("--strata", nargs="*", choices=list(STRATA), default=list(STRATA), help="only such cases")
     parser.add_argument("--levels", nargs="*", choices=list(LEVELS), default=list(LEVELS))
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--minutes", type=float, default=float("inf"), help="start no case after this many minutes")
@@ -50,7 +51,8 @@ def main() -> int:
     parser.add_argument("--store", type=Path, help="file for the figures (default: figures.json in --work)")
     args = parser.parse_args()
     if args.do == "make":
-        draws = [(i, d) for i, d in enumerate(plan(args.cases, args.seed)) if not args.robots or d.robot in args.robots]
+        draws = [(i, d) for i, d in enumerate(plan(args.cases, args.seed)) if d.stratum in args.strata]
+        draws = [(i, d) for i, d in draws if not args.robots or d.robot in args.robots]
         todo = [(i, d, level, args.work) for i, d in draws for level in args.levels]
         with ProcessPoolExecutor(args.jobs) as pool:
             for line in pool.map(_make, todo):

@@ -272,18 +272,26 @@ def _title(column: tuple[Any, ...], bases: Mapping[str, str]) -> str:
 
 
 def _cell(seeds: list[Row]) -> str:
-    return "; ".join((f"seed {r['seed']}: " if len(seeds) > 1 else "") + _outcome(r) for r in seeds)
-
-
-def _outcome(row: Row) -> str:
-    text = f"{100 * row['won'] / row['trials']:.1f} %"
+    """All seeds of a policy and test, one after the other in every figure."""
+    if not seeds:
+        return ""
+    which = f"seeds {_listed([str(r['seed']) for r in seeds])}: " if len(seeds) > 1 else ""
+    text = f"{which}{_shares(seeds, 'won')} %"
     more = {"won_robust": "robust", "won_self": "self-collision"}
-    if said := ", ".join(f"{title} {100 * row[k] / row['trials']:.1f} %" for k, title in more.items() if k in row):
+    if said := "; ".join(f"{title} {_shares(seeds, k)} %" for k, title in more.items() if any(k in r for r in seeds)):
         text += f" ({said})"
-    if row["method"] != "base":
-        reached = "not reached" if row.get("to_target") is None else f"after {row['to_target']}"
-        text += f", 97 % {reached} of {row['iterations']}"
+    if seeds[0]["method"] != "base":
+        reached = ["never" if r.get("to_target") is None else str(r["to_target"]) for r in seeds]
+        text += f", {_listed([str(r['iterations']) for r in seeds])} iterations, 97 % after {_listed(reached)}"
     return text
+
+
+def _shares(seeds: list[Row], what: str) -> str:
+    return _listed([f"{100 * r[what] / r['trials']:.1f}" if what in r else "-" for r in seeds])
+
+
+def _listed(values: list[str]) -> str:
+    return ", ".join(values)
 
 
 if __name__ == "__main__":

@@ -41,6 +41,15 @@ def test_fine_tuning_says_what_it_began_with() -> None:
     ]
     head, _, line = ttt.table(rows, {"a": "from A", "b": "from B"})
     assert head == "| test | scratch, 5 min | ttt1, 5 min, from A | ttt1, 5 min, from B |"
-    assert line.count("not reached of 3") == 3
+    assert line.count("3 iterations, 97 % after never") == 3
     assert [cell in line for cell in ("0.0 %", "90.0 %", "100.0 %")] == [True] * 3
     assert ttt.table(rows[:2])[0] == "| test | ttt1, 5 min |"
+
+
+def test_every_seed_stands_in_its_cell() -> None:
+    row = {"base": "a", "test": "boxes", "method": "ttt1", "source": "exact", "strategy": "full", "minutes": 5.0}
+    rows = [
+        row | {"seed": 1, "trials": 10, "won": 8, "iterations": 5, "to_target": None},
+        row | {"seed": 0, "trials": 10, "won": 9, "won_robust": 7, "iterations": 4, "to_target": 2},
+    ]
+    assert "seeds 0, 1: 90.0, 80.0 % (robust 70.0, - %), 4, 5 iterations, 97 % after 2, never" in ttt.table(rows)[-1]
