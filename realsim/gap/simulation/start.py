@@ -17,6 +17,7 @@ from realsim.errors import GapError
 from realsim.gap.logs.case import Case, Run
 from realsim.gap.logs.kinks import median_size, third_differences
 from realsim.gap.model.edit import Edit
+from realsim.gap.simulation.stepping import fresh
 from realsim.types import F64
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ def initial_state(case: Case, model: Any, run: Run, edit: Edit, start: Start | N
     """(S,) full physics state of a changed model at the first sample: `start`'s, or the logged pose without motion."""
     import mujoco
 
-    data = mujoco.MjData(model)
+    data = fresh(model)
     nominal = case.model
     qpos = start.qpos if start and start.qpos is not None else run.init_qpos
     if qpos is not None:
