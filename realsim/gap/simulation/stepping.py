@@ -155,26 +155,25 @@ def stepped(laws: Sequence[Gear], model: Any, state: F64, control: F64, waves: W
     data = fresh(model)
     model = copy.copy(model)  # its friction changes on the way, and other threads step it too
     mujoco.mj_setState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-    dofs = np.array([law.dof for law in laws], int)
-    drives = np.array([law.actuator for law in laws], int)
-    ratios = np.array([law.ratio for law in laws])
-    low, high = np.array([law.limit for law in laws]).reshape(-1, 2).T
-    least = model.dof_frictionloss[dofs].copy()
+    friction, force, sensors = model.dof_frictionloss, data.actuator_force, data.sensordata
+    least = [friction.item(law.dof) for law in laws]
     rows = np.empty((len(control), model.nsensordata))
-    last = data.time
-    data.ctrl[:] = control[0]
+    last, now, step = data.time, data.ctrl, mujoco.mj_step
+    now[:] = control[0]
     mujoco.mj_forward(model, data)
     for k, ctrl in enumerate(control):
-        force = np.clip(data.actuator_force[drives], low, high)
-        model.dof_frictionloss[dofs] = np.maximum(least + ratios * np.abs(force), 0.0)
-        data.ctrl[:] = ctrl
+        for law, own in zip(laws, least, strict=True):  # few: Python's numbers are quicker than NumPy's arrays of them
+            low, high = law.limit
+            passed = min(max(force.item(law.actuator), low), high)
+            friction[law.dof] = max(own + law.ratio * abs(passed), 0.0)
+        now[:] = ctrl
         if waves is not None:
             data.qfrc_applied[waves.dof] = waves.at(data.qpos)
-        mujoco.mj_step(model, data)
+        step(model, data)
         if data.time <= last:  # the state was no number, and MuJoCo has begun anew
             rows[k:] = np.nan
             break
-        rows[k], last = data.sensordata, data.time
+        rows[k], last = sensors, data.time
     end = np.full(len(state), np.nan)
     if np.isfinite(rows[-1]).all():
         mujoco.mj_getState(model, data, end, mujoco.mjtState.mjSTATE_FULLPHYSICS)
