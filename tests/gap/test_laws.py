@@ -140,6 +140,17 @@ def test_score_prefers_the_true_direction() -> None:
     assert int(np.argmax(gains)) == 1
 
 
+@pytest.mark.parametrize("at", [[[3]], [[7], [2]], [[2, 7]]])
+def test_evidence_of_few_atoms_has_the_digits_of_the_whole_product(at: list[list[int]]) -> None:
+    rng = np.random.default_rng(2)
+    G, D, size = rng.normal(size=(300, 500)), np.zeros((500, len(at))), np.full(len(at), 0.3)
+    for column, rows in enumerate(at):
+        D[rows, column] = 1.0
+    A, b = G.T @ G, G.T @ rng.normal(size=300)
+    estimate = np.linalg.solve(D.T @ A @ D + np.diag(1 / size**2), D.T @ b)
+    np.testing.assert_array_equal(log_evidence(A, b, D, size)[1], estimate)
+
+
 def test_like_joints_are_grouped_by_kind_and_leg() -> None:
     names = ["fl_hip", "fl_knee", "fr_hip", "fr_knee"]
     assert ("fl_hip", "fr_hip") in like_joints(names)
