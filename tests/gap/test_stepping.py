@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from mujoco import rollout
 
+from realsim.gap.simulation.sampling import _clock, quiet_mujoco
 from realsim.gap.simulation.stepping import Gear, rolled, spare, stepped, switched
 
 SLED = """<mujoco><option timestep="0.001" gravity="0 0 0"/><worldbody><body>
@@ -31,6 +32,23 @@ def test_without_a_law_it_is_the_plain_roll_out() -> None:
     _, theirs = rollout.rollout(model, mujoco.MjData(model), rest(model)[None], control[None])
     np.testing.assert_array_equal(stepped([], model, rest(model), control)[0], theirs[0])
     np.testing.assert_array_equal(rolled(model, rest(model), control)[0], theirs[0])
+
+
+def test_a_second_run_of_a_model_begins_as_the_first_did() -> None:
+    model = sled()
+    control = np.random.default_rng(0).normal(size=(STEPS, 1))
+    once = rolled(model, rest(model), control)[0]
+    stepped([Gear(0, 0, 0.3)], model, rest(model), 2 * control)
+    np.testing.assert_array_equal(rolled(model, rest(model), control)[0], once)
+
+
+def test_no_clock_is_read_in_simulations_and_the_profiler_is_back_afterwards() -> None:
+    model, before = sled(), _clock().value
+    data, step = mujoco.MjData(model), mujoco.mjtTimer.mjTIMER_STEP
+    with quiet_mujoco():
+        mujoco.mj_step(model, data)
+        assert data.timer[step].duration == 0
+    assert _clock().value == before
 
 
 @pytest.mark.parametrize("gear", [1.0, -3.0])
