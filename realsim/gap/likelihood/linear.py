@@ -101,14 +101,14 @@ class Spectrum:
         return 0.5 * float(c - (scale**2 * square / (1 + scale**2 * self.values)).sum()) + self.occam(scale)
 
 
-def scaled(A: F64, b: F64, c: float, prior: F64) -> tuple[float, float]:
+def scaled(A: F64, b: F64, c: float, prior: F64, spectrum: Spectrum | None = None) -> tuple[float, float]:
     """(misfit, scale) at the most probable scale that all small deviations of this robot share.
 
     Robots differ in how far they are from their model as a whole: one that needs hardly any deviation once a cause is
     named has that cause, one that needs many at once to do without it has not (empirical Bayes; MacKay, Neural
-    Computation 4, 1992).
+    Computation 4, 1992). `spectrum`: of A and prior, where it is known already.
     """
-    best, spectrum = (np.inf, 1.0), Spectrum.of(A, prior)
+    best, spectrum = (np.inf, 1.0), spectrum or Spectrum.of(A, prior)
     for least, s in sorted((spectrum.least(b, c, prior, s), s) for s in figures.SCALES):
         if least < best[0]:
             x = bounded(A, b, s * prior, figures.REASONABLE * s * prior)[0]

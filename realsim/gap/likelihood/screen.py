@@ -21,7 +21,7 @@ from realsim.gap.effects.base import Effect, Parameter, Place
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.effects.nuisances import NUISANCES
 from realsim.gap.likelihood.comparison import Comparison
-from realsim.gap.likelihood.linear import Evidence, scaled
+from realsim.gap.likelihood.linear import Evidence, Spectrum, scaled
 from realsim.gap.model.groups import like_joints
 from realsim.gap.simulation.recent import Recent
 from realsim.gap.simulation.simulate import Setting, Simulator
@@ -89,6 +89,8 @@ class Screen:
         """(effect, place) of the causes that move the robot otherwise, about which slopes were taken last."""
         self._about: Recent[list[F32] | None] = Recent(2)
         """Columns with slopes about causes, those of the set before the present one too."""
+        self._informed: Recent[tuple[F64, Spectrum]] = Recent(8)
+        """Information on the atoms, which all predictions share that are looked at under the same weights."""
         self._lock = threading.Lock()
         """Held where the normal matrices are made anew."""
         self._A: list[F64] = []
@@ -268,8 +270,14 @@ class Screen:
     def misfit(self, evidence: Evidence, prior: F64) -> tuple[float, float]:
         """(half the weighted squared residual beside the most probable nuisances, and their price; the scale of their
         `prior` that is the most probable)."""
-        A, b = np.sum(evidence.A, axis=0), np.sum(evidence.b, axis=0)
-        return scaled(A, b, sum(evidence.c), prior)
+
+        def made() -> tuple[F64, Spectrum]:
+            A = np.sum(evidence.A, axis=0)
+            return A, Spectrum.of(A, prior)
+
+        key = evidence.version, evidence.runs, prior.tobytes()
+        A, spectrum = made() if evidence.version < 0 else self._informed.get(key, made)
+        return scaled(A, np.sum(evidence.b, axis=0), sum(evidence.c), prior, spectrum)
 
     def fitted(self, k: int, x: F64) -> Any:
         """(B, C) change of the prediction of screened run k by atoms x."""
