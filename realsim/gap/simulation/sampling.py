@@ -116,11 +116,11 @@ def quiet_mujoco() -> Iterator[None]:
 
 def _clock() -> ctypes.c_void_p:
     """MuJoCo's `mjcb_time`, empty for no profiler; in Python it has one that `set_mjcb_time` cannot take away."""
-    from mujoco import _callbacks
-
     try:
+        from mujoco import _callbacks
+
         return ctypes.c_void_p.in_dll(ctypes.CDLL(_callbacks.__file__), "mjcb_time")
-    except (OSError, ValueError):  # a library that does not show it: as slow as ever
+    except (ImportError, OSError, ValueError):  # a library that does not show it: as slow as ever
         return ctypes.c_void_p()
 
 
