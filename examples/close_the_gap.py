@@ -44,7 +44,7 @@ from trainer.commands.task_file import load_task
 from trainer.evaluate import EvaluationConfig, Setting, run, summarise, trial_env
 from trainer.physics import PhysicsConfig
 from trainer.physics.world import world_spec
-from trainer.policies import TASK, base_of
+from trainer.policies import TASKS, base_of
 from trainer.ppo import checkpoint
 from trainer.ppo.config import LoopConfig, NetworkConfig, PPOConfig, StrategyConfig
 from trainer.ppo.distributed import pick_device
@@ -99,7 +99,7 @@ class Walk:
     def task(self, random: RandomisationConfig) -> ParkourConfig:
         """Flat ground needs no camera; the robot is told where the goal lies, as by somebody with a joystick."""
         if not self.flat:
-            return replace(load_task(TASK), randomisation=random)
+            return replace(load_task(TASKS[self.robot]), randomisation=random)
         return ParkourConfig(
             command=CommandConfig(speed=(0.6, 0.6)),
             observation=ObservationConfig(steered=True),

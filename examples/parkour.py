@@ -24,7 +24,7 @@ from trainer.commands.finetune import helped
 from trainer.commands.task_file import load_task
 from trainer.evaluate import EvaluationConfig, Setting, evaluate, trial_env
 from trainer.physics import PhysicsConfig
-from trainer.policies import TASK, base_of
+from trainer.policies import TASKS, base_of
 from trainer.ppo.config import LoopConfig
 from trainer.ppo.distributed import pick_device
 from trainer.replay import record, write
@@ -48,7 +48,7 @@ class Options:
     """Before and after."""
     worlds: int = 0
     """Simulated robots; 0 takes 4096 on a GPU and 64 on the CPU."""
-    task_file: Path = TASK
+    task_file: Path = TASKS["g1"]
     """What differs from the paper's task."""
     videos: bool = True
     """One trial before and one after."""
