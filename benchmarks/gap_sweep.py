@@ -106,7 +106,7 @@ def _score(args: argparse.Namespace, labels: dict[str, dict[str, Any]]) -> int:
             "level": level,
             "cases": len(shared),
             "robots": robots,
-        }
+        } | ({} if len(args.strata) == len(STRATA) else {"strata": args.strata})
         store.add(row | {column: found[column] for column in SHOWN})
     return 0
 

@@ -164,7 +164,7 @@ SWEPT = {
 
 def sweep() -> list[str]:
     """The same cases with other everyday deviations and noise, by the last engine that was swept."""
-    rows = stored("gap_sweep")["rows"]
+    rows = [r for r in stored("gap_sweep")["rows"] if "strata" not in r]
     last = {r["level"]: r for r in rows if r["engine"] == rows[-1]["engine"]}
     levels = [level for level in gap_sweep.LEVELS if level in last]
     titles = [f"deviations x{d:g}" if n == 1 else f"noise x{n:g}" for d, n in map(gap_sweep.LEVELS.get, levels)]
