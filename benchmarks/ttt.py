@@ -275,23 +275,19 @@ def _cell(seeds: list[Row]) -> str:
     """All seeds of a policy and test, one after the other in every figure."""
     if not seeds:
         return ""
-    which = f"seeds {_listed([str(r['seed']) for r in seeds])}: " if len(seeds) > 1 else ""
+    which = f"seeds {', '.join(str(r['seed']) for r in seeds)}: " if len(seeds) > 1 else ""
     text = f"{which}{_shares(seeds, 'won')} %"
     more = {"won_robust": "robust", "won_self": "self-collision"}
     if said := "; ".join(f"{title} {_shares(seeds, k)} %" for k, title in more.items() if any(k in r for r in seeds)):
         text += f" ({said})"
     if seeds[0]["method"] != "base":
         reached = ["never" if r.get("to_target") is None else str(r["to_target"]) for r in seeds]
-        text += f", {_listed([str(r['iterations']) for r in seeds])} iterations, 97 % after {_listed(reached)}"
+        text += f", {', '.join(str(r['iterations']) for r in seeds)} iterations, 97 % after {', '.join(reached)}"
     return text
 
 
 def _shares(seeds: list[Row], what: str) -> str:
-    return _listed([f"{100 * r[what] / r['trials']:.1f}" if what in r else "-" for r in seeds])
-
-
-def _listed(values: list[str]) -> str:
-    return ", ".join(values)
+    return ", ".join(f"{100 * r[what] / r['trials']:.1f}" if what in r else "-" for r in seeds)
 
 
 if __name__ == "__main__":
