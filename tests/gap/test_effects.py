@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import ast
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import realsim.gap
 from realsim.gap import EFFECTS, DiagnoseConfig, diagnose, explain, load_case
 from realsim.gap.simulation.simulate import Simulator
 
@@ -75,6 +79,26 @@ RIVALS = ("command_delay", "stiffness_gain", "coulomb_friction", "payload")
 
 def test_the_library_is_the_contract() -> None:
     assert sorted(EFFECTS) == sorted(CONTRACT)
+
+
+def test_an_effect_is_one_file() -> None:
+    """Nothing else of the engine knows it by its name."""
+    same = {  # words of another meaning
+        "model/context.py": "armature",  # of MuJoCo's joints
+        "logs/setups.py": "payload",  # that a run is known to carry
+        "experiments/write.py": "payload",
+        "contract/kinds.py": "observation_delay",  # of a policy's input
+        "answer/patch.py": "external_force",  # a wrapper
+    }
+    root = Path(realsim.gap.__file__).parent
+    found = [
+        f"{name}: {node.value}"
+        for path in root.rglob("*.py")
+        if not (name := path.relative_to(root).as_posix()).startswith("effects/")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and node.value in EFFECTS and node.value != same.get(name)
+    ]
+    assert not found
 
 
 @pytest.mark.parametrize("name", CONTRACT)

@@ -178,6 +178,22 @@ def test_an_empty_patch_changes_nothing(arm: Simulator) -> None:
     assert spec.to_xml() == before
 
 
+def test_a_ratio_of_the_earlier_format_is_read(arm: Simulator) -> None:
+    """It was the ratio less 1 and is its logarithm."""
+    made = [
+        {"format": f"realsim.gap.patch/{version}", "scales": {"torque_range": dict.fromkeys(arm.case.joint_names)},
+         "settings": [{"effect": "stiffness_gain", "place": ["elbow"], "coordinates": {"ratio": ratio}}]}
+        for version, ratio in ((1, -0.25), (2, np.log(0.75)))
+    ]  # fmt: skip
+    gains = []
+    for patch in made:
+        spec = mujoco.MjSpec.from_file(str(arm.case.folder / "model.xml"))
+        apply_patch(spec, patch)
+        gains.append(spec.compile().actuator(arm.context.actuator["elbow"]).gainprm[0])
+    assert gains[0] == pytest.approx(gains[1])
+    assert gains[0] == pytest.approx(0.75 * arm.case.model.actuator(arm.context.actuator["elbow"]).gainprm[0])
+
+
 def test_foreign_patches_are_refused(arm: Simulator, walker: Simulator) -> None:
     patch = make_patch(arm, fitted(arm, "coulomb_friction"))
     spec = mujoco.MjSpec.from_file(str(walker.case.folder / "model.xml"))

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import fields
 from math import log1p
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from realsim.errors import GapError, UnknownNameError
 from realsim.gap.causes.fit import Fit
@@ -16,25 +20,9 @@ from realsim.gap.model.edit import Edit, Signals
 from realsim.gap.simulation.simulate import Setting, Simulator
 
 FORMAT, EARLIER = "realsim.gap.patch/2", "realsim.gap.patch/1"
-LOGARITHMIC = ("stiffness_gain", "damping_gain", "motor_gain")
-"""Effects whose ratio was less 1 in the earlier format and is a logarithm now."""
-# What no compiled model holds, and what the loop that steps it must do about it.
-_WRAPPER = {
-    "command_delay": "hold back every command by this time before it is written to ctrl (model.xml does it itself, but "
-    "for a delay below 0)",
-    "observation_delay": "read joint positions, velocities and torques this much later",
-    "joint_offset": "add it to the joint's reading, and give the servo the command less it (times the actuator's gear; "
-    "for position servos model.xml does this)",
-    "reading_offset": "add it to the joint's reading; the servo is right",
-    "gyro_bias": "add it to the gyroscope's reading",
-    "acc_bias": "add it to the accelerometer's reading",
-    "load_friction": "before each step, set dof_frictionloss to the model's plus ratio * |torque of the drive|",
-    "position_torque": "before each step, set the joint's qfrc_applied to constant + cos_1 cos(q) + sin_1 sin(q) + "
-    "cos_2 cos(2 q) + sin_2 sin(2 q); the values stand in this order",
-    "external_force": "set ctrl of this actuator to 1 from start to end (of the run, or since its onset), else to 0",
-}
-_IN_XML = ("command_delay", "joint_offset")
-"""Wrappers that the patched model.xml does without."""
+"""In the earlier one what is a ratio's logarithm now was the ratio less 1."""
+PULSES = "external_force"
+"""Wrapper of forces that act for a while."""
 
 
 def empty_patch() -> dict[str, Any]:
@@ -74,30 +62,27 @@ def _how(simulator: Simulator, setting: Setting) -> dict[str, Any]:
 def wrappers(signals: Signals, onsets: dict[str, float] | None = None) -> dict[str, Any]:
     """Only what differs from nothing: {value, unit, what to do}; `onsets`: those of the runs, s."""
     found: dict[str, Any] = {}
-    for name in ("command_delay", "observation_delay"):
-        value = getattr(signals, name)
-        if value:
-            found[name] = {"value": float(value), "unit": "s"}
-    for name, values in (("joint_offset", signals.joint_offset), ("reading_offset", signals.read_offset)):
-        if any(values.values()):
-            found[name] = {"value": {j: float(v) for j, v in values.items() if v}, "unit": "rad"}
-    if any(signals.gyro_bias):
-        found["gyro_bias"] = {"value": list(signals.gyro_bias), "unit": "rad/s"}
-    if any(signals.acc_bias):
-        found["acc_bias"] = {"value": list(signals.acc_bias), "unit": "m/s^2"}
-    if signals.position_torque:
-        found["position_torque"] = {"value": dict(signals.position_torque), "unit": "N m"}
-    if signals.load_friction:
-        found["load_friction"] = {"value": dict(signals.load_friction), "unit": "ratio"}
+    for wrapper in fields(signals):
+        value = getattr(signals, wrapper.name)
+        if wrapper.metadata and any(value.values() if isinstance(value, dict) else np.atleast_1d(value)):
+            found[wrapper.name] = {"value": _plain(value), **wrapper.metadata}
     passing = [p for p in signals.pulses if not p.always]
     if passing:
         value = [
             {"actuator": p.actuator, "start_s": p.start, "end_s": p.end, "since_onset": p.by_onset} for p in passing
         ]
-        found["external_force"] = {"value": value, "unit": "s"}
+        what = "set ctrl of this actuator to 1 from start to end (of the run, or since its onset), else to 0"
+        found[PULSES] = {"value": value, "unit": "s", "what": what}
         if any(p.by_onset for p in passing):
-            found["external_force"]["onsets_s"] = dict(onsets or {})
-    return {name: {**said, "what": _WRAPPER[name]} for name, said in found.items()}
+            found[PULSES]["onsets_s"] = dict(onsets or {})
+    return found
+
+
+def _plain(value: Any) -> Any:
+    """As JSON has it; of joints, those that have something."""
+    if isinstance(value, dict):
+        return {name: _plain(v) for name, v in value.items() if v}
+    return [float(v) for v in value] if isinstance(value, Sequence) else float(value)
 
 
 def _scales(context: Context) -> dict[str, Any]:
@@ -116,8 +101,7 @@ def apply_patch(spec: Any, patch: dict[str, Any]) -> Signals:
     Raises:
         GapError: for a patch of another format, or a model without the named parts.
     """
-    patch = _upgraded(patch)
-    if not isinstance(patch, dict) or patch.get("format") != FORMAT:
+    if not isinstance(patch, dict) or patch.get("format") not in (FORMAT, EARLIER):
         raise GapError(
             "not a patch of this version",
             expected=f'"format": "{FORMAT}"',
@@ -144,26 +128,16 @@ def apply_patch(spec: Any, patch: dict[str, Any]) -> Signals:
     for item in patch["settings"]:
         effect = EFFECTS[item["effect"]]
         place = tuple(item["place"])
-        full = {p.name: p.default for p in effect.parameters(context, place)}
-        effect.apply(edit, place, full | item["coordinates"])
+        parameters = effect.parameters(context, place)
+        given = {p.name: item["coordinates"].get(p.name, p.default) for p in parameters}
+        if patch["format"] == EARLIER:
+            given |= {p.name: log1p(given[p.name]) for p in parameters if p.logarithmic}
+        effect.apply(edit, place, given)
     _hold_forces(edit)
     if edit.signals.rotors:
         for key in list(spec.keys):
             spec.delete(key)  # a keyframe has the old number of coordinates
     return edit.signals
-
-
-def _upgraded(patch: Any) -> Any:
-    """A patch of the earlier format as one of this; anything else as it is."""
-    if not isinstance(patch, dict) or patch.get("format") != EARLIER:
-        return patch
-    settings = [
-        {**item, "coordinates": {name: log1p(value) for name, value in item["coordinates"].items()}}
-        if item["effect"] in LOGARITHMIC
-        else item
-        for item in patch.get("settings", [])
-    ]
-    return {**patch, "format": FORMAT, "settings": settings}
 
 
 def _belongs(model: Any, patch: dict[str, Any], joints: tuple[str, ...]) -> None:
@@ -206,22 +180,18 @@ def patched_xml(simulator: Simulator, fit: Fit) -> str:
             actuator = spec.actuator(name)
             steps = int(signals.command_delay / context.timestep) + 2
             actuator.delay, actuator.nsample = signals.command_delay, steps
-    for joint, offset in signals.joint_offset.items():
-        if simulator.case.command_kind == "position" and offset:
+        signals.command_delay = 0.0
+    if simulator.case.command_kind == "position":
+        for joint, offset in signals.joint_offset.items():
             actuator = spec.actuator(context.actuator[joint])
             bias = actuator.biasprm
             bias[0] -= actuator.gainprm[0] * simulator.case.gear(joint) * offset
             actuator.biasprm = bias
+        signals.joint_offset = {}
     spec.compile()
-    left = [name for name in wrappers(signals) if name not in _IN_XML or _beyond_xml(name, simulator, signals)]
+    left = list(wrappers(signals))
     note = f"<!-- not in this file, see patch.wrappers in diagnosis.json: {', '.join(left)} -->\n" if left else ""
     return note + str(spec.to_xml())
-
-
-def _beyond_xml(wrapper: str, simulator: Simulator, signals: Signals) -> bool:
-    if wrapper == "command_delay":
-        return signals.command_delay <= 0
-    return wrapper == "joint_offset" and simulator.case.command_kind != "position"
 
 
 def asset_files(spec: Any) -> list[str]:

@@ -21,6 +21,9 @@ from realsim.gap.camera.mixed import Fit
 from realsim.gap.camera.rays import Correction, Mount, View
 from realsim.gap.camera.recorded import DepthCamera, depth_camera, read_frames
 from realsim.gap.camera.terrain import Terrain
+from realsim.gap.effects.camera_delay import EFFECT as DELAY
+from realsim.gap.effects.camera_mount import EFFECT as MOUNT
+from realsim.gap.effects.depth_noise import EFFECT as NOISE
 from realsim.gap.logs.case import Case, Run
 from realsim.types import F64
 
@@ -59,10 +62,10 @@ STRAIGHT = 1e-9
 LEAST_BENDS = 20
 LEAST_PIXELS = 500
 KINDS = (
-    ("camera_delay", (0,)),
-    *(("camera_mount", (k,)) for k in range(1, 7)),
-    ("camera_mount", (1, 2, 3)),
-    ("camera_mount", (4, 5, 6)),
+    (DELAY.name, (0,)),
+    *((MOUNT.name, (k,)) for k in range(1, 7)),
+    (MOUNT.name, (1, 2, 3)),
+    (MOUNT.name, (4, 5, 6)),
 )
 """Effect and parameters that are compared with everyday deviations: alone, and together where data know only a mix."""
 
@@ -93,9 +96,9 @@ class CameraFound:
         """The effects that were named, in the form of diagnosis.json."""
         found = []
         for name in self.named:
-            if name == "camera_delay":
+            if name == DELAY.name:
                 parameters = {"delay": _parameter(self.delay, "s")}
-            elif name == "camera_mount":
+            elif name == MOUNT.name:
                 axes = zip("xyz", self.turn, self.shift, strict=True)
                 parameters = {}
                 for axis, turned, moved in axes:
@@ -117,17 +120,17 @@ class CameraFound:
     def sentences(self) -> list[str]:
         """What is beyond everyday, a sentence each."""
         said = []
-        if "camera_delay" in self.named:
+        if DELAY.name in self.named:
             ms = [1e3 * v for v in self.delay]
             said.append(f"the camera {self.camera} is late by {ms[0]:.0f} ms [{ms[1]:.0f}, {ms[2]:.0f}]")
-        if "camera_mount" in self.named:
+        if MOUNT.name in self.named:
             turn = ", ".join(f"{degrees(v):+.1f}° [{degrees(a):.1f}, {degrees(b):.1f}]" for v, a, b in self.turn)
             shift = ", ".join(f"{1e3 * v:+.0f} [{1e3 * a:.0f}, {1e3 * b:.0f}]" for v, a, b in self.shift)
             said.append(
                 f"the camera {self.camera} is not mounted as in the model: turned by {turn} and shifted by {shift} mm "
                 "(about and along right, down, forward)"
             )
-        if "depth_noise" in self.named and self.noise is not None:
+        if NOISE.name in self.named and self.noise is not None:
             v, a, b = self.noise
             said.append(f"the depth of {self.camera} is {v:.1f} [{a:.1f}, {b:.1f}] times as noisy as log.json says")
         return said
@@ -213,7 +216,7 @@ class _Fitter:
                 named[name] = max(odds, named.get(name, 0.0))
         noise = self._noise(x)
         if noise is not None and noise[1] > NOISIER:
-            named["depth_noise"] = float(min(30.0, np.log(noise[0]) ** 2 / max((noise[2] - noise[1]) / 3.3, 1e-3) ** 2))
+            named[NOISE.name] = float(min(30.0, np.log(noise[0]) ** 2 / max((noise[2] - noise[1]) / 3.3, 1e-3) ** 2))
         after = [self.residual(x, w) for w in range(self.runs)]
         sigma = np.sqrt(np.diag(covariance))
         values = [(float(v), float(v - Z90 * s), float(v + Z90 * s)) for v, s in zip(x[:7], sigma[:7], strict=True)]

@@ -59,6 +59,11 @@ class Parameter:
     """(effect, parameter) whose slope this one shares to first order, so that none is simulated for it."""
 
     @property
+    def logarithmic(self) -> bool:
+        """Whether the coordinate is a ratio's logarithm."""
+        return self.report is math.exp
+
+    @property
     def strength(self) -> bool:
         """Whether at zero nothing is left of the effect; the others say when, where or how."""
         return self.default == 0.0 and not self.shape

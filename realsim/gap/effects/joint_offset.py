@@ -20,7 +20,7 @@ def _excited(context: Context, place: Place) -> Excitation:
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     """`offset`: servo and log read it alike. `reading_offset`: only the logged encoder has it."""
     for joint in place:
-        loop, read = edit.signals.joint_offset, edit.signals.read_offset
+        loop, read = edit.signals.joint_offset, edit.signals.reading_offset
         loop[joint] = loop.get(joint, 0.0) + values["offset"]
         read[joint] = read.get(joint, 0.0) + values["reading_offset"]
 

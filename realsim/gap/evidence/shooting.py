@@ -127,7 +127,7 @@ def _errors(
     """(H, K) of one window."""
     s = edit.signals
     at = motion.time[n] + seconds
-    shift = np.array([s.joint_offset.get(j, 0.0) + s.read_offset.get(j, 0.0) for j in simulator.case.joint_names])
+    shift = np.array([s.joint_offset.get(j, 0.0) + s.reading_offset.get(j, 0.0) for j in simulator.case.joint_names])
     parts = [_logged(run, "joint_pos", at) - sample(track["pos"], seconds / dt) - shift]
     signals = {c.signal for c in simulator.channels}
     if "base_pos" in signals:

@@ -38,20 +38,47 @@ class Pulse:
         return self.start <= 0 and self.end >= EVER
 
 
+def _wrapper(unit: str, what: str) -> dict[str, str]:
+    """Metadata of what no compiled model holds: its unit, and what the loop that steps the simulator does about it."""
+    return {"unit": unit, "what": what}
+
+
 @dataclass
 class Signals:
     """What lies between the simulator and the log: wrappers of commands and sensors, and forces known in time."""
 
-    command_delay: float = 0.0
+    command_delay: float = field(
+        default=0.0,
+        metadata=_wrapper(
+            "s",
+            "hold back every command by this time before it is written to ctrl (model.xml does it itself, but for a "
+            "delay below 0)",
+        ),
+    )
     """Seconds."""
-    observation_delay: float = 0.0
+    observation_delay: float = field(
+        default=0.0, metadata=_wrapper("s", "read joint positions, velocities and torques this much later")
+    )
     """Seconds, of joint signals."""
-    joint_offset: dict[str, float] = field(default_factory=dict)
+    joint_offset: dict[str, float] = field(
+        default_factory=dict,
+        metadata=_wrapper(
+            "rad",
+            "add it to the joint's reading, and give the servo the command less it (times the actuator's gear; for "
+            "position servos model.xml does this)",
+        ),
+    )
     """Reading minus true position, of encoders that the servo also uses, rad."""
-    read_offset: dict[str, float] = field(default_factory=dict)
+    reading_offset: dict[str, float] = field(
+        default_factory=dict, metadata=_wrapper("rad", "add it to the joint's reading; the servo is right")
+    )
     """The same of encoders that only the log uses."""
-    gyro_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    acc_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gyro_bias: tuple[float, float, float] = field(
+        default=(0.0, 0.0, 0.0), metadata=_wrapper("rad/s", "add it to the gyroscope's reading")
+    )
+    acc_bias: tuple[float, float, float] = field(
+        default=(0.0, 0.0, 0.0), metadata=_wrapper("m/s^2", "add it to the accelerometer's reading")
+    )
     imu_delay: float = 0.0
     """Seconds, of the IMU's signals beside the encoders'."""
     imu_phase: float = 0.0
@@ -66,9 +93,21 @@ class Signals:
     """Share of a held command's step that the logged torque has seen when it is sampled (0: as simulated)."""
     back_emf: dict[str, float] = field(default_factory=dict)
     """Joint -> N m s/rad: what a helper adds to the servo before the joint's limit, and damping takes off after it."""
-    load_friction: dict[str, float] = field(default_factory=dict)
+    load_friction: dict[str, float] = field(
+        default_factory=dict,
+        metadata=_wrapper(
+            "ratio", "before each step, set dof_frictionloss to the model's plus ratio * |torque of the drive|"
+        ),
+    )
     """Joint -> friction as a ratio of the transmitted torque."""
-    position_torque: dict[str, list[float]] = field(default_factory=dict)
+    position_torque: dict[str, list[float]] = field(
+        default_factory=dict,
+        metadata=_wrapper(
+            "N m",
+            "before each step, set the joint's qfrc_applied to constant + cos_1 cos(q) + sin_1 sin(q) + cos_2 cos(2 q) "
+            "+ sin_2 sin(2 q); the values stand in this order",
+        ),
+    )
     """Joint -> N m: constant, then cosine and sine of its angle, of twice its angle, ..."""
     pulses: list[Pulse] = field(default_factory=list)
     rotors: dict[str, str] = field(default_factory=dict)
@@ -82,7 +121,7 @@ class Signals:
     def motion(self, in_motion: bool) -> str:
         """All of it that the simulation itself depends on, spelled out; `in_motion`: runs begin as the log reads."""
         offsets = {joint: offset for joint, offset in self.joint_offset.items() if offset}
-        begun = (self.observation_delay, self.read_offset) if in_motion else ()
+        begun = (self.observation_delay, self.reading_offset) if in_motion else ()
         laws = (self.load_friction, self.position_torque, self.back_emf)
         return repr((self.command_delay, offsets, laws, self.pulses, begun))
 

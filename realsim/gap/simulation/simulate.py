@@ -329,7 +329,7 @@ class Simulator:
         late = now - s.observation_delay / dt
         columns: dict[str, F64] = {}
         names = self.case.joint_names
-        shift = np.array([s.joint_offset.get(n, 0.0) + s.read_offset.get(n, 0.0) for n in names])
+        shift = np.array([s.joint_offset.get(n, 0.0) + s.reading_offset.get(n, 0.0) for n in names])
         columns["joint_pos"] = sample(raw["pos"], late) + shift
         columns["joint_vel"] = sample(raw["vel"], late)
         gain = np.array([1 + s.torque_gain.get(n, 0.0) for n in names])

@@ -105,7 +105,7 @@ def initial_state(case: Case, model: Any, run: Run, edit: Edit, start: Start | N
     for j, name in enumerate(case.joint_names):
         true = read[j] if moved is None else moved[nominal.joint(name).qposadr[0]]
         if start is None or start.encoders:
-            true = true - edit.signals.joint_offset.get(name, 0.0) - edit.signals.read_offset.get(name, 0.0)
+            true = true - edit.signals.joint_offset.get(name, 0.0) - edit.signals.reading_offset.get(name, 0.0)
         data.qpos[model.joint(name).qposadr[0]] = true
         if name in edit.signals.rotors:
             data.qpos[model.joint(edit.signals.rotors[name]).qposadr[0]] = true
