@@ -1,7 +1,7 @@
 """How long a diagnosis takes on a machine that does nothing else: case after case, each on all cores.
 
-    python benchmarks/gap_sweep.py make --cases 40 --seed 11 --levels as_drawn
-    python benchmarks/gap_times.py --seed 11            # what is done stays, so that an interrupted run goes on
+python benchmarks/gap_sweep.py make --cases 40 --seed 11 --levels as_drawn
+python benchmarks/gap_times.py --seed 11            # what is done stays, so that an interrupted run goes on
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ def main() -> int:
     store = Store(args.store, KEY)
     for name, label in sorted(read_labels(folder).items()):
         answer = _answer(folder / "cases" / name, folder / f"on_{args.threads}" / f"{name}.json", args.threads)
-        cost = {k: round(answer[k], 1) for k in ("seconds", "cpu_seconds")}
-        row = {"seed": args.seed, "engine": engine(), "case": name, "robot": label["robot"], "verdict": answer["verdict"]}
-        print(store.add(row | cost | {"threads": args.threads}), flush=True)
+        row = {"seed": args.seed, "engine": engine(), "case": name, "robot": label["robot"], "threads": args.threads}
+        took = {what: round(answer[what], 1) for what in ("seconds", "cpu_seconds")}
+        print(store.add(row | took | {"verdict": answer["verdict"]}), flush=True)
     return 0
 
 

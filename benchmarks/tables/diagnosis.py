@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from statistics import median
 
 from benchmarks import gap_real, gap_sweep, gap_unstable
 from benchmarks.tables.stored import Row, counts, of, stored
@@ -173,6 +174,21 @@ def sweep() -> list[str]:
     for column, (title, wanted) in SWEPT.items():
         cells = " | ".join("{} of {}".format(*last[level][column]) for level in levels)
         lines.append(f"| {title} | {cells} | {wanted} |")
+    return lines
+
+
+WANTED_SECONDS = {"pendulum": 15, "arm2": 45, "arm6": 45, "quadruped": 150, "g1": 300}
+
+
+def times() -> list[str]:
+    """Seconds of a diagnosis on two free cores, by the last engine that was timed."""
+    rows = stored("gap_times")["rows"]
+    rows = [r for r in rows if (r["seed"], r["engine"]) == (rows[-1]["seed"], rows[-1]["engine"])]
+    lines = ["| robot | cases | median, s | all, s | wanted |", "|---|---|---|---|---|"]
+    for robot, wanted in WANTED_SECONDS.items():
+        took = sorted(r["seconds"] for r in rows if r["robot"] == robot)
+        each = ", ".join(f"{s:.0f}" for s in took)
+        lines.append(f"| {robot} | {len(took)} | {median(took):.0f} | {each} | {wanted} |")
     return lines
 
 

@@ -28,6 +28,7 @@ from benchmarks.tables.diagnosis import (
     footholds,
     real_logs,
     sweep,
+    times,
     unstable,
 )
 from benchmarks.tables.fresh import by_robot, fresh
@@ -86,6 +87,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "real logs": real_logs,
     "unstable robots": unstable,
     "sweep": sweep,
+    "times": times,
     "experiments": experiments,
     "drift": drift,
     "closing the loop": closing,
