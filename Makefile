@@ -23,7 +23,7 @@ format: venv
 	$(BIN)/ruff check --fix .
 
 bench: venv
-	$(BIN)/python benchmarks/reconstruct.py
+	$(BIN)/python benchmarks/scenes/reconstruct.py
 
 readme: venv
 	$(BIN)/python -m benchmarks.tables

@@ -51,7 +51,7 @@ class Store:
 
     def save(self) -> None:
         """Write all rows, and the runs that some of them are from."""
-        from realsim.files import to_json, write_text
+        from realsim.core.files import to_json, write_text
 
         used = {r["run"] for r in self.rows}
         runs = {name: run for name, run in self.runs.items() if name in used}

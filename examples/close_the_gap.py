@@ -37,7 +37,7 @@ import torch
 
 import realsim as rs
 from realsim import DiagnoseConfig
-from realsim.files import to_json, write_text
+from realsim.core.files import to_json, write_text
 from trainer import terrain
 from trainer.commands.common import find_terrain
 from trainer.commands.task_file import load_task
@@ -109,8 +109,8 @@ class Walk:
         )
 
     def training(self, iterations: int, random: RandomisationConfig, **more: Any) -> TrainConfig:
-        """One core and small networks (those of benchmarks/trainer_cpu.py) on flat ground, `realsim finetune`'s
-        values on a course."""
+        """One core and small networks (those of benchmarks/training/trainer_cpu.py) on flat ground, `realsim
+        finetune`'s values on a course."""
         loop = LoopConfig(iterations=iterations, checkpoint_every=25, evaluate_every=0, tensorboard=False)
         if not self.flat:
             return TrainConfig(

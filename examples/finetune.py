@@ -3,7 +3,7 @@
     python examples/finetune.py [SCENE]
 
 SCENE is a folder of `realsim reconstruct`; without one an easy course is generated. A few iterations on the CPU show
-the calls and teach next to nothing: walking takes hundreds of them (benchmarks/trainer_cpu.py).
+the calls and teach next to nothing: walking takes hundreds of them (benchmarks/training/trainer_cpu.py).
 """
 
 import sys

@@ -10,17 +10,18 @@ Nothing heavy is imported before a function is called.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from realsim.errors import RealsimError
+import realsim.export as _export  # noqa: F401 (first: later, it would hide the function of its name)
+from realsim.api import export
+from realsim.core.errors import RealsimError
+from realsim.core.registry import lazily
 
 if TYPE_CHECKING:
     from realsim.api import (
         apply_patch,
         contact,
         diagnose,
-        export,
         footholds,
         inspect,
         load_case,
@@ -31,10 +32,10 @@ if TYPE_CHECKING:
     )
     from realsim.capture.config import CaptureConfig
     from realsim.capture.inspection import Inspection
-    from realsim.exports.config import SceneConfig
+    from realsim.export.config import SceneConfig
+    from realsim.gap.case.case import Case
     from realsim.gap.config import DiagnoseConfig
     from realsim.gap.experiments.config import ExciteConfig
-    from realsim.gap.logs.case import Case
     from realsim.pipeline import ReconstructConfig
     from realsim.results import Cause, Diagnosis, GapVerdict, Interval, Scene, SceneVerdict
 
@@ -46,7 +47,6 @@ _HOME = {
             "inspect",
             "reconstruct",
             "contact",
-            "export",
             "load_scene",
             "load_case",
             "diagnose",
@@ -63,10 +63,10 @@ _HOME = {
     ),
     "CaptureConfig": "realsim.capture.config",
     "Inspection": "realsim.capture.inspection",
-    "SceneConfig": "realsim.exports.config",
+    "SceneConfig": "realsim.export.config",
     "DiagnoseConfig": "realsim.gap.config",
     "ExciteConfig": "realsim.gap.experiments.config",
-    "Case": "realsim.gap.logs.case",
+    "Case": "realsim.gap.case.case",
     "ReconstructConfig": "realsim.pipeline",
 }
 """Name -> the module that it is imported from when it is first used (PEP 562)."""
@@ -101,13 +101,8 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'realsim' has no attribute {name!r}")
-    value = getattr(import_module(_HOME[name]), name)
-    globals()[name] = value
-    return value
+__getattr__ = lazily(__name__, _HOME)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOME})
+    return list(__all__)

@@ -1,6 +1,6 @@
 """`python -m realsim` is the command line."""
 
-from realsim.cli import main
+from realsim.cli.command_line import main
 
 if __name__ == "__main__":
     raise SystemExit(main())

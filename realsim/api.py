@@ -19,16 +19,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from realsim.errors import ExportError, GapError, require
-from realsim.results import Diagnosis, Scene
+from realsim.core.errors import GapError, require
 
 if TYPE_CHECKING:
     from realsim.capture import CaptureConfig, Inspection
-    from realsim.exports import Exported
-    from realsim.exports.config import SceneConfig
+    from realsim.export import Exported
+    from realsim.export.config import SceneConfig
     from realsim.gap import Case, DiagnoseConfig
     from realsim.gap.experiments.config import ExciteConfig
     from realsim.pipeline import ReconstructConfig
+    from realsim.results import Diagnosis, Scene
 
 StrPath = str | os.PathLike[str]
 Progress = Callable[[str, float], None]
@@ -73,6 +73,8 @@ def reconstruct(
     Raises:
         RealsimError: bad input or an impossible request; nothing is left behind at `out`.
     """
+    from realsim.results import Scene
+
     require("recon", "reconstructing a scene")
     from realsim import pipeline
 
@@ -107,10 +109,12 @@ def contact(
     Raises:
         ExportError: the mesh cannot be used, or the scene does not hold what is dropped on it.
     """
+    from realsim.results import Scene
+
     require("recon", "measured contact geometry")
-    from realsim.exports import contact_mesh
-    from realsim.exports.config import SceneConfig
-    from realsim.files import output_folder
+    from realsim.core.files import output_folder
+    from realsim.export import contact_mesh
+    from realsim.export.config import SceneConfig
     from realsim.report.contact_page import write_contact_page
 
     with output_folder(Path(out), overwrite=overwrite, source=Path(mesh)) as folder:
@@ -126,7 +130,7 @@ def export(
 
     Args:
         scene: a result of `reconstruct`, `contact` or `load_scene`, or a scene's folder.
-        to: names of `realsim.exports.EXPORTERS`, or "all" for every one whose packages are installed.
+        to: names of `realsim.export.EXPORTERS`, or "all" for every one whose packages are installed.
         out: gets one folder per format; `export` in the scene's folder if None.
         overwrite: replace formats that are there already.
 
@@ -137,17 +141,17 @@ def export(
         UnknownNameError: no such format, before anything is written.
         MissingExtraError: a format asked for by name needs a package that is not installed.
     """
-    from realsim.exports import export_scene
+    from realsim.export import export_scene
+    from realsim.results import Scene
 
     folder = scene.folder if isinstance(scene, Scene) else Path(scene)
-    names = [to] if isinstance(to, str) else list(to)
-    if not names:
-        raise ExportError("no format given", expected="to='all', or names of realsim.exports.EXPORTERS")
-    return export_scene(folder, names, None if out is None else Path(out), overwrite=overwrite)
+    return export_scene(folder, to, None if out is None else Path(out), overwrite=overwrite)
 
 
 def load_scene(folder: StrPath) -> Scene:
     """Read a scene that `reconstruct` or `contact` wrote: verdict, figures, and the model on request."""
+    from realsim.results import Scene
+
     return Scene.read(Path(folder))
 
 
@@ -191,6 +195,7 @@ def diagnose(
         GapError: the log cannot support a diagnosis, with the reason.
     """
     from realsim import gap
+    from realsim.results import Diagnosis
 
     if out is not None:
         folder = case.folder if isinstance(case, gap.Case) else Path(case)
@@ -265,8 +270,8 @@ def footholds(
         GapError: the log lacks base pose, contacts or positions, or does not lie on the scene.
     """
     from realsim import gap
-    from realsim.gap.camera.terrain import load_terrain
-    from realsim.gap.scene.run import check_scene, run_scene, terrain_of_case
+    from realsim.gap.checks.camera.terrain import load_terrain
+    from realsim.gap.checks.footholds.run import check_scene, run_scene, terrain_of_case
 
     where = None if scene is None else Path(scene)
     if out is not None:
@@ -278,7 +283,8 @@ def footholds(
 
 def load_diagnosis(folder: StrPath) -> Diagnosis:
     """Read diagnosis.json of a folder that `diagnose` wrote."""
-    from realsim.files import read_json
+    from realsim.core.files import read_json
+    from realsim.results import Diagnosis
 
     return Diagnosis.of(read_json(Path(folder) / "diagnosis.json"), Path(folder))
 
@@ -297,6 +303,7 @@ def apply_patch(spec: Any, patch: Diagnosis | Mapping[str, Any]) -> Any:
         GapError: a patch of another format, or a model without the named parts.
     """
     from realsim.gap import apply_patch as apply
+    from realsim.results import Diagnosis
 
     try:
         return apply(spec, dict(patch.patch if isinstance(patch, Diagnosis) else patch))

@@ -18,18 +18,15 @@ import numpy as np
 import tyro
 from threadpoolctl import threadpool_limits
 
-from realsim import align, capture, exports, feedforward, meshing, modes, report, robots, scale
+from realsim import align, capture, feedforward, meshing, report, robots, scale
 from realsim.align.config import AlignConfig
-from realsim.cache import StageCache, code_digest, default_folder, source_digest
 from realsim.capture.config import CaptureConfig
-from realsim.errors import RealsimError
-from realsim.exports.config import SceneConfig
-from realsim.feedforward.config import PointsConfig
-from realsim.files import digest, inside, output_folder, write_bytes
-from realsim.meshing.config import MeshConfig
-from realsim.progress import Remaining, note, whole
-from realsim.scale.config import ScaleConfig
-from realsim.types import (
+from realsim.core import modes
+from realsim.core.cache import StageCache, code_digest, default_folder, source_digest
+from realsim.core.errors import RealsimError
+from realsim.core.files import digest, inside, output_folder, write_bytes
+from realsim.core.progress import Remaining, note, whole
+from realsim.core.types import (
     AlignedScene,
     FrameSet,
     MetricScene,
@@ -41,6 +38,11 @@ from realsim.types import (
     StageTime,
     TerrainMesh,
 )
+from realsim.export import write_scene
+from realsim.export.config import SceneConfig
+from realsim.feedforward.config import PointsConfig
+from realsim.meshing.config import MeshConfig
+from realsim.scale.config import ScaleConfig
 
 T = TypeVar("T")
 
@@ -183,10 +185,10 @@ class _Run:
         config = self.config.scene
         robot = robots.load(config.robot) if config.robot else None
         parts = (robot.spec.to_xml(), sorted(robot.files.items())) if robot else ()
-        self.key = digest(self.key, code_digest("exports", "robots"), config, *parts)
+        self.key = digest(self.key, code_digest("export", "robots"), config, *parts)
 
         def work() -> tuple[SceneFiles, dict[str, Any]]:
-            made = exports.write_scene(folder, aligned, mesh, config)
+            made = write_scene(folder, aligned, mesh, config)
             files = sorted(path for path in folder.rglob("*") if path.is_file())
             return made, {str(f.relative_to(folder)): np.frombuffer(f.read_bytes(), np.uint8) for f in files}
 

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.errors import RealsimError
-from realsim.files import edited_files, read_json
+from realsim.core.errors import RealsimError
+from realsim.core.files import edited_files, read_json
+from realsim.core.notebook import bars, table
 from realsim.gap.verdicts import GapVerdict
-from realsim.notebook import bars, table
 
 __all__ = [
     "Cause",
@@ -120,7 +120,8 @@ class Scene:
     report: Mapping[str, Any] = field(default_factory=dict)
     """All of report.json (or contact.json)."""
     details: Any = None
-    """`realsim.types.Reconstruction` of the run that made the scene: arrays of every stage. None if read from disk."""
+    """`realsim.core.types.Reconstruction` of the run that made the scene: arrays of every stage. None if read from
+    disk."""
 
     @property
     def scene_xml(self) -> Path:
@@ -146,10 +147,20 @@ class Scene:
         return mujoco.MjModel.from_xml_path(str(self.scene_xml))
 
     def geometry(self) -> Any:
-        """Mesh, collision geometry and platforms as arrays (`realsim.exports.formats.SceneOnDisk`)."""
-        from realsim.exports.formats import load_scene
+        """Mesh, collision geometry and platforms as arrays (`realsim.export.formats.SceneOnDisk`)."""
+        from realsim.export.formats import load_scene
 
         return load_scene(self.folder)
+
+    def export(self, to: str | Sequence[str] = "all", out: Path | str | None = None, *, overwrite: bool = False) -> Any:
+        """Write the scene in the formats of other tools: `realsim.export` with this scene.
+
+        Returns:
+            `realsim.export.Exported`: a dictionary {format: files written}.
+        """
+        from realsim.export import export_scene
+
+        return export_scene(self.folder, to, None if out is None else Path(out), overwrite=overwrite)
 
     @classmethod
     def read(cls, folder: Path, details: Any = None) -> Scene:

@@ -38,7 +38,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(scope="session", autouse=True)
 def outputs_are_as_their_schemas_say() -> Iterator[None]:
     """Whatever command a test runs in this process."""
-    from realsim import cli
+    from realsim.cli import command_line as cli
     from tests import outputs
 
     run = cli._run

@@ -8,9 +8,9 @@ from typing import Any
 
 from jsonschema import Draft202012Validator
 
-from realsim import schemas
-from realsim.cli import answer, home_of
-from realsim.files import to_json
+from realsim.cli import schemas
+from realsim.cli.command_line import answer, home_of
+from realsim.core.files import to_json
 
 
 def check(command: str, data: Mapping[str, Any]) -> None:

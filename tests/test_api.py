@@ -15,9 +15,9 @@ import pytest
 import trimesh
 
 import realsim as rs
-from benchmarks.solids import terrain
 from realsim.results import height_grid
 from tests.gap.truth import ARM, Truth, make_case
+from tests.truths.solids import terrain
 
 HEAVY = ("numpy", "scipy", "mujoco", "tyro", "rich", "open3d", "cv2", "torch", "trimesh")
 
@@ -68,7 +68,7 @@ def test_a_scene_that_was_edited_is_said(scene: rs.Scene, tmp_path: Path) -> Non
 def test_every_name_is_there_and_no_module_takes_its_place() -> None:
     """A module that is imported later becomes an attribute of its package: none may have a function's name."""
     done = run(
-        "import realsim as rs, realsim.exports.formats, realsim.capture, realsim.gap, realsim.pipeline, types\n"
+        "import realsim as rs, realsim.export.formats, realsim.capture, realsim.gap, realsim.pipeline, types\n"
         "assert set(rs.__all__) <= set(dir(rs))\n"
         "print([n for n in rs.__all__ if isinstance(getattr(rs, n), types.ModuleType)])"
     )
@@ -221,7 +221,7 @@ def test_a_damaged_patch_is_refused(change: dict[str, object]) -> None:
 CORE_ONLY = """
 import sys
 from importlib.machinery import PathFinder
-from realsim.errors import EXTRA_OF
+from realsim.core.errors import EXTRA_OF
 
 search = PathFinder.find_spec
 PathFinder.find_spec = lambda name, *rest: None if name.partition(".")[0] in EXTRA_OF else search(name, *rest)
@@ -250,7 +250,7 @@ def bare() -> Callable[[str], subprocess.CompletedProcess[str]]:
 def test_what_needs_an_extra_says_how_to_install_it(
     command: str, extra: str, bare: Callable[[str], subprocess.CompletedProcess[str]]
 ) -> None:
-    done = bare(f"from realsim.cli import main; sys.exit(main({command.split()!r}))")
+    done = bare(f"from realsim.cli.command_line import main; sys.exit(main({command.split()!r}))")
     assert done.returncode == 2
     assert f'pip install "realsim[{extra}]"' in done.stderr
     assert "Traceback" not in done.stderr
@@ -262,7 +262,7 @@ def test_diagnosis_and_scenes_need_the_core_alone(
     done = bare(
         f"""
 import realsim as rs
-from realsim.cli import main
+from realsim.cli.command_line import main
 config = rs.DiagnoseConfig(effects=("viscous_friction",), max_causes=1, bootstrap=20)
 found = rs.diagnose({str(case)!r}, {str(tmp_path / "out")!r}, config)
 assert found.page is not None

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from realsim import pipeline
-from realsim.cli import main
-from realsim.errors import RealsimError
-from realsim.exports.config import SceneConfig
+from realsim.cli.command_line import main
+from realsim.core.errors import RealsimError
+from realsim.core.types import Reconstruction
+from realsim.export.config import SceneConfig
 from realsim.meshing.config import MeshConfig
 from realsim.pipeline import ReconstructConfig, peak_memory_mb, reconstruct
 from realsim.synth.capture import SynthCapture, write_capture
 from realsim.synth.config import SynthConfig
 from realsim.synth.errors import compare
-from realsim.types import Reconstruction
 
 FRAMES = 16
 SMALL = ("--resolution", "0.02", "--contact-probes", "300")
@@ -111,7 +111,7 @@ def test_a_full_disk_is_said_and_leaves_nothing(
 ) -> None:
     import errno
 
-    from realsim import files
+    from realsim.core import files
 
     real = files.os.fdopen
 

@@ -21,8 +21,8 @@ import cv2
 import numpy as np
 from PIL import Image, ImageSequence
 
+from realsim.core.types import U8
 from realsim.report.picture import draw
-from realsim.types import U8
 from trainer.replay import write_animation
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -53,7 +53,9 @@ STEPS = {
     ),
     "tuned": "realsim finetune phone_scene --device cpu --worlds 16 --iterations 4 --final-trials 8 --out tuned",
     "training.html": "realsim training report tuned --out training.html",
-    "stakes": "python benchmarks/ttt.py prepare --sources rgbd --tests stake3 --work stakes --store stakes/rows.json",
+    "stakes": (
+        "python benchmarks/training/ttt.py prepare --sources rgbd --tests stake3 --work stakes --store stakes/rows.json"
+    ),
     "crossing.webp": (
         "realsim play stakes/scenes/rgbd/stake3/scene --policy trainer/policies/g1_parkour.pt --out crossing.webp"
     ),

@@ -21,9 +21,9 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from realsim.errors import RealsimError
-from realsim.files import inside, write_bytes, write_text
-from realsim.progress import track
+from realsim.core.errors import RealsimError
+from realsim.core.files import inside, write_bytes, write_text
+from realsim.core.progress import track
 
 SAMPLES: dict[str, Any] = json.loads(Path(__file__).with_name("samples.json").read_text())
 """Name -> repo, commit, licence, what it is, and path in the repository -> SHA-256."""

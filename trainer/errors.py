@@ -1,6 +1,6 @@
 """Errors of training that tell a person what to do."""
 
-from realsim.errors import RealsimError
+from realsim.core.errors import RealsimError
 
 
 class TrainerError(RealsimError):

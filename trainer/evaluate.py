@@ -16,8 +16,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from realsim.files import to_json, write_text
-from realsim.progress import steps
+from realsim.core.files import to_json, write_text
+from realsim.core.progress import steps
 from trainer.config import EvaluationConfig
 from trainer.errors import TrainerError
 from trainer.physics import PhysicsConfig

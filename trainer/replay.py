@@ -11,10 +11,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from realsim.errors import RealsimError
-from realsim.files import explain_write_errors, read_npz
-from realsim.progress import track
-from realsim.registry import Registry
+from realsim.core.errors import RealsimError
+from realsim.core.files import explain_write_errors, read_npz
+from realsim.core.progress import track
+from realsim.core.registry import Registry
 from trainer.errors import TrainerError
 from trainer.evaluate import Policy
 from trainer.physics import PhysicsConfig

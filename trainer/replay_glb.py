@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.exports.gltf import Z_UP_TO_Y_UP, GltfFile
-from realsim.files import write_bytes
+from realsim.core.files import write_bytes
+from realsim.export.gltf import Z_UP_TO_Y_UP, GltfFile
 from trainer.physics import PhysicsConfig
 from trainer.physics.world import slots_for, world_spec
 from trainer.replay import Recording

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
-from benchmarks import loops as places
-from benchmarks import reconstruct
+from benchmarks.scenes import loops as places
+from benchmarks.scenes import reconstruct
 from benchmarks.tables.stored import Row, stored
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 from statistics import median
 
-from benchmarks import gap_real, gap_sweep, gap_unstable
+from benchmarks.diagnosis import real as gap_real
+from benchmarks.diagnosis import sweep as gap_sweep
+from benchmarks.diagnosis import unstable as gap_unstable
 from benchmarks.tables.stored import Row, counts, of, stored
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from statistics import median
 
-from benchmarks import gap_score
+from benchmarks.diagnosis import score as gap_score
 from benchmarks.tables.stored import Row, answered, counts, stored
 
 FRESH = (2023, "62667f2")

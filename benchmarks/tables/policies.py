@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from benchmarks import base_policy, pushes, ttt
 from benchmarks.tables.stored import stored
+from benchmarks.training import base_policy, pushes, ttt
 
 SHIPS = "883606ff"
 """The base of G1 that ships (see `ttt.KEY`). Trainings that began with another one are in results/ttt.json alone."""

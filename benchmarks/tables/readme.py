@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks import reconstruct
+from benchmarks.scenes import reconstruct
 from benchmarks.tables.diagnosis import robots
 from benchmarks.tables.fresh import FRESH, rows_of
 from benchmarks.tables.policies import families, well_crossed

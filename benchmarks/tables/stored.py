@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from benchmarks import gap_score
+from benchmarks.diagnosis import score as gap_score
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
 Row = dict[str, Any]
@@ -20,7 +20,7 @@ def stored(name: str) -> Any:
 
 
 def answered(row: Row) -> tuple[dict[str, Any], dict[str, Any]]:
-    """A stored case as the label and the diagnosis that `gap_score` scores."""
+    """A stored case as the label and the diagnosis that `score` scores."""
 
     def cause(text: str) -> dict[str, Any]:
         effect, _, places = text.partition("@")

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from realsim.align.scene import align
-from realsim.registry import Registry
-
-SEGMENTERS = Registry("segmenter", {"geometric": "realsim.align.geometric:segment"})
-"""name -> `realsim.align.segment.Segmenter`. Installed packages add theirs as entry points `realsim.segmenters`."""
+from realsim.align.segment import SEGMENTERS
 
 __all__ = ["SEGMENTERS", "align"]

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.align.winding import inside_out, is_closed, main_direction
-from realsim.errors import AlignError
-from realsim.ordered import in_order
-from realsim.progress import track
-from realsim.types import F32, F64, Bool, MetricScene, Scan
+from realsim.core.errors import AlignError
+from realsim.core.ordered import in_order
+from realsim.core.progress import track
+from realsim.core.types import F32, F64, Bool, MetricScene, Scan
 
 VOXEL = 0.02
 """Metres. Means inside a voxel keep positions far more exact than this."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from realsim.align.cloud import Cloud
 from realsim.align.segment import Label, Labels
-from realsim.types import F64, Platform
+from realsim.core.types import F64, Platform
 
 REACH = 0.35
 """Metres: an obstacle this close to the terrain is part of it (a robot's stride)."""

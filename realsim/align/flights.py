@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.align.cloud import VOXEL, Cloud
-from realsim.align.geometric import LEVEL_DEG, plane_of, smooth_regions
-from realsim.types import F64, Bool
+from realsim.align.faces import LEVEL_DEG, connected, plane_of, smooth_regions
+from realsim.core.types import F64, Bool
 
 Indices = NDArray[np.intp]
 
@@ -118,8 +118,6 @@ def _edges(cloud: Cloud) -> list[Indices]:
     A board of 5 cm cannot be told from a wall in voxels coarser than that of views.
     """
     import cv2
-
-    from realsim.align.platforms import connected
 
     if cloud.voxel > VOXEL:
         return []

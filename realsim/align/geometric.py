@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.align.cloud import Cloud
-from realsim.align.platforms import LEAST_AREA, large
+from realsim.align.faces import LEAST_AREA, LEVEL_DEG, cells_of, large, plane_of, smooth_regions
 from realsim.align.segment import Label, Labels
-from realsim.types import F64, Bool
+from realsim.core.types import F64, Bool
 
 GROUND_BAND = 0.03
 """Metres about z = 0 that are ground, where the cloud is no noisier than that."""
@@ -18,10 +18,6 @@ LOWEST, HIGHEST = 0.08, 1.2
 """Metres: top faces outside this range of heights are no platforms."""
 TALL = 1.5
 """Metres: what reaches higher is a wall, a person or furniture, not terrain."""
-LEVEL_DEG = 5.0
-"""A platform's top is level to within this."""
-STEP = 0.012
-"""Metres: neighbouring cells of one face differ by less in height; two boxes that touch mostly differ by more."""
 CLUSTER_CELL = 0.06
 LEAST_OBSTACLE = 0.008
 """Square metres of voxels; less is noise."""
@@ -84,7 +80,7 @@ def _obstacles(points: F64, band: F64, voxel: float) -> Bool:
     standing = np.flatnonzero((points[:, 2] > band) & (points[:, 2] < 4.0))
     if not len(standing):
         return out
-    cells, shape = _cells(points[standing, :2], max(CLUSTER_CELL, 2 * voxel))
+    cells, shape = cells_of(points[standing, :2], max(CLUSTER_CELL, 2 * voxel))
     lowest, highest = np.full(shape, np.inf), np.full(shape, -np.inf)
     np.minimum.at(lowest, tuple(cells.T), points[standing, 2])
     np.maximum.at(highest, tuple(cells.T), points[standing, 2])
@@ -98,46 +94,6 @@ def _obstacles(points: F64, band: F64, voxel: float) -> Bool:
     solid = size * voxel**2 >= LEAST_OBSTACLE
     out[standing] = (member > 0) & ((floor_gap < 0.3) & (rise > LEAST_RISE) & solid)[member]
     return out
-
-
-def smooth_regions(points: F64, cell: float, least: float) -> list[NDArray[np.intp]]:
-    """Groups of points whose cells are neighbours and differ by less than `STEP` in height, larger than `least` m²."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    if not len(points):
-        return []
-    cells, shape = _cells(points[:, :2], cell)
-    flat = cells[:, 0] * shape[1] + cells[:, 1]
-    used, index = np.unique(flat, return_inverse=True)
-    height = np.bincount(index, points[:, 2]) / np.bincount(index)
-    lookup = np.full((shape[0] + 2) * (shape[1] + 2), -1)
-    row, column = np.divmod(used, shape[1])
-    place = (row + 1) * (shape[1] + 2) + column + 1
-    lookup[place] = np.arange(len(used))
-    pairs = []
-    for step in (1, shape[1] + 2, shape[1] + 3, shape[1] + 1):
-        other = lookup[place + step]
-        here = np.flatnonzero(other >= 0)
-        here = here[np.abs(height[here] - height[other[here]]) < STEP]
-        pairs.append(np.column_stack([here, other[here]]))
-    edges = np.concatenate(pairs)
-    graph = coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(used), len(used)))
-    count, component = connected_components(graph, directed=False)
-    sizes = np.bincount(component, minlength=count)
-    member = component[index]
-    return [np.flatnonzero(member == k) for k in np.flatnonzero(sizes * cell**2 > least)]
-
-
-def plane_of(points: F64) -> tuple[F64, float]:
-    """Slope (2,) and height at the origin of z = slope·xy + height, least squares with outliers dropped twice."""
-    keep = np.ones(len(points), bool)
-    for _ in range(3):
-        A = np.column_stack([points[:, :2], np.ones(len(points))])
-        solution = np.linalg.lstsq(A[keep], points[keep, 2], rcond=None)[0]
-        residual = np.abs(points[:, 2] - A @ solution)
-        keep = residual < max(3 * 1.4826 * float(np.median(residual)), 0.002)
-    return solution[:2], float(solution[2])
 
 
 def _near(xy: F64, region: F64, size: float, distance: float = 0.05) -> Bool:
@@ -154,9 +110,3 @@ def _near(xy: F64, region: F64, size: float, distance: float = 0.05) -> Bool:
     out = np.zeros(len(xy), bool)
     out[inside] = grid[tuple(cell[inside].T)]
     return out
-
-
-def _cells(xy: F64, cell: float) -> tuple[NDArray[np.int64], tuple[int, int]]:
-    """Cell of each point on a grid that just holds them all, and the grid's shape."""
-    cells = np.floor((xy - xy.min(0)) / cell).astype(np.int64)
-    return cells, (int(cells[:, 0].max()) + 1, int(cells[:, 1].max()) + 1)

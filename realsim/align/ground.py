@@ -8,9 +8,9 @@ import numpy as np
 
 from realsim.align.cloud import Cloud
 from realsim.align.planes import Plane, find_planes, plane_axes, plane_weights
-from realsim.errors import AlignError
-from realsim.resampling import resampled
-from realsim.types import F64, Gravity
+from realsim.core.errors import AlignError
+from realsim.core.statistics import resampled
+from realsim.core.types import F64, Gravity
 
 BELOW = 0.04
 """Metres under a plane beyond which a point counts as lying below it."""

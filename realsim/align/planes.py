@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from realsim.align.cloud import Cloud
-from realsim.geometry import fit_plane
-from realsim.types import F64, Bool
+from realsim.core.geometry import fit_plane
+from realsim.core.types import F64, Bool
 
 GATE_COS = np.cos(np.radians(20.0))
 """A plane's inliers have normals within this angle of its own: a voxel's normal is good to about 10 degrees."""

@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from realsim.align.cloud import Cloud
+from realsim.align.faces import LEVEL_DEG, connected, large, plane_of, seen_area
+from realsim.align.flights import treads
 from realsim.align.segment import Label, Labels
 from realsim.align.split import split
-from realsim.geometry import transform
-from realsim.types import F64, Platform
+from realsim.core.geometry import transform
+from realsim.core.types import F64, Platform
 
-LEAST_SIDE, LEAST_AREA = 0.30, 0.15
-"""Metres and m²: two feet and some room. What is smaller is an obstacle, however level."""
 FOOT = 0.12
 """Metres about a point within which its slope is taken: half a foot's length. Set on a real chair, whose hollow seat is
 turned by 3.9 degrees against its own plane. Start and goal of the rendered test `boston` are turned by 0.3. A ring of
@@ -50,8 +49,6 @@ class Face:
 def find_faces(cloud: Cloud, labels: Labels) -> list[Face]:
     """The connected faces among the points labelled PLATFORM that are large enough, and the treads of a flight of
     stairs, the largest first. Levelled."""
-    from realsim.align.flights import treads
-
     index = np.flatnonzero(labels == Label.PLATFORM)
     regions = [index[part] for part in connected(cloud.points[index], max(JOIN, 2 * cloud.voxel))]
     parts = [region[part] for region in regions for part in split(cloud.points[region], cloud.voxel)]
@@ -62,32 +59,15 @@ def find_faces(cloud: Cloud, labels: Labels) -> list[Face]:
     return sorted(faces, key=lambda f: -f.area)
 
 
-def large(xy: F64, cell: float) -> bool:
-    """Whether points (M, 2), `cell` metres apart, of a level face leave room to stand: a least side and area."""
-    import cv2
-
-    if len(xy) < 20:
-        return False
-    _, sides, _ = cv2.minAreaRect(xy.astype(np.float32))
-    return min(sides) > LEAST_SIDE and _seen_area(xy, cell) > LEAST_AREA
-
-
 def _level(points: F64) -> bool:
     """Whether a face slopes under a foot as it does as a whole: a ring of tilted tops is level only as a whole."""
     from scipy.spatial import cKDTree
-
-    from realsim.align.geometric import LEVEL_DEG, plane_of
 
     whole, _ = plane_of(points)
     tree = cKDTree(points[:, :2])
     under = tree.query_ball_point(points[:: max(1, len(points) // 50), :2], FOOT)
     turned = [np.hypot(*(plane_of(points[near])[0] - whole)) for near in under if len(near) > 10]
     return bool(np.degrees(np.arctan(np.median(turned))) < LEVEL_DEG)
-
-
-def _seen_area(xy: F64, cell: float) -> float:
-    """m^2 of the cells with points in them."""
-    return len(np.unique(np.floor(xy / cell).astype(np.int64) @ [1_000_003, 1])) * cell**2
 
 
 def to_platform(face: Face, T_sim_level: F64, role: str = "platform") -> Platform:
@@ -124,29 +104,12 @@ def polygon_area_centroid(outline: F64) -> tuple[float, F64]:
     return abs(area), outline[0] + ((p + q) * cross[:, None]).sum(0) / (6 * area)
 
 
-def connected(points: F64, join: float, steep: float = 4.0, least: int = 50) -> list[NDArray[np.intp]]:
-    """Groups of more than `least` points within `join` metres of their neighbours in the plan, a part of that in z.
-
-    With a quarter, a step of 1.2 cm separates two faces that touch.
-    """
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
-    if not len(points):
-        return []
-    scaled = points * [1.0, 1.0, steep]
-    graph = cKDTree(scaled).sparse_distance_matrix(cKDTree(scaled), join, output_type="coo_matrix")
-    count, component = connected_components(graph, directed=False)
-    size = np.bincount(component, minlength=count)
-    return [np.flatnonzero(component == k) for k in range(count) if size[k] > least]
-
-
 def _face(points: Cloud, inferred: F64 | None = None) -> Face:
     """The face of its points, with the outline (K, 2) that was inferred for it, if any."""
     import cv2
 
     xyz = points.points
-    seen = _seen_area(xyz[:, :2], points.voxel)
+    seen = seen_area(xyz[:, :2], points.voxel)
     looks = float(points.weights.sum())
     if inferred is not None:
         outline = _counter_clockwise(inferred)

@@ -14,10 +14,10 @@ import numpy as np
 
 from realsim.align.cloud import depth_edges
 from realsim.align.platforms import Face, polygon_area_centroid
-from realsim.geometry import invert_T, transform
-from realsim.ordered import in_order
-from realsim.progress import track
-from realsim.types import F64, Intrinsics, MetricScene, PointView
+from realsim.core.geometry import invert_T, transform
+from realsim.core.ordered import in_order
+from realsim.core.progress import track
+from realsim.core.types import F64, Intrinsics, MetricScene, PointView
 
 REACH, BIN = 0.10, 0.001
 """Metres about the first guess of an edge within which it is sought, and the resolution of the votes."""

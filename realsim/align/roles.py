@@ -6,9 +6,9 @@ import numpy as np
 
 from realsim.align.config import AlignConfig
 from realsim.align.platforms import Face
-from realsim.errors import AlignError
-from realsim.geometry import invert_T, make_T, transform
-from realsim.types import F64, MetricScene, Scan
+from realsim.core.errors import AlignError
+from realsim.core.geometry import invert_T, make_T, transform
+from realsim.core.types import F64, MetricScene, Scan
 
 SLACK = 0.10
 """Metres outside a platform's outline that a point which asks for it may lie."""

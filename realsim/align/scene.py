@@ -14,8 +14,8 @@ from realsim.align.platforms import find_faces, to_platform
 from realsim.align.rim import refined
 from realsim.align.roles import Roles, as_asked, by_rule, simulation_frame
 from realsim.align.segment import Label, segmented
-from realsim.geometry import invert_T, make_T, transform
-from realsim.types import F64, AlignedScene, Gravity, MetricScene, Platform, Scan
+from realsim.core.geometry import invert_T, make_T, transform
+from realsim.core.types import F64, AlignedScene, Gravity, MetricScene, Platform, Scan
 
 
 def align(source: MetricScene | Scan, config: AlignConfig) -> AlignedScene:

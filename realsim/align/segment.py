@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.align.cloud import Cloud
-from realsim.errors import AlignError, UnknownNameError
+from realsim.core.errors import AlignError, UnknownNameError
+from realsim.core.registry import Registry
 
 Labels = NDArray[np.uint8]
 
@@ -27,6 +28,10 @@ class Label(IntEnum):
     """A level top face large enough to stand on."""
 
 
+SEGMENTERS = Registry("segmenter", {"geometric": "realsim.align.geometric:segment"})
+"""Name -> `Segmenter`. Installed packages add theirs as entry points `realsim.segmenters`."""
+
+
 class Segmenter(Protocol):
     """A function from a levelled cloud to labels."""
 
@@ -41,8 +46,6 @@ def find_segmenter(name: str) -> Segmenter:
     Raises:
         UnknownNameError: neither knows the name.
     """
-    from realsim.align import SEGMENTERS
-
     if name in SEGMENTERS:
         return SEGMENTERS[name]
     plugins = {point.name: point for point in entry_points(group="realsim.segmenters")}

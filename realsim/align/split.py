@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.types import F64, Bool
+from realsim.core.types import F64, Bool
 
 RADIUS = 0.12
 """Metres: the disc, with the cell in its middle 26 cm wide, a little less than the narrowest platform (30 cm)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.types import F64
+from realsim.core.types import F64
 
 CLOSED = 0.05
 """The areas of a closed surface, as vectors, add up to nothing: to at most this share of its area."""

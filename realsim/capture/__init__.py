@@ -14,8 +14,8 @@ from realsim.capture.finishing import finish
 from realsim.capture.inspection import Inspection, inspect_frames, inspect_scan
 from realsim.capture.layout import Layout
 from realsim.capture.recognition import recognise
-from realsim.registry import Registry
-from realsim.types import FrameSet, Scan
+from realsim.core.registry import Registry
+from realsim.core.types import FrameSet, Scan
 
 LAYOUTS = Registry(
     "capture layout",

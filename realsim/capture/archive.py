@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 
-from realsim.errors import CaptureError
-from realsim.files import check_size
+from realsim.core.errors import CaptureError
+from realsim.core.files import check_size
 
 MAX_ARCHIVE_BYTES = 16 * 2**30
 MAX_MEMBERS = 500_000

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from realsim.errors import PoseError
-from realsim.geometry import make_T, quat_to_R
-from realsim.types import F64
+from realsim.core.errors import PoseError
+from realsim.core.geometry import make_T, quat_to_R
+from realsim.core.types import F64
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """(4, 4) from optical axes (x right, y down, z forward) to OpenGL's (x right, y up, z backward), and back."""

@@ -10,8 +10,8 @@ from realsim.capture.config import CaptureConfig
 from realsim.capture.images import ColorImage, DepthImage, common_size
 from realsim.capture.intrinsics import Camera
 from realsim.capture.listing import Pair
-from realsim.errors import CaptureError, RealsimError
-from realsim.types import F32, F64, Dropped, Frame, FrameSet, Intrinsics
+from realsim.core.errors import CaptureError, RealsimError
+from realsim.core.types import F32, F64, Dropped, Frame, FrameSet, Intrinsics
 
 
 @dataclass(frozen=True)

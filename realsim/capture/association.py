@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.types import F64
+from realsim.core.types import F64
 
 SAME_INSTANT = 1e-6
 """Seconds: closer than what timestamps are printed with."""

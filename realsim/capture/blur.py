@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.types import F32, F64
+from realsim.core.types import F32, F64
 
 SMEARED = 4.0
 """Pixels from which the sharpest edges of a picture are blurred. Set on pictures of 640x480: as they are, those of a

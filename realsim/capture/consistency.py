@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from realsim.capture.units import step_of
-from realsim.errors import CaptureError, PoseError
-from realsim.geometry import invert_T
-from realsim.types import F32, F64, Frame, FrameSet, Intrinsics
+from realsim.core.errors import CaptureError, PoseError
+from realsim.core.geometry import invert_T
+from realsim.core.types import F32, F64, Frame, FrameSet, Intrinsics
 
 TOLERANCE = 0.04
 """Relative difference of two depths that still agree: sensor noise and bias, interpolation, rounding."""

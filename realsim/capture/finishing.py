@@ -16,8 +16,8 @@ from realsim.capture.poses import PoseReport, settle_poses
 from realsim.capture.selection import pick
 from realsim.capture.survey import Look, blurred, duplicates, smeared, survey
 from realsim.capture.units import check_unit
-from realsim.errors import CaptureError
-from realsim.types import F32, Dropped, Frame, FrameSet
+from realsim.core.errors import CaptureError
+from realsim.core.types import F32, Dropped, Frame, FrameSet
 
 LEAST_COVERAGE = 0.01
 """Share of pixels with depth in range below which a frame says nothing."""

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.errors import CaptureError, RealsimError
-from realsim.files import read_bytes
-from realsim.types import F32, U8
+from realsim.core.errors import CaptureError, RealsimError
+from realsim.core.files import read_bytes
+from realsim.core.types import F32, U8
 
 COLOR_SUFFIXES = (".jpg", ".jpeg", ".png", ".ppm", ".bmp", ".webp")
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy")

@@ -13,8 +13,8 @@ import numpy as np
 from realsim.capture.finishing import Finished
 from realsim.capture.layout import Recognition
 from realsim.capture.selection import NOT_NEEDED
-from realsim.geometry import angle_deg
-from realsim.types import F64, Dropped, Scan
+from realsim.core.geometry import angle_deg
+from realsim.core.types import F64, Dropped, Scan
 
 
 @dataclass(frozen=True, repr=False)

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from realsim.errors import CaptureError
-from realsim.files import read_json, read_text
-from realsim.types import F64, Intrinsics
+from realsim.core.errors import CaptureError
+from realsim.core.files import read_json, read_text
+from realsim.core.types import F64, Intrinsics
 
 MATRIX_KEYS = ("intrinsic_matrix", "camera_matrix", "K", "k", "intrinsics", "intrinsic", "matrix")
 WIDTH_KEYS, HEIGHT_KEYS = ("width", "image_width", "w"), ("height", "image_height", "h")

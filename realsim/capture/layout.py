@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from realsim.capture.config import CaptureConfig
-from realsim.types import FrameSet, Scan
+from realsim.core.types import FrameSet, Scan
 
 CAMERA, PHONE = 0.006, 0.04
 """Relative standard errors of depth sensors' own scale. Depth cameras (structured light, stereo) after calibration; of

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from realsim.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
-from realsim.errors import PoseError
+from realsim.core.errors import PoseError
 
 COLOR_FOLDERS = ("color", "colour", "rgb", "image", "images")
 DEPTH_FOLDERS = ("depth", "depths", "depth_images")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 
-from realsim.errors import extra
+from realsim.core.errors import extra
 
 END = b"bvx$"
 

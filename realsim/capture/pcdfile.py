@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.capture.lzf import decompress
-from realsim.errors import CaptureError
-from realsim.files import MAX_BINARY_BYTES, check_size, read_bytes, read_head
-from realsim.geometry import make_T, quat_to_R
-from realsim.types import F32, F64, U8
+from realsim.core.errors import CaptureError
+from realsim.core.files import MAX_BINARY_BYTES, check_size, read_bytes, read_head
+from realsim.core.geometry import make_T, quat_to_R
+from realsim.core.types import F32, F64, U8
 
 HEADER_LIMIT = 8192
 MAX_POINTS = 64 * 2**20

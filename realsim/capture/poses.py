@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from realsim.errors import PoseError
-from realsim.files import read_text
-from realsim.geometry import nearest_rotation
-from realsim.types import F64, Dropped, Frame, FrameSet
+from realsim.core.errors import PoseError
+from realsim.core.files import read_text
+from realsim.core.geometry import nearest_rotation
+from realsim.core.types import F64, Dropped, Frame, FrameSet
 
 ROUNDING = 1e-5
 """Deviation of R R^T from the identity that a few printed digits explain; corrected without a word."""

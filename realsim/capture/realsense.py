@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.errors import CaptureError, extra
-from realsim.types import U8
+from realsim.core.errors import CaptureError, extra
+from realsim.core.types import U8
 
 TIMEOUT_MS = 5000
 """Longer than any camera needs for its first image."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from realsim.capture.layout import Layout, Recognition
-from realsim.errors import CaptureError
+from realsim.core.errors import CaptureError
 
 MAX_SUBFOLDERS = 200
 LAST_RESORT = 1

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from realsim.capture.realsense import Shot, Stream, library, open_bag, open_camera
-from realsim.errors import CaptureError, RealsimError
-from realsim.files import to_json, write_bytes, write_text
-from realsim.progress import track
+from realsim.core.errors import CaptureError, RealsimError
+from realsim.core.files import to_json, write_bytes, write_text
+from realsim.core.progress import track
 
 
 @dataclass(frozen=True)

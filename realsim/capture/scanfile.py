@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.capture.pcdfile import read_columns, read_header, unpack_rgb
-from realsim.errors import CaptureError, MissingExtraError, RealsimError
-from realsim.files import check_size, read_bytes, read_head
-from realsim.types import F64, U8
+from realsim.core.errors import CaptureError, MissingExtraError, RealsimError
+from realsim.core.files import check_size, read_bytes, read_head
+from realsim.core.types import F64, U8
 
 MAX_VERTICES = 20_000_000
 """More would not fit the pipeline's memory; nothing of a terrain is lost at a point a millimetre apart."""

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from realsim.capture.survey import Look
-from realsim.geometry import angle_deg
-from realsim.types import F64, Dropped, Frame
+from realsim.core.geometry import angle_deg
+from realsim.core.types import F64, Dropped, Frame
 
 FULL_TURN_DEG = 60.0
 """A rotation after which nothing of the first view is left (the field of view of a depth camera)."""

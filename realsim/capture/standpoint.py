@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.types import F64
+from realsim.core.types import F64
 
 BIN = np.radians(1.0)
 """Size of a direction. Coarser, a slanting wall hides itself; finer, a direction holds one point and tells nothing."""

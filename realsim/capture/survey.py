@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from realsim.capture.assemble import one_line
 from realsim.capture.blur import SMEARED, edge_width
 from realsim.capture.config import CaptureConfig
-from realsim.errors import CaptureError, RealsimError
-from realsim.progress import track
-from realsim.types import F32, U8, Dropped, Frame
+from realsim.core.errors import CaptureError, RealsimError
+from realsim.core.progress import track
+from realsim.core.types import F32, U8, Dropped, Frame
 
 THUMBNAIL = (32, 24)
 THREADS = 2

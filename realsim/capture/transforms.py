@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from realsim.capture.association import interpolate_poses
-from realsim.errors import CaptureError
-from realsim.geometry import make_T, quat_to_R
-from realsim.types import F64
+from realsim.core.errors import CaptureError
+from realsim.core.geometry import make_T, quat_to_R
+from realsim.core.types import F64
 
 MAX_DEPTH = 64
 

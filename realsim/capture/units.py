@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from realsim.capture.survey import Look
-from realsim.errors import CaptureError
-from realsim.types import Frame
+from realsim.core.errors import CaptureError
+from realsim.core.types import Frame
 
 PLAUSIBLE_MEDIAN = (0.25, 8.0)
 """Metres: where the median depth of a capture of terrain in front of a person or a robot lies."""

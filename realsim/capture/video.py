@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import CaptureError
-from realsim.files import check_size
-from realsim.types import U8
+from realsim.core.errors import CaptureError
+from realsim.core.files import check_size
+from realsim.core.types import U8
 
 MAX_VIDEO_BYTES = 64 * 2**30
 REMEMBERED = 6

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from realsim.errors import CaptureError
+from realsim.core.errors import CaptureError
+from realsim.core.registry import Registry
+from realsim.core.types import FrameSet, Pointmaps, Solution
 from realsim.feedforward.config import PointsConfig
 from realsim.feedforward.kept import Kept
-from realsim.registry import Registry
-from realsim.types import FrameSet, Pointmaps, Solution
 
 BACKENDS = Registry(
     "backend",

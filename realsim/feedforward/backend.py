@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from realsim.core.types import FrameSet, Pointmaps, Solution
 from realsim.feedforward.config import PointsConfig
-from realsim.types import FrameSet, Pointmaps, Solution
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import CaptureError, PoseError, extra
+from realsim.core.errors import CaptureError, PoseError, extra
+from realsim.core.geometry import invert_T
+from realsim.core.types import F64, Dropped, Frame, FrameSet, Intrinsics, Pointmaps, PointView, Solution
 from realsim.feedforward.backend import Backend
 from realsim.feedforward.config import PointsConfig
-from realsim.geometry import invert_T
-from realsim.types import F64, Dropped, Frame, FrameSet, Intrinsics, Pointmaps, PointView, Solution
 
 ALL_PAIRS = 40
 """Up to this many frames every pair is matched; beyond, neighbours in the sequence."""

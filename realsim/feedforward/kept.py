@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from realsim.types import PointView
+from realsim.core.types import PointView
 
 BUDGET = 512_000_000
 """Bytes: 80 views of 640 x 480. Of longer captures none is kept: every pass would push out what the next wants."""

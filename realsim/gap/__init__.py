@@ -10,31 +10,32 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from realsim.core.registry import lazily
 
 if TYPE_CHECKING:
     from realsim.gap.answer.diagnosis import Diagnosis
     from realsim.gap.answer.patch import apply_patch
+    from realsim.gap.case.case import Case, Run, load_case
     from realsim.gap.config import DiagnoseConfig
     from realsim.gap.effects import EFFECTS
     from realsim.gap.explanation import explain
-    from realsim.gap.logs.case import Case, Run, load_case
     from realsim.gap.pipeline import diagnose
     from realsim.gap.run import check_case, run_case
     from realsim.gap.scaffold import start_case
 
 _HOME = {
-    "Case": "logs.case",
+    "Case": "case.case",
     "DiagnoseConfig": "config",
     "Diagnosis": "answer.diagnosis",
     "EFFECTS": "effects",
-    "Run": "logs.case",
+    "Run": "case.case",
     "apply_patch": "answer.patch",
     "check_case": "run",
     "diagnose": "pipeline",
     "explain": "explanation",
-    "load_case": "logs.case",
+    "load_case": "case.case",
     "run_case": "run",
     "start_case": "scaffold",
 }
@@ -56,9 +57,4 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = lazily(__name__, {name: f"{__name__}.{module}" for name, module in _HOME.items()})

@@ -8,17 +8,17 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from realsim.errors import GapError
-from realsim.files import output_folder, read_json
+from realsim.core.errors import GapError
+from realsim.core.files import output_folder, read_json
+from realsim.gap.case.case import Case, load_case
+from realsim.gap.case.recordings import RECORDED
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.experiments.choose import Looked, look
 from realsim.gap.experiments.config import ExciteConfig
 from realsim.gap.experiments.proposal import bench_of, described
 from realsim.gap.experiments.rivals import Rival, rivals_from
 from realsim.gap.experiments.write import write_experiment
-from realsim.gap.likelihood.comparison import Comparison
-from realsim.gap.logs.case import Case, load_case
-from realsim.gap.logs.recordings import RECORDED
+from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.pipeline import diagnose as diagnosed
 from realsim.gap.pipeline import limited
 from realsim.gap.provenance import engine

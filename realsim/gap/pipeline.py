@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from realsim.errors import GapError
+from realsim.core.errors import GapError
+from realsim.core.types import F64
 from realsim.gap.answer.arrays import collect
 from realsim.gap.answer.conclusion import Conclusion, conclude
 from realsim.gap.answer.diagnosis import Diagnosis, describe_set
@@ -18,25 +19,24 @@ from realsim.gap.answer.patch import empty_patch, make_patch
 from realsim.gap.answer.ranking import ranked_effects
 from realsim.gap.answer.sentence import advice, sentence
 from realsim.gap.answer.stays import what_stays
-from realsim.gap.causes.fit import Fitter
-from realsim.gap.causes.select import Selection, select
+from realsim.gap.case.case import Case
+from realsim.gap.case.health import examine
+from realsim.gap.case.repeats import replicates as replicates
+from realsim.gap.case.runs import LEAST_SAMPLES
+from realsim.gap.case.split import split_runs
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects import EFFECTS
-from realsim.gap.evidence.onsets import find_onsets
-from realsim.gap.evidence.where import by_horizon, by_signal, evidence, localise
 from realsim.gap.experiments.proposal import propose, with_text
-from realsim.gap.health import examine
-from realsim.gap.likelihood.comparison import Comparison
-from realsim.gap.likelihood.free_starts import free_starts
-from realsim.gap.likelihood.screen import Screen
-from realsim.gap.logs.case import Case
-from realsim.gap.logs.repeats import replicates as replicates
-from realsim.gap.logs.runs import LEAST_SAMPLES
-from realsim.gap.logs.split import split_runs
+from realsim.gap.inference.causes.fit import Fitter
+from realsim.gap.inference.causes.select import Selection, select
+from realsim.gap.inference.evidence.onsets import find_onsets
+from realsim.gap.inference.evidence.where import by_horizon, by_signal, evidence, localise
+from realsim.gap.inference.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.free_starts import free_starts
+from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.provenance import provenance
 from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.verdicts import GapVerdict
-from realsim.types import F64
 
 Look = Callable[[Screen, Selection], dict[str, Any]]
 """Called with the search before the simulator closes; what it returns goes into `statistics`."""

@@ -12,8 +12,9 @@ from realsim import __version__
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects.deviations_file import read_deviations
 
-NO_ANSWER = ("report", "explanation.py", "excite.py", "experiments", "drift")
-"""Below realsim/gap: what shows an answer, or asks for another recording, and cannot change verdict or causes."""
+NO_ANSWER = ("report", "explanation.py", "excite.py", "experiments", "drift", "recordings")
+"""Below realsim/gap: what makes a case, shows an answer, or asks for another recording, and cannot change verdict or
+causes."""
 NO_SETTING = ("threads", "report")
 """Settings that cannot change an answer."""
 

@@ -8,16 +8,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from realsim.files import check_size, inside, output_folder, read_bytes, write_bytes, write_text
+from realsim.core.files import check_size, inside, output_folder, read_bytes, write_bytes, write_text
 from realsim.gap.answer.camera import with_camera
 from realsim.gap.answer.patch import asset_files
+from realsim.gap.case.case import load_case
+from realsim.gap.case.health import examine
+from realsim.gap.checks.footholds.run import check_camera
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.drift.pair import pair_of
 from realsim.gap.drift.since import changed_since
-from realsim.gap.health import examine
-from realsim.gap.logs.case import load_case
 from realsim.gap.pipeline import Progress, diagnose, limited
-from realsim.gap.scene.run import check_camera
 from realsim.gap.simulation.simulate import Simulator
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from realsim.errors import GapError
-from realsim.files import inside, output_folder, read_bytes, to_json, write_bytes, write_text
+from realsim.core.errors import GapError
+from realsim.core.files import inside, output_folder, read_bytes, to_json, write_bytes, write_text
 from realsim.gap.answer.patch import asset_files
-from realsim.gap.logs.case import load_model
+from realsim.gap.case.case import load_model
 
 TO_DO = """# What is left to do
 

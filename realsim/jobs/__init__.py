@@ -12,13 +12,13 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from realsim.errors import RealsimError
-from realsim.files import refuse_existing
+from realsim.core.errors import RealsimError
+from realsim.core.files import refuse_existing
+from realsim.core.progress import track
 from realsim.jobs.executors import EXECUTORS, Executor, ManyConfig
 from realsim.jobs.job import COMMANDS, Job, Outcome, make_job
 from realsim.jobs.queue import Queue
 from realsim.jobs.working import POLL, carry_out, run_key, work
-from realsim.progress import track
 
 __all__ = [
     "COMMANDS",

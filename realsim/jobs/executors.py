@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-from realsim.errors import RealsimError, extra
-from realsim.files import explain_write_errors, read_text, write_text
+from realsim.core.errors import RealsimError, extra
+from realsim.core.files import explain_write_errors, read_text, write_text
 from realsim.jobs.queue import Queue
 from realsim.jobs.working import run_key
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from realsim import __version__
-from realsim.commands import DO_NOT_USE
-from realsim.errors import RealsimError
-from realsim.files import digest
+from realsim.cli.commands import DO_NOT_USE
+from realsim.core.errors import RealsimError
+from realsim.core.files import digest
 
 FORMAT = "realsim.job/1"
 COMMANDS = ("inspect", "reconstruct", "contact", "export", "diagnose", "synth")

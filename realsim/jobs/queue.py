@@ -26,8 +26,8 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 
-from realsim.errors import RealsimError, printable
-from realsim.files import explain_write_errors, place_folder, read_json, to_json, write_text
+from realsim.core.errors import RealsimError, printable
+from realsim.core.files import explain_write_errors, place_folder, read_json, to_json, write_text
 from realsim.jobs.job import CANCELLED, Job, Outcome
 
 LEASE = 120.0

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
-from realsim.child import PARENT
-from realsim.errors import RealsimError
+from realsim.cli.child import PARENT
+from realsim.core.errors import RealsimError
 from realsim.jobs.job import CANCELLED, Job, Outcome
 from realsim.jobs.queue import ATTEMPTS, Claim, Queue
 
@@ -87,7 +87,7 @@ def command(job: Job, claim: Claim) -> list[str]:
     was lost before it could say so.
     """
     again = ["--overwrite"] if claim.attempt > 1 and job.folders and "--overwrite" not in job.arguments else []
-    return [sys.executable, "-m", "realsim.child", job.command, *job.arguments, *again, "--json"]
+    return [sys.executable, "-m", "realsim.cli.child", job.command, *job.arguments, *again, "--json"]
 
 
 def _beating(queue: Queue, claim: Claim) -> Callable[[], None]:

@@ -4,20 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from realsim.meshing.config import MeshConfig
-from realsim.registry import Registry
+from realsim.meshing.config import METHODS, MeshConfig
 
 if TYPE_CHECKING:
+    from realsim.core.types import AlignedScene, MeshQuality, TerrainMesh
     from realsim.meshing.surface import Surface
-    from realsim.types import AlignedScene, MeshQuality, TerrainMesh
-
-METHODS = Registry(
-    "mesh method",
-    {
-        "poisson": "realsim.meshing.methods:poisson",
-        "tsdf": "realsim.meshing.methods:tsdf",
-    },
-)
 
 
 def build(aligned: AlignedScene, config: MeshConfig) -> TerrainMesh:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.errors import MeshError
-from realsim.meshing import METHODS
+from realsim.core.errors import MeshError
+from realsim.core.types import AlignedScene, TerrainMesh
 from realsim.meshing.clean import canonical, tidy, uncrossed
-from realsim.meshing.config import MeshConfig
+from realsim.meshing.config import METHODS, MeshConfig
 from realsim.meshing.decimate import decimate
 from realsim.meshing.evidence import Evidence, gather
 from realsim.meshing.quality import check
@@ -16,7 +16,6 @@ from realsim.meshing.scan import surface_of_scan
 from realsim.meshing.solids import inferred_tops, invent
 from realsim.meshing.surface import Surface, colored_from, drop_islands
 from realsim.meshing.unseen import unseen
-from realsim.types import AlignedScene, TerrainMesh
 
 
 def build(aligned: AlignedScene, config: MeshConfig) -> TerrainMesh:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.core.types import Bool
 from realsim.meshing.quality import corner_fans, crossing, degenerate, passes
 from realsim.meshing.surface import Surface, edges_of, first_of_each
-from realsim.types import Bool
 
 
 def weld(surface: Surface, tolerance: float) -> Surface:

@@ -7,6 +7,17 @@ from typing import Annotated
 
 import tyro
 
+from realsim.core.registry import Registry
+
+METHODS = Registry(
+    "mesh method",
+    {
+        "poisson": "realsim.meshing.methods:poisson",
+        "tsdf": "realsim.meshing.methods:tsdf",
+    },
+)
+"""Name -> (AlignedScene, Evidence) -> Surface."""
+
 
 @dataclass(frozen=True)
 class MeshConfig:

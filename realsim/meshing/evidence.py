@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from realsim.errors import MeshError
+from realsim.core.errors import MeshError
+from realsim.core.ordered import in_order
+from realsim.core.progress import track
+from realsim.core.types import F64, AlignedScene
 from realsim.meshing.fuse import Grid, Points, drop_tails, project, thin
 from realsim.meshing.views import inverse_depth, noise_of, pinhole, sample_view
 from realsim.meshing.visibility import DepthMap, depth_map, seen_through, votes
-from realsim.ordered import in_order
-from realsim.progress import track
-from realsim.types import F64, AlignedScene
 
 MOVED = 0.045
 """Square metres in one piece that LOOKS views or more look through, though others measured it: something moved there,

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from realsim.core.types import F64, U8, Bool
 from realsim.meshing.views import Samples
-from realsim.types import F64, U8, Bool
 
 Rows = np.ndarray
 """(M, COLUMNS) sums of one grid cell a row."""

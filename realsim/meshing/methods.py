@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from realsim.core.types import AlignedScene
 from realsim.meshing import poisson as poisson_solver
 from realsim.meshing import tsdf as tsdf_solver
 from realsim.meshing.evidence import Evidence
 from realsim.meshing.surface import Surface
 from realsim.meshing.trim import not_seen_through, supported
-from realsim.types import AlignedScene
 
 
 def poisson(aligned: AlignedScene, evidence: Evidence) -> Surface:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.errors import MeshError
+from realsim.core.errors import MeshError
 from realsim.meshing.fuse import Points
 from realsim.meshing.surface import Surface
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.core.types import Bool, MeshQuality
 from realsim.meshing.surface import Surface, components, edges_of, first_of_each
-from realsim.types import Bool, MeshQuality
 
 
 def degenerate(surface: Surface, min_height: float = 1e-7) -> Bool:

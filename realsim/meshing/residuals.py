@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.core.types import AlignedScene, ViewResidual
 from realsim.meshing.surface import Surface
-from realsim.types import AlignedScene, ViewResidual
 
 
 def residuals(aligned: AlignedScene, surface: Surface, count: int, step: int = 4) -> tuple[ViewResidual, ...]:

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from realsim.errors import MeshError
-from realsim.geometry import transform
+from realsim.core.errors import MeshError
+from realsim.core.geometry import transform
+from realsim.core.types import F64, AlignedScene, Scan
 from realsim.meshing.clean import weld
 from realsim.meshing.config import MeshConfig
 from realsim.meshing.fuse import Points, thin
@@ -15,7 +16,6 @@ from realsim.meshing.poisson import reconstruct
 from realsim.meshing.quality import degenerate
 from realsim.meshing.surface import Surface, colored_from, edges_of
 from realsim.meshing.trim import supported
-from realsim.types import F64, AlignedScene, Scan
 
 LEVEL = 0.8
 """Least z of the normal of a level face. Between 0.7 and 0.8 as many side faces are turned rightly (0.1 to 3 % wrong on

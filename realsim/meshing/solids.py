@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.errors import MeshError
+from realsim.core.errors import MeshError
+from realsim.core.types import F64, AlignedScene, Bool, TerrainMesh
 from realsim.meshing.clean import tidy, weld
 from realsim.meshing.evidence import Evidence
 from realsim.meshing.surface import Surface
 from realsim.meshing.visibility import seen_through, votes
-from realsim.types import F64, AlignedScene, Bool, TerrainMesh
 
 SKIRT = 0.10
 """Metres of ground below the lowest surface."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.types import F64, U8, Bool
+from realsim.core.types import F64, U8, Bool
 
 I32 = NDArray[np.int32]
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from realsim.core.types import Bool
 from realsim.meshing.fuse import Points
 from realsim.meshing.surface import Surface
 from realsim.meshing.visibility import DepthMap, seen_through, votes
-from realsim.types import Bool
 
 REACH = 1.5
 """Cells from the nearest fused point beyond which a surface is a guess."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.geometry import invert_T, make_T
+from realsim.core.geometry import invert_T, make_T
+from realsim.core.progress import track
+from realsim.core.types import AlignedScene
 from realsim.meshing.surface import Surface
 from realsim.meshing.views import pinhole
-from realsim.progress import track
-from realsim.types import AlignedScene
 
 BLOCK = 16
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.types import F64, AlignedScene
 from realsim.meshing.surface import Surface
-from realsim.types import F64, AlignedScene
 
 ANGLES, RADII, EYE = 16, (0.8, 1.6), 1.3
 """Places tried about the middle of what is missing: directions, metres away, metres above the ground."""

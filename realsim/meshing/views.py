@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from realsim.geometry import transform
-from realsim.types import F32, F64, U8, Bool, PointView
+from realsim.core.geometry import transform
+from realsim.core.types import F32, F64, U8, Bool, PointView
 
 SPAN = 4
 """Pixels to either side over which a slope is measured."""

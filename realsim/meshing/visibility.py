@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.geometry import invert_T, transform
-from realsim.types import F32, F64, Bool
+from realsim.core.geometry import invert_T, transform
+from realsim.core.types import F32, F64, Bool
 
 UNIT = 0.0005
 """Metres a step of the stored depth; 16 bits then reach 32 m."""

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.types import F64
 from realsim.report.solids import Solid, box, mesh, solids
-from realsim.types import F64
 
 
 def collision_triangles(scene_xml: Path) -> Solid:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.types import F64, Platform, Reconstruction, SceneFiles
 from realsim.report import page, raster, svg
 from realsim.report.topdown import ROLE_INK
-from realsim.types import F64, Platform, Reconstruction, SceneFiles
 
 _RANGE = 0.015  # metres at which the colour is full
 

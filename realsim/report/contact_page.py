@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from realsim.files import write_text
-from realsim.meshes import simplify
+from realsim.core.files import write_text
+from realsim.core.meshes import simplify
+from realsim.core.types import SceneFiles
 from realsim.report import page, raster, viewer3d
 from realsim.report.collision import load
 from realsim.report.contact import map_card, rows
 from realsim.report.document import use_card
 from realsim.report.layers import MESH_TRIANGLES, axes_layer, collision_layers, robot_layers
 from realsim.report.viewer3d import Layer, viewer
-from realsim.types import SceneFiles
 
 
 def write_contact_page(folder: Path, files: SceneFiles) -> None:
@@ -23,7 +23,7 @@ def write_contact_page(folder: Path, files: SceneFiles) -> None:
 
     Args:
         folder: holds the exported scene.
-        files: what `realsim.exports.contact_mesh` returned, its verdict among `contact`.
+        files: what `realsim.export.contact_mesh` returned, its verdict among `contact`.
     """
     c = files.contact
     verdict = c["verdict"]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from realsim.core.types import U8, Reconstruction
 from realsim.report import page, raster, svg, viewer3d
 from realsim.report.contact import contact_card
 from realsim.report.layers import scene_view
@@ -13,7 +14,6 @@ from realsim.report.modes import modes_card
 from realsim.report.summary import Made, versions
 from realsim.report.topdown import map_from_above
 from realsim.report.verdict import Judgement, dropped_frames, millimetres, percent, scale_of
-from realsim.types import U8, Reconstruction
 
 _THUMBNAILS = 24
 _RESIDUAL_RANGE = 0.02  # metres

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from realsim.meshes import compact, simplify
+from realsim.core.meshes import compact, simplify
+from realsim.core.types import AlignedScene, Reconstruction, TerrainMesh
 from realsim.report import raster
 from realsim.report.collision import collision_parts, load, merged, robot_triangles, sharp_edges
 from realsim.report.solids import Solid
 from realsim.report.viewer3d import Layer, camera_frustums, viewer
-from realsim.types import AlignedScene, Reconstruction, TerrainMesh
 
 MESH_TRIANGLES, COLLISION_TRIANGLES = 60_000, 20_000
 INVENTED, COLLISION, COLLISION_EDGES, ROBOT = (172, 112, 214), (236, 148, 62), (196, 92, 14), (96, 108, 128)

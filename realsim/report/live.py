@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import MissingExtraError, RealsimError
-from realsim.files import check_size, read_json
-from realsim.geometry import R_to_quat
+from realsim.core.errors import MissingExtraError, RealsimError
+from realsim.core.files import check_size, read_json
+from realsim.core.geometry import R_to_quat
 from realsim.report.collision import collision_triangles, load, robot_triangles
 from realsim.report.layers import CAMERAS, COLLISION, PLATFORMS, ROBOT
 from realsim.report.picture import standpoint

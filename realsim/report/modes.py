@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from realsim.core.types import Mode, Reconstruction
 from realsim.report import page
 from realsim.report.verdict import millimetres
-from realsim.types import Mode, Reconstruction
 
 _HEADS = ["source", "frames", "scale ± (90 %)", "depth to mesh", "seen", "start to goal", "apart", "time"]
 

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import RealsimError
-from realsim.types import F64, U8
+from realsim.core.errors import RealsimError
+from realsim.core.types import F64, U8
 
 BACKENDS = ("egl", "osmesa", "glfw")
 """OpenGL libraries in the order in which they are tried where MUJOCO_GL does not name one."""

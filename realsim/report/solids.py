@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from realsim.meshes import simplify
-from realsim.types import F64
+from realsim.core.meshes import simplify
+from realsim.core.types import F64
 
 _MESH_TRIANGLES = 2500
 """Most triangles of one mesh geom to look at."""

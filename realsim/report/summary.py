@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from realsim import __version__
+from realsim.core.types import MeshQuality, Platform, Reconstruction
 from realsim.report.verdict import Judgement, dropped_frames, scale_of
-from realsim.types import MeshQuality, Platform, Reconstruction
 
 _PACKAGES = ("numpy", "scipy", "open3d", "opencv-contrib-python-headless", "trimesh", "pymeshlab", "mujoco")
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.types import F64, U8, AlignedScene, TerrainMesh
 from realsim.report import raster, svg
 from realsim.report.page import esc
-from realsim.types import F64, U8, AlignedScene, TerrainMesh
 
 Extent = tuple[float, float, float, float]
 """x low, x high, y low, y high in metres."""

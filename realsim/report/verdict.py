@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from realsim.contact_limits import shares
+from realsim.core.contact_limits import shares
+from realsim.core.types import F64, Dropped, Reconstruction, ScaleEstimate
 from realsim.report.page import Level
-from realsim.types import F64, Dropped, Reconstruction, ScaleEstimate
 
 
 @dataclass(frozen=True)

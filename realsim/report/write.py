@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from realsim.errors import RealsimError
-from realsim.files import file_digests, to_json, write_text
+from realsim.core.errors import RealsimError
+from realsim.core.files import file_digests, to_json, write_text
+from realsim.core.types import U8, Reconstruction
 from realsim.report.document import reconstruction_page
 from realsim.report.picture import draw
 from realsim.report.summary import Made, summary
 from realsim.report.verdict import judge
-from realsim.types import U8, Reconstruction
 
 
 def write_report(folder: Path, result: Reconstruction, *, picture: bool = True) -> None:

@@ -5,7 +5,7 @@ A robot is a function `() -> Robot`. `menagerie:NAME` reaches for MuJoCo Menager
 
 from __future__ import annotations
 
-from realsim.registry import Registry
+from realsim.core.registry import Registry
 from realsim.robots.base import Robot
 
 __all__ = ["ROBOTS", "Robot", "load"]

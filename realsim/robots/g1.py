@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.geometry import R_to_quat, exp_so3
+from realsim.core.geometry import R_to_quat, exp_so3
 from realsim.robots.base import Robot, holding_ctrl
 
 NATURAL_FREQUENCY = 2 * pi * 10  # rad/s, of every servo with its reflected inertia

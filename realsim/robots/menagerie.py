@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import ExportError, MissingExtraError, UnknownNameError
+from realsim.core.errors import ExportError, MissingExtraError, UnknownNameError
 from realsim.robots.base import Robot
 
 

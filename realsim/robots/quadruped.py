@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.geometry import R_to_quat, exp_so3
+from realsim.core.geometry import R_to_quat, exp_so3
 from realsim.robots.base import Robot, holding_ctrl
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.types import F64, Bool
+from realsim.core.types import F64, Bool
 
 CONFIDENT = 0.5
 """Quantile of the confidence above which a pixel takes part."""

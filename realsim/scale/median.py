@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.types import F64, Bool
+from realsim.core.types import F64, Bool
 
 
 def ratio(sensor: F64, predicted: F64, confidence: F64, lower: Bool, rng: np.random.Generator) -> float:

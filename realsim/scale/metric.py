@@ -6,13 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from realsim.errors import ScaleError
-from realsim.ordered import in_order
-from realsim.progress import track
-from realsim.resampling import interval90, resampled
+from realsim.core.errors import ScaleError
+from realsim.core.ordered import in_order
+from realsim.core.progress import track
+from realsim.core.registry import Registry
+from realsim.core.statistics import interval90, resampled
+from realsim.core.types import F32, F64, Bool, MetricScene, Pointmaps, PointView, ScaleEstimate
 from realsim.scale.config import ScaleConfig
-from realsim.types import F32, F64, Bool, MetricScene, Pointmaps, PointView, ScaleEstimate
 
+ESTIMATORS = Registry(
+    "scale estimator",
+    {
+        "median": "realsim.scale.median:ratio",
+        "least_squares": "realsim.scale.least_squares:ratio",
+        "ransac": "realsim.scale.ransac:ratio",
+    },
+)
+"""name -> f(sensor (M,), predicted (M,), confidence (M,), lower (M,) bool, rng) -> metres per unit, NaN if unknown."""
 FEW_PIXELS = 200
 """A frame with fewer pixels valid in both sensor and prediction says nothing about scale."""
 CLAIM_LIMIT = 0.1
@@ -38,8 +48,6 @@ def to_metric(
     Raises:
         ScaleError: no frame has sensor depth to compare with, or frames disagree beyond `config.max_spread`.
     """
-    from realsim.scale import ESTIMATORS
-
     ratio = ESTIMATORS[config.method]
     up_world = up_world if points.world_is_capture else None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.types import F64, Bool
+from realsim.core.types import F64, Bool
 
 TOLERANCE = 0.02
 """Relative distance from a ratio within which a pixel agrees with it; twice the noise of a depth sensor at 4 m."""

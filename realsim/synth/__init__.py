@@ -3,7 +3,7 @@
 `write_capture` renders one, `compare` measures a reconstruction against its truth.
 """
 
-from realsim.registry import Registry
+from realsim.core.registry import Registry, lazily
 
 TERRAINS = Registry(
     "terrain",
@@ -31,11 +31,11 @@ PLACES = Registry(
 """Name -> (rng) -> `realsim.synth.places.Place`: places that repeat."""
 
 
-def __getattr__(name: str) -> object:
-    """`write_capture`, `SynthCapture`, `SynthConfig` and `compare`, loaded when they are first used."""
-    from importlib import import_module
-
-    modules = {"write_capture": "capture", "SynthCapture": "capture", "SynthConfig": "config", "compare": "errors"}
-    if name not in modules:
-        raise AttributeError(name)
-    return getattr(import_module(f"realsim.synth.{modules[name]}"), name)
+__getattr__ = lazily(
+    __name__,
+    {
+        **dict.fromkeys(("SynthCapture", "write_capture"), "realsim.synth.capture"),
+        "SynthConfig": "realsim.synth.config",
+        "compare": "realsim.synth.errors",
+    },
+)

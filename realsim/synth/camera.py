@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.geometry import exp_so3, make_T
-from realsim.types import F32, F64, Bool, Intrinsics
+from realsim.core.geometry import exp_so3, make_T
+from realsim.core.types import F32, F64, Bool, Intrinsics
 
 INTRINSICS = Intrinsics(640, 480, 615.0, 615.0, 318.5, 241.5)
 """Like a RealSense D435i's colour camera at 640x480, to which depth is aligned."""

@@ -10,16 +10,16 @@ from pathlib import Path
 
 import numpy as np
 
-from realsim.files import output_folder, to_json, write_bytes, write_text
-from realsim.geometry import make_T
-from realsim.progress import track
+from realsim.core.files import output_folder, to_json, write_bytes, write_text
+from realsim.core.geometry import make_T
+from realsim.core.progress import track
+from realsim.core.types import F64, U8, Intrinsics
 from realsim.synth.camera import DepthSensor, Rig, drift, follow_route, rig, walk
 from realsim.synth.config import SynthConfig
 from realsim.synth.render import Renderer
 from realsim.synth.terrain import Terrain, make_terrain
 from realsim.synth.textures import tile
 from realsim.synth.truth import sample_truth, write_truth
-from realsim.types import F64, U8, Intrinsics
 
 
 @dataclass(frozen=True)

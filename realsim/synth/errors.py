@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.errors import RealsimError
-from realsim.geometry import exp_so3, make_T, transform
+from realsim.core.errors import RealsimError
+from realsim.core.geometry import exp_so3, make_T, transform
+from realsim.core.types import F64
 from realsim.synth.render import raycaster
 from realsim.synth.truth import Samples, read_truth
-from realsim.types import F64
 
 MARGIN = 0.3
 """Metres around the terrain that are measured."""

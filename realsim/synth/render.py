@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.geometry import invert_T
+from realsim.core.geometry import invert_T
+from realsim.core.types import F32, F64, U8, Intrinsics
 from realsim.synth.solids import Solid
 from realsim.synth.textures import tile, tile_size
-from realsim.types import F32, F64, U8, Intrinsics
 
 # A pixel's samples, in pixels about its centre, and for each a pattern of places on a ceiling light, in metres about
 # its middle: neighbouring samples see other places, so that shadows have soft borders.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from realsim.geometry import exp_so3
+from realsim.core.geometry import exp_so3
 
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.errors import UnknownNameError
-from realsim.geometry import make_T, transform
+from realsim.core.errors import UnknownNameError
+from realsim.core.geometry import make_T, transform
 from realsim.synth import PLACES, TERRAINS
 from realsim.synth.places import Place
 from realsim.synth.solids import Solid, box, cylinder, hexahedron, rz

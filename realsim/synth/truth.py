@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.errors import RealsimError
-from realsim.files import read_json, read_npz, to_json, write_bytes, write_text
-from realsim.geometry import invert_T
+from realsim.core.errors import RealsimError
+from realsim.core.files import read_json, read_npz, to_json, write_bytes, write_text
+from realsim.core.geometry import invert_T
+from realsim.core.types import F64
 from realsim.synth.render import Renderer
 from realsim.synth.solids import Solid
 from realsim.synth.terrain import Terrain, top_centroid
-from realsim.types import F64
 
 FLOOR_MARGIN = 1.0
 """Metres of floor around the terrain that belong to the truth."""

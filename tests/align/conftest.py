@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from realsim.geometry import exp_so3, make_T
-from realsim.types import F64, Frame, Intrinsics, MetricScene, PointView, ScaleEstimate
+from realsim.core.geometry import exp_so3, make_T
+from realsim.core.types import F64, Frame, Intrinsics, MetricScene, PointView, ScaleEstimate
 
 CAMERA = Intrinsics(160, 120, 150.0, 150.0, 79.5, 59.5)
 Box = tuple[tuple[float, float, float], tuple[float, float, float], float]

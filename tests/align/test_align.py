@@ -9,9 +9,9 @@ import pytest
 
 from realsim.align import align
 from realsim.align.config import AlignConfig
-from realsim.errors import AlignError, UnknownNameError
-from realsim.geometry import exp_so3, invert_T, make_T, transform
-from realsim.types import Scan
+from realsim.core.errors import AlignError, UnknownNameError
+from realsim.core.geometry import exp_so3, invert_T, make_T, transform
+from realsim.core.types import Scan
 
 CONFIG = AlignConfig()
 

@@ -9,8 +9,8 @@ import pytest
 
 from realsim.align import align
 from realsim.align.config import AlignConfig
-from realsim.geometry import invert_T
-from realsim.types import Frame, Intrinsics, MetricScene, PointView, ScaleEstimate
+from realsim.core.geometry import invert_T
+from realsim.core.types import Frame, Intrinsics, MetricScene, PointView, ScaleEstimate
 
 
 @pytest.mark.parametrize(

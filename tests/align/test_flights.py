@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import Manifold
 
-from benchmarks.rooms import _level, _seen, open_stairs, room
-from benchmarks.solids import block
 from realsim.align import align
 from realsim.align.config import AlignConfig
+from realsim.core.types import AlignedScene, Scan, TerrainMesh
 from realsim.meshing import build
 from realsim.meshing.config import MeshConfig
-from realsim.types import AlignedScene, Scan, TerrainMesh
+from tests.truths.rooms import _level, _seen, open_stairs, room
+from tests.truths.solids import block
 
 
 def aligned(mesh: TerrainMesh, noise: float = 0.0) -> AlignedScene:

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.contact import generated, limited, line, save, summary
-from benchmarks.contact_build import TRIANGLES, subdivided
-from benchmarks.solids import terrain
+from benchmarks.contact.contact_build import TRIANGLES, subdivided
+from benchmarks.contact.meshes import generated, limited, line, save, summary
 from benchmarks.store import Store
-from realsim.files import read_json
+from realsim.core.files import read_json
+from tests.truths.solids import terrain
 
 
 def test_a_row_that_takes_too_long_says_so_and_is_kept(tmp_path: Path) -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import gap_blind
-from benchmarks.gap_pool import Job
+from benchmarks.diagnosis import blind as gap_blind
+from benchmarks.diagnosis.pool import Job
 
 PENDULUM = """
 <mujoco><worldbody><body><joint name="a" axis="0 1 0"/><geom size="0.1"/></body></worldbody>

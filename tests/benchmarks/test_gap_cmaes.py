@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.gap_cmaes import DELAY, OF_JOINTS, all_knobs, fit
-from benchmarks.gap_sysid import summary
+from benchmarks.diagnosis.cmaes import DELAY, OF_JOINTS, all_knobs, fit
+from benchmarks.diagnosis.sysid import summary
 from realsim.gap import DiagnoseConfig, load_case
-from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Simulator
 from tests.gap.truth import PENDULUM, Truth, make_case
 

@@ -10,12 +10,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.gap_ablation import mcnemar, right
-from benchmarks.gap_hardware.bench import Bench, Ruler, Starts, _like, fit, parted, predict, with_error, write
-from benchmarks.gap_hardware.errors import errors
-from benchmarks.gap_hardware.logs import LOGS, PENDULUM, windows, write_case, write_windows
-from benchmarks.gap_pool import take_out
-from benchmarks.gap_real import SHARES, _class, accepted_sets, figures, reliability, row
+from benchmarks.diagnosis.ablation import mcnemar, right
+from benchmarks.diagnosis.hardware.bench import Bench, Ruler, Starts, _like, fit, parted, predict, with_error, write
+from benchmarks.diagnosis.hardware.errors import errors
+from benchmarks.diagnosis.hardware.logs import LOGS, PENDULUM, windows, write_case, write_windows
+from benchmarks.diagnosis.pool import take_out
+from benchmarks.diagnosis.real import SHARES, _class, accepted_sets, figures, reliability, row
 from realsim.gap import load_case
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects import EFFECTS
@@ -87,8 +87,8 @@ def test_the_diagnosis_s_own_effect_with_the_label_s_value_mends_every_error(ben
 
 def test_a_pendulum_that_only_torque_drives_is_fitted_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Near the top a replay of the whole would say more of its first state than of the model."""
-    monkeypatch.setattr("benchmarks.gap_hardware.bench.LATEST", 0)
-    monkeypatch.setattr("benchmarks.gap_hardware.bench.EVALUATIONS", 6)
+    monkeypatch.setattr("benchmarks.diagnosis.hardware.bench.LATEST", 0)
+    monkeypatch.setattr("benchmarks.diagnosis.hardware.bench.EVALUATIONS", 6)
     model = mujoco.MjModel.from_xml_string(PENDULUM.replace('damping="0.01"', 'damping="0.08"'))
     folder = write_case(tmp_path / "case", PENDULUM, ["swing"], ["swing_motor"], command_kind="torque")
     rng, time = np.random.default_rng(0), np.arange(0.0, 4.0, 0.01)
@@ -189,7 +189,7 @@ def test_a_function_that_is_taken_out_is_gone_from_every_table(monkeypatch: pyte
     import types
 
     import realsim.gap.run  # noqa: F401 - what holds the function must be there before it is put back
-    from realsim.gap.logs import split
+    from realsim.gap.case import split
 
     holder = types.ModuleType("realsim.gap.made_up")
     holder.proposals = (split.split_runs, len)  # type: ignore[attr-defined]
@@ -197,7 +197,7 @@ def test_a_function_that_is_taken_out_is_gone_from_every_table(monkeypatch: pyte
     users = [m for n, m in sys.modules.items() if n.startswith("realsim.gap") and hasattr(m, "split_runs")]
     for module in users:
         monkeypatch.setattr(module, "split_runs", module.split_runs)  # put back afterwards
-    take_out("realsim.gap.logs.split:split_runs")
+    take_out("realsim.gap.case.split:split_runs")
     assert holder.proposals == (len,)  # type: ignore[attr-defined]
     assert list(split.split_runs(1, 2, 3)) == []
     assert mujoco  # the engine's own modules stay importable

@@ -10,24 +10,24 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.gap_score import MixedEnginesError, score
-from benchmarks.gap_truth.cases import STRATA, VISIBLE, Draw, Sensors, make_case, plan, same_log, site_of
-from benchmarks.gap_truth.motions import sample_times
-from benchmarks.gap_truth.plant import Plant
-from benchmarks.gap_truth.robots import ROBOTS
-from benchmarks.gap_truth.truth import Truth
-from benchmarks.gap_withheld import KEPT, keep, read_found, sysid_baseline
+from benchmarks.diagnosis.score import MixedEnginesError, score
+from benchmarks.diagnosis.withheld import KEPT, keep, read_found, sysid_baseline
+from tests.truths.diagnosis.cases import STRATA, VISIBLE, Draw, Sensors, make_case, plan, same_log, site_of
+from tests.truths.diagnosis.motions import sample_times
+from tests.truths.diagnosis.plant import Plant
+from tests.truths.diagnosis.robots import ROBOTS
+from tests.truths.diagnosis.truth import Truth
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_the_truth_knows_nothing_of_the_diagnosis_nor_the_other_way_round() -> None:
-    for path in sorted((ROOT / "benchmarks" / "gap_truth").glob("*.py")):
+    for path in sorted((ROOT / "tests" / "truths" / "diagnosis").glob("*.py")):
         assert "realsim.gap" not in "".join(
             ast.unparse(n) for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Import | ast.ImportFrom)
         )
     for path in sorted((ROOT / "realsim").rglob("*.py")):
-        assert "gap_truth" not in path.read_text(), path
+        assert "tests.truths" not in path.read_text(), path
 
 
 def test_a_plan_is_fair_and_reproducible() -> None:

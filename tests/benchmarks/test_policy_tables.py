@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 
-from benchmarks import base_policy, ttt
 from benchmarks.tables import policies
 from benchmarks.tables.stored import stored
+from benchmarks.training import base_policy, ttt
 from trainer.policies import base_of
 
 

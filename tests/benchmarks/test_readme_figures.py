@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import reconstruct
+from benchmarks.scenes import reconstruct
 from benchmarks.tables import diagnosis, index, pages, readme
 from benchmarks.tables.stored import RESULTS, counts, stored
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import scale_error
-from benchmarks.scale_error import BAR, PAPER, TERRAINS, measure, summary, true_surface
-from benchmarks.scale_sources import OURS, SOURCES, Capture, Found
-from realsim.geometry import exp_so3, make_T, transform
+from benchmarks.scenes import scale_error
+from benchmarks.scenes.scale_error import BAR, PAPER, TERRAINS, measure, summary, true_surface
+from benchmarks.scenes.scale_sources import OURS, SOURCES, Capture, Found
+from realsim.core.geometry import exp_so3, make_T, transform
+from realsim.core.types import FrameSet
 from realsim.synth import TERRAINS as KINDS
 from realsim.synth.terrain import make_terrain
-from realsim.types import FrameSet
 
 
 def test_thirteen_terrains_and_all_sources() -> None:

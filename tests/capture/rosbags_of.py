@@ -10,8 +10,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from realsim.geometry import R_to_quat, invert_T, make_T
-from realsim.types import Intrinsics
+from realsim.core.geometry import R_to_quat, invert_T, make_T
+from realsim.core.types import Intrinsics
 
 from .scene import CAMERA, View
 

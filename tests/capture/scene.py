@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.geometry import make_T, rotation_between
-from realsim.types import Intrinsics
+from realsim.core.geometry import make_T, rotation_between
+from realsim.core.types import Intrinsics
 
 CAMERA = Intrinsics(96, 72, 88.0, 87.0, 46.5, 37.0)
 START_TIME = 1_700_000_000.0

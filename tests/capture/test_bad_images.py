@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from realsim.capture import CaptureConfig, read
-from realsim.errors import CaptureError
+from realsim.core.errors import CaptureError
 
 from .damage import cut, reason
 from .scene import walk

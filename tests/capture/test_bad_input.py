@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from realsim.capture import CaptureConfig, read
-from realsim.errors import CaptureError, PoseError, RealsimError
+from realsim.core.errors import CaptureError, PoseError, RealsimError
 
 from .damage import cut, reason
 from .scene import CAMERA, walk

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from realsim.capture import inspect, read
-from realsim.errors import PoseError, RealsimError
+from realsim.core.errors import PoseError, RealsimError
 
 from .damage import cut, reason
 from .scene import walk

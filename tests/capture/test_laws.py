@@ -16,9 +16,9 @@ from realsim.capture.lzf import decompress
 from realsim.capture.poses import MENDABLE, rigid
 from realsim.capture.selection import pick
 from realsim.capture.survey import Look, sharpness
-from realsim.errors import CaptureError
-from realsim.geometry import angle_deg, exp_so3, is_rotation, make_T
-from realsim.types import Frame, Intrinsics
+from realsim.core.errors import CaptureError
+from realsim.core.geometry import angle_deg, exp_so3, is_rotation, make_T
+from realsim.core.types import Frame, Intrinsics
 
 FAST = settings(max_examples=60, deadline=None)
 times = st.lists(st.integers(0, 10_000), max_size=30, unique=True).map(lambda v: np.array(sorted(v)) / 1000)

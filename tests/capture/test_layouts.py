@@ -12,9 +12,9 @@ import pytest
 from realsim.capture import LAYOUTS, CaptureConfig, inspect, read
 from realsim.capture.layout import Recognition
 from realsim.capture.recognition import recognise
-from realsim.errors import CaptureError, UnknownNameError
-from realsim.geometry import is_rotation
-from realsim.types import FrameSet, Intrinsics
+from realsim.core.errors import CaptureError, UnknownNameError
+from realsim.core.geometry import is_rotation
+from realsim.core.types import FrameSet, Intrinsics
 
 from .scene import CAMERA, walk
 from .writers import (
@@ -296,7 +296,7 @@ def test_pcd_axes_and_viewpoint_traps(stored, viewpoint, said, data, tmp_path):
 
 @pytest.mark.parametrize("in_world", [False, True])
 def test_pcd_viewpoints_that_differ_are_poses(in_world, tmp_path):
-    from realsim.geometry import R_to_quat, transform
+    from realsim.core.geometry import R_to_quat, transform
 
     views = walk(6)
     for i, view in enumerate(views):

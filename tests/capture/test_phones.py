@@ -12,8 +12,8 @@ import pytest
 from realsim.capture import CaptureConfig, read
 from realsim.capture.arkit import from_opengl, pose_xyzw
 from realsim.capture.video import VideoFrame
-from realsim.errors import CaptureError, MissingExtraError, PoseError, RealsimError
-from realsim.geometry import R_to_quat, exp_so3, make_T, transform
+from realsim.core.errors import CaptureError, MissingExtraError, PoseError, RealsimError
+from realsim.core.geometry import R_to_quat, exp_so3, make_T, transform
 
 from .damage import cut, reason
 from .scene import CAMERA, walk

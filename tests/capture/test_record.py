@@ -10,9 +10,9 @@ import pytest
 
 from realsim.capture import CaptureConfig, read
 from realsim.capture.record import RecordConfig, record
-from realsim.cli import main
-from realsim.errors import CaptureError, MissingExtraError
-from realsim.types import FrameSet
+from realsim.cli.command_line import main
+from realsim.core.errors import CaptureError, MissingExtraError
+from realsim.core.types import FrameSet
 
 from .scene import CAMERA, walk
 

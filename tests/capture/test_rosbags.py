@@ -9,9 +9,9 @@ import pytest
 
 from realsim.capture import CaptureConfig, inspect, read
 from realsim.capture.transforms import Tree
-from realsim.errors import CaptureError, RealsimError
-from realsim.geometry import exp_so3, make_T
-from realsim.types import FrameSet
+from realsim.core.errors import CaptureError, RealsimError
+from realsim.core.geometry import exp_so3, make_T
+from realsim.core.types import FrameSet
 
 from .rosbags_of import write_bag
 from .scene import walk

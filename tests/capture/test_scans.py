@@ -13,8 +13,8 @@ import trimesh
 
 from realsim.capture import CaptureConfig, inspect, read
 from realsim.capture import scanfile as scanfile_module
-from realsim.errors import CaptureError, MissingExtraError, RealsimError
-from realsim.types import Scan
+from realsim.core.errors import CaptureError, MissingExtraError, RealsimError
+from realsim.core.types import Scan
 
 from .damage import cut
 from .scene import walk

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from realsim.capture import CaptureConfig, inspect, read
-from realsim.errors import CaptureError
-from realsim.types import FrameSet
+from realsim.core.errors import CaptureError
+from realsim.core.types import FrameSet
 
 CONFIG = CaptureConfig()
 

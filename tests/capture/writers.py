@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from realsim.geometry import R_to_quat, invert_T, log_so3
+from realsim.core.geometry import R_to_quat, invert_T, log_so3
 
 from .fake_realsense import write_bag
 from .rosbags_of import write_bag as write_ros

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.exports.config import SceneConfig
-from realsim.exports.contact.base import ContactModel
-from realsim.exports.contact.fidelity import measure
-from realsim.exports.contact.probe import Reference, spec_of
-from realsim.types import TerrainMesh
+from realsim.core.types import TerrainMesh
+from realsim.export.config import SceneConfig
+from realsim.export.contact.base import ContactModel
+from realsim.export.contact.fidelity import measure
+from realsim.export.contact.probe import Reference, spec_of
 
 CONFIG = SceneConfig()
 FACING_UP = np.array([1.0, 0, 0, 0])

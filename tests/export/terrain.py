@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from realsim.types import AlignedScene, Gravity, MeshQuality, Platform, Scan, TerrainMesh
+from realsim.core.types import AlignedScene, Gravity, MeshQuality, Platform, Scan, TerrainMesh
 
 GROUND = -0.3
 

@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.solids import TERRAINS, block, terrain, with_floor
-from realsim.errors import UnknownNameError
-from realsim.exports import CONTACT
-from realsim.exports.config import SceneConfig
-from realsim.exports.contact.base import ContactModel, Geom, floor_plane
-from realsim.exports.contact.boxes import boxes
-from realsim.exports.contact.choose import fit_contact
-from realsim.exports.contact.cost import step_cost
-from realsim.exports.contact.fidelity import Fidelity
-from realsim.exports.contact.heatmap import heatmap_png
-from realsim.exports.contact.probe import BALL, SimTouch, first_touch, spec_of
-from realsim.exports.contact.shape import Shape
-from realsim.types import TerrainMesh
+from realsim.core.errors import UnknownNameError
+from realsim.core.types import TerrainMesh
+from realsim.export import CONTACT
+from realsim.export.config import SceneConfig
+from realsim.export.contact.base import ContactModel, Geom, floor_plane
+from realsim.export.contact.boxes import boxes
+from realsim.export.contact.choose import fit_contact
+from realsim.export.contact.cost import step_cost
+from realsim.export.contact.fidelity import Fidelity
+from realsim.export.contact.heatmap import heatmap_png
+from realsim.export.contact.probe import BALL, SimTouch, first_touch, spec_of
+from realsim.export.contact.shape import Shape
 from tests.export.measured import CONFIG, FACING_UP, fidelity
+from tests.truths.solids import TERRAINS, block, terrain, with_floor
 
 
 @pytest.mark.parametrize("name", list(TERRAINS))

@@ -8,19 +8,19 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.solids import block, terrain, with_floor
-from realsim.exports.config import SceneConfig
-from realsim.exports.contact.base import ContactModel, Geom, floor_plane
-from realsim.exports.contact.boxes import boxes
-from realsim.exports.contact.columns import columns
-from realsim.exports.contact.fidelity import measure
-from realsim.exports.contact.outline import area, convex_parts, hull, outlines
-from realsim.exports.contact.planes import heights, segment, spread
-from realsim.exports.contact.probe import Reference, spec_of
-from realsim.exports.contact.shape import Shape
-from realsim.exports.contact.solids import island_solid
-from realsim.exports.mend import mend
-from realsim.types import TerrainMesh
+from realsim.core.types import TerrainMesh
+from realsim.export.config import SceneConfig
+from realsim.export.contact.base import ContactModel, Geom, floor_plane
+from realsim.export.contact.boxes import boxes
+from realsim.export.contact.columns import columns
+from realsim.export.contact.fidelity import measure
+from realsim.export.contact.outline import area, convex_parts, hull, outlines
+from realsim.export.contact.planes import heights, segment, spread
+from realsim.export.contact.probe import Reference, spec_of
+from realsim.export.contact.shape import Shape
+from realsim.export.contact.solids import island_solid
+from realsim.export.mend import mend
+from tests.truths.solids import block, terrain, with_floor
 
 
 def test_columns_of_a_bridge_have_a_gap() -> None:
@@ -149,7 +149,7 @@ def _contains(ring: np.ndarray, point: list[float]) -> bool:
 
 
 def test_solids_are_closed_and_of_the_right_size() -> None:
-    from realsim.exports.contact.islands import terrain as islands
+    from realsim.export.contact.islands import terrain as islands
 
     whole = islands(with_floor(block(0, 0, 0.2, 0.3, 0.15)), 0.0, 0.01)
     vertices, faces = island_solid(whole, whole.islands[0])

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.solids import block, terrain, with_floor
-from realsim.exports import CONTACT
-from realsim.exports.contact.base import Asset, ContactModel, Geom, floor_plane
-from realsim.exports.contact.boxes import boxes
-from realsim.exports.contact.cost import standing_place
-from realsim.exports.contact.fidelity import Region, g1_foot, measure
-from realsim.exports.contact.probe import BALL, Reference, SimTouch, first_touch, spec_of
-from realsim.exports.contact.shape import Shape
-from realsim.types import TerrainMesh
+from realsim.core.types import TerrainMesh
+from realsim.export import CONTACT
+from realsim.export.contact.base import Asset, ContactModel, Geom, floor_plane
+from realsim.export.contact.boxes import boxes
+from realsim.export.contact.cost import standing_place
+from realsim.export.contact.fidelity import Region, g1_foot, measure
+from realsim.export.contact.probe import BALL, Reference, SimTouch, first_touch, spec_of
+from realsim.export.contact.shape import Shape
 from tests.export.measured import CONFIG, FACING_UP, fidelity, reference
+from tests.truths.solids import block, terrain, with_floor
 
 
 def shifted(mesh: TerrainMesh, dz: float) -> ContactModel:
@@ -107,7 +107,7 @@ def test_a_ray_that_meets_something_invented_first_does_not_count() -> None:
     import mujoco
     import trimesh
 
-    from realsim.exports.contact.sides import side_figures
+    from realsim.export.contact.sides import side_figures
 
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 1])

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.solids import block, with_floor
-from realsim.exports.contact.base import floor_around
-from realsim.exports.contact.boxes import boxes
-from realsim.exports.contact.probe import BALL, SimTouch, first_touch, spec_of
-from realsim.exports.contact.shape import Shape
-from realsim.types import TerrainMesh
+from realsim.core.types import TerrainMesh
+from realsim.export.contact.base import floor_around
+from realsim.export.contact.boxes import boxes
+from realsim.export.contact.probe import BALL, SimTouch, first_touch, spec_of
+from realsim.export.contact.shape import Shape
 from tests.export.measured import CONFIG, FACING_UP, fidelity
 from tests.export.test_contact import underside
+from tests.truths.solids import block, with_floor
 
 
 def test_a_pit_leaves_the_floor_beside_it_whole() -> None:

@@ -14,12 +14,12 @@ import pytest
 import trimesh
 from defusedxml import ElementTree
 
-from realsim.errors import ExportError, UnknownNameError
-from realsim.exports import EXPORTERS, export_scene, write_scene
-from realsim.exports.config import SceneConfig
-from realsim.exports.formats import load_scene
-from realsim.exports.formats.scene import collision_triangles
-from realsim.exports.heights import Surface
+from realsim.core.errors import ExportError, UnknownNameError
+from realsim.export import EXPORTERS, export_scene, write_scene
+from realsim.export.config import SceneConfig
+from realsim.export.formats import load_scene
+from realsim.export.formats.scene import collision_triangles
+from realsim.export.heights import Surface
 
 from .terrain import GROUND, two_platforms
 
@@ -102,7 +102,7 @@ def test_warp_profile_is_primitives_with_bits_and_advice(exported: dict[str, lis
 
 
 def test_the_warp_profile_of_mjcf_is_the_warp_format(folder: Path, tmp_path: Path) -> None:
-    from realsim.commands.export import export
+    from realsim.cli.commands.export import export
 
     result = export((folder,), to="mjcf,ply", profile="warp", out=tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {"warp", "ply"}

@@ -9,14 +9,14 @@ import pytest
 import trimesh
 from manifold3d import Manifold
 
-from benchmarks.solids import TERRAINS, block, terrain
-from realsim import cli
-from realsim.errors import ExportError
-from realsim.exports import contact_mesh
-from realsim.exports.config import SceneConfig
-from realsim.exports.ground import ground_level
-from realsim.exports.mend import mend
-from realsim.types import TerrainMesh
+from realsim.cli import command_line as cli
+from realsim.core.errors import ExportError
+from realsim.core.types import TerrainMesh
+from realsim.export import contact_mesh
+from realsim.export.config import SceneConfig
+from realsim.export.ground import ground_level
+from realsim.export.mend import mend
+from tests.truths.solids import TERRAINS, block, terrain
 
 CONFIG = SceneConfig(contact_probes=200)
 

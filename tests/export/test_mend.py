@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.solids import block, terrain, with_floor
-from realsim.errors import ExportError
-from realsim.exports import contact_mesh
-from realsim.exports.config import SceneConfig
-from realsim.exports.ground import ground_level
-from realsim.exports.mend import mend, read_mesh
-from realsim.exports.winding import turn_stray
+from realsim.core.errors import ExportError
+from realsim.export import contact_mesh
+from realsim.export.config import SceneConfig
+from realsim.export.ground import ground_level
+from realsim.export.mend import mend, read_mesh
+from realsim.export.winding import turn_stray
+from tests.truths.solids import block, terrain, with_floor
 
 CONFIG = SceneConfig(contact_probes=200)
 

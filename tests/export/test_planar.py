@@ -6,11 +6,11 @@ import tracemalloc
 
 import numpy as np
 
-from realsim.exports.contact.columns import Columns
-from realsim.exports.contact.islands import Island, Terrain
-from realsim.exports.contact.outline import outlines
-from realsim.exports.contact.planar import planar
-from realsim.exports.contact.prisms import Prism
+from realsim.export.contact.columns import Columns
+from realsim.export.contact.islands import Island, Terrain
+from realsim.export.contact.outline import outlines
+from realsim.export.contact.planar import planar
+from realsim.export.contact.prisms import Prism
 
 CELL = 0.005
 

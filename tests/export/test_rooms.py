@@ -8,18 +8,18 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.rooms import ROOMS
-from benchmarks.solids import terrain
-from realsim.exports.any_mesh import contact_verdict
-from realsim.exports.contact.boxes import boxes
-from realsim.exports.contact.choose import fit_contact
-from realsim.exports.contact.fidelity import OFF, measure
-from realsim.exports.contact.patches import patches, sampled
-from realsim.exports.contact.probe import BALL, Reference, SimTouch, spec_of
-from realsim.exports.contact.shape import Shape
-from realsim.exports.contact.sheets import sheets
-from realsim.types import TerrainMesh
+from realsim.core.types import TerrainMesh
+from realsim.export.any_mesh import contact_verdict
+from realsim.export.contact.boxes import boxes
+from realsim.export.contact.choose import fit_contact
+from realsim.export.contact.fidelity import OFF, measure
+from realsim.export.contact.patches import patches, sampled
+from realsim.export.contact.probe import BALL, Reference, SimTouch, spec_of
+from realsim.export.contact.shape import Shape
+from realsim.export.contact.sheets import sheets
 from tests.export.measured import CONFIG, FACING_UP
+from tests.truths.rooms import ROOMS
+from tests.truths.solids import terrain
 
 made = cache(lambda make, name: spec_of(make(Shape(ROOMS[name](), 0.0), CONFIG)))
 """A room's contact in a representation, each made once."""

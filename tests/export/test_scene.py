@@ -17,16 +17,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from realsim.errors import ExportError, RealsimError, UnknownNameError
-from realsim.exports import CONTACT, write_scene
-from realsim.exports.config import SceneConfig
-from realsim.exports.contact.hfield import hfield
-from realsim.exports.contact.shape import Shape
-from realsim.exports.heights import HeightGrid
-from realsim.exports.visual import bake, vertex_normals
-from realsim.files import output_folder
-from realsim.meshes import compact
-from realsim.types import TerrainMesh
+from realsim.core.errors import ExportError, RealsimError, UnknownNameError
+from realsim.core.files import output_folder
+from realsim.core.meshes import compact
+from realsim.core.types import TerrainMesh
+from realsim.export import CONTACT, write_scene
+from realsim.export.config import SceneConfig
+from realsim.export.contact.hfield import hfield
+from realsim.export.contact.shape import Shape
+from realsim.export.heights import HeightGrid
+from realsim.export.visual import bake, vertex_normals
 
 from .terrain import GROUND, box, platform, scene, terrain_mesh, two_platforms
 
@@ -219,7 +219,7 @@ def compiled_nodes(heights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
     X, Y = np.meshgrid(x, y)
     vertices = np.stack([X, Y, heights], -1).reshape(-1, 3)
     grid = HeightGrid(np.array([x[0], y[0]]), np.array([0.1, 0.2]), heights)
-    import realsim.exports.contact.hfield as module
+    import realsim.export.contact.hfield as module
 
     patch = pytest.MonkeyPatch()
     patch.setattr(module, "height_grid", lambda vertices, triangles, resolution: grid)

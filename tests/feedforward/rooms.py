@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.geometry import exp_so3, make_T
-from realsim.types import Frame, FrameSet, Intrinsics
+from realsim.core.geometry import exp_so3, make_T
+from realsim.core.types import Frame, FrameSet, Intrinsics
 
 CAMERA = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
 BOXES = np.array(

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from realsim import feedforward
+from realsim.core.types import Frame
 from realsim.feedforward.config import PointsConfig
 from realsim.feedforward.rgbd.carried import carried, still, told, without
 from realsim.feedforward.rgbd.tracks import prepare
-from realsim.types import Frame
 
 POSES = rooms.path(16)
 HAND = np.zeros((240, 320), bool)

@@ -10,7 +10,7 @@ import pytest
 import rooms
 
 from realsim import feedforward
-from realsim.errors import CaptureError, MissingExtraError
+from realsim.core.errors import CaptureError, MissingExtraError
 from realsim.feedforward.config import PointsConfig
 
 COLMAP = PointsConfig(backend="colmap")

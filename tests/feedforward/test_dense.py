@@ -9,11 +9,11 @@ import pytest
 import rooms
 
 from realsim import feedforward
+from realsim.core.geometry import angle_deg, invert_T, make_T
 from realsim.feedforward.config import PointsConfig
 from realsim.feedforward.rgbd import keyframes
 from realsim.feedforward.rgbd.follow import Landmarks, follow
 from realsim.feedforward.rgbd.tracks import Evidence, build_tracks
-from realsim.geometry import angle_deg, invert_T, make_T
 
 N = 16
 TRUTH = rooms.path(N, step=0.02)

@@ -9,13 +9,13 @@ import pytest
 import rooms
 
 from realsim import feedforward
-from realsim.errors import CaptureError, PoseError, UnknownNameError
+from realsim.core.errors import CaptureError, PoseError, UnknownNameError
+from realsim.core.geometry import angle_deg, invert_T, make_T
+from realsim.core.types import Solution
 from realsim.feedforward.config import PointsConfig
 from realsim.feedforward.rgbd.overlap import overlap, register
 from realsim.feedforward.rgbd.pairs import by_features, guided
 from realsim.feedforward.rgbd.tracks import prepare
-from realsim.geometry import angle_deg, invert_T, make_T
-from realsim.types import Solution
 
 TRUTH = rooms.path(7)
 ESTIMATE = PointsConfig(poses="estimate")

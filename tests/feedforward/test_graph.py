@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from realsim.core.geometry import invert_T
 from realsim.feedforward.rgbd.bundle import Observations, adjust
 from realsim.feedforward.rgbd.graph import (
     Edge,
@@ -18,7 +19,6 @@ from realsim.feedforward.rgbd.graph import (
     spanning_poses,
     whitening,
 )
-from realsim.geometry import invert_T
 
 ROOT = whitening(0.01, 0.005)
 

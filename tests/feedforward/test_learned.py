@@ -14,13 +14,13 @@ import pytest
 import rooms
 
 from realsim import feedforward
-from realsim.errors import ModelError
+from realsim.core.errors import ModelError
+from realsim.core.geometry import angle_deg, invert_T
+from realsim.core.types import Frame
 from realsim.feedforward import matcher
 from realsim.feedforward.config import PointsConfig
 from realsim.feedforward.rgbd import learned
 from realsim.feedforward.rgbd.tracks import Match, build_tracks, prepare
-from realsim.geometry import angle_deg, invert_T
-from realsim.types import Frame
 
 ESTIMATE = PointsConfig(poses="estimate")
 TRUTH = rooms.path(4)

@@ -11,13 +11,13 @@ import rooms
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from realsim.core.geometry import exp_so3, invert_T, make_T
+from realsim.core.types import F64, Intrinsics
 from realsim.feedforward.rgbd import shapes
 from realsim.feedforward.rgbd.graph import Edge, whitening
 from realsim.feedforward.rgbd.loops import join, plausible
 from realsim.feedforward.rgbd.pairs import ambiguous, by_shape
 from realsim.feedforward.rgbd.tracks import Evidence, Match, View, prepare
-from realsim.geometry import exp_so3, invert_T, make_T
-from realsim.types import F64, Intrinsics
 
 CAMERA = Intrinsics(8, 6, 7.0, 7.0, 3.5, 2.5)
 

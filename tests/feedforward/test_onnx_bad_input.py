@@ -16,17 +16,17 @@ import pytest
 import rooms
 from analytic import UNIT, answers, room_frame, run
 
-from benchmarks.simulated_model import Shape, write_model
+from benchmarks.scenes.simulated_model import Shape, write_model
 from realsim import feedforward, scale
-from realsim.cli import main
-from realsim.errors import CaptureError, ModelError, PoseError, RealsimError
+from realsim.cli.command_line import main
+from realsim.core.errors import CaptureError, ModelError, PoseError, RealsimError
+from realsim.core.types import Frame, FrameSet
 from realsim.feedforward import onnx as onnx_backend
 from realsim.feedforward.config import OnnxConfig, PointsConfig
 from realsim.feedforward.onnx import session
 from realsim.feedforward.onnx.inspect import inspect_model
 from realsim.feedforward.onnx.session import Model, OutOfMemory, open_model
 from realsim.scale.config import ScaleConfig
-from realsim.types import Frame, FrameSet
 
 onnx: Any = pytest.importorskip("onnx", reason="models for these tests are made with onnx (extra dev)")
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from realsim.errors import PoseError
+from realsim.core.errors import PoseError
+from realsim.core.geometry import angle_deg, exp_so3, invert_T, make_T, transform
+from realsim.core.types import Frame, Intrinsics
 from realsim.feedforward.rgbd.bias import grouped_error
 from realsim.feedforward.rgbd.refine import refine
 from realsim.feedforward.rgbd.refine_adjust import initial_state
 from realsim.feedforward.rgbd.refine_check import BODY, FLIP, MIRROR, _shifted, check_poses, scale_by_depth
 from realsim.feedforward.rgbd.tracks import Evidence, build_tracks, rigid_ransac
-from realsim.geometry import angle_deg, exp_so3, invert_T, make_T, transform
-from realsim.types import Frame, Intrinsics
 
 CAMERA = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
 NOISE = 0.0015

@@ -10,13 +10,13 @@ import pytest
 
 from realsim import capture, feedforward
 from realsim.capture.config import CaptureConfig
+from realsim.core.types import FrameSet
 from realsim.feedforward.config import PointsConfig
 from realsim.feedforward.rgbd.heldout import compare, hold_out
 from realsim.feedforward.rgbd.registration import Registration
 from realsim.feedforward.rgbd.tracks import Evidence
 from realsim.synth import SynthConfig, write_capture
 from realsim.synth.truth import read_truth
-from realsim.types import FrameSet
 
 
 @pytest.fixture(scope="module")

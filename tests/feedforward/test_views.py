@@ -8,10 +8,10 @@ import numpy as np
 import rooms
 
 from realsim import feedforward
+from realsim.core.geometry import exp_so3, make_T
+from realsim.core.types import Frame, Intrinsics, Solution
 from realsim.feedforward.config import PointsConfig
 from realsim.feedforward.rgbd.views import point_view, resample
-from realsim.geometry import exp_so3, make_T
-from realsim.types import Frame, Intrinsics, Solution
 
 C = rooms.CAMERA
 

@@ -13,7 +13,7 @@ import pytest
 
 from realsim import capture, feedforward
 from realsim.capture.config import CaptureConfig
-from realsim.errors import PoseError
+from realsim.core.errors import PoseError
 from realsim.feedforward.config import PointsConfig
 from realsim.synth import SynthConfig, write_capture
 

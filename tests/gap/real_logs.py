@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from benchmarks.gap_hardware.logs import SERVO
+from benchmarks.diagnosis.hardware.logs import SERVO
 
 # T-Motor AK80-6 with a half-metre rod and a bob; figures of the test bench's own description.
 PENDULUM = """

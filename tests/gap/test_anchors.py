@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.gap_unstable import DRONE, fly
+from benchmarks.diagnosis.unstable import DRONE, fly
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
-from realsim.gap.likelihood.comparison import Comparison
-from realsim.gap.likelihood.free_starts import free_starts
+from realsim.gap.inference.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.free_starts import free_starts
 from realsim.gap.simulation.anchors import LEAST
 from realsim.gap.simulation.simulate import Simulator
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from realsim.commands.diagnose import _summary
+from realsim.cli.commands.diagnose import _summary
 from realsim.gap import DiagnoseConfig
 from realsim.gap.answer.brief import brief
 from realsim.gap.verdicts import SAID, GapVerdict

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from realsim.errors import GapError, RealsimError, UnknownNameError
+from realsim.core.errors import GapError, RealsimError, UnknownNameError
 from realsim.gap import DiagnoseConfig, diagnose, explain, load_case
 from realsim.gap.pipeline import replicates
 from realsim.gap.run import check_case, run_case

@@ -10,17 +10,17 @@ import pytest
 
 from realsim.gap import Case, DiagnoseConfig, load_case
 from realsim.gap.answer.ranking import ranked_effects
-from realsim.gap.causes.fit import Cause, Fit, Fitter
-from realsim.gap.causes.fitted import Trial
-from realsim.gap.causes.leftover import leftover
-from realsim.gap.causes.proposals import ADD, EXCHANGE, Propose, ranked
-from realsim.gap.causes.score import doubts, left_out, score
-from realsim.gap.causes.search import Search
-from realsim.gap.causes.select import Selection, select
 from realsim.gap.figures import CLEARLY, PRICE
-from realsim.gap.likelihood.comparison import Comparison
-from realsim.gap.likelihood.linear import Evidence, bounded
-from realsim.gap.likelihood.screen import Screen
+from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
+from realsim.gap.inference.causes.fitted import Trial
+from realsim.gap.inference.causes.leftover import leftover
+from realsim.gap.inference.causes.proposals import ADD, EXCHANGE, Propose, ranked
+from realsim.gap.inference.causes.score import doubts, left_out, score
+from realsim.gap.inference.causes.search import Search
+from realsim.gap.inference.causes.select import Selection, select
+from realsim.gap.inference.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.linear import Evidence, bounded
+from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.simulate import Simulator
 
 from .test_recovery import logged
@@ -220,5 +220,5 @@ def test_a_further_cause_needs_runs_that_are_left_out(fitter: Fitter, monkeypatc
     less, both = fit(fitter, stiffness_gain=-0.3), fit(fitter, stiffness_gain=-0.3, armature=0.05)
     assert doubts(fitter, less, both)[0] == []
     assert left_out(fitter, less, both) is not None
-    monkeypatch.setattr("realsim.gap.causes.score.left_out", lambda *_: (-5.0, 1.0))
+    monkeypatch.setattr("realsim.gap.inference.causes.score.left_out", lambda *_: (-5.0, 1.0))
     assert doubts(fitter, less, both)[0] == ["does not hold on runs left out in turn"]

@@ -13,11 +13,11 @@ from realsim.gap import Case, DiagnoseConfig, diagnose, figures, load_case
 from realsim.gap.answer.conclusion import _again, _beside_imitations, _fitted, _lasting, _told_from_none
 from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.answer.leaveout import better, discrepancy, leave_out
-from realsim.gap.causes.fit import Cause, Fitter
-from realsim.gap.causes.leftover import leftover
-from realsim.gap.causes.score import asked
-from realsim.gap.likelihood.comparison import Comparison
-from realsim.gap.likelihood.screen import Screen
+from realsim.gap.inference.causes.fit import Cause, Fitter
+from realsim.gap.inference.causes.leftover import leftover
+from realsim.gap.inference.causes.score import asked
+from realsim.gap.inference.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.simulate import Simulator
 
 from .test_recovery import logged

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from realsim.gap import EFFECTS, Case, DiagnoseConfig
-from realsim.gap.causes.fit import Cause, Fit, Fitter
-from realsim.gap.causes.leftover import deviations, is_gap, leftover
-from realsim.gap.causes.proposals import by_simulation
-from realsim.gap.causes.search import Search
-from realsim.gap.causes.second_look import second_look
-from realsim.gap.likelihood.comparison import Comparison
-from realsim.gap.likelihood.screen import Candidate, Screen
+from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
+from realsim.gap.inference.causes.leftover import deviations, is_gap, leftover
+from realsim.gap.inference.causes.proposals import by_simulation
+from realsim.gap.inference.causes.search import Search
+from realsim.gap.inference.causes.second_look import second_look
+from realsim.gap.inference.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.screen import Candidate, Screen
 from realsim.gap.simulation.simulate import Simulator
 
 from .test_recovery import logged, quadruped  # noqa: F401
@@ -62,7 +62,9 @@ def test_deviations_move_by_part_of_a_step_that_goes_too_far(quadruped: Case, mo
     case = logged(logged(quadruped, []), weaker)
     with fitter_for(case, ("motor_gain",)) as fitter:
         before = fitter.nominal()
-        monkeypatch.setattr("realsim.gap.causes.fit.deviations", lambda screen, fit: 3 * deviations(screen, fit))
+        monkeypatch.setattr(
+            "realsim.gap.inference.causes.fit.deviations", lambda screen, fit: 3 * deviations(screen, fit)
+        )
         after = fitter.beside_own(before)
         assert fitter._cost(after) < 0.5 * fitter._cost(before)
 
@@ -119,7 +121,7 @@ def test_a_height_is_found_short_of_one_at_which_the_foot_meets_other_ground(qua
 def test_ground_that_slants_is_looked_at_about_each_axis(quadruped: Case, monkeypatch) -> None:  # noqa: F811
     """Slopes of feet that slip and land tell badly which way: their direction alone would miss it."""
     wrong = lambda screen, here: [(0.0, c, np.ones(len(c.linear))) for c in screen.candidates]  # noqa: E731
-    monkeypatch.setattr("realsim.gap.causes.proposals.ranked", wrong)
+    monkeypatch.setattr("realsim.gap.inference.causes.proposals.ranked", wrong)
     case = logged(logged(quadruped, []), [("terrain_tilt", (), {"roll": -0.03})])
     with fitter_for(case, ("terrain_tilt",)) as fitter:
         best = next(by_simulation(fitter, fitter.nominal())).causes[0]
@@ -137,7 +139,7 @@ def test_whether_there_is_a_gap_is_judged_beside_simulated_deviations(
     """Slopes alone leave one; what simulated deviations leave says how much a first cause must bring."""
     stays = itertools.chain([np.full(1, 9.0)], itertools.repeat(np.full(1, left)))
     monkeypatch.setattr(Search, "_proposed", lambda *_: iter(()))
-    monkeypatch.setattr("realsim.gap.causes.search.leftover", lambda *_: next(stays))
+    monkeypatch.setattr("realsim.gap.inference.causes.search.leftover", lambda *_: next(stays))
     case = logged(quadruped, [("coulomb_friction", ("fl_calf",), {"friction": 1.0})])
     with fitter_for(case, ("coulomb_friction",)) as fitter:
         search = Search(fitter, 3, fitter.nominal())

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from realsim.gap import DiagnoseConfig, load_case
-from realsim.gap.causes.fit import Cause, Fitter
-from realsim.gap.likelihood.comparison import Comparison
-from realsim.gap.likelihood.screen import Screen
+from realsim.gap.inference.causes.fit import Cause, Fitter
+from realsim.gap.inference.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.cores import Cores
 from realsim.gap.simulation.simulate import Simulator
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from realsim.errors import RealsimError
+from realsim.core.errors import RealsimError
 from realsim.gap import load_case
 
 from .truth import Truth

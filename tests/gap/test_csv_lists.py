@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from realsim.errors import GapError
-from realsim.gap.logs.csv_runs import read_csv
+from realsim.core.errors import GapError
+from realsim.gap.case.csv_runs import read_csv
 
 NAMES = {"time": ("time",), "command": ("a", "b"), "joint_pos": ("hip", "knee")}
 MAP = {"time": "t", "command": "want", "joint_pos": {"columns": ["q[1]", "q[0]"], "unit": "deg"}}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from realsim.errors import RealsimError
+from realsim.core.errors import RealsimError
 from realsim.gap import DiagnoseConfig, diagnose, load_case
 from realsim.gap.effects import EFFECTS
 from realsim.gap.provenance import provenance

@@ -11,14 +11,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from realsim.files import to_json
+from realsim.core.files import to_json
 from realsim.gap import DiagnoseConfig, apply_patch, load_case
 from realsim.gap.answer.patch import make_patch, patched_xml
-from realsim.gap.evidence.inverse import _phase
-from realsim.gap.health.conventions import log_conventions
-from realsim.gap.health.signals import saturation
-from realsim.gap.likelihood.comparison import _torque_steps
-from realsim.gap.logs.motion import estimate
+from realsim.gap.case.health.conventions import log_conventions
+from realsim.gap.case.health.signals import saturation
+from realsim.gap.case.motion import estimate
+from realsim.gap.inference.evidence.inverse import _phase
+from realsim.gap.inference.likelihood.comparison import _torque_steps
 from realsim.gap.simulation.simulate import Setting, Simulator
 
 MODEL = """

@@ -84,10 +84,10 @@ def test_the_library_is_the_contract() -> None:
 def test_an_effect_is_one_file() -> None:
     """Nothing else of the engine knows it by its name."""
     same = {  # words of another meaning
-        "model/context.py": "armature",  # of MuJoCo's joints
-        "logs/setups.py": "payload",  # that a run is known to carry
+        "case/model/context.py": "armature",  # of MuJoCo's joints
+        "case/setups.py": "payload",  # that a run is known to carry
         "experiments/write.py": "payload",
-        "contract/kinds.py": "observation_delay",  # of a policy's input
+        "checks/contract/kinds.py": "observation_delay",  # of a policy's input
         "answer/patch.py": "external_force",  # a wrapper
     }
     root = Path(realsim.gap.__file__).parent

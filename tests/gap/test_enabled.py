@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from realsim.errors import GapError
+from realsim.core.errors import GapError
 from realsim.gap import Case, DiagnoseConfig, load_case
 from realsim.gap.simulation.simulate import Simulator
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
-from realsim.gap.causes.fit import Cause, Fitter
-from realsim.gap.causes.fitted import values_of
-from realsim.gap.causes.proposals import by_effect
-from realsim.gap.causes.score import alike, score
-from realsim.gap.causes.select import _in_order, _richer
 from realsim.gap.effects import EFFECTS
-from realsim.gap.likelihood.comparison import Comparison
-from realsim.gap.likelihood.screen import Screen
+from realsim.gap.inference.causes.fit import Cause, Fitter
+from realsim.gap.inference.causes.fitted import values_of
+from realsim.gap.inference.causes.proposals import by_effect
+from realsim.gap.inference.causes.score import alike, score
+from realsim.gap.inference.causes.select import _in_order, _richer
+from realsim.gap.inference.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.simulate import Simulator
 
 from .test_recovery import logged

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from realsim.errors import GapError
+from realsim.core.errors import GapError
 from realsim.gap import Case, DiagnoseConfig, Run, load_case
-from realsim.gap.health import examine, gathered
-from realsim.gap.health.conventions import log_conventions
-from realsim.gap.health.signals import spikes
+from realsim.gap.case.health import examine, gathered
+from realsim.gap.case.health.conventions import log_conventions
+from realsim.gap.case.health.signals import spikes
 from realsim.gap.simulation.simulate import Simulator
 
 from .truth import Truth
@@ -311,7 +311,7 @@ def test_one_fall_of_the_nominal_among_many_runs_is_a_warning(tmp_path: Path) ->
 
 
 def test_a_run_that_is_left_out_is_said_on_the_terminal(made: Callable[..., Path], tmp_path: Path, capsys: Any) -> None:
-    from realsim.cli import main
+    from realsim.cli.command_line import main
 
     case = shutil.copytree(made("plain", Truth()), tmp_path / "case")
     sorted((case / "runs").iterdir())[0].write_bytes(b"torn")
@@ -327,7 +327,7 @@ def test_a_run_that_is_left_out_is_said_on_the_terminal(made: Callable[..., Path
 
 
 def test_a_broken_case_stops_no_other(made: Callable[..., Path], tmp_path: Path, capsys: Any) -> None:
-    from realsim.cli import main
+    from realsim.cli.command_line import main
 
     broken = tmp_path / "broken"
     shutil.copytree(made("plain", Truth()), broken)

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from realsim.gap import EFFECTS, DiagnoseConfig, apply_patch, diagnose, figures, load_case, run_case
+from realsim.gap.case.model.groups import kind_of, like_joints
 from realsim.gap.effects.payload import add_point_mass
 from realsim.gap.effects.terrain_tilt import quaternion, rotation
-from realsim.gap.likelihood.comparison import Comparison
-from realsim.gap.likelihood.linear import bounded, log_evidence, misfit_at, posterior, scaled
-from realsim.gap.likelihood.screen import Candidate
-from realsim.gap.model.groups import kind_of, like_joints
+from realsim.gap.inference.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.linear import bounded, log_evidence, misfit_at, posterior, scaled
+from realsim.gap.inference.likelihood.screen import Candidate
 from realsim.gap.simulation.sampling import continuous_turn, held_mean, nearest_turn, rotation_from
 from realsim.gap.simulation.simulate import Simulator
 

@@ -12,12 +12,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from realsim.errors import GapError
+from realsim.core.errors import GapError
 from realsim.gap import Case, DiagnoseConfig, load_case
-from realsim.gap.health import examine
-from realsim.gap.health.conventions import _odd_torque
-from realsim.gap.health.examination import _runaway
-from realsim.gap.logs.runs import Run
+from realsim.gap.case.health import examine
+from realsim.gap.case.health.conventions import _odd_torque
+from realsim.gap.case.health.examination import _runaway
+from realsim.gap.case.runs import Run
 from realsim.gap.simulation.simulate import Simulator
 
 JOINTS = ["one", "two", "three"]

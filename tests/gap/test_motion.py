@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from realsim.gap.logs.motion import blur, smooth
+from realsim.gap.case.motion import blur, smooth
 
 
 @pytest.mark.parametrize("rate", [47.0, 100.0, 500.0, 1000.0])

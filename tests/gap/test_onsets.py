@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from realsim.gap import DiagnoseConfig, diagnose, load_case
-from realsim.gap.evidence.onsets import find_onsets
-from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.inference.evidence.onsets import find_onsets
+from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
 from .truth import ARM, Truth

@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from realsim.errors import GapError, UnknownNameError
-from realsim.files import to_json
+from realsim.core.errors import GapError, UnknownNameError
+from realsim.core.files import to_json
 from realsim.gap import EFFECTS, DiagnoseConfig, apply_patch, explain, load_case
 from realsim.gap.answer.patch import asset_files, empty_patch, make_patch, patched_xml
 from realsim.gap.simulation.simulate import Simulator

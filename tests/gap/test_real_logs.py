@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from realsim.errors import GapError
+from realsim.core.errors import GapError
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
-from realsim.gap.evidence.where import evidence, localise
-from realsim.gap.health import examine
-from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.case.health import examine
+from realsim.gap.inference.evidence.where import evidence, localise
+from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
 from .real_logs import legs, pendulum, servo

@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.gap_truth.plant import Plant
-from benchmarks.gap_truth.robots import ROBOTS
-from benchmarks.gap_truth.truth import Truth as TrueRobot
 from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
-from realsim.gap.causes.fit import Cause, Fitter
-from realsim.gap.causes.leftover import deviations, is_gap, leftover
-from realsim.gap.causes.proposals import by_simulation
-from realsim.gap.causes.starts import starts
-from realsim.gap.likelihood.comparison import Comparison
-from realsim.gap.likelihood.linear import log_evidence, marginal
-from realsim.gap.likelihood.screen import Screen, slab
+from realsim.gap.inference.causes.fit import Cause, Fitter
+from realsim.gap.inference.causes.leftover import deviations, is_gap, leftover
+from realsim.gap.inference.causes.proposals import by_simulation
+from realsim.gap.inference.causes.starts import starts
+from realsim.gap.inference.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.linear import log_evidence, marginal
+from realsim.gap.inference.likelihood.screen import Screen, slab
 from realsim.gap.simulation.simulate import Simulator
+from tests.truths.diagnosis.plant import Plant
+from tests.truths.diagnosis.robots import ROBOTS
+from tests.truths.diagnosis.truth import Truth as TrueRobot
 
 from .truth import Truth
 

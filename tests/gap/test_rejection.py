@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from realsim.gap import EFFECTS, Case, load_case
-from realsim.gap.causes.fit import Cause, Fit, Fitter
-from realsim.gap.causes.leftover import is_gap, leftover
-from realsim.gap.causes.proposals import ranked
-from realsim.gap.causes.select import select
 from realsim.gap.effects import ON_REQUEST
 from realsim.gap.figures import CLEARLY
-from realsim.gap.likelihood.comparison import Comparison
-from realsim.gap.likelihood.screen import Screen
+from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
+from realsim.gap.inference.causes.leftover import is_gap, leftover
+from realsim.gap.inference.causes.proposals import ranked
+from realsim.gap.inference.causes.select import select
+from realsim.gap.inference.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.simulate import Setting, Simulator
 
 from .test_recovery import CONFIG, GROUND, SIZE, UNSEEN, logged, quadruped

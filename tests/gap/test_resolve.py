@@ -14,7 +14,7 @@ import pytest
 
 from realsim.gap import DiagnoseConfig, apply_patch, load_case
 from realsim.gap.answer.patch import make_patch
-from realsim.gap.logs.resolve import resolve
+from realsim.gap.case.resolve import resolve
 from realsim.gap.simulation.simulate import Setting, Simulator
 
 from .test_patch import STANDING

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from realsim.cli import main
-from realsim.errors import GapError
+from realsim.cli.command_line import main
+from realsim.core.errors import GapError
 from realsim.gap import check_case, load_case, start_case
 
 from .truth import ARM, Truth

@@ -11,17 +11,17 @@ from hypothesis import strategies as st
 
 from realsim.gap import DiagnoseConfig, load_case
 from realsim.gap.answer.conclusion import _at_an_end
-from realsim.gap.causes.fit import Cause, Fitter, _at_bound
-from realsim.gap.causes.leftover import leftover
-from realsim.gap.causes.proposals import by_slopes, ranked
-from realsim.gap.causes.score import asked, doubts, score
-from realsim.gap.causes.search import Search
-from realsim.gap.causes.windows import _best_window
 from realsim.gap.effects.base import Parameter
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.figures import BRIEF, CAUSE, CAUSE_A_JOINT, CLEARLY, SHARE
-from realsim.gap.likelihood.comparison import Comparison
-from realsim.gap.likelihood.screen import Screen
+from realsim.gap.inference.causes.fit import Cause, Fitter, _at_bound
+from realsim.gap.inference.causes.leftover import leftover
+from realsim.gap.inference.causes.proposals import by_slopes, ranked
+from realsim.gap.inference.causes.score import asked, doubts, score
+from realsim.gap.inference.causes.search import Search
+from realsim.gap.inference.causes.windows import _best_window
+from realsim.gap.inference.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.recent import Recent
 from realsim.gap.simulation.simulate import Setting, Simulator
 
@@ -200,7 +200,7 @@ def test_a_first_cause_on_feet_holds_on_runs_left_out(fitter: Fitter, monkeypatc
     nothing = fitter.nominal()
     found = fitter.fit([_cause(fitter, "motor_gain", -0.2)])
     assert found is not None
-    monkeypatch.setattr("realsim.gap.causes.score.left_out", lambda *_: (-0.1, 0.2))
+    monkeypatch.setattr("realsim.gap.inference.causes.score.left_out", lambda *_: (-0.1, 0.2))
     monkeypatch.setattr(fitter.screen, "gap", True)
     for touches in (False, True):
         monkeypatch.setattr(fitter.screen.simulator.context, "touches", touches)

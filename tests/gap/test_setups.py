@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from realsim.errors import GapError
+from realsim.core.errors import GapError
 from realsim.gap import DiagnoseConfig, load_case
-from realsim.gap.logs.repeats import replicates
+from realsim.gap.case.repeats import replicates
 from realsim.gap.simulation.simulate import Simulator
 
 from .truth import Truth

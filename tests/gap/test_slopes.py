@@ -9,21 +9,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.gap_truth.cases import Sensors, write_log
-from benchmarks.gap_truth.plant import Plant
-from benchmarks.gap_truth.robots import ROBOTS
-from benchmarks.gap_truth.truth import Truth as TrueRobot
 from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
-from realsim.gap.causes.fit import Cause, Fitter
-from realsim.gap.causes.leftover import leftover
-from realsim.gap.causes.proposals import by_effect
-from realsim.gap.causes.search import Search
-from realsim.gap.likelihood.comparison import Comparison
-from realsim.gap.likelihood.linear import Evidence
-from realsim.gap.likelihood.screen import Screen
-from realsim.gap.model.edit import Edit
+from realsim.gap.case.model.edit import Edit
+from realsim.gap.inference.causes.fit import Cause, Fitter
+from realsim.gap.inference.causes.leftover import leftover
+from realsim.gap.inference.causes.proposals import by_effect
+from realsim.gap.inference.causes.search import Search
+from realsim.gap.inference.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.linear import Evidence
+from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.sampling import AT, either_side
 from realsim.gap.simulation.simulate import Simulator
+from tests.truths.diagnosis.cases import Sensors, write_log
+from tests.truths.diagnosis.plant import Plant
+from tests.truths.diagnosis.robots import ROBOTS
+from tests.truths.diagnosis.truth import Truth as TrueRobot
 
 from .test_recovery import logged
 from .truth import Truth

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from realsim.gap.case.runs import Run
+from realsim.gap.case.split import split_runs
 from realsim.gap.config import DiagnoseConfig
-from realsim.gap.logs.runs import Run
-from realsim.gap.logs.split import split_runs
 
 
 def case_of(speeds: list[float]) -> SimpleNamespace:

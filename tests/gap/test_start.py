@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from realsim.gap import DiagnoseConfig, Run, diagnose, load_case
-from realsim.gap.health import examine
+from realsim.gap.case.health import examine
 from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.simulation.start import first_fit
 

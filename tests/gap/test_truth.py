@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from benchmarks.gap_truth import causes
-from benchmarks.gap_truth.exact import write_exact
-from benchmarks.gap_truth.robots import ROBOTS
-from benchmarks.gap_truth.truth import Truth
 from realsim.gap import EFFECTS, DiagnoseConfig, load_case
 from realsim.gap.effects.base import Parameter
 from realsim.gap.simulation.simulate import Setting, Simulator, measured
+from tests.truths.diagnosis import causes
+from tests.truths.diagnosis.exact import write_exact
+from tests.truths.diagnosis.robots import ROBOTS
+from tests.truths.diagnosis.truth import Truth
 
 CONFIG = DiagnoseConfig(threads=1, settle_seconds=0.3)
 LEFT = {"contact_compliance": 0.2, "ground_friction": 0.4}

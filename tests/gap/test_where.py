@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from realsim.gap import Case, DiagnoseConfig, load_case
-from realsim.gap.evidence.inverse import base_wrench, torque_residual
-from realsim.gap.evidence.shooting import shoot
-from realsim.gap.evidence.standout import significant, standouts
-from realsim.gap.evidence.where import by_horizon, evidence, localise
-from realsim.gap.likelihood.comparison import Comparison
-from realsim.gap.logs.motion import estimate, smooth
+from realsim.gap.case.motion import estimate, smooth
+from realsim.gap.inference.evidence.inverse import base_wrench, torque_residual
+from realsim.gap.inference.evidence.shooting import shoot
+from realsim.gap.inference.evidence.standout import significant, standouts
+from realsim.gap.inference.evidence.where import by_horizon, evidence, localise
+from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
 from .truth import Truth

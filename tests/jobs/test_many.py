@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from realsim.cli import main
-from realsim.errors import RealsimError
+from realsim.cli.command_line import main
+from realsim.core.errors import RealsimError
 from realsim.jobs import FOLDER, Job, ManyConfig, Queue, make_job, run_many
 
 
@@ -198,8 +198,8 @@ def test_settings_that_make_no_sense_are_refused(config: dict[str, object]) -> N
 
 
 def test_the_options_of_many_are_not_those_of_one(tmp_path: Path) -> None:
-    from realsim.commands import other_arguments, set_arguments
-    from realsim.commands.many import DROPPED
+    from realsim.cli.commands import other_arguments, set_arguments
+    from realsim.cli.commands.many import DROPPED
 
     set_arguments(
         ["a", "b", "--out", "x", "--jobs=2", "--no-wait", "--executor", "worker", "--slurm", "p=1", "--seed", "3"]

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from realsim.errors import RealsimError
+from realsim.core.errors import RealsimError
 from realsim.jobs import Job, Outcome, Queue, carry_out, make_job, run_key, work, working
 from realsim.jobs.queue import ATTEMPTS, worker_name
 

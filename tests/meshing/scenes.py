@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from realsim.geometry import invert_T, make_T, transform
-from realsim.types import AlignedScene, Frame, Gravity, Intrinsics, MetricScene, PointView, ScaleEstimate
+from realsim.core.geometry import invert_T, make_T, transform
+from realsim.core.types import AlignedScene, Frame, Gravity, Intrinsics, MetricScene, PointView, ScaleEstimate
 
 CAMERA = Intrinsics(160, 120, 150.0, 150.0, 79.5, 59.5)
 

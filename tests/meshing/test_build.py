@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from realsim.errors import MeshError, UnknownNameError
-from realsim.geometry import exp_so3, make_T
+from realsim.core.errors import MeshError, UnknownNameError
+from realsim.core.geometry import exp_so3, make_T
+from realsim.core.types import AlignedScene, TerrainMesh
 from realsim.meshing import METHODS, MeshConfig, build, solid
 from realsim.meshing.quality import check
 from realsim.meshing.surface import Surface
-from realsim.types import AlignedScene, TerrainMesh
 
 from .scenes import Ball, Box, distance, one_side, ring, scene
 

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from realsim.errors import MeshError
-from realsim.geometry import exp_so3, invert_T, make_T, transform
+from realsim.core.errors import MeshError
+from realsim.core.geometry import exp_so3, invert_T, make_T, transform
+from realsim.core.types import Scan
 from realsim.meshing import MeshConfig, build
 from realsim.meshing.scan import outward
-from realsim.types import Scan
 
 from .scenes import SOURCE, Box, aligned, distance
 

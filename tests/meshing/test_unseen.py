@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from realsim.core.types import AlignedScene, Platform
 from realsim.meshing.surface import Surface
 from realsim.meshing.unseen import unseen
-from realsim.types import AlignedScene, Platform
 
 from .scenes import Box, one_side, scene
 

@@ -10,7 +10,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="the network is torch's (extra train)")
 
-from realsim.errors import CaptureError  # noqa: E402
+from realsim.core.errors import CaptureError  # noqa: E402
 from training.pointmap import evaluate, sheet  # noqa: E402
 from training.pointmap.layouts import LAYOUTS, library  # noqa: E402
 from training.pointmap.network import TINY, PointmapNet  # noqa: E402

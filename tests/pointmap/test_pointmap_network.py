@@ -8,7 +8,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="the network is torch's (extra train)")
 
-from realsim.errors import RealsimError  # noqa: E402
+from realsim.core.errors import RealsimError  # noqa: E402
 from training.pointmap import cameras, loss  # noqa: E402
 from training.pointmap.layouts import library  # noqa: E402
 from training.pointmap.network import TINY, PointmapNet, Prediction, Shape, count  # noqa: E402

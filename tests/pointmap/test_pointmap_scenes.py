@@ -7,7 +7,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="scenes are made with torch (extra train)")
 
-from realsim.errors import RealsimError  # noqa: E402
+from realsim.core.errors import RealsimError  # noqa: E402
 from training.pointmap import cameras, rays, sensor  # noqa: E402
 from training.pointmap.draw import Draw  # noqa: E402
 from training.pointmap.layouts import LAYOUTS, SLOTS, library  # noqa: E402

@@ -15,7 +15,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="training is torch's (extra train)")
 
-from realsim.errors import RealsimError  # noqa: E402
+from realsim.core.errors import RealsimError  # noqa: E402
 from training.pointmap import metrics, state, train  # noqa: E402
 from training.pointmap.layouts import library  # noqa: E402
 from training.pointmap.network import TINY, PointmapNet  # noqa: E402
@@ -131,8 +131,8 @@ def test_the_exported_file_is_what_realsim_reads(tmp_path: Path, monkeypatch: py
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
     from realsim import feedforward
+    from realsim.core.types import Frame, FrameSet, Intrinsics
     from realsim.feedforward.config import OnnxConfig, PointsConfig
-    from realsim.types import Frame, FrameSet, Intrinsics
     from training.pointmap import export, shipped
 
     traced: list[tuple[bytes, dict[str, float]]] = []
@@ -188,11 +188,11 @@ def test_the_file_that_ships_is_this_network() -> None:
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
     from realsim.feedforward.onnx import SHIPPED
-    from training.pointmap import export
+    from training.pointmap import export, shipped
 
     feeds = {name: values[:, :2] for name, values in export._views((240, 320)).items()}
     with torch.no_grad():
-        told = export.Exported(state.any_of(SHIPPED).net.eval())(*feeds.values())
+        told = export.Exported(shipped.any_of(SHIPPED).net.eval())(*feeds.values())
     for name, off in export._difference([v.numpy() for v in told], export._outputs(SHIPPED, feeds)).items():
         assert off < 0.02, name  # weights in 8 bits
 

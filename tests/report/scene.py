@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from realsim.synth.camera import look_at
-from realsim.synth.solids import box
-from realsim.types import (
+from realsim.core.types import (
     AlignedScene,
     Dropped,
     Frame,
@@ -29,6 +27,8 @@ from realsim.types import (
     TerrainMesh,
     ViewResidual,
 )
+from realsim.synth.camera import look_at
+from realsim.synth.solids import box
 
 XML = """<mujoco><worldbody>
 <geom name="a" type="box" pos="0 0 -0.175" size="0.45 0.4 0.175"/>

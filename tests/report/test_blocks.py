@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from realsim.meshes import simplify
+from realsim.core.meshes import simplify
 from realsim.report import page, raster, svg, viewer3d
 from realsim.report.collision import collision_triangles, sharp_edges
 from realsim.synth.solids import box as box_solid

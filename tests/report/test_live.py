@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 import realsim as rs
-from realsim.errors import RealsimError
+from realsim.core.errors import RealsimError
 from realsim.report import write_report
 from realsim.report.live import view
 

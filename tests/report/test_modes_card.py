@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from realsim import modes
+from realsim.core import modes
+from realsim.core.types import Mode
 from realsim.report import write_report
-from realsim.types import Mode
 
 from .scene import reconstruction
 

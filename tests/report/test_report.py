@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 import pytest
 
-from realsim.errors import RealsimError
+from realsim.core.errors import RealsimError
+from realsim.core.types import AlignedScene, Dropped, Mode, Reconstruction
 from realsim.report import write_report
 from realsim.report.picture import draw
 from realsim.report.topdown import map_from_above
 from realsim.report.verdict import Check, Judgement, judge
-from realsim.types import AlignedScene, Dropped, Mode, Reconstruction
 from tests.pages import read
 
 from .scene import reconstruction

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from realsim.errors import ExportError, MissingExtraError, UnknownNameError
+from realsim.core.errors import ExportError, MissingExtraError, UnknownNameError
 from realsim.robots import ROBOTS, load
 from realsim.robots.g1 import action_scale, g1, pd_gains, table
 from realsim.robots.menagerie import from_mjcf

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from realsim.errors import ScaleError, UnknownNameError
-from realsim.geometry import exp_so3, make_T
+from realsim.core.errors import ScaleError, UnknownNameError
+from realsim.core.geometry import exp_so3, make_T
+from realsim.core.types import Frame, Intrinsics, Pointmaps, PointView
 from realsim.scale import ESTIMATORS, estimate, to_metric
 from realsim.scale.config import ScaleConfig
 from realsim.scale.metric import bootstrap_median, lower_half
-from realsim.types import Frame, Intrinsics, Pointmaps, PointView
 
 CAMERA = Intrinsics(48, 36, 40.0, 40.0, 23.5, 17.5)
 FAST = ScaleConfig(bootstrap=200)

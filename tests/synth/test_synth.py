@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from realsim.errors import RealsimError, UnknownNameError
-from realsim.geometry import exp_so3, is_rotation, make_T, transform
+from realsim.core.errors import RealsimError, UnknownNameError
+from realsim.core.geometry import exp_so3, is_rotation, make_T, transform
+from realsim.core.types import Intrinsics
 from realsim.synth import PLACES, TERRAINS, SynthConfig, compare, write_capture
 from realsim.synth.camera import INTRINSICS, DepthSensor, follow_route, look_at, walk
 from realsim.synth.capture import camera_poses
@@ -19,7 +20,6 @@ from realsim.synth.errors import read_surface
 from realsim.synth.render import Renderer
 from realsim.synth.terrain import Terrain, make_terrain, top_centroid
 from realsim.synth.truth import read_truth
-from realsim.types import Intrinsics
 
 SMALL = Intrinsics(80, 60, 77.0, 77.0, 39.5, 29.5)
 

@@ -161,7 +161,7 @@ def test_group_normalisation_by_axes_is_the_same(affine: bool) -> None:
 
 def test_the_nearest_rotation_does_not_change_by_leaving_out_the_svd() -> None:
     """Rows of length one go out; the host's nearest rotation is that of the model's own orthogonalisation."""
-    from realsim.geometry import nearest_rotation
+    from realsim.core.geometry import nearest_rotation
 
     torch.manual_seed(0)
     nine = torch.randn(5, 9)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from realsim.errors import RealsimError
+from realsim.core.errors import RealsimError
 from tools.fetch_samples import SAMPLES, URL, fetch_sample
 
 

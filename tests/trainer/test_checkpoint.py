@@ -15,7 +15,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
 
-from realsim.errors import RealsimError
+from realsim.core.errors import RealsimError
 from tests.trainer.test_ppo import SMALL
 from tests.trainer.toy import LAYOUT
 from trainer.ppo import checkpoint, export

@@ -10,8 +10,8 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
 
-from realsim.cli import COMMANDS, commands, main, usage
-from realsim.errors import RealsimError
+from realsim.cli.command_line import COMMANDS, commands, main, usage
+from realsim.core.errors import RealsimError
 from trainer.commands import SUMMARIES
 from trainer.commands.common import find_terrain
 from trainer.commands.finetune import ALONG, RAISED, helped

@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `tra
 from hypothesis import given  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
-from realsim.errors import RealsimError, UnknownNameError  # noqa: E402
+from realsim.core.errors import RealsimError, UnknownNameError  # noqa: E402
 from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped, walk  # noqa: E402
 from tests.trainer.task_env import QUIET, outcome  # noqa: E402
 from trainer.errors import TrainerError  # noqa: E402

@@ -10,7 +10,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
 
-from realsim.cli import main
+from realsim.cli.command_line import main
 from tests import pages
 from tests.trainer import histories
 

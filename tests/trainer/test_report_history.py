@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from realsim.errors import RealsimError
+from realsim.core.errors import RealsimError
 from tests.trainer import histories
 from trainer.report.curves import binned
 from trainer.report.history import LAST, increments, read_run, read_runs

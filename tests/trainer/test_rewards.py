@@ -6,7 +6,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
 
-from realsim.errors import UnknownNameError  # noqa: E402
+from realsim.core.errors import UnknownNameError  # noqa: E402
 from tests.trainer.fakes import FakePhysics, course  # noqa: E402
 from trainer.robots import ROBOTS  # noqa: E402
 from trainer.tasks.parkour.body import Body  # noqa: E402

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("torch", reason="the trainer needs torch")
 import mujoco
 
-from realsim.geometry import quat_to_R
+from realsim.core.geometry import quat_to_R
 from realsim.robots import ROBOTS as DESCRIBED
 from trainer.robots import ROBOTS, TrainedRobot
 

@@ -10,7 +10,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
 
-from realsim.errors import RealsimError
+from realsim.core.errors import RealsimError
 from tests.trainer.test_ppo import CONFIG, CPU, SMALL
 from tests.trainer.toy import LAYOUT, PointMass
 from trainer.ppo import policy as policies

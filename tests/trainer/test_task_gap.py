@@ -9,7 +9,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="the trainer needs torch (extra `train`)")
 
-from realsim.geometry import quat_to_R  # noqa: E402
+from realsim.core.geometry import quat_to_R  # noqa: E402
 from tests.trainer.fakes import BoxCaster, FakePhysics, course, quadruped  # noqa: E402
 from tests.trainer.task_env import QUIET, env_of, still  # noqa: E402
 from trainer.errors import TrainerError  # noqa: E402

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from realsim import robots
-from realsim.errors import UnknownNameError
-from realsim.geometry import transform
+from realsim.core.errors import UnknownNameError
+from realsim.core.geometry import transform
 from trainer.errors import TrainerError
 from trainer.terrain import FAMILIES, TESTS, flat, generate, grid, named
 from trainer.terrain.base import Box, Platform, Terrain

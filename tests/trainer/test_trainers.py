@@ -8,7 +8,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
 
-from realsim.errors import UnknownNameError
+from realsim.core.errors import UnknownNameError
 from trainer.errors import TrainerError
 from trainer.ppo.motion import TROT, cycle, reference
 from trainer.robots import ROBOTS

@@ -8,8 +8,8 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
-from realsim.errors import MissingExtraError, UnknownNameError
-from realsim.files import refuse_existing
+from realsim.core.errors import MissingExtraError, UnknownNameError
+from realsim.core.files import refuse_existing
 
 if find_spec("torch") is None:
     raise MissingExtraError("torch", "train", "training and running policies")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from realsim.commands import CommandResult
-from realsim.progress import steps
+from realsim.cli.commands import CommandResult
+from realsim.core.progress import steps
 from trainer.deploy.config import DeployConfig
 from trainer.errors import TrainerError
 from trainer.robots import TrainedRobot, named

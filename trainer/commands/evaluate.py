@@ -7,8 +7,8 @@ from typing import Annotated
 
 import tyro
 
-from realsim.commands import CommandResult
-from realsim.files import refuse_file
+from realsim.cli.commands import CommandResult
+from realsim.core.files import refuse_file
 from trainer.config import EvaluationConfig
 from trainer.trainers import TrainConfig
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from realsim.commands import CommandResult
-from realsim.files import to_json, write_text
-from realsim.progress import note
+from realsim.cli.commands import CommandResult
+from realsim.core.files import to_json, write_text
+from realsim.core.progress import note
 from trainer.config import EvaluationConfig
 from trainer.policies import TASKS, base_of
 from trainer.tasks.parkour import ParkourConfig

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import tyro
 
-from realsim.commands import CommandResult
-from realsim.files import refuse_file
-from realsim.progress import note
+from realsim.cli.commands import CommandResult
+from realsim.core.files import refuse_file
+from realsim.core.progress import note
 from trainer.config import EvaluationConfig
 from trainer.robots import ROBOTS
 from trainer.trainers import TrainConfig

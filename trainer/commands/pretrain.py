@@ -8,8 +8,8 @@ from typing import Annotated
 
 import tyro
 
-from realsim.commands import CommandResult
-from realsim.files import to_json, write_text
+from realsim.cli.commands import CommandResult
+from realsim.core.files import to_json, write_text
 from trainer.terrain import ALL, grid
 from trainer.trainers import Scene, TrainConfig, find
 

@@ -6,8 +6,8 @@ from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from realsim.errors import UnknownNameError
-from realsim.files import read_json
+from realsim.core.errors import UnknownNameError
+from realsim.core.files import read_json
 from trainer.errors import TrainerError
 from trainer.tasks.parkour import ParkourConfig
 

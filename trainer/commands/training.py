@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from realsim.commands import CommandResult
-from realsim.files import refuse_file, write_text
+from realsim.cli.commands import CommandResult
+from realsim.core.files import refuse_file, write_text
 from trainer.errors import TrainerError
 from trainer.report import read_runs, training_page
 from trainer.report.tables import as_dict, lines

@@ -9,7 +9,7 @@ from typing import Literal, Protocol
 import torch
 from torch import Tensor
 
-from realsim.registry import Registry
+from realsim.core.registry import Registry
 from trainer.robots import TrainedRobot
 from trainer.terrain import Terrain
 

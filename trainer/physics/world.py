@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.geometry import R_to_quat
+from realsim.core.geometry import R_to_quat
 from trainer.errors import TrainerError
 from trainer.robots import TrainedRobot
 from trainer.terrain import Terrain

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import torch
 
-from realsim.files import archive_damage, check_size, write_bytes
+from realsim.core.files import archive_damage, check_size, write_bytes
 from trainer.errors import TrainerError
 from trainer.ppo import policy as policies
 from trainer.ppo.config import NetworkConfig, StrategyConfig

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from realsim.errors import extra
-from realsim.files import check_size, read_bytes, write_bytes
+from realsim.core.errors import extra
+from realsim.core.files import check_size, read_bytes, write_bytes
 from trainer.errors import TrainerError
 from trainer.ppo.metadata import check_graph, read_metadata
 from trainer.ppo.policy import Policy

@@ -13,8 +13,8 @@ from typing import Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from realsim.files import explain_write_errors, write_text
-from realsim.progress import console, note, visible
+from realsim.core.files import explain_write_errors, write_text
+from realsim.core.progress import console, note, visible
 from trainer.errors import TrainerError
 from trainer.ppo import checkpoint
 from trainer.ppo.config import LoopConfig

@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from realsim.errors import did_you_mean
+from realsim.core.errors import did_you_mean
 from trainer.errors import TrainerError
 from trainer.tasks import ObservationLayout
 

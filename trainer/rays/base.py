@@ -8,7 +8,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from realsim.registry import Registry
+from realsim.core.registry import Registry
 from trainer.terrain import Terrain
 
 CASTERS = Registry("ray caster", {"embree": "trainer.rays.embree:Caster", "warp": "trainer.rays.warp:Caster"})

@@ -13,8 +13,8 @@ from typing import Literal
 
 import numpy as np
 
+from realsim.core.types import F64
 from realsim.report import page, svg
-from realsim.types import F64
 from trainer.report.history import AXES, Run
 
 POINTS = 200

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from realsim.errors import RealsimError
-from realsim.files import read_json
+from realsim.core.errors import RealsimError
+from realsim.core.files import read_json
 
 FORMAT = "realsim.evaluation/1"
 

@@ -17,9 +17,9 @@ from typing import IO, Any
 
 import numpy as np
 
-from realsim.errors import RealsimError
-from realsim.files import check_size, read_json
-from realsim.types import F64
+from realsim.core.errors import RealsimError
+from realsim.core.files import check_size, read_json
+from realsim.core.types import F64
 from trainer.errors import TrainerError
 from trainer.report.evaluations import Evaluated, read_evaluations
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from realsim.progress import track
+from realsim.core.progress import track
 from realsim.report import page
 from trainer.commands import common
 from trainer.commands.task_file import load_task

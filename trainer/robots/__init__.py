@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from realsim.errors import UnknownNameError
-from realsim.registry import Registry
+from realsim.core.errors import UnknownNameError
+from realsim.core.registry import Registry
 from trainer.robots.base import DepthMount, TrainedRobot
 
 __all__ = ["ROBOTS", "DepthMount", "TrainedRobot", "named"]

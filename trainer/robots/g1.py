@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-from realsim.geometry import R_to_quat, exp_so3
+from realsim.core.geometry import R_to_quat, exp_so3
 from realsim.robots.g1 import by_pattern, motors_by_joint, pd_gains, table
 from realsim.robots.g1 import g1 as g1_robot
 from trainer.robots.base import DepthMount, TrainedRobot

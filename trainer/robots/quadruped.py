@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.geometry import R_to_quat, exp_so3
+from realsim.core.geometry import R_to_quat, exp_so3
 from realsim.robots.quadruped import CAMERA, HOME, JOINTS, LEGS, MOTORS
 from realsim.robots.quadruped import quadruped as quadruped_robot
 from trainer.robots.base import DepthMount, TrainedRobot

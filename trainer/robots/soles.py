@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.geometry import quat_to_R
+from realsim.core.geometry import quat_to_R
 
 GRID = (9, 4)
 """Points along and across a sole. Even spacing matters: with points only under the ends of G1's capsules, an edge below

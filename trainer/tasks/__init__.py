@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from realsim.registry import lazily
+from realsim.core.registry import lazily
 
 if TYPE_CHECKING:
     from trainer.tasks.base import Observation, ObservationLayout, Step, VecEnv
@@ -10,4 +10,4 @@ if TYPE_CHECKING:
 __all__ = ["Observation", "ObservationLayout", "Step", "VecEnv"]
 
 # They need torch, which `--help` would wait for.
-__getattr__ = lazily(dict.fromkeys(__all__, "trainer.tasks.base"))
+__getattr__ = lazily(__name__, dict.fromkeys(__all__, "trainer.tasks.base"))

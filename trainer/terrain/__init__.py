@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from realsim.errors import UnknownNameError
-from realsim.registry import Registry
+from realsim.core.errors import UnknownNameError
+from realsim.core.registry import Registry
 from trainer.errors import TrainerError
 from trainer.terrain.base import Box, Platform, Terrain
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from realsim.geometry import make_T
+from realsim.core.geometry import make_T
 from trainer.terrain.base import Box, Platform, Terrain
 from trainer.terrain.shapes import block, mesh, moved, rz
 

@@ -62,7 +62,7 @@ def _of_spec(spec: Any) -> list[Convex]:
     """Box and mesh geoms of the compiled specification, those that collide; meshes as their hulls."""
     import mujoco
 
-    from realsim.geometry import make_T, quat_to_R
+    from realsim.core.geometry import make_T, quat_to_R
 
     model = spec.compile()
     parts = []

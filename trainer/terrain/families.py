@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.geometry import make_T
+from realsim.core.geometry import make_T
 from trainer.terrain.base import Box
 from trainer.terrain.course import PLATFORM, Course
 from trainer.terrain.shapes import block, frustum, leaning, moved

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.errors import RealsimError
-from realsim.files import read_json
+from realsim.core.errors import RealsimError
+from realsim.core.files import read_json
 from trainer.errors import TrainerError
 from trainer.terrain.base import Platform, Terrain
 

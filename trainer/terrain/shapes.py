@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.geometry import exp_so3, make_T, transform
+from realsim.core.geometry import exp_so3, make_T, transform
 from trainer.terrain.base import F64, Box
 
 _SUNK = 0.30

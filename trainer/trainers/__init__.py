@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from importlib.metadata import entry_points
 
-from realsim.errors import UnknownNameError
+from realsim.core.errors import UnknownNameError
 from trainer.trainers.base import Scene, TrainConfig, Trainer, TrainResult
 
 __all__ = ["BUILT_IN", "Scene", "TrainConfig", "TrainResult", "Trainer", "find"]
@@ -29,7 +29,7 @@ def find(name: str) -> Trainer:
         UnknownNameError: no such trainer; the message lists those that are.
         MissingExtraError: it needs a package that is not installed.
     """
-    from realsim.registry import Registry
+    from realsim.core.registry import Registry
 
     installed = {point.name: point.value for point in entry_points(group="realsim.trainers")}
     known = {**BUILT_IN, **installed}

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import torch
 
-from realsim.errors import MissingExtraError
-from realsim.progress import note
+from realsim.core.errors import MissingExtraError
+from realsim.core.progress import note
 from trainer.errors import TrainerError
 from trainer.evaluate import EvaluationConfig, Setting, run, trial_env
 from trainer.physics import PhysicsConfig

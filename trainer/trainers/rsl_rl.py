@@ -17,7 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from realsim.errors import MissingExtraError
+from realsim.core.errors import MissingExtraError
 from trainer.errors import TrainerError
 from trainer.ppo import checkpoint, gaussian
 from trainer.ppo import policy as policies

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from realsim.errors import CaptureError, RealsimError
-from training.pointmap import state
+from realsim.core.errors import CaptureError, RealsimError
+from training.pointmap import shipped
 from training.pointmap.layouts import LAYOUTS, library
 from training.pointmap.metrics import Figures, figures
 from training.pointmap.network import PointmapNet
@@ -128,7 +128,7 @@ def read(folder: Path) -> Truth:
 
     from realsim import capture
     from realsim.capture.config import CaptureConfig
-    from realsim.files import read_json
+    from realsim.core.files import read_json
 
     for part in ("capture", "gt/gt_mesh.ply", "gt/gt.json"):
         if not (folder / part).exists():
@@ -253,7 +253,7 @@ def spoilt(frame: Any, how: str) -> Any:
 
     import cv2
 
-    from realsim.types import Intrinsics
+    from realsim.core.types import Intrinsics
 
     color = frame.color()
     camera = frame.color_intrinsics or frame.intrinsics
@@ -339,7 +339,7 @@ def main() -> None:
             print(line(row), flush=True)
             rows.append(row)
         if o.json:
-            from realsim.files import write_text
+            from realsim.core.files import write_text
 
             write_text(o.json, "[\n" + ",\n".join(json.dumps(r) for r in rows) + "\n]\n")
     except RealsimError as error:
@@ -351,7 +351,7 @@ def _rows(o: argparse.Namespace) -> Iterator[Row]:
     if not o.state and not (o.model and (o.captures or o.real)):
         raise RealsimError("nothing to measure", expected="--state RUN, or --model FILE.onnx with --captures or --real")
     if o.state:
-        yield from generated(state.any_of(o.state).net, tuple(o.size), o.scenes, o.views, o.device)
+        yield from generated(shipped.any_of(o.state).net, tuple(o.size), o.scenes, o.views, o.device)
     for folder in o.captures if o.model else ():
         truth = read(folder)
         yield from captured(o.model, truth)

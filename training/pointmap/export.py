@@ -19,8 +19,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from realsim.errors import ModelError, RealsimError
-from realsim.files import write_bytes
+from realsim.core.errors import ModelError, RealsimError
+from realsim.core.files import write_bytes
 from tools.export_onnx.common import ExportFailed, Family, Options, export
 from training.pointmap import shipped, state
 from training.pointmap.layouts import library
@@ -175,7 +175,7 @@ def main() -> None:
     parser.add_argument("--precision", choices=PRECISIONS, default="float16")
     o = parser.parse_args()
     try:
-        made = write(state.any_of(o.state), o.out, tuple(o.size), o.precision)
+        made = write(shipped.any_of(o.state), o.out, tuple(o.size), o.precision)
     except RealsimError as error:
         print(error.render(), file=sys.stderr)
         sys.exit(2)

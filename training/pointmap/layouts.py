@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.errors import RealsimError
-from realsim.geometry import exp_so3
+from realsim.core.errors import RealsimError
+from realsim.core.geometry import exp_so3
 from trainer.terrain import FAMILIES, generate
 
 F64 = NDArray[np.float64]

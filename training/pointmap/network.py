@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from realsim.errors import RealsimError
+from realsim.core.errors import RealsimError
 from training.pointmap import bundle, poses
 
 PATCH = 16

@@ -9,7 +9,7 @@ from functools import cache
 import torch
 from torch import Tensor
 
-from realsim.errors import RealsimError
+from realsim.core.errors import RealsimError
 from training.pointmap import cameras, rays, sensor
 from training.pointmap.draw import Draw
 from training.pointmap.layouts import Library

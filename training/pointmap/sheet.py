@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from realsim.errors import RealsimError
-from realsim.files import write_bytes
+from realsim.core.errors import RealsimError
+from realsim.core.files import write_bytes
 from training.pointmap.layouts import LAYOUTS, library
 from training.pointmap.scenes import Batch, Generator
 

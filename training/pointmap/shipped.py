@@ -4,12 +4,19 @@
 
     python -m training.pointmap.train --out run --resume realsim/feedforward/onnx/realsim_pointmap.onnx
 
-goes on from there. Weights that were stored in 8 bits come back rounded; the optimiser's moments are not there.
+goes on from there. As a command it keeps the weights of a state, or of a file, as a state of pieces:
+
+    python -m training.pointmap.shipped run --out training/pointmap/latest
+    python -m training.pointmap.shipped pointmap.onnx --out start             for machines without onnx
+
+ Weights that were stored in 8 bits come back rounded; the optimiser's moments are not there.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,7 +24,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from realsim.errors import RealsimError
+from realsim.core.errors import RealsimError
+from training.pointmap import state as states
 from training.pointmap.network import PointmapNet, Shape
 from training.pointmap.state import State
 
@@ -113,3 +121,26 @@ def _tensors(graph: Any) -> dict[str, np.ndarray]:
             shape = [-1 if k == axis else 1 for k in range(whole.ndim)]
             found[node.output[0]] = whole.astype(np.float32) * scale.reshape(shape)
     return found
+
+
+def any_of(path: Path) -> State:
+    """The state in a folder, or in a file that `export` wrote."""
+    return load(path) if path.suffix == ".onnx" else states.load(path)
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("state", type=Path, help="folder of a state, or an exported .onnx file")
+    parser.add_argument("--out", type=Path, required=True)
+    o = parser.parse_args()
+    try:
+        files = states.save(o.out, any_of(o.state), None, "weights")
+    except RealsimError as error:
+        print(error.render(), file=sys.stderr)
+        sys.exit(2)
+    print(f"{sum(f.stat().st_size for f in files) / 1e6:.1f} MB in {len(files)} files")
+
+
+if __name__ == "__main__":
+    main()

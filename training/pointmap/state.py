@@ -1,8 +1,5 @@
 """The state of training on disk: pieces small enough to be carried, an index that names them, read without code.
 
-    python -m training.pointmap.state run --out training/pointmap/latest    keep of a whole state the weights
-    python -m training.pointmap.state pointmap.onnx --out start             an exported file, for machines without onnx
-
 Two ways of keeping it. `weights`: in half precision only, which is all that the network that ships needs; going on
 from it, the optimiser's moments are gathered again while the learning rate warms up. `all`: weights in full and the
 moments in bfloat16, four times as large; going on changes nothing but their rounding.
@@ -10,13 +7,11 @@ moments in bfloat16, four times as large; going on changes nothing but their rou
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import hashlib
 import io
 import json
 import pickle
-import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,8 +19,8 @@ from typing import Any
 import torch
 from torch import nn
 
-from realsim.errors import RealsimError
-from realsim.files import read_bytes, read_json, write_bytes, write_text
+from realsim.core.errors import RealsimError
+from realsim.core.files import read_bytes, read_json, write_bytes, write_text
 from training.pointmap.network import PointmapNet, Shape
 
 FORMAT, VERSION = "realsim-pointmap", 1
@@ -123,13 +118,6 @@ def load(folder: Path) -> State:
     return State(net, step, views, minutes, moments)
 
 
-def any_of(path: Path) -> State:
-    """The state in a folder, or in a file that `export` wrote."""
-    from training.pointmap import shipped
-
-    return shipped.load(path) if path.suffix == ".onnx" else load(path)
-
-
 def restore(state: State, optimiser: torch.optim.Optimizer) -> bool:
     """Give an optimiser of `state.net` its moments back; False where they were not kept."""
     if not state.optimiser:
@@ -145,21 +133,3 @@ def restore(state: State, optimiser: torch.optim.Optimizer) -> bool:
 
 def _parameters(net: nn.Module) -> list[tuple[str, torch.Tensor]]:
     return list(net.state_dict().items())
-
-
-def main() -> None:
-    """The command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("state", type=Path, help="folder of a state, or an exported .onnx file")
-    parser.add_argument("--out", type=Path, required=True)
-    o = parser.parse_args()
-    try:
-        files = save(o.out, any_of(o.state), None, "weights")
-    except RealsimError as error:
-        print(error.render(), file=sys.stderr)
-        sys.exit(2)
-    print(f"{sum(f.stat().st_size for f in files) / 1e6:.1f} MB in {len(files)} files")
-
-
-if __name__ == "__main__":
-    main()

@@ -24,8 +24,8 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from realsim.errors import RealsimError
-from training.pointmap import loss, state
+from realsim.core.errors import RealsimError
+from training.pointmap import loss, shipped, state
 from training.pointmap.draw import Draw
 from training.pointmap.layouts import library
 from training.pointmap.network import PATCH, SHAPES, PointmapNet, count
@@ -215,7 +215,7 @@ def train(o: Options, rank: Rank) -> state.State:
 def _begin(o: Options) -> state.State:
     if o.resume is None:
         return state.State(PointmapNet(SHAPES[o.shape]))
-    return state.any_of(o.resume)
+    return shipped.any_of(o.resume)
 
 
 def _groups(net: PointmapNet, decay: float) -> list[dict]:

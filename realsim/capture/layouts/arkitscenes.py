@@ -20,10 +20,10 @@ from realsim.capture.images import ConfidenceImage, DepthImage, common_size
 from realsim.capture.intrinsics import Camera, no_intrinsics
 from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.listing import Pair, list_files, pose_file
-from realsim.errors import CaptureError, PoseError
-from realsim.files import read_text
-from realsim.geometry import exp_so3, invert_T, make_T
-from realsim.types import F64, Dropped, FrameSet, Intrinsics
+from realsim.core.errors import CaptureError, PoseError
+from realsim.core.files import read_text
+from realsim.core.geometry import exp_so3, invert_T, make_T
+from realsim.core.types import F64, Dropped, FrameSet, Intrinsics
 
 DEPTH, COLOR, CAMERAS, CONFIDENCE = "lowres_depth", "lowres_wide", "lowres_wide_intrinsics", "confidence"
 TRAJECTORY = "lowres_wide.traj"

@@ -21,9 +21,9 @@ from realsim.capture.images import ColorImage, DepthImage, common_size
 from realsim.capture.intrinsics import Camera, camera_from_mapping, no_intrinsics
 from realsim.capture.layout import Layout, Recognition
 from realsim.capture.listing import Pair, natural_key
-from realsim.errors import CaptureError, PoseError, RealsimError
-from realsim.files import inside, read_json, read_text
-from realsim.types import F64, FrameSet
+from realsim.core.errors import CaptureError, PoseError, RealsimError
+from realsim.core.files import inside, read_json, read_text
+from realsim.core.types import F64, FrameSet
 
 TRANSFORMS = "transforms.json"
 DEPTH_KEYS = ("depth_file_path", "depth_path")

@@ -16,9 +16,9 @@ from realsim.capture.intrinsics import Camera, no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
 from realsim.capture.listing import Pair, color_folder, depth_folder, last_number, list_files, pair_by_stem, pose_file
 from realsim.capture.poses import parse_matrix
-from realsim.errors import CaptureError, PoseError
-from realsim.files import read_text
-from realsim.types import F64, FrameSet
+from realsim.core.errors import CaptureError, PoseError
+from realsim.core.files import read_text
+from realsim.core.types import F64, FrameSet
 
 INTRINSICS = ("camera_intrinsic.json", "camera_intrinsics.json", "intrinsic.json")
 PLAIN = ("intrinsics.json", "intrinsics.yaml", "intrinsics.txt")

@@ -19,9 +19,9 @@ from realsim.capture.intrinsics import check
 from realsim.capture.layout import Layout, Recognition
 from realsim.capture.listing import list_files
 from realsim.capture.pcdfile import PcdHeader, read_header, read_points
-from realsim.errors import CaptureError, RealsimError
-from realsim.geometry import invert_T, make_T, transform
-from realsim.types import F32, F64, U8, Dropped, Frame, FrameSet, Intrinsics
+from realsim.core.errors import CaptureError, RealsimError
+from realsim.core.geometry import invert_T, make_T, transform
+from realsim.core.types import F32, F64, U8, Dropped, Frame, FrameSet, Intrinsics
 
 FIT_LIMIT_PX = 0.5
 """Median distance between the pixels of the grid and the projected points up to which a camera fits."""

@@ -10,8 +10,8 @@ from realsim.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
 from realsim.capture.intrinsics import no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
 from realsim.capture.listing import color_folder, depth_folder, list_files, pair_by_stem
-from realsim.errors import CaptureError
-from realsim.types import FrameSet
+from realsim.core.errors import CaptureError
+from realsim.core.types import FrameSet
 
 STEMS = ("intrinsics", "intrinsic", "camera", "camera_intrinsics", "camera_info", "calibration")
 INTRINSICS = tuple(f"{stem}{suffix}" for stem in STEMS for suffix in (".json", ".yaml", ".yml", ".txt"))

@@ -19,9 +19,9 @@ from realsim.capture.images import COLOR_SUFFIXES, ConfidenceImage, DepthImage, 
 from realsim.capture.intrinsics import camera_from_mapping, no_intrinsics
 from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.listing import Pair, list_files, pair_by_stem
-from realsim.errors import CaptureError, PoseError
-from realsim.files import read_json
-from realsim.types import F64, FrameSet
+from realsim.core.errors import CaptureError, PoseError
+from realsim.core.files import read_json
+from realsim.core.types import F64, FrameSet
 
 FOLDERS = {"corrected": ("corrected_images", "corrected_cameras"), "as recorded": ("images", "cameras")}
 """In the order of preference."""

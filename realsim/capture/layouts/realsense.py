@@ -16,10 +16,10 @@ from realsim.capture.layouts import plain
 from realsim.capture.listing import single_file
 from realsim.capture.realsense import library, open_bag
 from realsim.capture.record import write_frames
-from realsim.errors import CaptureError
-from realsim.files import check_size, digest, output_folder
-from realsim.progress import track
-from realsim.types import FrameSet
+from realsim.core.errors import CaptureError
+from realsim.core.files import check_size, digest, output_folder
+from realsim.core.progress import track
+from realsim.core.types import FrameSet
 
 MAX_BAG_BYTES = 256 * 2**30
 

@@ -24,9 +24,9 @@ from realsim.capture.images import MAX_IMAGE_BYTES, MAX_PIXELS, confidence, deco
 from realsim.capture.intrinsics import camera_from_mapping, check
 from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.listing import single_file
-from realsim.errors import CaptureError, PoseError, RealsimError
-from realsim.files import MAX_TEXT_BYTES, parse_json
-from realsim.types import F32, F64, U8, Dropped, Frame, FrameSet, Intrinsics
+from realsim.core.errors import CaptureError, PoseError, RealsimError
+from realsim.core.files import MAX_TEXT_BYTES, parse_json
+from realsim.core.types import F32, F64, U8, Dropped, Frame, FrameSet, Intrinsics
 
 MEMBER = re.compile(r"rgbd/(\d{1,9})\.(jpg|depth)")
 """A frame's colour or depth in the archive."""

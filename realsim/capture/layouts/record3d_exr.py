@@ -16,9 +16,9 @@ from realsim.capture.intrinsics import no_intrinsics
 from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.layouts.record3d import Pictures, frame_set, read_metadata
 from realsim.capture.listing import list_files
-from realsim.errors import CaptureError, RealsimError, extra
-from realsim.files import check_size, read_json
-from realsim.types import F32, FrameSet
+from realsim.core.errors import CaptureError, RealsimError, extra
+from realsim.core.files import check_size, read_json
+from realsim.core.types import F32, FrameSet
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from realsim.bags.images import (
+from realsim.capture.assemble import View, capture, depth_unit, frames_with
+from realsim.capture.association import associate
+from realsim.capture.config import CaptureConfig
+from realsim.capture.layout import Layout, Recognition
+from realsim.capture.layouts.realsense import cache_folder
+from realsim.capture.listing import Pair, single_file
+from realsim.capture.transforms import Tree, matrix
+from realsim.core.bags.images import (
     COLORS,
     IMAGES,
     INFO,
@@ -28,17 +35,10 @@ from realsim.bags.images import (
     packed_depth,
     seen_from,
 )
-from realsim.bags.stream import Bag, stamp_of
-from realsim.capture.assemble import View, capture, depth_unit, frames_with
-from realsim.capture.association import associate
-from realsim.capture.config import CaptureConfig
-from realsim.capture.layout import Layout, Recognition
-from realsim.capture.layouts.realsense import cache_folder
-from realsim.capture.listing import Pair, single_file
-from realsim.capture.transforms import Tree, matrix
-from realsim.errors import CaptureError, RealsimError
-from realsim.files import digest, output_folder, read_head, read_json, to_json, write_bytes, write_text
-from realsim.types import F64, Dropped, FrameSet, Intrinsics
+from realsim.core.bags.stream import Bag, stamp_of
+from realsim.core.errors import CaptureError, RealsimError
+from realsim.core.files import digest, output_folder, read_head, read_json, to_json, write_bytes, write_text
+from realsim.core.types import F64, Dropped, FrameSet, Intrinsics
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 TF, ODOMETRY = "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"

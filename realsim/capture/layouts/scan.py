@@ -13,9 +13,9 @@ from realsim.capture.listing import list_files, single_file
 from realsim.capture.recognition import LAST_RESORT
 from realsim.capture.scanfile import READERS, RawScan, read_scan
 from realsim.capture.standpoint import stood_at
-from realsim.errors import CaptureError
-from realsim.meshes import lonely_vertex, loose_vertices
-from realsim.types import F64, Bool, Scan
+from realsim.core.errors import CaptureError
+from realsim.core.meshes import lonely_vertex, loose_vertices
+from realsim.core.types import F64, Bool, Scan
 
 SUFFIXES = tuple(READERS)
 PLAUSIBLE_EXTENT = (0.2, 100.0)

@@ -18,9 +18,9 @@ from realsim.capture.images import COLOR_SUFFIXES, ColorImage, ConfidenceImage, 
 from realsim.capture.intrinsics import camera_from_mapping, no_intrinsics
 from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.listing import Pair, list_files, natural_key
-from realsim.errors import CaptureError, PoseError
-from realsim.files import read_json
-from realsim.types import F64, FrameSet
+from realsim.core.errors import CaptureError, PoseError
+from realsim.core.files import read_json
+from realsim.core.types import F64, FrameSet
 
 
 def numbered(folder: Path, prefix: str, suffixes: tuple[str, ...]) -> dict[str, Path]:

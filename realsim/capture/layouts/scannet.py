@@ -17,8 +17,8 @@ from realsim.capture.intrinsics import no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
 from realsim.capture.listing import Pair, color_folder, depth_folder, list_files, pair_by_stem
 from realsim.capture.poses import read_matrix
-from realsim.errors import CaptureError, PoseError
-from realsim.types import F64, FrameSet
+from realsim.core.errors import CaptureError, PoseError
+from realsim.core.types import F64, FrameSet
 
 CAMERAS = {
     "depth": ("intrinsic/intrinsic_depth.txt", "intrinsics_depth.txt", "intrinsic_depth.txt"),

@@ -14,8 +14,8 @@ from realsim.capture.intrinsics import no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
 from realsim.capture.listing import Pair, natural_key
 from realsim.capture.poses import read_matrix
-from realsim.errors import CaptureError, PoseError
-from realsim.types import F64, FrameSet
+from realsim.core.errors import CaptureError, PoseError
+from realsim.core.types import F64, FrameSet
 
 INTRINSICS = ("camera-intrinsics.txt", "intrinsics.txt", "intrinsics.json", "intrinsics.yaml")
 

@@ -20,9 +20,9 @@ from realsim.capture.intrinsics import Camera, no_intrinsics, read_camera
 from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.listing import last_number, list_files, pose_file
 from realsim.capture.video import VideoFrame, open_video
-from realsim.errors import CaptureError, PoseError, RealsimError
-from realsim.files import read_text
-from realsim.types import F64, Dropped, Frame, FrameSet, Intrinsics
+from realsim.core.errors import CaptureError, PoseError, RealsimError
+from realsim.core.files import read_text
+from realsim.core.types import F64, Dropped, Frame, FrameSet, Intrinsics
 
 VIDEO, ODOMETRY, CAMERA = "rgb.mp4", "odometry.csv", "camera_matrix.csv"
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")

@@ -17,10 +17,10 @@ from realsim.capture.config import CaptureConfig
 from realsim.capture.intrinsics import Camera, no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
 from realsim.capture.listing import Pair, pose_file
-from realsim.errors import CaptureError, PoseError
-from realsim.files import inside, read_text
-from realsim.geometry import make_T, quat_to_R
-from realsim.types import F64, Dropped, FrameSet
+from realsim.core.errors import CaptureError, PoseError
+from realsim.core.files import inside, read_text
+from realsim.core.geometry import make_T, quat_to_R
+from realsim.core.types import F64, Dropped, FrameSet
 
 INTRINSICS = ("calibration.txt", "camera.txt", "intrinsics.txt", "intrinsics.json", "intrinsics.yaml")
 POSES = "groundtruth.txt"

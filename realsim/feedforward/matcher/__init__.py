@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.errors import ModelError
-from realsim.types import F32, F64, U8
+from realsim.core.errors import ModelError
+from realsim.core.types import F32, F64, U8
 
 FOLDER = Path(__file__).parent
 FILES = (FOLDER / "xfeat.onnx", FOLDER / "lighterglue.onnx")

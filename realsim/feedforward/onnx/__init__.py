@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from realsim.errors import ModelError
+from realsim.core.errors import ModelError
+from realsim.core.types import Dropped, FrameSet, Pointmaps, Solution
 from realsim.feedforward.backend import Backend
 from realsim.feedforward.config import PointsConfig
-from realsim.types import Dropped, FrameSet, Pointmaps, Solution
 
 
 def solve(frames: FrameSet, config: PointsConfig) -> Solution:

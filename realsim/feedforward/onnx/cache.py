@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.errors import RealsimError
-from realsim.files import digest, read_npz, write_bytes
+from realsim.core.errors import RealsimError
+from realsim.core.files import digest, read_npz, write_bytes
 
 MAX_ENTRY_BYTES = 512 * 2**20
 """Larger outputs are not kept: reading them takes as long as running the model."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.types import F32, F64, Bool
+from realsim.core.types import F32, F64, Bool
 
 SAMPLES = 400
 TOLERANCE = 0.1

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.errors import CaptureError, ModelError
+from realsim.core.errors import CaptureError, ModelError
+from realsim.core.types import Frame
 from realsim.feedforward.onnx.adapters import Call
 from realsim.feedforward.onnx.preprocess import Grid, camera_matrices, depth_to_grid, make_grid, to_tensor
 from realsim.feedforward.onnx.spec import Port, Spec
-from realsim.types import Frame
 
 BYTES_A_PIXEL = 800
 """First guess of what a view costs in a run (tokens, attention, outputs). Too low is caught: a run that does not fit

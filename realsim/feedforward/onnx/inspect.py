@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import ModelError
+from realsim.core.errors import ModelError
+from realsim.core.types import Frame, Intrinsics
 from realsim.feedforward.onnx.adapters import ADAPTERS
 from realsim.feedforward.onnx.inputs import Inputs
 from realsim.feedforward.onnx.session import Model, OutOfMemory, open_model, providers, runtime
-from realsim.types import Frame, Intrinsics
 
 COUNTS = (1, 2, 3)
 CAMERAS = ((320, 240), (240, 320))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.types import F32, Bool
+from realsim.core.types import F32, Bool
 
 EDGE = 0.03
 """Relative bend of inverse depth over three pixels that is an edge. On a plane inverse depth is linear in the image, so

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from realsim.core.progress import track
+from realsim.core.types import F32, F64, Bool
 from realsim.feedforward.onnx.adapters import Prediction
 from realsim.feedforward.onnx.sim3 import MAX_POINTS, Similarity, robust_similarity
-from realsim.progress import track
-from realsim.types import F32, F64, Bool
 
 OVERLAP = 6
 """Views that neighbouring windows share."""

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.types import F32, F64, U8, Intrinsics
 from realsim.feedforward.onnx.spec import Spec
-from realsim.types import F32, F64, U8, Intrinsics
 
 MAX_PIXELS = 255_000
 """Of a view (Pi3 was trained up to this size; the others take less)."""

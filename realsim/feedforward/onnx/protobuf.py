@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from realsim.errors import ModelError
-from realsim.files import check_size, inside
+from realsim.core.errors import ModelError
+from realsim.core.files import check_size, inside
 
 VARINT, I64, BYTES, I32 = 0, 1, 2, 5
 # Field numbers of onnx.proto.

@@ -9,7 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import CaptureError, ModelError, PoseError
+from realsim.core.errors import CaptureError, ModelError, PoseError
+from realsim.core.files import digest
+from realsim.core.progress import note
+from realsim.core.types import F32, F64, Bool, Frame
 from realsim.feedforward.config import OnnxConfig
 from realsim.feedforward.onnx.adapters import ADAPTERS, Prediction
 from realsim.feedforward.onnx.cache import OutputCache
@@ -19,9 +22,6 @@ from realsim.feedforward.onnx.masks import believed
 from realsim.feedforward.onnx.place import Placed, place_pairs, place_single, place_windows
 from realsim.feedforward.onnx.preprocess import Grid, camera_matrices
 from realsim.feedforward.onnx.session import Model, OutOfMemory
-from realsim.files import digest
-from realsim.progress import note
-from realsim.types import F32, F64, Bool, Frame
 
 EMPTY = 0.02
 """A view with a smaller share of believed pixels says nothing."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.errors import ModelError, RealsimError
+from realsim.core.errors import ModelError, RealsimError
 from realsim.feedforward.onnx.protobuf import Envelope, read_envelope
 from realsim.feedforward.onnx.spec import Port, Spec, make_spec, sidecar
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from realsim.types import F64
+from realsim.core.types import F64
 
 ITERATIONS = 15
 TUKEY = 4.685

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from realsim.errors import ModelError, UnknownNameError
+from realsim.core.errors import ModelError, UnknownNameError
+from realsim.core.files import read_json
 from realsim.feedforward.onnx.adapters import ADAPTERS, Adapter
-from realsim.files import read_json
 
 CHOICES: dict[str, tuple[str, ...]] = {
     "norm": ("identity", "imagenet", "half"),

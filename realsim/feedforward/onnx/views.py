@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from realsim.core.types import F32, U8, Bool, Frame, PointView
 from realsim.feedforward.onnx.preprocess import Grid, grid_to_depth
 from realsim.feedforward.onnx.runner import Views
 from realsim.feedforward.rgbd.views import resample
-from realsim.types import F32, U8, Bool, Frame, PointView
 
 
 def pack(views: Views) -> dict[str, np.ndarray]:

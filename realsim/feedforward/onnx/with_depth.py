@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from realsim.errors import PoseError, ScaleError
+from realsim.core.errors import PoseError, ScaleError
+from realsim.core.types import F32, F64, Bool, Dropped, Frame, FrameSet, Pointmaps, PointView, Solution
 from realsim.feedforward import rgbd
 from realsim.feedforward.backend import Backend
 from realsim.feedforward.config import PointsConfig
@@ -22,7 +23,6 @@ from realsim.feedforward.onnx.runner import Views, predict, without
 from realsim.feedforward.onnx.session import Model, open_model
 from realsim.feedforward.onnx.views import pack, predicted_depth
 from realsim.feedforward.rgbd.tracks import Evidence, Match
-from realsim.types import F32, F64, Bool, Dropped, Frame, FrameSet, Pointmaps, PointView, Solution
 
 FEW = 200
 """Pixels with both depths below which a frame says nothing about scale."""

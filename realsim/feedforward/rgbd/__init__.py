@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from realsim.errors import PoseError
+from realsim.core.errors import PoseError
+from realsim.core.types import F64, Dropped, Frame, FrameSet, Pointmaps, Solution
 from realsim.feedforward.backend import Backend
 from realsim.feedforward.config import PointsConfig
-from realsim.types import F64, Dropped, Frame, FrameSet, Pointmaps, Solution
 
 if TYPE_CHECKING:
     from realsim.feedforward.rgbd.tracks import Evidence

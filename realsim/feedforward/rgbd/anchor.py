@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.geometry import make_T
+from realsim.core.types import F64, Frame, FrameSet
 from realsim.feedforward.rgbd.settle import two_metres
-from realsim.geometry import make_T
-from realsim.types import F64, Frame, FrameSet
 
 AGREE = (0.05, 0.02)
 """A frame agrees if its position differs by less than this many metres, or this share of the path's extent."""

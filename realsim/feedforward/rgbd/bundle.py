@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.types import F64
 from realsim.feedforward.rgbd.graph import exp_se3, hat
-from realsim.types import F64
 
 
 @dataclass(frozen=True)

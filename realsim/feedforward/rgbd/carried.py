@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.geometry import invert_T, transform
+from realsim.core.types import F64, Bool, Frame
 from realsim.feedforward.rgbd.tracks import View, alike, rigid_ransac
-from realsim.geometry import invert_T, transform
-from realsim.types import F64, Bool, Frame
 
 # Each of CLEAR, STEADY, RARELY, LEAST and COLUMNS halved or doubled, MOST halved or 0.7, and twice as many JUDGED find
 # the same with true poses in 29 rendered captures: all of ten carried things and nothing else. Only a STEADY twice as

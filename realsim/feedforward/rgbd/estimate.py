@@ -8,6 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.geometry import invert_T
+from realsim.core.progress import track
+from realsim.core.types import F64
 from realsim.feedforward.rgbd.bundle import Adjusted, Observations, adjust
 from realsim.feedforward.rgbd.follow import SIGMA_INVERSE, SIGMA_PX, Landmarks, follow
 from realsim.feedforward.rgbd.graph import Edge, optimise
@@ -26,9 +29,6 @@ from realsim.feedforward.rgbd.pairs import (
 )
 from realsim.feedforward.rgbd.shapes import links
 from realsim.feedforward.rgbd.tracks import Match, Tracks, View, build_tracks
-from realsim.geometry import invert_T
-from realsim.progress import track
-from realsim.types import F64
 
 WORTH_TELLING = 3
 """Frames from which a piece that is left out is named as one."""

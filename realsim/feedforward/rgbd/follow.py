@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.geometry import invert_T
+from realsim.core.progress import track
+from realsim.core.types import F64
 from realsim.feedforward.rgbd.bundle import Observations, gather, linearise, weights
 from realsim.feedforward.rgbd.graph import exp_se3
 from realsim.feedforward.rgbd.pairs import guided
 from realsim.feedforward.rgbd.tracks import Tracks, View
-from realsim.geometry import invert_T
-from realsim.progress import track
-from realsim.types import F64
 
 NEAREST = 4
 """Each view is matched with this many adjusted ones."""

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.geometry import invert_T
-from realsim.types import F64
+from realsim.core.geometry import invert_T
+from realsim.core.types import F64
 
 ITERATIONS = 50
 CAUCHY = 3.0

@@ -11,11 +11,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from realsim.core.geometry import invert_T
+from realsim.core.progress import track
+from realsim.core.types import F64
 from realsim.feedforward.rgbd.pairs import believable, by_features
 from realsim.feedforward.rgbd.tracks import View
-from realsim.geometry import invert_T
-from realsim.progress import track
-from realsim.types import F64
 
 DENSE = 100
 """Up to this many views all are adjusted together."""

@@ -6,11 +6,11 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from realsim.core.geometry import invert_T, make_T, transform
+from realsim.core.types import F64
 from realsim.feedforward.rgbd.graph import Edge, whitening
 from realsim.feedforward.rgbd.overlap import COARSE, FINE, Overlap, overlap, register
 from realsim.feedforward.rgbd.tracks import Match, View, match, rigid_ransac
-from realsim.geometry import invert_T, make_T, transform
-from realsim.types import F64
 
 WINDOW = 4
 """Each frame is compared with this many that follow it."""

@@ -16,7 +16,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from realsim.errors import PoseError
+from realsim.core.errors import PoseError
+from realsim.core.geometry import is_rotation
+from realsim.core.types import F64, Frame
 from realsim.feedforward.rgbd.bias import GainEstimate, judge_gain
 from realsim.feedforward.rgbd.follow import Landmarks
 from realsim.feedforward.rgbd.heldout import hold_out
@@ -24,8 +26,6 @@ from realsim.feedforward.rgbd.loops import plausible
 from realsim.feedforward.rgbd.refine_adjust import Sigmas, State, Step, initial_state, solve_step
 from realsim.feedforward.rgbd.refine_pairs import Surface, associate, choose_pairs, sample_surface
 from realsim.feedforward.rgbd.tracks import Evidence, Match, Tracks, View, build_tracks
-from realsim.geometry import is_rotation
-from realsim.types import F64, Frame
 
 STEPS = 12
 SAMPLES = 300

@@ -26,10 +26,10 @@ from scipy.sparse import bsr_matrix, csr_matrix, diags_array, identity
 from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
+from realsim.core.types import F64
 from realsim.feedforward.rgbd.graph import hat
 from realsim.feedforward.rgbd.refine_pairs import Surface
 from realsim.feedforward.rgbd.tracks import Tracks
-from realsim.types import F64
 
 GAIN_PRIOR = 0.05
 """Depth cameras are off by a percent or two; this prior only fixes the gain if the data leave it free."""

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from realsim.errors import PoseError
+from realsim.core.errors import PoseError
+from realsim.core.geometry import invert_T, make_T, transform
+from realsim.core.types import F64, Dropped, Frame
 from realsim.feedforward.rgbd.loops import LINKS, plausible
 from realsim.feedforward.rgbd.refine_pairs import choose_pairs, look_up, overlap, sample_surface
 from realsim.feedforward.rgbd.together import has_own_depth
 from realsim.feedforward.rgbd.tracks import Evidence, View
-from realsim.geometry import invert_T, make_T, transform
-from realsim.types import F64, Dropped, Frame
 
 TOLERANCE = (0.05, 0.12)
 """Metres: an edge contradicts beyond four times the median edge, but within these. Handheld trackers are off by 1 to

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.types import F64
 from realsim.feedforward.rgbd.tracks import View
-from realsim.types import F64
 
 MOST_COMPARED = 64
 """In a dense capture each view is compared with this many that may see the same, evenly over the sequence."""

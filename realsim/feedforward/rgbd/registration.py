@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.geometry import invert_T
+from realsim.core.types import F64, Frame, Intrinsics
 from realsim.feedforward.rgbd.tracks import Match, View
-from realsim.geometry import invert_T
-from realsim.types import F64, Frame, Intrinsics
 
 PRIOR = np.array([0.1, 0.03, 0.03, 0.03, 0.03])
 """Standard deviations of zoom, centre (2, on the plane z = 1) and shift (2, metres): colour and depth cameras of one

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.types import F64, Frame
 from realsim.feedforward.rgbd.follow import follow
 from realsim.feedforward.rgbd.heldout import compare
 from realsim.feedforward.rgbd.keyframes import by_poses
 from realsim.feedforward.rgbd.refine import RefineResult, refine
 from realsim.feedforward.rgbd.tracks import Evidence
-from realsim.types import F64, Frame
 
 WORTH_TELLING = 0.02
 """Relative difference between the scale of poses and depth from which a warning is given."""

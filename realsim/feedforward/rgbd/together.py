@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.errors import PoseError
+from realsim.core.errors import PoseError
+from realsim.core.types import F64
 from realsim.feedforward.rgbd.registration import inverse_depth
 from realsim.feedforward.rgbd.tracks import View, alike, rigid_ransac
-from realsim.types import F64
 
 Index = NDArray[np.int64]
 

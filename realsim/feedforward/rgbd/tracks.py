@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.geometry import make_T, transform
-from realsim.ordered import in_order
-from realsim.progress import track
-from realsim.types import F32, F64, Bool, Frame, Intrinsics
+from realsim.core.geometry import make_T, transform
+from realsim.core.ordered import in_order
+from realsim.core.progress import track
+from realsim.core.types import F32, F64, Bool, Frame, Intrinsics
 
 N_FEATURES = 1000
 """Strongest SIFT features kept a frame."""

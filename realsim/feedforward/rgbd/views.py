@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from realsim.types import F32, U8, Bool, Frame, Intrinsics, PointView
+from realsim.core.types import F32, U8, Bool, Frame, Intrinsics, PointView
 
 EDGE = 0.04
 """1/m: inverse depth that changes by more over two pixels is a depth edge (16 cm at 2 m), whatever the slope."""

@@ -8,16 +8,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from realsim.errors import GapError
+from realsim.core.errors import GapError
+from realsim.core.types import F64
 from realsim.gap.answer.patch import patched_xml
-from realsim.gap.causes.fitted import Fit
-from realsim.gap.evidence.inverse import TorqueResidual, torque_residual
-from realsim.gap.evidence.shooting import Shots, shoot
-from realsim.gap.likelihood.comparison import Comparison
-from realsim.gap.logs.case import Case
-from realsim.gap.model.channels import Channel
+from realsim.gap.case.case import Case
+from realsim.gap.case.model.channels import Channel
+from realsim.gap.inference.causes.fitted import Fit
+from realsim.gap.inference.evidence.inverse import TorqueResidual, torque_residual
+from realsim.gap.inference.evidence.shooting import Shots, shoot
+from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Simulator
-from realsim.types import F64
 
 
 @dataclass(frozen=True)

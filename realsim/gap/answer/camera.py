@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from realsim.gap.answer.diagnosis import Diagnosis
-from realsim.gap.camera.calibrate import CameraFound
+from realsim.gap.checks.camera.calibrate import CameraFound
 from realsim.gap.verdicts import GapVerdict
 
 

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import GapError
-from realsim.gap.causes.leftover import is_gap
-from realsim.gap.evidence.blackbox import predict
-from realsim.gap.likelihood.comparison import Comparison
-from realsim.gap.model.channels import unit_of
+from realsim.core.errors import GapError
+from realsim.core.types import F64
+from realsim.gap.case.model.channels import unit_of
+from realsim.gap.inference.causes.leftover import is_gap
+from realsim.gap.inference.evidence.blackbox import predict
+from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Setting, Simulator, measured
-from realsim.types import F64
 
 BLOCK_SECONDS = 0.5
 """Blocks of the bootstrap: some correlation times of a servo's error. Not tuned."""

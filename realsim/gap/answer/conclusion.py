@@ -12,20 +12,20 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import GapError
+from realsim.core.errors import GapError
+from realsim.core.types import F64
 from realsim.gap import figures
 from realsim.gap.answer.check import Check, check, errors, mean_square, predictable
 from realsim.gap.answer.leaveout import LeftOut, better, leave_out
 from realsim.gap.answer.verdict import Fitted, Judgement, judge
-from realsim.gap.causes.fitted import Z90, Cause, values_of
-from realsim.gap.causes.leftover import is_gap, leftover, nuisance_settings
-from realsim.gap.causes.starts import contains, suggested
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects.lookup import lookup
-from realsim.gap.evidence.onsets import find_onsets
-from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.inference.causes.fitted import Z90, Cause, values_of
+from realsim.gap.inference.causes.leftover import is_gap, leftover, nuisance_settings
+from realsim.gap.inference.causes.starts import contains, suggested
+from realsim.gap.inference.evidence.onsets import find_onsets
+from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.verdicts import GapVerdict
-from realsim.types import F64
 
 NO_GAP_THERE = (
     "the run that was held out shows nothing of the gap, so it checks nothing: the fitted runs, each left out in turn, "

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from realsim.files import to_json, write_text
+from realsim.core.files import to_json, write_text
 from realsim.gap.answer.arrays import Arrays
-from realsim.gap.causes.fit import Cause, Fit
-from realsim.gap.causes.fitted import Z90
 from realsim.gap.effects.lookup import lookup
+from realsim.gap.inference.causes.fit import Cause, Fit
+from realsim.gap.inference.causes.fitted import Z90
 from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.verdicts import GapVerdict
 

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.types import F64
 from realsim.gap.answer.check import BLOCK_SECONDS, errors, mean_square
-from realsim.gap.causes.fitted import values_of
-from realsim.gap.causes.leftover import rests
-from realsim.gap.likelihood.comparison import CORRELATION, Comparison
-from realsim.types import F64
+from realsim.gap.inference.causes.fitted import values_of
+from realsim.gap.inference.causes.leftover import rests
+from realsim.gap.inference.likelihood.comparison import CORRELATION, Comparison
 
 
 @dataclass(frozen=True)

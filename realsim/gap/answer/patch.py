@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import GapError, UnknownNameError
-from realsim.gap.causes.fit import Fit
+from realsim.core.errors import GapError, UnknownNameError
+from realsim.gap.case.case import Case
+from realsim.gap.case.model.context import Context, build_context
+from realsim.gap.case.model.edit import Edit, Signals
+from realsim.gap.case.resolve import resolve
 from realsim.gap.effects import EFFECTS
-from realsim.gap.logs.case import Case
-from realsim.gap.logs.resolve import resolve
-from realsim.gap.model.context import Context, build_context
-from realsim.gap.model.edit import Edit, Signals
+from realsim.gap.inference.causes.fit import Fit
 from realsim.gap.simulation.simulate import Setting, Simulator
 
 FORMAT, EARLIER = "realsim.gap.patch/2", "realsim.gap.patch/1"

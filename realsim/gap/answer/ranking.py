@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from realsim.gap.causes.fitted import Trial
-from realsim.gap.causes.select import Selection
 from realsim.gap.effects import EFFECTS
-from realsim.gap.likelihood.screen import Screen
+from realsim.gap.inference.causes.fitted import Trial
+from realsim.gap.inference.causes.select import Selection
+from realsim.gap.inference.likelihood.screen import Screen
 
 
 def ranked_effects(selection: Selection, screen: Screen) -> list[dict[str, Any]]:

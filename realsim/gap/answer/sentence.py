@@ -7,9 +7,9 @@ from typing import Any
 
 from realsim.gap.answer.check import Check
 from realsim.gap.answer.verdict import Judgement
+from realsim.gap.case.case import Case
+from realsim.gap.case.repeats import replicates
 from realsim.gap.effects import EFFECTS
-from realsim.gap.logs.case import Case
-from realsim.gap.logs.repeats import replicates
 from realsim.gap.verdicts import GapVerdict
 
 Cause = dict[str, Any]

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from realsim.errors import GapError
+from realsim.core.errors import GapError
 from realsim.gap.answer.patch import apply_patch, make_patch
-from realsim.gap.causes.fitted import Fit
-from realsim.gap.evidence.inverse import torque_residual
-from realsim.gap.evidence.rest import looks_like
-from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.inference.causes.fitted import Fit
+from realsim.gap.inference.evidence.inverse import torque_residual
+from realsim.gap.inference.evidence.rest import looks_like
+from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from realsim.core.types import F64
 from realsim.gap import figures
 from realsim.gap.answer.check import Check
-from realsim.gap.causes.leftover import is_gap
+from realsim.gap.inference.causes.leftover import is_gap
 from realsim.gap.verdicts import GapVerdict
-from realsim.types import F64
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 The earlier log's causes are found first, and hold for both. About them the residual of all runs is taken as
 r = G x + [now] G d + [now] H c + e: everyday deviations x that stay, small ones d that come from day to day, and a
 change c of one effect at one place. With x and d integrated out, the evidence of every possible change is linear
-algebra, as in `realsim.gap.likelihood.screen`; the best are fitted by simulation.
+algebra, as in `realsim.gap.inference.likelihood.screen`; the best are fitted by simulation.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from realsim.errors import GapError
-from realsim.gap.causes.fitted import Cause, spread
+from realsim.core.errors import GapError
+from realsim.core.types import F64
 from realsim.gap.effects.base import Parameter
-from realsim.gap.likelihood.linear import Evidence, log_evidence, marginal, posterior
-from realsim.gap.likelihood.screen import Candidate, Screen, slab
+from realsim.gap.inference.causes.fitted import Cause, spread
+from realsim.gap.inference.likelihood.linear import Evidence, log_evidence, marginal, posterior
+from realsim.gap.inference.likelihood.screen import Candidate, Screen, slab
 from realsim.gap.simulation.simulate import Setting
-from realsim.types import F64
 
 DAILY = 0.5
 """Standard deviation of what comes and goes from day to day, as a share of the everyday deviations between robots: a

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from realsim.errors import GapError, did_you_mean
+from realsim.core.errors import GapError, did_you_mean
+from realsim.gap.case.case import Case
+from realsim.gap.case.split import split_runs
 from realsim.gap.config import DiagnoseConfig
-from realsim.gap.logs.case import Case
-from realsim.gap.logs.split import split_runs
 
 BEFORE = "before/"
 """Put before the names of the earlier log's runs."""

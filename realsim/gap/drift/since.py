@@ -10,24 +10,24 @@ import numpy as np
 from scipy.stats import t as student
 from threadpoolctl import threadpool_limits
 
+from realsim.core.types import F64
 from realsim.gap import figures
 from realsim.gap.answer.diagnosis import MODEL_ERROR
-from realsim.gap.causes.fit import Fitter
-from realsim.gap.causes.fitted import Z90, Cause
-from realsim.gap.causes.leftover import is_gap
-from realsim.gap.causes.score import determined
-from realsim.gap.causes.select import Selection, select
+from realsim.gap.case.case import Case
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.drift.change import DAILY, Changed, Joint
 from realsim.gap.drift.pair import pair_of
 from realsim.gap.drift.words import sentence
 from realsim.gap.effects.lookup import lookup
-from realsim.gap.likelihood.comparison import Comparison
-from realsim.gap.likelihood.free_starts import free_starts
-from realsim.gap.likelihood.screen import Screen
-from realsim.gap.logs.case import Case
+from realsim.gap.inference.causes.fit import Fitter
+from realsim.gap.inference.causes.fitted import Z90, Cause
+from realsim.gap.inference.causes.leftover import is_gap
+from realsim.gap.inference.causes.score import determined
+from realsim.gap.inference.causes.select import Selection, select
+from realsim.gap.inference.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.free_starts import free_starts
+from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.simulate import Simulator
-from realsim.types import F64
 
 HOLDS, MOST_RUNS = 0.5, 0.6
 """Standard errors, and share of the runs, by which a change must gain on runs left out in turn."""
@@ -196,7 +196,7 @@ def _doubt(joint: Joint, config: DiagnoseConfig, before: Changed, after: Changed
     """Why the last change of a fit is not believed; empty if it is."""
     cause = after.causes[-1]
     gain = before.misfit - after.misfit
-    # A change costs what a cause costs (`realsim.gap.causes.score`).
+    # A change costs what a cause costs (`realsim.gap.inference.causes.score`).
     joints = len(joint.screen.simulator.case.joint_names)
     least = figures.CLEARLY + figures.CAUSE + figures.CAUSE_A_JOINT * joints
     least += figures.PRICE * (determined(after) - determined(before))

@@ -1,6 +1,6 @@
 """The library of effects: one file an effect, one line here."""
 
-from realsim.registry import Registry
+from realsim.core.registry import Registry
 
 EFFECTS = Registry(
     "effect",

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.gap.case.model.context import Context
+from realsim.gap.case.model.edit import STIFFEST
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, Suggestion, each_joint
-from realsim.gap.model.context import Context
-from realsim.gap.model.edit import STIFFEST
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:

@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from realsim.gap.model.channels import channels
-from realsim.gap.model.deviations import with_deviations
-from realsim.gap.model.edit import Edit as Edit
+from realsim.gap.case.model.channels import channels
+from realsim.gap.case.model.deviations import with_deviations
+from realsim.gap.case.model.edit import Edit as Edit
 
 if TYPE_CHECKING:
-    from realsim.gap.model.context import Context
+    from realsim.gap.case.model.context import Context
 
 FARTHEST = 100.0
 """Ratio by which a gain may be off."""

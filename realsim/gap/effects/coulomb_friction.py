@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, Suggestion, each_joint
 from realsim.gap.effects.stribeck_friction import higher_at_rest
-from realsim.gap.model.context import Context
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:

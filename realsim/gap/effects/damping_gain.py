@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import (
     EXACT,
     Edit,
@@ -16,7 +17,6 @@ from realsim.gap.effects.base import (
     gain,
     servo_damping,
 )
-from realsim.gap.model.context import Context
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import (
     EXACT,
     Edit,
@@ -13,7 +14,6 @@ from realsim.gap.effects.base import (
     everywhere,
     joint_signals_only,
 )
-from realsim.gap.model.context import Context
 
 
 def delay(name: str, title: str, twin: str, description: str, signature: str, excitation: str) -> Effect:

@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from realsim.errors import GapError
-from realsim.files import read_json
+from realsim.core.errors import GapError
+from realsim.core.files import read_json
+from realsim.gap.case.model.deviations import Deviations
 from realsim.gap.effects.lookup import lookup
-from realsim.gap.model.deviations import Deviations
 
 
 def read_deviations(path: Path | None) -> Deviations:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from realsim.gap.case.model.context import Context
+from realsim.gap.case.model.edit import EVER, NEAR, Pulse
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
-from realsim.gap.model.context import Context
-from realsim.gap.model.edit import EVER, NEAR, Pulse
 
 FOREVER = 1e6
 PASSING = ("start", "end", "since", "lasts")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from realsim.gap.case.model.context import Context
 from realsim.gap.effects import coulomb_friction, viscous_friction
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
-from realsim.gap.model.context import Context
 
 MOST = 12
 """Joints; with more, this many values at once can explain anything."""

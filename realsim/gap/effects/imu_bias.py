@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place
-from realsim.gap.model.context import Context
 
 
 def _places(context: Context) -> list[Place]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
-from realsim.gap.model.context import Context
 
 EVERYDAY = 0.1
 """Share of the step by which any joint gives: 2 mrad at its peak torque. No gear is rigid, and friction gives before it

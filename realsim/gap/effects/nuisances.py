@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from realsim.gap.case.model.edit import Edit
 from realsim.gap.effects.base import Effect, Parameter, Place, always
-from realsim.gap.model.edit import Edit
 
 MANY_JOINTS = 8
 """Driven joints from which on what the time step does to all of them at once can be told from their own deviations.

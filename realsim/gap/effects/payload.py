@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.gap.case.model.context import Context
+from realsim.gap.case.model.edit import add_point_mass
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, Suggestion
-from realsim.gap.model.context import Context
-from realsim.gap.model.edit import add_point_mass
 
 REACH = 0.2
 """A tool may hang so far from the body that carries it, m, however small that body is."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, Suggestion, each_joint
-from realsim.gap.model.context import Context
 
 WIDEST = 0.4
 """rad/s, well above what gears show: a friction that falls over a wider range of speeds imitates other things."""

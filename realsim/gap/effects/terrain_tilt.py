@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, everywhere
-from realsim.gap.model.context import Context
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:

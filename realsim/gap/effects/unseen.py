@@ -1,8 +1,8 @@
-"""Effects on camera images: no motion shows them; recorded depth does, against a scene (realsim.gap.camera)."""
+"""Effects on camera images: no motion shows them; recorded depth does, against a scene (realsim.gap.checks.camera)."""
 
 from __future__ import annotations
 
-from realsim.errors import GapError
+from realsim.core.errors import GapError
 from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, nowhere
 
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from realsim.errors import GapError
+from realsim.core.errors import GapError
+from realsim.core.types import F64
 from realsim.gap.experiments.excitations import EXCITATIONS
 from realsim.gap.experiments.plan import Experiment
 from realsim.gap.experiments.rivals import Rival
 from realsim.gap.experiments.separation import Bench, Predicted, expected_posterior, separations
-from realsim.types import F64
 
 SIZES = (1.0, 0.7, 0.45, 0.25)
 """Shares of the commands' range, tried from large to small until one stays within the limits."""

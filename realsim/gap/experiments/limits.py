@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from realsim.gap.logs.case import Case
-from realsim.gap.model.context import Context
-from realsim.types import F64
+from realsim.core.types import F64
+from realsim.gap.case.case import Case
+from realsim.gap.case.model.context import Context
 
 SPEED_RATIO = 1.5
 """Times the highest speed of the log, up to which an experiment may go where no limit is given."""

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.types import F64
+from realsim.gap.case.case import Case
+from realsim.gap.case.model.channels import unit_of
 from realsim.gap.experiments.choose import Looked
 from realsim.gap.experiments.rivals import Rival
 from realsim.gap.experiments.separation import Predicted
-from realsim.gap.logs.case import Case
-from realsim.gap.model.channels import unit_of
 from realsim.gap.report.words import signal_name
 from realsim.report import page, svg
-from realsim.types import F64
 
 PLOTS, POINTS = 4, 500
 """Signals that are drawn, those first in which the rivals part most; and points of a curve."""

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import GapError
-from realsim.gap.logs.case import Case
-from realsim.gap.logs.runs import Run
-from realsim.gap.logs.setups import Setup
-from realsim.gap.model.context import Context
-from realsim.types import F64
+from realsim.core.errors import GapError
+from realsim.core.types import F64
+from realsim.gap.case.case import Case
+from realsim.gap.case.model.context import Context
+from realsim.gap.case.runs import Run
+from realsim.gap.case.setups import Setup
 
 LEAST_RATE = 20.0
 """Samples a second: at fewer, a command cannot carry motion at 2 Hz, which is slow for a servo."""

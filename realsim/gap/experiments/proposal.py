@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from realsim.errors import GapError
+from realsim.core.errors import GapError
 from realsim.gap.answer.diagnosis import describe_set
 from realsim.gap.answer.sentence import phrase
-from realsim.gap.causes.fitted import Fit
+from realsim.gap.case.model.context import Context
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.experiments.choose import FINALISTS, Looked, look
 from realsim.gap.experiments.config import ExciteConfig
@@ -16,8 +16,8 @@ from realsim.gap.experiments.limits import limits_of
 from realsim.gap.experiments.plan import rig_of
 from realsim.gap.experiments.rivals import Rival, rival_of
 from realsim.gap.experiments.separation import Bench
-from realsim.gap.likelihood.comparison import Noise
-from realsim.gap.model.context import Context
+from realsim.gap.inference.causes.fitted import Fit
+from realsim.gap.inference.likelihood.comparison import Noise
 from realsim.gap.simulation.simulate import Simulator
 
 TELLS = "to tell them apart, record "

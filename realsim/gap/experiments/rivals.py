@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import GapError
-from realsim.gap.causes.fitted import Fit
+from realsim.core.errors import GapError
+from realsim.core.types import F64
+from realsim.gap.case.model.context import Context
 from realsim.gap.effects import EFFECTS
 from realsim.gap.effects.base import Parameter, Place
 from realsim.gap.effects.lookup import lookup
-from realsim.gap.model.context import Context
+from realsim.gap.inference.causes.fitted import Fit
 from realsim.gap.simulation.simulate import Setting
-from realsim.types import F64
 
 
 @dataclass(frozen=True)

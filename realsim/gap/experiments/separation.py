@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from realsim.errors import GapError
+from realsim.core.errors import GapError
+from realsim.core.types import F64
 from realsim.gap.answer.diagnosis import MODEL_ERROR
-from realsim.gap.causes.starts import twins
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects import EFFECTS, ON_REQUEST
 from realsim.gap.effects.lookup import lookup
@@ -29,9 +29,9 @@ from realsim.gap.effects.nuisances import NUISANCES
 from realsim.gap.experiments.limits import Limits
 from realsim.gap.experiments.plan import Experiment, Rig, planned_case
 from realsim.gap.experiments.rivals import Rival
-from realsim.gap.likelihood.comparison import CORRELATION, Comparison, Noise
+from realsim.gap.inference.causes.starts import twins
+from realsim.gap.inference.likelihood.comparison import CORRELATION, Comparison, Noise
 from realsim.gap.simulation.simulate import Setting, Simulator
-from realsim.types import F64
 
 DRAWS = 2000
 """Of the log Bayes factors, for the expected posterior; its own error is then about 0.01."""

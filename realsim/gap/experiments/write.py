@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from realsim.files import to_json, write_bytes, write_text
+from realsim.core.files import to_json, write_bytes, write_text
+from realsim.gap.case.case import Case
+from realsim.gap.case.recordings import PLAN, RECORDED
 from realsim.gap.experiments.choose import Looked
 from realsim.gap.experiments.picture import page_of
 from realsim.gap.experiments.plan import Experiment, Planned
 from realsim.gap.experiments.rivals import Rival
-from realsim.gap.logs.case import Case
-from realsim.gap.logs.recordings import PLAN, RECORDED
 
 
 def write_experiment(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from realsim.files import write_text
+from realsim.core.files import write_text
 from realsim.gap.answer.brief import NOTHING_SAID, Row, brief
 from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.report.evidence import (

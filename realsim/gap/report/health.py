@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from realsim.gap.answer.diagnosis import Diagnosis
-from realsim.gap.model.channels import UNITS
+from realsim.gap.case.model.channels import UNITS
 from realsim.gap.report.words import percent, short, signal_name
 from realsim.report import page, svg
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.core.types import F64
 from realsim.gap.answer.arrays import Arrays
 from realsim.gap.answer.diagnosis import Diagnosis
-from realsim.gap.logs.case import Case
-from realsim.gap.model.channels import unit_of
+from realsim.gap.case.case import Case
+from realsim.gap.case.model.channels import unit_of
 from realsim.gap.report.series import worst_windows
 from realsim.gap.report.words import HEAT, NOT_KEPT, short, signal_name
 from realsim.gap.simulation.simulate import measured
 from realsim.report import page, raster, svg
 from realsim.report.solids import solids
-from realsim.types import F64
 
 _ROW = 'style="display:grid;gap:14px 26px;grid-template-columns:repeat(auto-fit,minmax(min(420px,100%),1fr))"'
 _MEASURED, _NOMINAL, _PATCHED = "var(--ink)", "var(--c1)", "var(--good)"

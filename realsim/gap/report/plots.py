@@ -12,8 +12,8 @@ from realsim.gap.answer.arrays import Arrays
 from realsim.gap.answer.brief import on_what
 from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.answer.sentence import amount
-from realsim.gap.causes.fitted import Z90
-from realsim.gap.evidence.where import PHASES
+from realsim.gap.inference.causes.fitted import Z90
+from realsim.gap.inference.evidence.where import PHASES
 from realsim.gap.report.series import horizons, place_shares
 from realsim.gap.report.words import NOT_KEPT, after, percent, places, short, signal_name, title_of
 from realsim.report import page, svg

@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.types import F64
 from realsim.gap.answer.arrays import Arrays
 from realsim.gap.answer.diagnosis import Diagnosis
-from realsim.gap.logs.case import Case, Run
+from realsim.gap.case.case import Case, Run
 from realsim.gap.report.series import place_shares
 from realsim.gap.report.words import HEAT, NOT_KEPT, place_of
 from realsim.report import page, raster, svg
 from realsim.report.solids import Solid, extent, ring, rod, solids
 from realsim.report.viewer3d import Layer, viewer
-from realsim.types import F64
 
 _GROUND, _MARK = (196, 202, 210), (124, 58, 237)
 

@@ -6,8 +6,8 @@ from collections import Counter
 
 import numpy as np
 
+from realsim.core.types import F64
 from realsim.gap.answer.arrays import Arrays
-from realsim.types import F64
 
 
 def horizons(kept: Arrays | None, signal: str = "joint_pos") -> list[tuple[str, float, float | None]]:

@@ -14,20 +14,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from realsim.errors import GapError
-from realsim.gap.logs.case import Case, Run
-from realsim.gap.logs.motion import Motion, estimate
-from realsim.gap.model.edit import Edit
+from realsim.core.errors import GapError
+from realsim.core.types import F64
+from realsim.gap.case.case import Case, Run
+from realsim.gap.case.model.edit import Edit
+from realsim.gap.case.motion import Motion, estimate
 from realsim.gap.simulation.sampling import rotation_from
 from realsim.gap.simulation.start import Anchor, Start, initial_state
-from realsim.types import F64
 
 if TYPE_CHECKING:
     from realsim.gap.simulation.simulate import Simulator
 
 GROWTH = 10.0
 """An encoder's millimetre or milliradian becomes a centimetre. The first value tried, on four made flights of a drone;
-not tuned. On 22 other cases: `benchmarks/gap_unstable.py`."""
+not tuned. On 22 other cases: `benchmarks/diagnosis/unstable.py`."""
 SMALL = 1e-4
 """rad or m of the error that is let grow, and of the steps that slopes are taken over: small enough to be linear, large
 beside rounding. Not tuned."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.types import F64
+from realsim.core.types import F64
 
 AT = 1e-3
 """Rows by which a jump may miss a sample and be at it."""

@@ -11,16 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import GapError
+from realsim.core.errors import GapError
+from realsim.core.types import F64
+from realsim.gap.case.case import Case, Run
+from realsim.gap.case.model.channels import Channel as Channel
+from realsim.gap.case.model.channels import channels
+from realsim.gap.case.model.context import Context, build_context, measure
+from realsim.gap.case.model.edit import Edit
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects.base import Place
 from realsim.gap.effects.deviations_file import check_places, read_deviations
 from realsim.gap.effects.lookup import lookup
-from realsim.gap.logs.case import Case, Run
-from realsim.gap.model.channels import Channel as Channel
-from realsim.gap.model.channels import channels
-from realsim.gap.model.context import Context, build_context, measure
-from realsim.gap.model.edit import Edit
 from realsim.gap.simulation.anchors import anchored
 from realsim.gap.simulation.cores import Cores
 from realsim.gap.simulation.recent import Recent
@@ -31,7 +32,6 @@ from realsim.gap.simulation.sampling import rotation_from as rotation_from
 from realsim.gap.simulation.sampling import sample as sample
 from realsim.gap.simulation.start import Start, find_starts, first_rows, initial_state
 from realsim.gap.simulation.stepping import Roller, gears, rolled, spare, stepped, switched, waves
-from realsim.types import F64
 
 Setting = tuple[str, Place, dict[str, float]]
 """(effect name, place, coordinates by parameter name; missing ones keep their defaults)."""
@@ -76,7 +76,7 @@ class Simulator:
         self.starts: tuple[Start, ...] = tuple(Start() for _ in case.runs)
         """How each run begins."""
         self.onsets: dict[str, float] = {}
-        """Run -> seconds at which something sudden begins there; see realsim.gap.evidence.onsets."""
+        """Run -> seconds at which something sudden begins there; see realsim.gap.inference.evidence.onsets."""
         self._raw = self.roll_out(Edit(self.context), None)
         self.rests = [r["pos"][round(float(r["settle"][0] / r["settle"][1]))] for r in self._raw]
         """(J,) a run: where the nominal simulator rests under the first command."""

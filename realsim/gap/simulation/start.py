@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from realsim.errors import GapError
-from realsim.gap.logs.case import Case, Run
-from realsim.gap.logs.kinks import median_size, third_differences
-from realsim.gap.model.edit import Edit
+from realsim.core.errors import GapError
+from realsim.core.types import F64
+from realsim.gap.case.case import Case, Run
+from realsim.gap.case.kinks import median_size, third_differences
+from realsim.gap.case.model.edit import Edit
 from realsim.gap.simulation.stepping import fresh
-from realsim.types import F64
 
 if TYPE_CHECKING:
     from realsim.gap.simulation.simulate import Simulator
@@ -209,7 +209,7 @@ def _given(case: Case, run: Run) -> Start:
 
 def _from_log(case: Case, run: Run) -> Start:
     """The state of the first samples; of parts that are not logged, the given one."""
-    from realsim.gap.logs.motion import estimate
+    from realsim.gap.case.motion import estimate
 
     motion = estimate(case, run)
     qpos, qvel = motion.qpos[0].copy(), motion.qvel[0].copy()

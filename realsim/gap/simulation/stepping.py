@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from realsim.types import F64
+from realsim.core.types import F64
 
 
 @dataclass(frozen=True)

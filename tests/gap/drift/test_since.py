@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from realsim.cli import main
-from realsim.errors import GapError
+from realsim.cli.command_line import main
+from realsim.core.errors import GapError
 from realsim.gap import DiagnoseConfig, load_case
 from realsim.gap.drift.pair import BEFORE, pair_of
 from realsim.gap.drift.since import Since, changed_since

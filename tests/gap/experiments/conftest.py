@@ -13,7 +13,7 @@ from realsim.gap.experiments.limits import limits_of
 from realsim.gap.experiments.plan import rig_of
 from realsim.gap.experiments.rivals import Part, Rival
 from realsim.gap.experiments.separation import Bench
-from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
 from ..truth import PENDULUM, Truth, make_case

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from realsim.errors import GapError, UnknownNameError
+from realsim.core.errors import GapError, UnknownNameError
 from realsim.gap import load_case
 from realsim.gap.experiments.choose import look, random_experiment
 from realsim.gap.experiments.excitations import EXCITATIONS

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from realsim.errors import GapError
+from realsim.core.errors import GapError
 from realsim.gap import load_case
+from realsim.gap.case.model.context import build_context
 from realsim.gap.experiments.excitations import EXCITATIONS
 from realsim.gap.experiments.plan import planned_case, rig_of
 from realsim.gap.experiments.separation import Bench
-from realsim.gap.model.context import build_context
 
 FIXED = [n for n in EXCITATIONS if n not in ("push_and_slide", "step_elsewhere")]
 

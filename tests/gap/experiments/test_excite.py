@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from realsim.cli import main
-from realsim.errors import GapError
+from realsim.cli.command_line import main
+from realsim.core.errors import GapError
 from realsim.gap import load_case
+from realsim.gap.case.split import split_runs
 from realsim.gap.excite import excite
 from realsim.gap.experiments.config import ExciteConfig
-from realsim.gap.logs.split import split_runs
 from realsim.gap.provenance import engine
 
 from ...pages import read

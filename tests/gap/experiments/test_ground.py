@@ -10,7 +10,7 @@ from realsim.gap.experiments.excitations import EXCITATIONS
 from realsim.gap.experiments.limits import limits_of
 from realsim.gap.experiments.plan import planned_case, rig_of
 from realsim.gap.experiments.separation import Bench, separations
-from realsim.gap.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
 from ..test_recovery import CONFIG, logged, quadruped  # noqa: F401

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from torch import nn
 
-from realsim.registry import Registry
+from realsim.core.registry import Registry
 from trainer.ppo.config import StrategyConfig
 
 STRATEGIES = Registry(

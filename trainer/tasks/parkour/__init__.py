@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from realsim.registry import lazily
+from realsim.core.registry import lazily
 from trainer.tasks.parkour.config import ParkourConfig
 
 if TYPE_CHECKING:
@@ -13,8 +13,9 @@ __all__ = ["Ends", "ParkourConfig", "ParkourEnv", "check", "make"]
 
 # What can be set is known without torch, which `--help` would wait for.
 __getattr__ = lazily(
+    __name__,
     {
         **dict.fromkeys(("check", "make"), "trainer.tasks.parkour.build"),
         **dict.fromkeys(("Ends", "ParkourEnv"), "trainer.tasks.parkour.env"),
-    }
+    },
 )

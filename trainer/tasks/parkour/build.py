@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from realsim.progress import note
+from realsim.core.progress import note
 from trainer.errors import TrainerError
 from trainer.physics import ENGINES, PhysicsConfig
 from trainer.rays import caster as make_caster

@@ -181,7 +181,7 @@ class ResetConfig:
     by_failure: float = 0.5
     """Share of new episodes whose terrain is drawn by how often it is failed lately, the others evenly, where several
     terrains have no order of difficulty. In a graded grid worlds move from row to row instead. Beside 0, the one value
-    that was tried, on the thirteen tests at once (benchmarks/ttt.py, `ttt13f`)."""
+    that was tried, on the thirteen tests at once (benchmarks/training/ttt.py, `ttt13f`)."""
     spread_ages: bool = True
     """Whether the first episodes begin at random ages, so that they do not end together. Such an episode that runs out
     of time moves no world of a curriculum and is no failure in the log."""

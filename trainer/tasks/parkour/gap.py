@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from realsim.errors import RealsimError
-from realsim.files import read_json
-from realsim.geometry import R_to_quat, exp_so3, quat_to_R
+from realsim.core.errors import RealsimError
+from realsim.core.files import read_json
+from realsim.core.geometry import R_to_quat, exp_so3, quat_to_R
 from trainer.errors import TrainerError
 from trainer.robots import TrainedRobot
 from trainer.robots.base import DepthMount

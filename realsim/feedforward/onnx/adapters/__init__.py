@@ -1,7 +1,7 @@
 """Interpretation of a model's outputs. Each kind is one file and one line here, in the order of guessing."""
 
+from realsim.core.registry import Registry
 from realsim.feedforward.onnx.adapters.base import Adapter, Call, Prediction
-from realsim.registry import Registry
 
 ADAPTERS = Registry(
     "kind of model",

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.errors import ModelError
-from realsim.geometry import nearest_rotation, quat_to_R
-from realsim.types import F32, F64, Bool
+from realsim.core.errors import ModelError
+from realsim.core.geometry import nearest_rotation, quat_to_R
+from realsim.core.types import F32, F64, Bool
 
 ROTATION_TOLERANCE = 0.1
 """Largest entry by which what is called a rotation may differ from the nearest one (half floats give 0.001)."""
@@ -133,7 +133,7 @@ def read_poses(array: NDArray, call: Call) -> F64:
 
 def invert(T: F64) -> F64:
     """Inverse of rigid (n, 4, 4); NaN stays NaN."""
-    from realsim.geometry import invert_T
+    from realsim.core.geometry import invert_T
 
     return invert_T(T)
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.types import F32, F64, Bool
 from realsim.feedforward.onnx.adapters.base import (
     CONF_NAMES,
     MASK,
@@ -22,7 +23,6 @@ from realsim.feedforward.onnx.adapters.base import (
     read_mask,
     unproject,
 )
-from realsim.types import F32, F64, Bool
 
 SAMPLES = 4000
 

@@ -4,7 +4,7 @@ An excitation takes a `Rig` and a size in 0..1 and returns an `Experiment`, or N
 All last about the same time, so that they can be compared.
 """
 
-from realsim.registry import Registry
+from realsim.core.registry import Registry
 
 EXCITATIONS = Registry(
     "excitation",

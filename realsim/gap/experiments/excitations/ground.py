@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from realsim.gap.case.model.groups import kind_of
 from realsim.gap.experiments.excitations.motions import sines
 from realsim.gap.experiments.plan import Experiment, Rig
-from realsim.gap.model.groups import kind_of
 
 PUSH_HZ = 1.0
 AWAY = 0.06

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.core.types import F64
 from realsim.gap.experiments.plan import Experiment, Rig
-from realsim.types import F64
 
 CHIRP_HZ = (0.3, 4.0)
 SINES_HZ = (0.2, 3.0)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.gap.case.setups import Setup
 from realsim.gap.experiments.excitations.motions import sines, triangles
 from realsim.gap.experiments.plan import Experiment, Rig
-from realsim.gap.logs.setups import Setup
 
 HELD, DROPPED = 1.2, 1.5
 """Seconds for which a posture is held, and for which the drives are off after it."""

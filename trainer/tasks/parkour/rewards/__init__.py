@@ -10,8 +10,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from realsim.errors import UnknownNameError
-from realsim.registry import Registry
+from realsim.core.errors import UnknownNameError
+from realsim.core.registry import Registry
 from trainer.tasks.parkour.body import Body
 from trainer.tasks.parkour.config import RewardConfig
 from trainer.tasks.parkour.signals import Signals

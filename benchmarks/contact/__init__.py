@@ -1,0 +1,1 @@
+"""Collision geometry against the mesh that it stands for."""

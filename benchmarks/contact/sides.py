@@ -1,0 +1,87 @@
+"""Contact from the side and from above, with columns alone (`boxes`, as it was) and as `auto` chooses now.
+
+    python -m benchmarks.contact.sides [--names corridor room] [--real]
+
+The synthetic rooms of `tests/truths/rooms.py`; with --real, the captures in REALSIM_SHARED/real_captures too. Rows go
+to benchmarks/results/sides.json. Rays and heights are those of `realsim/export/contact/fidelity.py`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from benchmarks.store import Store
+from realsim.core.types import TerrainMesh
+from realsim.export.config import SceneConfig
+from realsim.export.contact.choose import fit_contact
+from tests.truths.rooms import ROOMS
+
+ROOT = Path(__file__).resolve().parents[2]
+SHARED = Path(os.environ.get("REALSIM_SHARED", ROOT.parent / "shared"))
+REAL = {
+    "pcl_room_lidar": ("tutorials/room_scan1.pcd", "all"),
+    "pcl_kinect_stairs": ("tutorials/pairwise", "terrain"),
+    "scannerapp_chair": ("data", "terrain"),
+    "realsense_boxes_floor": ("data", "terrain"),
+}
+"""Capture -> what of it is read, and what is kept."""
+
+
+def captured(name: str) -> tuple[TerrainMesh, float]:
+    """Mesh and ground of a real capture, as the pipeline makes them."""
+    import tempfile
+    from dataclasses import replace
+
+    from realsim.pipeline import ReconstructConfig, reconstruct
+
+    source, keep = REAL[name]
+    config = ReconstructConfig()
+    config = replace(config, align=replace(config.align, keep=keep))
+    with tempfile.TemporaryDirectory() as folder:
+        found = reconstruct(SHARED / "real_captures" / name / source, Path(folder) / "scene", config)
+    return found.mesh, found.aligned.ground_z
+
+
+def rows(name: str, make: Callable[[], tuple[TerrainMesh, float]]) -> Iterator[dict[str, Any]]:
+    """Before and after."""
+    mesh, ground_z = make()
+    for contact in ("boxes", "auto"):
+        fitted = fit_contact(mesh, ground_z, SceneConfig(contact=contact))
+        s = fitted.summary
+        yield {
+            "scene": name,
+            "contact": contact,
+            "chosen": s["representation"],
+            "p95_mm": s["p95_mm"],
+            "heights_off": round(fitted.fidelity.off[0], 4),
+            **{k: s["sides"][k] for k in ("rays", "stopped", "through", "early", "balls", "balls_through")},
+            "leaks": s["leaks"],
+            "geoms": sum(s["geoms"].values()),
+            "steps_per_second": s["steps_per_second"],
+        }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--names", nargs="*", help="scenes; all if not given")
+    parser.add_argument("--real", action="store_true", help="the real captures too")
+    args = parser.parse_args()
+    scenes: dict[str, Callable[[], tuple[TerrainMesh, float]]] = {
+        name: partial(lambda make: (make(), 0.0), make) for name, make in ROOMS.items()
+    }
+    if args.real:
+        scenes |= {name: partial(captured, name) for name in REAL if (SHARED / "real_captures" / name).exists()}
+    store = Store(ROOT / "benchmarks" / "results" / "sides.json", ("scene", "contact"))
+    for name in args.names or scenes:
+        for row in rows(name, scenes[name]):
+            store.add(row)
+            print("  ".join(f"{key} {value}" for key, value in row.items()), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""The diagnosis on generated, real and withheld logs."""

@@ -1,0 +1,139 @@
+"""Diagnoses many cases in processes of their own; what is done stays, so that an interrupted run goes on."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import json
+import os
+import shutil
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Job:
+    """One case and where its answer goes."""
+
+    case: Path
+    out: Path
+    """A folder; diagnosis.json in it is the answer, refused.json the reason why there is none."""
+    settings: dict[str, Any] = field(default_factory=dict)
+    """Of DiagnoseConfig, where they are not the defaults."""
+    without: str = ""
+    """`module:function` of the engine that is taken out (it proposes nothing), or `module:FIGURE=value` that it has
+    instead; several with commas between them."""
+
+
+def diagnose_all(jobs: Sequence[Job], processes: int, minutes: float = float("inf")) -> None:
+    """Diagnose what has no answer of this engine and these settings yet; none is begun after `minutes`."""
+    todo = [job for job in jobs if not answered(job)]
+    began, done = time.monotonic(), 0
+    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    print(f"{len(jobs)} cases, {len(jobs) - len(todo)} of them answered by this engine before", flush=True)
+    # A process a case: none inherits what another one took out of the engine.
+    pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), max_tasks_per_child=1)
+    try:
+        waiting, running = list(reversed(todo)), set()
+        while waiting or running:
+            late = time.monotonic() - began > 60 * minutes
+            while waiting and not late and len(running) < processes:
+                running.add(pool.submit(_diagnose, waiting.pop()))
+            if late:
+                print(f"{len(waiting)} cases are left for another time, {len(running)} are broken off", flush=True)
+                for process in list(pool._processes.values()):  # those under way would go on for minutes
+                    process.terminate()
+                break
+            finished, running = wait(running, timeout=2, return_when=FIRST_COMPLETED)
+            for future in finished:
+                done += 1
+                print(f"{done}/{len(todo)} {time.monotonic() - began:5.0f} s  {future.result()}", flush=True)
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def answered(job: Job) -> bool:
+    """Whether its answer is there, of this engine and these settings."""
+    found = read(job)
+    return found is not None and found.get("provenance") == _provenance(job)
+
+
+def read(job: Job) -> dict[str, Any] | None:
+    """The answer that lies there, whoever gave it; a refusal is one without causes."""
+    for name in ("diagnosis.json", "refused.json"):
+        if (job.out / name).is_file():
+            return dict(json.loads((job.out / name).read_text()))
+    return None
+
+
+def _provenance(job: Job) -> dict[str, Any]:
+    from realsim.gap.config import DiagnoseConfig
+    from realsim.gap.provenance import provenance
+
+    found = provenance(DiagnoseConfig(threads=1, report=False, **job.settings))
+    return dict(json.loads(json.dumps(found | ({"without": job.without} if job.without else {}))))
+
+
+def _nothing(*_: Any, **__: Any) -> Any:
+    return iter(())
+
+
+def take_out(name: str) -> None:
+    """Replace a function of the engine by one that yields nothing, or a figure by another value, in every module and
+    table that holds it."""
+    module, _, what = name.partition(":")
+    attribute, _, value = what.partition("=")
+    wanted = getattr(importlib.import_module(module), attribute)
+    importlib.import_module("realsim.gap.pipeline")
+    for holder in [m for n, m in sys.modules.items() if n.startswith("realsim.gap")]:
+        if value:
+            if attribute in vars(holder):
+                setattr(holder, attribute, ast.literal_eval(value))
+            continue
+        for known, held in list(vars(holder).items()):
+            if held is wanted:
+                setattr(holder, known, _nothing)
+            elif isinstance(held, list | tuple) and any(v is wanted for v in held):
+                setattr(holder, known, type(held)(v for v in held if v is not wanted))
+            elif isinstance(held, dict) and any(v is wanted for v in held.values()):
+                setattr(holder, known, {k: v for k, v in held.items() if v is not wanted})
+
+
+def _answer(found: Any) -> dict[str, Any]:
+    """diagnosis.json with the rules' choices where the scorers look for them."""
+    data = found.as_dict()
+    return data | {"baselines": data["statistics"].pop("baselines", {})}
+
+
+def _diagnose(job: Job) -> str:
+    """Write the answer; return a line of it."""
+    from benchmarks.diagnosis.rules import first_choices
+    from realsim.core.errors import RealsimError
+    from realsim.core.files import to_json, write_text
+    from realsim.gap import DiagnoseConfig, diagnose, load_case
+
+    shutil.rmtree(job.out, ignore_errors=True)
+    job.out.mkdir(parents=True)
+    name = f"{job.out.parent.name}/{job.out.name}"
+    for name_of_part in filter(None, job.without.split(",")):
+        take_out(name_of_part)
+    try:
+        config = DiagnoseConfig(threads=1, report=False, **job.settings)
+        found = diagnose(load_case(job.case), config, look=first_choices)
+    except RealsimError as error:
+        refusal = {"verdict": "refused", "causes": [], "equivalent": [], "said": str(error)}
+        write_text(job.out / "refused.json", to_json(refusal | {"provenance": _provenance(job)}))
+        return f"{name} refused: {error.message}"
+    except Exception as error:  # a defect of the engine: kept as an answer, so that no case is lost without a word
+        refusal = {"verdict": "crashed", "causes": [], "equivalent": [], "said": repr(error)}
+        write_text(job.out / "refused.json", to_json(refusal | {"provenance": _provenance(job)}))
+        return f"{name} CRASHED: {error!r}"
+    write_text(job.out / "diagnosis.json", to_json(_answer(found) | {"provenance": _provenance(job)}))
+    said = ", ".join(f"{c['effect']}@{'+'.join(c.get('joints') or c.get('bodies') or [])}" for c in found.causes)
+    return f"{name} {found.verdict} {said} ({found.cost['seconds']:.0f} s)"

@@ -1,0 +1,1 @@
+"""Damaged input: no traceback, no hang, no silent wrong answer."""

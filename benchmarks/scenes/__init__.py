@@ -1,0 +1,1 @@
+"""From frames to a scene: accuracy, scale, loops, matching, movers, time."""

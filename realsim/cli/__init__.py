@@ -1,0 +1,1 @@
+"""The command line, its help and schemas, and the same functions as tools for agents (MCP)."""

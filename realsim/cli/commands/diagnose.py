@@ -1,0 +1,188 @@
+"""`realsim diagnose`: one case, or many."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from realsim import gap
+from realsim.cli.commands import CommandResult, strict_exit
+from realsim.cli.commands.many import run_each
+from realsim.core.errors import RealsimError
+from realsim.core.files import refuse_within
+from realsim.core.progress import note, steps, track
+from realsim.gap.case.recordings import is_recording
+from realsim.gap.config import DiagnoseConfig
+from realsim.gap.verdicts import SAID, GapVerdict
+from realsim.jobs import ManyConfig
+
+if TYPE_CHECKING:
+    from realsim.gap.checks.contract import Found
+
+
+def diagnose(
+    cases: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="CASE ...", help_behavior_hint="")],
+    config: DiagnoseConfig,
+    out: Path | None = None,
+    overwrite: bool = False,
+    check: bool = False,
+    init: Path | None = None,
+    explain: str | None = None,
+    model: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    scene: Annotated[Path | None, tyro.conf.arg(metavar="STR")] = None,
+    policy: Path | None = None,
+    deploy_yaml: Path | None = None,
+    since: Annotated[Path | None, tyro.conf.arg(metavar="CASE")] = None,
+    strict: bool = False,
+    many: ManyConfig = ManyConfig(),
+) -> CommandResult:
+    """Say where a robot's logs differ from its simulator, which unmodelled effect causes it, and how much it matters.
+
+    Args:
+        cases: a folder with log.json, model.xml and runs/ (.npz or .csv); or several, each gets a folder below --out;
+            or one, and new recordings of its robot: runs as .npz or .csv, or folders of `realsim excite`.
+        out: where diagnosis.json, report.html and the patched model go (default: diagnosis); with --init, the new case
+            (default: case).
+        overwrite: replace an output folder that realsim wrote before.
+        check: report within seconds whether the log can be used, and its peculiarities; nothing is written.
+        init: instead of a case: an MJCF model, for which the folder of a new case is made.
+        explain: instead of a case: describe an effect and what excites it (`all` lists them).
+        model: of the robot, where CASE is a recording (MCAP, bag, CSV, ...): the case is written beside --out first.
+        scene: scene.xml that the depth frames of the log are compared with (default: the terrain of the case's model).
+        policy: policy.onnx that was run: check first whether it was run as it was trained (docs/logs.md).
+        deploy_yaml: the contract of a policy whose ONNX file has none (unitree_rl_lab).
+        since: case of an earlier log of the same robot: say what changed since then, too (docs/experiments.md).
+        strict: exit with code 3 if the gap stays unexplained (the patched model is then not to be used); a gap that is
+            partly explained is no failure.
+    """
+    if explain is not None:
+        text = gap.explain(explain)
+        return CommandResult(text, {"effect": explain, "text": text})
+    if init is not None:
+        made = gap.start_case(init, out or Path("case"), overwrite=overwrite)
+        text = f"case    {made}\nnext    {made / 'README.md'} says what is left to do"
+        return CommandResult(text, {"case": str(made)})
+    if not cases:
+        raise RealsimError(
+            "no case given", expected="realsim diagnose CASE --out DIR, --init MODEL.xml, or --explain EFFECT"
+        )
+    if model is None:
+        refuse_recording(cases[0])
+    if since is not None:
+        refuse_recording(since)
+    if check and model is not None and len(cases) == 1:
+        with TemporaryDirectory() as temporary:
+            return _checked((_from_recording(cases[0], model, Path(temporary) / cases[0].stem),), config)
+    if check:
+        return _checked(cases, config)
+    out = out or Path("diagnosis")
+    recordings: tuple[Path, ...] = ()
+    if model is None and len(cases) > 1 and any(is_recording(path) for path in cases[1:]):
+        cases, recordings = cases[:1], cases[1:]
+    if len(cases) == 1 and many.place == "processes":
+        case = cases[0]
+        if model is not None:
+            case = _from_recording(cases[0], model, out.with_name(f"{out.name}_case"), overwrite)
+            note(f"{cases[0]} is read as {case}; why: realsim log {cases[0]} --model {model}")
+        refuse_within(out, case)
+        found = None if policy is None else _contract(case, policy, deploy_yaml)
+        with steps() as tick:
+            result = gap.run_case(
+                case, out, config, tick, overwrite=overwrite, scene=scene, recordings=recordings, since=since
+            )
+        level = SAID[GapVerdict(result["verdict"])].level
+        text = _summary(result, out, config)
+        if since is not None:
+            text = f"{text}\nsince      {result['since']['sentence']}"
+        if found is not None:
+            text, result = f"{found.sentence}\n{text}", result | {"contract": found.as_dict()}
+        return CommandResult(text, result, strict_exit({"level": level}, strict), level)
+    if since is not None or recordings:
+        raise RealsimError("--since and new recordings belong to one case", found=f"{len(cases)} cases")
+    levels = {verdict.value: said.level for verdict, said in SAID.items()}
+    return run_each("diagnose", cases, out, many, shows="sentence", levels=levels)
+
+
+def _checked(cases: tuple[Path, ...], config: DiagnoseConfig) -> CommandResult:
+    """The health of every log, or why it cannot be used; exit code 1 if one of several cannot."""
+    if len(cases) == 1:
+        found = gap.check_case(cases[0], config)
+        return CommandResult("\n".join(_health(cases[0], found)), found)
+    lines: list[str] = []
+    items: list[dict[str, Any]] = []
+    for case in track(cases, "cases"):
+        try:
+            found = gap.check_case(case, config)
+        except RealsimError as error:
+            lines.append(f"{case.name}: cannot be used: {error.render()}")
+            items.append({"name": case.name, **error.as_dict()})
+        else:
+            lines += _health(case, found)
+            items.append({"name": case.name, **found})
+    failed = sum("error" in item for item in items)
+    return CommandResult("\n".join(lines), {"items": items, "failed": failed}, 1 if failed else 0)
+
+
+def _health(case: Path, found: Mapping[str, Any]) -> list[str]:
+    warnings = found["health"]["warnings"]
+    first = f"{case.name}: {len(found['runs'])} run{'s' * (len(found['runs']) > 1)}, {found['seconds']:.0f} s of log: "
+    return [
+        first
+        + (
+            f"can be used, with {len(warnings)} note{'s' * (len(warnings) > 1)}"
+            if warnings
+            else "can be used, nothing odd"
+        ),
+        *(f"note    {warning}" for warning in warnings),
+    ]
+
+
+def _contract(folder: Path, policy: Path, deploy_yaml: Path | None) -> Found:
+    """Whether the policy was run as it was trained; checked before the search, which takes minutes."""
+    from realsim.gap.checks import contract
+
+    case = gap.load_case(folder)
+    trained = contract.load_policy(policy, deploy_yaml, case.joint_names)
+    return contract.check(trained, contract.read_steps(case))
+
+
+def refuse_recording(path: Path) -> None:
+    """A recording has no model yet; a case has. Raises RealsimError for what `realsim log` can read."""
+    from realsim.gap.recordings.reading import reader_of
+
+    if not (path / "log.json").exists() and path.exists() and reader_of(path) is not None:
+        raise RealsimError(
+            "this is a recording, not a case",
+            file=path,
+            expected="a folder with log.json, model.xml and runs/",
+            hint=f"realsim log {path} --model robot.xml --out case; or realsim diagnose {path} --model robot.xml",
+        )
+
+
+def _from_recording(recording: Path, model: Path, case: Path, overwrite: bool = False) -> Path:
+    """The case of a recording, written to a folder; see `realsim log`."""
+    from realsim.gap import recordings as logs
+
+    target = logs.load_target(model)
+    proposal = logs.propose(logs.read(recording), target)
+    for said in logs.write_case(proposal, target, case, overwrite=overwrite, check=gap.load_case):
+        note(said)
+    return case
+
+
+def _summary(result: Mapping[str, Any], out: Path, config: DiagnoseConfig) -> str:
+    """The verdict in a word, then a table of at most a dozen lines; all of it is in diagnosis.json and the report."""
+    from realsim.gap.answer.brief import brief
+
+    said = SAID[GapVerdict(result["verdict"])]
+    parts = brief(result)
+    rows = [row for part in parts.values() for row in part]
+    warnings = result["health"]["warnings"]
+    if warnings:
+        rows.append(("notes", f"{len(warnings)} about the log, in the report; the first: {warnings[0]}"))
+    rows.append(("files", f"{out / 'model.xml'}, {out / ('report.html' if config.report else 'diagnosis.json')}"))
+    return "\n".join([f"{said.word}: {said.headline}", *(f"  {label:<9}{text}" for label, text in rows)])

@@ -1,0 +1,61 @@
+"""`realsim log`: what a recording holds, and the case that it becomes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from realsim.cli.commands import CommandResult
+from realsim.core.errors import GapError
+
+
+def log(
+    recording: Annotated[Path, tyro.conf.Positional],
+    model: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    out: Path | None = None,
+    use: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ROLE=STREAM:FIELD")] = (),
+    only: str = "",
+    camera: str = "",
+    scene: Annotated[Path | None, tyro.conf.arg(metavar="STR")] = None,
+    skip: float = 0.0,
+    seconds: float = float("inf"),
+    overwrite: bool = False,
+) -> CommandResult:
+    """Say what a robot's recording holds: which topic or column is what, with the evidence; and write it as a case.
+
+    Args:
+        recording: a file or a folder: MCAP, ROS bag, LeRobot, parquet, CSV, JSON, ULog, Rerun, npz; a folder of files
+            is runs.
+        model: MJCF (or URDF) of the robot; order, units and signs of the joints are tested against it.
+        out: where the case for `realsim diagnose` goes; without it nothing is written.
+        use: overrides a guess: ROLE=STREAM:FIELD, or ROLE=none; ROLE is command, joint_pos, joint_vel, ...
+        only: prefix of the topics to read, if a recording holds several robots.
+        camera: NAME or NAME=TOPIC: camera of the model that saw the recording's depth frames, where several may have;
+            `none` leaves them out.
+        scene: of `realsim reconstruct`, from a capture whose poses are in the frame of the log's base pose: base poses
+            are put into its frame, in which `realsim footholds` expects them.
+        skip: seconds after the first message from which the recording is read.
+        seconds: how many seconds of it are read.
+        overwrite: replace a case that realsim wrote before.
+    """
+    from realsim import gap
+    from realsim.gap import recordings as logs
+    from realsim.gap.recordings.recording import Window
+
+    if out is not None and model is None:
+        raise GapError("a case needs a model", expected="realsim log RECORDING --model robot.xml --out case")
+    target = logs.load_target(model) if model is not None else None
+    world = logs.load_world(scene) if scene is not None else None
+    recordings = logs.read(recording, Window(skip, seconds))
+    proposal = logs.propose(recordings, target, use=use, only=only, camera=camera, world=world)
+    text, data = proposal.render(), proposal.as_dict()
+    if out is not None and target is not None:
+        said = logs.write_case(proposal, target, out, overwrite=overwrite, check=gap.load_case)
+        case = gap.load_case(out)
+        said += [*(f"left out: {run}" for run in case.dropped_runs), *case.warnings]
+        runs = f"{len(case.runs)} run{'s' * (len(case.runs) > 1)}"
+        text += "\n".join(["", "", f"case    {out} ({runs})", *(f"note    {s}" for s in said)])
+        data |= {"case": str(out), "notes": said}
+    return CommandResult(text, data)

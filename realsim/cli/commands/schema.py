@@ -1,0 +1,31 @@
+"""`realsim schema`: what a command prints with `--json`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import tyro
+
+from realsim.cli import schemas
+from realsim.cli.commands import CommandResult
+from realsim.core.errors import RealsimError
+from realsim.core.files import to_json
+
+
+def schema(command: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="COMMAND")] = "") -> CommandResult:
+    """Print the JSON Schema of a command's --json output, or list the schemas of all commands.
+
+    Args:
+        command: as in `realsim COMMAND`; all are listed if none is given.
+    """
+    from realsim.cli.command_line import home_of
+
+    if not command:
+        names = {name: schemas.name_of(name, package) for name, package in home_of().items()}
+        found = {name: text for name, text in names.items() if text is not None}
+        return CommandResult("\n".join(found.values()), {"schemas": found})
+    homes = home_of()
+    data = schemas.load(command, homes[command]) if command in homes else None
+    if data is None:
+        raise RealsimError("no such schema", expected=f"one of {', '.join(homes)}", found=command)
+    return CommandResult(to_json(data).rstrip(), {"command": command, "json_schema": data})

@@ -1,0 +1,92 @@
+"""ROS bags and MCAP, message by message, without ROS: for robots' logs and for captures.
+
+A file that ends in the middle, as when the recorder was killed, is read as far as it goes.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from realsim.core.bags.definitions import register
+from realsim.core.errors import GapError, RealsimError, extra
+
+MAX_RECORD = 512 * 2**20
+"""Bytes of one record of an MCAP file, packed or unpacked."""
+
+
+class Types:
+    """Message definitions, as they come with recordings; the common ones of ROS where a recording has none."""
+
+    def __init__(self) -> None:
+        typesys = extra("rosbags.typesys", "logs", "reading ROS messages")
+        self._typesys = typesys
+        self._common = register(typesys.get_typestore(typesys.Stores.LATEST), typesys.get_types_from_msg)
+
+    def decoder(self, name: str, encoding: str, definition: str) -> tuple[Callable[[bytes], Any] | None, str]:
+        """(decoder of messages of a type, or None; why not). `encoding` is ros1msg, ros2msg or ros2idl."""
+        full = name if name.count("/") == 2 else name.replace("/", "/msg/", 1)
+        try:
+            store = self._common
+            if definition.strip():
+                store = self._typesys.get_typestore(self._typesys.Stores.EMPTY)
+                parse = self._typesys.get_types_from_idl if encoding == "ros2idl" else None
+                store.register(parse(definition) if parse else self._typesys.get_types_from_msg(definition, full))
+            elif full not in store.fielddefs:
+                return None, "its definition is not in the recording"
+        except Exception as error:  # a definition of any other dialect; rosbags raises several types
+            return None, f"unknown definition ({type(error).__name__}: {str(error)[:80]})"
+        read = store.deserialize_ros1 if encoding == "ros1msg" else store.deserialize_cdr
+        return lambda data: read(data, full), ""
+
+
+def mcap_files(path: Path) -> list[Path]:
+    """The file, or those of a ROS 2 bag's folder in the order in which they were recorded (bag_2 before bag_10)."""
+    if path.is_dir():
+        found = list(path.glob("*.mcap")) if (path / "metadata.yaml").is_file() else []
+        return sorted(found, key=lambda f: [int(t) if t.isdigit() else t for t in re.split(r"(\d+)", f.name)])
+    return [path] if path.is_file() and path.suffix.lower() == ".mcap" else []
+
+
+def mcap_records(path: Path, notes: list[str], problem: type[RealsimError] = GapError) -> Iterator[Any]:
+    """Schemas, channels and messages in the order of the file; a broken end is noted."""
+    from mcap.exceptions import McapError
+    from mcap.records import Chunk
+    from mcap.stream_reader import StreamReader, breakup_chunk
+
+    seen = False
+    with path.open("rb") as file:
+        reader = StreamReader(file, emit_chunks=True, record_size_limit=MAX_RECORD)
+        try:
+            for record in reader.records:
+                if isinstance(record, Chunk):
+                    if record.uncompressed_size > MAX_RECORD:
+                        raise problem(
+                            "a chunk is too large", file=path, expected=f"at most {MAX_RECORD} bytes",
+                            found=str(record.uncompressed_size),
+                        )  # fmt: skip
+                    try:
+                        parts = breakup_chunk(record)
+                    except Exception as error:  # each compression has its own errors; the next chunk may be whole
+                        notes.append(f"{path.name}: a damaged chunk is left out ({_said(error)})")
+                        continue
+                    seen = True
+                    yield from parts
+                else:
+                    seen = True
+                    yield record
+        # Damage shows as whatever it leads to: a wrong length, a broken chunk, a text that is none.
+        except (McapError, ValueError, LookupError, EOFError, RuntimeError, zlib.error, struct.error, OSError) as error:
+            if not seen:
+                raise problem("not a readable MCAP file", file=path, found=_said(error)) from error
+            notes.append(f"{path.name} is damaged or cut off: read as far as it goes ({_said(error)})")
+        except (MemoryError, OverflowError) as error:
+            raise problem("not a readable MCAP file", file=path, found=_said(error)) from error
+
+
+def _said(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}"[:160]

@@ -1,0 +1,64 @@
+"""Registries: one name, one small file, one line.
+
+An entry is the text `module:attribute`; the module is imported when the entry is first used, so that listing what
+there is costs nothing and a heavy package is loaded only by those who need it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from importlib import import_module
+from typing import Any
+
+from realsim.core.errors import UnknownNameError
+
+
+class Registry(Mapping[str, Any]):
+    """Names to lazily imported objects, in the order in which they were written down.
+
+    Args:
+        kind: what the entries are, for the message about an unknown name.
+        entries: name -> "package.module:attribute".
+    """
+
+    def __init__(self, kind: str, entries: Mapping[str, str]) -> None:
+        self.kind = kind
+        self._entries = dict(entries)
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._entries:
+            raise UnknownNameError(self.kind, name, self._entries)
+        module, _, attribute = self._entries[name].partition(":")
+        return getattr(import_module(module), attribute)
+
+    def joined(self, more: Mapping[str, str]) -> Registry:
+        """This registry with further entries; its own win."""
+        return Registry(self.kind, {**more, **self._entries})
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._entries
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+
+def lazily(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
+    """A package's `__getattr__` (PEP 562): what it offers is imported when it is first used, and kept.
+
+    Args:
+        package: the package's `__name__`.
+        homes: name -> module that has it.
+    """
+
+    def get(name: str) -> Any:
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        value = getattr(import_module(homes[name]), name)
+        setattr(sys.modules[package], name, value)
+        return value
+
+    return get

@@ -1,0 +1,121 @@
+"""Collision geometry for any mesh from anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from realsim.core.contact_limits import shares
+from realsim.core.errors import ExportError
+from realsim.core.files import file_digests, to_json, write_bytes, write_text
+from realsim.core.progress import note
+from realsim.core.types import SceneFiles
+from realsim.export.config import SceneConfig
+from realsim.export.contact.heatmap import heatmap_png
+from realsim.export.ground import DEEP, GroundLevel, ground_level, hidden_cm2
+from realsim.export.mend import read_mesh
+from realsim.export.scene import write_terrain
+
+
+def contact_mesh(
+    mesh: Path,
+    folder: Path,
+    config: SceneConfig,
+    *,
+    unit: str | None = None,
+    up: str = "auto",
+    ground_z: float | None = None,
+) -> SceneFiles:
+    """A mesh file becomes a scene folder with measured collision geometry, contact.json and contact.png.
+
+    The frame is the file's own (z up, metres).
+
+    Args:
+        mesh: .ply, .obj, .stl, .glb or .off.
+        folder: exists, empty.
+        unit: of the file: m, cm, mm or inch; None for metres, up to 50 of them.
+        up: axis that points up: z, y or auto.
+        ground_z: metres; found from the mesh if None.
+
+    Raises:
+        ExportError: the mesh cannot be used, nothing of it rises from the ground, or the scene does not hold.
+    """
+    if ground_z is not None and not isfinite(ground_z):
+        raise ExportError(
+            "the height of the ground is not a number", expected="--ground-z in metres", found=f"{ground_z}"
+        )
+    note(f"reading and mending {mesh.name} ...")
+    terrain, notes = read_mesh(mesh, unit, up)
+    ground = (
+        ground_level(terrain)
+        if ground_z is None
+        else GroundLevel(ground_z, False, f"at z = {ground_z:.3f} m, as given")
+    )
+    top = float(terrain.vertices[:, 2].max())
+    if top < ground.z - DEEP:  # nothing is left that could be measured
+        raise _under_the_ground(mesh, ground, f"its highest point at z = {top:.3f} m")
+    files = write_terrain(folder, terrain, ground.z, config, bare=True)
+    hidden = hidden_cm2(terrain, files.scene_xml, ground)
+    if hidden and set(files.contact["geoms"]) == {"plane"}:
+        raise _under_the_ground(mesh, ground, f"{hidden:.0f} cm2 of its surface below")
+    contact = dict(files.contact) | {"mesh": mesh.name, "ground_z": ground.z, "ground": ground.said}
+    contact |= {"hidden_cm2": hidden, "mended": notes}
+    contact["missing_area_cm2"] = round(contact["missing_area_cm2"] + hidden, 2)
+    contact["verdict"] = contact_verdict(contact, config.contact_tolerance)
+    write_text(folder / "contact.json", to_json(contact | {"files": file_digests(folder)}))
+    if files.contact_map is not None:
+        write_bytes(folder / "contact.png", heatmap_png(files.contact_map))
+    return replace(files, contact=contact)
+
+
+def _under_the_ground(mesh: Path, ground: GroundLevel, found: str) -> ExportError:
+    return ExportError(
+        "no part of the mesh rises above the ground",
+        file=mesh,
+        expected=f"a mesh that reaches above z = {ground.z:.3f} m",
+        found=found,
+        hint="choose another --ground-z, or leave it out",
+    )
+
+
+def contact_verdict(contact: Mapping[str, Any], tolerance: tuple[float, float]) -> dict[str, Any]:
+    """Whether collision geometry can be used, JSON-able: `level` (good, look, bad), `headline`, `reasons`, `next`.
+
+    Bad is what lets a robot fall or walk through, or hides part of the mesh; look is a tolerance that is not met.
+
+    Args:
+        contact: the figures of the measure, and `hidden_cm2`; `drop` and `sides` may be missing.
+        tolerance: metres at the median and at the 95th percentile.
+    """
+    bad, look, todo = [], [], []
+    if contact["leaks"]:
+        bad.append(
+            f"{contact['leaks']} of {contact['leak_objects']} balls thrown onto it fell into what should be solid."
+        )
+        todo.append("try another --contact (hybrid, convex, hfield), or close the holes of the mesh")
+    if contact["hidden_cm2"]:
+        bad.append(f"{contact['hidden_cm2']:.0f} cm2 of the mesh lie below the ground and are not in the scene.")
+        todo.append("leave out --ground-z, or give the height at which the mesh stands")
+    for name, found, most in zip(("median", "p95"), (contact["median_mm"], contact["p95_mm"]), tolerance, strict=True):
+        if not found <= 1000 * most:
+            look.append(f"The contact error is {found:.1f} mm ({name}), above the limit of {1000 * most:g} mm.")
+    if contact["phantom_over_gaps_cm2"]:
+        look.append(f"{contact['phantom_over_gaps_cm2']:.0f} cm2 of contact surface span gaps that a foot fits in.")
+    off = [(name, share, check, reject) for name, share, check, reject in shares(contact) if not share <= check]
+    for name, share, check, reject in off:
+        most, said = (check, look) if share <= reject else (reject, bad)
+        said.append(f"{name}: {share:.1%}, above the limit of {most:.0%}.")
+    if look or off:
+        todo.append("look at contact.png, and try another --contact or a finer --hfield-resolution")
+    level = "bad" if bad else "look" if look else "good"
+    return {"level": level, "headline": HEADLINES[level], "reasons": bad + look, "next": todo}
+
+
+HEADLINES = {
+    "good": "The contact geometry meets every limit.",
+    "look": "The contact geometry misses a limit: check it before use.",
+    "bad": "Do not train or test on this contact geometry.",
+}

@@ -1,0 +1,1 @@
+"""Collision representations; they are listed in `realsim.export.CONTACT`."""

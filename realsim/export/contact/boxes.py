@@ -1,0 +1,20 @@
+"""`boxes`: oriented boxes, and prisms where a box does not fit, under every planar piece of the surface.
+
+Every top face becomes solids with exactly that face: its outline drawn down to the ground, or to the underside where
+there is one. Gaps stay open, edges stay sharp, and what MuJoCo has to collide are boxes and small convex prisms.
+"""
+
+from __future__ import annotations
+
+from realsim.export.config import SceneConfig
+from realsim.export.contact.base import ContactModel
+from realsim.export.contact.prisms import as_contact
+from realsim.export.contact.shape import Shape
+
+
+def boxes(shape: Shape, config: SceneConfig) -> ContactModel:
+    """Planar pieces of the surface as boxes and prisms, on an infinite floor (on prisms too where it has pits)."""
+    whole = shape.fine
+    prisms = [prism for island in shape.planar for prism in island.prisms]
+    statistics = whole.statistics | {"plane_tolerance_m": whole.tolerance}
+    return as_contact("boxes", prisms, whole.floor, statistics)

@@ -1,0 +1,132 @@
+"""Selects the representation: build, measure, and take the cheapest within tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.core.errors import UnknownNameError
+from realsim.core.progress import steps
+from realsim.core.types import TerrainMesh
+from realsim.export.config import SceneConfig
+from realsim.export.contact.base import ContactModel
+from realsim.export.contact.convex import TooManyColumnsError
+from realsim.export.contact.cost import standing_place, step_cost
+from realsim.export.contact.fidelity import OFF, Fidelity, measure
+from realsim.export.contact.probe import Reference, spec_of
+from realsim.export.contact.shape import Shape
+
+# Cheapest first. `convex` takes a minute to build and is better than none of these, `sdf` costs a hundred planes.
+CANDIDATES = ("boxes", "hybrid", "sheets", "hfield")
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A representation with what was measured on it."""
+
+    contact: ContactModel
+    fidelity: Fidelity
+    summary: Mapping[str, Any]
+    """JSON-able: `representation`, errors, areas, leaks, cost, geoms, and what else was considered."""
+    warnings: tuple[str, ...] = ()
+
+
+def fit_contact(
+    mesh: TerrainMesh,
+    ground_z: float,
+    config: SceneConfig,
+    place: NDArray[np.float64] | None = None,
+    *,
+    bare: bool = False,
+) -> Fitted:
+    """Collision geometry of a mesh and how faithful it is; `config.contact` names it, or is `auto`.
+
+    Args:
+        place: (3,) where a robot stands when the cost is measured; the highest level place if None.
+        bare: whether the ground goes on where the mesh has no surface; in a scan, nothing is known there.
+
+    Raises:
+        UnknownNameError: no such representation.
+    """
+    from realsim.export import CONTACT
+
+    if config.contact != "auto" and config.contact not in CONTACT:
+        raise UnknownNameError("collision representation", config.contact, ["auto", *CONTACT])
+    reference = Reference(mesh.vertices, mesh.triangles, mesh.invented)
+    shape = Shape(mesh, ground_z)
+    names = CANDIDATES if config.contact == "auto" else (config.contact,)
+    tried: list[tuple[ContactModel, Fidelity]] = []
+    refused: list[dict[str, Any]] = []
+    with steps() as tick:
+        for name in names:
+            tick(f"building {name}", 0.0)
+            try:
+                contact = CONTACT[name](shape, config)
+            except TooManyColumnsError as error:
+                if config.contact != "auto":
+                    raise
+                refused.append({"representation": name, "refused": error.found})
+                continue
+            measured = partial(tick, f"measuring {name}")
+            fidelity = measure(
+                spec_of(contact), reference, ground_z, probes=config.contact_probes, tick=measured, bare=bare
+            )
+            tried.append((contact, fidelity))
+            if fidelity.meets(*config.contact_tolerance):
+                break
+    contact, fidelity = tried[-1]
+    warnings = contact.warnings
+    if not fidelity.meets(*config.contact_tolerance):
+        contact, fidelity = min(tried, key=lambda t: t[1].shortfall(*config.contact_tolerance))
+        warnings = (*contact.warnings, _unmet(contact, fidelity, config.contact_tolerance, len(names)))
+    if place is None:
+        start, off = fidelity.touches.start, np.nan_to_num(fidelity.touches.error)
+        heights = reference.top(start[:, :2], start[:, 2])
+        place = standing_place(np.column_stack([start[:, :2], heights])[np.isfinite(heights) & (np.abs(off) < 0.01)])
+    cost = step_cost(spec_of(contact), place)
+    weighed = ("median_mm", "p95_mm", "phantom_over_gaps_cm2", "leaks")
+    considered = refused + [
+        {"representation": c.representation} | {k: f.figures[k] for k in weighed} | _shares(f) for c, f in tried
+    ]
+    summary = {"representation": contact.representation} | dict(fidelity.figures) | cost
+    summary |= {"geoms": count_types(contact), "considered": considered} | dict(contact.statistics)
+    return Fitted(contact, fidelity, summary, warnings)
+
+
+def _shares(fidelity: Fidelity) -> dict[str, float | None]:
+    sides = fidelity.figures["sides"]
+    return {"heights_off": round(fidelity.off[0], 4), "sides_stopped": sides["stopped"]}
+
+
+def count_types(contact: ContactModel) -> dict[str, int]:
+    """{geom type: how many}."""
+    counts: dict[str, int] = {}
+    for geom in contact.geoms:
+        counts[geom.type] = counts.get(geom.type, 0) + 1
+    return counts
+
+
+def _unmet(contact: ContactModel, fidelity: Fidelity, tolerance: tuple[float, float], among: int) -> str:
+    f = fidelity.figures
+    least = f", the best of {among} candidates" if among > 1 else ""
+    return (
+        f"collision geometry ({contact.representation}{least}) is off by {f['median_mm']:.1f} mm (median), "
+        f"{f['p95_mm']:.1f} mm (p95), {f['phantom_over_gaps_cm2']:.0f} cm2 phantom over gaps, "
+        f"{f['leaks']} leak{'s' * (f['leaks'] != 1)}, {said_of_shares(fidelity)}; "
+        f"limits: {tolerance[0] * 1000:g} mm median, {tolerance[1] * 1000:g} mm p95, no "
+        f"phantom over gaps, no leak, {OFF:.0%} of heights and of rays"
+    )
+
+
+def said_of_shares(fidelity: Fidelity) -> str:
+    """Shares of heights and of rays from the side that are off, in words."""
+    heights, sides = fidelity.off
+    rays = fidelity.figures["sides"]
+    beside = "too few side faces to measure" if rays["stopped"] is None else f"{sides:.1%} of rays from the side"
+    through = f" ({rays['through']:.1%} through)" if rays["stopped"] is not None else ""
+    return f"{heights:.1%} of heights by more than 2 cm, {beside}{through}"

@@ -1,0 +1,171 @@
+"""Connected objects on the ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.core.types import TerrainMesh
+from realsim.export.contact.base import Geom, floor_around, floor_plane
+from realsim.export.contact.columns import Columns, check_extent, columns
+from realsim.export.contact.undersides import Walls, settle
+
+F64 = NDArray[np.float64]
+CELL = 0.005  # metres, and at least...
+SHARE = 0.25  # ...this share of a reconstruction's resolution, below which there is nothing to find
+PIT = 0.015  # metres below the ground from which a plane will not do as floor
+RIM = 0.03  # metres beside a pit in which its walls come up to the ground
+Window = tuple[slice, slice]
+
+
+@dataclass(frozen=True)
+class Island:
+    """Connected columns of one layer, cut out of the grid."""
+
+    corner: tuple[int, int]
+    """Row and column of its first cell in the grid."""
+    top: F64
+    """(rows, columns) z, NaN outside the island."""
+    under: F64
+    """(rows, columns) z of its underside, the base where it stands on the ground; NaN outside."""
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """A mesh as islands on a floor."""
+
+    grid: Columns
+    islands: tuple[Island, ...]
+    base: float
+    """z down to which islands reach: the ground, or the bottom of the deepest pit."""
+    floor: tuple[Geom, ...]
+    tolerance: float
+    """Metres by which the surface is uncertain, 3 to 7 mm."""
+    narrowest: int
+    """Cells: what is narrower is what the mesh makes of an edge, not a face of its own."""
+    unseen_undersides: tuple[float, float]
+    """m^2 of undersides that no camera saw: of those that follow the lower ends of side faces, and of those left as
+    the mesh has them."""
+
+    @property
+    def statistics(self) -> dict[str, float]:
+        """For the report: the grid, and what of the undersides is not measured."""
+        follow, kept = self.unseen_undersides
+        return {
+            "cell_m": self.grid.cell,
+            "unseen_undersides_at_side_faces_cm2": round(follow * 1e4, 1),
+            "unseen_undersides_as_filled_cm2": round(kept * 1e4, 1),
+        }
+
+
+def terrain(mesh: TerrainMesh, ground_z: float, cell: float = CELL) -> Terrain:
+    """Everything that rises from the ground; about pits in the ground, the ground itself is an island too."""
+    check_extent(mesh)
+    if mesh.noise_m is not None:  # not a mesh made by hand, whose long edges are exact
+        cell = max(cell, SHARE * mesh.resolution)
+    grid = columns(mesh, ground_z, cell)
+    tolerance = float(np.clip(2 * (mesh.noise_m or 0.0), 0.003, 0.007))
+    floor: tuple[Geom, ...] = (floor_plane(ground_z),)
+    base = ground_z
+    pits = _pits(grid, ground_z)
+    dug = np.zeros(pits.shape, bool)
+    if pits.any():
+        base = float(grid.lowest[pits].min()) - PIT
+        holes = _holes(pits, round(RIM / cell))
+        for hole in holes:
+            dug[hole] = True
+        floor = floor_around(np.array([_bounds(grid, hole) for hole in holes]), ground_z)
+    level = np.where(dug, base, ground_z)
+    narrowest = max(3, 2 * int(np.ceil(mesh.resolution / cell)) - 1)
+    walls = Walls(mesh)
+    found: list[Island] = []
+    areas = np.zeros(2)
+    for layer in range(len(grid.top)):
+        for island, unseen in _layer(grid, layer, base, level, tolerance):
+            under, inferred = settle(grid, island.corner, island.top, island.under, unseen, base, narrowest, walls)
+            found.append(Island(island.corner, island.top, under))
+            areas += inferred
+    guessed = (float(areas[0]), float(areas[1]))
+    return Terrain(grid, tuple(found), base, floor, tolerance, narrowest, guessed)
+
+
+def _pits(grid: Columns, ground_z: float) -> NDArray[np.bool_]:
+    """(rows, columns) what lies clearly below the ground, in pieces of which at least 100 cm^2 were measured, and not
+    in threads: a few stray cells at the rim of a scan are no pit, nor is the bottom that a mesh was closed with."""
+    from scipy import ndimage
+
+    low = np.isfinite(grid.lowest) & (grid.lowest < ground_z - PIT)
+    pieces, count = ndimage.label(ndimage.binary_opening(low, np.ones((5, 5))))
+    sizes = np.bincount(pieces.ravel(), grid.lowest_seen.ravel(), minlength=count + 1) * grid.cell**2
+    sizes[0] = 0
+    return (sizes > 0.01)[pieces]
+
+
+def _holes(pits: NDArray[np.bool_], rim: int) -> list[Window]:
+    """Windows of the grid that hold all pits, `rim` cells wider than they, and apart from each other."""
+    from scipy import ndimage
+
+    rows, columns = pits.shape
+    pieces, _ = ndimage.label(pits)
+    found: list[Window] = [
+        (
+            slice(max(r.start - rim, 0), min(r.stop + rim, rows)),
+            slice(max(c.start - rim, 0), min(c.stop + rim, columns)),
+        )
+        for r, c in ndimage.find_objects(pieces)
+    ]
+    while True:
+        covered = np.zeros(pits.shape, bool)
+        for window in found:
+            covered[window] = True
+        merged: list[Window] = ndimage.find_objects(ndimage.label(covered, np.ones((3, 3)))[0])
+        if len(merged) == len(found):
+            return found
+        found = merged
+
+
+def _bounds(grid: Columns, window: Window) -> F64:
+    """(2, 2) lower and upper x y of a window of the grid, metres."""
+    rows, cols = window
+    return grid.lower + grid.cell * (np.array([[cols.start, rows.start], [cols.stop, rows.stop]]) - 0.5)
+
+
+def _layer(
+    grid: Columns, layer: int, base: float, level: F64, tolerance: float
+) -> list[tuple[Island, NDArray[np.bool_]]]:
+    """[(island, cells whose underside no camera saw)] of one layer; `level` (rows, columns) is the z of the floor below
+    each cell, `base` in holes for pits and the ground elsewhere."""
+    from scipy import ndimage
+
+    top, bottom, seen = grid.top[layer], grid.bottom[layer], grid.bottom_seen[layer]
+    solid = np.isfinite(top) & (top > level + 1.5 * tolerance)
+    islands, _ = ndimage.label(solid, np.ones((3, 3)))
+    rim = _rim(grid)
+    out = []
+    for k, place in enumerate(ndimage.find_objects(islands), start=1):
+        inside = islands[place] == k
+        z = np.where(inside, top[place], np.nan)
+        size = float(inside.sum()) * grid.cell**2
+        if is_speck(float(np.nanmax(z - level[place])), size, bool((inside & rim[place]).any())):
+            continue
+        under = np.where(inside, np.where(bottom[place] > level[place], bottom[place], base), np.nan)
+        out.append((Island((place[0].start, place[1].start), z, under), inside & ~seen[place]))
+    return out
+
+
+def _rim(grid: Columns) -> NDArray[np.bool_]:
+    """(rows, columns) what lies at most two cells from where the mesh ends."""
+    from scipy import ndimage
+
+    beyond = np.pad(~np.isfinite(grid.top[0]), 1, constant_values=True)
+    return ndimage.binary_dilation(beyond, np.ones((5, 5)))[1:-1, 1:-1]
+
+
+def is_speck(height: float, area: float, at_rim: bool = False) -> bool:
+    """Whether a piece of surface is noise on the floor: lower than 1 cm, below 2.5 cm and smaller than half a foot,
+    or (where a scan ends, in the shadow of things) below 4 cm and smaller than a foot."""
+    if height < 0.01 or area < 3e-4:
+        return True
+    return (height < 0.04 and area < 1.2e-2) if at_rim else (height < 0.025 and area < 6e-3)

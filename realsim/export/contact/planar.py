@@ -1,0 +1,139 @@
+"""An island as prisms: a solid under every planar piece of its top."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.export.contact.islands import Island, Terrain, is_speck
+from realsim.export.contact.outline import convex_parts, outlines
+from realsim.export.contact.planes import SMALLEST, from_corner, heights, misfit, segment, spread
+from realsim.export.contact.prisms import Prism
+
+F64 = NDArray[np.float64]
+DEPTH = 0.05  # metres that solids reach into the ground
+THINNEST = 0.003  # metres
+LOST = 0.02  # metres that a ledge lies off the plane beside it
+EDGE = 1.0  # cells by which outlines are simplified
+BULGE = 1.5  # cells by which convex parts may bulge over them
+
+
+@dataclass(frozen=True)
+class PlanarIsland:
+    """An island described by planes."""
+
+    prisms: tuple[Prism, ...]
+    misfit: float
+    """95th percentile of the distance between the island's top and its planes, metres; rounded edges do not count."""
+
+
+def planar(whole: Terrain, island: Island) -> PlanarIsland:
+    """The prisms under every planar piece of an island's top, and how well planes describe it."""
+    from scipy import ndimage
+
+    z, under, base, cell = island.top, island.under, whole.base, whole.grid.cell
+    inside = np.isfinite(z)
+    tops, top_planes = segment(z, cell, whole.tolerance, whole.narrowest)
+    raised = inside & (under > base)
+    bottoms, bottom_planes = segment(np.where(raised, under, np.nan), cell, whole.tolerance, whole.narrowest)
+    # Plane 0 of the undersides is the ground.
+    bottoms = np.where(raised, np.where(bottoms >= 0, bottoms + 1, -1), np.where(inside, 0, -1))
+    bottom_planes = np.concatenate([[[0.0, 0.0, base]], bottom_planes])
+    if not len(top_planes):
+        return PlanarIsland((), 0.0)
+    top_cost, bottom_cost = misfit(z, top_planes), misfit(under, bottom_planes)
+    # What is farther from the rim than an edge is wide is no edge: it stays, however badly the planes suit it.
+    depth = ndimage.distance_transform_cdt(np.pad(inside, 1), "chessboard")[1:-1, 1:-1]
+    tops = spread(tops, inside, top_cost, np.where(depth <= whole.narrowest, np.abs(z - base), np.inf))
+    tops, top_planes = _with_ledges(z, tops, top_planes, top_cost(tops))
+    top_cost = misfit(z, top_planes)
+    inside &= tops >= 0
+    bottoms = spread(np.where(inside, bottoms, -1), inside, bottom_cost)
+    pairs = np.where(inside & (bottoms >= 0), tops * len(bottom_planes) + bottoms, -1)
+    pairs = _without_crumbs(pairs, len(bottom_planes), top_cost, bottom_cost)
+    inner = ndimage.binary_erosion(inside, iterations=whole.narrowest // 2)
+    inner = inner if inner.any() else inside
+    out: list[Prism] = []
+    off = np.zeros(0)
+    places = ndimage.find_objects(pairs + 1)
+    for pair in np.unique(pairs[pairs >= 0]):
+        t, b = divmod(int(pair), len(bottom_planes))
+        place = places[pair]
+        here, height = pairs[place] == pair, z[place]
+        if is_speck(float(height[here].max()) - base, float(here.sum()) * cell**2):
+            continue
+        rise = min(float(np.hypot(*top_planes[t][:2])) / 2, THINNEST)  # from a cell's centre to the region's edge
+        limits = float(height[here].max()) + rise, float(under[place][here].min()) - rise
+        corner = np.array([place[0].start, place[1].start])
+        for part in convex_parts(outlines(here, EDGE), BULGE):
+            part = corner + part
+            out.append(_prism(whole, island, part, top_planes[t], None if b == 0 else bottom_planes[b], limits))
+        steep = np.hypot(1, np.hypot(*top_planes[t][:2]) / cell)
+        local = heights(from_corner(top_planes[t], place), here.shape)
+        off = np.append(off, np.abs(height - local)[here & inner[place]] / steep)
+    return PlanarIsland(tuple(out), float(np.percentile(off, 95)) if len(off) else 0.0)
+
+
+def _with_ledges(z: F64, labels: NDArray[np.int64], planes: F64, off: F64) -> tuple[NDArray[np.int64], F64]:
+    """(labels, planes) with level planes for ledges that were too narrow to make one and would be lifted or sunk, by
+    `off` metres, to the plane beside them. On a ledge, most neighbours are as high; on a wall, few."""
+    from scipy import ndimage
+
+    height, reach = np.pad(z, 1, constant_values=np.nan), range(3)
+    rows, columns = z.shape
+    around = [height[r : r + rows, c : c + columns] for r in reach for c in reach]
+    level = sum((np.abs(other - z) < LOST / 2).astype(int) for other in around) > 5  # the cell itself is one
+    pieces, _ = ndimage.label((labels >= 0) & level & (off > LOST))
+    labels, out = labels.copy(), list(planes)
+    for k, place in enumerate(ndimage.find_objects(pieces), start=1):
+        here = pieces[place] == k
+        if here.sum() >= SMALLEST and np.ptp(z[place][here]) < 2 * LOST:
+            labels[place][here] = len(out)
+            out.append(np.array([0.0, 0.0, float(np.median(z[place][here]))]))
+    return labels, np.array(out).reshape(-1, 3)
+
+
+def _without_crumbs(
+    pairs: NDArray[np.int64], width: int, top_cost: Callable[..., F64], bottom_cost: Callable[..., F64]
+) -> NDArray[np.int64]:
+    """Pieces of fewer than SMALLEST cells go to the neighbour that suits them best."""
+    from scipy import ndimage
+
+    labels = pairs.copy()
+    for name, place in enumerate(ndimage.find_objects(pairs + 1)):
+        if place is None:
+            continue
+        pieces, count = ndimage.label(pairs[place] == name)
+        sizes = np.bincount(pieces.ravel(), minlength=count + 1)
+        sizes[0] = SMALLEST
+        labels[place][(sizes < SMALLEST)[pieces]] = -1
+
+    def cost(pair: NDArray[np.int64]) -> F64:
+        top, bottom = np.divmod(np.maximum(pair, 0), width)
+        return np.nan_to_num(top_cost(top)) + np.nan_to_num(bottom_cost(bottom))
+
+    return spread(labels, pairs >= 0, cost)
+
+
+def _prism(
+    whole: Terrain, island: Island, part: F64, top: F64, bottom: F64 | None, limits: tuple[float, float]
+) -> Prism:
+    """From (row, column) within an island to metres; turned counter-clockwise in x y.
+
+    `limits` are the highest top and the lowest underside of the region: where its outline leaves its cells by a few
+    millimetres, a steep plane would stand out as a spike.
+    """
+    row, column = part[:, 0], part[:, 1]
+    z_top = top[0] * column + top[1] * row + top[2]
+    z_bottom = (
+        np.full(len(part), whole.base - DEPTH) if bottom is None else bottom[0] * column + bottom[1] * row + bottom[2]
+    )
+    z_top = np.minimum(z_top, limits[0])
+    if bottom is not None:
+        z_bottom = np.maximum(z_bottom, limits[1])
+    z_bottom = np.minimum(z_bottom, z_top - THINNEST)
+    xy = whole.grid.xy(row + island.corner[0], column + island.corner[1])
+    return Prism(xy[::-1], z_top[::-1], z_bottom[::-1])

@@ -1,0 +1,43 @@
+"""Closed solids of what stands on the ground, from columns: for representations that need an inside."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.export.contact.islands import Island, Terrain
+
+F64 = NDArray[np.float64]
+DEPTH = 0.02  # metres that solids reach into the ground
+
+
+def island_solid(whole: Terrain, island: Island) -> tuple[F64, NDArray[np.int32]]:
+    """((V, 3) metres, (K, 3)) closed surface of an island: marching cubes over the distance to its top and underside.
+
+    The field is linear in z, so that level and sloping faces come out where they are; vertical faces come out between
+    the cells, and undersides that reach the ground end DEPTH below it.
+    """
+    from skimage.measure import marching_cubes
+
+    cell = whole.grid.cell
+    top = np.pad(island.top, 2, constant_values=np.nan)
+    under = np.pad(island.under, 2, constant_values=np.nan)
+    under = np.where(under <= whole.base, whole.base - DEPTH, under)
+    # Off the faces by an odd part of a cell: nodes exactly on a face make triangles without area.
+    lowest, highest = np.nanmin(under) - 2.37 * cell, np.nanmax(top) + 2 * cell
+    z = np.arange(lowest, highest + cell, cell)
+    field = np.minimum(top[..., None] - z, z - under[..., None])
+    # Beside the island the field is as far outside as half a cell: walls come out half way between cells.
+    field = np.clip(np.where(np.isfinite(field), field, -cell / 2), -cell / 2, cell / 2)
+    vertices, faces, _, _ = marching_cubes(field, 0.0)
+    xy = whole.grid.xy(vertices[:, 0] - 2 + island.corner[0], vertices[:, 1] - 2 + island.corner[1])
+    points = np.column_stack([xy, lowest + cell * vertices[:, 2]])
+    # Grid axes (y, x, z) are left-handed: what faced out faces out again when the order is kept or turned to suit.
+    if _volume(points, faces) < 0:
+        faces = faces[:, ::-1]
+    return points, np.ascontiguousarray(faces, np.int32)
+
+
+def _volume(vertices: F64, faces: NDArray) -> float:
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)

@@ -1,0 +1,61 @@
+"""Height map: npz with metres, and a 16-bit PNG with the numbers that turn it back into metres."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from realsim.core.errors import ExportError
+from realsim.core.files import to_json, write_bytes, write_text
+from realsim.export.formats.scene import SceneOnDisk
+from realsim.export.heights import height_grid
+
+RESOLUTION = 0.02  # metres between nodes
+UNSEEN = 65535  # PNG value where nothing was seen
+
+
+def heightmap(scene: SceneOnDisk, folder: Path) -> list[Path]:
+    """heightmap.npz (`z` (rows, columns) metres float32, NaN unseen; `lower` x y of node [0, 0]; `spacing` along x
+    and y), heightmap.png (first row at the highest y, as images are looked at) and heightmap.json."""
+    grid = height_grid(scene.vertices, scene.triangles, RESOLUTION)
+    lowest, highest = float(np.nanmin(grid.z)), float(np.nanmax(grid.z))
+    step = max((highest - lowest) / (UNSEEN - 1), 1e-9)
+    image = np.where(np.isnan(grid.z), UNSEEN, np.rint((np.nan_to_num(grid.z) - lowest) / step)).astype(np.uint16)
+    arrays: dict[str, np.ndarray] = {"z": grid.z.astype(np.float32), "lower": grid.lower, "spacing": grid.spacing}
+    write_bytes(folder / "heightmap.npz", npz_bytes(arrays))
+    write_bytes(folder / "heightmap.png", _png(image[::-1]))
+    metadata = {
+        "metres": "z = offset + step * value",
+        "offset_m": lowest,
+        "step_m": step,
+        "unseen": UNSEEN,
+        "spacing_m": grid.spacing,
+        "x_of_first_column": grid.lower[0],
+        "y_of_last_row": grid.lower[1],
+        "first_row": "highest y",
+    }
+    write_text(folder / "heightmap.json", to_json(metadata))
+    return [folder / f"heightmap.{end}" for end in ("npz", "png", "json")]
+
+
+def npz_bytes(arrays: dict[str, np.ndarray]) -> bytes:
+    """The bytes of numpy.savez without a time stamp."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, array in arrays.items():
+            buffer = io.BytesIO()
+            np.lib.format.write_array(buffer, np.ascontiguousarray(array), allow_pickle=False)
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0)), buffer.getvalue())
+    return out.getvalue()
+
+
+def _png(image: np.ndarray) -> bytes:
+    import cv2
+
+    ok, data = cv2.imencode(".png", np.ascontiguousarray(image))
+    if not ok:
+        raise ExportError("the height map could not be encoded", found=f"{image.shape[1]} x {image.shape[0]} pixels")
+    return data.tobytes()

@@ -1,0 +1,60 @@
+"""The scanned surface alone: GLB, OBJ, STL, PLY."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from realsim.core.files import write_bytes, write_text
+from realsim.export.formats.scene import SceneOnDisk
+from realsim.export.glb import glb_bytes
+from realsim.export.ply import ply_bytes
+from realsim.export.visual import bake, obj_bytes, vertex_normals
+
+
+def glb(scene: SceneOnDisk, folder: Path) -> list[Path]:
+    """glTF 2.0 binary with vertex colours; y up as glTF has it, by the node's rotation."""
+    normals = vertex_normals(scene.vertices, scene.triangles)
+    path = folder / "terrain.glb"
+    write_bytes(path, glb_bytes(scene.vertices, scene.triangles, normals, scene.colors))
+    return [path]
+
+
+def obj(scene: SceneOnDisk, folder: Path) -> list[Path]:
+    """Wavefront OBJ, z up, with a material and a texture where the scan has colour."""
+    normals = vertex_normals(scene.vertices, scene.triangles)
+    path = folder / "terrain.obj"
+    if scene.colors is None:
+        write_bytes(path, obj_bytes(scene.vertices, scene.triangles, normals))
+        return [path]
+    image, uv = bake(scene.vertices, scene.triangles, scene.colors)
+    head = b"mtllib terrain.mtl\nusemtl scan\n"
+    write_bytes(path, head + obj_bytes(scene.vertices, scene.triangles, normals, uv))
+    write_text(folder / "terrain.mtl", "newmtl scan\nKd 1 1 1\nmap_Kd terrain.png\n")
+    write_bytes(folder / "terrain.png", image)
+    return [path, folder / "terrain.mtl", folder / "terrain.png"]
+
+
+def stl(scene: SceneOnDisk, folder: Path) -> list[Path]:
+    """Binary STL, metres, z up; the format has no colour."""
+    path = folder / "terrain.stl"
+    write_bytes(path, stl_bytes(scene.vertices, scene.triangles))
+    return [path]
+
+
+def ply(scene: SceneOnDisk, folder: Path) -> list[Path]:
+    """Binary PLY with vertex colours, z up."""
+    path = folder / "terrain.ply"
+    write_bytes(path, ply_bytes(scene.vertices, scene.triangles, scene.colors))
+    return [path]
+
+
+def stl_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:
+    """(V, 3) and (K, 3) as binary STL."""
+    corners = vertices[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-20)
+    rows = np.zeros(len(triangles), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    rows["normal"], rows["corners"] = normal, corners
+    return b"realsim, metres, z up".ljust(80, b"\0") + np.uint32(len(triangles)).tobytes() + rows.tobytes()

@@ -1,0 +1,191 @@
+"""Any mesh made fit for collision: read, checked and repaired, with a list of the repairs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.core.errors import ExportError
+from realsim.core.files import check_size
+from realsim.core.meshes import compact, lonely_vertex, loose_vertices
+from realsim.core.types import MeshQuality, TerrainMesh
+from realsim.export.contact.columns import check_extent, crossings
+from realsim.export.unite import united
+from realsim.export.winding import turn_closed, turn_stray
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
+UP = ("auto", "z", "y")
+FORMATS = (".ply", ".obj", ".stl", ".glb", ".off")
+MAX_TRIANGLES = 5_000_000
+RAYS = 96  # a side of the grid of rays that look at a mesh from above
+VAST = 50.0  # metres: larger than what a robot is taken across, so that the unit has to be given
+F64 = NDArray[np.float64]
+
+
+def read_mesh(path: Path, unit: str | None = None, up: str = "auto") -> tuple[TerrainMesh, list[str]]:
+    """A mesh file as a terrain, z up, metres, with notes on what was assumed and mended.
+
+    Args:
+        path: one of FORMATS.
+        unit: of the file's numbers, one of UNITS; None for metres that nobody has vouched for: a mesh that is VAST in
+            them is refused, because it will be in millimetres.
+        up: axis that points up, `z`, `y`, or `auto` (y for GLB, as glTF has it, else z).
+
+    Raises:
+        ExportError: not such a file, nothing usable in it, or of a size that no terrain has.
+    """
+    import trimesh
+
+    if unit is not None and unit not in UNITS:
+        raise ExportError(f"unknown unit {unit!r}", expected=f"one of {', '.join(UNITS)}")
+    if up not in UP:
+        raise ExportError(f"unknown axis {up!r}", expected=f"one of {', '.join(UP)}")
+    if path.suffix.lower() not in FORMATS:
+        raise ExportError("not a mesh file", file=path, expected=f"one of {' '.join(FORMATS)}", found=path.suffix)
+    check_size(path)
+    try:
+        mesh: Any = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+        vertices, triangles = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
+    except Exception as error:  # readers of broken files raise whatever comes up
+        found = f"a file that is cut off or damaged ({type(error).__name__}: {error})"
+        raise ExportError("the mesh cannot be read", file=path, found=found) from error
+    if path.suffix.lower() == ".stl" and not len(triangles):
+        raise ExportError("the mesh cannot be read", file=path, found="no triangle: cut off, or no STL")
+    loose = loose_vertices(path, len(vertices), triangles)
+    notes = [note for note in (loose, lonely_vertex(vertices)) if note]
+    if up == "y" or (up == "auto" and path.suffix.lower() == ".glb"):
+        vertices = np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
+        notes.append("y of the file points up")
+    _check_unit(path, vertices, unit)
+    try:
+        terrain, mended = mend(vertices * UNITS[unit or "m"], triangles)
+    except ExportError as error:
+        raise ExportError(
+            error.message, file=path, expected=error.expected, found=error.found, hint=error.hint
+        ) from error
+    return terrain, notes + mended
+
+
+def _check_unit(path: Path, vertices: F64, unit: str | None) -> None:
+    """Refuse what is of no terrain's size in its unit, and say in which it would be."""
+    finite = vertices[np.isfinite(vertices).all(1)]
+    numbers = float(np.ptp(finite, 0).max()) if len(finite) else 0.0
+    size, most = numbers * UNITS[unit or "m"], 200.0 if unit else VAST
+    if numbers == 0 or 0.02 <= size <= most:
+        return
+    others = {name: numbers * scale for name, scale in UNITS.items() if name != (unit or "m")}
+    fits = [f"--unit {name} makes it {across:.3g} m" for name, across in others.items() if 0.02 <= across <= VAST]
+    if unit is None and VAST < size <= 200:
+        fits.append("--unit m if it is that large")
+    raise ExportError(
+        "the mesh is not of a terrain's size",
+        file=path,
+        expected=f"0.02 to {most:g} metres across",
+        found=f"{size:.4g} metres, if its unit is {unit or 'm'}",
+        hint="; ".join(fits) or "scale the mesh, or remove triangles far from the rest",
+    )
+
+
+def mend(vertices: F64, triangles: NDArray[Any]) -> tuple[TerrainMesh, list[str]]:
+    """Take out what cannot be used, turn inside-out meshes round, and look at the rest.
+
+    Args:
+        vertices: (V, 3) metres, z up. triangles: (K, 3).
+
+    Returns:
+        The mesh, and one sentence for everything that was changed or that limits what can be known.
+    """
+    notes = []
+    if not len(triangles):
+        raise ExportError("the mesh has no triangles", hint="a point cloud has to be meshed first")
+    if len(triangles) > MAX_TRIANGLES:
+        raise ExportError("too many triangles", expected=f"at most {MAX_TRIANGLES}", found=str(len(triangles)))
+    sound: NDArray[np.bool_] = np.asarray(((triangles >= 0) & (triangles < len(vertices))).all(1))
+    sound[sound] &= np.isfinite(vertices[triangles[sound]]).all((1, 2))
+    if not sound.all():
+        notes.append(f"{(~sound).sum()} triangles with missing or non-finite corners were removed")
+    triangles = triangles[sound]
+    if not len(triangles):
+        raise ExportError("the mesh has no usable triangles", found="missing or non-finite corners")
+    corners = vertices[triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    size = float(np.ptp(corners.reshape(-1, 3), 0).max())
+    flat = area < 1e-12 * max(size, 1e-12) ** 2
+    if flat.any():
+        notes.append(f"{flat.sum()} triangles without area were removed")
+    if flat.all():
+        raise ExportError("the mesh has no usable triangles", found=f"{len(flat)} triangles, all without area")
+    vertices, faces = compact(vertices, triangles[~flat].astype(np.int32))
+    faces, turned = turn_stray(vertices, faces)
+    if turned:
+        notes.append(f"{turned} triangles that faced the other way than their neighbours were flipped")
+    quality = _quality(vertices, faces, int(flat.sum()))
+    terrain = TerrainMesh(vertices, faces, None, np.zeros(len(faces), bool), quality, "file", 0.0)
+    check_extent(terrain)
+    inside_out, _ = _from_above(terrain)
+    if inside_out:
+        faces = np.ascontiguousarray(faces[:, ::-1])
+        terrain = TerrainMesh(vertices, faces, None, terrain.invented, quality, "file", 0.0)
+        notes.append("the mesh was inside out and has been flipped")
+    faces, turned = turn_closed(vertices, faces)
+    if turned:
+        terrain = TerrainMesh(vertices, faces, None, terrain.invented, quality, "file", 0.0)
+        notes.append(f"{turned} closed pieces were inside out and have been flipped")
+    if _from_above(terrain)[1]:
+        vertices, faces, count = united(vertices, faces)
+        vertices, faces = compact(vertices, faces)
+        quality = _quality(vertices, faces, int(flat.sum()))
+        terrain = TerrainMesh(vertices, faces, None, np.zeros(len(faces), bool), quality, "file", 0.0)
+        made = f": {count} closed pieces were made one" if count else ""
+        crossing = "solids of the mesh overlap or its surface crosses itself"
+        notes.append(f"{crossing}{made or ': whatever lies in any of them is solid'}")
+    if not quality.manifold:
+        notes.append("the mesh is not manifold: solids are taken from columns of rays, which need no manifold")
+    if _open(vertices, faces):
+        notes.append("the mesh is open: a surface without an underside is taken to be solid down to the ground")
+    return terrain, notes
+
+
+def _from_above(mesh: TerrainMesh) -> tuple[bool, bool]:
+    """(whether most of what is seen from above faces down, whether solids overlap), by a grid of rays.
+
+    Raises:
+        ExportError: nothing is seen from above.
+    """
+    lower, upper = mesh.vertices.min(0), mesh.vertices.max(0)
+    steps = (np.arange(RAYS) + 0.5) / RAYS
+    x, y = np.meshgrid(*(lower[k] + steps * (upper[k] - lower[k]) for k in (0, 1)))
+    ray, z, up, _ = crossings(mesh, x.ravel(), y.ravel(), float(upper[2]) + 1)
+    if not len(ray):
+        raise ExportError("the mesh has no surface to stand on", found="no surface that is seen from above")
+    first = np.r_[True, np.diff(ray) != 0]
+    inside_out = bool(up[first].mean() < 0.5)
+    # Two ways in, one after the other, and a while until the next crossing: the ray is in two solids at once. (Where a
+    # box stands on a floor, one ends where the other begins.)
+    into = up != inside_out
+    twice = into[:-2] & into[1:-1] & (ray[:-2] == ray[1:-1]) & (ray[1:-1] == ray[2:]) & (z[1:-1] - z[2:] > 1e-3)
+    return inside_out, bool(twice.sum() > 0.002 * first.sum())
+
+
+def _quality(vertices: F64, triangles: NDArray[np.int32], degenerate: int) -> MeshQuality:
+    """Counts of edges tell open and non-manifold; self-intersections are left uncounted (-1), rays do not mind them."""
+    uses = _edge_uses(vertices, triangles)
+    return MeshQuality(
+        len(vertices), len(triangles), bool((uses == 2).all()), bool((uses <= 2).all()), -1, degenerate, 1, None
+    )
+
+
+def _open(vertices: F64, triangles: NDArray[np.int32]) -> bool:
+    """Whether there is a rim. Where solids touch, edges belong to four triangles, and none is missing."""
+    return bool((_edge_uses(vertices, triangles) % 2).any())
+
+
+def _edge_uses(vertices: F64, triangles: NDArray[np.int32]) -> NDArray[np.int64]:
+    """How many triangles each edge belongs to; vertices at one place are one."""
+    _, merged = np.unique(np.round(vertices, 7), axis=0, return_inverse=True)
+    faces = merged.reshape(-1)[triangles]
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    return np.unique(edges, axis=0, return_counts=True)[1]

@@ -1,1 +1,0 @@
-"""Collision representations; they are listed in `realsim.exports.CONTACT`."""

@@ -1,0 +1,366 @@
+"""Read and validate a robot log and its nominal model."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from realsim.core.errors import GapError, RealsimError, did_you_mean
+from realsim.core.files import inside, read_json, read_text
+from realsim.core.models import not_compiled, odd_number
+from realsim.core.notebook import table, traces
+from realsim.gap.case.recordings import read_recordings
+from realsim.gap.case.resolve import resolve
+from realsim.gap.case.runs import Layout, layout, read_run
+from realsim.gap.case.runs import Run as Run
+
+MAX_INCLUDES = 8
+"""Files of a model that include each other in a row."""
+
+KEYS = (
+    "joint_names", "actuator_names", "command_kind", "command_hold", "base", "torque_kind", "imu_site",
+    "contact_bodies", "notes", "columns", "units", "runs", "depth_camera",
+)  # fmt: skip
+"""What log.json may say."""
+
+LEAST_TIMESTEP = 1e-5
+"""Seconds: below, a log of seconds takes more memory than there is."""
+MOST_GEOMS = 5000
+"""Every candidate cause compiles and steps the model: beyond, a search would not end."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A log and the simulator that the user believes in."""
+
+    folder: Path
+    joint_names: tuple[str, ...]
+    actuator_names: tuple[str, ...]
+    command_kind: str
+    base: str
+    torque_kind: str
+    imu_site: str | None
+    contact_bodies: tuple[str, ...]
+    notes: str
+    xml: str
+    """Text of model.xml."""
+    spec: Any = field(repr=False)
+    """mujoco.MjSpec of model.xml, resolved (realsim.gap.case.resolve); never edited, always copied."""
+    model: Any = field(repr=False)
+    """The compiled nominal mujoco.MjModel."""
+    runs: tuple[Run, ...] = field(repr=False)
+    warnings: tuple[str, ...] = ()
+    dropped_runs: tuple[str, ...] = ()
+    added: tuple[str, ...] = ()
+    """Runs that were recorded afterwards, to tell causes apart: they are always fitted."""
+
+    def __repr__(self) -> str:
+        runs = f"{len(self.runs)} runs, {sum(run.duration for run in self.runs):.1f} s"
+        return f"Case({str(self.folder)!r}, {len(self.joint_names)} joints, {self.base} base, {runs})"
+
+    def _repr_html_(self) -> str:
+        first = self.runs[0]
+        angles = np.asarray(first.signals["joint_pos"], float)
+        rows = [
+            ("case", str(self.folder)),
+            ("robot", f"{self.base} base, joints {', '.join(self.joint_names)}"),
+            ("runs", f"{len(self.runs)}, {sum(run.duration for run in self.runs):.1f} s"),
+            ("signals", ", ".join(first.signals)),
+            *(("note", warning) for warning in self.warnings),
+            ("drawn", f"joint_pos of {first.name}, {np.nanmin(angles):.2g} to {np.nanmax(angles):.2g} rad or m"),
+        ]
+        return f"<div>{table(rows)}{traces(angles)}</div>"
+
+    @property
+    def floating(self) -> bool:
+        return self.base == "floating"
+
+    @property
+    def has_imu(self) -> bool:
+        """Whether a gyroscope or an accelerometer is logged and has its place in the model."""
+        return self.imu_site is not None and (self.has("imu_gyro") or self.has("imu_acc"))
+
+    def has(self, signal: str) -> bool:
+        """Whether every run logged this signal with at least some finite samples."""
+        return all(signal in r.signals and np.isfinite(r.signals[signal]).any() for r in self.runs)
+
+    def with_runs(self, runs: tuple[Run, ...], *warnings: str) -> Case:
+        """The same case with other runs and more notes."""
+        return replace(self, runs=runs, warnings=self.warnings + tuple(warnings))
+
+    def actuator_of(self, joint: str) -> str | None:
+        """Name of the actuator that drives this joint, or None."""
+        return self._actuators.get(joint)
+
+    def gear(self, joint: str) -> float:
+        """N m at the joint for 1 N m of its actuator, and the actuator's command for 1 rad; 1 without an actuator.
+
+        Figures of the diagnosis are the joint's; gains, force ranges and commands of a model are the actuator's.
+        """
+        name = self.actuator_of(joint)
+        return 1.0 if name is None else float(self.model.actuator(name).gear[0])
+
+    def command_torque(self, joint: str) -> float:
+        """N m that its servo adds at once to the joint's torque for a unit of command; 0 without an actuator."""
+        name = self.actuator_of(joint)
+        return 0.0 if name is None else self.gear(joint) * float(self.model.actuator(name).gainprm[0])
+
+    @cached_property
+    def _actuators(self) -> dict[str, str]:
+        import mujoco
+
+        found = {}
+        for name in self.actuator_names:
+            i = self.model.actuator(name).id
+            if self.model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT:
+                found[self.model.joint(self.model.actuator_trnid[i, 0]).name] = name
+        return found
+
+
+def load_case(folder: Path, recordings: Sequence[Path] = ()) -> Case:
+    """Read a case folder of the contract (log.json, model.xml, runs/*.npz or *.csv).
+
+    Args:
+        recordings: further runs, in files like those of runs/, or folders of `realsim excite` with what was recorded.
+            What is known to differ from model.xml in them stands in experiment.json beside them.
+
+    Raises:
+        GapError: with the file, what was expected and what was found; names are matched to the closest ones.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise GapError(
+            "no such case", file=folder, expected="a folder with log.json, model.xml and runs/ with .npz or .csv"
+        )
+    for name in ("log.json", "model.xml"):
+        if not (folder / name).is_file():
+            raise GapError(
+                f"{name} is missing", file=folder, expected="log.json, model.xml and runs/ with .npz or .csv"
+            )
+    log = read_json(folder / "log.json")
+    if not isinstance(log, dict):
+        raise GapError("log.json is not an object", file=folder / "log.json")
+    spec, model, xml = load_model(folder / "model.xml")
+    joints = _names(log, "joint_names", folder)
+    actuators = _names(log, "actuator_names", folder)
+    _match(joints, [model.joint(i).name for i in range(model.njnt)], "joint", folder)
+    _match(actuators, [model.actuator(i).name for i in range(model.nu)], "actuator", folder)
+    for name in joints:
+        if model.joint(name).type[0] not in (2, 3):
+            raise GapError(
+                f"joint {name!r} has more than one degree of freedom",
+                file=folder / "log.json",
+                expected="hinge or slide joints in joint_names",
+            )
+    warnings = _unread(log)
+    site = log.get("imu_site")
+    if site is not None:
+        if not isinstance(site, str):
+            raise GapError(
+                "imu_site cannot be read", file=folder / "log.json", expected="a name, or null", found=repr(site)[:60]
+            )
+        _match([site], [model.site(i).name for i in range(model.nsite)], "imu_site", folder)
+    contact = _names(log, "contact_bodies", folder) if log.get("contact_bodies") not in (None, []) else []
+    _match(contact, [model.body(i).name for i in range(model.nbody)], "contact body", folder)
+    kind = _choice(log, "command_kind", ("position", "velocity", "torque"), folder)
+    base = _choice(log, "base", ("fixed", "floating"), folder)
+    torque = _choice(log, "torque_kind", ("none", "measured", "current_times_constant"), folder, default="none")
+    if log.get("command_hold", "zoh") != "zoh":
+        raise GapError("unknown command_hold", file=folder / "log.json", expected="zoh", found=str(log["command_hold"]))
+    free = bool(model.njnt and (model.jnt_type == 0).any())
+    if (base == "floating") != free:
+        raise GapError(
+            "base does not agree with the model",
+            file=folder / "log.json",
+            expected=f"base: {'floating' if free else 'fixed'} (model.xml {'has' if free else 'has no'} free joint)",
+            found=base,
+        )
+    if model.ntendon:
+        warnings.append(f"the model has {model.ntendon} tendons: they are simulated, but no effect acts on them")
+    if model.neq:
+        warnings.append(f"the model has {model.neq} equality constraints (closed loops): joints in them share causes")
+    unlogged = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] in (2, 3)]
+    unlogged = [n for n in unlogged if n not in joints]
+    if unlogged:
+        warnings.append(f"joints of the model that are not logged start at their default: {', '.join(unlogged[:6])}")
+    said = log | {"command_kind": kind, "columns": _columns(log, folder)}
+    want = layout(joints, actuators, contact, model, said, folder / "log.json")
+    runs, dropped = _read_runs(folder / "runs", want, warnings)
+    unknown = sorted(set(want.setups) - {r.name for r in runs} - {d.partition(".")[0] for d in dropped})
+    if unknown:
+        raise GapError(
+            f"runs of log.json name {unknown[0]!r}, which is no run",
+            file=folder / "log.json",
+            expected=f"one of {', '.join(r.name for r in runs[:20])}",
+            hint=did_you_mean(unknown[0], [r.name for r in runs]),
+        )
+    added = read_recordings(recordings, want, model, [r.name for r in runs], warnings)
+    runs += added
+    if len(runs) == 1:
+        warnings.append("only one run: none is left to check the diagnosis on, so it is weaker")
+    return Case(
+        folder, tuple(joints), tuple(actuators), kind, base, torque, site, tuple(contact), str(log.get("notes", "")),
+        xml, spec, model, runs, tuple(warnings), dropped, tuple(r.name for r in added),
+    )  # fmt: skip
+
+
+def _unread(log: Mapping[str, Any]) -> list[str]:
+    """A note on each entry of log.json that nothing reads: a slip of the pen would go unseen."""
+    notes = []
+    for key in sorted(set(log) - set(KEYS)):
+        meant = did_you_mean(key, KEYS, 0.6)
+        notes.append(f"log.json: {key!r} is not read" + (f" ({meant})" if meant else ""))
+    return notes[:5]
+
+
+def _read_runs(folder: Path, want: Layout, warnings: list[str]) -> tuple[tuple[Run, ...], tuple[str, ...]]:
+    """(runs, what was left out and why). If no run can be used, the first one's error is raised."""
+    files = sorted(f for f in folder.iterdir() if f.suffix in (".npz", ".csv")) if folder.is_dir() else []
+    if not files:
+        raise GapError("no runs", file=folder, expected="one .npz or .csv file per run")
+    twice = sorted(stem for stem, count in Counter(f.stem for f in files).items() if count > 1)
+    if twice:
+        raise GapError("two files of one run", file=folder, found=", ".join(twice), hint="keep the .npz or the .csv")
+    runs: list[Run] = []
+    dropped, first = [], None
+    known: dict[str, str] = {}
+    for file in files:
+        try:
+            run = read_run(file, want, warnings)
+        except RealsimError as error:
+            first = first or error
+            dropped.append(f"{file.name}: {error.message}")
+            continue
+        same = known.setdefault(run.samples, run.name)
+        if same == run.name:
+            runs.append(run)
+        else:  # it would count twice, and be no check of the other
+            dropped.append(f"{file.name}: the same samples as {same}")
+    if not runs:
+        assert first is not None
+        raise first
+    return tuple(runs), tuple(dropped)
+
+
+def _columns(log: dict[str, Any], folder: Path) -> Any:
+    """The map of .csv columns: in log.json, or in columns.json beside it, or none."""
+    beside = folder / "columns.json"
+    if beside.is_file():
+        if "columns" in log:
+            raise GapError("the column map is given twice", file=folder, found="columns in log.json, and columns.json")
+        return read_json(beside)
+    return log.get("columns")
+
+
+def load_model(path: Path) -> tuple[Any, Any, str]:
+    """(MjSpec resolved, MjModel, text) of an MJCF file that is safe to read. Raises GapError with the reason."""
+    import mujoco
+
+    text = harmless_xml(path, path.parent)
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        resolve(spec)
+        model = spec.copy().compile()
+    except Exception as error:  # MuJoCo raises ValueError and its own types
+        raise not_compiled(path, error) from error
+    if not LEAST_TIMESTEP <= model.opt.timestep <= 0.1:  # NaN too
+        raise GapError(
+            "the model's time step cannot be simulated",
+            file=path,
+            expected=f"timestep from {LEAST_TIMESTEP:g} to 0.1 s",
+            found=f"{model.opt.timestep:g}",
+        )
+    if (odd := odd_number(model)) is not None:
+        expected = "finite numbers of a robot's size"
+        raise GapError("the model cannot be simulated", file=path, expected=expected, found=odd)
+    if model.ngeom > MOST_GEOMS or model.nbody > MOST_GEOMS:
+        raise GapError(
+            "the model is too large for a diagnosis",
+            file=path,
+            expected=f"at most {MOST_GEOMS} bodies and geoms",
+            found=f"{model.nbody} bodies, {model.ngeom} geoms",
+            hint="leave out geoms that never touch anything",
+        )
+    if model.nu == 0:
+        raise GapError("the model has no actuators", file=path, expected="the robot's servos as actuators")
+    return spec, model, text
+
+
+def harmless_xml(path: Path, root: Path, where: Path = Path(), depth: int = 0) -> str:
+    """The text of an MJCF file that neither runs code nor names a file outside `root`; nor do those that it reads.
+
+    As MuJoCo takes them, names are relative to `where`, a folder below `root`: that of the first file, also in those
+    that it includes, but that of the file itself in a model to attach.
+    """
+    from defusedxml import ElementTree
+    from defusedxml.common import DefusedXmlException
+
+    text = read_text(path)
+    try:
+        tree = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, DefusedXmlException) as error:
+        raise GapError(f"{path.name} is not plain XML", file=path, found=str(error)) from error
+    for node in tree.iter():
+        for attribute, name in node.attrib.items():
+            if name and (attribute.startswith("file") or attribute in ("meshdir", "texturedir", "assetdir")):
+                _check_name(path, root, where, name)
+        if node.tag in ("plugin", "extension"):
+            raise GapError("models with plugins are not loaded", file=path, found=f"<{node.tag}>")
+        if node.tag in ("include", "model") and (further := node.get("file")):
+            if depth == MAX_INCLUDES:
+                raise GapError("the model's files include each other", file=path, found=further)
+            below = where if node.tag == "include" else (where / further).parent
+            harmless_xml(root / where / further, root, below, depth + 1)
+    return text
+
+
+def _check_name(path: Path, root: Path, where: Path, name: str) -> None:
+    """Refuse a name that leads out of the case, or that would not lead to the same file from another folder."""
+    inside(root, str(where / name))
+    if Path(name).is_absolute():
+        raise GapError(
+            "a file of the model is named by an absolute path",
+            file=path,
+            expected="a path relative to model.xml, so that the patched model finds its files too",
+            found=name,
+        )
+
+
+def _names(log: dict[str, Any], key: str, folder: Path) -> list[str]:
+    value = log.get(key)
+    if not isinstance(value, list) or not value or not all(isinstance(v, str) for v in value):
+        raise GapError(
+            f"{key} {'is missing' if value is None else 'cannot be read'}",
+            file=folder / "log.json",
+            expected="a list of names",
+            found=repr(value)[:60],
+        )
+    if len(set(value)) != len(value):
+        raise GapError(f"{key} names something twice", file=folder / "log.json", found=", ".join(value))
+    return value
+
+
+def _match(names: list[str], known: list[str], kind: str, folder: Path) -> None:
+    for name in names:
+        if name not in known:
+            raise GapError(
+                f"{kind} {name!r} is not in model.xml",
+                file=folder / "log.json",
+                expected=f"one of {', '.join(known[:40])}",
+                hint=did_you_mean(name, known),
+            )
+
+
+def _choice(log: dict[str, Any], key: str, allowed: tuple[str, ...], folder: Path, default: str | None = None) -> str:
+    value = log.get(key, default)
+    if value not in allowed:
+        raise GapError(
+            f"{key} is not known", file=folder / "log.json", expected=" or ".join(allowed), found=repr(value)[:60]
+        )
+    return str(value)

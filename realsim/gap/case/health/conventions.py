@@ -1,0 +1,347 @@
+"""Wrong units, order or sign: each is tested against the commands, the other signals and the nominal simulator.
+
+A mistake that is plain is refused, with what to write in log.json: a diagnosis of a log that is read wrongly would
+name causes with great confidence. One that is only likely is a warning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from realsim.core.errors import GapError
+from realsim.core.statistics import alike
+from realsim.core.types import F64
+from realsim.gap.case.case import Case
+from realsim.gap.case.units import TORQUE
+from realsim.gap.simulation.simulate import Simulator, rotation_from
+
+PLAIN = 0.35
+"""Relative error up to which a log that is read otherwise agrees."""
+WRONG = 0.8
+"""Relative error from which a log as it is read does not agree at all."""
+FEW_JOINTS = 3
+"""Joints that must go astray before the model is refused: one or two may well have the gap that is looked for."""
+LIKE = 0.8
+"""Cosine from which two torques have the same course."""
+DEG = 180 / np.pi
+
+
+def log_conventions(case: Case) -> list[str]:
+    """Checks of commands and signals against each other, before any simulation."""
+    position = _all(case, "joint_pos")
+    for j, joint in enumerate(case.joint_names):
+        servo = case.actuator_of(joint)
+        if servo is None or case.command_kind != "position":
+            continue
+        command = _asked(case, joint, servo)
+        _refuse_unit(case, "joint_pos", joint, position[:, j], command, {"deg": DEG}, "the commands")
+        _refuse_unit(case, "command", servo, command, position[:, j], {"deg": DEG}, "the positions")
+    if case.has("joint_vel"):
+        velocity, slope = _all(case, "joint_vel"), _slopes(case)
+        scales = {"deg/s": DEG, "rpm": 30 / np.pi, "-1": -1.0}
+        for j, joint in enumerate(case.joint_names):
+            _refuse_unit(case, "joint_vel", joint, velocity[:, j], slope[:, j], scales, "the positions' slope")
+    return _runs_apart(case) + _base(case)
+
+
+def nominal_conventions(simulator: Simulator, nominal: list[F64]) -> list[str]:
+    """Checks of the log's units, order and signs against the nominal simulator."""
+    case = simulator.case
+    names = case.joint_names
+    real, model = _all(case, "joint_pos"), np.concatenate([y[:, : len(names)] for y in nominal])
+    follows = [_follows(case, joint, real[:, j]) for j, joint in enumerate(names)]
+    for j, joint in enumerate(names):
+        if follows[j]:
+            continue  # it does what it is told, so it is the simulator that does not
+        _refuse_unit(
+            case, "joint_pos", joint, real[:, j], model[:, j], {"deg": DEG, "-1": -1.0}, "the nominal simulator"
+        )
+    _refuse_order(case, real, model, follows)
+    _refuse_model(case, real, model, follows)
+    found = _likely(names, real, model, follows)
+    if case.has("joint_torque"):
+        found += _torque_units(simulator, nominal)
+    return found + _imu(simulator, nominal)
+
+
+# ---------------------------------------------------------------- plain mistakes
+
+
+def _refuse_unit(
+    case: Case, array: str, name: str, values: F64, like: F64, scales: Mapping[str, float], witness: str
+) -> None:
+    """Raise where values / scale agree with what they should be like, and values do not."""
+    if disagreement(values, like) < WRONG:
+        return
+    for unit, scale in scales.items():
+        if disagreement(values / scale, like) < PLAIN:
+            turned = unit == "-1"
+            raise GapError(
+                f"{array} of {name} looks {'negated' if turned else f'like {unit}'}",
+                file=case.folder,
+                expected=f"agreement with {witness}, in the contract's units and signs",
+                found="the opposite sign agrees" if turned else f"values {abs(scale):.3g} times as large",
+                hint='fix the log, or give "sign": -1 for the column in columns.json (.csv)'
+                if turned
+                else f'write "units": {{"{array}": "{unit}"}} in log.json (.npz), or a unit in columns.json (.csv)',
+            )
+
+
+def disagreement(values: F64, like: F64) -> float:
+    """Root mean square of the difference over that of `like`, both without their means; 0 where nothing moves."""
+    good = np.isfinite(values) & np.isfinite(like)
+    if good.sum() < 20:
+        return 0.0
+    a, b = values[good] - values[good].mean(), like[good] - like[good].mean()
+    size = float(np.sqrt(np.mean(b**2)))
+    return float(np.sqrt(np.mean((a - b) ** 2))) / size if size > 1e-3 else 0.0
+
+
+def _runs_apart(case: Case) -> list[str]:
+    """Runs unlike the others: velocities that have nothing to do with their positions, commands of the other sign."""
+    ends = np.cumsum([len(r.time) for r in case.runs])[:-1]
+    names = [r.name for r in case.runs]
+    position, slope = np.split(_all(case, "joint_pos"), ends), np.split(_slopes(case), ends)
+    velocity = np.split(_all(case, "joint_vel"), ends) if case.has("joint_vel") else []
+    found = []
+    for j, joint in enumerate(case.joint_names):
+        if velocity:
+            apart = np.array([disagreement(v[:, j], s[:, j]) for v, s in zip(velocity, slope, strict=True)])
+            moved = np.array([_spread(s[:, j]) for s in slope])
+            odd = (apart > WRONG) & (moved > np.median(moved) / 2)  # slow motion drowns in noise
+            if np.median(apart) < PLAIN:
+                text = f"joint_vel of {joint} is not the slope of its positions; in other runs it is"
+                found += [f"{names[i]}: {text}" for i in np.flatnonzero(odd)]
+        servo = case.actuator_of(joint) if case.command_kind == "position" else None
+        if servo is not None:
+            asked = np.split(_asked(case, joint, servo), ends)
+            match = np.array([alike(p[:, j], a) for p, a in zip(position, asked, strict=True)])
+            if np.median(match) > 0:
+                text = f"the command of {servo} looks negated; in other runs it does not"
+                found += [f"{names[i]}: {text}" for i in np.flatnonzero(match < -LIKE)]
+    return found
+
+
+def _spread(values: F64) -> float:
+    """Standard deviation of what is finite; 0 where nothing is."""
+    good = values[np.isfinite(values)]
+    return float(good.std()) if len(good) else 0.0
+
+
+def _asked(case: Case, joint: str, servo: str) -> F64:
+    """(N,) where a position servo's commands want its joint, rad or m; NaN while the drive is off."""
+    column = case.actuator_names.index(servo)
+    return np.concatenate([np.where(r.on[:, column], r.command[:, column], np.nan) for r in case.runs]) / (
+        case.gear(joint) or 1.0
+    )
+
+
+def _follows(case: Case, joint: str, position: F64) -> bool:
+    """Whether a position servo's joint goes where its own command says."""
+    servo = case.actuator_of(joint)
+    if servo is None or case.command_kind != "position":
+        return False
+    command = _asked(case, joint, servo)
+    return 0 < disagreement(position, command) < WRONG
+
+
+def _refuse_order(case: Case, real: F64, model: F64, follows: Sequence[bool]) -> None:
+    """Columns that agree with another joint's simulation, and not with their own."""
+    names = case.joint_names
+    moved = []
+    for j in range(len(names)):
+        if follows[j] or disagreement(real[:, j], model[:, j]) < WRONG:
+            continue
+        others = [disagreement(real[:, j], model[:, k]) or np.inf for k in range(len(names))]
+        best = int(np.argmin(others))
+        if best != j and others[best] < PLAIN:
+            moved.append(f"the column of {names[j]} moves like {names[best]}")
+    if moved:
+        raise GapError(
+            "the joints are in another order than joint_names says",
+            file=case.folder / "log.json",
+            found="; ".join(moved[:6]),
+            hint="bring joint_names into the order of the columns",
+        )
+
+
+def _refuse_model(case: Case, real: F64, model: F64, follows: Sequence[bool]) -> None:
+    """A model most of whose joints go elsewhere than the robot's, which go where they are told to."""
+    names = case.joint_names
+    astray = [n for j, n in enumerate(names) if follows[j] and disagreement(model[:, j], real[:, j]) > WRONG]
+    if len(astray) >= FEW_JOINTS and len(astray) > 0.5 * len(names):
+        raise GapError(
+            "the robot follows its commands, the nominal simulator does not",
+            file=case.folder / "model.xml",
+            found=f"{len(astray)} of {len(names)} joints: {', '.join(astray[:8])}",
+            hint="fix the model first: servo gains in N m/rad (or per actuator's gear), force ranges, joint axes and "
+            "ranges, what the robot collides with, and whether its base is held",
+        )
+
+
+# ---------------------------------------------------------------- likely mistakes
+
+
+def _likely(names: tuple[str, ...], real: F64, model: F64, follows: Sequence[bool]) -> list[str]:
+    """Correlations that a robot which follows its commands does not have."""
+    good = np.isfinite(real).all(axis=1) & np.isfinite(model).all(axis=1)
+    if good.sum() < 20:
+        return []
+    a, b = real[good] - real[good].mean(axis=0), model[good] - model[good].mean(axis=0)
+    size_a, size_b = np.sqrt((a**2).mean(axis=0)), np.sqrt((b**2).mean(axis=0))
+    corr = (a.T @ b) / len(a) / np.maximum(np.outer(size_a, size_b), 1e-12)
+    found = []
+    for j, name in enumerate(names):
+        if size_b[j] < 1e-3 or size_a[j] < 1e-3:
+            continue
+        if follows[j]:
+            if disagreement(real[:, j], model[:, j]) > WRONG:
+                found.append(f"{name}: the robot follows the command, the nominal simulator does not: check model.xml")
+            continue
+        if corr[j, j] < -0.8:
+            found.append(f"{name}: positions look negated")
+        best = int(np.argmax(np.abs(corr[j])))
+        if best != j and corr[j, best] > 0.97 and corr[j, j] < 0.6:
+            found.append(f"{name}: its column looks like that of {names[best]}: check the order of joints")
+    return found
+
+
+def _torque_units(simulator: Simulator, nominal: list[F64]) -> list[str]:
+    """Refuses torques that are a known unit's or the sign's factor away in every joint; says where one joint is odd.
+
+    A single joint of several proves no unit: what it carries may be many times what the model knows of.
+    """
+    case = simulator.case
+    torque, scales = _all(case, "joint_torque"), {}
+    for c, channel in enumerate(simulator.channels):
+        if channel.signal == "joint_torque":
+            scale = _scale(torque[:, channel.index], np.concatenate([y[:, c] for y in nominal]))
+            if scale is not None:
+                scales[channel.label] = scale
+    if scales:
+        factors = {unit: 1 / f for unit, f in TORQUE.items() if f != 1.0} | {"-1": -1.0}
+        for unit, factor in factors.items():
+            if all(alike > LIKE and 0.6 < scale / factor < 1.6 for scale, alike in scales.values()):
+                turned = unit == "-1"
+                raise GapError(
+                    f"joint_torque looks {'negated' if turned else f'like {unit}'}",
+                    file=case.folder,
+                    expected="agreement with the nominal simulator, in N m and the contract's signs",
+                    found=", ".join(f"{name} {scale:.3g} times as large" for name, (scale, _) in scales.items()),
+                    hint='fix the log, or give "sign": -1 for the columns in columns.json (.csv)'
+                    if turned
+                    else f'write "units": {{"joint_torque": "{unit}"}} in log.json (.npz), or a unit in columns.json',
+                )
+    odd = {name: found for name, found in scales.items() if found[0] < -0.25 or not 0.25 < abs(found[0]) < 4}
+    return [_odd_torque(name, scale, alike) for name, (scale, alike) in odd.items()]
+
+
+def _odd_torque(name: str, scale: float, alike: float) -> str:
+    """A unit is in question only where the courses agree; else the model's load, friction or damping is another."""
+    if alike < LIKE:
+        return (
+            f"{name}: the logged torque has another course than the nominal simulator's ({scale:.3g} times as large): "
+            "check friction, damping and load of the joint in model.xml"
+        )
+    if -4 < scale < -0.25:
+        return f"{name}: torque looks negated"
+    return f"{name}: torque is {scale:.3g} times the simulator's: is it in N m?"
+
+
+def _scale(values: F64, like: F64) -> tuple[float, float] | None:
+    """(factor of least squares from `like` to `values`, how alike they are: the cosine's size); None where all is 0."""
+    good = np.isfinite(values) & np.isfinite(like)
+    a, b = values[good], like[good]
+    dot, size_a, size_b = float(a @ b), float(a @ a), float(b @ b)
+    if min(size_a, size_b) < 1e-12:
+        return None
+    return dot / size_b, abs(dot) / float(np.sqrt(size_a * size_b))
+
+
+def _imu(simulator: Simulator, nominal: list[F64]) -> list[str]:
+    """At rest an accelerometer reads +g upward in m/s^2; the first tenth of a second tells."""
+    case = simulator.case
+    columns = [i for i, c in enumerate(simulator.channels) if c.signal == "imu_acc"]
+    if not columns:
+        return []
+    real = np.concatenate([r.signals["imu_acc"][r.time < 0.1] for r in case.runs])
+    model = np.concatenate([y[r.time < 0.1][:, columns] for r, y in zip(case.runs, nominal, strict=True)])
+    a, b = np.nanmedian(real, axis=0), np.nanmedian(model, axis=0)
+    size = float(np.linalg.norm(a))
+    if 0.8 < size < 1.2:
+        _refuse_gravity(case, "imu_acc looks like g", f"{size:.2f} at rest", '"units": {"imu_acc": "g"} in log.json')
+    if size < 3:
+        return [
+            f"imu_acc is {size:.2g} m/s^2 at rest: gravity appears to have been removed; log the raw specific force"
+        ]
+    cosine = float(a @ b / (size * np.linalg.norm(b) + 1e-9))
+    if cosine < -0.9:
+        _refuse_gravity(
+            case, "imu_acc looks negated", "gravity points the other way", "an accelerometer at rest reads +g up"
+        )
+    if cosine < 0.8:
+        return ["imu_acc: gravity points elsewhere than at imu_site in model.xml: check the site's frame"]
+    return []
+
+
+def _refuse_gravity(case: Case, message: str, found: str, hint: str) -> None:
+    raise GapError(message, file=case.folder, expected="specific force in m/s^2, 9.81 at rest", found=found, hint=hint)
+
+
+def _base(case: Case) -> list[str]:
+    """Units of the base's position; order and length of its quaternion."""
+    said = []
+    for run in case.runs:
+        quat, place = run.signals.get("base_quat"), run.signals.get("base_pos")
+        if place is not None and float(np.nanmedian(np.abs(place[:, 2]))) > 30:
+            raise GapError(
+                "base_pos looks like millimetres",
+                file=case.folder,
+                found=f"a height of {np.nanmedian(place[:, 2]):.3g} in {run.name}",
+                hint='"units": {"base_pos": "mm"} in log.json',
+            )
+        if quat is None or not case.floating:
+            continue
+        length = float(np.nanmedian(np.linalg.norm(quat, axis=1)))
+        if abs(length - 1) > 0.02:
+            said.append(f"{run.name}: base_quat has length {length:.3g}; it is normalised")
+        upright = np.array([1.0, 0, 0, 0]) if run.init_qpos is None else run.init_qpos[3:7]
+        first = quat[np.isfinite(quat).all(axis=1)][:1]
+        if len(first) and _tilt(first, upright) > 1.2 and _tilt(first[:, [3, 0, 1, 2]], upright) < 0.4:
+            raise GapError(
+                "base_quat looks like x y z w",
+                file=case.folder,
+                expected="w x y z",
+                found=f"{np.round(first[0], 3).tolist()} at the start of {run.name}",
+                hint="bring the columns into the order w x y z",
+            )
+    return said
+
+
+def _tilt(quat: F64, reference: F64) -> float:
+    """Angle between the vertical axes of two orientations, rad."""
+    turn = rotation_from(quat, reference)[0]
+    angle = float(np.linalg.norm(turn))
+    if angle < 1e-9:
+        return 0.0
+    vertical = turn[2] / angle
+    return float(np.arccos(np.clip(np.cos(angle) + (1 - np.cos(angle)) * vertical**2, -1, 1)))
+
+
+def _all(case: Case, signal: str) -> F64:
+    return np.concatenate([r.signals[signal] for r in case.runs])
+
+
+def _slopes(case: Case) -> F64:
+    """(T, J) central differences of the positions over about 20 ms: noise matters less than the shape."""
+    parts = []
+    for run in case.runs:
+        lag = max(1, round(0.01 / float(np.median(np.diff(run.time)))))
+        slope = np.full_like(run.signals["joint_pos"], np.nan)
+        position = run.signals["joint_pos"]
+        span = (run.time[2 * lag :] - run.time[: -2 * lag])[:, None]
+        slope[lag:-lag] = (position[2 * lag :] - position[: -2 * lag]) / span
+        parts.append(slope)
+    return np.concatenate(parts)

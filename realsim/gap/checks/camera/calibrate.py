@@ -1,0 +1,357 @@
+"""Delay, mount and noise of a depth camera, from what it recorded and what it should have seen.
+
+The base's pose errs in each run by a little, which moves the camera like a wrong mount does in this run alone; so each
+run has a shift and a turn of its own, with a prior; a part of it all runs share, which only its prior tells from the
+camera's mount. Residuals are clipped, and
+slopes are taken over steps as large as what is looked for: at the edge of a stake a pixel sees either side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import degrees
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from realsim.core.errors import GapError
+from realsim.core.types import F64
+from realsim.gap.case.case import Case, Run
+from realsim.gap.checks.camera.mixed import Fit
+from realsim.gap.checks.camera.rays import Correction, Mount, View
+from realsim.gap.checks.camera.recorded import DepthCamera, depth_camera, read_frames
+from realsim.gap.checks.camera.terrain import Terrain
+from realsim.gap.effects.camera_delay import EFFECT as DELAY
+from realsim.gap.effects.camera_mount import EFFECT as MOUNT
+from realsim.gap.effects.depth_noise import EFFECT as NOISE
+
+Z90 = 1.645
+FRAMES, PIXELS = 60, 800
+CLIP = 0.06
+"""m beyond which a pixel saw something else."""
+FREEDOM = 4.0
+"""Degrees of freedom of the residuals."""
+ROUNDS = 20
+LENGTHS = (0.5, 1.0, 2.0, 4.0)
+STEPS = np.array([0.02, *[0.006] * 3, *[0.006] * 3])
+"""s, rad and m over which slopes are taken."""
+EVERYDAY = np.array([0.004, *[0.0035] * 3, *[0.0015] * 3])
+"""s, rad and m that any camera is late, turned and displaced by: its exposure and a good calibration."""
+WIDE = np.array([0.1, *[0.05] * 3, *[0.03] * 3])
+OF_RUN = np.array([0.01, 0.01, 0.03, 0.01, 0.01, 0.01])
+"""m and rad by which the base's pose is off in a run, where nothing is known of it."""
+OF_RUN_BY_FEET = np.array([0.006, 0.006, 0.0003, 0.0005, 0.0005, 0.01])
+"""The same where feet on the scene have told its height and lean."""
+OF_ALL = np.array([1e-5, 1e-5, 0.0007, 0.0033, 0.0033, 1e-5])
+"""m and rad by which height and lean are off alike in all runs: feet tell them by the same legs, on the same tops, in
+the same gait, and an IMU sits as askew in each. More crossings do not tell it from a turned camera. This and the line
+above: measured against the true pose on terrains 60 to 71 of tests/truths/crossings.py (0.22 and 0.15 degrees in
+common, 0.03 and 0.02 of each run)."""
+EVIDENCE = 3.0
+"""Log-odds from which an effect is named, less the penalty for having tested this many."""
+NOISIER = 1.3
+"""Ratio beyond which, with its interval, noise is more than the everyday spread of such cameras."""
+SCAN = 0.002
+"""m by which a scan is off here and there: pixels that lie side by side err together by it."""
+STEADY = 1e-5
+"""m and rad by which any pose errs, also where the log is smooth or has none."""
+STRAIGHT = 1e-9
+"""m by which a sample is off the line between its neighbours where it was not interpolated."""
+LEAST_BENDS = 20
+LEAST_PIXELS = 500
+KINDS = (
+    (DELAY.name, (0,)),
+    *((MOUNT.name, (k,)) for k in range(1, 7)),
+    (MOUNT.name, (1, 2, 3)),
+    (MOUNT.name, (4, 5, 6)),
+)
+"""Effect and parameters that are compared with everyday deviations: alone, and together where data know only a mix."""
+
+
+@dataclass(frozen=True)
+class CameraFound:
+    """What recorded depth says of its camera. Values are (value, low, high) with 90 percent intervals."""
+
+    camera: str
+    delay: tuple[float, float, float]
+    """s"""
+    turn: tuple[tuple[float, float, float], ...]
+    """rad about the camera's x (right), y (down), z (forward) axes."""
+    shift: tuple[tuple[float, float, float], ...]
+    """m along them."""
+    noise: tuple[float, float, float] | None
+    """Ratio to what log.json says; None where it says nothing."""
+    named: dict[str, float]
+    """Effect -> its log-odds, of those beyond everyday deviations."""
+    before: float
+    after: float
+    """m, median size of the residual with the mount as given, and as found."""
+    frames: int
+    pixels: int
+    notes: tuple[str, ...] = field(default=())
+
+    def causes(self) -> list[dict[str, Any]]:
+        """The effects that were named, in the form of diagnosis.json."""
+        found = []
+        for name in self.named:
+            if name == DELAY.name:
+                parameters = {"delay": _parameter(self.delay, "s")}
+            elif name == MOUNT.name:
+                axes = zip("xyz", self.turn, self.shift, strict=True)
+                parameters = {}
+                for axis, turned, moved in axes:
+                    parameters |= {f"turn_{axis}": _parameter(turned, "rad"), f"shift_{axis}": _parameter(moved, "m")}
+            else:
+                assert self.noise is not None
+                parameters = {"ratio": _parameter(self.noise, "ratio")}
+            found.append({"effect": name, "parameters": parameters, "probability": None})
+        return found
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "camera": self.camera, "named": self.named, "delay_s": list(self.delay),
+            "turn_rad": [list(v) for v in self.turn], "shift_m": [list(v) for v in self.shift],
+            "noise_ratio": None if self.noise is None else list(self.noise), "residual_before_m": self.before,
+            "residual_after_m": self.after, "frames": self.frames, "pixels": self.pixels, "notes": list(self.notes),
+        }  # fmt: skip
+
+    def sentences(self) -> list[str]:
+        """What is beyond everyday, a sentence each."""
+        said = []
+        if DELAY.name in self.named:
+            ms = [1e3 * v for v in self.delay]
+            said.append(f"the camera {self.camera} is late by {ms[0]:.0f} ms [{ms[1]:.0f}, {ms[2]:.0f}]")
+        if MOUNT.name in self.named:
+            turn = ", ".join(f"{degrees(v):+.1f}° [{degrees(a):.1f}, {degrees(b):.1f}]" for v, a, b in self.turn)
+            shift = ", ".join(f"{1e3 * v:+.0f} [{1e3 * a:.0f}, {1e3 * b:.0f}]" for v, a, b in self.shift)
+            said.append(
+                f"the camera {self.camera} is not mounted as in the model: turned by {turn} and shifted by {shift} mm "
+                "(about and along right, down, forward)"
+            )
+        if NOISE.name in self.named and self.noise is not None:
+            v, a, b = self.noise
+            said.append(f"the depth of {self.camera} is {v:.1f} [{a:.1f}, {b:.1f}] times as noisy as log.json says")
+        return said
+
+
+def _parameter(v: tuple[float, float, float], unit: str) -> dict[str, Any]:
+    return {"value": v[0], "unit": unit, "ci90": [v[1], v[2]]}
+
+
+def calibrate(
+    case: Case,
+    terrain: Terrain,
+    correction: Correction | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> CameraFound | None:
+    """Delay, mount and noise of the log's depth camera; None where log.json names none.
+
+    Args:
+        correction: of the base's pose, from feet on the scene (`FootholdMap.correction`).
+
+    Raises:
+        GapError: frames that cannot be read, or that never look at the scene.
+    """
+    camera = depth_camera(case)
+    if camera is None:
+        return None
+    frames, rays = read_frames(case, camera, FRAMES, PIXELS)
+    view = View(case, terrain, camera, frames, rays)
+    fitter = _Fitter(view, camera, OF_RUN if correction is None else OF_RUN_BY_FEET, correction)
+    return fitter.found(case, progress or (lambda what, share: None))
+
+
+class _Fitter:
+    def __init__(self, view: View, camera: DepthCamera, of_run: F64, correction: Correction | None) -> None:
+        self.view, self.camera, self.correction = view, camera, correction
+        self.runs = len(view.frames)
+        self.prior = np.concatenate([WIDE, OF_ALL, np.tile(of_run, self.runs)])
+        self.seen = [f.depth > 0 for f in view.frames]
+        self.jitter = [jitter(view.case.runs[f.run]) for f in view.frames]
+
+    def predicted(self, x: F64, which: int) -> tuple[F64, Any]:
+        """Depth and geoms of one run's frames."""
+        own = x[7:13] + x[13 + 6 * which : 19 + 6 * which]
+
+        def corrected(run: int, time: float, place: F64) -> tuple[F64, F64]:
+            moved, turned = self.correction(run, time, place) if self.correction else (np.zeros(3), np.zeros(3))
+            return moved + own[:3], turned + own[3:]
+
+        return self.view.depth(which, Mount(float(x[0]), x[1:4], x[4:7]), corrected)
+
+    def residual(self, x: F64, which: int) -> F64:
+        """(N * P,) m, recorded less predicted, clipped; NaN where either has nothing or the robot is in the way."""
+        z, _ = self.predicted(x, which)
+        use = self.seen[which] & (z > 0) & ~self.view.hidden[which]
+        return np.asarray(np.where(use, np.clip(self.view.frames[which].depth - z, -CLIP, CLIP), np.nan).ravel())
+
+    def found(self, case: Case, tick: Callable[[str, float], None]) -> CameraFound:
+        x = np.zeros(len(self.prior))
+        before = [self.residual(x, w) for w in range(self.runs)]
+        total = sum(int(np.isfinite(r).sum()) for r in before)
+        if total < LEAST_PIXELS:
+            raise GapError(
+                "the depth camera never looks at the scene", file=case.folder,
+                expected=f"at least {LEAST_PIXELS} pixels with depth of it", found=str(total),
+                hint="is base_pos in the scene's frame, and the camera of model.xml where the real one is?",
+            )  # fmt: skip
+        for k in range(ROUNDS):
+            tick("camera", 0.7 + 0.3 * k / ROUNDS)
+            H, g, scores = self._equations(x)
+            step = np.linalg.solve(H + np.diag(1 / self.prior**2), g - x / self.prior**2)
+            # At edges slopes say little, so steps fall short; how far to go costs little to try.
+            step = min((f * step for f in LENGTHS), key=lambda tried: self._cost(x + tried))
+            x = x + step
+            if (np.abs(step[:7]) < 0.05 * EVERYDAY).all():
+                break
+        H, g, scores = self._equations(x)
+        covariance = self._covariance(H, scores)
+        posterior = Fit(x, covariance, self.prior, 0.0, 0.0, np.zeros(0))
+        named: dict[str, float] = {}
+        for name, which in KINDS:
+            odds = -posterior.bayes(list(which), EVERYDAY[list(which)]) - float(np.log(len(KINDS) + 1))
+            if odds > EVIDENCE:
+                named[name] = max(odds, named.get(name, 0.0))
+        noise = self._noise(x)
+        if noise is not None and noise[1] > NOISIER:
+            named[NOISE.name] = float(min(30.0, np.log(noise[0]) ** 2 / max((noise[2] - noise[1]) / 3.3, 1e-3) ** 2))
+        after = [self.residual(x, w) for w in range(self.runs)]
+        sigma = np.sqrt(np.diag(covariance))
+        values = [(float(v), float(v - Z90 * s), float(v + Z90 * s)) for v, s in zip(x[:7], sigma[:7], strict=True)]
+        notes = []
+        if self.runs < 3:
+            notes.append("fewer than three runs have depth: a lean of the base in a run looks like a turned mount")
+        return CameraFound(
+            self.camera.name, values[0], tuple(values[1:4]), tuple(values[4:7]), noise, named,
+            _typical(before), _typical(after), sum(len(f.time) for f in self.view.frames), total, tuple(notes),
+        )  # fmt: skip
+
+    def _equations(self, x: F64) -> tuple[F64, F64, list[F64]]:
+        """Normal equations of the robust fit: (P, P), (P,), and the score of every run."""
+        size = len(x)
+        H, g, scores = np.zeros((size, size)), np.zeros(size), []
+        for w in range(self.runs):
+            r0 = self.residual(x, w)
+            own = [*range(13), *range(13 + 6 * w, 19 + 6 * w)]
+            shared = np.zeros((len(r0), 7))
+            for k, step in enumerate(STEPS):
+                sides = []
+                for sign in (-0.5, 0.5):
+                    moved = x.copy()
+                    moved[k] += sign * step
+                    sides.append(self.residual(moved, w))
+                shared[:, k] = (sides[0] - sides[1]) / step  # of the prediction
+            of_base = self._of_base(shared, x, w)
+            J = np.hstack([shared, of_base, of_base])
+            good = np.isfinite(r0) & np.isfinite(J).all(axis=1)
+            z = self.view.frames[w].depth.ravel()[good]
+            variance = self.camera.sigma(z) ** 2 + SCAN**2
+            r = r0[good]
+            weight = (FREEDOM + 1) / (FREEDOM + r * r / variance) / variance / LIKE
+            J, B = J[good], of_base[good]
+            frame = np.flatnonzero(good) // self.seen[w].shape[1]
+            score = np.zeros(size)
+            for n in np.unique(frame):
+                # The pose that a frame was taken from errs by itself, and all of its pixels with it.
+                a, b, c = J[frame == n], B[frame == n], weight[frame == n]
+                own_error = np.linalg.inv(b.T @ (b * c[:, None]) + np.diag(1 / self.jitter[w] ** 2))
+                weighted = (a - b @ (own_error @ (b.T @ (a * c[:, None])))) * c[:, None]
+                H[np.ix_(own, own)] += a.T @ weighted
+                score[own] += weighted.T @ r[frame == n]
+            g += score
+            scores.append(score)
+        return H, g, scores
+
+    def _cost(self, x: F64) -> float:
+        """What the fit makes small: that of Student's t for the pixels, and the priors'."""
+        cost = 0.5 * float(np.sum((x / self.prior) ** 2))
+        for w in range(self.runs):
+            r = np.where(self.seen[w] & ~self.view.hidden[w], self.residual(x, w).reshape(self.seen[w].shape), 0.0)
+            variance = self.camera.sigma(self.view.frames[w].depth) ** 2 + SCAN**2
+            lost = np.isnan(r)  # nothing of the scene is there: as wrong as any
+            cost += float(np.log1p(np.where(lost, CLIP, r) ** 2 / variance / FREEDOM).sum()) * (FREEDOM + 1) / 2 / LIKE
+        return cost
+
+    def _of_base(self, shared: F64, x: F64, which: int) -> F64:
+        """(N * P, 6) slopes by a shift and a turn of the base in the world's axes, from those in the camera's axes.
+
+        Taken by simulation too, they would differ by a little from what they are: the same, in other axes; and what no
+        data tell apart but priors would be told apart by that.
+        """
+        frames = self.view.frames[which]
+        found = []
+        for n, slopes in enumerate(shared.reshape(len(frames.time), -1, 7)):
+            _, R = self.view.pose(frames.run, float(frames.time[n]), Mount(float(x[0]), x[1:4], x[4:7]), None)
+            found.append(np.hstack([slopes[:, 4:7] @ R.T, slopes[:, 1:4] @ R.T]))
+        return np.vstack(found)
+
+    def _covariance(self, H: F64, scores: list[F64]) -> F64:
+        """Of all parameters: by curvature, and where there are runs enough, as much as these disagree."""
+        inverse = np.linalg.inv(H + np.diag(1 / self.prior**2))
+        covariance = inverse
+        if self.runs >= 4:
+            middle = sum((np.outer(s, s) for s in scores), np.zeros_like(H))
+            covariance = covariance + inverse @ middle @ inverse * self.runs / (self.runs - 1)
+        return np.asarray(covariance)
+
+    def _noise(self, x: F64) -> tuple[float, float, float] | None:
+        """Ratio of the noise to what log.json says, from second differences along rows on one geom: these know
+        neither the scan's errors nor the mount's. None where log.json says nothing."""
+        if self.camera.noise is None:
+            return None
+        ratios = []
+        for w, frames in enumerate(self.view.frames):
+            z, geom = self.predicted(x, w)
+            width = _width(self.view.rays)
+            r = (frames.depth - z).reshape(len(z), -1, width)
+            use = (self.seen[w] & (z > 0) & ~self.view.hidden[w] & (np.abs(frames.depth - z) < CLIP)).reshape(r.shape)
+            same, z = geom.reshape(r.shape), z.reshape(r.shape)
+            flat = use[..., :-2] & use[..., 1:-1] & use[..., 2:]
+            flat &= (same[..., :-2] == same[..., 1:-1]) & (same[..., 2:] == same[..., 1:-1])
+            change = r[..., 1:-1] - 0.5 * (r[..., :-2] + r[..., 2:])
+            ratios.append(np.abs(change[flat]) / (np.sqrt(1.5) * self.camera.sigma(z[..., 1:-1][flat])))
+        every = np.concatenate(ratios)
+        if len(every) < LEAST_PIXELS:
+            return None
+        value = float(np.median(every) / 0.6745)
+        by_run = np.array([np.median(v) / 0.6745 for v in ratios if len(v) > 50])
+        spread = float(np.std(by_run, ddof=1) / np.sqrt(len(by_run))) if len(by_run) > 2 else 0.0
+        half = Z90 * float(np.hypot(spread, 1.17 * value / np.sqrt(len(every))))
+        return value, value - half, value + half
+
+
+LIKE = 20.0
+"""Pixels side by side err together where the scan does: as many count as one. From the spacing of pixels on a top,
+looked at on terrains 0 and 1 of tests/truths/crossings.py."""
+
+
+def jitter(run: Run) -> F64:
+    """(6,) m and rad by which a logged pose of the base errs by itself, world axes: by second differences.
+
+    Samples that lie straight between their neighbours were put there from slower ones: they err with these.
+    """
+    found = np.full(6, STEADY)
+    pos, quat = run.signals.get("base_pos"), run.signals.get("base_quat")
+    if pos is None or quat is None:
+        return found
+    good = np.isfinite(pos).all(axis=1) & np.isfinite(quat).all(axis=1)
+    pos, quat = pos[good], quat[good]
+    bent = np.flatnonzero((np.abs(np.diff(pos, n=2, axis=0)) > STRAIGHT).any(axis=1)) + 1
+    if len(bent) < LEAST_BENDS:
+        return found
+    turn = Rotation.from_quat(quat[bent], scalar_first=True)
+    turned = (turn[1:] * turn[:-1].inv()).as_rotvec()
+    for k, second in enumerate((np.diff(pos[bent], n=2, axis=0), np.diff(turned, axis=0))):
+        found[3 * k : 3 * k + 3] += np.median(np.abs(second), axis=0) / 0.6745 / np.sqrt(6.0)
+    return found
+
+
+def _width(rays: F64) -> int:
+    """Columns of the grid of pixels."""
+    return int(np.flatnonzero(np.diff(rays[:, 1]) != 0)[0]) + 1
+
+
+def _typical(residuals: list[F64]) -> float:
+    return float(np.nanmedian(np.abs(np.concatenate(residuals))))

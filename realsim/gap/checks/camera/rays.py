@@ -1,0 +1,116 @@
+"""What the camera would see: depth of the scene along its pixels, from the logged pose of the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from realsim.core.geometry import exp_so3
+from realsim.core.types import F64
+from realsim.gap.case.case import Case
+from realsim.gap.case.motion import Motion, estimate
+from realsim.gap.checks.camera.recorded import DepthCamera, Frames
+from realsim.gap.checks.camera.terrain import Terrain
+
+GROUPS = np.array([1, 0, 0, 0, 0, 0], np.uint8)
+TO_OPENCV = np.diag([1.0, -1.0, -1.0])
+Correction = Callable[[int, float, F64], tuple[F64, F64]]
+"""(run, s, place of the camera (3,)) -> (m to add to it (3,), rotation vector to turn it by (3,), world axes)."""
+
+
+@dataclass(frozen=True)
+class Mount:
+    """How the camera differs from model.xml, and how late its images are."""
+
+    delay: float = 0.0
+    """s"""
+    turn: F64 | None = None
+    """(3,) rad, a rotation vector in the camera's axes: x right, y down, z forward."""
+    shift: F64 | None = None
+    """(3,) m in the same axes."""
+
+
+class View:
+    """Frames of a log with the poses of their camera."""
+
+    def __init__(self, case: Case, terrain: Terrain, camera: DepthCamera, frames: list[Frames], rays: F64) -> None:
+        import mujoco
+
+        self.case, self.terrain, self.camera, self.frames, self.rays = case, terrain, camera, frames, rays
+        self._model = case.spec.copy().compile()
+        self._data = mujoco.MjData(self._model)
+        self._own = case.spec.copy().compile()
+        # Of the robot itself only what can be seen: rays that meet it say nothing of the terrain.
+        moving = self._own.body_weldid[self._own.geom_bodyid] != 0
+        self._own.geom_group[:] = np.where(moving, 0, 5)
+        self._own_data = mujoco.MjData(self._own)
+        self._camera = self._model.camera(camera.name).id
+        self._motions: dict[int, Motion] = {f.run: estimate(case, case.runs[f.run]) for f in frames}
+        self.hidden = [self._hides(f) for f in frames]
+
+    def pose(self, run: int, time: float, mount: Mount, correction: Correction | None) -> tuple[F64, F64]:
+        """((3,) m, (3, 3) OpenCV axes in the world) of the camera when an image of this stamp was taken."""
+        place, R = self._nominal(run, time - mount.delay)
+        if correction is not None:
+            moved, turned = correction(run, time - mount.delay, place)
+            place, R = place + moved, exp_so3(turned) @ R
+        if mount.shift is not None:
+            place = place + R @ mount.shift
+        if mount.turn is not None:
+            R = R @ exp_so3(mount.turn)
+        return place, R
+
+    def _nominal(self, run: int, time: float) -> tuple[F64, F64]:
+        """By the logged state, straight between its samples."""
+        import mujoco
+
+        motion = self._motions[run]
+        at = float(np.clip(time, motion.time[0], motion.time[-1]))
+        n = int(np.clip(np.searchsorted(motion.time, at), 1, len(motion.time) - 1))
+        share = (at - motion.time[n - 1]) / (motion.time[n] - motion.time[n - 1])
+        self._data.qpos[:] = (1 - share) * motion.qpos[n - 1] + share * motion.qpos[n]
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        R = self._data.cam_xmat[self._camera].reshape(3, 3) @ TO_OPENCV
+        return self._data.cam_xpos[self._camera].copy(), R
+
+    def depth(self, which: int, mount: Mount, correction: Correction | None = None) -> tuple[F64, Any]:
+        """((N, P) m along the optical axis, 0 where nothing is, (N, P) geom) of the frames of one run."""
+        frames = self.frames[which]
+        z, geoms = [], []
+        for t in frames.time:
+            place, R = self.pose(frames.run, float(t), mount, correction)
+            along, geom = _cast(self.terrain.model, self.terrain.data, place, self.rays @ R.T)
+            # Rays have z = 1 in the camera, so what they travel in their own length is the depth.
+            z.append(np.where((along > 0) & (along <= self.camera.far), along, 0.0))
+            geoms.append(geom)
+        return np.array(z), np.array(geoms)
+
+    def _hides(self, frames: Frames) -> Any:
+        """(N, P) bool, whether the robot itself is in the way."""
+        import mujoco
+
+        found = []
+        for t in frames.time:
+            place, R = self._nominal(frames.run, float(t))
+            self._own_data.qpos[:] = self._data.qpos
+            mujoco.mj_kinematics(self._own, self._own_data)
+            along, _ = _cast(
+                self._own, self._own_data, place, self.rays @ R.T, exclude=int(self._own.cam_bodyid[self._camera])
+            )
+            found.append(along > 0)
+        return np.array(found)
+
+
+def _cast(model: Any, data: Any, place: F64, directions: F64, exclude: int = -1) -> tuple[F64, Any]:
+    import mujoco
+
+    count = len(directions)
+    geom, far = np.full(count, -1, np.int32), np.zeros(count)
+    mujoco.mj_multiRay(
+        model, data, place, np.ascontiguousarray(directions).ravel(), GROUPS, 1, exclude, geom, far, None, count, 1e3
+    )
+    return far, geom

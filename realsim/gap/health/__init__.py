@@ -1,4 +1,0 @@
-"""Whether a log can be believed: its arrays, its units and conventions, how its runs begin."""
-
-from realsim.gap.health.examination import examine as examine
-from realsim.gap.health.examination import gathered as gathered

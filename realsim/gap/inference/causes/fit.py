@@ -1,0 +1,260 @@
+"""Fit causes with the full nonlinear simulation; the small deviations are marginalised on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from realsim.core.errors import GapError
+from realsim.core.types import F64
+from realsim.gap import figures
+from realsim.gap.effects.base import Parameter
+from realsim.gap.effects.lookup import lookup
+from realsim.gap.inference.causes.fitted import Cause as Cause
+from realsim.gap.inference.causes.fitted import Fit as Fit
+from realsim.gap.inference.causes.fitted import at, form, parameters_of, spread, values_of
+from realsim.gap.inference.causes.gauss_newton import Few, GaussNewton, clip, widest
+from realsim.gap.inference.causes.leftover import deviations, is_gap, leftover
+from realsim.gap.inference.evidence.onsets import find_onsets
+from realsim.gap.inference.likelihood.linear import bounded
+
+
+class Fitter(GaussNewton):
+    """What the selection asks of a fit: causes at their best values, measured on all runs of a screen."""
+
+    def prepared(self, fit: Fit) -> Fit:
+        """The set under weights that follow from what it leaves, with slopes about its causes.
+
+        The discrepancy between robot and model is estimated with each set. Else a large gap would be fitted by absurd
+        values of many nuisance parameters, since sensors are so precise that their prior does not count.
+        """
+        screen, simulator = self.screen, self.screen.simulator
+        settings, self.about = fit.settings(), fit.about
+        if fit.causes and not simulator.onsets:  # a lasting cause drowns a push until it is known
+            simulator.onsets = find_onsets(screen.comparison, simulator.simulate(settings), screen.runs)
+        fit = self.reweighted(fit)
+        # Where feet touch, deviations are simulated: beside them, the slopes that are there describe a small rest.
+        if fit.causes and (not simulator.context.touches or is_gap(leftover(screen, fit))):
+            if not any(lookup(c.candidate.effect).stiff for c in fit.causes):  # each slope at many times the steps
+                screen.relinearise(settings)
+            fit = self.reweighted(self.with_likelier_solver(self.remeasure(fit)))
+        return self.with_deviations(fit) if simulator.context.touches or is_gap(leftover(screen, fit)) else fit
+
+    def nominal(self) -> Fit:
+        """No cause at all."""
+        return self._measure(())
+
+    def with_likelier_solver(self, fit: Fit) -> Fit:
+        """With the solver's other friction cone and the like, each where it explains most of the gap by itself.
+
+        What is one or the other is tried, not sloped: beside slipping feet its slope says little of it, and lower
+        friction imitates it. Beside causes the gap is theirs, and what stays of it may be the solver's.
+        """
+        for i in [i for i, atom in enumerate(self.screen.atoms) if atom.parameter.whole]:
+            old, cost = self.about, self._cost(fit)
+            self.about = np.where(np.arange(len(old)) == i, 1.0 - old, old)
+            moved = self.looked_at(fit, fit.causes)
+            most = cost - 2 * figures.NEAR if fit.causes else figures.SWITCHED * cost
+            if moved is not None and self._cost(moved) < most:
+                fit = moved
+            else:
+                self.about = old
+        return fit
+
+    def with_deviations(self, fit: Fit) -> Fit:
+        """With everyday deviations simulated where that leaves no gap, and else with linear ones: beside a large gap,
+        many of them would be bent to imitate a cause, and hide it from its own rivals. The solver's ways stay."""
+        ways = {atom.effect for atom in self.screen.atoms if atom.parameter.whole}
+        for _ in range(2):
+            fit = self.reweighted(self.beside_own(fit))
+            self.about = fit.about
+            if not is_gap(leftover(self.screen, fit)):
+                return fit
+        self.about = np.where([atom.effect in ways for atom in self.screen.atoms], self.about, 0.0)
+        return self.reweighted(self.looked_at(fit, fit.causes) or fit)
+
+    def beside_own(self, fit: Fit) -> Fit:
+        """The same causes beside the everyday deviations that are most probable beside them, by simulation: slopes lead
+        there in a few steps, each halved where the simulation itself does not come nearer."""
+        whole = [atom.parameter.whole for atom in self.screen.atoms]
+        with self.beside_those_of(fit):
+            nearer: Fit | None = fit
+            while nearer is not None:
+                fit, nearer = nearer, None
+                x = self.screen.possible(fit.evidence.centre + deviations(self.screen, fit))
+                for share in figures.PARTS:
+                    self.about = np.where(whole, fit.about, fit.about + share * (x - fit.about))
+                    moved = self.looked_at(fit, fit.causes)
+                    if moved is not None and self._cost(moved) < self._cost(fit) - 2 * figures.CLEARLY:
+                        nearer = moved
+                        break
+        return fit
+
+    def beside_those(self, other: Fit, fit: Fit) -> Fit | None:
+        """The causes of a fit beside deviations that are searched for from those of another one."""
+        with self.beside_those_of(other):
+            there = self.looked_at(fit, fit.causes)
+        return self.beside_own(there) if there is not None else None
+
+    def settled(self, fit: Fit) -> Fit:
+        """The set beside its own everyday deviations. Where feet slip and land, its last cause is moved to where the
+        simulation agrees best: slopes are those of a moment there, and what lies a good step off is looked at."""
+        if not (fit.causes and self.screen.simulator.context.touches):
+            return self.beside_own(fit)
+        for size in figures.SLIDES:
+            fit = self.beside_own(self._slid(fit, size))
+        with self.beside_those_of(fit):
+            again = self.fit(fit.causes, iterations=3, rough=True)
+        return again if again is not None and again.misfit < fit.misfit else fit
+
+    def _slid(self, fit: Fit, size: float) -> Fit:
+        """With the strength of the last cause changed by this share, and the times of one that passes by so many
+        seconds, as long as that gains."""
+        parameters = fit.causes[-1].candidate.parameters
+        times = set(lookup(fit.causes[-1].candidate.effect).passing)
+        strong = [p.name for p in parameters if p.strength and p.name not in times]
+        groups = [*([p.name] for p in parameters if p.name in times), strong]
+
+        def moved(here: Fit, move: tuple[Sequence[str], float]) -> Fit | None:
+            (names, by), (*others, cause) = move, here.causes
+            there = [v + by * (1.0 if n in times else v) * (n in names) for n, v in cause.named.items()]
+            there = clip(np.array(there), parameters).tolist()
+            return self.looked_at(here, (*others, replace(cause, values=tuple(there))))
+
+        with self.beside_those_of(fit):
+            while True:
+                here = fit
+                looks = self.each(partial(moved, here), [(names, by) for names in groups for by in (size, -size)])
+                fit = min((f for f in looks if f is not None), key=lambda f: f.misfit, default=fit)
+                if fit.misfit >= here.misfit:
+                    return here
+
+    def _cost(self, fit: Fit) -> float:
+        """Weighted squared residual of the simulation itself."""
+        comparison = self.screen.comparison
+        rows = zip(self.screen.runs, fit.predictions, strict=True)
+        return float(sum(np.nansum(comparison.weights[run] * comparison.residual(run, y) ** 2) for run, y in rows))
+
+    def reweighted(self, fit: Fit) -> Fit:
+        """Weigh errors against what this fit leaves, and measure it anew."""
+        self.screen.comparison.temper(self.screen.runs, fit.predictions, self.screen.nominal, form(fit))
+        return self.remeasure(fit)
+
+    @contextmanager
+    def beside_those_of(self, fit: Fit) -> Iterator[None]:
+        """Simulations in here contain the nuisances that the fit was measured beside, whatever the search has since."""
+        own, self.about = self.about, fit.about
+        try:
+            yield
+        finally:
+            self.about = own
+
+    def remeasure(self, fit: Fit) -> Fit:
+        """The same fit under the present weights."""
+        with self.beside_those_of(fit):
+            return replace(self._measure(fit.causes), covariance=fit.covariance, at_bounds=fit.at_bounds)
+
+    def looked_at(self, fit: Fit, causes: Sequence[Cause]) -> Fit | None:
+        """These causes at their very values, without a search, under the fit's weights; None if the robot falls."""
+        try:
+            return replace(self._measure(tuple(causes)), covariance=fit.covariance, at_bounds=fit.at_bounds)
+        except GapError:
+            return None
+
+    def fit(
+        self,
+        causes: Sequence[Cause],
+        starts: Sequence[Sequence[float]] = (),
+        iterations: int = 6,
+        rough: bool = False,
+        target: float = np.inf,
+    ) -> Fit | None:
+        """The best values near the causes' own and the further `starts` (all values in a row); None if none runs.
+
+        A `rough` fit looks at some of the runs while it searches, and is measured on all of them; it is broken off
+        once it would not come down to the misfit `target` (of the runs it looks at) at its present pace.
+        """
+        few = self.screen.varied if rough else None
+        begun = self._best_start(causes, [list(values_of(causes)), *starts], few)
+        if begun is None:
+            return None
+        here, _, slopes = self._descend(begun, few, iterations, target)
+        try:
+            return self._measure(here, True, slopes, few)
+        except GapError:  # on a run that a rough fit did not look at
+            return None
+
+    def without_each(self, fit: Fit) -> Iterator[tuple[F64, tuple[Cause, ...]]]:
+        """((p,) nuisances, causes) fitted to all runs but one, each in turn: one Gauss-Newton step from the values that
+        suit all runs leads to those that suit the others."""
+        z, parameters, p = values_of(fit.causes), parameters_of(fit.causes), len(fit.prior)
+        normal, prior, most = fit.evidence, fit.prior, figures.REASONABLE * fit.prior
+        with self.beside_those_of(fit):
+            if slopes := self.slopes(fit.causes, fit.predictions):
+                normal = self._normal(fit.causes, fit.predictions, slopes)
+                prior = np.append(prior, [4 * abs(p.step) for p in parameters])
+                most = np.append(most, widest(z, parameters))
+        for k in range(len(normal.A)):
+            others = normal.without(k)
+            x, _ = bounded(np.sum(others.A, axis=0), np.sum(others.b, axis=0), prior, most)
+            yield x[:p], at(fit.causes, clip(z + (x[p:] if slopes else 0.0), parameters))
+
+    def of_run(self, fit: Fit, causes: Sequence[Cause], k: int) -> F64:
+        """(T, C) prediction of screened run k with these values; the fit's own where that fails."""
+        with self.beside_those_of(fit):
+            moved = self._predict(causes, (k,)) if causes else None
+        return moved[0] if moved else fit.predictions[k]
+
+    def left_out(self, fit: Fit) -> F64:
+        """(runs,) half the weighted squares of each run, with values and deviations fitted to all the other runs."""
+        found = []
+        for k, (x, causes) in enumerate(self.without_each(fit)):
+            here = self.screen.evidence([self.of_run(fit, causes, k)], (k,), fit.about)
+            here = here.moved(np.full(len(x), fit.evidence.centre) - here.centre)
+            found.append(0.5 * float(here.c[0] - 2 * here.b[0] @ x + x @ here.A[0] @ x))
+        return np.array(found)
+
+    def spread(self, fit: Fit) -> Fit:
+        """The same fit with its covariance from slopes taken at its very values."""
+        with self.beside_those_of(fit):
+            return self._measure(fit.causes, True) if fit.causes else fit
+
+    # ------------------------------------------------------------ inside
+
+    def _measure(
+        self,
+        causes: Sequence[Cause],
+        spread_too: bool = False,
+        slopes: list[F64] | None = None,
+        few: Few = None,
+    ) -> Fit:
+        """The fit with its evidence, and its covariance if asked for, from `slopes` (of the runs looked at)."""
+        prior, about = self.prior_beside(causes), self.beside(causes)
+        predicted = self._predict(causes)
+        if predicted is None:
+            raise GapError("the simulator fails with the values found", hint="look at the units of the log")
+        evidence = self.screen.evidence(predicted, None, about)
+        misfit, scale = self.screen.misfit(evidence, prior)
+        prior = scale * prior
+        z, parameters = values_of(causes), parameters_of(causes)
+        covariance = np.zeros((len(z), len(z)))
+        at_bounds: list[str] = []
+        if spread_too and parameters:
+            if slopes is None:
+                slopes, few = self.slopes(causes, predicted), None
+            if slopes is not None:
+                seen = predicted if few is None else [predicted[k] for k in few]
+                covariance = spread(*self._local(prior, self._normal(causes, seen, slopes, few)), parameters)
+            at_bounds = [p.name for p, v in zip(parameters, z, strict=True) if _at_bound(p, float(v))]
+        return Fit(tuple(causes), misfit, covariance, tuple(predicted), about, evidence, prior, scale, tuple(at_bounds))
+
+
+def _at_bound(p: Parameter, value: float) -> bool:
+    """Whether a value lies at an end of its range; zero, where an effect begins, and nothing left of it are no ends."""
+    low, high = p.bounds
+    near = min(1e-3 * (high - low), 0.05 * abs(p.step))
+    return value >= high - near or (low != 0 and not p.none_left and value <= low + near)

@@ -1,0 +1,133 @@
+"""What a fit finds: causes with values, how well they explain the runs, and how well they are determined."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from realsim.core.types import F64
+from realsim.gap.effects.base import Parameter, Place
+from realsim.gap.effects.lookup import lookup
+from realsim.gap.inference.likelihood.linear import Evidence
+from realsim.gap.inference.likelihood.screen import Candidate
+from realsim.gap.simulation.simulate import Setting
+
+Z90 = 1.6449
+"""Standard errors to either end of a 90 percent interval."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A candidate with values (coordinates in which 0 is nominal)."""
+
+    candidate: Candidate
+    values: tuple[float, ...]
+
+    @property
+    def named(self) -> dict[str, float]:
+        return dict(zip(self.candidate.names, self.values, strict=True))
+
+    def settings(self) -> list[Setting]:
+        """What the simulator is told."""
+        return self.candidate.settings(self.named)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Causes at their best values, and how well they explain the screened runs."""
+
+    causes: tuple[Cause, ...]
+    misfit: float
+    """Half the weighted squared residual after the nuisances, plus their prior: lower is better."""
+    covariance: F64
+    """(m, m) of all values, nuisances marginalised; the larger of model-based and run-to-run."""
+    predictions: tuple[F64, ...]
+    """(T, C) a screened run, with the nuisances `about`."""
+    about: F64
+    """(p,) nuisances that were simulated; the others are linear about them."""
+    evidence: Evidence
+    prior: F64
+    """(p,) prior of the nuisances that stay beside these causes, times the scale."""
+    scale: float
+    """Of all nuisances, at its most probable value."""
+    at_bounds: tuple[str, ...] = ()
+
+    def settings(self) -> list[Setting]:
+        return [s for c in self.causes for s in c.settings()]
+
+    @property
+    def key(self) -> frozenset:
+        """The set of causes, whatever their parameters: effects at places."""
+        return frozenset((c.candidate.effect, c.candidate.places) for c in self.causes)
+
+    @property
+    def full_key(self) -> frozenset:
+        """The set of causes with the parameters that are fitted."""
+        return frozenset(c.candidate.key for c in self.causes)
+
+    def has(self, effect: str, place: Place) -> bool:
+        """Whether this effect at this place is among the causes."""
+        return any((c.candidate.effect, c.candidate.place) == (effect, place) for c in self.causes)
+
+
+@dataclass
+class Trial:
+    """A further cause beside a set: a row of the ranking."""
+
+    candidate: Candidate
+    stage: int
+    """Causes of the set."""
+    linear_gain: float
+    """Log-evidence gain by the linear screen."""
+    outcome: str = "refitted"
+    gain: float | None = None
+    """Gain of the fit, or None if it was only screened."""
+    values: tuple[float, ...] = ()
+    held: tuple[float, float] | None = None
+    """Gain on runs left out in turn, as the logarithm of a ratio, and its error; if looked at."""
+
+
+def exchanged(trials: Sequence[Trial], before: Fit, fit: Fit) -> Trial:
+    """The row of a cause in another one's place: it gains what that one did, and what it fits better."""
+    new, stay = fit.causes[-1], {c.candidate.key for c in fit.causes[:-1]}
+    gone = {c.candidate.key for c in before.causes} - stay
+    old = next(t for t in reversed(trials) if t.candidate.key in gone and t.gain is not None)
+    linear = max((t.linear_gain for t in trials if t.candidate.key == new.candidate.key), default=0.0)
+    gain = old.gain + before.misfit - fit.misfit if old.gain is not None else None
+    return Trial(new.candidate, old.stage, linear, "accepted", gain, new.values)
+
+
+def values_of(causes: Sequence[Cause]) -> F64:
+    """(m,) of all causes in a row."""
+    return np.array([v for c in causes for v in c.values], float)
+
+
+def parameters_of(causes: Sequence[Cause]) -> list[Parameter]:
+    """Of all values in a row."""
+    return [p for c in causes for p in c.candidate.parameters]
+
+
+def at(causes: Sequence[Cause], z: F64) -> tuple[Cause, ...]:
+    """The same causes with other values (all in a row)."""
+    row = iter(z)
+    return tuple(replace(c, values=tuple(float(next(row)) for _ in c.values)) for c in causes)
+
+
+def spread(info: F64, scores: F64, parameters: list[Parameter]) -> F64:
+    """The model's own, or the one that the runs' disagreement speaks of (sandwich), whichever is larger."""
+    scale = np.array([abs(p.step) for p in parameters])
+    inverse: F64 = np.asarray(np.linalg.inv(info + np.diag(1e-2 / scale**2)), dtype=np.float64)
+    runs = len(scores)
+    if runs < 3:
+        return inverse
+    centred = scores - scores.mean(axis=0)
+    sandwich = inverse @ (centred.T @ centred * runs / (runs - 1)) @ inverse
+    ratio = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(inverse), 1e-30), 1.0))
+    return np.asarray(inverse * np.outer(ratio, ratio))
+
+
+def form(fit: Fit) -> float:
+    """Share of the correction that the laws of these causes may miss: that of the roughest one."""
+    return max((lookup(c.candidate.effect).form for c in fit.causes), default=0.0)

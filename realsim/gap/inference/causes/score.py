@@ -1,0 +1,120 @@
+"""The score of a set of causes, what speaks against a further cause, and when two sets explain the runs alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from realsim.core.types import F64
+from realsim.gap import figures
+from realsim.gap.effects.lookup import lookup
+from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
+from realsim.gap.inference.causes.leftover import leftover
+from realsim.gap.inference.causes.starts import twins
+from realsim.gap.inference.likelihood.screen import Screen
+
+
+class Estimated(Protocol):
+    """Causes with the covariance of their values."""
+
+    @property
+    def causes(self) -> Sequence[Cause]: ...
+
+    @property
+    def covariance(self) -> F64: ...
+
+
+Held = tuple[float, float]
+"""(mean, standard error) of a gain on runs that are left out in turn."""
+
+
+def score(screen: Screen, fit: Fit) -> float:
+    """Penalised misfit of a set in nats, lower is better: half the weighted squares that stay beside the nuisance
+    parameters, and the price of causes, of parameters that the data determine, of shared values and of rare effects.
+    Where deviations leave a gap there is a cause, and the first one costs what it takes to say which."""
+    total = fit.misfit + figures.PRICE * determined(fit)
+    if fit.causes:
+        dear = figures.CAUSE + figures.CAUSE_A_JOINT * len(screen.simulator.case.joint_names)
+        total += (float(np.log(len(screen.candidates))) if screen.gap else dear) + (len(fit.causes) - 1) * dear
+    total += figures.SHARED * sum(len(c.candidate.places) > 1 for c in fit.causes)
+    return total + figures.PRICE * sum(lookup(c.candidate.effect).usual is not None for c in fit.causes)
+
+
+def determined(fit: Estimated) -> float:
+    """How many parameters the data determine: a force across a planar arm is none."""
+    sizes = np.array([2 * p.step for c in fit.causes for p in c.candidate.parameters])
+    return float(np.clip(1 - np.diag(fit.covariance) / sizes**2, 0.0, 1.0).sum())
+
+
+def asked(screen: Screen, before: Fit) -> float:
+    """Nats by which one more cause must lower the score of a set: clearly, and beside others by a share of what is no
+    noise, since each of them leaves a little that a wrong one can bend to. Feet that slip and land differ from a
+    simulator's by many nats whatever stays, so there it is a share of all, for a first cause, too. Where deviations
+    leave a gap, the likeliest first cause is looked at: the check says whether it is one."""
+    touches = screen.simulator.context.touches
+    if not before.causes and (screen.gap or not touches):
+        return 0.0 if screen.gap else figures.CLEARLY
+    noise = 0.0 if touches else 1 / max(leftover(screen, before).mean(), 1.0)
+    return max(figures.CLEARLY, figures.SHARE * before.misfit * (1 - noise))
+
+
+def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | None]:
+    """(what speaks against the further cause of `after`: it gains too little, or not on runs that are left out; its
+    gain on those)."""
+    found = []
+    gain, least = score(fitter.screen, before) - score(fitter.screen, after), asked(fitter.screen, before)
+    if gain < least:
+        found.append(f"gains {gain:.1f} nats, must gain {least:.1f}")
+    held = left_out(fitter, before, after)
+    # Deviations imitate a first cause on runs left out as well as on the others, at their price: the check is on it,
+    # without them. Feet may slip with it in some runs only.
+    alone = not before.causes and not fitter.screen.simulator.context.touches
+    if held is not None and not (alone or _holds(*held)):
+        found.append("does not hold on runs left out in turn")
+    return found, held
+
+
+def left_out(fitter: Fitter, before: Fit, after: Fit) -> Held | None:
+    """(mean, standard error) over runs of the logarithm of the ratio of errors of each, fitted to the others: one run
+    that diverges counts once. None of a single run."""
+    if len(fitter.screen.runs) < 2:
+        return None
+    errors = [np.maximum(fitter.left_out(fit), 1e-9) for fit in (before, after)]
+    gains = np.log(errors[0] / errors[1])
+    return float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))
+
+
+def _holds(mean: float, error: float) -> bool:
+    return mean > figures.HOLDS * error
+
+
+def alike(fitter: Fitter, best: Fit, rival: Fit, removed: float) -> bool:
+    """Whether the runs do not tell a rival from the best set, of which `removed` is the gain over no cause."""
+    screen = fitter.screen
+    loss = score(screen, rival) - score(screen, best)
+    if _kinds(screen, best) == _kinds(screen, rival):  # between the steps of a simulator, not even twins are the same
+        return True
+    if loss < figures.CLEARLY or loss >= figures.EQUAL * removed:
+        return loss < figures.CLEARLY
+    held = left_out(fitter, rival, best)
+    return held is None or not _holds(*held)
+
+
+def _kinds(screen: Screen, fit: Fit) -> set[tuple[str, tuple]]:
+    """Effects at places; twins have one name."""
+    found = [(c.candidate, twins(screen.simulator, c.candidate.effect, c.candidate.place, c.named)) for c in fit.causes]
+    return {(min([c.effect, *same]), c.places) for c, same in found}
+
+
+def near(gain: float) -> float:
+    """Nats within which a fit can still catch up with the best of its kind, which gains so much."""
+    return max(figures.NEAR_SHARE * gain, figures.NEAR) if np.isfinite(gain) else np.inf
+
+
+def searched(screen: Screen, fit: Fit) -> float:
+    """Misfit on the runs that a rough fit looks at."""
+    few = screen.varied
+    seen = fit.predictions if few is None else [fit.predictions[k] for k in few]
+    return screen.misfit(screen.evidence(seen, few, fit.about), fit.prior / fit.scale)[0]

@@ -1,0 +1,147 @@
+"""Which causes: a search over sets of them, by one score and three moves (drop, add, exchange).
+
+The neighbours of the best set are fitted: with one cause less, with one more, with another one or a richer law in a
+cause's place. One that has a lower score, and against which nothing speaks, becomes the best set, and so on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from realsim.core.types import F64
+from realsim.gap import figures
+from realsim.gap.inference.causes.fit import Fit, Fitter
+from realsim.gap.inference.causes.fitted import Trial, exchanged
+from realsim.gap.inference.causes.leftover import is_gap, leftover
+from realsim.gap.inference.causes.proposals import ADD, EXCHANGE, Proposal, Propose, ranked
+from realsim.gap.inference.causes.score import asked, doubts, near, score, searched
+from realsim.gap.inference.causes.second_look import second_look
+
+Tick = Callable[[str, float], None]
+
+
+@dataclass
+class Search:
+    """From one set of causes to a better neighbour, as long as there is one."""
+
+    fitter: Fitter
+    most: int
+    """Causes of a set."""
+    best: Fit
+    """The set with the lowest score of those that nothing speaks against."""
+    seen: dict[frozenset, Fit] = field(default_factory=dict)
+    gap: float = 0.0
+    """Mean square above the floor that stays beside everyday deviations alone."""
+    trials: list[Trial] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def run(self, tick: Tick) -> None:
+        self._keep(self.best)
+        best: dict[str, Trial] = {}
+        for gain, c, _ in ranked(self.fitter.screen, self.best):
+            best.setdefault(c.effect, Trial(c, 0, gain, "screened"))
+        self.trials = list(best.values())
+        expanded: set[frozenset] = set()
+        better = True
+        while better:
+            tick("search for causes", len(expanded) / (len(expanded) + 3))
+            new = self.best.full_key not in expanded  # else with better values, so that another cause may help it now
+            expanded.add(self.best.full_key)
+            if self._hopeless(leftover(self.fitter.screen, self.fitter.remeasure(self.best))):
+                break
+            # A poor law, or a cause that was chosen while another one was missing, is exchanged before one is added.
+            better = (new and (self._dropped() or self._moved(EXCHANGE))) or self._moved(ADD)
+        self.best = self.fitter.prepared(self.best)
+        if self.best.causes:  # what was found on some of the runs, on all of them
+            self.best = self.fitter.fit(self.best.causes) or self.best
+            self._keep(self.best)
+
+    def _hopeless(self, left: F64) -> bool:
+        """Whether nothing in the library fits: with all the causes that a set may have, each as good as those so far,
+        it would still not remove the share of the gap above the floor that causes must to be named."""
+        if not self.best.causes:
+            self.gap, self.fitter.screen.gap = max(left.mean() - 1, 0.0), is_gap(left)
+            return False
+        stays = (left.mean() - 1) / self.gap if self.gap else 0.0
+        return bool(max(stays, 0.0) ** (self.most / len(self.best.causes)) > 1 - figures.NAMED_SHARE)
+
+    def _dropped(self) -> bool:
+        """Whether a cause is superfluous beside the others; the one that brings least is looked at first."""
+        if len(self.best.causes) < 2:
+            return False
+        self.best = here = self.fitter.prepared(self.best)
+        fits = [self.fitter.fit(here.causes[:i] + here.causes[i + 1 :]) for i in range(len(here.causes))]
+        for less in sorted((f for f in fits if f is not None), key=self._score):
+            if said := doubts(self.fitter, less, here)[0]:
+                self._replace(less, "; ".join(said))
+                return True
+        return False
+
+    def _moved(self, moves: Sequence[Propose]) -> bool:
+        """Fit the neighbours of the best set that some moves lead to; whether one of them takes its place."""
+        further = moves is ADD
+        if len(self.best.causes) == (self.most if further else 0):
+            return False
+        screen, self.best = self.fitter.screen, self.fitter.prepared(self.best)
+        here = self.best
+        if screen.simulator.context.touches and not here.causes:  # now deviations are simulated: do they leave a gap?
+            screen.gap = is_gap(leftover(screen, here))
+        fits: list[Fit] = []
+        for p in self._proposed(moves, here):
+            # Of many further causes each is looked at roughly; what would not catch up with the best is broken off.
+            least = min((searched(screen, f) for f in fits), default=np.inf) if further else here.misfit
+            before = searched(screen, here) if further else self.seen[frozenset()].misfit
+            target = least + near(before - least)
+            fit = self.fitter.fit(p.causes, p.starts, 8, rough=further, target=target)
+            if fit is not None:
+                fits.append(fit)
+                self._keep(fit)
+                if further:
+                    c, gain = fit.causes[-1], here.misfit - fit.misfit
+                    self.trials.append(Trial(c.candidate, len(here.causes), p.foretold, gain=gain, values=c.values))
+        here, fits = second_look(self.fitter, here, sorted(fits, key=self._score))
+        for fit in fits:
+            self._keep(fit)
+        return self._better(here, fits)
+
+    def _proposed(self, moves: Sequence[Propose], here: Fit) -> Iterator[Proposal]:
+        """Neighbours of a set; of those that begin from the linear estimate alone, each once."""
+        known: set[tuple] = set()
+        for p in (p for propose in moves for p in propose(self.fitter, here)):
+            what = tuple(c.candidate.key for c in p.causes)
+            if what not in known or p.starts:
+                yield p
+            known.add(what)
+
+    def _better(self, before: Fit, fits: Sequence[Fit]) -> bool:
+        """Whether one of the fits takes the place of the best set."""
+        least = figures.CLEARLY if before.causes else asked(self.fitter.screen, before)
+        for fit in fits:
+            if self._score(before) - self._score(fit) < least:
+                break
+            said, held = doubts(self.fitter, before, fit) if len(fit.causes) > len(before.causes) else ([], None)
+            for trial in [t for t in self.trials if t.candidate.key == fit.causes[-1].candidate.key][-1:]:
+                trial.outcome, trial.held = "; ".join(said) or "accepted", held
+            if not said:
+                if len(fit.causes) == len(before.causes):
+                    self.trials.append(exchanged(self.trials, before, fit))
+                self._replace(fit, "")
+                return True
+        return False
+
+    def _replace(self, fit: Fit, why: str) -> None:
+        gone = [c.candidate for c in self.best.causes if c.candidate.key not in {o.candidate.key for o in fit.causes}]
+        self.notes += [f"{c.effect} {', '.join(c.place)} was taken out again {why}".strip() for c in gone]
+        self.best = fit
+        self._keep(fit)
+
+    def _keep(self, fit: Fit) -> None:
+        old = self.seen.get(fit.key)
+        if old is None or old.evidence.version != fit.evidence.version or self._score(fit) < self._score(old):
+            self.seen[fit.key] = fit
+
+    def _score(self, fit: Fit) -> float:
+        return score(self.fitter.screen, fit)

@@ -1,0 +1,82 @@
+"""From the linear screen to the causes: the search, and what each cause brings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from realsim.gap.config import DiagnoseConfig
+from realsim.gap.inference.causes.fit import Fit, Fitter
+from realsim.gap.inference.causes.fitted import Trial
+from realsim.gap.inference.causes.score import alike, near, score
+from realsim.gap.inference.causes.search import Search, Tick
+from realsim.gap.inference.causes.starts import contains
+from realsim.gap.inference.likelihood.screen import Screen
+
+
+@dataclass
+class Selection:
+    """What the search came to."""
+
+    fit: Fit
+    nominal: Fit
+    trials: list[Trial]
+    equivalent: list[Fit]
+    """Other sets that explain the runs alike."""
+    gains: dict[int, float]
+    """Loss in log-likelihood without cause i of the fit."""
+    notes: list[str]
+
+
+def select(screen: Screen, fitter: Fitter, config: DiagnoseConfig, tick: Tick = lambda what, share: None) -> Selection:
+    """Causes of the gap on the screened runs."""
+    nothing = fitter.with_likelier_solver(fitter.nominal())
+    search = Search(fitter, config.max_causes, nothing)
+    search.run(tick)
+    nominal = fitter.looked_at(nothing, ()) or nothing
+    best, equivalent = _alike(search, nominal)
+    gains = {}
+    for i in range(len(best.causes)):
+        rest = [c for j, c in enumerate(best.causes) if j != i]
+        less = fitter.fit(rest) if rest else nominal
+        gains[i] = less.misfit - best.misfit if less is not None else 0.0
+    if best.causes:
+        best, nominal = fitter.spread(fitter.reweighted(best)), fitter.remeasure(nominal)
+    if len(screen.runs) == 1 and best.causes:
+        search.notes.append("a single run: no cause could be held against a run that is left out")
+    return Selection(best, nominal, search.trials, equivalent, gains, search.notes)
+
+
+def _alike(search: Search, nominal: Fit) -> tuple[Fit, list[Fit]]:
+    """(the set with the lowest score, the others that explain the runs alike), all under the same weights."""
+    fitter, best = search.fitter, search.fitter.spread(search.best)
+    if not best.causes:
+        return best, []
+    removed = nominal.misfit - best.misfit
+    others = [f for k, f in search.seen.items() if k != best.key and len(f.causes) == len(best.causes)]
+    again = (fitter.looked_at(f, f.causes) for f in others)
+    others = [f for f in again if f is not None and f.misfit - best.misfit < near(removed)]
+    # Their values were found under other weights, and on some of the runs: at their best, all are compared.
+    others = [min(fitter.fit(f.causes, iterations=3) or f, f, key=lambda f: f.misfit) for f in others]
+    same = [best, *(f for f in others if alike(fitter, best, f, removed))]
+    best, *rest = _in_order(fitter.screen, same)
+    return fitter.spread(best), rest
+
+
+def _in_order(screen: Screen, same: Sequence[Fit]) -> list[Fit]:
+    """The lowest score first, without laws that hold another one with a lower score as a special case: they always fit
+    as well."""
+    kept: list[Fit] = []
+    for fit in sorted(same, key=lambda f: score(screen, f)):
+        if not any(_richer(fit, better) for better in kept):
+            kept.append(fit)
+    return kept
+
+
+def _richer(fit: Fit, other: Fit) -> bool:
+    """Whether a set is the other one with a law in a cause's place that holds it as a special case."""
+    ours, theirs = (
+        [c.candidate for c in a.causes if not b.has(c.candidate.effect, c.candidate.place)]
+        for a, b in ((fit, other), (other, fit))
+    )
+    return bool(ours) and all(any(contains(c, o) for o in theirs) for c in ours)

@@ -1,0 +1,247 @@
+"""Difference between log and simulator: bins, noise floor, weights."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from realsim.core.types import F64
+from realsim.gap.case.case import Case, Run
+from realsim.gap.case.kinks import median_size, second_differences
+from realsim.gap.config import DiagnoseConfig
+from realsim.gap.simulation.simulate import Channel, measured
+
+CORRELATION = 20.0
+"""Unmodelled detail is correlated over some tenths of a second: that many bins count as one."""
+CLOCK_SIGMA = 3e-4
+"""Seconds: jitter of time stamps that nobody logs. Its error grows with the rate of a signal."""
+TOUCH_SIGMA = 3e-3
+"""Seconds by which a touchdown may come sooner or later: what an accelerometer on a walking robot makes of it."""
+
+PHASE = 0.3
+"""A torque may be sampled before or after a command that changes at that very moment: share of the step, as noise."""
+
+PART_SECONDS, PART_FACTOR = 0.5, 12.0
+"""A floating robot has parted from its simulator where the error stays this many times above the usual one."""
+
+TEMPER = 0.25
+TEMPER_SECONDS = 1.0
+
+# What structure of no consequence remains in any good simulator: (absolute, share of the signal's own spread).
+DETAIL = {
+    "joint_pos": (8e-4, 0.002),
+    "joint_vel": (8e-3, 0.006),
+    "joint_torque": (2e-2, 0.015),
+    "base_pos": (8e-4, 0.005),
+    "base_rot": (1.2e-3, 0.005),
+    "imu_gyro": (1e-2, 0.01),
+    "imu_acc": (1e-1, 0.05),
+}
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The floor, channel by channel."""
+
+    sensor: F64
+    """(C,) standard deviation of a sample, from the log's own high frequencies."""
+    detail: F64
+    """(C,) standard deviation of slow structure that is no gap."""
+
+
+class Comparison:
+    """Log against simulator on regular bins. Residuals are (B, C) a run, in the units of the channels."""
+
+    def __init__(
+        self,
+        case: Case,
+        channels: Sequence[Channel],
+        nominal: Sequence[F64],
+        config: DiagnoseConfig,
+        runs: Sequence[int] | None = None,
+    ) -> None:
+        """`runs`: those that the noise floor and what parts are judged by; all if None."""
+        self.case, self.channels, self.config = case, tuple(channels), config
+        self._starts, self._counts, self._values, self.times = [], [], [], []
+        self._valid, self._phase = [], []
+        self._free: dict[int, list[tuple[Any, F64, F64]]] = {}
+        for run in case.runs:
+            bins = np.floor(run.time / config.bin_seconds).astype(int)
+            starts = np.flatnonzero(np.diff(bins, prepend=bins[0] - 1))
+            values = measured(run, channels)
+            good = np.isfinite(values)
+            self._starts.append(starts)
+            self._valid.append(good)
+            steps = np.where(good, PHASE * _torque_steps(case, run, channels), 0.0)
+            self._phase.append(np.add.reduceat(steps**2, starts, axis=0))
+            self._counts.append(np.add.reduceat(good.astype(float), starts, axis=0))
+            self._values.append(np.where(good, values, 0.0))
+            self.times.append(np.add.reduceat(run.time, starts) / np.diff(np.append(starts, len(run.time))))
+        walks = [case.floating and c.signal == "imu_acc" for c in self.channels]
+        self._clock = np.where(walks, TOUCH_SIGMA, CLOCK_SIGMA)
+        self._rates = [self._rate(i, y) for i, y in enumerate(nominal)]
+        known = range(len(nominal)) if runs is None else runs
+        self.noise = self._floor(nominal, known)
+        self.parted = self._part(nominal, known)
+        """Run -> seconds from which robot and simulator have parted for good (a fall, a slip); left out from there."""
+        self.version = 0
+        self._form: dict[int, F64] = {}
+        self.set_detail([self.noise.detail for _ in case.runs])
+
+    def _part(self, nominal: Sequence[F64], known: Sequence[int]) -> dict[str, float]:
+        """Time from which a floating robot's error is large for good: chaos, not evidence."""
+        if not self.case.floating:
+            return {}
+        width = max(int(PART_SECONDS / self.config.bin_seconds), 1)
+        levels = []
+        for run, y in enumerate(nominal):
+            square = np.nanmean(self.residual(run, y) ** 2 / self.floor(run), axis=1)
+            levels.append(np.convolve(np.nan_to_num(square), np.ones(width) / width, mode="same"))
+        limit = PART_FACTOR * max(float(np.median(np.concatenate([levels[i] for i in known]))), 8.0)
+        parted = {}
+        for run, level in enumerate(levels):
+            fine = np.flatnonzero(level <= limit)
+            last = int(fine[-1]) if len(fine) else 0
+            if len(level) - last > width:
+                last = max(last - width // 2, width)
+                self._counts[run][last:] = 0
+                parted[self.case.runs[run].name] = float(self.times[run][last])
+        return parted
+
+    def residual(self, run: int, simulated: F64) -> F64:
+        """(B, C) mean of measured - simulated in each bin; NaN where a bin has no sample or the simulator failed."""
+        return np.where(self._counts[run] > 0, self._mean(run, self._values[run] - simulated), np.nan)
+
+    def change(self, run: int, simulated: F64, base: F64) -> F64:
+        """(B, C) mean change of the prediction in each bin; 0 where none of its samples count."""
+        return np.where(self._counts[run] > 0, self._mean(run, simulated - base), 0.0)
+
+    def _mean(self, run: int, values: F64) -> F64:
+        """(B, C) mean of (T, C) over the samples of each bin, beside the states that the run's parts begin in."""
+        total = np.add.reduceat(np.where(self._valid[run], values, 0.0), self._starts[run], axis=0)
+        return self._beside_starts(run, total / np.maximum(self._counts[run], 1))
+
+    def free_starts(self, run: int, slopes: F64, parts: Any) -> None:
+        """Let each part of a run begin where it fits best: what the state that it begins in can explain is no error.
+
+        Args:
+            slopes: (T, C, K) change of the prediction by one unit of each coordinate of those states.
+            parts: (B,) the part that each bin lies in.
+        """
+        columns = [self._mean(run, slopes[:, :, k]) for k in range(slopes.shape[2])]
+        S, known = np.stack(columns, axis=2), self._counts[run] > 0
+        root = np.where(known, self.floor(run) ** -0.5, 0.0)
+        self._free[run] = []
+        for part in np.unique(parts):
+            rows = parts == part
+            there = S[rows].reshape(-1, S.shape[2])
+            fit = np.linalg.pinv(root[rows].reshape(-1, 1) * there, rcond=1e-6) * root[rows].reshape(-1)
+            self._free[run].append((rows, there, fit))
+
+    def _beside_starts(self, run: int, values: F64) -> F64:
+        """(B, C) without what the states that the parts of the run begin in explain."""
+        for rows, slopes, fit in self._free.get(run, []):
+            flat = values[rows].reshape(-1)
+            values[rows] = (flat - slopes @ (fit @ flat)).reshape(values[rows].shape)
+        return values
+
+    def set_detail(self, detail: Sequence[F64]) -> None:
+        """Set the size of slow structure, (C,) or (B, C) a run, and with it the weights."""
+        self.weights = []
+        for i, d in enumerate(detail):
+            self.weights.append(1.0 / (self.variance(i) + CORRELATION * d**2))
+            self.weights[i][self._counts[i] == 0] = 0.0
+        self.version += 1
+
+    @contextmanager
+    def allowing(self, detail: F64) -> Iterator[None]:
+        """Errors in here count against slow structure of this size, (C,)."""
+        kept = self.weights
+        self.set_detail([detail for _ in kept])
+        try:
+            yield
+        finally:
+            self.weights = kept
+            self.version += 1
+
+    def temper(self, runs: Sequence[int], simulated: Sequence[F64], nominal: Sequence[F64], form: float) -> None:
+        """Weigh errors against the gap that is still there: a model that explains most of it is good enough for now.
+
+        Without this, a large gap would be fitted by absurd values of many small deviations, because sensors are so
+        precise that their price does not count. The tolerance is a quarter of the local error (about a second wide),
+        and what the `form` of the causes leaves open: a few per cent of what they have changed.
+        """
+        detail: list[F64] = [self.noise.detail for _ in self.case.runs]
+        self._form = {}
+        for run, y, y0 in zip(runs, simulated, nominal, strict=True):
+            self._form[run] = form * self._local(self.change(run, y, y0))
+            left = TEMPER * self._local(np.nan_to_num(self.residual(run, y)))
+            detail[run] = np.sqrt(self.noise.detail**2 + left**2 + self._form[run] ** 2)
+        self.set_detail(detail)
+
+    def _local(self, values: F64) -> F64:
+        """(B, C) root mean square over about a second."""
+        width = min(max(int(TEMPER_SECONDS / self.config.bin_seconds), 1), len(values))
+        kernel = np.ones(width) / width
+        mean = [np.convolve(values[:, c] ** 2, kernel, mode="same") for c in range(values.shape[1])]
+        return np.asarray(np.sqrt(np.maximum(np.stack(mean, axis=1), 0.0)))
+
+    def variance(self, run: int) -> F64:
+        """(B, C) variance of the sensors' noise in each bin."""
+        sample = self.noise.sensor**2 + (self._clock * self._rates[run]) ** 2
+        count = np.maximum(self._counts[run], 1)
+        return (sample + self._phase[run] / count) / count
+
+    def floor(self, run: int) -> F64:
+        """(B, C) mean square that a perfect diagnosis would leave: sensors and detail."""
+        return self.variance(run) + self.noise.detail**2
+
+    def tolerance(self, run: int) -> F64:
+        """(B, C) mean square that the causes named so far may leave: the floor, and what their form leaves open."""
+        return self.floor(run) + self._form.get(run, np.zeros(1)) ** 2
+
+    # ------------------------------------------------------------ inside
+
+    def _rate(self, run: int, nominal: F64) -> F64:
+        """(B, C) size of the signals' rate of change, from the nominal simulator."""
+        rate = np.abs(np.gradient(np.nan_to_num(nominal), self.case.runs[run].time, axis=0))
+        width = np.diff(np.append(self._starts[run], len(rate)))[:, None]
+        return np.add.reduceat(rate, self._starts[run], axis=0) / width
+
+    def _floor(self, nominal: Sequence[F64], runs: Sequence[int]) -> Noise:
+        sensor, detail = [], []
+        for c, channel in enumerate(self.channels):
+            second, spread = [], []
+            for i in runs:
+                y = nominal[i]
+                r = np.where(self._valid[i][:, c], self._values[i][:, c] - y[:, c], np.nan)
+                second.append(second_differences(r))
+                spread.append(self._values[i][self._valid[i][:, c], c])
+            kinks = np.concatenate(second)
+            robust = 1.4826 * median_size(kinks)
+            # A coarse encoder has a median of zero: then the mean of the smaller kinks speaks.
+            trimmed = float(np.sqrt(np.mean(np.sort(kinks**2)[: max(int(0.9 * len(kinks)), 1)]))) if len(kinks) else 0.0
+            sensor.append(max(robust, trimmed) / np.sqrt(6) + 1e-9)
+            absolute, relative = DETAIL[channel.signal]
+            values = np.concatenate(spread)
+            values = values[np.isfinite(values)]
+            detail.append(np.hypot(absolute, relative * float(np.std(values)) if len(values) else 0.0))
+        return Noise(np.array(sensor), np.array(detail))
+
+
+def _torque_steps(case: Case, run: Run, channels: Sequence[Channel]) -> F64:
+    """(T, C) N m that each new command of a position servo adds to the torque at once; 0 for other signals."""
+    steps = np.zeros((len(run.time), len(channels)))
+    for c, channel in enumerate(channels):
+        name = case.actuator_of(channel.label) if channel.signal == "joint_torque" else None
+        if name is None or case.command_kind != "position":
+            continue
+        column = run.command[:, case.actuator_names.index(name)]
+        gain = abs(case.command_torque(channel.label))
+        most = float(np.nanmax(np.abs(run.signals["joint_torque"][:, channel.index]), initial=0.0))
+        steps[:, c] = np.minimum(gain * np.abs(np.diff(column, prepend=column[0])), 2 * most)
+    return steps

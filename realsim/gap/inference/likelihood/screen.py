@@ -1,0 +1,360 @@
+"""Every effect at every place at once: sensitivities by simulation, then linear algebra.
+
+The residual r of the nominal simulator is taken as r = G x + e: G holds one column an atom (effect, place, parameter),
+x is small for the deviations that every robot has (prior sizes from the effects) and large for a cause. Everything the
+selection needs is in A = G'WG, b = G'Wr, c = r'Wr of each run.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from realsim.core.errors import GapError
+from realsim.core.types import F32, F64
+from realsim.gap import figures
+from realsim.gap.case.model.groups import like_joints
+from realsim.gap.effects import EFFECTS, ON_REQUEST
+from realsim.gap.effects.base import Effect, Parameter, Place
+from realsim.gap.effects.lookup import lookup
+from realsim.gap.effects.nuisances import NUISANCES
+from realsim.gap.inference.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.linear import Evidence, Spectrum, scaled
+from realsim.gap.simulation.recent import Recent
+from realsim.gap.simulation.simulate import Setting, Simulator
+
+
+@dataclass(frozen=True)
+class Atom:
+    """One column: a parameter of an effect at one place."""
+
+    effect: str
+    place: Place
+    parameter: Parameter
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A possible cause: an effect at one or several places that share parameters."""
+
+    effect: str
+    places: tuple[Place, ...]
+    parameters: tuple[Parameter, ...]
+    """Those that are fitted."""
+    directions: F64
+    """(p, m) columns over atoms: what one unit of each parameter does, to first order."""
+    linear: tuple[str, ...]
+    """The m parameters that have a direction (others act only at second order)."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def place(self) -> Place:
+        """All joints or bodies."""
+        return tuple(n for p in self.places for n in p)
+
+    @property
+    def key(self) -> tuple[str, Place, tuple[str, ...]]:
+        return self.effect, self.place, self.names
+
+    def settings(self, values: dict[str, float]) -> list[Setting]:
+        """What the simulator is told: places of a group share the values."""
+        places = (self.place,) if lookup(self.effect).joint_figure else self.places
+        return [(self.effect, place, values) for place in places]
+
+
+class Screen:
+    """Atoms, their columns on the chosen runs, and the candidates made of them."""
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        comparison: Comparison,
+        runs: Sequence[int],
+        effects: Sequence[str] = (),
+        tick: Callable[[str, float], None] = lambda what, share: None,
+    ) -> None:
+        self.simulator, self.comparison, self.runs = simulator, comparison, list(runs)
+        self.skipped: dict[str, str] = {}
+        self.gap = False
+        """Whether everyday deviations alone leave a gap; the search finds out."""
+        self._version = -1
+        self._seen_beside: set[tuple[str, Place]] = set()
+        """(effect, place) of the causes that move the robot otherwise, about which slopes were taken last."""
+        self._about: Recent[list[F32] | None] = Recent(2)
+        """Columns with slopes about causes, those of the set before the present one too."""
+        self._informed: Recent[tuple[F64, Spectrum]] = Recent(8)
+        """Information on the atoms, which all predictions share that are looked at under the same weights."""
+        self._lock = threading.Lock()
+        """Held where the normal matrices are made anew."""
+        self._A: list[F64] = []
+        self._weighted: list[F64] = []
+        context = simulator.context
+        chosen = [n for n in EFFECTS if (n in effects if effects else n not in ON_REQUEST)]
+        self.atoms: list[Atom] = []
+        columns: list[list[F32]] = [[] for _ in self.runs]
+        wanted: list[Atom] = []
+        for effect in [*(EFFECTS[n] for n in chosen), *NUISANCES.values()]:
+            places = effect.places(context)
+            if not places:
+                self.skipped[effect.name] = (
+                    effect.excited_by(context, ()).reason if effect.scope == "global" else "no place"
+                )
+            for place in places:
+                excitation = effect.excited_by(context, place)
+                if not excitation.yes:
+                    self.skipped.setdefault(effect.name, excitation.reason)
+                    continue
+                # Shape parameters (a Stribeck velocity, where a payload sits) do nothing on their own.
+                slopes = [p for p in effect.parameters(context, place) if p.strength and p.like is None]
+                wanted += [Atom(effect.name, place, p) for p in slopes]
+        self.nominal = simulator.simulate(runs=self.runs)
+        # Slopes of a large robot bear a coarser step: it halves the time, and both ends of the difference share it.
+        self.coarse = 2 if simulator.case.model.nv >= 5 and context.timestep <= 0.0025 else 1
+        base = simulator.simulate(runs=self.runs, coarse=self.coarse)
+        if not all(np.isfinite(y).all() for y in base):  # stiff servos may not bear it
+            self.coarse, base = 1, simulator.simulate(runs=self.runs)
+        changes = simulator.cores.each(lambda atom: self._column(atom, base, self.nominal), wanted)
+        for k, (atom, change) in enumerate(zip(wanted, changes, strict=True)):
+            tick("sensitivities", k / len(wanted))
+            if change is None:
+                continue
+            self.atoms.append(atom)
+            for i, column in enumerate(change):
+                columns[i].append(column)
+        self._columns = [np.stack(c, axis=1) if c else np.zeros((0, 0), np.float32) for c in columns]
+        if not self.atoms:
+            raise GapError(
+                "nothing that the log could show changes the simulation",
+                file=simulator.case.folder,
+                hint="are the commands in the unit that log.json says, and do they move the joints?",
+            )
+        self.index = {(a.effect, a.place, a.parameter.name): i for i, a in enumerate(self.atoms)}
+        self.varied = self._varied()
+        self.prior = np.array([a.parameter.nuisance for a in self.atoms])
+        self.usual = np.array([a.parameter.usual for a in self.atoms])
+        """(p,) what the small deviations may scatter about instead of zero."""
+        self.stiff = np.array([lookup(a.effect).stiff for a in self.atoms])
+        """(p,) True for atoms that no time step bears at the size of a deviation: a spring would have to be softer."""
+        slow = [lookup(a.effect).stepwise or a.parameter.fine for a in self.atoms]
+        self.simulable = ~(self.stiff | slow)
+        """(p,) False for atoms that cost steps one by one, or many of them: as nuisances they stay linear."""
+        self.candidates = self._candidates(chosen)
+
+    def _varied(self, count: int = 3) -> tuple[int, ...] | None:
+        """Positions of a few screened runs from calm to lively, for the searches of rivals on robots with feet, which
+        are slow to simulate; None where all are few."""
+        if len(self.runs) <= count or not self.simulator.context.touches:
+            return None
+        commands = [self.simulator.case.runs[r].command for r in self.runs]
+        order = np.argsort([float(np.abs(np.diff(c, axis=0)).sum() / len(c)) for c in commands])
+        return tuple(sorted(int(order[i]) for i in np.linspace(0, len(order) - 1, count).round().astype(int)))
+
+    def relinearise(self, settings: Sequence[Setting]) -> None:
+        """Take all slopes anew about these causes: a robot that moves otherwise answers otherwise.
+
+        Those of the causes themselves stay. What does next to nothing there, or cannot be simulated, explains nothing.
+        A cause that only the sensors have leaves every slope as it was.
+        """
+        moving = {(name, place) for name, place, values in settings if self.simulator.moves((name, place, values))}
+        if moving == self._seen_beside:
+            return
+        # The search often comes back to a set, with values that differ a little.
+        columns = self._about.get(frozenset(moving), lambda: self._taken_about(settings))
+        if columns is not None:
+            self._columns, self._seen_beside = columns, moving
+            self.comparison.version += 1
+
+    def _taken_about(self, settings: Sequence[Setting]) -> list[F32] | None:
+        """The columns with slopes about these causes; None if they cannot be simulated."""
+        there = self.simulator.simulate(settings, runs=self.runs)
+        base = self.simulator.simulate(settings, runs=self.runs, coarse=self.coarse) if self.coarse > 1 else there
+        if not all(np.isfinite(y).all() for y in (*there, *base)):
+            return None
+        found = [c.copy() for c in self._columns]
+        others = [
+            i
+            for i, atom in enumerate(self.atoms)
+            if not any(atom.effect == name and set(atom.place) <= set(place) for name, place, _ in settings)
+        ]
+        changes = self.simulator.cores.each(lambda i: self._column(self.atoms[i], base, there, settings), others)
+        for i, change in zip(others, changes, strict=True):
+            for k, columns in enumerate(found):
+                columns[:, i] = change[k] if change else 0.0
+        return found
+
+    def _column(
+        self, atom: Atom, base: list[F64], fine: list[F64], settings: Sequence[Setting] = ()
+    ) -> list[F32] | None:
+        """Change of the prediction by one unit of the parameter, a flat (B * C) array a run; None if it cannot run.
+
+        `base`, `fine`: the predictions without it, at the coarse and at the model's own time step.
+        """
+        p = atom.parameter
+        # Where small deviations are everyday, the slope at the nominal model counts: it must predict them.
+        # And a stiff law that a finer step bears may blow up at the coarser one, and would then never be a candidate.
+        coarse, base = (1, fine) if p.fine or lookup(atom.effect).stiff else (self.coarse, base)
+        width = np.copysign(min(3 * p.nuisance, abs(p.step)), p.step) if p.nuisance and p.bounds[0] < 0 else p.step
+        for scale in (1.0, -1.0, 0.3):  # a payload may only be removable, a gap only be small
+            value = p.default + scale * width
+            if not p.bounds[0] <= value <= p.bounds[1]:
+                continue
+            try:
+                moved = self.simulator.simulate(
+                    [*settings, (atom.effect, atom.place, {p.name: value})], runs=self.runs, coarse=coarse
+                )
+            except GapError:
+                continue
+            if not all(np.isfinite(m).all() for m in moved):
+                continue
+            change = [
+                self.comparison.change(run, m, y) / (scale * width)
+                for run, m, y in zip(self.runs, moved, base, strict=True)
+            ]
+            size = max(float(np.abs(c * p.step / self.comparison.noise.detail).max(initial=0)) for c in change)
+            if size < 0.05:
+                return None  # far below what could ever be seen
+            return [c.reshape(-1).astype(np.float32) for c in change]
+        return None
+
+    def evidence(
+        self, simulated: Sequence[F64], few: tuple[int, ...] | None = None, about: F64 | float = 0.0
+    ) -> Evidence:
+        """Normal equations of the residual about these predictions: one a screened run (or one of the `few`).
+
+        `about`: (p,) the small deviations that are in the predictions already; x counts from their centre all the same,
+        the likelier one where there are two.
+        """
+        with self._lock:
+            if self._version != self.comparison.version:
+                self._weigh()
+        b, c = [], []
+        which = range(len(self.runs)) if few is None else few
+        for k, y in zip(which, simulated, strict=True):
+            run, GW = self.runs[k], self._weighted[k]
+            r = self.residual(k, y, -np.asarray(about))
+            W = np.where(np.isfinite(r), self.comparison.weights[run], 0.0)
+            r = np.nan_to_num(r)
+            b.append(r.reshape(-1) @ GW)
+            c.append(float((W * r * r).sum()))
+        A = self._A if few is None else [self._A[k] for k in few]
+        found = Evidence(A, b, c, self._version, tuple(which))
+        return min(self.centred(found), key=lambda e: self.misfit(e, self.prior)[0])
+
+    def _weigh(self) -> None:
+        """The atoms' normal matrices under the comparison's present weights."""
+        self._version = self.comparison.version
+        self._A, self._weighted = [], []
+        for run, G in zip(self.runs, self._columns, strict=True):
+            W = self.comparison.weights[run].reshape(-1, 1)
+            self._weighted.append(G * W)
+            self._A.append((G.T @ self._weighted[-1].astype(np.float32)).astype(float))
+
+    def centred(self, evidence: Evidence) -> list[Evidence]:
+        """The evidence about each centre that the small deviations may have, its own first."""
+        if not self.usual.any():
+            return [evidence]
+        return [evidence, evidence.moved(self.usual - 2 * np.asarray(evidence.centre))]
+
+    def residual(self, k: int, simulated: F64, x: F64 | float = 0.0) -> F64:
+        """(B, C) residual of screened run k, once small deviations x are added."""
+        r = self.comparison.residual(self.runs[k], simulated)
+        return r - self.fitted(k, np.asarray(x)) if np.any(x) else r
+
+    def misfit(self, evidence: Evidence, prior: F64) -> tuple[float, float]:
+        """(half the weighted squared residual beside the most probable nuisances, and their price; the scale of their
+        `prior` that is the most probable)."""
+
+        def made() -> tuple[F64, Spectrum]:
+            A = np.sum(evidence.A, axis=0)
+            return A, Spectrum.of(A, prior)
+
+        key = evidence.version, evidence.runs, prior.tobytes()
+        A, spectrum = made() if evidence.version < 0 else self._informed.get(key, made)
+        return scaled(A, np.sum(evidence.b, axis=0), sum(evidence.c), prior, spectrum)
+
+    def fitted(self, k: int, x: F64) -> Any:
+        """(B, C) change of the prediction of screened run k by atoms x."""
+        run = self.runs[k]
+        return (self._columns[k] @ x.astype(np.float32)).reshape(self.comparison.weights[run].shape)
+
+    def weighted(self, k: int) -> F64:
+        """(B * C, p) of all atoms on screened run k, times the present weights."""
+        return self._weighted[k]
+
+    def possible(self, x: F64) -> F64:
+        """The nearest small deviations that can be simulated; tiny ones are left out."""
+        low, high = np.array([a.parameter.bounds for a in self.atoms]).T
+        whole = np.array([a.parameter.whole for a in self.atoms])
+        x = np.where(self.simulable & (np.abs(x) > 0.05 * self.prior), x, 0.0)
+        return np.asarray(np.clip(np.where(whole, np.round(x), x), low, high))
+
+    def settings(self, x: F64) -> list[Setting]:
+        """Atoms with these coordinates (0: left out) as settings for the simulator."""
+        values: dict[tuple[str, Place], dict[str, float]] = {}
+        for atom, v in zip(self.atoms, x, strict=True):
+            if v:
+                value = float(np.clip(v, *atom.parameter.bounds))
+                values.setdefault((atom.effect, atom.place), {})[atom.parameter.name] = value
+        return [(name, place, named) for (name, place), named in values.items()]
+
+    def columns(self, k: int, index: Sequence[int]) -> Any:
+        """(B * C, m) of some atoms on screened run k."""
+        return self._columns[k][:, list(index)]
+
+    def atoms_of(self, candidate: Candidate) -> list[int]:
+        """The atoms that are this cause, and those that do the same."""
+        own = [(candidate.effect, p.name) for p in candidate.parameters]
+        alike = [p.like for p in candidate.parameters if p.like]
+        keys = [(effect, place, name) for effect, name in own + alike for place in candidate.places]
+        return [self.index[k] for k in keys if k in self.index]
+
+    # ------------------------------------------------------------ candidates
+
+    def _candidates(self, chosen: Sequence[str]) -> list[Candidate]:
+        found = []
+        context = self.simulator.context
+        for name in chosen:
+            effect = EFFECTS[name]
+            places = [p for p in effect.places(context) if any(a.effect == name and a.place == p for a in self.atoms)]
+            groups: list[tuple[Place, ...]] = [(p,) for p in places]
+            if effect.scope == "joint" and len(places) > 1:
+                groups += [tuple((j,) for j in g) for g in like_joints([p[0] for p in places])]
+            elif effect.scope == "terrain" and len(places) > 1:
+                groups.append(tuple(places))
+            for group in groups:
+                for variant in effect.variants:
+                    made = self._candidate(effect, group, variant)
+                    if made is not None:
+                        found.append(made)
+        return found
+
+    def _candidate(self, effect: Effect, group: tuple[Place, ...], variant: tuple[str, ...]) -> Candidate | None:
+        every = {
+            p.name: p for p in effect.parameters(self.simulator.context, tuple(n for place in group for n in place))
+        }
+        parameters = tuple(every[name] for name in variant or every)
+        directions, linear = [], []
+        for p in parameters:
+            column = np.zeros(len(self.atoms))
+            column[self.atoms_of(Candidate(effect.name, group, (p,), column, ()))] = 1.0
+            if column.any():
+                directions.append(column)
+                linear.append(p.name)
+        if not directions:
+            return None
+        # A planar arm cannot feel a force across its plane: that is no parameter of its log.
+        felt = tuple(p for p in parameters if p.name in linear or not p.strength or p.like)
+        return Candidate(effect.name, group, felt, np.stack(directions, axis=1), tuple(linear))
+
+
+def slab(candidate: Candidate) -> F64:
+    """(m,) prior size of a cause's parameters: the step that is worth calling a gap, generously."""
+    fitted = [p for p in candidate.parameters if p.name in candidate.linear]
+    return np.array([0.1 * figures.LEVER if p.shape else 2.0 * abs(p.step) for p in fitted])

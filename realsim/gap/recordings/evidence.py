@@ -1,0 +1,134 @@
+"""State shared by the steps of the inference: the recording, its times, the model, and settled roles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from realsim.core.errors import GapError
+from realsim.core.statistics import alike
+from realsim.core.types import F64
+from realsim.gap.recordings.clocks import Clocked, increasing
+from realsim.gap.recordings.model import Target
+from realsim.gap.recordings.proposal import Assignment, Candidate, Proposal, field_of
+from realsim.gap.recordings.recording import Field, Recording, Stream
+from realsim.gap.recordings.signals import MOST, at
+
+SAME = 0.9
+"""Correlation from which two topics say the same of one robot."""
+
+
+@dataclass
+class Evidence:
+    """One recording under inference."""
+
+    recording: Recording
+    times: Mapping[str, Clocked]
+    target: Target | None
+    candidates: Sequence[Candidate]
+    chosen: Mapping[str, Candidate | None]
+    proposal: Proposal
+
+    def of(self, source: Candidate) -> tuple[F64, Field]:
+        """(time, field) of a candidate, in the order of time."""
+        found = field_of(self.recording, source)
+        assert found is not None
+        stream, field_ = found
+        time = self.times[source.stream].time
+        if (np.diff(time) > 0).all():
+            return time, field_
+        time, values = increasing(time, field_.values, stream.type)
+        return time, Field(values, field_.labels, field_.unit)
+
+    def stream(self, source: Candidate) -> Stream:
+        return next(s for s in self.recording.streams if s.name == source.stream)
+
+    def candidates_for(self, role: str) -> list[Candidate]:
+        """Fields that may have this role; what the user named, alone. A role ending in a dot takes all of its kind."""
+        plain = role.rstrip(".")
+        if plain in self.chosen:
+            named = self.chosen[plain]
+            return [] if named is None else [named]
+        taken = {a.source.label for a in self.proposal.assignments.values()}
+        taken |= {c.label for c in self.chosen.values() if c is not None}
+        return [
+            c for c in self.candidates
+            if c.label not in taken and (c.role == plain or (role.endswith(".") and c.role.startswith(role)))
+        ]  # fmt: skip
+
+    def nearest(self, found: Sequence[Candidate]) -> Candidate | None:
+        """The best of several for one role: of the stream of the joints or nearest to it by name, then the fastest.
+
+        Raises:
+            GapError: they say different things of robots of different names.
+        """
+        if not found:
+            return None
+        home = self.proposal.assignments.get("joint_pos")
+        place = home.source.stream if home else ""
+        ranked = sorted(
+            found, key=lambda c: (c.stream != place, -_shared(c.stream, place), -len(self.of(c)[0]), c.label)
+        )
+        return ranked[0]
+
+    def settle(
+        self, role: str, source: Candidate, columns: Sequence[int], targets: Sequence[str], evidence: Sequence[str], *,
+        scale: Any = 1.0, offset: Any = 0.0, unit: str = "",
+        doubtful: bool = False, threshold: float | None = None,
+    ) -> Assignment:  # fmt: skip
+        """Enter an assignment into the proposal."""
+        n = len(columns)
+        found = Assignment(
+            role, source, tuple(columns), tuple(targets), tuple(np.broadcast_to(scale, n).astype(float).tolist()),
+            tuple(np.broadcast_to(offset, n).astype(float).tolist()), unit, tuple(e for e in evidence if e), doubtful,
+            threshold,
+        )  # fmt: skip
+        self.proposal.assignments[role] = found
+        return found
+
+    def series(self, role: str) -> tuple[F64, F64] | None:
+        """(time, (T, K) in the contract's order and unit) of what is settled, or None."""
+        found = self.proposal.assignments.get(role)
+        if found is None:
+            return None
+        time, field_ = self.of(found.source)
+        return time, found.values(field_)
+
+    def beside(self, role: str, times: F64) -> F64 | None:
+        """(T, K) of what is settled, at other times."""
+        found = self.series(role)
+        return None if found is None else at(found[0], found[1], times)
+
+    def same_robot(self, a: Candidate, b: Candidate) -> bool:
+        """Whether two fields of equal width say the same."""
+        (ta, fa), (tb, fb) = self.of(a), self.of(b)
+        if fa.width != fb.width:
+            return True
+        other = at(tb, fb.values, ta[:MOST])
+        found = [alike(fa.values[:MOST, k], other[:, k]) for k in range(fa.width)]
+        moving = [f for f, k in zip(found, range(fa.width), strict=True) if np.nanstd(fa.values[:, k]) > 1e-3]
+        return not moving or float(np.median(moving)) > SAME or not np.isfinite(other).any()
+
+
+def _shared(a: str, b: str) -> int:
+    """How many parts of two topics' names agree from the start."""
+    count = 0
+    for x, y in zip(a.strip("/").split("/"), b.strip("/").split("/"), strict=False):
+        if x != y:
+            break
+        count += 1
+    return count
+
+
+def two_robots(recording: Recording, a: Candidate, b: Candidate) -> GapError:
+    """The error for a recording of two robots."""
+    return GapError(
+        "two robots are in the recording",
+        file=recording.path,
+        expected="joints of one robot",
+        found=f"{a.label} and {b.label} name the same joints and disagree",
+        hint=f"choose one: realsim log {recording.path} --only {a.stream.rsplit('/', 1)[0] or a.stream}",
+    )

@@ -1,0 +1,227 @@
+"""Recordings -> a proposal: roles by names first, then order, unit and sign by what signals and model say.
+
+Each hypothesis is measured against the others (a velocity against the positions' slope, gravity in the accelerometer,
+a torque against inverse dynamics, ranges of the joints), and the measure is what is shown as its evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from realsim.core.errors import GapError, did_you_mean
+from realsim.gap.recordings import body, commands, joints
+from realsim.gap.recordings.case import run_arrays
+from realsim.gap.recordings.clocks import Clocked, clocked
+from realsim.gap.recordings.depth import choose, is_frames
+from realsim.gap.recordings.evidence import Evidence
+from realsim.gap.recordings.model import Target
+from realsim.gap.recordings.names import ROLES, meaning
+from realsim.gap.recordings.proposal import Candidate, Proposal
+from realsim.gap.recordings.recording import Recording, Stream
+from realsim.gap.recordings.signals import follows
+from realsim.gap.recordings.world import World
+
+MOVES = 1e-3
+"""rad of spread from which a joint moves."""
+FOLLOWS = 0.7
+"""Correlation below which a joint does not follow its command."""
+MOST_RUNS = 12
+"""Runs in which that is looked at."""
+
+
+def propose(
+    recordings: Sequence[Recording],
+    target: Target | None = None,
+    *,
+    use: Sequence[str] = (),
+    only: str = "",
+    camera: str = "",
+    world: World | None = None,
+) -> Proposal:
+    """Content of recordings of one layout, and the proposed case.
+
+    Args:
+        recordings: one a run.
+        target: the model that the case is for; without it, order and signs are not tested.
+        use: what the user knows better: `ROLE=STREAM:FIELD`, or `ROLE=none`.
+        only: topics whose names begin so; for recordings of several robots.
+        camera: of the model, by which depth frames were seen (see `realsim.gap.recordings.depth.choose`).
+        world: of the scene into whose frame base poses are put.
+
+    Raises:
+        GapError: two robots, a name in `use` or `only` that is not there.
+    """
+    kept = [_only(r, only) for r in recordings]
+    main = max(kept, key=lambda r: (len(r.streams), max((s.count for s in r.streams), default=0)))
+    frames = {s.name for s in main.streams if is_frames(s)}
+    times = clocked(main)
+    candidates = _candidates(main)
+    chosen = _chosen(use, main, candidates)
+    proposal = Proposal(list(kept), model=str(target.path) if target else "")
+    proposal.base = "floating" if target is not None and target.floating else "fixed"
+    _said_about_clocks(proposal, times, frames)
+    proposal.warnings += list(dict.fromkeys(n for r in kept for n in r.notes))
+
+    evidence = Evidence(main, times, target, candidates, chosen, proposal)
+    joints.position(evidence)
+    joints.velocity(evidence)
+    commands.command(evidence)
+    commands.enabled(evidence)
+    joints.torque(evidence)
+    body.orientation(evidence)
+    body.accelerometer(evidence)
+    body.gyroscope(evidence)
+    body.place(evidence)
+    body.contact(evidence)
+    if target is not None:
+        proposal.depth, lacks = choose(main, target, camera)
+        proposal.missing += [lacks] if lacks else []
+    if world is not None and "base_pos" not in proposal.assignments:
+        raise GapError(
+            "there is no base pose to put into the scene", file=main.path,
+            expected="an Odometry or PoseStamped of the base, and the model of a robot that moves",
+            found=", ".join(proposal.assignments) or "nothing",
+        )  # fmt: skip
+    proposal.world = world
+    _followed(proposal, target)
+    _missing(proposal, target)
+    used = {a.source.label for a in proposal.assignments.values()}
+    proposal.unused = sorted({_label(s, n) for s in main.streams if not is_frames(s) for n in s.fields} - used)
+    return proposal
+
+
+def _only(recording: Recording, prefix: str) -> Recording:
+    if not prefix:
+        return recording
+    kept = tuple(s for s in recording.streams if s.name.startswith(prefix))
+    if not kept:
+        names = [s.name for s in recording.streams]
+        raise GapError(
+            f"no topic begins with {prefix!r}", file=recording.path, found=", ".join(names[:20]),
+            hint=did_you_mean(prefix, names),
+        )  # fmt: skip
+    return replace(recording, streams=kept)
+
+
+def _candidates(recording: Recording) -> list[Candidate]:
+    found = []
+    for stream in (s for s in recording.streams if not is_frames(s)):
+        for name, field in stream.fields.items():
+            role, unit, why = meaning(stream.name, stream.type, name)
+            found.append(Candidate(stream.name, name, role, field.unit or unit, why))
+    return found
+
+
+def _chosen(use: Sequence[str], recording: Recording, candidates: Sequence[Candidate]) -> dict[str, Candidate | None]:
+    """What the user says: role -> the candidate, or None for none."""
+    said: dict[str, Candidate | None] = {}
+    labels = {c.label: c for c in candidates} | {c.member: c for c in candidates}
+    for text in use:
+        role, equals, name = text.partition("=")
+        if not equals or role not in ROLES:
+            raise GapError(
+                f"--use {text!r} cannot be read", expected=f"ROLE=STREAM:FIELD, ROLE one of {', '.join(ROLES)}",
+                hint=did_you_mean(role, ROLES),
+            )  # fmt: skip
+        if name == "none":
+            said[role] = None
+        elif name in labels:
+            said[role] = labels[name]
+        else:
+            raise GapError(
+                f"--use names {name!r}, which is not in the recording", file=recording.path,
+                expected=f"one of {', '.join(c.label for c in candidates[:40])}", hint=did_you_mean(name, labels),
+            )  # fmt: skip
+    return said
+
+
+def _said_about_clocks(proposal: Proposal, times: Mapping[str, Clocked], frames: set[str]) -> None:
+    for name, found in times.items():
+        step = np.diff(found.time[np.isfinite(found.time)])
+        rate = 1 / float(np.median(step)) if len(step) and np.median(step) > 0 else 0.0
+        proposal.clocks.append(f"{name or 'table'}: {rate:.4g} Hz; " + "; ".join(found.said))
+        proposal.warnings += list(found.warnings)
+        if name in frames:
+            continue
+        if 0 < rate < 20:
+            proposal.warnings.append(
+                f"{name or 'table'}: {rate:.3g} samples per second are few: delay, friction and gains blur"
+            )
+        gaps = int((step > max(10 * float(np.median(step)), 0.05)).sum()) if len(step) else 0
+        if gaps:
+            proposal.warnings.append(f"{name or 'table'}: {gaps} gaps in time, the longest of {step.max():.3g} s")
+
+
+def _missing(proposal: Proposal, target: Target | None) -> None:
+    have = proposal.assignments
+    if "joint_pos" not in have:
+        proposal.missing.append(
+            "joint_pos (needed): no field of joint positions; name it: --use joint_pos=STREAM:FIELD"
+        )
+    if "command" not in have:
+        proposal.missing.append(
+            "command (needed): the commands were not recorded; record the command topic too, or name it: "
+            "--use command=STREAM:FIELD"
+        )
+    optional = {
+        "joint_vel": "velocities",
+        "joint_torque": "torques: gains, friction and payload are told apart by them",
+    }
+    if proposal.base == "floating":
+        optional |= {
+            "base_quat": "the base's orientation", "base_pos": "the base's position",
+            "imu_gyro": "angular velocity of the base", "contact": "which foot stands",
+        }  # fmt: skip
+    for role, what in optional.items():
+        if role not in have:
+            proposal.missing.append(f"{role}: {what}")
+    if target is None:
+        proposal.missing.append("--model: without it the order, signs and units of joints are not tested")
+    elif proposal.joints:
+        left = [j for j in target.joints if j not in proposal.joints]
+        if left:
+            proposal.warnings.append(f"joints of the model that are not in the log stay at rest: {', '.join(left[:8])}")
+
+
+def _label(stream: Stream, name: str) -> str:
+    return f"{stream.name}:{name}" if stream.name else name
+
+
+def _followed(proposal: Proposal, target: Target | None) -> None:
+    """How the joints follow their position commands, over the runs; a run in which they do not is named."""
+    if not proposal.complete or proposal.command_kind != "position":
+        return
+    rows, idle = [], []
+    asked_of = proposal.assignments["command"].targets
+    joints_of = dict(zip(target.actuators, target.driven, strict=True)) if target is not None else {}
+    driven = [proposal.joints.index(joints_of.get(a, a)) for a in asked_of]
+    for recording in proposal.recordings[:MOST_RUNS]:
+        try:
+            arrays = run_arrays(proposal, recording).arrays
+        except GapError:
+            continue  # reported when it is written
+        asked, done = arrays["command"], arrays["joint_pos"]
+        found = [
+            follows(arrays["time"], asked[:, k], done[:, j])
+            for k, j in enumerate(driven)
+            if np.nanstd(asked[:, k]) > MOVES and np.nanstd(done[:, j]) > MOVES
+        ]
+        if not found:
+            continue
+        median = np.median(np.array(found), axis=0)
+        rows.append(median)
+        if median[0] < FOLLOWS:
+            idle.append(f"{recording.name} (correlation {median[0]:.2f})")
+    if not rows:
+        return
+    corr, lag, gain, _ = np.median(np.array(rows), axis=0)
+    said = f"the joints follow it: correlation {corr:.3f}, {1e3 * lag:.3g} ms later, gain {gain:.3g}"
+    command = proposal.assignments["command"]
+    proposal.assignments["command"] = replace(command, evidence=(*command.evidence, said))
+    if idle:
+        proposal.warnings.append(
+            f"the joints hardly follow the command in {', '.join(idle[:6])}: was torque off, or is it another robot's?"
+        )

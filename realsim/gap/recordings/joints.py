@@ -1,0 +1,383 @@
+"""Positions, velocities and torques of joints: which column is which joint, in which unit, with which sign."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from realsim.core.statistics import alike
+from realsim.core.types import F64
+from realsim.gap.recordings.evidence import Evidence, two_robots
+from realsim.gap.recordings.model import Target
+from realsim.gap.recordings.names import known_type, match_joints
+from realsim.gap.recordings.proposal import Candidate
+from realsim.gap.recordings.recording import Field
+from realsim.gap.recordings.signals import at, factor, smooth_derivatives, travelled
+
+ANGLES = {"rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi, "mrad": 1e-3}
+TICKS = 4096
+"""Steps a turn of hobby servos' encoders (Dynamixel X, Feetech STS)."""
+SPEEDS = {"rad/s": 1.0, "deg/s": np.pi / 180, "rpm": np.pi / 30, "rev/s": 2 * np.pi, "mrad/s": 1e-3}
+TORQUES = {"N m": 1.0, "mN m": 1e-3, "N cm": 1e-2, "kgf cm": 0.0980665}
+MARGIN = 0.05
+"""rad or m beyond its range at which a joint may still be read."""
+CLEAR = 0.25
+"""Difference of two hypotheses' agreement (0 to 1) from which one is preferred to what is declared."""
+NEAR = 0.15
+"""Relative difference up to which a measured factor is that of a known unit."""
+FEET_LEVEL = 0.02
+"""m by which the feet of a standing robot may differ in height."""
+DYNAMICS = 600
+"""Samples on which inverse dynamics is evaluated."""
+
+
+def position(e: Evidence) -> None:
+    """Joint positions: the field, the joints of its columns, unit, signs."""
+    found = e.candidates_for("joint_pos")
+    if not found and e.target is not None and "joint_pos" not in e.chosen:
+        # A field without a telling name, as wide as the robot; of known types it is known that it is something else.
+        wide = [c for c in e.candidates if not c.role and e.of(c)[1].width == len(e.target.joints) > 1]
+        found = [c for c in wide if not known_type(e.stream(c).type) and not _still(e.of(c)[1].values)]
+    source = _best_positions(e, found)
+    if source is None:
+        return
+    field = e.of(source)[1]
+    if e.target is None:
+        labels = field.labels or tuple(f"{source.member}[{i}]" for i in range(field.width))
+        e.settle("joint_pos", source, range(field.width), labels, [f"by {source.why}"], unit=source.unit)
+        return
+    columns, names, how, doubtful = _which_joints(e, source, field)
+    if not columns:
+        e.proposal.missing.append(
+            f"joint_pos: {source.label} has {field.width} columns ({', '.join(field.labels[:6]) or 'unnamed'}), the "
+            f"model {len(e.target.joints)} joints ({', '.join(e.target.joints[:6])}): no name agrees"
+        )
+        return
+    values = field.values[:, columns]
+    unit, offset, said = _unit(e.target, names, values, source.unit)
+    size = ANGLES.get(unit, 2 * np.pi / TICKS)
+    values = (values - offset) * size
+    signs, turned = _signs(e.target, names, values)
+    evidence = [f"by {source.why}", how, said, *turned, _within(e.target, names, values * signs)]
+    e.settle("joint_pos", source, columns, names, evidence, scale=size * signs, offset=offset, unit=unit,
+             doubtful=doubtful)  # fmt: skip
+
+
+def _best_positions(e: Evidence, found: Sequence[Candidate]) -> Candidate | None:
+    """The field that names most of the model's joints; of equal ones that say the same, the fastest."""
+    if not found:
+        return None
+    if e.target is None:
+        widest = max(e.of(c)[1].width for c in found)
+        ranked = [c for c in found if e.of(c)[1].width == widest]
+    else:
+        counts = {c.label: _known(e.target, e.of(c)[1]) for c in found}
+        best = max(counts.values())
+        ranked = [c for c in found if counts[c.label] == best]
+    ranked.sort(key=lambda c: (c.role != "joint_pos", -len(e.of(c)[0]), c.label))
+    first = ranked[0]
+    for other in ranked[1:]:
+        if other.stream != first.stream and e.stream(other).type == e.stream(first).type:
+            labels = e.of(first)[1].labels, e.of(other)[1].labels
+            if labels[0] == labels[1] and not e.same_robot(first, other):
+                raise two_robots(e.recording, first, other)
+    return first
+
+
+def _known(target: Target, field: Field) -> int:
+    """How many joints of the model a field can be: by its labels, else by an order of that width."""
+    return max(len(match_joints(field.labels, target.joints)), *map(len, target.orders(field.width).values()), 0)
+
+
+def _which_joints(e: Evidence, source: Candidate, field: Field) -> tuple[list[int], list[str], str, bool]:
+    """(columns, their joints, why, whether that is in doubt)."""
+    assert e.target is not None
+    at_ = match_joints(field.labels, e.target.joints)
+    if at_:
+        left = [label for i, label in enumerate(field.labels) if i not in at_]
+        how = "its columns name the model's joints" + (f"; not in the model: {', '.join(left[:6])}" if left else "")
+        inverse = {j: i for i, j in at_.items()}
+        names = [j for j in e.target.joints if j in inverse]
+        return [inverse[j] for j in names], names, how, False
+    if len(e.target.joints) == 1 and field.width == 1:
+        return [0], list(e.target.joints), "one column, one joint", False
+    orders = e.target.orders(field.width)
+    if not orders:
+        return [], [], "", False
+    scores = {name: _order_score(e, field, order, source) for name, order in orders.items()}
+    ranked = sorted(scores, key=lambda n: -scores[n][0])
+    best = ranked[0]
+    said = f"unnamed columns: {best}, agreement {scores[best][0]:.2f} ({scores[best][1]})"
+    rivals = [n for n in ranked[1:] if scores[n][0] > scores[best][0] - 0.02]
+    if rivals:
+        said += f"; as likely by the data: {', '.join(rivals)}: check, or name the columns"
+    elif len(ranked) > 1:
+        said += f"; next {ranked[1]} {scores[ranked[1]][0]:.2f}"
+    moving = [c for c in range(field.width) if c not in orders[best] and not _still(field.values[:, c])]
+    if moving:
+        said += f"; {len(moving)} more columns that move are left out: is it another robot's model?"
+    return list(orders[best]), list(orders[best].values()), said, bool(rivals or moving)
+
+
+def _still(values: F64) -> bool:
+    """Whether columns hold one value each, as the entry of a motor that a robot does not have."""
+    spread = np.nan_to_num(values, nan=-np.inf).max(axis=0) - np.nan_to_num(values, nan=np.inf).min(axis=0)
+    return bool((spread < 1e-6).all())
+
+
+def _order_score(e: Evidence, field: Field, order: Mapping[int, str], source: Candidate) -> tuple[float, str]:
+    """(agreement 0 to 1 of an order of unnamed columns with the model, what it consists of)."""
+    assert e.target is not None
+    columns, names = list(order), list(order.values())
+    values = field.values[:, columns]
+    unit, offset, _ = _unit(e.target, names, values, source.unit)
+    values = (values - offset) * ANGLES.get(unit, 2 * np.pi / TICKS)
+    parts = {"in range": _share_within(e.target, names, values)}
+    level = _feet_level(e, names, values)
+    if level is not None:
+        parts["feet level"] = level
+    torque = next((c for c in e.candidates if c.role == "joint_torque" and c.stream == source.stream), None)
+    if torque is not None and not e.target.floating and e.of(torque)[1].width == field.width:
+        need = _needed(e, tuple(names), values)
+        if need is not None:
+            rows, tau = need
+            logged = e.of(torque)[1].values[rows][:, columns]
+            found = [abs(alike(logged[:, k], tau[:, k])) for k in range(len(names))]
+            parts["torques"] = float(np.median(found))
+    rest = [_still(field.values[:, c]) for c in range(field.width) if c not in order]
+    idle = float(np.mean(rest)) if rest else 1.0  # an order that leaves out motors which move is not the robot's
+    said = ", ".join(f"{k} {v:.2f}" for k, v in (parts | ({"the rest idle": idle} if rest else {})).items())
+    return float(np.mean(list(parts.values()))) * idle, said
+
+
+def _feet_level(e: Evidence, order: Sequence[str], values: F64) -> float | None:
+    """How level the feet of a floating robot are in its calmest postures, 0 to 1; None without gravity in the log."""
+    assert e.target is not None
+    acc = next((c for c in e.candidates if c.role == "imu_acc"), None)
+    if len(e.target.feet) < 3 or acc is None:
+        return None
+    time, _ = e.of(next(c for c in e.candidates if e.of(c)[1].values.shape[0] == len(values)))
+    t, field = e.of(acc)
+    up = at(t, field.values[:, :3], time)
+    size = np.linalg.norm(up, axis=1)
+    calm = np.flatnonzero(np.isfinite(size) & (np.abs(size / np.nanmedian(size) - 1) < 0.05))[
+        :: max(1, len(size) // 60)
+    ]
+    if len(calm) < 5:
+        return None
+    heights = e.target.foot_heights(tuple(order), values[calm], up[calm] / size[calm, None])
+    return float(np.exp(-np.median(np.ptp(heights, axis=1)) / (4 * FEET_LEVEL)))
+
+
+# ---------------------------------------------------------------- units and signs of positions
+
+
+def _unit(target: Target, names: Sequence[str], values: F64, declared: str) -> tuple[str, float, str]:
+    """(unit, offset in it, why): what puts the joints into their ranges; what is declared unless plainly wrong."""
+    ranges = target.ranges[[target.joints.index(n) for n in names]]
+    if np.isfinite(ranges).all(axis=1).sum() == 0:
+        largest = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+        if declared in ANGLES:
+            return declared, 0.0, f"in {declared}, as is declared"
+        unit = "deg" if largest > 4 * np.pi else "rad"
+        return unit, 0.0, f"largest value {largest:.3g}: taken as {unit} (the model's joints have no ranges to test)"
+    shares = {u: _share_within(target, names, values * f) for u, f in ANGLES.items() if u != "mrad"}
+    # A unit that shrinks everything to nothing is in range too: of equal ones the one that fills the range wins.
+    filled = {u: _filling(target, names, values * f) for u, f in ANGLES.items() if u in shares}
+    score = {u: shares[u] + 0.3 * filled[u] for u in shares}
+    whole = np.isfinite(values)
+    if (values[whole] == np.round(values[whole])).all() and np.nanmax(values) > 400:
+        middle = TICKS / 2
+        ticks = (values - middle) * 2 * np.pi / TICKS
+        score["ticks"] = _share_within(target, names, ticks) + 0.3 * _filling(target, names, ticks)
+    usual = declared if declared in score else "rad"
+    best = max(score, key=lambda u: score[u])
+    unit = best if score[best] > score[usual] + CLEAR else usual
+    if unit == "ticks":
+        return (
+            unit,
+            TICKS / 2,
+            f"whole numbers up to {np.nanmax(values):.0f}: encoder steps, {TICKS} a turn, zero in the middle",
+        )
+    said = f"in {unit}: {shares[unit]:.0%} of the samples within the joints' ranges"
+    if unit != usual:
+        said += f" ({usual}, as {'declared' if declared else 'usual'}, {shares[usual]:.0%})"
+    return unit, 0.0, said
+
+
+def _share_within(target: Target, names: Sequence[str], values: F64) -> float:
+    ranges = target.ranges[[target.joints.index(n) for n in names]]
+    inside = (values >= ranges[:, 0] - MARGIN) & (values <= ranges[:, 1] + MARGIN)
+    return float(inside[np.isfinite(values)].mean()) if np.isfinite(values).any() else 0.0
+
+
+def _filling(target: Target, names: Sequence[str], values: F64) -> float:
+    """How much of its range the widest moving joint uses, 0 to 1."""
+    ranges = target.ranges[[target.joints.index(n) for n in names]]
+    width = np.ptp(ranges, axis=1)
+    used = np.nanmax(np.abs(values), axis=0) / np.maximum(np.max(np.abs(ranges), axis=1), 1e-9)
+    used = used[np.isfinite(width)]
+    return float(np.clip(used.max(), 0, 1)) if len(used) else 0.0
+
+
+def _signs(target: Target, names: Sequence[str], values: F64) -> tuple[F64, list[str]]:
+    """((K,) 1 or -1, what was turned): joints that lie in their range only the other way round."""
+    signs, said = np.ones(len(names)), []
+    for k, name in enumerate(names):
+        here, there = (_share_within(target, [name], s * values[:, [k]]) for s in (1.0, -1.0))
+        if here < 0.5 and there > 0.95:
+            signs[k] = -1.0
+            said.append(
+                f"{name} is turned: {here:.0%} of its samples within its range, {there:.0%} with the other sign"
+            )
+    return signs, said
+
+
+def _within(target: Target, names: Sequence[str], values: F64) -> str:
+    """The joint that lies most outside its range."""
+    shares = [_share_within(target, [n], values[:, [k]]) for k, n in enumerate(names)]
+    worst = int(np.argmin(shares))
+    return (
+        f"{names[worst]} is outside its range in {1 - shares[worst]:.0%} of the samples" if shares[worst] < 0.9 else ""
+    )
+
+
+# ---------------------------------------------------------------- velocities and torques
+
+
+def columns_for(e: Evidence, source: Candidate) -> tuple[list[int], list[str], str]:
+    """Columns of a field for the joints that are settled, by label, by the order of its stream, else one by one."""
+    joints = list(e.proposal.joints)
+    field = e.of(source)[1]
+    home = e.proposal.assignments["joint_pos"].source
+    if source.stream == home.stream and field.width == e.of(home)[1].width:
+        return list(e.proposal.assignments["joint_pos"].columns), joints, ""  # side by side in one message
+    at_ = match_joints(field.labels, joints)
+    if at_:
+        inverse = {j: i for i, j in at_.items()}
+        names = [j for j in joints if j in inverse]
+        return [inverse[j] for j in names], names, "its columns name the joints"
+    if field.width == e.of(home)[1].width:
+        return list(e.proposal.assignments["joint_pos"].columns), joints, f"unnamed columns: as in {home.label}"
+    if field.width == len(joints):
+        return list(range(len(joints))), joints, "unnamed columns: in the order of the model's joints"
+    return [], [], ""
+
+
+def velocity(e: Evidence) -> None:
+    """Joint velocities, by the slope of the positions."""
+    if "joint_pos" not in e.proposal.assignments:
+        return
+    source = e.nearest(_with_samples(e, e.candidates_for("joint_vel")))
+    if source is None:
+        return
+    columns, names, how = columns_for(e, source)
+    if len(columns) < len(e.proposal.joints):
+        return
+    time, field = e.of(source)
+    place = e.beside("joint_pos", time)
+    assert place is not None
+    factors, corrs = [], []
+    for k, column in enumerate(columns):
+        moved, sums = travelled(time, place[:, k], field.values[:, column])
+        if len(moved) and np.nanstd(moved) > 1e-3:
+            factors.append(factor(sums, moved))
+            corrs.append(alike(sums, moved))
+    if not factors:
+        e.settle("joint_vel", source, columns, names, [f"by {source.why}", how, "no joint moves: nothing tests it"],
+                 scale=SPEEDS.get(source.unit, 1.0), unit=source.unit or "rad/s", doubtful=True)  # fmt: skip
+        return
+    signs = np.sign(np.array(factors))
+    ratio, corr = float(np.median(np.abs(factors))), float(np.median(np.abs(corrs)))
+    if corr < 0.6 and "joint_vel" not in e.chosen:
+        e.proposal.warnings.append(
+            f"{source.label} is no velocity of the joints: correlation {corr:.2f} with what their positions travel"
+        )
+        return
+    unit = min(SPEEDS, key=lambda u: abs(np.log(ratio * SPEEDS[u])))
+    close = abs(ratio * SPEEDS[unit] - 1) < NEAR
+    said = f"its integral against the positions: correlation {corr:.3f}, factor {ratio:.4g} -> {unit}"
+    if not close:
+        usual = source.unit if source.unit in SPEEDS else "rad/s"
+        said = f"its integral against the positions: correlation {corr:.3f}, factor {ratio:.4g}, left in {usual}"
+        unit = usual
+    turned = signs < 0
+    flips = np.ones(len(columns))
+    if turned.all():
+        flips[:] = -1.0
+        said += ", and negated"
+    e.settle("joint_vel", source, columns, names, [f"by {source.why}", how, said], scale=SPEEDS[unit] * flips,
+             unit=unit,             doubtful=not close)  # fmt: skip
+
+
+def torque(e: Evidence) -> None:
+    """Joint torques, by inverse dynamics (a fixed base) or only by name."""
+    if "joint_pos" not in e.proposal.assignments or "joint_torque" in e.proposal.assignments:
+        return
+    source = e.nearest(_with_samples(e, e.candidates_for("joint_torque")))
+    if source is None:
+        return
+    columns, names, how = columns_for(e, source)
+    if len(columns) < len(e.proposal.joints):
+        return
+    time, field = e.of(source)
+    if not np.nanstd(field.values[:, columns]) > 0:
+        e.proposal.warnings.append(f"{source.label} never changes: it is left out")
+        return
+    current = "current" in source.member.lower() or "load" in source.member.lower()
+    kind = "current_times_constant" if current else "measured"
+    evidence, scale, doubtful = [f"by {source.why}", how], 1.0, True
+    if current:
+        evidence.append("a current, or a load without a unit: its factor to N m is not known")
+    place = e.beside("joint_pos", time)
+    if e.target is not None and not e.target.floating and place is not None:
+        need = _needed(e, tuple(names), place, time)
+        if need is not None:
+            rows, tau = need
+            logged = field.values[rows][:, columns]
+            corrs = np.array([alike(logged[:, k], tau[:, k]) for k in range(len(names))])
+            ratio = float(np.nanmedian([factor(logged[:, k], tau[:, k]) for k in range(len(names))]))
+            scale, unit, said, doubtful = _torque_unit(ratio, corrs, source.unit)
+            evidence.append(said)
+            e.settle("joint_torque", source, columns, names, evidence, scale=scale, unit=unit, doubtful=doubtful)
+            e.proposal.torque_kind = kind
+            return
+    unit = source.unit or "N m"
+    e.settle("joint_torque", source, columns, names, [*evidence, "nothing here tests its size"],
+             scale=TORQUES.get(unit, 1.0), unit=unit, doubtful=True)  # fmt: skip
+    e.proposal.torque_kind = kind
+
+
+def _torque_unit(ratio: float, corrs: F64, declared: str) -> tuple[float, str, str, bool]:
+    """(factor to N m with sign, unit, why, whether in doubt) from logged = ratio x inverse dynamics."""
+    corr = float(np.median(np.abs(corrs)))
+    said = f"against the model's inverse dynamics: correlation {corr:.2f}, factor {ratio:.3g}"
+    if corr < 0.5:
+        unit = declared or "N m"
+        return TORQUES.get(unit, 1.0), unit, f"{said}: tells nothing; {unit} is assumed", True
+    sign = -1.0 if np.median(corrs) < -0.5 else 1.0
+    unit = min(TORQUES, key=lambda u: abs(np.log(abs(ratio) * TORQUES[u])))
+    if declared in TORQUES and 0.3 < abs(ratio) * TORQUES[declared] < 3:
+        unit = declared
+    fits = 0.4 < abs(ratio) * TORQUES[unit] < 2.5
+    return sign * TORQUES[unit], unit, f"{said} -> {unit}{', negated' if sign < 0 else ''}", not fits
+
+
+def _needed(e: Evidence, names: tuple[str, ...], place: F64, time: F64 | None = None) -> tuple[Any, F64] | None:
+    """(rows, (rows, K) N m by inverse dynamics) where joints move; None where nothing does."""
+    assert e.target is not None
+    if time is None:
+        time = next(t.time for t in e.times.values() if len(t.time) == len(place))
+    good = np.isfinite(place).all(axis=1)
+    if good.sum() < 50 or np.nanstd(place) < 1e-3:
+        return None
+    filled = np.stack([np.interp(time, time[good], place[good, k]) for k in range(place.shape[1])], axis=1)
+    q, qd, qdd = smooth_derivatives(time, filled)
+    rows = np.flatnonzero(good)[:: max(1, int(good.sum()) // DYNAMICS)]
+    return rows, e.target.inverse(names, q[rows], qd[rows], qdd[rows])
+
+
+def _with_samples(e: Evidence, found: Sequence[Candidate]) -> list[Candidate]:
+    return [c for c in found if np.isfinite(e.of(c)[1].values).any()]

@@ -1,0 +1,21 @@
+"""One file a format; `READERS` lists them, in the order in which they are asked."""
+
+from __future__ import annotations
+
+from realsim.core.registry import Registry
+
+READERS = Registry(
+    "log reader",
+    {
+        "mcap": "realsim.gap.recordings.readers.mcap:READER",
+        "rosbag": "realsim.gap.recordings.readers.rosbag:READER",
+        "lerobot": "realsim.gap.recordings.readers.lerobot:READER",
+        "parquet": "realsim.gap.recordings.readers.parquet:READER",
+        "ulog": "realsim.gap.recordings.readers.ulog:READER",
+        "rerun": "realsim.gap.recordings.readers.rerun:READER",
+        "json": "realsim.gap.recordings.readers.jsonfile:READER",
+        "npz": "realsim.gap.recordings.readers.npz:READER",
+        "torch": "realsim.gap.recordings.readers.torchfile:READER",
+        "csv": "realsim.gap.recordings.readers.csvfile:READER",
+    },
+)

@@ -1,0 +1,98 @@
+"""LeRobot datasets, v2.0 to v3.0, without the lerobot package: meta/info.json and data/**/*.parquet; an episode a run.
+
+Every file of data/ has the columns `episode_index`, `timestamp` (s), and the features of info.json; `action` is what
+was commanded and `observation.state` what was measured, their columns named by the motors.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from realsim.core.errors import GapError
+from realsim.core.files import read_json
+from realsim.core.types import F64
+from realsim.gap.recordings.readers.parquet import columns_of
+from realsim.gap.recordings.recording import (
+    Field,
+    Reader,
+    Recording,
+    Stream,
+    Window,
+    in_window,
+    no_samples,
+    refuse_more,
+)
+
+INDICES = ("timestamp", "episode_index", "frame_index", "index", "task_index")
+MAX_EPISODES = 200
+
+
+def recognise(path: Path) -> bool:
+    return path.is_dir() and (path / "meta" / "info.json").is_file() and (path / "data").is_dir()
+
+
+def read(path: Path, window: Window) -> list[Recording]:
+    info = read_json(path / "meta" / "info.json")
+    features = info.get("features") if isinstance(info, dict) else None
+    if not isinstance(features, dict):
+        raise GapError("info.json has no features", file=path / "meta" / "info.json", expected="LeRobot v2 or v3")
+    files = sorted((path / "data").rglob("*.parquet"))
+    if not files:
+        raise no_samples(path, "data/**/*.parquet")
+    wanted = [n for n, f in features.items() if isinstance(f, dict) and f.get("dtype") not in ("video", "image")]
+    parts: dict[str, list[F64]] = {}
+    size = 0
+    for file in files:
+        columns, _ = columns_of(file, [*wanted, *INDICES])
+        for name, values in columns.items():
+            parts.setdefault(name, []).append(values)
+            size += values.size
+        refuse_more(path, size)
+    try:
+        whole = {n: np.concatenate(p) for n, p in parts.items()}
+        length = len(whole["episode_index"])
+    except (KeyError, ValueError) as error:
+        raise GapError("the files of data/ do not fit together", file=path / "data", found=str(error)[:160]) from error
+    fields = {n: v for n, v in whole.items() if n not in INDICES and len(v) == length}
+    if not fields:
+        raise no_samples(path, "features of numbers: action, observation.state")
+    skipped = {n: str(f.get("dtype")) for n, f in features.items() if isinstance(f, dict) and n not in whole}
+    return _episodes(path, info, features, whole, fields, skipped, window)
+
+
+def _episodes(
+    path: Path, info: dict[str, Any], features: dict[str, Any], whole: dict[str, F64], fields: dict[str, F64],
+    skipped: dict[str, str], window: Window,
+) -> list[Recording]:  # fmt: skip
+    labels = {n: _names(features[n], 1 if v.ndim == 1 else v.shape[1]) for n, v in fields.items()}
+    facts: dict[str, Any] = {str(k): info[k] for k in ("robot_type", "fps", "codebase_version") if k in info}
+    episodes = np.unique(whole["episode_index"])
+    notes = (f"{len(episodes)} episodes: the first {MAX_EPISODES} are read",) if len(episodes) > MAX_EPISODES else ()
+    found = []
+    for episode in episodes[:MAX_EPISODES]:
+        rows = whole["episode_index"] == episode
+        clock = whole["timestamp"][rows] if "timestamp" in whole else np.flatnonzero(rows) / float(info.get("fps", 30))
+        keep = in_window(clock, window)
+        if keep.any():
+            columns = {n: Field(v[rows][keep].reshape(int(keep.sum()), -1), labels[n]) for n, v in fields.items()}
+            stream = Stream("", "lerobot", {"timestamp": clock[keep]}, columns)
+            found.append(Recording(path, f"episode_{int(episode):06d}", "lerobot", (stream,), skipped, notes, facts))
+    if not found:
+        raise no_samples(path, "episodes with rows", window=window)
+    return found
+
+
+def _names(feature: Any, width: int) -> tuple[str, ...]:
+    """The motors' names: a list, or lists by kind (`{"motors": [...]}`, as v2 writes them)."""
+    names = feature.get("names") if isinstance(feature, dict) else None
+    if isinstance(names, dict):
+        names = [n for part in names.values() for n in (part if isinstance(part, list) else [part])]
+    if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
+        return ()
+    return tuple(names) if len(set(names)) == len(names) == width else ()
+
+
+READER = Reader("lerobot", "a LeRobot dataset (meta/info.json and data/)", recognise, read)

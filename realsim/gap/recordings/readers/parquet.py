@@ -1,0 +1,87 @@
+"""Parquet: a column of numbers, or of lists of numbers, for each signal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from realsim.core.errors import GapError, extra
+from realsim.core.types import F64
+from realsim.gap.recordings.messages import MAX_WIDTH
+from realsim.gap.recordings.readers.csvfile import trimmed
+from realsim.gap.recordings.recording import Reader, Recording, Window, has_suffix, no_samples, refuse_more
+from realsim.gap.recordings.tables import table
+
+
+def read(path: Path, window: Window) -> list[Recording]:
+    columns, skipped = columns_of(path)
+    if not columns:
+        raise no_samples(path, "columns of numbers or of lists of numbers", skipped)
+    stream = table(path, "", trimmed(columns, window))
+    return [Recording(path, path.stem, "parquet", (stream,), skipped)]
+
+
+def columns_of(path: Path, only: Sequence[str] | None = None) -> tuple[dict[str, F64], dict[str, str]]:
+    """(columns of numbers (T,) or (T, K), name -> why another was not read) of a parquet file."""
+    parquet = extra("pyarrow.parquet", "logs", "reading parquet")
+    found: dict[str, F64] = {}
+    skipped: dict[str, str] = {}
+    size = 0
+    try:
+        with parquet.ParquetFile(path) as file:
+            for name in file.schema_arrow.names:
+                kind = file.schema_arrow.field(name).type
+                if only is not None and name not in only:
+                    continue
+                values = None
+                if _numeric(kind):  # pictures (bytes, structs) are never loaded
+                    values = _values(file.read(columns=[name]).column(0))
+                if values is None:
+                    skipped[name] = f"{kind}: not numbers"
+                    continue
+                found[name] = values
+                size += values.size
+                refuse_more(path, size)
+    except GapError:
+        raise
+    except Exception as error:  # Arrow's own errors, and what damage leads to
+        raise GapError(
+            "not a readable parquet file", file=path, found=f"{type(error).__name__}: {error}"[:160]
+        ) from error
+    return found, skipped
+
+
+def _numeric(kind: Any) -> bool:
+    import pyarrow.types as t
+
+    if t.is_list(kind) or t.is_large_list(kind) or t.is_fixed_size_list(kind):
+        return _numeric(kind.value_type)
+    return bool(t.is_integer(kind) or t.is_floating(kind) or t.is_boolean(kind) or t.is_timestamp(kind))
+
+
+def _values(column: Any) -> F64 | None:
+    import pyarrow as pa
+    import pyarrow.types as t
+
+    column = column.combine_chunks() if hasattr(column, "combine_chunks") else column
+    if isinstance(column, pa.ChunkedArray):
+        column = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
+    if t.is_timestamp(column.type):
+        unit = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[column.type.unit]
+        return unit * column.cast(pa.int64()).to_numpy(zero_copy_only=False).astype(np.float64)
+    if not (t.is_list(column.type) or t.is_large_list(column.type) or t.is_fixed_size_list(column.type)):
+        return np.asarray(column.to_numpy(zero_copy_only=False), dtype=np.float64)
+    flat = column.flatten()
+    if t.is_list(flat.type) or t.is_fixed_size_list(flat.type) or column.null_count:
+        return None
+    width, rest = divmod(len(flat), max(len(column), 1))
+    lengths = None if t.is_fixed_size_list(column.type) else np.diff(column.offsets.to_numpy())
+    if rest or not 0 < width <= MAX_WIDTH or (lengths is not None and (lengths != width).any()):
+        return None
+    return np.asarray(flat.to_numpy(zero_copy_only=False), dtype=np.float64).reshape(-1, width)
+
+
+READER = Reader("parquet", "a .parquet file", has_suffix(".parquet", ".pq"), read)

@@ -1,0 +1,41 @@
+"""A dictionary of tensors saved by PyTorch (.pt), as tools for sim-to-real identification publish them.
+
+Never unpickled freely: `weights_only` admits tensors and plain containers, and refuses anything that could run.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from realsim.core.errors import GapError, extra
+from realsim.core.files import archive_damage, check_size
+from realsim.gap.recordings.readers.csvfile import trimmed
+from realsim.gap.recordings.recording import Reader, Recording, Window, has_suffix, no_samples, refuse_more
+from realsim.gap.recordings.tables import table
+
+
+def read(path: Path, window: Window) -> list[Recording]:
+    torch = extra("torch", "train", "reading .pt")
+    check_size(path)
+    if (damage := archive_damage(path)) is not None:
+        raise GapError("the file is damaged", file=path, found=damage, hint="copy it again")
+    try:
+        value = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # pickle's, zip's and torch's own
+        raise GapError(
+            "not a readable .pt file", file=path, expected="a dictionary of tensors", found=str(error)[:160]
+        ) from error
+    if not isinstance(value, dict):
+        raise no_samples(path, "a dictionary of tensors")
+    arrays = {str(k): np.asarray(v, dtype=np.float64) for k, v in value.items() if torch.is_tensor(v)}
+    length = max((len(v) for v in arrays.values() if v.ndim in (1, 2)), default=0)
+    columns = {n: v for n, v in arrays.items() if v.ndim in (1, 2) and len(v) == length > 1}
+    if not columns:
+        raise no_samples(path, "tensors with a row a sample", {n: str(v.shape) for n, v in arrays.items()})
+    refuse_more(path, sum(v.size for v in columns.values()))
+    return [Recording(path, path.stem, "torch", (table(path, "", trimmed(columns, window)),))]
+
+
+READER = Reader("torch", "a .pt file with a dictionary of tensors", has_suffix(".pt", ".pth"), read)

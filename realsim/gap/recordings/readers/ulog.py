@@ -1,0 +1,63 @@
+"""PX4's ULog: every message of the log by its name; time stamps in us since the autopilot's start."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from realsim.core.errors import GapError, extra
+from realsim.core.files import check_size
+from realsim.gap.recordings.recording import Field, Reader, Recording, Stream, Window, first_line, in_window, no_samples
+from realsim.gap.recordings.tables import grouped
+
+MAX_BYTES = 2**30
+MAGIC = b"ULog\x01\x12\x35"
+HEAD = 16
+"""Bytes before the first message: the magic, the version, the time of the start."""
+
+
+def recognise(path: Path) -> bool:
+    return path.is_file() and (path.suffix.lower() == ".ulg" or first_line(path, 8).startswith(MAGIC))
+
+
+def read(path: Path, window: Window) -> list[Recording]:
+    pyulog = extra("pyulog", "logs", "reading .ulg")
+    check_size(path, MAX_BYTES)
+    try:
+        log = pyulog.ULog(str(path))
+    except Exception as error:  # the library raises what the damage leads to
+        raise GapError("not a readable ULog file", file=path, found=f"{type(error).__name__}: {error}"[:160]) from error
+    streams = []
+    for entry in log.data_list:
+        stamps = np.asarray(entry.data["timestamp"], dtype=np.float64) * 1e-6
+        keep = in_window(stamps, window)
+        columns = {
+            n: np.asarray(v, dtype=np.float64)[keep]
+            for n, v in entry.data.items()
+            if n != "timestamp" and np.asarray(v).dtype.kind in "fiub"
+        }
+        if keep.any() and columns:
+            clocks = {"header": stamps[keep]}  # the autopilot stamps when it samples; nothing is received
+            name = entry.name + (f"[{entry.multi_id}]" if entry.multi_id else "")
+            fields = {n: Field(f.values, f.labels, f.unit) for n, f in grouped(columns).items()}
+            streams.append(Stream(name, entry.name, clocks, fields))
+    if not streams:
+        raise no_samples(path, "logged messages", window=window)
+    notes: tuple[str, ...] = (f"{len(log.dropouts)} dropouts in the log",) if log.dropouts else ()
+    if log.file_corruption or not _whole(path):
+        notes += (f"{path.name} is damaged: read as far as it goes",)
+    return [Recording(path, path.stem, "ulog", tuple(streams), notes=notes)]
+
+
+def _whole(path: Path) -> bool:
+    """Whether the last message ends where the file does; the library stops at a cut without a word."""
+    with path.open("rb") as file:
+        end, at = path.stat().st_size, HEAD
+        while at < end:
+            file.seek(at)
+            at += 3 + int.from_bytes(file.read(3)[:2], "little")
+    return at == end
+
+
+READER = Reader("ulog", "a PX4 .ulg file", recognise, read)

@@ -1,0 +1,169 @@
+"""A file or a folder -> its recordings, one a run."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from realsim.core.errors import GapError, MissingExtraError, RealsimError
+from realsim.core.files import check_size
+from realsim.core.progress import track
+from realsim.gap.recordings.jumps import unbroken
+from realsim.gap.recordings.readers import READERS
+from realsim.gap.recordings.recording import Reader, Recording, Stream, Window, no_samples
+
+MAX_RUNS = 400
+MAX_BYTES = 64 * 2**30
+_MEASURED = ("measured", "actual", "state", "states", "feedback")
+_HALF = re.compile(rf"(^|[_\-. ])({'|'.join(_MEASURED)}|desired|reference|commands?|cmd|targets?|goals?)(?=$|[_\-. ])")
+
+
+def read(path: Path, window: Window | None = None) -> list[Recording]:
+    """The recordings in a file or a folder, one a run.
+
+    A folder is one recording where a reader knows it as such (a ROS 2 bag, a LeRobot dataset); otherwise each file in
+    it that a reader knows is a run. Two tables named alike but for `measured` and `desired` are one run.
+
+    Raises:
+        GapError: nothing that any reader knows, or a file that its reader cannot read.
+        MissingExtraError: the reader's package is not installed.
+    """
+    path = Path(path)
+    window = window or Window()
+    if not path.exists():
+        raise GapError("no such recording", file=path, expected="a file or a folder of recordings")
+    reader = reader_of(path)
+    if reader is not None:
+        return _read(reader, path, window)
+    if path.is_dir():
+        return _folder(path, window)
+    raise _empty(path) if path.is_file() and not path.stat().st_size else unknown(path)
+
+
+def reader_of(path: Path) -> Reader | None:
+    """The first reader that knows this file or folder."""
+    return next((READERS[name] for name in READERS if READERS[name].recognise(path)), None)
+
+
+def unknown(path: Path) -> GapError:
+    """The error for what no reader knows."""
+    return GapError(
+        "not a recording that realsim can read",
+        file=path,
+        expected="; ".join(READERS[name].looks_for for name in READERS),
+        found=path.suffix or "no file ending",
+    )
+
+
+def _empty(path: Path) -> GapError:
+    return GapError("the file is empty", file=path, expected="a recording", hint="copy it again, or record it again")
+
+
+def _read(reader: Reader, path: Path, window: Window) -> list[Recording]:
+    if path.is_file():
+        check_size(path, MAX_BYTES)
+        if path.stat().st_size == 0:
+            raise _empty(path)
+    else:  # a reader's library would wait for ever at a pipe in place of one of its files
+        for inner in path.rglob("*"):
+            if not inner.is_dir():
+                check_size(inner, MAX_BYTES)
+    whole = [replace(r, streams=filled) for r in reader.read(path, window) if (filled := _filled(r))]
+    found = [_finite(replace(part, streams=_filled(part))) for r in whole for part in unbroken(r)]
+    if not found:
+        raise no_samples(path, "samples in the window of time", window=window)
+    return found
+
+
+def _filled(recording: Recording) -> tuple[Stream, ...]:
+    """The streams that have samples; of a window of time some may have none."""
+    return tuple(s for s in recording.streams if s.count)
+
+
+def _finite(recording: Recording) -> Recording:
+    """Infinite numbers are no measurements: missing, and reported."""
+    notes, streams = [], []
+    for stream in recording.streams:
+        fields = {}
+        for name, part in stream.fields.items():
+            infinite = np.isinf(part.values)
+            if infinite.any():
+                count, where = int(infinite.sum()), stream.name or recording.path.name
+                notes.append(f"{where}: {count} infinite values of {name} are taken as missing")
+                part = replace(part, values=np.where(infinite, np.nan, part.values))
+            fields[name] = part
+        streams.append(replace(stream, fields=fields))
+    if not notes:
+        return recording
+    return replace(recording, streams=tuple(streams), notes=(*recording.notes, *notes))
+
+
+def _folder(folder: Path, window: Window) -> list[Recording]:
+    files = sorted(p for p in folder.iterdir() if not p.name.startswith("."))
+    known = [(p, r) for p in files if (r := reader_of(p)) is not None]
+    if not known:
+        raise GapError(
+            "no recording in the folder",
+            file=folder,
+            expected="; ".join(READERS[name].looks_for for name in READERS),
+            found=", ".join(p.name for p in files[:8]) or "an empty folder",
+        )
+    if len(known) > MAX_RUNS:
+        raise GapError("too many recordings", file=folder, expected=f"at most {MAX_RUNS}", found=str(len(known)))
+    found: list[Recording] = []
+    lost = [f"{p.name}: the file is empty" for p in files if p.is_file() and not p.stat().st_size and not reader_of(p)]
+    first: RealsimError | None = None
+    for path, reader in track(known, "reading", len(known)):
+        try:
+            found += _read(reader, path, window)
+        except MissingExtraError:
+            raise
+        except RealsimError as error:
+            first = first or error
+            lost.append(f"{path.name}: {error.message}")
+    if not found:
+        assert first is not None
+        raise first
+    merged = _halves(found)
+    return [replace(r, notes=r.notes + tuple(lost)) if i == 0 else r for i, r in enumerate(merged)]
+
+
+def _halves(recordings: Sequence[Recording]) -> list[Recording]:
+    """Recordings with those joined that are the measured and the desired half of one run."""
+    groups: dict[str, list[Recording]] = {}
+    for recording in recordings:
+        groups.setdefault(_HALF.sub("", recording.name).strip("_-. "), []).append(recording)
+    result = []
+    for name, parts in groups.items():
+        if len(parts) == 2 and all(len(p.streams) == 1 for p in parts) and _one_clock(parts):
+            streams = tuple(replace(p.streams[0], name=_half(p.name)) for p in parts)
+            notes = (*parts[0].notes, *parts[1].notes, f"{parts[0].name} and {parts[1].name} are taken as one run")
+            result.append(replace(parts[0], name=name or parts[0].name, streams=streams, notes=notes))
+        else:
+            result += parts
+    return result
+
+
+def _half(name: str) -> str:
+    """`desired` or the like, or nothing for what was measured: alike in all runs of a folder, whole or in halves."""
+    found = _HALF.search(name)
+    return "" if found is None or found[2] in _MEASURED else found[2]
+
+
+def _one_clock(parts: Sequence[Recording]) -> bool:
+    """Whether the two halves run over the same seconds, and only one of them is named for what was desired."""
+    named = [_HALF.search(p.name) is not None for p in parts]
+    spans = []
+    for part in parts:
+        clock = next(iter(part.streams[0].clocks.values()), None)
+        if clock is None or not len(clock):
+            return False
+        spans.append((float(clock[0]), float(clock[-1])))
+    length = max(b - a for a, b in spans)
+    return (
+        any(named) and abs(spans[0][0] - spans[1][0]) < 0.1 * length and abs(spans[0][1] - spans[1][1]) < 0.1 * length
+    )

@@ -1,0 +1,274 @@
+"""The command line: help, exit codes, errors for people and for machines."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from realsim.cli.command_line import COMMANDS, COMMON, SUMMARIES, commands, main
+from realsim.cli.commands import other_arguments, set_arguments
+
+
+def test_every_command_has_a_summary_and_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert set(COMMANDS) == set(SUMMARIES)
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    for name in COMMANDS:
+        assert name in text
+        assert main([name, "--help"]) == 0
+        assert f"realsim {name}" in capsys.readouterr().out
+
+
+def test_help_ends_with_an_example_and_knows_no_names_of_the_source(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("torch")
+    for name in commands()[0]:
+        assert main(["help", name]) == 0
+        text = capsys.readouterr().out
+        assert f"example: realsim {name} " in text
+        assert "--quiet" in text
+        assert not re.search(r"config[. ]\w*", text), name
+
+
+def test_help_waits_for_no_heavy_package() -> None:
+    """Help is there at once: what takes its time to import is imported by what uses it."""
+    heavy = ("torch", "scipy", "mujoco", "open3d", "cv2", "trimesh", "onnxruntime", "ray", "submitit", "mcp", "pyarrow")
+    code = f"""
+import contextlib, io, sys
+from realsim.cli.command_line import commands, main
+for name in commands()[0]:
+    with contextlib.redirect_stdout(io.StringIO()):
+        assert main([name, "--help"]) == 0
+    print(name, [package for package in {heavy!r} if package in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    lines = done.stdout.splitlines()
+    assert len(lines) == len(commands()[0])
+    assert [line for line in lines if not line.endswith("[]")] == []
+
+
+def test_help_lists_the_choices_there_are(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from realsim.align import SEGMENTERS
+    from realsim.capture import LAYOUTS
+    from realsim.export import CONTACT, EXPORTERS
+    from realsim.feedforward import BACKENDS
+    from realsim.jobs import EXECUTORS
+    from realsim.meshing import METHODS
+    from realsim.robots import ROBOTS as OWN_ROBOTS
+    from realsim.scale import ESTIMATORS
+    from realsim.synth import PLACES, TERRAINS
+    from trainer.physics import ENGINES
+    from trainer.ppo.strategies import STRATEGIES
+    from trainer.robots import ROBOTS
+    from trainer.trainers import BUILT_IN
+
+    monkeypatch.setenv("COLUMNS", "300")
+    choices = {
+        "reconstruct": {
+            "layout": ["auto", *LAYOUTS],
+            "contact": ["auto", *CONTACT],
+            "segmenter": SEGMENTERS,
+            "backend": BACKENDS,
+            "mesh-method": METHODS,
+            "scale-method": ESTIMATORS,
+        },
+        "synth": {"terrain": [*TERRAINS, *PLACES]},
+        "demo": {"terrain": TERRAINS, "robot": [*OWN_ROBOTS, "menagerie:NAME"]},
+        "export": {"to": EXPORTERS},
+        "finetune": {"strategy": STRATEGIES, "engine": ENGINES, "trainer": BUILT_IN, "robot": ROBOTS},
+        "evaluate": {"engine": ENGINES},
+        "contact": {"executor": EXECUTORS},
+    }
+    for command, options in choices.items():
+        assert main(["help", command]) == 0
+        text = re.sub(r",\s*│\n│ ", ",", capsys.readouterr().out)  # choices that take more than a line
+        for option, names in options.items():
+            shown = re.search(rf"--{option} (\S+)", text)
+            assert shown is not None
+            assert sorted(shown[1].strip("{}").removeprefix("all|").split(",")) == sorted(names)
+
+
+def test_a_flag_takes_the_same_kind_of_value_everywhere(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("torch")
+    kinds: dict[str, dict[str, str]] = {}
+    for name in commands()[0]:
+        assert main(["help", name]) == 0
+        for flag, value in re.findall(
+            r"^\W*(--[a-z-]+)(?:, --no-[a-z-]+)?(?: ([^ \n]+))?", capsys.readouterr().out, re.M
+        ):
+            # Which choices there are may differ; a text, a number, a file or a switch it is everywhere.
+            kinds.setdefault(flag, {})[name] = re.sub(r"\{\S*", "STR", value.replace("{None}|", ""))
+    assert {flag: by for flag, by in kinds.items() if len(set(by.values())) > 1} == {}
+
+
+def test_the_help_says_what_an_option_takes_that_may_be_left_out(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["help", "reconstruct"]) == 0
+    text = capsys.readouterr().out
+    assert "--start FLOAT FLOAT " in text
+    assert "--depth-unit FLOAT " in text
+    assert "None}" not in text
+
+
+def test_a_long_help_shows_what_is_used_most(capsys: pytest.CaptureFixture[str]) -> None:
+    """The options that are named exist, each is described as in the full help, and it fits on a screen."""
+    from trainer.commands import COMMON as TRAINER
+
+    for name, options in {**COMMON, **TRAINER}.items():
+        assert main([name, "--help"]) == 0
+        shown = capsys.readouterr().out
+        assert main(["help", name]) == 0
+        full = capsys.readouterr().out
+        assert re.findall(r"^│ (--[a-z-]+)", shown, re.M) == list(options)
+        assert f"realsim help {name}" in shown
+        assert "example: " in shown
+        assert len(shown.splitlines()) < 66 < len(full.splitlines())
+        assert {line for line in shown.splitlines() if line.startswith("│")} <= set(full.splitlines())
+
+
+def test_help_that_nobody_reads_to_its_end_is_no_error() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [sys.executable, "-c", "from realsim.cli.command_line import main; main(['inspect', '--help'])"],
+        stdout=writer, stderr=subprocess.PIPE, text=True, check=False,
+    )  # fmt: skip
+    os.close(writer)
+    assert done.returncode == 0
+    assert done.stderr == ""
+
+
+def test_switches_that_are_on_are_named_as_what_they_do(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["help", "diagnose"]) == 0
+    assert "--report, --no-report" in capsys.readouterr().out
+
+
+def test_every_option_that_is_spoken_of_exists(capsys: pytest.CaptureFixture[str]) -> None:
+    """In messages, docstrings and docs: what they tell people to type must be taken."""
+    pytest.importorskip("torch")
+    others = {"--head", "--mjcf"}  # of ray and MuJoCo's viewer
+    others |= {"--opset", "--tolerance", "--course"}  # of tools/export_onnx and examples/close_the_gap.py, by tyro
+    others |= {"--logdir", "--nproc-per-node", "--nnodes", "--rdzv-endpoint"}  # of tensorboard and torchrun
+    others |= {"--env"}  # of GNU parallel
+    for name in commands()[0]:
+        assert main(["help", name]) == 0
+    known = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out)) | {"--help", "--json", "--quiet", "--version"}
+    root = Path(__file__).resolve().parents[2]
+    for script in [*root.glob("benchmarks/**/*.py"), *root.glob("tools/**/*.py")]:
+        known |= set(re.findall(r'"(--[a-z-]+)"', script.read_text(encoding="utf-8")))
+    texts = [*root.glob("realsim/**/*.py"), *root.glob("trainer/**/*.py"), *root.glob("docs/*.md"), root / "README.md"]
+    wrong = [
+        f"{path.relative_to(root)}: {option}"
+        for path in texts
+        # "(" comes before CSS variables.
+        for option in re.findall(r"(?<![\w(-])--[a-z][a-z.-]+[a-z]", path.read_text(encoding="utf-8"))
+        if option not in known | others
+    ]
+    assert wrong == []
+
+
+def test_unknown_command_names_the_closest(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["reconstuct"]) == 2
+    assert "did you mean reconstruct" in capsys.readouterr().err
+
+
+def test_missing_folder_is_exit_code_2_without_a_traceback(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["reconstruct", str(tmp_path / "none"), "--out", str(tmp_path / "scene")]) == 2
+    error = capsys.readouterr().err
+    assert "none" in error
+    assert "Traceback" not in error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_output_that_is_a_file_is_exit_code_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "taken").write_text("x")
+    assert main(["demo", "--out", str(tmp_path / "taken"), "--json"]) == 2
+    assert "output is a file" in json.loads(capsys.readouterr().out)["message"]
+
+
+def test_errors_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["inspect", str(tmp_path / "none"), "--json"]) == 2
+    said = json.loads(capsys.readouterr().out)
+    assert said["error"].endswith("Error")
+    assert said["message"]
+
+
+def test_values_that_do_not_fit_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["inspect", str(tmp_path), "--min-depth", "7"]) == 2
+    assert "need 0 <= --min-depth < --max-depth" in capsys.readouterr().err
+
+
+def test_points_that_are_no_numbers_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for point in (["nan", "0"], ["1", "inf"]):
+        assert main(["reconstruct", str(tmp_path), "--start", *point, "--out", str(tmp_path / "out")]) == 2
+        assert "start must be two numbers in metres" in capsys.readouterr().err
+
+
+def test_an_unknown_name_is_said_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["demo", "--robot", "nope", "--out", str(tmp_path / "demo")]) == 2
+    assert "unknown robot 'nope'" in capsys.readouterr().err
+    assert not (tmp_path / "demo").exists()
+    assert main(["synth", "--terrain", "coridor", "--out", str(tmp_path / "synth")]) == 2
+    assert "did you mean corridor" in capsys.readouterr().err
+
+
+def test_arguments_of_an_item_are_the_commands_less_its_own() -> None:
+    set_arguments(["a", "--out", "x", "--jobs=2", "--seed", "3", "b", "--robot", "g1"])
+    assert other_arguments({"--out": 1, "--jobs": 1}, ["a", "b"]) == ("--seed", "3", "--robot", "g1")
+
+
+def test_inputs_as_a_shell_completes_them_are_no_options() -> None:
+    set_arguments(["caps/a/", "./caps/b", "--out", "x", "--cache", "kept/"])
+    rest = other_arguments({"--out": 1}, [str(Path("caps/a/")), str(Path("./caps/b"))])
+    assert rest == ("--cache", "kept/")
+
+
+def test_packages_add_commands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A lone module as well as a module of a package; both say in SUMMARIES what they add."""
+    source = """
+from realsim.cli.commands import CommandResult
+SUMMARIES = {"NAME": "what NAME does"}
+def run(times: int = 2) -> CommandResult:
+    return CommandResult("NAME " * times)
+"""
+    (tmp_path / "pack").mkdir()
+    (tmp_path / "lone.py").write_text(source.replace("NAME", "alone"))
+    (tmp_path / "pack" / "__init__.py").write_text('SUMMARIES = {"packed": "what packed does"}')
+    (tmp_path / "pack" / "inner.py").write_text(source.replace("NAME", "packed"))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    points = [EntryPoint("alone", "lone:run", "realsim.commands"), EntryPoint("packed", "pack.inner:run", "")]
+    monkeypatch.setattr("realsim.cli.command_line.entry_points", lambda group: points)
+    assert main(["--help"]) == 0
+    said = capsys.readouterr().out
+    for name in ("alone", "packed"):
+        assert f"what {name} does" in said
+        assert main([name, "--times", "3"]) == 0
+        assert capsys.readouterr().out.split() == [name] * 3
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "reconstruct my --out my",
+        "reconstruct my/capture --out my",
+        "contact my/a.stl --out my",
+        "diagnose my/capture --out my",
+    ],
+)
+def test_the_input_is_never_overwritten(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my" / "capture").mkdir(parents=True)
+    for name in ("a.stl", "report.json"):
+        (tmp_path / "my" / name).write_text("precious")
+    assert main([*command.split(), "--overwrite", "--json"]) == 2
+    assert "input lies in the output" in json.loads(capsys.readouterr().out)["message"]
+    assert (tmp_path / "my" / "a.stl").read_text() == "precious"

@@ -1,0 +1,28 @@
+"""What is said of models that cannot be simulated."""
+
+from pathlib import Path
+
+import pytest
+
+from realsim.core.errors import GapError
+from realsim.gap.case.case import load_model
+from realsim.gap.recordings.model import load_target
+
+MESH = """<mujoco><asset><mesh name="m" file="base.obj"/></asset><worldbody><body><freejoint/>
+<geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("load", [load_model, load_target])
+def test_a_model_without_its_meshes_is_told_what_to_do(load, tmp_path: Path) -> None:
+    (tmp_path / "robot.xml").write_text(MESH)
+    with pytest.raises(GapError) as caught:
+        load(tmp_path / "robot.xml")
+    assert "base.obj" in str(caught.value.found)
+    assert "meshes" in str(caught.value.hint)
+
+
+def test_other_errors_of_a_model_have_no_such_hint(tmp_path: Path) -> None:
+    (tmp_path / "robot.xml").write_text("<mujoco><worldbody><body><freejoint/></body></worldbody></mujoco>")
+    with pytest.raises(GapError) as caught:
+        load_target(tmp_path / "robot.xml")
+    assert caught.value.hint is None
