@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-sys.path[:0] = [str(Path(__file__).resolve().parents[k]) + end for k, end in ((1, ""), (1, "/tests/feedforward"))]
+sys.path[:0] = [str(Path(__file__).resolve().parents[k]) + end for k, end in ((2, ""), (2, "/tests/feedforward"))]
 
 Write = Callable[[Path], Any]
 """Writes an example into an empty folder."""
