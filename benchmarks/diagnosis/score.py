@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable
+import re
+from collections.abc import Callable, Iterable, Sequence
 from hashlib import sha256
 from typing import Any
 
@@ -273,14 +274,27 @@ BARS = {
 }
 
 
+def exactly_right(verdict: str, causes: Sequence[str], truth: Sequence[str]) -> bool:
+    """Whether an answer is `identified` and names the true causes, at all their places, and nothing else.
+
+    Causes are written `effect@place+place`.
+    """
+    return verdict == "identified" and _parts(causes) == _parts(truth)
+
+
+def _parts(causes: Sequence[str]) -> set[tuple[str, frozenset[str]]]:
+    split = (text.partition("@") for text in causes)
+    return {(effect, frozenset(re.split(r"[+,]", places))) for effect, _, places in split}
+
+
 def table(figures: dict[str, Any]) -> str:
-    """The figures for people."""
+    """The figures for people; of shares, those that have a case."""
     lines = []
     for name, value in figures.items():
         if name == "provenance":
             lines.append(f"{name:<30} {_engine(value)}, realsim {value.get('version')}, mujoco {value.get('mujoco')}")
             continue
-        if name in ("cases_detail",):
+        if name == "cases_detail" or value == [0, 0]:
             continue
         bar = f"   (bar {BARS[name]})" if name in BARS else ""
         if isinstance(value, list) and len(value) == 2 and all(isinstance(v, int) for v in value):

@@ -27,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from benchmarks.diagnosis.score import (
     BARS,
     MixedEnginesError,
+    exactly_right,
     intervals_hold,
     look_alikes_named,
     one_engine,
@@ -70,6 +71,7 @@ def main() -> int:
     made = {"seconds": seconds, "cases": len(labels), "seed": args.seed, "note": args.note, "run": described_run()}
     figures = score(labels, found) | made
     figures["baselines"] |= sysid_baseline(args.work, sorted(found))
+    print("\n".join(case_line(name, kept_row(labels[name], found[name])) for name in sorted(found)), end="\n\n")
     print(table(figures))
     if args.developed_on:
         fresh = [n for n in found if n not in args.developed_on]
@@ -124,6 +126,20 @@ def keep(
 def _lines(items: list[dict[str, Any]]) -> str:
     """An item a line."""
     return ",\n".join(json.dumps(json.loads(to_json(item)), ensure_ascii=False) for item in items)
+
+
+def case_line(name: str, row: dict[str, Any]) -> str:
+    """One case for people: what was put in, the answer, and what it is worth."""
+    put_in, named = (", ".join(row[k]) or "nothing" for k in ("truth", "causes"))
+    if not row["truth"]:
+        worth = "right" if row["verdict"] == "no_gap" else "false alarm"
+    elif exactly_right(row["verdict"], row["causes"], row["truth"]):
+        worth = "exactly right"
+    elif row["truth"][0] in row["causes"][:1]:
+        worth = "named first"
+    else:
+        worth = "among the equivalents" if row["truth"] in row["equivalent"] else "not named"
+    return f"{name}  {row['robot']:<9}  {row['cls']:<10}  put in: {put_in}  |  {row['verdict']}: {named}  |  {worth}"
 
 
 def kept_row(label: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:

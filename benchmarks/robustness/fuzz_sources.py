@@ -175,7 +175,7 @@ def _pointmap(said: bool, folder: Path) -> None:
     import rooms
     from analytic import answers, room_frame
 
-    from benchmarks.scenes.simulated_model import Shape, write_model
+    from tests.truths.simulated_model import Shape, write_model
 
     shape, path = Shape(said=said), rooms.path(2, 0.15)
     write_model(folder / "model.onnx", answers([room_frame(k, T) for k, T in enumerate(path)], path, shape), shape)

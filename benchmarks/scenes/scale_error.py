@@ -208,13 +208,12 @@ def save(store: Store) -> None:
     from benchmarks.scenes import scale_sources as s
 
     noise = {
-        "sensor_scale_sigma": s.SENSOR_SCALE, "tracker_m_rad": s.TRACKER, "model_unit": s.MODEL_UNIT,
-        "model_claim_log_sigma": s.MODEL_CLAIM, "model_view_bend_pose": [s.MODEL_VIEW, s.MODEL_BEND, s.MODEL_POSE],
+        "sensor_scale_sigma": s.SENSOR_SCALE, "tracker_m_rad": s.TRACKER,
         "lidar_noise_drift_scale": [s.LIDAR_NOISE, s.LIDAR_DRIFT, s.LIDAR_SCALE],
         "phone_noise_drift_scale": [s.PHONE_NOISE, s.PHONE_DRIFT, s.PHONE_SCALE],
     }  # fmt: skip
     store.facts = {
-        "what": "rendered captures; rows called simulated come from stand-ins, not from a product or a published model",
+        "what": "rendered captures; rows called simulated come from stand-ins, not from a product",
         "noise": noise, "paper": PAPER, "bar": BAR, "summary": summary(store.rows),
     }  # fmt: skip
     store.save()

@@ -1,7 +1,7 @@
 """Where a scale can come from: our modes on rendered captures, and simulations of what is not here.
 
-`simulated_*` are stand-ins with stated errors. They show what a scan or a model with such errors would score; they say
-nothing about any product or any published model.
+`simulated_*` are stand-ins with stated errors. They show what a scan with such errors would score; they say nothing
+about any product. `onnx` and `onnx+depth` run the model that ships.
 """
 
 from __future__ import annotations
@@ -12,14 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.scenes.simulated_model import Answers, Shape, write_model
 from realsim import feedforward, scale
 from realsim.core.errors import RealsimError
 from realsim.core.geometry import exp_so3
 from realsim.core.types import F64, Frame, FrameSet, Intrinsics, Pointmaps
 from realsim.feedforward.config import OnnxConfig, PointsConfig
-from realsim.feedforward.onnx.preprocess import make_grid, to_tensor
-from realsim.feedforward.onnx.spec import Port, Spec
 from realsim.scale.config import ScaleConfig
 from realsim.synth.camera import DepthSensor, walk
 from realsim.synth.render import Renderer
@@ -103,13 +100,13 @@ def rgbd_posed(capture: Capture, work: Path) -> Found:
 
 
 def onnx(capture: Capture, work: Path) -> Found:
-    """The paper's way: a (simulated) model by colour alone, metres by the ratio of depths."""
-    return _solved(capture.frames, capture, _onnx("onnx", capture, work))
+    """The paper's way: the model that ships by colour alone, metres by the ratio of depths."""
+    return _solved(capture.frames, capture, _with_model("onnx", work))
 
 
 def onnx_depth(capture: Capture, work: Path) -> Found:
-    """The (simulated) model's poses, refined against the depth."""
-    return _solved(capture.frames, capture, _onnx("onnx+depth", capture, work))
+    """The poses of the model that ships, refined against the depth."""
+    return _solved(capture.frames, capture, _with_model("onnx+depth", work))
 
 
 def colmap(capture: Capture, work: Path) -> Found:
@@ -117,14 +114,9 @@ def colmap(capture: Capture, work: Path) -> Found:
     return _solved(capture.frames, capture, PointsConfig(backend="colmap"))
 
 
-def model_claim(capture: Capture, work: Path) -> Found:
-    """What the (simulated) model itself says a unit is."""
-    return _unscaled(capture, work, claimed=True)
-
-
-def unscaled(capture: Capture, work: Path) -> Found:
-    """The (simulated) model's points with a unit taken for a metre."""
-    return _unscaled(capture, work, claimed=False)
+def _with_model(backend: str, work: Path) -> PointsConfig:
+    """A configuration with the model that ships; its outputs are kept for the other mode."""
+    return PointsConfig(backend=backend, poses="estimate", onnx=OnnxConfig(kept_in=work))
 
 
 def _solved(frames: FrameSet, capture: Capture, config: PointsConfig) -> Found:
@@ -132,13 +124,6 @@ def _solved(frames: FrameSet, capture: Capture, config: PointsConfig) -> Found:
     metric = scale.to_metric(maps, ScaleConfig())
     low, high = (v / metric.scale.value for v in metric.scale.ci90)
     return _found(capture, maps, metric.scale.value, (low, high))
-
-
-def _unscaled(capture: Capture, work: Path, *, claimed: bool) -> Found:
-    config = _onnx("onnx", capture, work)
-    maps = feedforward.pointmaps(capture.frames, feedforward.solve(capture.frames, config), config)
-    assert maps.metric_claim is not None
-    return _found(capture, maps, maps.metric_claim if claimed else 1.0, None)
 
 
 def _found(capture: Capture, maps: Pointmaps, metres: float, interval: tuple[float, float] | None) -> Found:
@@ -160,52 +145,10 @@ def _found(capture: Capture, maps: Pointmaps, metres: float, interval: tuple[flo
 
 # ---------------------------------------------------------------- simulated
 
-MODEL_UNIT = (0.3, 1.5)
-"""Metres that a unit of the simulated model stands for: log-uniform between these."""
-MODEL_CLAIM = 0.3
-"""Standard deviation of the logarithm of its own claim of metres, as wrong as the paper found such claims."""
-MODEL_VIEW, MODEL_BEND, MODEL_POSE = 0.01, 0.015, (0.01, 0.008)
-"""Its errors: relative depth of whole views, relative depth bent over a view, poses in metres and radians."""
 LIDAR_NOISE, LIDAR_DRIFT, LIDAR_SCALE = 0.010, 0.008, 0.003
 """Simulated hand-held LiDAR: range noise and drift in metres, relative scale. Data sheets of such say 1 to 2 cm."""
 PHONE_NOISE, PHONE_DRIFT, PHONE_SCALE = 0.006, 0.02, (0.015, 0.02)
 """Simulated phone mesh: vertices and drift in metres, mean and standard deviation of its scale bias."""
-
-
-def _onnx(backend: str, capture: Capture, work: Path) -> PointsConfig:
-    """A configuration with a model that knows this capture, with errors; the same file for all modes."""
-    path = work / f"{capture.terrain.name}-{capture.seeds[0]}-{capture.seeds[1]}.onnx"
-    if not path.is_file():
-        write_model(path, _answers(capture), Shape("pointmap", scale="factor"))
-    return PointsConfig(backend=backend, poses="estimate", onnx=OnnxConfig(model=path, kept_in=work))
-
-
-def _answers(capture: Capture) -> Answers:
-    """True depth and poses in an arbitrary unit, with the errors stated above."""
-    import cv2
-
-    rng = np.random.default_rng([*capture.seeds, 9])
-    frames = capture.frames.frames
-    spec = Spec("pointmap", Port("images", (1, "N", 3, "H", "W"), ""), {})
-    grid = make_grid(CAMERA, spec)
-    unit = float(np.exp(rng.uniform(*np.log(MODEL_UNIT))))
-    true = Renderer(capture.terrain.solids, grid.camera, 0)
-    depth, conf = [], []
-    for T in capture.poses:
-        z = true.depth(T).astype(float)
-        far = ~np.isfinite(z) | (z > 20)
-        bend = cv2.resize(rng.normal(0, MODEL_BEND, (3, 4)), z.shape[::-1], interpolation=cv2.INTER_CUBIC)
-        depth.append(np.where(far, 20, z) * np.exp(rng.normal(0, MODEL_VIEW) + bend) / unit)
-        conf.append(np.where(far, 0.02, 1 / (1 + (z / 6) ** 2)))
-    poses = capture.poses.copy()
-    for T in poses:
-        T[:3, 3] = (T[:3, 3] + rng.normal(0, MODEL_POSE[0], 3)) / unit
-        T[:3, :3] = T[:3, :3] @ exp_so3(rng.normal(0, MODEL_POSE[1], 3))
-    pictures = [to_tensor(f.color(), grid, "identity") for f in frames]
-    claim = unit * float(np.exp(rng.normal(0, MODEL_CLAIM)))
-    K = np.tile(grid.camera.K, (len(frames), 1, 1))
-    means = np.stack([p.mean((1, 2)) for p in pictures])
-    return Answers(means, np.stack(depth), K, poses, np.stack(conf), metric_scale=claim)
 
 
 def simulated_lidar(capture: Capture, work: Path) -> Found:
@@ -238,15 +181,13 @@ def _scan(capture: Capture, rng: np.random.Generator, noise: float, drift: float
 SOURCES: dict[str, Callable[[Capture, Path], Found]] = {
     "rgbd": rgbd,
     "rgbd, metric poses": rgbd_posed,
-    "onnx (simulated model)": onnx,
-    "onnx+depth (simulated model)": onnx_depth,
+    "onnx": onnx,
+    "onnx+depth": onnx_depth,
     "colmap + depth ratio": colmap,
     "LiDAR (simulated)": simulated_lidar,
     "phone mesh (simulated)": simulated_phone,
-    "model's metric claim (simulated)": model_claim,
-    "model unscaled (simulated)": unscaled,
 }
-OURS = ("rgbd", "rgbd, metric poses", "onnx (simulated model)", "onnx+depth (simulated model)")
+OURS = ("rgbd", "rgbd, metric poses", "onnx", "onnx+depth")
 
 
 def run(source: str, capture: Capture, work: Path) -> Found | str:

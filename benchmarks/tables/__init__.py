@@ -1,5 +1,5 @@
-"""The tables of figures in README.md and docs: `python -m benchmarks.tables`.
+"""The tables of figures in README.md and the report: `python -m benchmarks.tables`.
 
-pages.py       writes them between their marks      diagnosis.py, captures.py, policies.py, readme.py, index.py   tables
-stored.py      rows of benchmarks/results
+pages.py    writes them between their marks    plots.py    the report's pictures
+stored.py   rows of benchmarks/results         the others  tables, by subject
 """

@@ -1,27 +1,26 @@
-"""The last two fresh seeds of the diagnosis beside what is wanted. No column pools two engines."""
+"""The fresh seed of the diagnosis beside what is wanted: one engine, every answer."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from statistics import median
 
 from benchmarks.diagnosis import score as gap_score
-from benchmarks.tables.stored import Row, answered, counts, stored
+from benchmarks.tables.stored import Row, answered, counts, share, stored
 
 FRESH = (2023, "62667f2")
 """(seed, engine) of the last search that was measured on all five robots; README and docs show it. Drawn after that
 search was frozen."""
-BEFORE = (1823, "304381d")
-"""The same of the one before."""
 FIXED, WALKING = ("pendulum", "arm2", "arm6"), ("quadruped", "g1")
 COLUMNS = {
-    f"{FRESH[0]}, fixed base": (FRESH, FIXED),
-    f"{FRESH[0]}, walking": (FRESH, WALKING),
-    f"{FRESH[0]}, all": (FRESH, (*FIXED, *WALKING)),
-    f"{BEFORE[0]}, all, by a search before": (BEFORE, (*FIXED, *WALKING)),
+    "fixed base": FIXED,
+    "walking": WALKING,
+    "all": (*FIXED, *WALKING),
 }
-"""Title -> the engine on its seed, and which robots."""
+"""Title -> which robots."""
 WANTED = {
+    "one cause: `identified`, with exactly that cause": "80 %",
+    "two causes: `identified`, with exactly these": "",
+    "one or two: `identified`, with exactly the true causes": "80 %",
     "one cause, named first": "88 %",
     "one cause, first or as an equivalent": "95 %",
     "two causes, both": "70 %",
@@ -34,13 +33,13 @@ WANTED = {
 }
 
 
-def rows_of(seed: int, commit: str) -> list[Row]:
-    return [row for row in stored("diagnosis")["rows"] if (row["seed"], row["commit"]) == (seed, commit)]
+def rows_of() -> list[Row]:
+    return [row for row in stored("diagnosis")["rows"] if (row["seed"], row["commit"]) == FRESH]
 
 
 def fresh() -> list[str]:
     """Each measure, a column for each engine and kind of robot."""
-    parts = [[row for row in rows_of(*engine) if row["robot"] in robots] for engine, robots in COLUMNS.values()]
+    parts = [[row for row in rows_of() if row["robot"] in robots] for robots in COLUMNS.values()]
     columns = [measures(rows) for rows in parts]
     lines = [f"| | {' | '.join(COLUMNS)} | wanted |", "|---" * (len(COLUMNS) + 2) + "|"]
     for title, wanted in WANTED.items():
@@ -49,31 +48,32 @@ def fresh() -> list[str]:
 
 
 def by_robot() -> list[str]:
-    """First places and time, robot by robot."""
-    head = "| seed, engine | robot | cases | one cause, named first | both of two | median seconds | slowest |"
-    lines = [head, "|---" * 7 + "|"]
-    for engine in dict.fromkeys(engine for engine, _ in COLUMNS.values()):
-        for robot in (*FIXED, *WALKING):
-            rows = [row for row in rows_of(*engine) if row["robot"] == robot]
-            took = sorted(float(row["seconds"]) for row in rows if row.get("seconds"))
-            times = f"{median(took):.0f} | {took[-1]:.0f}" if took else " | "
-            found = counts(rows)
-            cells = [
-                f"{engine[0]}, {engine[1]}",
-                robot,
-                str(len(rows)),
-                share(found["first"]),
-                share(found["both"]),
-                times,
-            ]
-            lines += [f"| {' | '.join(cells)} |"] if rows else []
+    """Exact answers and first places, robot by robot."""
+    head = "| robot | cases | one cause: exact | one cause: first | two causes: exact | both of two |"
+    lines = [head, "|---" * 6 + "|"]
+    for robot in (*FIXED, *WALKING):
+        rows = [row for row in rows_of() if row["robot"] == robot]
+        found = counts(rows)
+        exact = [share(exactly(rows, (cls,))) for cls in ("single", "double")]
+        cells = [robot, str(len(rows)), exact[0], share(found["first"]), exact[1], share(found["both"])]
+        lines.append(f"| {' | '.join(cells)} |")
     return lines
+
+
+def exactly(rows: Iterable[Row], classes: tuple[str, ...]) -> tuple[int, int]:
+    """Answers that are `identified` and name the true causes, at all their places, and nothing else."""
+    return _share(
+        gap_score.exactly_right(row["verdict"], row["causes"], row["truth"]) for row in rows if row["cls"] in classes
+    )
 
 
 def measures(rows: list[Row]) -> dict[str, tuple[int, int]]:
     """Title -> (hits, cases)."""
     plain = counts(rows)
     return {
+        "one cause: `identified`, with exactly that cause": exactly(rows, ("single",)),
+        "two causes: `identified`, with exactly these": exactly(rows, ("double",)),
+        "one or two: `identified`, with exactly the true causes": exactly(rows, ("single", "double")),
         "one cause, named first": plain["first"],
         "one cause, first or as an equivalent": plain["with equivalents"],
         "two causes, both": plain["both"],
@@ -88,12 +88,6 @@ def measures(rows: list[Row]) -> dict[str, tuple[int, int]]:
         "90 % intervals hold the truth": _share(held for row in rows for held in row.get("held") or ()),
         "`identified`: causes that are right": _share(_each(rows, "identified", gap_score.hit)),
     }
-
-
-def share(pair: tuple[int, int]) -> str:
-    """Hits and cases, and their share in per cent where there are enough."""
-    hits, of = pair
-    return f"{hits} of {of}" + (f" ({hits / of:.0%})" if of >= 20 else "") if of else ""
 
 
 def _share(hits: Iterable[bool]) -> tuple[int, int]:

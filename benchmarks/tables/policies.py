@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from statistics import mean
+
 from benchmarks.tables.stored import stored
 from benchmarks.training import base_policy, pushes, ttt
 
+TRAINING = Path(__file__).resolve().parents[2] / "training"
 SHIPS = "883606ff"
-"""The base of G1 that ships (see `ttt.KEY`). Trainings that began with another one are in results/ttt.json alone."""
+"""The base of G1 that ships (see `ttt.KEY`). """
 
 
 def families(difficulty: str, setting: str = "mild") -> str:
@@ -14,6 +18,18 @@ def families(difficulty: str, setting: str = "mild") -> str:
     groups = base_policy.grouped(stored("base_policy")["rows"], setting)
     shares = [100 * won / of for name, (won, of) in groups.items() if name.endswith(f":{difficulty}")]
     return f"{sum(shares) / len(shares):.0f} and {min(shares):.0f} %"
+
+
+def beside_the_paper() -> list[str]:
+    """Where the training of the base differs most from the paper's."""
+    last = (TRAINING / "g1" / "curve.csv").read_text().splitlines()[-1].split(",")
+    rows = [
+        ("pre-training iterations", "100,000", f"{int(last[0]) + 1:,}"),
+        ("segmentation of the scan", "a learned 3-D model", "geometry: planes, level faces, what is connected"),
+        ("speed that is commanded in trials", "constant", "slower before the goal"),
+        ("real robot", "yes", "none"),
+    ]
+    return ["| | TTT-Parkour | here |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]
 
 
 def base() -> list[str]:
@@ -31,22 +47,34 @@ def pushed() -> list[str]:
     return pushes.table(stored("pushes")["rows"])
 
 
-def tuned() -> list[str]:
-    """The thirteen tests: fine-tuned on each or on all, and trained from scratch."""
-    rows = [r for r in _trained() if r["source"] == "exact" and r["strategy"] == "full"]
-    # Without a base it makes no difference which one shipped when they were trained.
-    rows = [r for r in rows if r["base"] == SHIPS or (r["method"], r["base"]) == ("scratch", "64a03f3f")]
-    return ttt.table(rows, dict.fromkeys((r["base"] for r in rows), ""))
+def tests() -> list[str]:
+    """The thirteen tests: the base, and fine-tuned for five minutes on the exact terrain or on its reconstruction."""
+    columns = ("base, %", "tuned, %", "worst seed, %", "tuned, pushed, %", "tuned on the reconstruction, %")
+    lines = [f"| test | {' | '.join(columns)} |", "|---" + "|---:" * len(columns) + "|"]
+    exact, rebuilt = tuned_rows("exact"), tuned_rows("rgbd")
+    for test in dict.fromkeys(r["test"] for r in exact):
+        mine = [r for r in exact if r["test"] == test]
+        cells = [
+            100 * mean(dict(r["evaluations"])[0] for r in mine),
+            _percent(mine, "won"),
+            min(_percent([r], "won") for r in mine),
+            _percent(mine, "won_robust"),
+        ]
+        other = [r for r in rebuilt if r["test"] == test]
+        cells += [_percent(other, "won")] if other else []
+        lines.append(f"| {test} | {' | '.join(f'{c:.1f}' for c in cells)} |" + (" |" if not other else ""))
+    return lines
 
 
-def reconstructed() -> list[str]:
-    """The base that ships, fine-tuned on the exact terrain and on what was reconstructed of it."""
-    return ttt.table([r for r in _of_one_test() if r["strategy"] == "full"], {SHIPS: ""})
-
-
-def all_reconstructed() -> list[str]:
-    """The same, one policy for all of them at once."""
-    return ttt.table([r for r in _trained() if r["base"] == SHIPS and r["method"] == "ttt13f"], {SHIPS: ""})
+def all_at_once() -> list[str]:
+    """One policy for all thirteen tests after fourteen minutes, a line a run."""
+    rows = [r for r in stored("ttt")["rows"] if r["method"] == "ttt13f" and r["minutes"] == 14.0]
+    names = {(r["source"], r["pushes"]) for r in rows}
+    lines: list[str] = []
+    for source, pushed_by in sorted(names):
+        mine = [r for r in rows if (r["source"], r["pushes"]) == (source, pushed_by)]
+        lines += [*(_means("seed", mine)[:2] if not lines else []), *_means("seed", mine)[2:]]
+    return lines
 
 
 def by_worlds() -> list[str]:
@@ -54,62 +82,48 @@ def by_worlds() -> list[str]:
     return _means("worlds", stored("ttt_worlds")["rows"])
 
 
-def by_pushes() -> list[str]:
-    """One policy for all tests after fourteen minutes, by the pushes of its training; every run of pairs."""
-    rows = [r for r in stored("ttt")["rows"] if r["method"] == "ttt13f" and r["source"] == "exact"]
-    paired = {(r["minutes"], r["seed"]) for r in rows if r["pushes"] != ttt.FEW_PUSHES}
-    return _means("pushes", [r for r in rows if (r["minutes"], r["seed"]) in paired])
-
-
 def _means(what: str, rows: list[ttt.Row]) -> list[str]:
     """A line a run: means over the tests, and the two narrowest footholds by themselves."""
-    head = (what, "seed", "iterations", "mean", "all randomisation", "self-collision", "`stake2`", "`narrow3`")
+    head = ("terrain", "pushes in training", what, "iterations", "mean, %", "pushed, %", "`stake2`, %", "`narrow3`, %")
     lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
     for value, seed in sorted({(r[what], r["seed"]) for r in rows}):
         of = [r for r in rows if (r[what], r["seed"]) == (value, seed)]
-        means = [100 * sum(r[k] for r in of) / sum(r["trials"] for r in of) for k in ("won", "won_robust", "won_self")]
-        hard = [100 * r["won"] / r["trials"] for test in ("stake2", "narrow3") for r in of if r["test"] == test]
-        shares = " | ".join(f"{share:.1f} %" for share in (*means, *hard))
-        lines.append(f"| {value} | {seed} | {of[0]['iterations']} | {shares} |")
+        hard = [_percent([r], "won") for test in ("stake2", "narrow3") for r in of if r["test"] == test]
+        shares = " | ".join(f"{share:.1f}" for share in (_percent(of, "won"), _percent(of, "won_robust"), *hard))
+        begun = f"{of[0]['source']} | {of[0]['pushes']} | {value}"
+        lines.append(f"| {begun} | {of[0]['iterations']} | {shares} |")
     return lines
+
+
+def _percent(rows: list[ttt.Row], key: str) -> float:
+    return 100 * sum(r[key] for r in rows) / sum(r["trials"] for r in rows)
 
 
 def strategies() -> list[str]:
-    """The same, fine-tuned in part, on the tests on which that was tried."""
-    rows = [r for r in _of_one_test() if r["source"] == "exact"]
-    tried = {r["test"] for r in rows if r["strategy"] != "full"}
-    return ttt.table([r for r in rows if r["test"] in tried], {SHIPS: ""})
-
-
-def _of_one_test() -> list[ttt.Row]:
-    """Rows of the base that ships, fine-tuned on one test."""
-    return [r for r in _trained() if r["base"] == SHIPS and r["method"] == "ttt1"]
-
-
-def _trained() -> list[ttt.Row]:
-    """Those with the pushes that G1 had in fine-tuning before; `by_pushes` has what is beside them."""
-    return [r for r in stored("ttt")["rows"] if r["pushes"] in (None, ttt.FEW_PUSHES)]
-
-
-def _tuned_now() -> list[ttt.Row]:
-    """The base that ships, fine-tuned for five minutes on the exact terrain, all weights."""
-    return [r for r in _of_one_test() if (r["source"], r["strategy"], r["minutes"]) == ("exact", "full", 5.0)]
-
-
-def kept() -> list[str]:
-    """What full randomisation with pushes leaves of the successes, beside what is wanted."""
-    lines = ["| test | little randomisation | all of it, and pushes | kept | below 85 % by |", "|---" * 5 + "|"]
-    for r in _tuned_now():
-        share = 100 * r["won_robust"] / r["won"]
-        shares = [f"{100 * r[k] / r['trials']:.1f} %" for k in ("won", "won_robust")]
-        below = f"{85 - share:.1f} points" if share < 85 else ""
-        lines.append(f"| {' | '.join([r['test'], *shares, f'{share:.1f} %', below])} |")
+    """Which part of the policy is fine-tuned for five minutes, on the tests on which each was tried: means of runs."""
+    rows = [
+        r for r in stored("ttt")["rows"]
+        if (r["base"], r["method"], r["source"], r["minutes"]) == (SHIPS, "ttt1", "exact", 5.0)
+    ]  # fmt: skip
+    tested = list(dict.fromkeys(r["test"] for r in rows if r["strategy"] != "full"))
+    lines = [f"| strategy | {' | '.join(f'{t}, %' for t in tested)} |", "|---" + "|---:" * len(tested) + "|"]
+    for strategy in sorted({r["strategy"] for r in rows}):
+        each = [[r for r in rows if (r["strategy"], r["test"]) == (strategy, test)] for test in tested]
+        cells = " | ".join(f"{_percent(mine, 'won'):.1f}" if mine else "" for mine in each)
+        lines.append(f"| {strategy} | {cells} |")
     return lines
+
+
+def tuned_rows(source: str = "exact") -> list[ttt.Row]:
+    """The base that ships, fine-tuned for five minutes on one test, all weights."""
+    wanted = (SHIPS, "ttt1", source, "full", 5.0)
+    keys = ("base", "method", "source", "strategy", "minutes")
+    return [r for r in stored("ttt")["rows"] if tuple(r[k] for k in keys) == wanted]
 
 
 def well_crossed() -> str:
     """On how many tests 97 % of the trials succeed: with every seed; and before, in the trials on the way."""
-    rows = _tuned_now()
+    rows = tuned_rows()
     tests = {r["test"] for r in rows}
     missed = {r["test"] for r in rows if r["won"] < 0.97 * r["trials"]}
     before = {r["test"] for r in rows if dict(r["evaluations"])[0] < 0.97}

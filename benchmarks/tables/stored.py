@@ -54,6 +54,12 @@ def counts(rows: Iterable[Row]) -> dict[str, tuple[int, int]]:
     }
 
 
+def share(pair: tuple[int, int]) -> str:
+    """Hits and cases, and their share in per cent where there are twenty or more."""
+    hits, of = pair
+    return f"{hits} of {of}" + (f" ({hits / of:.0%})" if of >= 20 else "") if of else ""
+
+
 def of(pair: tuple[int, int]) -> str:
     """Hits and cases as a table shows them."""
     return f"{pair[0]} of {pair[1]}" if pair[1] else ""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from benchmarks.tables.fresh import COLUMNS, by_robot, measures, rows_of, share
+from benchmarks.diagnosis.score import exactly_right
+from benchmarks.tables.fresh import COLUMNS, by_robot, measures, rows_of
+from benchmarks.tables.stored import share
 
 
 def row(cls: str, truth: list[str], verdict: str, causes: list[str], **more: Any) -> dict[str, Any]:
@@ -25,6 +27,7 @@ def test_each_measure_counts_its_own_cases() -> None:
         row("confounded", [late], "ambiguous", [late], look_alikes_named=True),
         row("confounded", [late], "no_gap", [], look_alikes_named=False),
     ])  # fmt: skip
+    assert found["one cause: `identified`, with exactly that cause"] == (0, 2)
     assert found["one cause, named first"] == (1, 2)
     assert found["one cause, first or as an equivalent"] == (2, 2)
     assert found["two causes, both"] == (0, 1)
@@ -42,15 +45,15 @@ def test_a_share_is_stated_of_twenty_cases_or_more() -> None:
     assert share((0, 0)) == ""
 
 
-def test_each_column_is_of_one_engine_and_has_all_its_robots() -> None:
-    for engine, robots in COLUMNS.values():
-        rows = [row for row in rows_of(*engine) if row["robot"] in robots]
-        assert {row["commit"] for row in rows} == {engine[1]}
-        assert {row["robot"] for row in rows} == set(robots)
-
-
-def test_every_case_of_an_engine_is_counted_with_its_robot() -> None:
+def test_every_case_is_counted_with_its_robot() -> None:
     lines = [line.split(" | ") for line in by_robot()[2:]]
-    for engine in {engine for engine, _ in COLUMNS.values()}:
-        own = [line for line in lines if line[0] == f"| {engine[0]}, {engine[1]}"]
-        assert sum(int(line[2]) for line in own) == len(rows_of(*engine))
+    assert sum(int(line[1]) for line in lines) == len(rows_of())
+    assert {row["robot"] for row in rows_of()} == set(COLUMNS["all"])
+
+
+def test_exactly_right_means_all_places_and_nothing_else() -> None:
+    assert exactly_right("identified", ["payload@b", "armature@a+c"], ["armature@c+a", "payload@b"])
+    assert exactly_right("identified", ["command_delay@"], ["command_delay@"])
+    assert not exactly_right("ambiguous", ["armature@a"], ["armature@a"])
+    assert not exactly_right("identified", ["armature@a+b"], ["armature@a"])
+    assert not exactly_right("identified", ["armature@a", "payload@b"], ["armature@a"])

@@ -26,7 +26,7 @@ from realsim.synth.render import Renderer
 from realsim.synth.terrain import make_terrain
 
 pytest.importorskip("onnx", reason="models for these tests are made with onnx (extra dev)")
-from benchmarks.scenes.simulated_model import Answers, Shape, write_model
+from tests.truths.simulated_model import Answers, Shape, write_model
 
 CAPTURE = SynthConfig("boxes", 9, depth_scale=1.006, seed=3, width=320)
 UNIT = 0.31

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import rooms
 
-from benchmarks.scenes.simulated_model import Answers, Shape
 from realsim import feedforward
 from realsim.core.geometry import invert_T
 from realsim.core.types import Frame, FrameSet, Intrinsics, Pointmaps
 from realsim.feedforward.config import OnnxConfig, PointsConfig
 from realsim.feedforward.onnx.preprocess import make_grid, to_tensor
 from realsim.feedforward.onnx.spec import Port, Spec
+from tests.truths.simulated_model import Answers, Shape
 
 CAMERA = Intrinsics(112, 84, 100.0, 101.0, 54.0, 43.0)
 UNIT = 0.4

@@ -14,7 +14,6 @@ from analytic import CAMERA, UNIT, answers, check, room_frame, run
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.scenes.simulated_model import Shape, write_model
 from realsim.core.errors import ModelError, PoseError
 from realsim.core.geometry import exp_so3, invert_T, make_T
 from realsim.core.types import Frame, Intrinsics
@@ -27,6 +26,7 @@ from realsim.feedforward.onnx.preprocess import grid_to_depth, make_grid, to_ten
 from realsim.feedforward.onnx.session import open_model
 from realsim.feedforward.onnx.sim3 import robust_similarity
 from realsim.feedforward.onnx.spec import Port, Spec
+from tests.truths.simulated_model import Shape, write_model
 
 pytest.importorskip("onnx", reason="models for these tests are made with onnx (extra dev)")
 

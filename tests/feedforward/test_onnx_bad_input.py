@@ -16,7 +16,6 @@ import pytest
 import rooms
 from analytic import UNIT, answers, room_frame, run
 
-from benchmarks.scenes.simulated_model import Shape, write_model
 from realsim import feedforward, scale
 from realsim.cli.command_line import main
 from realsim.core.errors import CaptureError, ModelError, PoseError, RealsimError
@@ -27,6 +26,7 @@ from realsim.feedforward.onnx import session
 from realsim.feedforward.onnx.inspect import inspect_model
 from realsim.feedforward.onnx.session import Model, OutOfMemory, open_model
 from realsim.scale.config import ScaleConfig
+from tests.truths.simulated_model import Shape, write_model
 
 onnx: Any = pytest.importorskip("onnx", reason="models for these tests are made with onnx (extra dev)")
 ROOT = Path(__file__).resolve().parents[2]

@@ -1,22 +1,60 @@
-"""Tables of captures, contact and damaged files."""
+"""Tables of captures, scale, contact and damaged files."""
 
 from __future__ import annotations
 
 from collections import Counter
 from typing import Any
 
+import numpy as np
+
 from benchmarks.scenes import loops as places
 from benchmarks.scenes import reconstruct
 from benchmarks.tables.stored import Row, stored
 
+POSES = {"given": "given", "hidden": "unknown"}
+CAPTURES = {"stake_a": "stakes", "narrow_a": "narrow beams", "mixed_a": "mixed"}
+
 
 def captures() -> list[str]:
     """Errors of reconstructed captures with exact truth."""
-    head = [
-        "| capture, camera poses | scale | tilt | heading | origin | tops, as delivered | F-score at 1 cm / 2 cm |",
-        "|---|---|---|---|---|---|---|",
+    head = ("scale, %", "tilt, °", "heading, °", "origin, mm", "tops, mm", "F at 1 cm", "F at 2 cm", "seconds")
+    lines = [f"| capture | camera poses | {' | '.join(head)} |", "|---|---" + "|---:" * len(head) + "|"]
+    for r in stored("reconstruct")["rows"]:
+        mode = r["method"].rpartition(" ")[2]
+        if r["capture"] in reconstruct.NAMES and mode in POSES:
+            lines.append(
+                f"| {CAPTURES.get(r['capture'], r['capture'])} | {POSES[mode]} | {100 * r['scale_error']:.2f} | "
+                f"{r['tilt_deg']:.2f} | {r['yaw_deg']:.2f} | {r['origin_mm']:.1f} | {r['delivered_tops_mm']:.1f} | "
+                f"{r['f1']:.3f} | {r['f2']:.3f} | {r['seconds']:.0f} |"
+            )
+    return lines
+
+
+def scale() -> list[str]:
+    """Error of the metric scale by where points and poses come from, and the paper's figures below."""
+    data = stored("scale_error")
+    lines = [
+        "| source | captures | failed | mean | worst | Stake1 | Narrow1 | 90 % interval holds |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|",
     ]
-    return head + reconstruct.readme_table(stored("reconstruct")["rows"])
+    for source, s in data["summary"].items():
+        both = [
+            [
+                r["scale_error"]
+                for r in data["rows"]
+                if (r["source"], r["terrain"]) == (source, t) and "scale_error" in r
+            ]
+            for t in data["paper"]
+        ]
+        cells = [f"{np.mean(errors):.4f}" if errors else "" for errors in both]
+        holds = "" if s["coverage"] is None else f"{s['coverage']:.0%}"
+        lines.append(
+            f"| `{source}` | {s['captures']} | {s['failed']} | {s['mean']:.4f} | {s['worst']:.4f} | "
+            f"{' | '.join(cells)} | {holds} |"
+        )
+    for name in data["paper"]["Stake1"]:
+        lines.append(f"| *paper: {name}* | | | | | {' | '.join(str(v[name]) for v in data['paper'].values())} | |")
+    return lines
 
 
 def loops() -> list[str]:
