@@ -238,6 +238,28 @@ def test_a_start_that_fails_half_way_is_stopped_too() -> None:
     assert robot.stops == 1
 
 
+def test_a_policy_that_cannot_be_run_never_moves_the_robot() -> None:
+    class Failing(_Session):
+        def __init__(self, after: int) -> None:
+            super().__init__(np.zeros(12))
+            self.after = after
+
+        def run(self, names, inputs):
+            if len(self.seen) == self.after:
+                raise RuntimeError("Attempting to broadcast an axis by a dimension other than 1")
+            return super().run(names, inputs)
+
+    robot, clock = _Robot(), _Clock()
+    with pytest.raises(TrainerError, match="cannot be run"):
+        deploy(robot, Failing(0), BLIND, CONFIG, clock=clock, sleep=clock.sleep)
+    assert robot.targets == []
+    report = deploy(robot, Failing(3), BLIND, CONFIG, clock=clock, sleep=clock.sleep)
+    assert "broadcast" in report.reason
+    assert (len(robot.targets), robot.stops) == (2, 1)
+    with pytest.raises(TrainerError, match="another number"):
+        deploy(robot, _Session(np.zeros(11)), BLIND, CONFIG, clock=clock, sleep=clock.sleep)
+
+
 def test_wild_targets_are_clipped_and_counted() -> None:
     robot, clock = _Robot(), _Clock()
     report = deploy(robot, _Session(np.full(12, 100.0)), BLIND, CONFIG, clock=clock, sleep=clock.sleep)

@@ -87,7 +87,7 @@ def deploy(
     scale, default = np.asarray(facts.action_scale), np.asarray(facts.default)
     action = np.zeros(len(default), np.float32)
     report = Report()
-    session.run(None, _warm_up(facts))  # the first call allocates: not while the robot waits
+    _warm_up(session, facts)  # the first call allocates, and may fail: not while the robot waits
     try:  # from here on the robot may hold gains of ours, also where `start` itself fails half way
         robot.start(np.asarray(facts.kp), np.asarray(facts.kd))
         due = clock()
@@ -102,7 +102,11 @@ def deploy(
             ahead = np.array([speed, 0.0, 0.0])
             inputs = observe(reading, steer(speed) if observe.steered and steer is not None else ahead, action)
             thought = clock()
-            action = session.run(None, inputs)[0][0]
+            try:
+                action = session.run(None, inputs)[0][0]
+            except Exception as error:  # onnxruntime's own exception classes share no base but this
+                report.reason = f"the policy failed: {str(error).partition(chr(10))[0]}"
+                break
             report.inference_s.append(clock() - thought)
             if not np.isfinite(action).all():
                 report.reason = "the policy's action is not a number"
@@ -137,8 +141,23 @@ def _speed(config: DeployConfig, seconds: float) -> float:
     return config.speed * (min(1.0, seconds / config.ramp) if config.ramp else 1.0)
 
 
-def _warm_up(facts: Deployment) -> dict[str, NDArray[np.float32]]:
+def _warm_up(session: Any, facts: Deployment) -> None:
+    """Run the policy once on zeros. Raises TrainerError where it fails, or gives another number of actions."""
     inputs = {"vector": np.zeros((1, facts.layout.actor_width), np.float32)}
     if facts.layout.depth is not None:
         inputs["depth"] = np.ones((1, *facts.layout.depth), np.float32)
-    return inputs
+    joints = len(facts.layout.actions)
+    try:
+        shape = np.shape(session.run(None, inputs)[0])
+    except Exception as error:  # onnxruntime's own exception classes share no base but this
+        raise TrainerError(
+            "the policy cannot be run: its network is damaged",
+            expected=f"{joints} actions for an observation of zeros",
+            found=str(error).partition("\n")[0],
+            hint="export it again; the robot has not been started",
+        ) from error
+    if shape != (1, joints):
+        raise TrainerError(
+            "the policy gives another number of actions than its metadata say", expected=f"{(1, joints)}",
+            found=f"{shape}",
+        )  # fmt: skip

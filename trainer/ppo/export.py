@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from realsim.core.errors import extra
-from realsim.core.files import check_size, read_bytes, write_bytes
+from realsim.core.errors import ModelError, extra
+from realsim.core.files import write_bytes
+from realsim.core.onnx_file import open_network
 from trainer.errors import TrainerError
 from trainer.ppo.metadata import check_graph, read_metadata
 from trainer.ppo.policy import Policy
@@ -116,14 +117,14 @@ def load(path: Path) -> tuple[Any, Deployment]:
         TrainerError: not ONNX, cut off, not exported by `export`, of another version, or with metadata that do not fit
             each other or the network.
     """
-    check_size(path)
     try:
-        runtime = session(read_bytes(path))
-        meta = runtime.get_modelmeta().custom_metadata_map
-    except Exception as error:  # onnxruntime's own exception classes share no base but this
+        runtime = open_network(path)
+    except ModelError as error:
         raise TrainerError(
-            "the policy cannot be read: not ONNX, or cut off", file=path, found=str(error).partition("\n")[0]
-        ) from error
+            f"the policy cannot be read: {error.message}", file=path, expected=error.expected, found=error.found,
+            hint=error.hint,
+        ) from error  # fmt: skip
+    meta = runtime.get_modelmeta().custom_metadata_map
     if KEY not in meta:
         raise TrainerError(
             "the ONNX file does not describe its observations",

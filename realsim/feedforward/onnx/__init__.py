@@ -90,7 +90,7 @@ def model_files(config: PointsConfig) -> tuple[Path, ...]:
     Raises:
         ModelError: no model, or not one.
     """
-    from realsim.feedforward.onnx.protobuf import read_envelope
+    from realsim.core.onnx_file import read_envelope
     from realsim.feedforward.onnx.spec import sidecar
 
     path = model_file(config)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.errors import ModelError, RealsimError
-from realsim.feedforward.onnx.protobuf import Envelope, read_envelope
+from realsim.core.onnx_file import Envelope, read_envelope
 from realsim.feedforward.onnx.spec import Port, Spec, make_spec, sidecar
 
 PREFERRED = ("CUDA", "ROCM", "MIGraphX", "DML", "CoreML", "OpenVINO", "CPU")

@@ -7,9 +7,11 @@ message can name the cause: not ONNX, weights in another file that is absent, an
 from __future__ import annotations
 
 import mmap
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from realsim.core.errors import ModelError
 from realsim.core.files import check_size, inside
@@ -75,6 +77,29 @@ def read_envelope(path: Path) -> Envelope:
             hint="copy the .data file along with the .onnx file, under its own name",
         )
     return found
+
+
+def open_network(path: Path) -> Any:
+    """An onnxruntime session of a small network (a policy) on one thread of the CPU.
+
+    Weights in other files are taken from beside the network only, wherever the program was started.
+
+    Raises:
+        ModelError: see `read_envelope`; or onnxruntime refuses the network.
+    """
+    read_envelope(path)
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4  # errors come as exceptions
+    try:
+        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime's own exception classes share no base but this
+        raise ModelError(
+            "onnxruntime cannot load the network", file=path, found=str(error).partition("\n")[0]
+        ) from error
 
 
 def _model(path: Path, data: memoryview) -> Envelope | None:
