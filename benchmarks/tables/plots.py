@@ -46,7 +46,7 @@ def _shares(counts: dict[str, tuple[int, int]]) -> str:
     for name, (hits, of) in counts.items():
         low, high = wilson(hits, of)
         items.append(Bar(name, 100 * hits / of, 100 * low, 100 * high, text=f"{hits} of {of}"))
-    return _alone(bars(items, x_label="% of the cases, with 95 % intervals", x=(0, 122)))
+    return _alone(bars(items, x_label="% of the cases, with 95 % intervals", x=(0, 130)))
 
 
 def _before_and_after() -> str:
@@ -57,7 +57,7 @@ def _before_and_after() -> str:
         after = [100 * r["won"] / r["trials"] for r in mine]
         items.append(Bar(f"{test}, base", sum(before) / len(before), fill="var(--c1)"))
         items.append(Bar(f"{test}, tuned", sum(after) / len(after), min(after), max(after)))
-    return _alone(bars(items, x_label="% of the trials that arrive; whiskers: least and most of the seeds", x=(0, 122)))
+    return _alone(bars(items, x_label="% of the trials that arrive; whiskers: least and most of the seeds", x=(0, 130)))
 
 
 def _alone(svg: str) -> str:
