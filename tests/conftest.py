@@ -43,8 +43,8 @@ def outputs_are_as_their_schemas_say() -> Iterator[None]:
 
     run = cli._run
 
-    def checked(name: str, arguments: list[str], everything: bool) -> Any:
-        result = run(name, arguments, everything)
+    def checked(name: str, arguments: list[str]) -> Any:
+        result = run(name, arguments)
         outputs.check(name, result.data)
         return result
 

@@ -9,13 +9,14 @@ from typing import Any
 from jsonschema import Draft202012Validator
 
 from realsim.cli import schemas
-from realsim.cli.command_line import answer, home_of
+from realsim.cli.command_line import answer
+from realsim.cli.table import commands
 from realsim.core.files import to_json
 
 
 def check(command: str, data: Mapping[str, Any]) -> None:
     """Fails where an output is not as its schema says, or has a key that the schema does not know."""
-    schema = schemas.load(command, home_of().get(command, "realsim"))
+    schema = schemas.load(command, commands()[command].package)
     if schema is None:
         return
     said = json.loads(to_json(answer(command, data)))

@@ -7,19 +7,24 @@ on to the client. Paths lie in the folders that were named at the start.
 # Not with `from __future__ import annotations`: the library reads the types of the tools, which `build` imports.
 import asyncio
 import contextlib
+import inspect
 import json
 import os
 import sys
 import time
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import AsyncIterator, Iterable, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import asdict
+from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, get_type_hints
 
 from realsim import __version__, results
 from realsim.cli.child import PARENT, PROGRESS
-from realsim.cli.roots import Roots
+from realsim.cli.command import Command, Tool
+from realsim.cli.help import is_installed
+from realsim.cli.options import options_of
+from realsim.cli.roots import LONGEST, Roots
+from realsim.cli.table import COMMANDS, commands
 from realsim.core.errors import RealsimError, printable
 from realsim.core.files import read_json, to_json
 
@@ -29,11 +34,6 @@ where and why a robot's logs differ from its simulator (diagnose). Read `verdict
 the level "bad" and a diagnosis that is "unexplained" must not be used. Relative paths start at the first folder that
 the server was started with; paths outside its folders are refused. An output folder must not exist yet, unless
 overwrite is true."""
-SAID_OF_DIAGNOSES = (
-    "schema", "verdict", "sentence", "causes", "equivalent", "where", "shrinkage", "unexplained_share",
-    "next_experiment", "seconds",
-)  # fmt: skip
-"""Keys of a diagnosis that are answered; diagnosis.json has all."""
 EVERY = 0.2
 """Seconds between two notifications about progress."""
 GRACE = 20.0
@@ -55,112 +55,28 @@ def build(roots: Roots, jobs: int = 1) -> Any:
     looks = ToolAnnotations(read_only_hint=True, open_world_hint=False)
     writes = ToolAnnotations(read_only_hint=False, destructive_hint=False, open_world_hint=False)
 
-    async def run(ctx: Context, command: str, *arguments: object) -> dict[str, Any]:
-        async with free:
-            return await _run([command, *map(str, arguments)], ctx)
+    def add(name: str, command: Command, tool: Tool) -> None:
+        async def call(ctx: Context, **given: Any) -> dict[str, Any]:
+            with _explained():
+                arguments, target = _arguments(tool, given, roots)
+            async with free:
+                found = await _run([name, *arguments], ctx, roots.folders[0])
+            picked = _picked(found, tool.answers)
+            return picked if target is None else picked | {"folder": str(target)}
 
-    @server.tool(annotations=looks)
-    async def inspect(capture: str, ctx: Context) -> dict[str, Any]:
-        """Say what a capture folder or scan is taken for, every convention assumed, and what is wrong with it."""
-        with _explained():
-            source = roots.source(capture)
-        return await run(ctx, "inspect", source)
+        # The library reads name, description and parameters from the function.
+        parameters = _parameters(command, tool)
+        context = inspect.Parameter("ctx", inspect.Parameter.KEYWORD_ONLY, annotation=Context)
+        call.__name__, call.__doc__ = name, tool.description
+        call.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+            [*parameters, context], return_annotation=dict[str, Any]
+        )
+        call.__annotations__ = {p.name: p.annotation for p in [*parameters, context]} | {"return": dict[str, Any]}
+        server.tool(annotations=writes if tool.writes else looks)(call)
 
-    @server.tool(annotations=writes)
-    async def reconstruct(
-        capture: str,
-        out: str,
-        ctx: Context,
-        robot: Literal["g1", "quadruped"] | None = None,
-        max_frames: int = 300,
-        seed: int = 0,
-        overwrite: bool = False,
-    ) -> dict[str, Any]:
-        """Turn a capture or scan into a metric, level MuJoCo scene; minutes. Read the verdict first.
-
-        Args:
-            capture: a folder of RGB-D frames, or a scan file.
-            out: folder of the scene.
-            robot: put on the start platform.
-            max_frames: at most this many frames are used; 0 for all.
-            seed: of everything random.
-            overwrite: replace a scene that realsim wrote there.
-        """
-        with _explained():
-            source, target = roots.source(capture), roots.path(out)
-        options = [*_option("--robot", robot), "--max-frames", max_frames, "--seed", seed, *_flag(overwrite)]
-        return await run(ctx, "reconstruct", source, "--out", target, *options)
-
-    @server.tool(annotations=writes)
-    async def contact(
-        mesh: str,
-        out: str,
-        ctx: Context,
-        unit: Literal["m", "cm", "mm", "inch"] | None = None,
-        up: Literal["auto", "z", "y"] = "auto",
-        ground_z: float | None = None,
-        overwrite: bool = False,
-    ) -> dict[str, Any]:
-        """Give a mesh file collision geometry for MuJoCo, chosen by measured error; a minute. Read the verdict first.
-
-        Args:
-            mesh: .ply, .obj, .stl, .glb or .off.
-            out: folder of the scene.
-            unit: of the file; metres if not given.
-            up: axis of the file that points up.
-            ground_z: height of the ground in metres; found if not given.
-            overwrite: replace a scene that realsim wrote there.
-        """
-        with _explained():
-            source, target = roots.source(mesh), roots.path(out)
-        options = [*_option("--unit", unit), "--up", up, *_option("--ground-z", ground_z), *_flag(overwrite)]
-        return await run(ctx, "contact", source, "--out", target, *options)
-
-    @server.tool(annotations=writes)
-    async def export(
-        scene: str, to: list[str], ctx: Context, out: str | None = None, overwrite: bool = False
-    ) -> dict[str, Any]:
-        """Write a scene in the formats of other tools.
-
-        Args:
-            scene: folder that reconstruct or contact wrote.
-            to: some of mjcf, warp, usd, urdf, sdf, terrain, glb, obj, stl, ply, heightmap; or all.
-            out: gets a folder for each format; `export` in the scene's folder if not given.
-            overwrite: replace formats that are there.
-        """
-        with _explained():
-            source = roots.source(scene)
-            target = roots.path(str(source / "export") if out is None else out)
-        return await run(ctx, "export", source, f"--to={','.join(to)}", "--out", target, *_flag(overwrite))
-
-    @server.tool(annotations=writes)
-    async def diagnose(
-        case: str,
-        ctx: Context,
-        out: str | None = None,
-        check_only: bool = False,
-        max_causes: int = 3,
-        overwrite: bool = False,
-    ) -> dict[str, Any]:
-        """Say where a robot's logs differ from its simulator and what causes it; minutes, up to ten for a humanoid.
-
-        Args:
-            case: folder with log.json, model.xml and runs/.
-            out: folder of the diagnosis; needed unless check_only.
-            check_only: only say, within seconds, whether the log can be used and what is odd about it.
-            max_causes: at most this many causes are named.
-            overwrite: replace a diagnosis that realsim wrote there.
-        """
-        with _explained():
-            source = roots.source(case)
-            if out is None and not check_only:
-                raise RealsimError("no folder for the diagnosis given", expected="out, or check_only")
-            target = None if out is None else roots.path(out)
-        if check_only or target is None:
-            return await run(ctx, "diagnose", source, "--check")
-        found = await run(ctx, "diagnose", source, "--out", target, "--max-causes", max_causes, *_flag(overwrite))
-        warnings = found["health"]["warnings"]
-        return {k: found[k] for k in SAID_OF_DIAGNOSES if k in found} | {"warnings": warnings, "folder": str(target)}
+    for name, command in commands().items():
+        if command.tool is not None and (not command.extra or is_installed(command.extra)):
+            add(name, command, command.tool)
 
     @server.tool(annotations=looks)
     async def report(folder: str) -> dict[str, Any]:
@@ -172,27 +88,86 @@ def build(roots: Roots, jobs: int = 1) -> Any:
     return server
 
 
+def _parameters(command: Command, tool: Tool) -> list[inspect.Parameter]:
+    """What a tool takes: parameters of the command's function, or fields of its configuration, as they are there."""
+    from pydantic import Field
+
+    function = command.load()
+    helps = {option.parameter.rpartition(".")[2]: option.help for option in options_of(function)[1]}
+    kinds = _kinds(inspect.signature(function).parameters.values(), get_type_hints(function))
+    found = []
+    for name in filter(None, (tool.reads, tool.writes, *tool.options)):
+        kind, default = kinds[name]
+        if name == tool.reads:
+            kind, default = str, inspect.Parameter.empty
+        elif name == tool.writes:
+            kind, default = str | None, None
+        typed = Annotated[kind, Field(description=helps[name])]  # type: ignore[valid-type]
+        found.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=typed))
+    return found
+
+
+def _kinds(parameters: Iterable[Any], hints: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Name -> type and default, of a function's parameters or a class's fields, and of what configurations hold."""
+    found: dict[str, tuple[Any, Any]] = {}
+    for parameter in parameters:
+        kind = hints[parameter.name]
+        if is_dataclass(kind):
+            found |= _kinds(fields(kind), get_type_hints(kind))
+        else:
+            found[parameter.name] = (kind, parameter.default)
+    return found
+
+
+def _arguments(tool: Tool, given: Mapping[str, Any], roots: Roots) -> tuple[list[str], Path | None]:
+    """What is typed for a call, and the folder that it writes. With "=", a value is never taken for an option."""
+    values = {name: value for name, value in given.items() if value is not None}
+    source = roots.source(values.pop(tool.reads))
+    target = roots.path(values.pop(tool.writes)) if tool.writes in values else None
+    arguments = [str(source)] if target is None else [str(source), f"--{tool.writes}={target}"]
+    for name, value in values.items():
+        flag = name.replace("_", "-")
+        if isinstance(value, str) and ("\0" in value or len(value) > LONGEST):
+            raise RealsimError(
+                f"{name} cannot be passed on",
+                expected=f"text of at most {LONGEST} characters without a zero byte",
+                found=ascii(value[:80]),
+                hint="give a value of a usual length",
+            )
+        if isinstance(value, bool):
+            arguments += [f"--{flag}"] if value else []
+        else:
+            arguments.append(f"--{flag}={value}")
+    return arguments, target
+
+
+def _picked(data: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
+    """Some keys of a result, `health.warnings` as `warnings`; all of it if none are named."""
+    if not keys:
+        return data
+    found = {}
+    for key in keys:
+        value: Any = data
+        *parents, name = key.split(".")
+        for parent in parents:
+            value = value.get(parent, {})
+        if name in value:
+            found[name] = value[name]
+    return found
+
+
 def _report(folder: Path) -> dict[str, Any]:
     page = folder / "report.html"
     if (folder / "diagnosis.json").is_file():
         whole = read_json(folder / "diagnosis.json")
-        found = results.Diagnosis.of(whole, folder)
-        kind, data = "diagnosis", {k: whole[k] for k in SAID_OF_DIAGNOSES if k in whole}
-        data["warnings"] = list(found.warnings)
+        results.Diagnosis.of(whole, folder)  # what is no diagnosis is refused
+        tool = COMMANDS["diagnose"].tool
+        kind, data = "diagnosis", _picked(whole, tool.answers if tool else ())
     else:
         scene = results.Scene.read(folder)
         kind, data = "scene", {k: v for k, v in asdict(scene).items() if k not in ("details", "report")}
     plain: dict[str, Any] = json.loads(to_json(data))
     return {"kind": kind, "folder": str(folder), "page": str(page) if page.is_file() else None} | plain
-
-
-def _option(name: str, value: object) -> list[str]:
-    # With "=", a value can never be taken for another option.
-    return [] if value is None else [f"{name}={value}"]
-
-
-def _flag(overwrite: bool) -> list[str]:
-    return ["--overwrite"] if overwrite else []
 
 
 @contextlib.contextmanager
@@ -206,11 +181,11 @@ def _explained() -> Iterator[None]:
         raise ToolError(error.render()) from error
 
 
-async def _run(arguments: Sequence[str], ctx: Any) -> dict[str, Any]:
+async def _run(arguments: Sequence[str], ctx: Any, place: Path) -> dict[str, Any]:
     """What a command prints with --json; its progress goes on to the client."""
     from mcp.server.mcpserver.exceptions import ToolError
 
-    async with _command([*arguments, "--json"]) as (process, pipe), asyncio.TaskGroup() as tasks:
+    async with _command([*arguments, "--json"], place) as (process, pipe), asyncio.TaskGroup() as tasks:
         listening = tasks.create_task(_forward(pipe, ctx))
         out, err = await process.communicate()
         listening.cancel()
@@ -226,15 +201,20 @@ async def _run(arguments: Sequence[str], ctx: Any) -> dict[str, Any]:
 
 
 @asynccontextmanager
-async def _command(arguments: Sequence[str]) -> AsyncIterator[tuple[asyncio.subprocess.Process, asyncio.StreamReader]]:
-    """A running command and the pipe with its progress; however it is left, the command has ended then."""
+async def _command(
+    arguments: Sequence[str], place: Path
+) -> AsyncIterator[tuple[asyncio.subprocess.Process, asyncio.StreamReader]]:
+    """A running command in the folder `place` and the pipe with its progress; however it is left, it has ended then.
+
+    -P: a module that lies in the folder must not be imported.
+    """
     reading, writing = os.pipe()
     environment = dict(os.environ) | {PARENT: str(os.getpid()), PROGRESS: str(writing)}
     try:
         process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "realsim.cli.child", *arguments,
+            sys.executable, "-P", "-m", "realsim.cli.child", *arguments,
             stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
-            pass_fds=(writing,), env=environment,
+            pass_fds=(writing,), env=environment, cwd=place,
         )  # fmt: skip
     finally:
         os.close(writing)

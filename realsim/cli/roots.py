@@ -8,6 +8,9 @@ from pathlib import Path
 
 from realsim.core.errors import RealsimError
 
+LONGEST = 4096
+"""Characters of a path: PATH_MAX of Linux."""
+
 
 class Roots:
     """The folders that were named at the start; links are followed before anything is compared."""
@@ -27,16 +30,30 @@ class Roots:
         Raises:
             RealsimError: it leads out of all of them, or cannot be followed.
         """
+        expected = f"a path in {' or '.join(map(str, self.folders))}"
+        if not text.strip():
+            raise RealsimError("the path is empty", expected=expected, hint="give the path of a file or folder")
+        if len(text) > LONGEST:  # beyond what a system takes; it is not repeated in the answer
+            raise RealsimError(
+                "the path is too long",
+                expected=f"at most {LONGEST} characters",
+                found=f"{len(text)} characters",
+                hint="give the path of a file or folder, not its content",
+            )
         try:
             found = (self.folders[0] / text).resolve()
-        except (OSError, RuntimeError, ValueError) as error:  # links in a circle, a zero byte
-            raise RealsimError("the path cannot be followed", file=text, found=str(error)) from error
+            found.exists()
+        except (OSError, RuntimeError, ValueError) as error:  # links in a circle, a zero byte, a name that is too long
+            raise RealsimError(
+                "the path cannot be followed", file=text[:200], expected=expected, found=str(error)[:200]
+            ) from error
         if not self._holds(found):
             raise RealsimError(
                 "the path leads out of the folders that may be used",
                 file=text,
-                expected=f"a path in {' or '.join(map(str, self.folders))}",
+                expected=expected,
                 found=str(found),
+                hint="start the server with --root of the folder that holds it",
             )
         return found
 
@@ -48,7 +65,7 @@ class Roots:
         """
         found = self.path(text)
         if not found.exists():
-            raise RealsimError("there is no such file or folder", file=found)
+            raise RealsimError("there is no such file or folder", file=found, hint="check the path")
         waiting, seen = [found], set()
         while waiting:
             place = waiting.pop()

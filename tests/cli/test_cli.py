@@ -12,28 +12,32 @@ from pathlib import Path
 
 import pytest
 
-from realsim.cli.command_line import COMMANDS, COMMON, SUMMARIES, commands, main
+from realsim.cli.command_line import main
 from realsim.cli.commands import other_arguments, set_arguments
+from realsim.cli.options import options_of
+from realsim.cli.table import COMMANDS, commands
 
 
 def test_every_command_has_a_summary_and_help(capsys: pytest.CaptureFixture[str]) -> None:
-    assert set(COMMANDS) == set(SUMMARIES)
     assert main(["--help"]) == 0
     text = capsys.readouterr().out
-    for name in COMMANDS:
-        assert name in text
+    for name, command in COMMANDS.items():
+        line = next(line for line in text.splitlines() if line.startswith(f"  {name} "))
+        assert command.summary in line
+        assert line.endswith(f"[{command.extra}]") == bool(command.extra)
+        assert text.index(command.group) < text.index(line)
         assert main([name, "--help"]) == 0
         assert f"realsim {name}" in capsys.readouterr().out
 
 
 def test_help_ends_with_an_example_and_knows_no_names_of_the_source(capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("torch")
-    for name in commands()[0]:
+    for name in commands():
         assert main(["help", name]) == 0
         text = capsys.readouterr().out
         assert f"example: realsim {name} " in text
         assert "--quiet" in text
-        assert not re.search(r"config[. ]\w*", text), name
+        assert not re.search(r"config[.]\w*|default: None|required", text.replace("--config", "")), name
 
 
 def test_help_waits_for_no_heavy_package() -> None:
@@ -41,19 +45,20 @@ def test_help_waits_for_no_heavy_package() -> None:
     heavy = ("torch", "scipy", "mujoco", "open3d", "cv2", "trimesh", "onnxruntime", "ray", "submitit", "mcp", "pyarrow")
     code = f"""
 import contextlib, io, sys
-from realsim.cli.command_line import commands, main
-for name in commands()[0]:
+from realsim.cli.command_line import main
+from realsim.cli.table import commands
+for name in commands():
     with contextlib.redirect_stdout(io.StringIO()):
         assert main([name, "--help"]) == 0
     print(name, [package for package in {heavy!r} if package in sys.modules])
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     lines = done.stdout.splitlines()
-    assert len(lines) == len(commands()[0])
+    assert len(lines) == len(commands())
     assert [line for line in lines if not line.endswith("[]")] == []
 
 
-def test_help_lists_the_choices_there_are(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_lists_the_choices_there_are() -> None:
     from realsim.align import SEGMENTERS
     from realsim.capture import LAYOUTS
     from realsim.export import CONTACT, EXPORTERS
@@ -68,7 +73,6 @@ def test_help_lists_the_choices_there_are(monkeypatch: pytest.MonkeyPatch, capsy
     from trainer.robots import ROBOTS
     from trainer.trainers import BUILT_IN
 
-    monkeypatch.setenv("COLUMNS", "300")
     choices = {
         "reconstruct": {
             "layout": ["auto", *LAYOUTS],
@@ -86,49 +90,43 @@ def test_help_lists_the_choices_there_are(monkeypatch: pytest.MonkeyPatch, capsy
         "contact": {"executor": EXECUTORS},
     }
     for command, options in choices.items():
-        assert main(["help", command]) == 0
-        text = re.sub(r",\s*│\n│ ", ",", capsys.readouterr().out)  # choices that take more than a line
+        values = {name: option.value for option in options_of(commands()[command].load())[1] for name in option.names}
         for option, names in options.items():
-            shown = re.search(rf"--{option} (\S+)", text)
-            assert shown is not None
-            assert sorted(shown[1].strip("{}").removeprefix("all|").split(",")) == sorted(names)
+            assert sorted(values[f"--{option}"].strip("{}").removeprefix("all|").split(",")) == sorted(names)
 
 
-def test_a_flag_takes_the_same_kind_of_value_everywhere(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_flag_takes_the_same_kind_of_value_everywhere() -> None:
     pytest.importorskip("torch")
     kinds: dict[str, dict[str, str]] = {}
-    for name in commands()[0]:
-        assert main(["help", name]) == 0
-        for flag, value in re.findall(
-            r"^\W*(--[a-z-]+)(?:, --no-[a-z-]+)?(?: ([^ \n]+))?", capsys.readouterr().out, re.M
-        ):
-            # Which choices there are may differ; a text, a number, a file or a switch it is everywhere.
-            kinds.setdefault(flag, {})[name] = re.sub(r"\{\S*", "STR", value.replace("{None}|", ""))
+    for name, command in commands().items():
+        for option in options_of(command.load())[1]:
+            if option.names:
+                # Which choices there are may differ; a text, a number, a file or a switch it is everywhere.
+                kinds.setdefault(option.names[0], {})[name] = "STR" if "{" in option.value else option.value
     assert {flag: by for flag, by in kinds.items() if len(set(by.values())) > 1} == {}
 
 
 def test_the_help_says_what_an_option_takes_that_may_be_left_out(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["help", "reconstruct"]) == 0
     text = capsys.readouterr().out
-    assert "--start FLOAT FLOAT " in text
-    assert "--depth-unit FLOAT " in text
-    assert "None}" not in text
+    assert "--start FLOAT FLOAT  " in text
+    assert "--depth-unit FLOAT  " in text
 
 
 def test_a_long_help_shows_what_is_used_most(capsys: pytest.CaptureFixture[str]) -> None:
     """The options that are named exist, each is described as in the full help, and it fits on a screen."""
-    from trainer.commands import COMMON as TRAINER
-
-    for name, options in {**COMMON, **TRAINER}.items():
+    for name, command in commands().items():
+        if not command.common:
+            continue
         assert main([name, "--help"]) == 0
         shown = capsys.readouterr().out
         assert main(["help", name]) == 0
         full = capsys.readouterr().out
-        assert re.findall(r"^│ (--[a-z-]+)", shown, re.M) == list(options)
+        assert re.findall(r"^  (--[a-z-]+)", shown, re.M) == list(command.common)
         assert f"realsim help {name}" in shown
         assert "example: " in shown
-        assert len(shown.splitlines()) < 66 < len(full.splitlines())
-        assert {line for line in shown.splitlines() if line.startswith("│")} <= set(full.splitlines())
+        assert len(shown.splitlines()) < min(66, len(full.splitlines()))
+        assert {line for line in shown.splitlines() if line.startswith("  ")} <= set(full.splitlines())
 
 
 def test_help_that_nobody_reads_to_its_end_is_no_error() -> None:
@@ -148,16 +146,16 @@ def test_switches_that_are_on_are_named_as_what_they_do(capsys: pytest.CaptureFi
     assert "--report, --no-report" in capsys.readouterr().out
 
 
-def test_every_option_that_is_spoken_of_exists(capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_option_that_is_spoken_of_exists() -> None:
     """In messages, docstrings and docs: what they tell people to type must be taken."""
     pytest.importorskip("torch")
     others = {"--head", "--mjcf"}  # of ray and MuJoCo's viewer
     others |= {"--opset", "--tolerance", "--course"}  # of tools/export_onnx and examples/close_the_gap.py, by tyro
     others |= {"--logdir", "--nproc-per-node", "--nnodes", "--rdzv-endpoint"}  # of tensorboard and torchrun
     others |= {"--env"}  # of GNU parallel
-    for name in commands()[0]:
-        assert main(["help", name]) == 0
-    known = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out)) | {"--help", "--json", "--quiet", "--version"}
+    known = {name for c in commands().values() for option in options_of(c.load())[1] for name in option.names}
+    known = {name.rstrip("0123456789") for name in known}
+    known |= {"--help", "--json", "--quiet", "--version", "--completion", "--config", "--preset"}
     root = Path(__file__).resolve().parents[2]
     for script in [*root.glob("benchmarks/**/*.py"), *root.glob("tools/**/*.py")]:
         known |= set(re.findall(r'"(--[a-z-]+)"', script.read_text(encoding="utf-8")))
@@ -231,22 +229,30 @@ def test_inputs_as_a_shell_completes_them_are_no_options() -> None:
 def test_packages_add_commands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A lone module as well as a module of a package; both say in SUMMARIES what they add."""
-    source = """
+    """A lone module as well as a module of a package, and a function without a declaration."""
+    declared = 'COMMANDS = {"NAME": Command("", "what NAME does", "realsim NAME", "Of my own")}'
+    source = f"""
+from realsim.cli.command import Command
 from realsim.cli.commands import CommandResult
-SUMMARIES = {"NAME": "what NAME does"}
+{declared}
 def run(times: int = 2) -> CommandResult:
     return CommandResult("NAME " * times)
 """
     (tmp_path / "pack").mkdir()
     (tmp_path / "lone.py").write_text(source.replace("NAME", "alone"))
-    (tmp_path / "pack" / "__init__.py").write_text('SUMMARIES = {"packed": "what packed does"}')
+    (tmp_path / "pack" / "__init__.py").write_text(
+        "from realsim.cli.command import Command\n" + declared.replace("NAME", "packed")
+    )
     (tmp_path / "pack" / "inner.py").write_text(source.replace("NAME", "packed"))
     monkeypatch.syspath_prepend(str(tmp_path))
-    points = [EntryPoint("alone", "lone:run", "realsim.commands"), EntryPoint("packed", "pack.inner:run", "")]
-    monkeypatch.setattr("realsim.cli.command_line.entry_points", lambda group: points)
+    named = {"alone": "lone:run", "packed": "pack.inner:run", "bare": "lone:run"}
+    points = [EntryPoint(name, value, "realsim.commands") for name, value in named.items()]
+    monkeypatch.setattr("realsim.cli.table.entry_points", lambda group: points)
     assert main(["--help"]) == 0
     said = capsys.readouterr().out
+    assert "Of my own" in said
+    assert main(["bare"]) == 0
+    assert capsys.readouterr().out.split() == ["alone"] * 2
     for name in ("alone", "packed"):
         assert f"what {name} does" in said
         assert main([name, "--times", "3"]) == 0

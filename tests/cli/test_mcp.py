@@ -66,7 +66,7 @@ def test_a_scene_from_a_mesh_with_progress_and_its_report(root: Path) -> None:
         async def listen(progress: float, total: float | None, message: str | None) -> None:
             heard.append((progress, message))
 
-        made = good(await client.call_tool("contact", {"mesh": "box.stl", "out": "scene"}, progress_callback=listen))
+        made = good(await client.call_tool("contact", {"meshes": "box.stl", "out": "scene"}, progress_callback=listen))
         assert made["schema"] == "realsim.contact/1"
         assert made["verdict"]["level"] == "good"
         assert (root / "scene" / "scene.xml").is_file()
@@ -74,14 +74,14 @@ def test_a_scene_from_a_mesh_with_progress_and_its_report(root: Path) -> None:
         assert len(heard) > 2
         assert values == sorted(set(values)), "progress only grows"
         assert any("measuring boxes" in str(message) for _, message in heard)
-        again = await client.call_tool("contact", {"mesh": "box.stl", "out": "scene"})
+        again = await client.call_tool("contact", {"meshes": "box.stl", "out": "scene"})
         assert again.is_error
         assert "not empty" in text(again)
         report = good(await client.call_tool("report", {"folder": "scene"}))
         assert (report["kind"], report["verdict"]) == ("scene", "good")
-        written = good(await client.call_tool("export", {"scene": "scene", "to": ["obj", "mjcf"]}))
+        written = good(await client.call_tool("export", {"scenes": "scene", "to": "obj,mjcf"}))
         assert set(written["formats"]) == {"obj", "mjcf"}
-        wrong = await client.call_tool("export", {"scene": "scene", "to": ["--overwrite"]})
+        wrong = await client.call_tool("export", {"scenes": "scene", "to": "--overwrite"})
         assert wrong.is_error
         assert "unknown" in text(wrong)
 
@@ -92,10 +92,10 @@ def test_a_diagnosis_and_a_check(root: Path) -> None:
     make_case(root / "case", ARM, Truth(), runs=3, seed=1, span=(1.0, 1.2))
 
     async def conversation(client: Any) -> None:
-        assert good(await client.call_tool("diagnose", {"case": "case", "check_only": True}))["runs"]
-        missing = await client.call_tool("diagnose", {"case": "case"})
-        assert missing.is_error
-        found = good(await client.call_tool("diagnose", {"case": "case", "out": "found", "max_causes": 1}))
+        assert good(await client.call_tool("diagnose", {"cases": "case", "check": True}))["runs"]
+        missing = await client.call_tool("diagnose", {"cases": "none"})
+        assert "no such file" in text(missing)
+        found = good(await client.call_tool("diagnose", {"cases": "case", "out": "found", "max_causes": 1}))
         assert found["verdict"] in ("no_gap", "identified", "ambiguous", "unexplained")
         assert "ranking" not in found
         report = good(await client.call_tool("report", {"folder": "found"}))
@@ -122,18 +122,23 @@ def test_nothing_outside_the_folders_is_read_or_written(root: Path) -> None:
             "door/box.stl",
             "a/../../secret/box.stl",
         ):
-            answer = await client.call_tool("contact", {"mesh": mesh, "out": "scene"})
+            answer = await client.call_tool("contact", {"meshes": mesh, "out": "scene"})
             assert answer.is_error, mesh
             assert "leads out" in text(answer)
         for out in ("../secret/scene", "door/scene", str(secret), "/tmp/none"):
-            answer = await client.call_tool("contact", {"mesh": "box.stl", "out": out})
+            answer = await client.call_tool("contact", {"meshes": "box.stl", "out": out})
             assert answer.is_error, out
             assert "leads out" in text(answer)
         for capture in ("capture", "deep"):
-            answer = await client.call_tool("inspect", {"capture": capture})
+            answer = await client.call_tool("inspect", {"frames": capture})
             assert "leads out" in text(answer), "a link inside a folder is followed before it is read"
-        for case in ("case\u0000", "none"):
-            assert (await client.call_tool("diagnose", {"case": case, "check_only": True})).is_error
+        for case in ("case\u0000", "none", "", "a" * 5000, "x/" * 3000, "a" * 300):
+            answer = await client.call_tool("diagnose", {"cases": case, "check": True})
+            assert answer.is_error
+            assert "path" in text(answer) or "no such file" in text(answer), "a reason is given"
+            assert len(text(answer)) < 2000
+        answer = await client.call_tool("export", {"scenes": "box.stl", "to": "\0"})
+        assert "zero byte" in text(answer)
         answer = await client.call_tool("report", {"folder": str(secret)})
         assert "leads out" in text(answer)
 
@@ -157,7 +162,7 @@ def test_a_call_that_is_given_up_ends_its_command(root: Path) -> None:
         return found
 
     async def conversation(client: Any) -> None:
-        call = asyncio.create_task(client.call_tool("reconstruct", {"capture": "synth/capture", "out": "scene"}))
+        call = asyncio.create_task(client.call_tool("reconstruct", {"frames": "synth/capture", "out": "scene"}))
         end = time.monotonic() + 240
         while not commands() and time.monotonic() < end:
             await asyncio.sleep(0.1)

@@ -14,15 +14,16 @@ import trimesh
 from jsonschema import Draft202012Validator
 
 from realsim.cli import schemas
-from realsim.cli.command_line import commands, home_of, main
+from realsim.cli.command_line import main
+from realsim.cli.table import commands
 from realsim.synth.config import SynthConfig
 from tests import outputs
 from tests.gap.truth import ARM, Truth, make_case
 
 
-@pytest.mark.parametrize("command", sorted(commands()[0]))
+@pytest.mark.parametrize("command", sorted(commands()))
 def test_every_command_has_a_schema_that_can_be_printed(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    schema = schemas.load(command, home_of()[command])
+    schema = schemas.load(command, commands()[command].package)
     assert schema is not None, f"write schemas/{command}.json"
     Draft202012Validator.check_schema(schema)
     for output in schema["anyOf"]:
@@ -39,7 +40,7 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: object, code: int = 0) 
     assert main([*map(str, arguments), "--json"]) == code
     data = json.loads(capsys.readouterr().out)
     command = str(arguments[0])
-    validator = Draft202012Validator(schemas.load(command, home_of().get(command, "realsim")) or {})
+    validator = Draft202012Validator(schemas.load(command, commands()[command].package) or {})
     assert list(validator.iter_errors(data)) == []
     return data
 
@@ -56,7 +57,7 @@ def test_an_error_is_what_any_command_may_print(tmp_path: Path, capsys: pytest.C
 
 
 def test_the_list_names_all(capsys: pytest.CaptureFixture[str]) -> None:
-    assert set(said(capsys, "schema")["schemas"]) == set(commands()[0])
+    assert set(said(capsys, "schema")["schemas"]) == set(commands())
 
 
 def test_scenes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,33 +1,57 @@
 """Commands that the trainer adds to `realsim` (entry points in the group `realsim.commands`). One file a command."""
 
-SUMMARIES = {
-    "pretrain": "a base policy on generated terrain",
-    "finetune": "a policy adapted to one scene or several; success before and after",
-    "evaluate": "success rate of a policy on a scene, why and where it fails",
-    "play": "one trial of a policy as a video",
-    "deploy": "a policy in a 50 Hz loop on a robot, MuJoCo in place of the real one",
-    "training": "`realsim training report RUN ...`: a page with the curves of training runs, over each other",
-}
-"""Read by `realsim --help`, which imports nothing else of the trainer."""
+from realsim.cli.command import Command
 
-EXAMPLES = {
-    "pretrain": "realsim pretrain --robot g1 --out base",
-    "finetune": "realsim finetune scene --out tuned",
-    "evaluate": "realsim evaluate scene --policy tuned/policy.pt",
-    "play": "realsim play scene --policy tuned/policy.pt --out trial.mp4",
-    "deploy": "realsim deploy tuned/policy.onnx --scene scene",
-    "training": "realsim training report base_a base_b --out report.html",
-}
-"""Shown at the end of each command's help."""
-
-COMMON = {
-    "finetune": (
-        "--policy", "--out", "--overwrite", "--minutes", "--stop-at-target", "--strategy", "--diagnosis", "--worlds",
-        "--device", "--final-trials", "--resume",
+_GROUP = "Policies"
+COMMANDS = {
+    "pretrain": Command(
+        "",
+        "a base policy on generated terrain",
+        "realsim pretrain --robot g1 --out base",
+        _GROUP,
+        "train",
+        (
+            "--out", "--overwrite", "--robot", "--terrain", "--minutes", "--iterations", "--worlds", "--device",
+            "--task-file", "--resume",
+        ),
     ),
-    "pretrain": (
-        "--out", "--overwrite", "--robot", "--terrain", "--minutes", "--iterations", "--worlds", "--device",
-        "--task-file", "--resume",
+    "finetune": Command(
+        "",
+        "a policy adapted to one scene or several; success before and after",
+        "realsim finetune scene --out tuned",
+        _GROUP,
+        "train",
+        (
+            "--policy", "--out", "--overwrite", "--minutes", "--stop-at-target", "--strategy", "--diagnosis",
+            "--worlds", "--device", "--final-trials", "--resume",
+        ),
+    ),
+    "evaluate": Command(
+        "",
+        "success rate of a policy on a scene, why and where it fails",
+        "realsim evaluate scene --policy tuned/policy.pt",
+        _GROUP,
+        "train",
+    ),
+    "play": Command(
+        "",
+        "one trial of a policy as a video",
+        "realsim play scene --policy tuned/policy.pt --out trial.mp4",
+        _GROUP,
+        "train",
+    ),
+    "deploy": Command(
+        "",
+        "a policy in a 50 Hz loop on a robot, MuJoCo in place of the real one",
+        "realsim deploy tuned/policy.onnx --scene scene",
+        _GROUP,
+        "recon",
+    ),
+    "training": Command(
+        "",
+        "`realsim training report RUN ...`: a page with the curves of training runs, over each other",
+        "realsim training report base_a base_b --out report.html",
+        _GROUP,
     ),
 }  # fmt: skip
-"""The options that `realsim COMMAND --help` shows; `realsim help COMMAND` shows all."""
+"""Read by `realsim --help`, which imports nothing else of the trainer."""

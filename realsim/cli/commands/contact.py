@@ -9,7 +9,7 @@ import tyro
 
 from realsim.cli.commands import CommandResult, strict_exit, verdict_lines
 from realsim.cli.commands.many import run_each
-from realsim.core.errors import RealsimError, require
+from realsim.core.errors import RealsimError
 from realsim.core.files import output_folder
 from realsim.export.config import SceneConfig
 from realsim.jobs import ManyConfig
@@ -41,7 +41,6 @@ def contact(
         raise RealsimError("no mesh given", expected="realsim contact MESH --out DIR")
     if len(meshes) > 1 or many.place != "processes":
         return run_each("contact", meshes, out, many, shows="scene_xml")
-    require("recon", "realsim contact")
     from realsim.export import contact_mesh
     from realsim.report.contact_page import write_contact_page
 

@@ -13,7 +13,7 @@ import tyro
 
 from realsim import pipeline, robots
 from realsim.cli.commands import CommandResult, verdict_lines
-from realsim.core.errors import RealsimError, require
+from realsim.core.errors import RealsimError
 from realsim.core.files import read_json
 from realsim.core.progress import note
 
@@ -38,7 +38,6 @@ def demo(
         seed: of the terrain, the walk, the sensor's noise and the reconstruction.
         overwrite: replace a folder that realsim wrote before.
     """
-    require("recon", "realsim demo")
     from realsim.export.config import SceneConfig
     from realsim.report.verdict import judge
     from realsim.synth.capture import write_capture

@@ -10,7 +10,6 @@ import tyro
 from realsim import capture
 from realsim.capture.config import CaptureConfig
 from realsim.cli.commands import CommandResult
-from realsim.core.errors import require
 
 
 def inspect(frames: Annotated[Path, tyro.conf.Positional], config: CaptureConfig) -> CommandResult:
@@ -19,6 +18,5 @@ def inspect(frames: Annotated[Path, tyro.conf.Positional], config: CaptureConfig
     Args:
         frames: a capture folder or a scan.
     """
-    require("recon", "realsim inspect")
     found = capture.inspect(frames, config)
     return CommandResult(found.render(), found.as_dict())

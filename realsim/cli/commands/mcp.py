@@ -9,7 +9,7 @@ import tyro
 
 from realsim.cli.commands import CommandResult
 from realsim.cli.roots import Roots
-from realsim.core.errors import RealsimError, require
+from realsim.core.errors import RealsimError
 
 
 def mcp(root: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FOLDER ...")] = (), jobs: int = 1) -> CommandResult:
@@ -21,7 +21,6 @@ def mcp(root: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FOLDER ...")] =
         root: folders that may be used; relative paths start at the first.
         jobs: commands that run at a time; further calls wait.
     """
-    require("mcp", "realsim mcp")
     roots = Roots(root)
     if jobs < 1:
         raise RealsimError("--jobs must be at least 1", found=str(jobs))

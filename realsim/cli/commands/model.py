@@ -8,7 +8,6 @@ from typing import Annotated, Literal
 import tyro
 
 from realsim.cli.commands import CommandResult
-from realsim.core.errors import require
 from realsim.feedforward.onnx.inspect import inspect_model
 
 
@@ -27,6 +26,5 @@ def model(
         provider: execution provider of onnxruntime (default: the fastest that is installed).
         trial: run the model on noise.
     """
-    require("recon", "realsim model inspect")
     found = inspect_model(file, provider, trial=trial)
     return CommandResult(found.render(), found.as_dict(), 0 if found.fits else 1)

@@ -10,7 +10,7 @@ import tyro
 from realsim import pipeline
 from realsim.cli.commands import CommandResult, strict_exit, verdict_lines
 from realsim.cli.commands.many import run_each
-from realsim.core.errors import RealsimError, require
+from realsim.core.errors import RealsimError
 from realsim.core.types import Reconstruction
 from realsim.jobs import ManyConfig
 from realsim.report.verdict import dropped_frames, judge
@@ -38,7 +38,6 @@ def reconstruct(
     if not frames:
         raise RealsimError("no capture given", expected="realsim reconstruct FRAMES --out scene/")
     if len(frames) == 1 and many.place == "processes":
-        require("recon", "realsim reconstruct")
         result = pipeline.reconstruct(frames[0], out, config)
         verdict = judge(result).as_dict()
         text = "\n".join([*verdict_lines(verdict), *_summary(result)])

@@ -18,14 +18,15 @@ def schema(command: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="
     Args:
         command: as in `realsim COMMAND`; all are listed if none is given.
     """
-    from realsim.cli.command_line import home_of
+    from realsim.cli.table import commands, find
 
     if not command:
-        names = {name: schemas.name_of(name, package) for name, package in home_of().items()}
+        names = {name: schemas.name_of(name, known.package) for name, known in commands().items()}
         found = {name: text for name, text in names.items() if text is not None}
         return CommandResult("\n".join(found.values()), {"schemas": found})
-    homes = home_of()
-    data = schemas.load(command, homes[command]) if command in homes else None
+    data = schemas.load(command, find(command).package)
     if data is None:
-        raise RealsimError("no such schema", expected=f"one of {', '.join(homes)}", found=command)
+        raise RealsimError(
+            "the command has no schema", expected=f"schemas/{command}.json in its package", hint="realsim schema"
+        )
     return CommandResult(to_json(data).rstrip(), {"command": command, "json_schema": data})

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from realsim.cli.commands import CommandResult
-from realsim.core.errors import require
 from realsim.synth.config import SynthConfig
 
 
@@ -16,7 +15,6 @@ def synth(config: SynthConfig, out: Path = Path("synth"), overwrite: bool = Fals
         out: gets capture/ (what `realsim reconstruct` reads) and truth/ (which it must not see).
         overwrite: replace a folder that realsim wrote before.
     """
-    require("recon", "realsim synth")
     from realsim.synth.capture import write_capture
 
     made = write_capture(out, config, overwrite=overwrite)

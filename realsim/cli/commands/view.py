@@ -8,7 +8,6 @@ from typing import Annotated
 import tyro
 
 from realsim.cli.commands import CommandResult
-from realsim.core.errors import require
 
 
 def view(
@@ -20,7 +19,6 @@ def view(
         scene: a folder made by `realsim reconstruct`.
         port: where the page is served on this machine.
     """
-    require("viewer", "realsim view")
     from realsim.report.live import view as serve
 
     serve(scene, port)

@@ -1,0 +1,183 @@
+"""All commands. One that is added here, or by an entry point of a package, is everywhere: see `Command`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from importlib import import_module
+from importlib.metadata import entry_points
+
+from realsim.cli.command import Command, Tool
+from realsim.core.errors import UnknownNameError
+
+_HERE = "realsim.cli.commands"
+COMMANDS: dict[str, Command] = {
+    "reconstruct": Command(
+        f"{_HERE}.reconstruct:reconstruct",
+        "frames or a scan -> a metric, level MuJoCo scene with a report",
+        "realsim reconstruct my_capture --out scene --robot g1",
+        "Scenes",
+        "recon",
+        (
+            "--out", "--robot", "--overwrite", "--strict", "--layout", "--depth-unit", "--unit", "--every", "--poses",
+            "--backend", "--keep", "--start", "--goal", "--contact",
+        ),
+        Tool(
+            "Turn a capture or scan into a metric, level MuJoCo scene; minutes. Read the verdict first.",
+            "frames", "out", ("robot", "max_frames", "seed", "overwrite"),
+        ),
+    ),
+    "inspect": Command(
+        f"{_HERE}.inspect:inspect",
+        "how a capture is recognised, and what is wrong with it",
+        "realsim inspect my_capture",
+        "Scenes",
+        "recon",
+        tool=Tool(
+            "Say what a capture folder or scan is taken for, every convention assumed, and what is wrong with it.",
+            "frames",
+        ),
+    ),
+    "contact": Command(
+        f"{_HERE}.contact:contact",
+        "collision geometry for any mesh, chosen by measured error and cost",
+        "realsim contact stairs.stl --unit mm --out stairs",
+        "Scenes",
+        "recon",
+        ("--out", "--unit", "--up", "--ground-z", "--robot", "--overwrite", "--strict", "--contact"),
+        Tool(
+            "Give a mesh file collision geometry for MuJoCo, chosen by measured error; a minute. Read the verdict "
+            "first.",
+            "meshes", "out", ("unit", "up", "ground_z", "overwrite"),
+        ),
+    ),
+    "export": Command(
+        f"{_HERE}.export:export",
+        "a scene in other formats: USD, URDF, SDF, GLB, height map, ...",
+        "realsim export scene --to usd,urdf",
+        "Scenes",
+        tool=Tool("Write a scene in the formats of other tools.", "scenes", "out", ("to", "overwrite")),
+    ),
+    "view": Command(
+        f"{_HERE}.view:view", "look at a scene in the browser, live", "realsim view scene", "Scenes", "viewer"
+    ),
+    "record": Command(
+        f"{_HERE}.record:record",
+        "frames of a RealSense camera into a folder",
+        "realsim record my_capture --seconds 30",
+        "Scenes",
+        "realsense",
+    ),
+    "model": Command(
+        f"{_HERE}.model:model",
+        "check a feed-forward model in an ONNX file",
+        "realsim model inspect model.onnx",
+        "Scenes",
+        "recon",
+    ),
+    "log": Command(
+        f"{_HERE}.log:log",
+        "contents of a robot's recording (MCAP, bags, LeRobot, CSV, ...), and a case made from it",
+        "realsim log walk.mcap --model robot.xml --out case",
+        "Robots and their logs",
+    ),
+    "diagnose": Command(
+        f"{_HERE}.diagnose:diagnose",
+        "a robot's logs and its model -> where the sim-to-real gap lies, what causes it, how much",
+        "realsim diagnose my_case --out diagnosis",
+        "Robots and their logs",
+        common=(
+            "--out", "--model", "--policy", "--scene", "--since", "--check", "--init", "--effects", "--overwrite",
+            "--strict",
+        ),
+        tool=Tool(
+            "Say where a robot's logs differ from its simulator and what causes it; minutes, up to ten for a humanoid. "
+            "With `check`, only say within seconds whether the log can be used and what is odd about it.",
+            "cases", "out", ("check", "max_causes", "overwrite"),
+            ("schema", "runs", "health.warnings", "verdict", "sentence", "causes", "equivalent", "where", "shrinkage",
+             "unexplained_share", "next_experiment", "seconds"),
+        ),
+    ),
+    "excite": Command(
+        f"{_HERE}.excite:excite",
+        "the recording that tells apart what a diagnosis could not: command files within the robot's limits",
+        "realsim excite diagnosis --out experiment",
+        "Robots and their logs",
+    ),
+    "footholds": Command(
+        f"{_HERE}.footholds:footholds",
+        "a robot's log against the scene it walked on -> which foothold differs from the scan, by how much",
+        "realsim footholds my_case --scene scene --out footholds",
+        "Robots and their logs",
+    ),
+    "worker": Command(
+        f"{_HERE}.worker:worker",
+        "does the jobs of a folder that several machines share",
+        "realsim worker scenes --idle 60",
+        "Machines",
+    ),
+    "mcp": Command(
+        f"{_HERE}.mcp:mcp",
+        "realsim as tools for agents (Model Context Protocol)",
+        "realsim mcp --root ~/captures ~/scenes",
+        "Machines",
+        "mcp",
+    ),
+    "schema": Command(
+        f"{_HERE}.schema:schema",
+        "what a command prints with --json, as a JSON Schema",
+        "realsim schema reconstruct",
+        "Machines",
+    ),
+    "demo": Command(
+        f"{_HERE}.demo:demo",
+        "render, reconstruct and measure, end to end",
+        "realsim demo --out demo_out",
+        "To try",
+        "recon",
+    ),
+    "synth": Command(
+        f"{_HERE}.synth:synth",
+        "render a synthetic capture with its truth",
+        "realsim synth --terrain boxes --out synthetic",
+        "To try",
+        "recon",
+    ),
+}  # fmt: skip
+
+
+def commands() -> dict[str, Command]:
+    """Name -> command: those above, and those that installed packages add (entry points `realsim.commands`).
+
+    A package declares what it adds in a dictionary `COMMANDS` of the package that the functions' modules are in, or of
+    a module of its own; that is all of it that is imported here. A function without a declaration is a command too.
+    """
+    added = {point.name: point.value for point in entry_points(group="realsim.commands")}
+    declared = {name: _declared(name, value) for name, value in added.items() if name not in COMMANDS}
+    # In the order in which a package declares them.
+    order = [name for value in added.values() for name in _declarations(value) if name in declared]
+    return COMMANDS | {name: declared[name] for name in dict.fromkeys([*order, *declared])}
+
+
+def find(name: str) -> Command:
+    """The command of a name. Raises UnknownNameError with the closest ones."""
+    known = commands()
+    if name not in known:
+        raise UnknownNameError("command", name, known)
+    return known[name]
+
+
+def _declared(name: str, function: str) -> Command:
+    """The declaration of a function that an entry point names."""
+    command = _declarations(function).get(name)
+    if command is not None:
+        return replace(command, function=function)
+    return Command(function, "", f"realsim {name} --help", function.partition(".")[0].partition(":")[0])
+
+
+@cache
+def _declarations(function: str) -> Mapping[str, Command]:
+    module = function.partition(":")[0]
+    found: Mapping[str, Command] = getattr(import_module(module.rpartition(".")[0] or module), "COMMANDS", {})
+    return found
