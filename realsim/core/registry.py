@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
 from importlib import import_module
+from importlib.metadata import entry_points
 from typing import Any
 
-from realsim.core.errors import UnknownNameError
+from realsim.core.errors import RealsimError, UnknownNameError
 
 
 class Registry(Mapping[str, Any]):
@@ -20,17 +22,35 @@ class Registry(Mapping[str, Any]):
     Args:
         kind: what the entries are, for the message about an unknown name.
         entries: name -> "package.module:attribute".
+        group: entry points of this group, of any package that is installed, come after the entries; no entry is
+            replaced by one.
     """
 
-    def __init__(self, kind: str, entries: Mapping[str, str]) -> None:
+    def __init__(self, kind: str, entries: Mapping[str, str], group: str = "") -> None:
         self.kind = kind
-        self._entries = dict(entries)
+        self.group = group
+        self.own = dict(entries)
+
+    @cached_property
+    def _entries(self) -> dict[str, str]:
+        """Looked up when first used: a list of what is installed takes some milliseconds."""
+        installed = {point.name: point.value for point in entry_points(group=self.group)} if self.group else {}
+        return {**self.own, **{name: value for name, value in installed.items() if name not in self.own}}
 
     def __getitem__(self, name: str) -> Any:
         if name not in self._entries:
             raise UnknownNameError(self.kind, name, self._entries)
         module, _, attribute = self._entries[name].partition(":")
-        return getattr(import_module(module), attribute)
+        if name in self.own:
+            return getattr(import_module(module), attribute)
+        try:
+            return getattr(import_module(module), attribute)
+        except (ImportError, AttributeError) as error:
+            raise RealsimError(
+                f"the {self.kind} {name!r} of an installed package cannot be loaded",
+                expected=f"{self._entries[name]} (entry point of the group {self.group})",
+                found=str(error),
+            ) from error
 
     def joined(self, more: Mapping[str, str]) -> Registry:
         """This registry with further entries; its own win."""

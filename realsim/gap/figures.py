@@ -9,7 +9,7 @@ from __future__ import annotations
 # ---------------------------------------------------------------- the score, in nats (log-likelihood)
 PRICE = 4.0
 """A parameter that the data determine, and an effect that is rarer than another one that does the same
-(`Effect.usual`): half a log of some 3,000 independent samples. Not tuned."""
+(`Rivals.commoner`): half a log of some 3,000 independent samples. Not tuned."""
 CAUSE, CAUSE_A_JOINT = 3.0, 2.5
 """A cause, and the same for each joint of the robot: more joints offer more places for a cause, and a servo's
 unmodelled form is worth some on every one. Set on generated cases without a gap. Where one stays, there is a cause, and

@@ -164,7 +164,7 @@ def test_parameters_are_well_formed(name: str, somewhere: tuple[Simulator, list]
 def test_a_payload_near_a_joint_does_nearly_the_same_on_both_links(simulator: Simulator) -> None:
     payload = EFFECTS["payload"]
     values = {"mass": 0.5, "x": 0.0, "y": 0.0, "z": 0.01}  # 1 cm above the elbow
-    (found,) = payload.suggests(simulator.context, ("fore",), values)
+    (found,) = payload.rivals.suggest(simulator.context, ("fore",), values)
     place, moved = found.place, found.values
     assert place == ("upper",)
     assert moved == pytest.approx({"mass": 0.5, "x": 0.0, "y": 0.0, "z": -0.39})

@@ -77,10 +77,10 @@ def test_a_law_that_holds_another_one_is_said_only_where_its_score_is_lower(arm:
 def test_what_an_effect_is_taken_for_is_among_what_it_suggests(arm: Case) -> None:
     with Simulator(arm, CONFIG) as simulator:
         context = simulator.context
-    for effect in (e for e in EFFECTS.values() if e.taken_for):
+    for effect in (e for e in EFFECTS.values() if e.rivals.compared):
         for place in effect.places(context):
             values = {p.name: p.default + 0.3 * p.step for p in effect.parameters(context, place)}
-            assert set(effect.taken_for) <= {s.effect for s in effect.suggests(context, place, values)}
+            assert set(effect.rivals.compared) <= {s.effect for s in effect.rivals.suggest(context, place, values)}
 
 
 @pytest.mark.parametrize("name", ["command_delay", "observation_delay"])
@@ -96,12 +96,12 @@ def test_where_only_joints_are_logged_both_delays_are_named(name: str, arm: Case
 def test_an_imu_tells_them_apart_where_it_is_compared(name: str, arm: Case) -> None:
     effect = EFFECTS[name]
     with Simulator(arm, CONFIG) as simulator:
-        (other,) = effect.suggests(simulator.context, (), {"delay": 0.02})
+        (other,) = effect.rivals.suggest(simulator.context, (), {"delay": 0.02})
         assert {name, other.effect} == {"command_delay", "observation_delay"}
         mute = also(arm, imu_acc=3, base_pos=3, contact=2)  # no site, a fixed base, and never compared
-        assert effect.suggests(replace(simulator.context, case=mute), (), {"delay": 0.02})
+        assert effect.rivals.suggest(replace(simulator.context, case=mute), (), {"delay": 0.02})
         heard = replace(also(arm, imu_acc=3), imu_site="wrist")
-        assert not effect.suggests(replace(simulator.context, case=heard), (), {"delay": 0.02})
+        assert not effect.rivals.suggest(replace(simulator.context, case=heard), (), {"delay": 0.02})
 
 
 def also(case: Case, **signals: int) -> Case:

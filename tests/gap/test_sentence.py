@@ -158,7 +158,7 @@ def test_cannot_tell_says_what_to_record() -> None:
 def test_rivals_without_a_signal_that_tells_are_told_by_motion() -> None:
     viscous = cause("viscous_friction", 0.4, "N m s/rad", 0.3, 0.5, joints=["left_knee_joint"])
     said = say("ambiguous", [KNEE], [[viscous]])
-    assert EFFECTS["coulomb_friction"].excitation.rstrip(".").lower() in said.lower()
+    assert EFFECTS["coulomb_friction"].words.excitation[0] in said
 
 
 def test_no_signal_is_asked_for_that_the_log_has() -> None:

@@ -219,9 +219,9 @@ def test_a_superfluous_cause_is_dropped(arm: Case) -> None:
 def test_braking_by_the_servo_and_by_grease_is_one_motion(arm: Case, name: str, values: dict[str, float]) -> None:
     with Simulator(arm, CONFIG) as simulator:
         place = ("shoulder",)
-        (found,) = EFFECTS[name].suggests(simulator.context, place, values)
+        (found,) = EFFECTS[name].rivals.suggest(simulator.context, place, values)
         other, same = found.effect, found.values
-        (back,) = EFFECTS[other].suggests(simulator.context, place, same)
+        (back,) = EFFECTS[other].rivals.suggest(simulator.context, place, same)
         assert (back.effect, back.values) == (name, pytest.approx(values))
         (wide,) = EFFECTS[other].parameters(simulator.context, place)
         assert 15 * next(iter(same.values())) < wide.bounds[1]  # and as far as anyone would go

@@ -116,7 +116,7 @@ def _beside_imitations(
         return fit, left, others
     for cause in list(fit.causes):
         rest_of = [c for c in fit.causes if c is not cause]
-        taken_for = lookup(cause.candidate.effect).taken_for
+        taken_for = lookup(cause.candidate.effect).rivals.compared
         for candidate, (start, *_) in suggested(screen, cause) if taken_for else ():
             known = any(c.candidate.effect == candidate.effect for f in others for c in f.causes)
             rival = None

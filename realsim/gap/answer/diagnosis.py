@@ -98,14 +98,14 @@ def describe_cause(
         sigma = float(np.sqrt(sigma**2 + p.nuisance**2 + relative**2))
         low, high = (float(np.clip(value + s * Z90 * sigma, *p.bounds)) for s in (-1, 1))
         ends = sorted((p.report(low), p.report(high)))
-        label = "offset" if name == "reading_offset" else name
-        reported[label] = {"value": p.report(value), "unit": p.unit, "ci90": ends}
-        if name == "reading_offset":
-            reported[label]["note"] = "only the logged encoder has it, not the servo's"
-    if "lasts" in reported:
-        since = cause.named["since"]
-        starts = [f"{name} from {at + since:.2f} s" for name, at in simulator.onsets.items()]
-        reported["lasts"]["note"] = f"in {', '.join(starts)}; in no other run"
+        note = p.note
+        if (when := effect.law.passing.get(name)) and when.onset:
+            since = cause.named[when.onset]
+            starts = [f"{run} from {at + since:.2f} s" for run, at in simulator.onsets.items()]
+            note = f"in {', '.join(starts)}; in no other run"
+        reported[p.label or name] = {"value": p.report(value), "unit": p.unit, "ci90": ends}
+        if note:
+            reported[p.label or name]["note"] = note
     found: dict[str, Any] = {"effect": cause.candidate.effect}
     if effect.scope == "joint":
         found["joints"] = list(cause.candidate.place)

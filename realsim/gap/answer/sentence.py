@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from realsim.gap.answer.check import Check
@@ -10,6 +11,7 @@ from realsim.gap.answer.verdict import Judgement
 from realsim.gap.case.case import Case
 from realsim.gap.case.repeats import replicates
 from realsim.gap.effects import EFFECTS
+from realsim.gap.effects.base import When
 from realsim.gap.verdicts import GapVerdict
 
 Cause = dict[str, Any]
@@ -49,7 +51,7 @@ def sentence(
             f"No cause that this library knows{_mostly(where)}: {errors_of(checked, after=False)}{_looks(looks_like)}; "
             f"record {_next_for_unknown(where, case)}."
         )
-    said = "; ".join(phrase(c) for c in causes)
+    found = "; ".join(phrase(c) for c in causes)
     gain = f"removes {removed(checked)} of the squared error on {_runs(checked)}"
     if checked.ci90[0] <= 0 and checked.holds:
         low, high = checked.beside90 or checked.ci90
@@ -63,7 +65,7 @@ def sentence(
         stays = f" What stays: {errors_of(checked)}." if len(judgement.reasons) > 1 else ""
         tells = _what_tells([causes, *equivalent], case)
         return f"{_either(causes, equivalent)} {gain}; to tell them apart, record {tells}.{stays}"
-    text = f"{said}; {_verb(causes)} {gain}"
+    text = f"{found}; {_verb(causes)} {gain}"
     if verdict is GapVerdict.PARTLY_EXPLAINED:
         return (
             f"{text}. A part stays: {errors_of(checked)}{_looks(looks_like)}; record {_next_for_unknown(where, case)}."
@@ -140,39 +142,56 @@ def _same(a: Cause, b: Cause) -> bool:
     return all(a.get(key) == b.get(key) for key in ("effect", "joints", "bodies"))
 
 
+@dataclass(frozen=True)
+class Phrase:
+    """What is wrong with the model."""
+
+    text: str
+    missing: bool
+    """Whether the model lacks something; else a value of it is wrong."""
+
+
 def phrase(cause: Cause) -> str:
     """left knee: Coulomb friction 1.9 N m [1.6, 2.2] is missing."""
+    return _worded(cause).text
+
+
+def _worded(cause: Cause) -> Phrase:
     effect, parameters = EFFECTS[cause["effect"]], cause["parameters"]
+    words, passing = effect.words, effect.law.passing
     names = ", ".join(_plain(n) for n in cause.get("joints") or cause.get("bodies") or [])
     place = f"{names}: " if names else ""
-    if effect.of_torque:
-        parameters = {n: _of_torque(p) for n, p in parameters.items()}
+    if words.ratio_of:
+        parameters = {n: _percent(p, words.ratio_of) for n, p in parameters.items()}
     name, first = next(iter(parameters.items()))
     negative = first["value"] < 0
-    where = _at(parameters) if effect.absolute else ""
+    thing = words.sort == "thing"
+    where = _at(parameters) if thing else ""
     sized = {name: first} if where else parameters
-    if word := effect.comparatives[0 if negative else 1]:
-        what = names if effect.absolute else f"{place}{effect.title}"
-        return f"{what} is {_size(sized, -1 if negative else 1)} {word} than in the model{where}"
-    size = _size(sized)
-    if effect.absolute:
-        return f"{place}a {effect.title} of {size}{where} is missing"
+    if word := words.comparatives[0 if negative else 1]:
+        what = names if thing else f"{place}{effect.title}"
+        return Phrase(
+            f"{what} is {_size(sized, passing, -1 if negative else 1)} {word} than in the model{where}", False
+        )
+    size = _size(sized, passing)
+    if thing:
+        return Phrase(f"{place}a {effect.title} of {size}{where} is missing", True)
     if first["unit"] == "ratio" and len(parameters) == 1:
-        return f"{place}{effect.title} is {size} the model's"
-    if negative and len(parameters) == 1 and not effect.directed:
-        return f"{place}{effect.title} is {_size(parameters, -1)} too large in the model"
+        return Phrase(f"{place}{effect.title} is {size} the model's", False)
+    if negative and len(parameters) == 1 and words.sort == "amount":
+        return Phrase(f"{place}{effect.title} is {_size(parameters, passing, -1)} too large in the model", False)
     notes = [p["note"] for p in parameters.values() if p.get("note")]
     note = f" ({'; '.join(notes)})" if notes else ""
-    return f"{place}{effect.title} {size} is missing{note}"
+    return Phrase(f"{place}{effect.title} {size} is missing{note}", True)
 
 
-def _of_torque(parameter: dict[str, Any]) -> dict[str, Any]:
-    """A share of the torque, in percent: beside no friction of this kind, "0.2 times" says nothing."""
+def _percent(parameter: dict[str, Any], of: str) -> dict[str, Any]:
+    """A share in percent: beside no friction of this kind, "0.2 times" says nothing."""
     low, high = parameter["ci90"]
     return parameter | {
         "value": 100 * parameter["value"],
         "ci90": [100 * low, 100 * high],
-        "unit": "% of the drive's torque",
+        "unit": f"% of {of}",
     }
 
 
@@ -193,22 +212,19 @@ def _share(value: float, digits: int) -> str:
     return ">99.9" if 0.9995 <= value < 1 else f"{100 * value:z.{digits}f}".replace("-", "−")
 
 
-def _size(parameters: dict[str, dict[str, Any]], sign: int = 1) -> str:
+def _size(parameters: dict[str, dict[str, Any]], passing: Mapping[str, When], sign: int = 1) -> str:
     """1.9 N m [1.6, 2.2]; several parameters by name, of a vector those that matter; when, if not always."""
-    active = {n: p for n, p in parameters.items() if not _idle(n, p)}
-    when = "".join(
-        f" {word} {_number(active[n]['value'])} {active[n]['unit']}"
-        for n, word in (("start", "from"), ("end", "to"))
-        if n in active
+    times = "".join(
+        f" {when.text.format(_number(p['value']))} {p['unit']}"
+        for n, when in passing.items()
+        if when.text and (p := parameters.get(n)) and when.least <= p["value"] <= when.most
     )
-    if "lasts" in active:
-        when = f" for {_number(active['lasts']['value'])} s"
-    sizes = {n: p for n, p in active.items() if n not in ("start", "end", "since", "lasts")}
+    sizes = {n: p for n, p in parameters.items() if n not in passing}
     listed = []
     for name, p in [item for item in sizes.items() if not _minor(*item, sizes)][:5]:
         label = f"{name.replace('_', ' ')} " if len(sizes) > 1 or _directed(name) else ""
         listed.append(label + _interval(p, sign))
-    return ", ".join(listed) + when
+    return ", ".join(listed) + times
 
 
 def _directed(name: str) -> bool:
@@ -236,11 +252,6 @@ def _at(parameters: dict[str, dict[str, Any]]) -> str:
     return f" at ({', '.join(_number(round(parameters[axis]['value'], 3)) for axis in 'xyz')}) m"
 
 
-def _idle(name: str, parameter: dict[str, Any]) -> bool:
-    """The ends of a force that acts always."""
-    return (name == "start" and parameter["value"] < 0) or (name == "end" and parameter["value"] > 1e3)
-
-
 def _interval(parameter: dict[str, Any], sign: int) -> str:
     unit, factor = parameter["unit"], float(sign)
     if unit == "s" and abs(parameter["value"]) < 0.5:
@@ -258,7 +269,7 @@ def _number(value: float) -> str:
 
 def _verb(causes: Sequence[Cause]) -> str:
     """Adding what is missing, correcting what is wrong."""
-    missing = all("is missing" in phrase(c) for c in causes)
+    missing = all(_worded(c).missing for c in causes)
     return f"{'adding' if missing else 'correcting'} {'it' if len(causes) == 1 else 'them'}"
 
 
@@ -282,30 +293,19 @@ def _mostly(where: Sequence[dict[str, Any]]) -> str:
 
 
 def _what_tells(sets: Sequence[Sequence[Cause]], case: Case) -> str:
-    """What to record: the signals that tell one from the other where an effect names them and the log lacks them, else
+    """What to record: what distinguishes each effect from its rivals, where all name that and the log lacks it, else
     what excites each."""
     names = [{c["effect"] for c in s} for s in sets]
     rivals = set.union(*names) - set.intersection(*names) or set.union(*names)
-    listed = dict.fromkeys(n for s in sets for n in _effects(s) if n in rivals)
-    clauses = {n: [c.strip(" .") for c in EFFECTS[n].excitation.split(";") if not _logged(c, case)] for n in listed}
-    tell = {n: [c.split(" tell")[0] for c in parts if " tell" in c] for n, parts in clauses.items()}
-    excite = {n: [c for c in parts if " tell" not in c] for n, parts in clauses.items()}
-    chosen = tell if all(tell.values()) else {n: excite[n] or tell[n] for n in listed}
-    listed_once = list(dict.fromkeys(_lower(text) for parts in chosen.values() for text in parts))
-    return "; ".join(listed_once[:_MOST_RECORDINGS])
+    words = [EFFECTS[n].words for n in dict.fromkeys(n for s in sets for n in _effects(s) if n in rivals)]
+    telling = [[d.record for d in w.told_by if not any(_logged(signal, case) for signal in d.signals)] for w in words]
+    chosen = telling if all(telling) else [w.excitation for w in words]
+    return "; ".join(list(dict.fromkeys(text for texts in chosen for text in texts))[:_MOST_RECORDINGS])
 
 
-def _logged(clause: str, case: Case) -> bool:
-    """Whether a log has the signal by which a clause would tell two effects apart."""
-    signal = clause.partition(" tell")[0]
-    if signal == clause:
-        return False
-    torque = case.has("joint_torque") or case.command_kind == "torque"
-    return ("torque" in signal and torque) or ("IMU" in signal and (case.has_imu or case.has("base_pos")))
-
-
-def _lower(text: str) -> str:
-    return text if text[1:2].isupper() else text[:1].lower() + text[1:]
+def _logged(signal: str, case: Case) -> bool:
+    """Whether a log has a signal; a torque that is commanded need not be measured."""
+    return case.has(signal) or (signal == "joint_torque" and case.command_kind == "torque")
 
 
 def _effects(causes: Sequence[Cause]) -> list[str]:

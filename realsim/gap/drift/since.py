@@ -128,7 +128,7 @@ def _joint(screen: Screen, shared: Selection, nominal: Sequence[F64], earlier: i
     settings = shared.fit.settings()
     if settings:
         screen.relinearise(settings)
-    form = max((lookup(c.candidate.effect).form for c in shared.fit.causes), default=0.0)
+    form = max((lookup(c.candidate.effect).law.form for c in shared.fit.causes), default=0.0)
     predictions = simulator.simulate(settings, runs=screen.runs)
     comparison.temper(screen.runs, predictions, [nominal[i] for i in screen.runs], form)
     return Joint(screen, shared.fit.causes, shared.fit.covariance, range(earlier, len(screen.runs)))

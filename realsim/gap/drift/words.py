@@ -21,7 +21,7 @@ def sentence(verdict: str, changes: Sequence[Change], equivalent: Sequence[Seque
     if verdict == "unexplained":
         near = f" The nearest is {said}: it may only imitate the change." if changes else ""
         return f"Something changed that no effect of this library explains.{near}"
-    hints = [by for c in changes if (by := EFFECTS[c["effect"]].changed_by)]
+    hints = [by for c in changes if (by := EFFECTS[c["effect"]].words.changed_by)]
     return f"{said}{f' (often {hints[0]})' if len(hints) == 1 == len(changes) else ''}."
 
 

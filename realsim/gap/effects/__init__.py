@@ -1,8 +1,34 @@
-"""The library of effects: one file an effect, one line here."""
+"""The library of effects: one file an effect, one line here; a package of your own adds more (`realsim.effects`)."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from realsim.core.errors import GapError
 from realsim.core.registry import Registry
 
-EFFECTS = Registry(
+if TYPE_CHECKING:
+    from realsim.gap.effects.base import Effect
+
+
+class Effects(Registry):
+    """Effects by name; those of installed packages are checked when they are first used."""
+
+    def __getitem__(self, name: str) -> Effect:
+        effect = super().__getitem__(name)
+        if name not in self.own:
+            from realsim.gap.effects.base import Effect
+
+            if not isinstance(effect, Effect) or effect.name != name:
+                raise GapError(
+                    f"the effect {name!r} of an installed package is none",
+                    expected=f"a realsim.gap.effects.base.Effect with the name {name!r}",
+                    found=f"an effect {effect.name!r}" if isinstance(effect, Effect) else repr(effect)[:80],
+                )
+        return effect
+
+
+EFFECTS = Effects(
     "effect",
     {
         name: f"realsim.gap.effects.{name}:EFFECT"
@@ -42,6 +68,7 @@ EFFECTS = Registry(
             "thrust_gain",
         )
     },
+    group="realsim.effects",
 )
 
 ON_REQUEST = ("friction_of_joints", "position_torque")

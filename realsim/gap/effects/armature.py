@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.effects.base import EXACT, JOINTS, Edit, Effect, Excitation, Law, Parameter, Place, Words
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
@@ -27,15 +27,16 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 EFFECT = Effect(
     name="armature",
-    title="rotor inertia (armature)",
-    scope="joint",
-    description="The inertia of the rotor seen through the gear is not the model's.",
-    signature="Error in proportion to acceleration, the same in every pose; overshoot after steps.",
-    excitation="Fast changes of velocity.",
-    changed_by="a motor or gear that was exchanged",
-    places=each_joint,
+    where=JOINTS,
     parameters=_parameters,
-    excited_by=_excited,
     apply=_apply,
-    form=EXACT,
+    words=Words(
+        title="rotor inertia (armature)",
+        description="The inertia of the rotor seen through the gear is not the model's.",
+        signature="Error in proportion to acceleration, the same in every pose; overshoot after steps.",
+        excitation=("fast changes of velocity",),
+        changed_by="a motor or gear that was exchanged",
+    ),
+    excited_by=_excited,
+    law=Law(form=EXACT),
 )

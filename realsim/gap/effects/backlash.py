@@ -6,11 +6,19 @@ import numpy as np
 
 from realsim.gap.case.model.context import Context
 from realsim.gap.case.model.edit import STIFFEST
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, Suggestion, each_joint
-
-
-def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("gap", "rad", (0.0, 0.3), 0.02),)
+from realsim.gap.effects.base import (
+    JOINTS,
+    Edit,
+    Effect,
+    Excitation,
+    Law,
+    Parameter,
+    Place,
+    Rivals,
+    Suggestion,
+    Words,
+    fixed,
+)
 
 
 def _excited(context: Context, place: Place) -> Excitation:
@@ -36,16 +44,17 @@ def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[
 
 EFFECT = Effect(
     name="backlash",
-    title="backlash",
-    scope="joint",
-    description="The link is free to move within a gap before the motor takes it along. The gap is its full width.",
-    signature="The link jumps by the gap when the load changes sign; motor and link encoders differ by up to the gap.",
-    excitation="Load that changes sign; output-side encoders.",
-    changed_by="wear of the gear",
-    places=each_joint,
-    parameters=_parameters,
-    excited_by=_excited,
+    where=JOINTS,
+    parameters=fixed(Parameter("gap", "rad", (0.0, 0.3), 0.02)),
     apply=_apply,
-    suggests=_suggests,
-    stiff=True,
+    words=Words(
+        title="backlash",
+        description="The link is free to move within a gap before the motor takes it along. The gap is its full width.",
+        signature="The link jumps by the gap when the load changes sign; motor and link encoders differ by up to it.",
+        excitation=("load that changes sign", "output-side encoders"),
+        changed_by="wear of the gear",
+    ),
+    excited_by=_excited,
+    law=Law(stiff=True),
+    rivals=Rivals(suggest=_suggests),
 )

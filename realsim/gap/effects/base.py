@@ -1,11 +1,11 @@
-"""Interface of effects: parameters, places, whether a log excites it, and how it changes a simulator."""
+"""What an effect is: where it acts, its parameters, what it does to a simulator, and how it is worded."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
 
 from realsim.gap.case.model.channels import channels
 from realsim.gap.case.model.deviations import with_deviations
@@ -21,7 +21,7 @@ Place = tuple[str, ...]
 """Names of joints or bodies; () for effects that act everywhere."""
 
 EXACT = 0.015
-"""`Effect.form` of a law that holds to the last digit, but for how simulator and robot sample it."""
+"""`Law.form` of a law that holds to the last digit, but for how simulator and robot sample it."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,10 @@ class Parameter:
     """Whether at the lower bound nothing of its kind is left (no friction at all): a finding like any other."""
     like: tuple[str, str] | None = None
     """(effect, parameter) whose slope this one shares to first order, so that none is simulated for it."""
+    label: str = ""
+    """Its name in reports, if that is another."""
+    note: str = ""
+    """What a report adds to its value."""
 
     @property
     def logarithmic(self) -> bool:
@@ -67,6 +71,15 @@ class Parameter:
     def strength(self) -> bool:
         """Whether at zero nothing is left of the effect; the others say when, where or how."""
         return self.default == 0.0 and not self.shape
+
+
+@dataclass(frozen=True)
+class Where:
+    """The places at which an effect can act."""
+
+    scope: Literal["joint", "body", "terrain", "global", "sensor"]
+    """What a place names: joints, bodies, static bodies that the robot touches, or nothing. `sensor`: of nuisances."""
+    find: Callable[[Context], list[Place]]
 
 
 @dataclass(frozen=True)
@@ -88,27 +101,54 @@ class Suggestion:
 
 
 @dataclass(frozen=True)
-class Effect:
-    """A way in which a robot can differ from its simulator."""
+class Distinction:
+    """What distinguishes an effect from a rival."""
 
-    name: str
-    title: str
-    scope: str
-    """`joint`, `body`, `terrain` (static bodies that the robot touches) or `global`."""
-    description: str
-    signature: str
+    rival: str
+    record: str
+    """What to record."""
+    signals: tuple[str, ...] = ()
+    """A log with any of these signals has it; none for a motion."""
+
+
+@dataclass(frozen=True)
+class Words:
+    """How an effect is explained to a person. An effect without a title is called by its name."""
+
+    title: str = ""
+    description: str = ""
+    signature: str = ""
     """Its appearance in a log."""
-    excitation: str
-    """Content of a log that shows it."""
-    places: Callable[[Context], list[Place]]
-    parameters: Callable[[Context, Place], tuple[Parameter, ...]]
-    excited_by: Callable[[Context, Place], Excitation]
-    apply: Callable[[Edit, Place, dict[str, float]], None]
-    """(edit, place, coordinates by parameter name) -> None; edits in place."""
-    patchable: bool = True
-    """Whether MJCF alone can express it (else the patch carries a wrapper)."""
-    variants: tuple[tuple[str, ...], ...] = ((),)
-    """Sets of parameters that are fitted together; the rest keep their defaults. () means all of them."""
+    excitation: tuple[str, ...] = ("any motion",)
+    """What to record so that it shows, each a clause."""
+    told_by: tuple[Distinction, ...] = ()
+    changed_by: str = ""
+    """What a change of it between two logs of one robot usually is. Not tested: what the logs name is the effect."""
+    sort: Literal["amount", "thing", "direction"] = "amount"
+    """More or less of something; a thing of its size (a torque limit of 3 N m); or something whose sign is a direction,
+    so that it is missing either way and never too large in the model."""
+    comparatives: tuple[str, str] = ("", "")
+    """What the robot is than the model where the first parameter is negative and where it is positive."""
+    ratio_of: str = ""
+    """What its ratio is a share of, if not of the model's value."""
+
+
+@dataclass(frozen=True)
+class When:
+    """A parameter that says when an effect acts, in the words of a sentence: `from {}`. Empty: it is not mentioned."""
+
+    text: str = ""
+    least: float = -math.inf
+    most: float = math.inf
+    """Values beyond mean that it acts always."""
+    onset: str = ""
+    """For a time after each run's own onset: the parameter by which that onset may be off."""
+
+
+@dataclass(frozen=True)
+class Law:
+    """What the search has to know about how an effect acts."""
+
     form: float = 0.04
     """Share of its own correction that the effect's simplified law may miss: less where the law is exact."""
     joint_figure: bool = False
@@ -122,27 +162,52 @@ class Effect:
     """Parameters that move a robot's feet against the ground: which of them then touch it, no slope foretells."""
     stepwise: bool = False
     """Whether it acts on every step anew, so that its runs are stepped one by one."""
-    plain: str | None = None
-    """Another effect that this law holds as a special case, and so always fits as well as."""
-    usual: str | None = None
-    """A more usual effect that may do the same."""
-    suggests: Callable[[Context, Place, dict[str, float]], Sequence[Suggestion]] = lambda *_: ()
-    """From values that were found at a place: what else may explain the same."""
-    passing: tuple[str, ...] = ()
+    passing: Mapping[str, When] = field(default_factory=dict)
     """Parameters that say when it acts; without them it acts always."""
-    absolute: bool = False
-    """Whether it is worded as a thing of its size (a torque limit of 3 N m) and not as more or less of something."""
-    directed: bool = False
-    """Whether its sign is a direction: then it is missing either way, and never too large in the model."""
-    of_torque: bool = False
-    """Whether its ratio is a share of the drive's torque."""
-    comparatives: tuple[str, str] = ("", "")
-    """What the robot is than the model where the first parameter is negative and where it is positive."""
-    changed_by: str = ""
-    """What a change of it between two logs of one robot usually is. Not tested: what the logs name is the effect."""
-    taken_for: tuple[str, ...] = ()
-    """Effects among those suggested that are held against it by left-out runs whenever it is named: on a model that is
+
+
+@dataclass(frozen=True)
+class Rivals:
+    """Effects that may do the same."""
+
+    suggest: Callable[[Context, Place, dict[str, float]], Sequence[Suggestion]] = lambda *_: ()
+    """From values that were found at a place: what else may explain the same."""
+    special_case: str | None = None
+    """An effect that this law holds as a special case, and so always fits as well as."""
+    commoner: str | None = None
+    """A more common effect that may do the same."""
+    compared: tuple[str, ...] = ()
+    """Effects among those suggested that are compared with it on left-out runs whenever it is named: on a model that is
     not exact, a little of what it does beside them outweighs the evidence of noise alone."""
+
+
+def any_motion(context: Context, place: Place) -> Excitation:
+    """Every log shows it."""
+    return Excitation(True, "any motion shows it")
+
+
+def always(reason: str) -> Callable[[Context, Place], Excitation]:
+    """Every log shows it, for this reason."""
+    return lambda context, place: Excitation(True, reason)
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A way in which a robot can differ from its simulator. The first four fields say all that is needed."""
+
+    name: str
+    where: Where
+    parameters: Callable[[Context, Place], tuple[Parameter, ...]]
+    apply: Callable[[Edit, Place, dict[str, float]], None]
+    """(edit, place, coordinates by parameter name) -> None; edits in place."""
+    words: Words = Words()
+    excited_by: Callable[[Context, Place], Excitation] = any_motion
+    variants: tuple[tuple[str, ...], ...] = ((),)
+    """Sets of parameters that are fitted together; the rest keep their defaults. () means all of them."""
+    patchable: bool = True
+    """Whether MJCF alone can express it (else the patch carries a wrapper)."""
+    law: Law = Law()
+    rivals: Rivals = Rivals()
 
     def __post_init__(self) -> None:
         """Whoever asks for parameters gets the user's sizes of everyday deviations, where the context has any."""
@@ -153,11 +218,54 @@ class Effect:
 
         object.__setattr__(self, "parameters", parameters)
 
+    @property
+    def scope(self) -> str:
+        """See Where."""
+        return self.where.scope
 
-def gain(step: float, nuisance: float) -> Parameter:
+    @property
+    def title(self) -> str:
+        """What reports call it."""
+        return self.words.title or self.name.replace("_", " ")
+
+    def places(self, context: Context) -> list[Place]:
+        """Where it can act on this robot."""
+        return self.where.find(context)
+
+
+JOINTS = Where("joint", lambda context: [(name,) for name in context.driven])
+"""Each driven joint."""
+EVERYWHERE = Where("global", lambda context: [()])
+GROUND = Where("global", lambda context: [()] if context.touches else [])
+"""Everywhere, if the robot touches anything."""
+SUPPORTS = Where("terrain", lambda context: [(name,) for name in context.terrain])
+"""Each static body that the robot touches."""
+
+
+def heavy_bodies(share: float) -> Where:
+    """Each body of at least this share of the robot's mass."""
+    return Where("body", lambda context: [(name,) for name in context.heavy(share)])
+
+
+def fixed(*parameters: Parameter) -> Callable[[Context, Place], tuple[Parameter, ...]]:
+    """Parameters that are the same for every robot and place."""
+    return lambda context, place: parameters
+
+
+def gain(step: float, nuisance: float) -> Callable[[Context, Place], tuple[Parameter, ...]]:
     """A ratio whose coordinate is its logarithm: firmware's units make gains wrong by powers of ten, either way."""
     ends = (-math.log(FARTHEST), math.log(FARTHEST))
-    return Parameter("ratio", "ratio", ends, step, nuisance=nuisance, report=math.exp)
+    return fixed(Parameter("ratio", "ratio", ends, step, nuisance=nuisance, report=math.exp))
+
+
+def relative(bounds: tuple[float, float], step: float, nuisance: float) -> Callable[[Context, Place], tuple]:
+    """A ratio whose coordinate is what it is more than 1."""
+    return fixed(Parameter("ratio", "ratio", bounds, step, nuisance=nuisance, report=lambda z: 1 + z))
+
+
+def on_the_ground(context: Context, place: Place) -> Excitation:
+    """Whatever the robot touches shows it."""
+    return Excitation(context.touches, "the robot stands on it" if context.touches else "nothing touches")
 
 
 def joint_signals_only(context: Context) -> bool:
@@ -173,22 +281,3 @@ def servo_damping(context: Context, place: Place) -> float:
     case = context.case
     found = [-(case.gear(j) ** 2) * float(case.model.actuator(context.actuator[j]).biasprm[2]) for j in place]
     return sum(found) / len(found)
-
-
-def each_joint(context: Context) -> list[Place]:
-    """One place a driven joint."""
-    return [(name,) for name in context.driven]
-
-
-def everywhere(context: Context) -> list[Place]:
-    """The single place of a global effect."""
-    return [()]
-
-
-def nowhere(context: Context) -> list[Place]:
-    """No place at all."""
-    return []
-
-
-def always(context: Context, place: Place) -> Excitation:
-    return Excitation(True, "any motion shows it")

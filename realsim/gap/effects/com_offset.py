@@ -5,20 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place
-
-
-def _places(context: Context) -> list[Place]:
-    return [(name,) for name in context.heavy(0.015)]
+from realsim.gap.effects.base import EXACT, Edit, Effect, Law, Parameter, Place, Words, always, heavy_bodies
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     reach = context.reach(place[0])
     return tuple(Parameter(axis, "m", (-reach, reach), 0.02, nuisance=0.0015) for axis in "xyz")
-
-
-def _excited(context: Context, place: Place) -> Excitation:
-    return Excitation(True, "gravity acts on it")
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
@@ -31,17 +23,18 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 EFFECT = Effect(
     name="com_offset",
-    title="centre of mass",
-    scope="body",
-    description="The centre of mass of a body is shifted in the body's frame; mass and inertia stay.",
-    signature="A torque that turns with the pose; on a floating base, weight moves from some feet to others.",
-    excitation="Several poses under gravity.",
-    changed_by="something that was moved",
-    directed=True,
-    places=_places,
+    where=heavy_bodies(0.015),
     parameters=_parameters,
-    excited_by=_excited,
     apply=_apply,
-    form=EXACT,
+    words=Words(
+        title="centre of mass",
+        description="The centre of mass of a body is shifted in the body's frame; mass and inertia stay.",
+        signature="A torque that turns with the pose; on a floating base, weight moves from some feet to others.",
+        excitation=("several poses under gravity",),
+        changed_by="something that was moved",
+        sort="direction",
+    ),
+    excited_by=always("gravity acts on it"),
     variants=(("x",), ("y",), ("z",), ("x", "y", "z")),
+    law=Law(form=EXACT),
 )

@@ -1,13 +1,19 @@
 """Commands reach the drive late."""
 
+from realsim.gap.effects.base import Distinction, Words
 from realsim.gap.effects.delays import delay
 
 EFFECT = delay(
     "command_delay",
-    "command delay",
-    twin="observation_delay",
-    description="Every command acts a fixed time after it was logged (bus, queue, low-level control rate).",
-    signature="The same lag at all joints and speeds; error in proportion to the speed of the command; IMU and base "
-    "lag with the joints.",
-    excitation="Commands that change; an IMU or base pose tells it from a delay of the joint readings.",
+    "observation_delay",
+    Words(
+        description="Every command acts a fixed time after it was logged (bus, queue, low-level control rate).",
+        signature="The same lag at all joints and speeds; error in proportion to the speed of the command; IMU and "
+        "base lag with the joints.",
+        excitation=("commands that change",),
+        told_by=(
+            Distinction("a delay of the joint readings", "an IMU or base pose", ("imu_gyro", "imu_acc", "base_pos")),
+        ),
+        changed_by="other software or another bus",
+    ),
 )

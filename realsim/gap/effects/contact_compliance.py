@@ -2,20 +2,7 @@
 
 from __future__ import annotations
 
-from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
-
-
-def _places(context: Context) -> list[Place]:
-    return [()] if context.touches else []
-
-
-def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("time_constant", "s", (-0.006, 0.3), 0.02, nuisance=0.0015),)
-
-
-def _excited(context: Context, place: Place) -> Excitation:
-    return Excitation(context.touches, "the robot stands on it" if context.touches else "nothing touches")
+from realsim.gap.effects.base import GROUND, Edit, Effect, Law, Parameter, Place, Words, fixed, on_the_ground
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
@@ -29,15 +16,16 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 EFFECT = Effect(
     name="contact_compliance",
-    title="contact compliance",
-    scope="global",
-    description="The time constant of the ground's contact (MuJoCo's solref) is larger: a mat, grass, rubber feet.",
-    signature="Softer touchdown, the base sinks and sways with the load; joints are right.",
-    excitation="Load changes and touchdowns.",
-    changed_by="another floor or worn feet",
-    places=_places,
-    parameters=_parameters,
-    excited_by=_excited,
+    where=GROUND,
+    parameters=fixed(Parameter("time_constant", "s", (-0.006, 0.3), 0.02, nuisance=0.0015)),
     apply=_apply,
-    stiff=True,
+    words=Words(
+        title="contact compliance",
+        description="The time constant of the ground's contact (MuJoCo's solref) is larger: a mat, grass, rubber feet.",
+        signature="Softer touchdown, the base sinks and sways with the load; joints are right.",
+        excitation=("load changes and touchdowns",),
+        changed_by="another floor or worn feet",
+    ),
+    excited_by=on_the_ground,
+    law=Law(stiff=True),
 )

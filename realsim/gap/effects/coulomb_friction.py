@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, Suggestion, each_joint
+from realsim.gap.effects.base import JOINTS, Edit, Effect, Excitation, Parameter, Place, Rivals, Suggestion, Words
 from realsim.gap.effects.stribeck_friction import higher_at_rest
 
 
@@ -35,15 +35,16 @@ def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[
 
 EFFECT = Effect(
     name="coulomb_friction",
-    title="Coulomb friction",
-    scope="joint",
-    description="A constant torque against the motion, and sticking at rest.",
-    signature="An error of constant size that changes sign with the velocity; flats at reversals; hysteresis at rest.",
-    excitation="Slow motion with reversals, from both sides.",
-    changed_by="wear, dirt or a tighter seal",
-    places=each_joint,
+    where=JOINTS,
     parameters=_parameters,
-    excited_by=_excited,
     apply=_apply,
-    suggests=_suggests,
+    words=Words(
+        title="Coulomb friction",
+        description="A constant torque against the motion, and sticking at rest.",
+        signature="A constant error that changes sign with the velocity; flats at reversals; hysteresis at rest.",
+        excitation=("slow motion with reversals, from both sides",),
+        changed_by="wear, dirt or a tighter seal",
+    ),
+    excited_by=_excited,
+    rivals=Rivals(suggest=_suggests),
 )

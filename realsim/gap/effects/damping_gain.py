@@ -7,20 +7,19 @@ import math
 from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import (
     EXACT,
+    JOINTS,
+    Distinction,
     Edit,
     Effect,
     Excitation,
-    Parameter,
+    Law,
     Place,
+    Rivals,
     Suggestion,
-    each_joint,
+    Words,
     gain,
     servo_damping,
 )
-
-
-def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
-    return (gain(0.25, nuisance=0.03),)
 
 
 def _excited(context: Context, place: Place) -> Excitation:
@@ -50,17 +49,19 @@ def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[
 
 EFFECT = Effect(
     name="damping_gain",
-    title="damping gain (kd)",
-    scope="joint",
-    description="The servo turns velocity into torque with another gain than the model's.",
-    signature="Lag in proportion to speed, both ways; overshoot after steps; shows in the drive's torque, "
-    "unlike viscous friction.",
-    excitation="Fast motion; measured torque tells it from viscous friction.",
-    changed_by="a servo that was exchanged or set otherwise",
-    places=each_joint,
-    parameters=_parameters,
-    excited_by=_excited,
+    where=JOINTS,
+    parameters=gain(0.25, 0.03),
     apply=_apply,
-    suggests=_suggests,
-    form=EXACT,
+    words=Words(
+        title="damping gain (kd)",
+        description="The servo turns velocity into torque with another gain than the model's.",
+        signature="Lag in proportion to speed, both ways; overshoot after steps; shows in the drive's torque, "
+        "unlike viscous friction.",
+        excitation=("fast motion",),
+        told_by=(Distinction("viscous friction", "measured torque", ("joint_torque",)),),
+        changed_by="a servo that was exchanged or set otherwise",
+    ),
+    excited_by=_excited,
+    law=Law(form=EXACT),
+    rivals=Rivals(suggest=_suggests),
 )

@@ -4,14 +4,27 @@ from __future__ import annotations
 
 from realsim.gap.case.model.context import Context
 from realsim.gap.case.model.edit import EVER, NEAR, Pulse
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
+from realsim.gap.effects.base import (
+    Distinction,
+    Edit,
+    Effect,
+    Law,
+    Parameter,
+    Place,
+    Rivals,
+    When,
+    Words,
+    always,
+    heavy_bodies,
+)
 
 FOREVER = 1e6
-PASSING = ("start", "end", "since", "lasts")
-
-
-def _places(context: Context) -> list[Place]:
-    return [(name,) for name in context.heavy(0.05)]
+PASSING = {
+    "start": When("from {}", least=0.0),
+    "end": When("to {}", most=1e3),
+    "since": When(),
+    "lasts": When("for {}", onset="since"),
+}
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
@@ -26,10 +39,6 @@ def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
         Parameter("since", "s", (-NEAR, NEAR), 0.05, default=-NEAR),
         Parameter("lasts", "s", (0.0, FOREVER), 0.1, default=FOREVER),
     )
-
-
-def _excited(context: Context, place: Place) -> Excitation:
-    return Excitation(True, "any force shows")
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
@@ -48,19 +57,24 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 EFFECT = Effect(
     name="external_force",
-    title="external force",
-    scope="body",
-    description="A force in world axes at a body's centre of mass (a cable, a tether, a hand): always, from one time "
-    "to another of each run, or, as a push has it, at a time of its own in each run.",
-    signature="An error with no command behind it, in one direction of the world whatever the pose; of a push, one "
-    "that begins suddenly and dies away.",
-    excitation="Several poses tell a constant force from a payload; replicates tell a passing one from the command.",
-    directed=True,
-    usual="payload",  # a mass that was left out is commoner than a hand or a tether
-    passing=PASSING,
-    places=_places,
+    where=heavy_bodies(0.05),
     parameters=_parameters,
-    excited_by=_excited,
     apply=_apply,
+    words=Words(
+        title="external force",
+        description="A force in world axes at a body's centre of mass (a cable, a tether, a hand): always, from one "
+        "time to another of each run, or, as a push has it, at a time of its own in each run.",
+        signature="An error with no command behind it, in one direction of the world whatever the pose; of a push, "
+        "one that begins suddenly and dies away.",
+        excitation=("several poses", "replicates of a force that passes"),
+        told_by=(
+            Distinction("a payload, if it is constant", "several poses"),
+            Distinction("the command, if it passes", "replicates"),
+        ),
+        sort="direction",
+    ),
+    excited_by=always("any force shows"),
     variants=(("fx",), ("fy",), ("fz",), ("fx", "fy", "fz")),
+    law=Law(passing=PASSING),
+    rivals=Rivals(commoner="payload"),  # a mass that was left out is commoner than a hand or a tether
 )

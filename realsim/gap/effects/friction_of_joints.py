@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from realsim.gap.case.model.context import Context
 from realsim.gap.effects import coulomb_friction, viscous_friction
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, Where, Words
 
 MOST = 12
 """Joints; with more, this many values at once can explain anything."""
@@ -39,13 +39,14 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 EFFECT = Effect(
     name="friction_of_joints",
-    title="friction of every joint",
-    scope="joint",
-    description="Dry and viscous friction of all joints, each with values of its own: a model without its gears.",
-    signature="Every joint lags and sticks, each by its own amount; no single joint explains it.",
-    excitation="Slow and fast motion with reversals of every joint.",
-    places=_places,
+    where=Where("joint", _places),
     parameters=_parameters,
-    excited_by=_excited,
     apply=_apply,
+    words=Words(
+        title="friction of every joint",
+        description="Dry and viscous friction of all joints, each with values of its own: a model without its gears.",
+        signature="Every joint lags and sticks, each by its own amount; no single joint explains it.",
+        excitation=("slow and fast motion with reversals of every joint",),
+    ),
+    excited_by=_excited,
 )

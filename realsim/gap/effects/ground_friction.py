@@ -2,20 +2,7 @@
 
 from __future__ import annotations
 
-from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
-
-
-def _places(context: Context) -> list[Place]:
-    return [()] if context.touches else []
-
-
-def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("ratio", "ratio", (-0.92, 2.0), -0.4, nuisance=0.1, report=lambda z: 1 + z),)
-
-
-def _excited(context: Context, place: Place) -> Excitation:
-    return Excitation(context.touches, "the robot stands on it" if context.touches else "nothing touches")
+from realsim.gap.effects.base import GROUND, Edit, Effect, Law, Place, Words, on_the_ground, relative
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
@@ -27,15 +14,16 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 EFFECT = Effect(
     name="ground_friction",
-    title="ground friction",
-    scope="global",
-    description="The sliding friction coefficient of all contacts is scaled.",
-    signature="Feet slide where the model's stick (or the reverse): drift of base position and yaw under shear load.",
-    excitation="Shear forces near the friction limit.",
-    changed_by="another floor or worn feet",
-    places=_places,
-    parameters=_parameters,
-    excited_by=_excited,
+    where=GROUND,
+    parameters=relative((-0.92, 2.0), -0.4, 0.1),
     apply=_apply,
-    abrupt=True,
+    words=Words(
+        title="ground friction",
+        description="The sliding friction coefficient of all contacts is scaled.",
+        signature="Feet slide where the model's stick (or the reverse): base position and yaw drift under shear load.",
+        excitation=("shear forces near the friction limit",),
+        changed_by="another floor or worn feet",
+    ),
+    excited_by=on_the_ground,
+    law=Law(abrupt=True),
 )

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place
-
-
-def _places(context: Context) -> list[Place]:
-    return [()] if context.case.has_imu else []
+from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Law, Parameter, Place, Where, Words
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
@@ -30,18 +26,19 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 EFFECT = Effect(
     name="imu_bias",
-    title="IMU bias",
-    scope="global",
-    description="Constant offsets on the gyroscope and accelerometer.",
-    signature="A constant in the IMU only; joints and base are right.",
-    excitation="An IMU and any motion.",
-    changed_by="temperature of the IMU",
-    directed=True,
-    places=_places,
+    where=Where("global", lambda context: [()] if context.case.has_imu else []),
     parameters=_parameters,
-    excited_by=_excited,
     apply=_apply,
-    form=EXACT,
-    patchable=False,
+    words=Words(
+        title="IMU bias",
+        description="Constant offsets on the gyroscope and accelerometer.",
+        signature="A constant in the IMU only; joints and base are right.",
+        excitation=("an IMU and any motion",),
+        changed_by="temperature of the IMU",
+        sort="direction",
+    ),
+    excited_by=_excited,
     variants=(("gyro_x", "gyro_y", "gyro_z"), ("acc_x", "acc_y", "acc_z")),
+    patchable=False,
+    law=Law(form=EXACT),
 )

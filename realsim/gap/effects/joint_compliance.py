@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.effects.base import JOINTS, Edit, Effect, Excitation, Law, Parameter, Place, Words
 
 EVERYDAY = 0.1
 """Share of the step by which any joint gives: 2 mrad at its peak torque. No gear is rigid, and friction gives before it
@@ -52,16 +52,17 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 EFFECT = Effect(
     name="joint_compliance",
-    title="joint compliance",
-    scope="joint",
-    description="The gear or link gives way like a spring in series with the motor.",
-    signature="Output-side position error in proportion to the load, without the servo reacting; ringing after steps.",
-    excitation="Load; output-side encoders, or an IMU beyond the joint.",
-    changed_by="a loose or worn gear or belt",
-    absolute=True,
-    places=each_joint,
+    where=JOINTS,
     parameters=_parameters,
-    excited_by=_excited,
     apply=_apply,
-    stiff=True,
+    words=Words(
+        title="joint compliance",
+        description="The gear or link gives way like a spring in series with the motor.",
+        signature="Output-side position error in proportion to the load that no servo reacts to; ringing after steps.",
+        excitation=("load", "output-side encoders, or an IMU beyond the joint"),
+        changed_by="a loose or worn gear or belt",
+        sort="thing",
+    ),
+    excited_by=_excited,
+    law=Law(stiff=True),
 )

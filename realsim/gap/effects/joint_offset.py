@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, Suggestion, each_joint
-
-
-def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
-    return (
-        Parameter("offset", "rad", (-0.4, 0.4), 0.03, nuisance=0.002),
-        Parameter("reading_offset", "rad", (-0.4, 0.4), 0.03, nuisance=0.002),
-    )
-
-
-def _excited(context: Context, place: Place) -> Excitation:
-    return Excitation(True, "gravity, contact or the servo's own reading shows it")
+from realsim.gap.effects.base import (
+    EXACT,
+    JOINTS,
+    Edit,
+    Effect,
+    Law,
+    Parameter,
+    Place,
+    Rivals,
+    Suggestion,
+    Words,
+    always,
+    fixed,
+)
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
@@ -33,21 +35,32 @@ def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[
 
 EFFECT = Effect(
     name="joint_offset",
-    title="encoder zero offset",
-    scope="joint",
-    description="The reading is the true angle plus a constant: of the encoder that the servo uses too, or only of the "
-    "one that is logged (`reading_offset`).",
-    signature="A constant error of a joint, or gravity loads and foot positions that belong to another angle.",
-    excitation="Gravity on the joint, or feet on the ground.",
-    changed_by="an encoder that was mounted anew or slipped",
-    directed=True,
-    places=each_joint,
-    parameters=_parameters,
-    excited_by=_excited,
+    where=JOINTS,
+    parameters=fixed(
+        Parameter("offset", "rad", (-0.4, 0.4), 0.03, nuisance=0.002),
+        Parameter(
+            "reading_offset",
+            "rad",
+            (-0.4, 0.4),
+            0.03,
+            nuisance=0.002,
+            label="offset",
+            note="only the logged encoder has it, not the servo's",
+        ),
+    ),
     apply=_apply,
-    suggests=_suggests,
-    form=EXACT,
-    patchable=False,
-    footing=("offset",),
+    words=Words(
+        title="encoder zero offset",
+        description="The reading is the true angle plus a constant: of the encoder that the servo uses too, or only of "
+        "the one that is logged (`reading_offset`).",
+        signature="A constant error of a joint, or gravity loads and foot positions that belong to another angle.",
+        excitation=("gravity on the joint, or feet on the ground",),
+        changed_by="an encoder that was mounted anew or slipped",
+        sort="direction",
+    ),
+    excited_by=always("gravity, contact or the servo's own reading shows it"),
     variants=(("offset",), ("reading_offset",)),
+    patchable=False,
+    law=Law(form=EXACT, footing=("offset",)),
+    rivals=Rivals(suggest=_suggests),
 )

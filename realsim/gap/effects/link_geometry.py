@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place
+from realsim.gap.effects.base import EXACT, Edit, Effect, Law, Parameter, Place, Where, Words, always
 
 
 def _places(context: Context) -> list[Place]:
@@ -15,10 +15,6 @@ def _places(context: Context) -> list[Place]:
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     reach = context.reach(place[0])
     return (Parameter("length", "m", (-0.4 * reach, 0.6 * reach), 0.1 * reach, nuisance=0.001),)
-
-
-def _excited(context: Context, place: Place) -> Excitation:
-    return Excitation(True, "gravity on what the link carries, or its feet on the ground")
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
@@ -39,15 +35,16 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 EFFECT = Effect(
     name="link_geometry",
-    title="link geometry",
-    scope="body",
-    description="A link's length differs along the direction to its far end.",
-    signature="Feet and tool stand elsewhere than the joint angles say; the gravity torque of what it carries changes.",
-    excitation="Feet on the ground with base pose, or a loaded link.",
-    directed=True,
-    places=_places,
+    where=Where("body", _places),
     parameters=_parameters,
-    excited_by=_excited,
     apply=_apply,
-    form=EXACT,
+    words=Words(
+        title="link geometry",
+        description="A link's length differs along the direction to its far end.",
+        signature="Feet and tool are elsewhere than the joint angles say; gravity torque of what it carries changes.",
+        excitation=("feet on the ground with base pose, or a loaded link",),
+        sort="direction",
+    ),
+    excited_by=always("gravity on what the link carries, or its feet on the ground"),
+    law=Law(form=EXACT),
 )

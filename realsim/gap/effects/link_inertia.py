@@ -2,20 +2,7 @@
 
 from __future__ import annotations
 
-from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place
-
-
-def _places(context: Context) -> list[Place]:
-    return [(name,) for name in context.heavy(0.015)]
-
-
-def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("ratio", "ratio", (-0.85, 6.0), 0.6, nuisance=0.03, report=lambda z: 1 + z),)
-
-
-def _excited(context: Context, place: Place) -> Excitation:
-    return Excitation(True, "angular acceleration shows it")
+from realsim.gap.effects.base import EXACT, Edit, Effect, Law, Place, Rivals, Words, always, heavy_bodies, relative
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
@@ -27,16 +14,17 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 EFFECT = Effect(
     name="link_inertia",
-    title="link inertia",
-    scope="body",
-    description="The inertia tensor of a body is scaled; mass and centre of mass stay.",
-    signature="Error in proportion to angular acceleration of that link, whatever joint turns it; no effect at rest.",
-    excitation="Fast angular acceleration about several axes.",
-    changed_by="a part that was exchanged",
-    places=_places,
-    parameters=_parameters,
-    excited_by=_excited,
+    where=heavy_bodies(0.015),
+    parameters=relative((-0.85, 6.0), 0.6, 0.03),
     apply=_apply,
-    form=EXACT,
-    usual="armature",  # a drawing tells a link's inertia, but not a rotor's
+    words=Words(
+        title="link inertia",
+        description="The inertia tensor of a body is scaled; mass and centre of mass stay.",
+        signature="Error in proportion to angular acceleration of that link, whatever joint turns it; none at rest.",
+        excitation=("fast angular acceleration about several axes",),
+        changed_by="a part that was exchanged",
+    ),
+    excited_by=always("angular acceleration shows it"),
+    law=Law(form=EXACT),
+    rivals=Rivals(commoner="armature"),  # a drawing tells a link's inertia, but not a rotor's
 )

@@ -5,11 +5,19 @@ from __future__ import annotations
 import math
 
 from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, Suggestion, each_joint
-
-
-def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("ratio", "ratio", (-0.05, 0.8), 0.1, nuisance=0.01),)
+from realsim.gap.effects.base import (
+    JOINTS,
+    Edit,
+    Effect,
+    Excitation,
+    Law,
+    Parameter,
+    Place,
+    Rivals,
+    Suggestion,
+    Words,
+    fixed,
+)
 
 
 def _excited(context: Context, place: Place) -> Excitation:
@@ -37,20 +45,20 @@ def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[
 
 EFFECT = Effect(
     name="load_friction",
-    title="load-dependent friction",
-    scope="joint",
-    description="Gear friction that grows with the torque that the gear carries: a ratio of its size.",
-    signature="Like Coulomb friction, but larger where the load is; lifting and lowering differ, an unloaded joint is "
-    "right.",
-    excitation="The same motion under different loads.",
-    changed_by="wear of the gear",
-    of_torque=True,
-    places=each_joint,
-    parameters=_parameters,
-    excited_by=_excited,
+    where=JOINTS,
+    parameters=fixed(Parameter("ratio", "ratio", (-0.05, 0.8), 0.1, nuisance=0.01)),
     apply=_apply,
-    suggests=_suggests,
-    taken_for=("stiffness_gain", "motor_gain"),
-    stepwise=True,
+    words=Words(
+        title="load-dependent friction",
+        description="Gear friction that grows with the torque that the gear carries: a ratio of its size.",
+        signature="Like Coulomb friction, but larger where the load is; lifting and lowering differ, an unloaded joint "
+        "is right.",
+        excitation=("the same motion under different loads",),
+        changed_by="wear of the gear",
+        ratio_of="the drive's torque",
+    ),
+    excited_by=_excited,
     patchable=False,
+    law=Law(stepwise=True),
+    rivals=Rivals(suggest=_suggests, compared=("stiffness_gain", "motor_gain")),
 )

@@ -5,11 +5,7 @@ from __future__ import annotations
 import math
 
 from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint, gain
-
-
-def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
-    return (gain(0.15, nuisance=0.015),)
+from realsim.gap.effects.base import EXACT, JOINTS, Edit, Effect, Excitation, Law, Place, Words, gain
 
 
 def _excited(context: Context, place: Place) -> Excitation:
@@ -25,15 +21,16 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 EFFECT = Effect(
     name="motor_gain",
-    title="motor gain",
-    scope="joint",
-    description="The whole force of the actuator is scaled (torque constant, supply voltage, gear efficiency).",
-    signature="More sag under load and slower response at once: stiffness and damping change by the same ratio.",
-    excitation="Load or acceleration.",
-    changed_by="a motor that was exchanged, or is hot or weak",
-    places=each_joint,
-    parameters=_parameters,
-    excited_by=_excited,
+    where=JOINTS,
+    parameters=gain(0.15, 0.015),
     apply=_apply,
-    form=EXACT,
+    words=Words(
+        title="motor gain",
+        description="The whole force of the actuator is scaled (torque constant, supply voltage, gear efficiency).",
+        signature="More sag under load and slower response at once: stiffness and damping change by the same ratio.",
+        excitation=("load or acceleration",),
+        changed_by="a motor that was exchanged, or is hot or weak",
+    ),
+    excited_by=_excited,
+    law=Law(form=EXACT),
 )

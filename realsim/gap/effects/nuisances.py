@@ -6,12 +6,13 @@ They have the form of effects so that the same code finds their sensitivities, b
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from realsim.gap.case.model.edit import Edit
-from realsim.gap.effects.base import Effect, Parameter, Place, always
+from realsim.gap.effects.base import Effect, Parameter, Place, Where, Words, fixed
 
 MANY_JOINTS = 8
 """Driven joints from which on what the time step does to all of them at once can be told from their own deviations.
@@ -25,10 +26,6 @@ NEARLY = 0.3
 """Standard deviation about either on the others: a log comes from a robot or from a simulator of the same step."""
 
 
-def _base_places(context: Any) -> list[Place]:
-    return [()] if context.case.floating and context.case.has("base_pos") else []
-
-
 def _base_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
     shift = [Parameter(a, "m", (-0.05, 0.05), 0.01, nuisance=0.003) for a in "xyz"]
     turn = [Parameter(f"r{a}", "rad", (-0.1, 0.1), 0.01, nuisance=0.003) for a in "xyz"]
@@ -38,10 +35,6 @@ def _base_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
 def _base_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     edit.signals.base_bias = (values["x"], values["y"], values["z"])
     edit.signals.base_turn = (values["rx"], values["ry"], values["rz"])
-
-
-def _torque_places(context: Any) -> list[Place]:
-    return [(j,) for j in context.driven] if context.case.has("joint_torque") else []
 
 
 def _torque_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
@@ -55,48 +48,16 @@ def _torque_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         edit.signals.torque_gain[joint] = values["gain"]
 
 
-def _phase_places(context: Any) -> list[Place]:
-    return [()] if context.case.has("joint_torque") else []
-
-
-def _phase_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("phase", "ratio", (-2.0, 2.0), 0.5, nuisance=0.5),)
-
-
 def _phase_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     edit.signals.torque_phase = values["phase"]
-
-
-def _imu_places(context: Any) -> list[Place]:
-    return [()] if context.case.imu_site else []
-
-
-def _imu_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
-    """Its own filter and bus make an IMU a little later than the encoders, or earlier."""
-    return (Parameter("delay", "s", (-0.02, 0.02), 0.002, nuisance=0.002),)
 
 
 def _imu_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     edit.signals.imu_delay = values["delay"]
 
 
-def _reading_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
-    """A robot reads its sensors before it commands, or after."""
-    return (Parameter("phase", "ratio", (-2.0, 2.0), 0.5, nuisance=0.5),)
-
-
 def _reading_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     edit.signals.imu_phase = values["phase"]
-
-
-def _solver_places(context: Any) -> list[Place]:
-    return [()] if context.touches else []
-
-
-def _solver_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
-    """Soft contacts creep under a lasting side load, at a pace that is the solver's and not the ground's."""
-    creep = Parameter("creep", "ratio", (-3.0, 4.0), -1.0, nuisance=1.0)
-    return (creep, Parameter("cone", "ratio", (0.0, 1.0), 1.0, nuisance=0.5, whole=True))
 
 
 def _solver_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
@@ -110,23 +71,10 @@ def _solver_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL if elliptic else mujoco.mjtCone.mjCONE_ELLIPTIC
 
 
-def _sticking_places(context: Any) -> list[Place]:
-    return [()] if any(context.friction(j) > 0 for j in context.driven) else []
-
-
-def _sticking_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
-    """MuJoCo's dry friction creeps at rest, by default with a time constant of 20 ms; a gear's does not."""
-    return (Parameter("stick", "ratio", (0.0, 1.0), 1.0, nuisance=0.5),)
-
-
 def _sticking_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     """0: as in the model. 1: as stiff as the time step bears."""
     for joint in edit.context.driven:
         edit.stiffen_friction(joint, values["stick"])
-
-
-def _step_places(context: Any) -> list[Place]:
-    return [()]
 
 
 def _step_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
@@ -141,41 +89,79 @@ def _step_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     edit.spec.option.timestep *= 1.0 - values["finer"]
 
 
-def _make(name: str, places: Any, parameters: Any, apply: Any, description: str) -> Effect:
-    return Effect(name, name, "sensor", description, "", "", places, parameters, always, apply, patchable=False)
+_PHASE = fixed(Parameter("phase", "ratio", (-2.0, 2.0), 0.5, nuisance=0.5))
+"""A robot reads its sensors before it commands, or after."""
 
 
-NUISANCES = {
-    "base_bias": _make("base_bias", _base_places, _base_parameters, _base_apply, "Calibration of the motion capture."),
-    "torque_gain": _make(
-        "torque_gain", _torque_places, _torque_parameters, _torque_apply, "Gain of the torque estimate."
+def _where(holds: Callable[[Any], bool]) -> Where:
+    """The whole robot, if it has what the nuisance is about."""
+    return Where("sensor", lambda context: [()] if holds(context) else [])
+
+
+def _make(name: str, where: Where, parameters: Any, apply: Any, description: str) -> Effect:
+    return Effect(name, where, parameters, apply, Words(description=description), patchable=False)
+
+
+_ALL = (
+    _make(
+        "base_bias",
+        _where(lambda context: context.case.floating and context.case.has("base_pos")),
+        _base_parameters,
+        _base_apply,
+        "Calibration of the motion capture.",
     ),
-    "torque_phase": _make(
+    _make(
+        "torque_gain",
+        Where("sensor", lambda context: [(j,) for j in context.driven] if context.case.has("joint_torque") else []),
+        _torque_parameters,
+        _torque_apply,
+        "Gain of the torque estimate.",
+    ),
+    _make(
         "torque_phase",
-        _phase_places,
-        _phase_parameters,
+        _where(lambda context: context.case.has("joint_torque")),
+        _PHASE,
         _phase_apply,
         "When the torque is sampled, beside the command.",
     ),
-    "imu_delay": _make("imu_delay", _imu_places, _imu_parameters, _imu_apply, "When the IMU is sampled."),
-    "imu_phase": _make(
+    _make(
+        "imu_delay",  # its own filter and bus make an IMU a little later than the encoders, or earlier
+        _where(lambda context: bool(context.case.imu_site)),
+        fixed(Parameter("delay", "s", (-0.02, 0.02), 0.002, nuisance=0.002)),
+        _imu_apply,
+        "When the IMU is sampled.",
+    ),
+    _make(
         "imu_phase",
-        _imu_places,
-        _reading_parameters,
+        _where(lambda context: bool(context.case.imu_site)),
+        _PHASE,
         _reading_apply,
         "When the acceleration is sampled, beside the command.",
     ),
-    "friction_solver": _make(
-        "friction_solver",
-        _sticking_places,
-        _sticking_parameters,
+    _make(
+        "friction_solver",  # MuJoCo's dry friction creeps at rest, by default with 20 ms; no gear's does
+        _where(lambda context: any(context.friction(j) > 0 for j in context.driven)),
+        fixed(Parameter("stick", "ratio", (0.0, 1.0), 1.0, nuisance=0.5)),
         _sticking_apply,
         "How the simulator solves dry friction in joints.",
     ),
-    "time_step": _make(
-        "time_step", _step_places, _step_parameters, _step_apply, "What the simulator's time step adds to the motion."
+    _make(
+        "time_step",
+        _where(lambda context: True),
+        _step_parameters,
+        _step_apply,
+        "What the simulator's time step adds to the motion.",
     ),
-    "contact_solver": _make(
-        "contact_solver", _solver_places, _solver_parameters, _solver_apply, "How the simulator solves contacts."
+    _make(
+        "contact_solver",
+        _where(lambda context: context.touches),
+        # Soft contacts creep under a lasting side load, at a pace that is the solver's and not the ground's.
+        fixed(
+            Parameter("creep", "ratio", (-3.0, 4.0), -1.0, nuisance=1.0),
+            Parameter("cone", "ratio", (0.0, 1.0), 1.0, nuisance=0.5, whole=True),
+        ),
+        _solver_apply,
+        "How the simulator solves contacts.",
     ),
-}
+)
+NUISANCES = {effect.name: effect for effect in _ALL}

@@ -6,16 +6,25 @@ import numpy as np
 
 from realsim.gap.case.model.context import Context
 from realsim.gap.case.model.edit import add_point_mass
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, Suggestion
+from realsim.gap.effects.base import (
+    EXACT,
+    Distinction,
+    Edit,
+    Effect,
+    Law,
+    Parameter,
+    Place,
+    Rivals,
+    Suggestion,
+    Where,
+    Words,
+    always,
+)
 
 REACH = 0.2
 """A tool may hang so far from the body that carries it, m, however small that body is."""
 SHARE = 0.3
 """Of the robot's mass: what a light flange may carry at least."""
-
-
-def _places(context: Context) -> list[Place]:
-    return [(name,) for name in context.bodies]
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
@@ -37,10 +46,6 @@ def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
         for axis, c in zip("xyz", body.ipos, strict=True)
     ]
     return (Parameter("mass", "kg", (-0.7 * mass, most), step, nuisance=0.012 * mass), *where)
-
-
-def _excited(context: Context, place: Place) -> Excitation:
-    return Excitation(True, "gravity and acceleration act on it")
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
@@ -75,20 +80,22 @@ def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[
 
 EFFECT = Effect(
     name="payload",
-    title="payload",
-    scope="body",
-    description="A mass fixed to a body at a point (x, y, z in the body's frame).",
-    signature="More sag in every pose that carries it, in the joints between it and the base; slower acceleration; "
-    "more weight on the feet.",
-    excitation="Gravity in several poses; accelerations tell it from a constant force.",
-    changed_by="something that was mounted or removed",
-    comparatives=("lighter", ""),
-    absolute=True,
-    places=_places,
+    where=Where("body", lambda context: [(name,) for name in context.bodies]),
     parameters=_parameters,
-    excited_by=_excited,
     apply=_apply,
-    form=EXACT,
-    suggests=_suggests,
+    words=Words(
+        title="payload",
+        description="A mass fixed to a body at a point (x, y, z in the body's frame).",
+        signature="More sag in every pose that carries it, in the joints between it and the base; slower acceleration; "
+        "more weight on the feet.",
+        excitation=("gravity in several poses",),
+        told_by=(Distinction("a constant force", "accelerations"),),
+        changed_by="something that was mounted or removed",
+        sort="thing",
+        comparatives=("lighter", ""),
+    ),
+    excited_by=always("gravity and acceleration act on it"),
     variants=(("mass",), ("mass", "x", "y", "z")),  # the link's own, or something that sits elsewhere on it
+    law=Law(form=EXACT),
+    rivals=Rivals(suggest=_suggests),
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.effects.base import JOINTS, Distinction, Edit, Effect, Excitation, Parameter, Place, Words
 
 HARMONICS = 2
 """Periods of one turn and of half a turn: what cables, springs and magnets with two poles do."""
@@ -36,15 +36,17 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 EFFECT = Effect(
     name="position_torque",
-    title="position-dependent torque",
-    scope="joint",
-    description="A torque that depends on the joint's angle alone: a constant, and waves of one turn and half a turn.",
-    signature="The same error at the same angle, whatever the speed and its sign; a servo holds some angles lower.",
-    excitation="Slow motion over the joint's range, both ways; other loads tell it from gravity.",
-    places=each_joint,
+    where=JOINTS,
     parameters=_parameters,
-    variants=(("constant",), ("constant", "cos_1", "sin_1"), ()),
-    excited_by=_excited,
     apply=_apply,
+    words=Words(
+        title="position-dependent torque",
+        description="A torque that depends on the joint's angle alone: a constant, waves of one turn and half a turn.",
+        signature="The same error at the same angle, whatever the speed and its sign; a servo holds some angles lower.",
+        excitation=("slow motion over the joint's range, both ways",),
+        told_by=(Distinction("gravity", "other loads"),),
+    ),
+    excited_by=_excited,
+    variants=(("constant",), ("constant", "cos_1", "sin_1"), ()),
     patchable=False,
 )

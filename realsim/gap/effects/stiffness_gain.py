@@ -5,11 +5,7 @@ from __future__ import annotations
 import math
 
 from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, each_joint, gain
-
-
-def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
-    return (gain(0.15, nuisance=0.015),)
+from realsim.gap.effects.base import EXACT, JOINTS, Edit, Effect, Excitation, Law, Place, Words, gain
 
 
 def _excited(context: Context, place: Place) -> Excitation:
@@ -28,15 +24,16 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 EFFECT = Effect(
     name="stiffness_gain",
-    title="stiffness gain (kp)",
-    scope="joint",
-    description="The servo turns position error into torque with another gain than the model's.",
-    signature="Steady position error under load scales with 1/ratio; fast motion changes less than with a motor gain.",
-    excitation="Load at rest or slow motion.",
-    changed_by="a servo that was exchanged or set otherwise",
-    places=each_joint,
-    parameters=_parameters,
-    excited_by=_excited,
+    where=JOINTS,
+    parameters=gain(0.15, 0.015),
     apply=_apply,
-    form=EXACT,
+    words=Words(
+        title="stiffness gain (kp)",
+        description="The servo turns position error into torque with another gain than the model's.",
+        signature="Steady position error under load scales with 1/ratio; fast motion changes less than by motor gain.",
+        excitation=("load at rest or slow motion",),
+        changed_by="a servo that was exchanged or set otherwise",
+    ),
+    excited_by=_excited,
+    law=Law(form=EXACT),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, Suggestion, each_joint
+from realsim.gap.effects.base import JOINTS, Edit, Effect, Excitation, Law, Parameter, Place, Rivals, Suggestion, Words
 
 WIDEST = 0.4
 """rad/s, well above what gears show: a friction that falls over a wider range of speeds imitates other things."""
@@ -81,18 +81,18 @@ def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[
 
 EFFECT = Effect(
     name="stribeck_friction",
-    title="Stribeck friction",
-    scope="joint",
-    description="Dry friction is higher near rest and falls to its level in motion over the Stribeck velocity.",
-    signature="Stick and jerk at slow reversals; fast motion is right.",
-    excitation="Very slow motion with reversals beside fast motion.",
-    changed_by="wear or lack of grease",
-    places=each_joint,
+    where=JOINTS,
     parameters=_parameters,
-    variants=(("static_friction", "stribeck_velocity"), ("static_friction", "coulomb", "stribeck_velocity")),
-    excited_by=_excited,
     apply=_apply,
-    stiff=True,
-    plain="coulomb_friction",
-    suggests=_suggests,
+    words=Words(
+        title="Stribeck friction",
+        description="Dry friction is higher near rest and falls to its level in motion over the Stribeck velocity.",
+        signature="Stick and jerk at slow reversals; fast motion is right.",
+        excitation=("very slow motion with reversals beside fast motion",),
+        changed_by="wear or lack of grease",
+    ),
+    excited_by=_excited,
+    variants=(("static_friction", "stribeck_velocity"), ("static_friction", "coulomb", "stribeck_velocity")),
+    law=Law(stiff=True),
+    rivals=Rivals(suggest=_suggests, special_case="coulomb_friction"),
 )

@@ -4,20 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place
-
-
-def _places(context: Context) -> list[Place]:
-    return [(name,) for name in context.terrain]
-
-
-def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("height", "m", (-0.1, 0.1), 0.01, nuisance=0.0012),)
-
-
-def _excited(context: Context, place: Place) -> Excitation:
-    return Excitation(context.touches, "the robot stands on it")
+from realsim.gap.effects.base import EXACT, SUPPORTS, Edit, Effect, Law, Parameter, Place, Words, fixed, on_the_ground
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
@@ -28,17 +15,17 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 EFFECT = Effect(
     name="terrain_height",
-    title="terrain height",
-    scope="terrain",
-    description="A piece of terrain stands higher or lower by a constant.",
-    signature="From the first moment the leg on it is more or less loaded, and the base leans.",
-    excitation="Standing on it, with base pose, IMU or joint positions under load.",
-    directed=True,
-    comparatives=("lower", "higher"),
-    places=_places,
-    parameters=_parameters,
-    excited_by=_excited,
+    where=SUPPORTS,
+    parameters=fixed(Parameter("height", "m", (-0.1, 0.1), 0.01, nuisance=0.0012)),
     apply=_apply,
-    abrupt=True,
-    form=EXACT,
+    words=Words(
+        title="terrain height",
+        description="A piece of terrain stands higher or lower by a constant.",
+        signature="From the first moment the leg on it is more or less loaded, and the base leans.",
+        excitation=("standing on it, with base pose, IMU or joint positions under load",),
+        sort="direction",
+        comparatives=("lower", "higher"),
+    ),
+    excited_by=on_the_ground,
+    law=Law(form=EXACT, abrupt=True),
 )

@@ -4,20 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place
-
-
-def _places(context: Context) -> list[Place]:
-    return [()] if context.terrain else []
-
-
-def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
-    return (Parameter("ratio", "ratio", (-0.5, 1.0), 0.1, nuisance=0.005, report=lambda z: 1 + z),)
-
-
-def _excited(context: Context, place: Place) -> Excitation:
-    return Excitation(context.touches, "the robot stands on it")
+from realsim.gap.effects.base import EXACT, Edit, Effect, Law, Place, Where, Words, on_the_ground, relative
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
@@ -38,14 +25,15 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 EFFECT = Effect(
     name="terrain_scale",
-    title="terrain scale",
-    scope="global",
-    description="All terrain but the ground plane is scaled about the world's origin: a wrong metric scale.",
-    signature="All steps are too high or too low by the same ratio.",
-    excitation="Standing on several heights.",
-    places=_places,
-    parameters=_parameters,
-    excited_by=_excited,
+    where=Where("global", lambda context: [()] if context.terrain else []),
+    parameters=relative((-0.5, 1.0), 0.1, 0.005),
     apply=_apply,
-    form=EXACT,
+    words=Words(
+        title="terrain scale",
+        description="All terrain but the ground plane is scaled about the world's origin: a wrong metric scale.",
+        signature="All steps are too high or too low by the same ratio.",
+        excitation=("standing on several heights",),
+    ),
+    excited_by=on_the_ground,
+    law=Law(form=EXACT),
 )

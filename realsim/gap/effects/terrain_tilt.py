@@ -5,15 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import EXACT, Edit, Effect, Excitation, Parameter, Place, everywhere
+from realsim.gap.effects.base import EVERYWHERE, EXACT, Edit, Effect, Law, Parameter, Place, Words, always
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     return tuple(Parameter(name, "rad", (-0.4, 0.4), 0.04, nuisance=0.002) for name in ("roll", "pitch"))
-
-
-def _excited(context: Context, place: Place) -> Excitation:
-    return Excitation(True, "gravity shows it")
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
@@ -50,17 +46,17 @@ def multiply(p: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 EFFECT = Effect(
     name="terrain_tilt",
-    title="terrain tilt",
-    scope="global",
-    description="The ground as a whole is tilted about the world's x and y axes (for a fixed base: its mount).",
-    signature="The base leans by the tilt in every pose; uphill and downhill legs carry different loads.",
-    excitation="Standing; base pose or IMU.",
-    directed=True,
-    footing=("roll", "pitch"),
-    places=everywhere,
+    where=EVERYWHERE,
     parameters=_parameters,
-    excited_by=_excited,
     apply=_apply,
-    form=EXACT,
+    words=Words(
+        title="terrain tilt",
+        description="The ground as a whole is tilted about the world's x and y axes (for a fixed base: its mount).",
+        signature="The base leans by the tilt in every pose; uphill and downhill legs carry different loads.",
+        excitation=("standing", "base pose or IMU"),
+        sort="direction",
+    ),
+    excited_by=always("gravity shows it"),
     variants=(("roll",), ("pitch",), ("roll", "pitch")),
+    law=Law(form=EXACT, footing=("roll", "pitch")),
 )

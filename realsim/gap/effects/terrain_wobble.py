@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place
-
-
-def _places(context: Context) -> list[Place]:
-    return [(name,) for name in context.terrain]
+from realsim.gap.effects.base import SUPPORTS, Edit, Effect, Law, Parameter, Place, Words, on_the_ground
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
@@ -18,10 +14,6 @@ def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
         Parameter("tilt_stiffness", "N m/rad", (0.0, 12 * rock), rock, report=lambda z: 1 / max(z, 1e-9)),
         Parameter("relaxation", "s", (0.002, 0.5), 0.02, default=0.03),
     )
-
-
-def _excited(context: Context, place: Place) -> Excitation:
-    return Excitation(context.touches, "the robot stands on it")
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
@@ -49,16 +41,17 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 EFFECT = Effect(
     name="terrain_wobble",
-    title="wobbling support",
-    scope="terrain",
-    description="A support sinks or rocks on a spring and damper when it is loaded.",
-    signature="The base sinks and leans toward a leg as load moves onto it, and swings after load changes.",
-    excitation="Load moving on and off that support.",
-    absolute=True,
-    places=_places,
+    where=SUPPORTS,
     parameters=_parameters,
-    excited_by=_excited,
     apply=_apply,
-    abrupt=True,
+    words=Words(
+        title="wobbling support",
+        description="A support sinks or rocks on a spring and damper when it is loaded.",
+        signature="The base sinks and leans toward a leg as load moves onto it, and swings after load changes.",
+        excitation=("load moving on and off that support",),
+        sort="thing",
+    ),
+    excited_by=on_the_ground,
     variants=(("stiffness", "relaxation"), ("tilt_stiffness", "relaxation")),
+    law=Law(abrupt=True),
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.effects.base import JOINTS, Edit, Effect, Excitation, Law, Parameter, Place, Words
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
@@ -26,17 +26,17 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 EFFECT = Effect(
     name="torque_limit",
-    title="torque limit",
-    scope="joint",
-    description="The force of the actuator is clipped at a lower value than in the model (current limit, heat).",
-    signature="No error until the load or acceleration is high; then the joint falls behind, and catches up.",
-    excitation="Torques above the true limit: fast steps, heavy poses.",
-    changed_by="a current limit, or a motor that is hot",
-    absolute=True,
-    places=each_joint,
+    where=JOINTS,
     parameters=_parameters,
-    excited_by=_excited,
     apply=_apply,
-    abrupt=True,
-    joint_figure=True,
+    words=Words(
+        title="torque limit",
+        description="The force of the actuator is clipped at a lower value than in the model (current limit, heat).",
+        signature="No error until the load or acceleration is high; then the joint falls behind, and catches up.",
+        excitation=("torques above the true limit: fast steps, heavy poses",),
+        changed_by="a current limit, or a motor that is hot",
+        sort="thing",
+    ),
+    excited_by=_excited,
+    law=Law(joint_figure=True, abrupt=True),
 )

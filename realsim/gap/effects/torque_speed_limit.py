@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.gap.case.model.context import Context
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, each_joint
+from realsim.gap.effects.base import JOINTS, Edit, Effect, Excitation, Law, Parameter, Place, Words
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
@@ -50,15 +50,16 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 EFFECT = Effect(
     name="torque_speed_limit",
-    title="torque-speed limit",
-    scope="joint",
-    description="The highest torque falls linearly with speed to zero at the no-load speed.",
-    signature="Slow motion is right under any load; fast motion is cut at its peaks, more so against load.",
-    excitation="High speed and high torque at the same time.",
-    absolute=True,
-    places=each_joint,
+    where=JOINTS,
     parameters=_parameters,
-    excited_by=_excited,
     apply=_apply,
-    joint_figure=True,
+    words=Words(
+        title="torque-speed limit",
+        description="The highest torque falls linearly with speed to zero at the no-load speed.",
+        signature="Slow motion is right under any load; fast motion is cut at its peaks, more so against load.",
+        excitation=("high speed and high torque at the same time",),
+        sort="thing",
+    ),
+    excited_by=_excited,
+    law=Law(joint_figure=True),
 )

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from realsim.core.errors import GapError
-from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, nowhere
+from realsim.gap.effects.base import Edit, Effect, Excitation, Parameter, Place, Where, Words, fixed
 
 
-def unseen(name: str, title: str, description: str, signature: str, parameter: Parameter) -> Effect:
+def unseen(name: str, description: str, signature: str, parameter: Parameter) -> Effect:
     """An effect of the contract that the search over motions never tries, and says where it is."""
 
     def apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
@@ -17,16 +17,16 @@ def unseen(name: str, title: str, description: str, signature: str, parameter: P
 
     return Effect(
         name=name,
-        title=title,
-        scope="global",
-        description=description,
-        signature=signature,
-        excitation="Depth frames in the log, and a scene to compare them with. Motion alone never shows it.",
-        places=nowhere,
-        parameters=lambda context, place: (parameter,),
-        excited_by=lambda context, place: Excitation(
-            False, "it is told by the camera's depth frames against the scene, not by motion"
-        ),
+        where=Where("global", lambda context: []),
+        parameters=fixed(parameter),
         apply=apply,
+        words=Words(
+            description=description,
+            signature=signature,
+            excitation=("depth frames in the log, and a scene to compare them with: motion alone never shows it",),
+        ),
+        excited_by=lambda context, place: Excitation(
+            False, "the camera's depth frames against the scene show it, not motion"
+        ),
         patchable=False,
     )

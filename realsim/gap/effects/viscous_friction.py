@@ -7,13 +7,17 @@ import math
 from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import (
     EXACT,
+    JOINTS,
+    Distinction,
     Edit,
     Effect,
     Excitation,
+    Law,
     Parameter,
     Place,
+    Rivals,
     Suggestion,
-    each_joint,
+    Words,
     servo_damping,
 )
 
@@ -51,16 +55,18 @@ def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[
 
 EFFECT = Effect(
     name="viscous_friction",
-    title="viscous friction",
-    scope="joint",
-    description="A torque against the motion in proportion to speed (grease, back-EMF through the gear).",
-    signature="Lag that grows with speed; nothing at rest; the drive's torque shows it, a damping gain's does not.",
-    excitation="Several speeds; measured torque tells it from a damping gain.",
-    changed_by="grease that is colder or warmer",
-    places=each_joint,
+    where=JOINTS,
     parameters=_parameters,
-    excited_by=_excited,
     apply=_apply,
-    suggests=_suggests,
-    form=EXACT,
+    words=Words(
+        title="viscous friction",
+        description="A torque against the motion in proportion to speed (grease, back-EMF through the gear).",
+        signature="Lag that grows with speed; nothing at rest; the drive's torque shows it, a damping gain's does not.",
+        excitation=("several speeds",),
+        told_by=(Distinction("a damping gain", "measured torque", ("joint_torque",)),),
+        changed_by="grease that is colder or warmer",
+    ),
+    excited_by=_excited,
+    law=Law(form=EXACT),
+    rivals=Rivals(suggest=_suggests),
 )

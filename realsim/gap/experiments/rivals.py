@@ -72,7 +72,7 @@ def rival_of(fit: Fit, says: str) -> Rival:
     parts = []
     for cause in fit.causes:
         c = cause.candidate
-        places = (c.place,) if lookup(c.effect).joint_figure else c.places
+        places = (c.place,) if lookup(c.effect).law.joint_figure else c.places
         parts.append(Part(c.effect, places, cause.named))
     return Rival(tuple(parts), np.asarray(fit.covariance), says)
 

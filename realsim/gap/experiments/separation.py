@@ -175,7 +175,7 @@ def separations(predicted: Predicted, rivals: Sequence[Rival], deviations: F64 |
     found = np.zeros((n, n))
     comparison = predicted.comparison
     for i, rival in enumerate(rivals):
-        form = max((lookup(part.effect).form for part in rival.parts), default=0.0)
+        form = max((lookup(part.effect).law.form for part in rival.parts), default=0.0)
         weights = _weights(predicted, predicted.motions[i], form)
         for j in range(n):
             if j == i or predicted.same(rival, rivals[j]):

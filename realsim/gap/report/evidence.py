@@ -51,7 +51,7 @@ def _parameter(name: str, parameter: dict[str, Any], count: int) -> str:
 
 def _explained(causes: Any) -> str:
     names = dict.fromkeys(c["effect"] for c in causes)
-    rows = [[title_of(n), EFFECTS[n].description, EFFECTS[n].signature] for n in names if n in EFFECTS]
+    rows = [[title_of(n), EFFECTS[n].words.description, EFFECTS[n].words.signature] for n in names if n in EFFECTS]
     return page.fold("What these effects look like", page.table(["", "what it is", "in a log"], rows)) if rows else ""
 
 
@@ -71,7 +71,7 @@ def equivalents_card(found: Diagnosis) -> list[str]:
         parts.append("<h4>What to record to decide</h4>" + page.table(["", ""], rows))
     else:
         effects = dict.fromkeys(c["effect"] for s in (found.causes, *found.equivalent) for c in s)
-        said = [f"{title_of(n)}: {EFFECTS[n].excitation}" for n in effects if n in EFFECTS]
+        said = [f"{title_of(n)}: {'; '.join(EFFECTS[n].words.excitation)}" for n in effects if n in EFFECTS]
         parts.append("<h4>What to record to decide: what shows each of these</h4>" + page.bullets(said))
     note = "These explain the log as well as the causes above. Until a run tells them apart, trust none of them alone."
     return [page.card("Cannot be told apart", "".join(parts), note)]

@@ -39,7 +39,7 @@ class Fitter(GaussNewton):
         fit = self.reweighted(fit)
         # Where feet touch, deviations are simulated: beside them, the slopes that are there describe a small rest.
         if fit.causes and (not simulator.context.touches or is_gap(leftover(screen, fit))):
-            if not any(lookup(c.candidate.effect).stiff for c in fit.causes):  # each slope at many times the steps
+            if not any(lookup(c.candidate.effect).law.stiff for c in fit.causes):  # each slope at many times the steps
                 screen.relinearise(settings)
             fit = self.reweighted(self.with_likelier_solver(self.remeasure(fit)))
         return self.with_deviations(fit) if simulator.context.touches or is_gap(leftover(screen, fit)) else fit
@@ -115,7 +115,7 @@ class Fitter(GaussNewton):
         """With the strength of the last cause changed by this share, and the times of one that passes by so many
         seconds, as long as that gains."""
         parameters = fit.causes[-1].candidate.parameters
-        times = set(lookup(fit.causes[-1].candidate.effect).passing)
+        times = set(lookup(fit.causes[-1].candidate.effect).law.passing)
         strong = [p.name for p in parameters if p.strength and p.name not in times]
         groups = [*([p.name] for p in parameters if p.name in times), strong]
 

@@ -130,4 +130,4 @@ def spread(info: F64, scores: F64, parameters: list[Parameter]) -> F64:
 
 def form(fit: Fit) -> float:
     """Share of the correction that the laws of these causes may miss: that of the roughest one."""
-    return max((lookup(c.candidate.effect).form for c in fit.causes), default=0.0)
+    return max((lookup(c.candidate.effect).law.form for c in fit.causes), default=0.0)

@@ -74,8 +74,8 @@ def by_simulation(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     abrupt: dict[str, list[tuple[Candidate, F64]]] = {}
     for _, c, estimate in ranked(fitter.screen, here):
         effect = lookup(c.effect)
-        stands = fitter.screen.simulator.context.touches and set(c.names) <= set(effect.footing)
-        if len(c.places) == 1 and (effect.abrupt or stands):
+        stands = fitter.screen.simulator.context.touches and set(c.names) <= set(effect.law.footing)
+        if len(c.places) == 1 and (effect.law.abrupt or stands):
             abrupt.setdefault(c.effect, []).append((c, estimate))
     for candidates in abrupt.values():
         looks = fitter.each(lambda item: _sized(fitter, here, *item), candidates[: figures.PROBED])
@@ -132,7 +132,7 @@ def ranked(screen: Screen, here: Fit) -> list[Scored]:
     taken = {(c.candidate.effect, p) for c in here.causes for p in c.candidate.places}
     found = []
     for candidate in screen.candidates:
-        laws = (candidate.effect, lookup(candidate.effect).plain)
+        laws = (candidate.effect, lookup(candidate.effect).rivals.special_case)
         if any((law, p) in taken for law in laws for p in candidate.places):
             continue  # a law that contains one of the causes takes its place: see `by_effect`
         scored = [(*log_evidence(A, b, candidate.directions, slab(candidate)), behind) for A, b, behind in about]

@@ -39,7 +39,7 @@ def score(screen: Screen, fit: Fit) -> float:
         dear = figures.CAUSE + figures.CAUSE_A_JOINT * len(screen.simulator.case.joint_names)
         total += (float(np.log(len(screen.candidates))) if screen.gap else dear) + (len(fit.causes) - 1) * dear
     total += figures.SHARED * sum(len(c.candidate.places) > 1 for c in fit.causes)
-    return total + figures.PRICE * sum(lookup(c.candidate.effect).usual is not None for c in fit.causes)
+    return total + figures.PRICE * sum(lookup(c.candidate.effect).rivals.commoner is not None for c in fit.causes)
 
 
 def determined(fit: Estimated) -> float:

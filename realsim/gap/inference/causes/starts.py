@@ -51,7 +51,7 @@ def suggested(screen: Screen, cause: Cause) -> list[tuple[Candidate, list[list[f
     more = [c for c in screen.candidates if nested(c, own) and len(c.names) > len(own.names)]
     for full in sorted(more, key=lambda c: -len(c.names))[:1]:
         found[full.key] = full, [[cause.named.get(p.name, p.default) for p in full.parameters]]
-    for other in lookup(own.effect).suggests(screen.simulator.context, own.place, cause.named):
+    for other in lookup(own.effect).rivals.suggest(screen.simulator.context, own.place, cause.named):
         for c in screen.candidates:
             if (c.effect, c.place) == (other.effect, other.place) and set(c.names) == set(other.values):
                 found.setdefault(c.key, (c, []))[1].append([other.values[n] for n in c.names])
@@ -63,7 +63,7 @@ def twins(simulator: Simulator, effect: str, place: Place, values: dict[str, flo
     that begins at rest, joints alone do not tell late commands from late readings."""
     if any(start.reads_the_log for start in simulator.starts):
         return []
-    others = lookup(effect).suggests(simulator.context, place, values)
+    others = lookup(effect).rivals.suggest(simulator.context, place, values)
     return [o.effect for o in others if o.effect != effect and (o.place, o.values) == (place, values)]
 
 
@@ -75,4 +75,4 @@ def nested(a: Candidate, b: Candidate) -> bool:
 
 def contains(rich: Candidate, plain: Candidate) -> bool:
     """Whether one law holds the other as a special case, at the same place."""
-    return lookup(rich.effect).plain == plain.effect and rich.places == plain.places
+    return lookup(rich.effect).rivals.special_case == plain.effect and rich.places == plain.places

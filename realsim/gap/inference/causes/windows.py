@@ -51,7 +51,7 @@ def window_candidates(screen: Screen, fit: Fit, most: int = 2) -> list[tuple[flo
     chosen, always = [], dict[tuple[str, Place], float]()
     for clock in clocks(screen):
         found = []
-        for name, place in dict.fromkeys((a.effect, a.place) for a in screen.atoms if lookup(a.effect).passing):
+        for name, place in dict.fromkeys((a.effect, a.place) for a in screen.atoms if lookup(a.effect).law.passing):
             candidate, index = _candidate(screen, name, place, clock.edges)
             info, score = _by_time(screen, clock, index, left, weights)
             scale = np.array([abs(screen.atoms[i].parameter.step) for i in index])

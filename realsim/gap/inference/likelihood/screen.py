@@ -65,7 +65,7 @@ class Candidate:
 
     def settings(self, values: dict[str, float]) -> list[Setting]:
         """What the simulator is told: places of a group share the values."""
-        places = (self.place,) if lookup(self.effect).joint_figure else self.places
+        places = (self.place,) if lookup(self.effect).law.joint_figure else self.places
         return [(self.effect, place, values) for place in places]
 
 
@@ -140,9 +140,9 @@ class Screen:
         self.prior = np.array([a.parameter.nuisance for a in self.atoms])
         self.usual = np.array([a.parameter.usual for a in self.atoms])
         """(p,) what the small deviations may scatter about instead of zero."""
-        self.stiff = np.array([lookup(a.effect).stiff for a in self.atoms])
+        self.stiff = np.array([lookup(a.effect).law.stiff for a in self.atoms])
         """(p,) True for atoms that no time step bears at the size of a deviation: a spring would have to be softer."""
-        slow = [lookup(a.effect).stepwise or a.parameter.fine for a in self.atoms]
+        slow = [lookup(a.effect).law.stepwise or a.parameter.fine for a in self.atoms]
         self.simulable = ~(self.stiff | slow)
         """(p,) False for atoms that cost steps one by one, or many of them: as nuisances they stay linear."""
         self.candidates = self._candidates(chosen)
@@ -199,7 +199,7 @@ class Screen:
         p = atom.parameter
         # Where small deviations are everyday, the slope at the nominal model counts: it must predict them.
         # And a stiff law that a finer step bears may blow up at the coarser one, and would then never be a candidate.
-        coarse, base = (1, fine) if p.fine or lookup(atom.effect).stiff else (self.coarse, base)
+        coarse, base = (1, fine) if p.fine or lookup(atom.effect).law.stiff else (self.coarse, base)
         width = np.copysign(min(3 * p.nuisance, abs(p.step)), p.step) if p.nuisance and p.bounds[0] < 0 else p.step
         for scale in (1.0, -1.0, 0.3):  # a payload may only be removable, a gap only be small
             value = p.default + scale * width

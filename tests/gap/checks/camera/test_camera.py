@@ -215,7 +215,7 @@ def test_a_folder_of_frames_that_cannot_be_read_is_refused(case: Path, damage: o
 
 @pytest.mark.parametrize("name", ["camera_delay", "camera_mount", "depth_noise"])
 def test_the_search_over_motions_says_where_they_are_told(name: str) -> None:
-    assert "depth frames" in EFFECTS[name].excitation.lower()
+    assert "depth frames" in EFFECTS[name].words.excitation[0]
 
 
 def test_what_all_runs_share_stays_in_the_interval(found: dict[str, CameraFound]) -> None:
