@@ -3,56 +3,28 @@
 from __future__ import annotations
 
 import ast
+import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import realsim.gap
+from realsim.core.errors import RealsimError
 from realsim.gap import EFFECTS, DiagnoseConfig, diagnose, explain, load_case
+from realsim.gap.effects import Effects
 from realsim.gap.simulation.simulate import Simulator
 
 from .test_anchors import hovering
 from .test_recovery import UNSEEN, quadruped
-from .truth import ARM, Truth
+from .truth import ARM, Truth, make_case
 
 __all__ = ["hovering", "quadruped"]  # fixtures
 
-CONTRACT = [
-    "command_delay",
-    "motor_gain",
-    "stiffness_gain",
-    "damping_gain",
-    "torque_limit",
-    "torque_speed_limit",
-    "coulomb_friction",
-    "viscous_friction",
-    "stribeck_friction",
-    "load_friction",
-    "armature",
-    "backlash",
-    "joint_offset",
-    "joint_compliance",
-    "payload",
-    "com_offset",
-    "link_inertia",
-    "ground_friction",
-    "contact_compliance",
-    "terrain_height",
-    "terrain_tilt",
-    "terrain_scale",
-    "terrain_wobble",
-    "observation_delay",
-    "imu_bias",
-    "camera_delay",
-    "camera_mount",
-    "depth_noise",
-    "external_force",
-    "link_geometry",
-    "friction_of_joints",
-    "position_torque",
-    "thrust_gain",
-]
+CONTRACT = sorted(EFFECTS.own)
 
 INJECTED = {
     "command_delay": Truth(delay=0.012),
@@ -75,10 +47,6 @@ INJECTED = {
 SHORT, COARSE = (2.6, 3.2), ARM.replace('timestep="0.002"', 'timestep="0.004"')
 """Seconds of a run and the model, where a whole search is made of it: half the steps."""
 RIVALS = ("command_delay", "stiffness_gain", "coulomb_friction", "payload")
-
-
-def test_the_library_is_the_contract() -> None:
-    assert sorted(EFFECTS) == sorted(CONTRACT)
 
 
 def test_an_effect_is_one_file() -> None:
@@ -180,6 +148,55 @@ def test_camera_effects_say_why_they_are_not_tried(simulator: Simulator) -> None
         excitation = EFFECTS[name].excited_by(simulator.context, ())
         assert not excitation.yes
         assert "camera" in excitation.reason
+
+
+def install(folder: Path, source: str) -> None:
+    """A package with an effect, as pip would leave it."""
+    (folder / "my_robot").mkdir()
+    (folder / "my_robot" / "spring.py").write_text(source)
+    (folder / "my_robot-1.0.dist-info").mkdir()
+    (folder / "my_robot-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: my-robot\nVersion: 1.0\n")
+    points = "[realsim.effects]\nreturn_spring = my_robot.spring:EFFECT\n"
+    (folder / "my_robot-1.0.dist-info" / "entry_points.txt").write_text(points)
+
+
+def test_an_effect_of_an_installed_package_is_found_where_it_was_injected(tmp_path: Path) -> None:
+    """The one of docs/extending.md: a spring at the elbow, of which the model knows nothing."""
+    page = (Path(realsim.__file__).parents[1] / "docs" / "extending.md").read_text(encoding="utf-8")
+    (source,) = (block for block in page.split("```python\n")[1:] if "return_spring" in block)
+    install(tmp_path, source.partition("```")[0])
+    spring = COARSE.replace('name="elbow"', 'name="elbow" stiffness="6"')
+    folder = make_case(tmp_path / "case", spring, Truth(), runs=3, seed=3, span=SHORT)
+    (folder / "model.xml").write_text(COARSE)
+    paths = os.pathsep.join(filter(None, (str(tmp_path), os.environ.get("PYTHONPATH"))))
+    options = ["--out", tmp_path / "out", "--effects", "return_spring", *RIVALS, "--bootstrap", "50"]
+    run = subprocess.run(
+        [sys.executable, "-m", "realsim", "diagnose", folder, *options],
+        env=os.environ | {"PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 0, run.stderr
+    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert found["verdict"] == "identified"
+    (cause,) = found["causes"]
+    assert (cause["effect"], cause["joints"]) == ("return_spring", ["elbow"])
+    assert cause["parameters"]["stiffness"]["value"] == pytest.approx(6, rel=0.1)
+    assert found["sentence"].startswith("elbow: return spring ")
+
+
+@pytest.mark.parametrize("source", ["EFFECT = 3", "", "import nothing_of_that_name"])
+def test_an_installed_package_without_an_effect_is_refused(
+    source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install(tmp_path, source)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "my_robot", raising=False)
+    monkeypatch.delitem(sys.modules, "my_robot.spring", raising=False)
+    effects = Effects("effect", {}, group="realsim.effects")
+    assert list(effects) == ["return_spring"]
+    with pytest.raises(RealsimError, match="return_spring"):
+        effects["return_spring"]
 
 
 def test_absent_where_not_injected(made) -> None:
