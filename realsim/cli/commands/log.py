@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -15,7 +16,8 @@ def log(
     recording: Annotated[Path, tyro.conf.Positional],
     model: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     out: Path | None = None,
-    use: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ROLE=STREAM:FIELD")] = (),
+    use: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ROLE=FIELD")] = (),
+    rate: float | None = None,
     only: str = "",
     camera: str = "",
     scene: Annotated[Path | None, tyro.conf.arg(metavar="STR")] = None,
@@ -23,14 +25,16 @@ def log(
     seconds: float = float("inf"),
     overwrite: bool = False,
 ) -> CommandResult:
-    """Say what a robot's recording holds: which topic or column is what, with the evidence; and write it as a case.
+    """Show what a robot's recording holds: which topic or column is what, with the evidence; and write it as a case.
 
     Args:
         recording: a file or a folder: MCAP, ROS bag, LeRobot, parquet, CSV, JSON, ULog, Rerun, npz; a folder of files
             is runs.
         model: MJCF (or URDF) of the robot; order, units and signs of the joints are tested against it.
         out: where the case for `realsim diagnose` goes; without it nothing is written.
-        use: overrides a guess: ROLE=STREAM:FIELD, or ROLE=none; ROLE is command, joint_pos, joint_vel, ...
+        use: overrides a guess: "joint_pos=STREAM:FIELD" or "joint_pos=COLUMN,COLUMN" (a leading - negates a column),
+            time=COLUMN, or ROLE=none; ROLE is command, joint_pos, joint_vel, ...
+        rate: samples per second of a table that has no clock.
         only: prefix of the topics to read, if a recording holds several robots.
         camera: NAME or NAME=TOPIC: camera of the model that saw the recording's depth frames, where several may have;
             `none` leaves them out.
@@ -49,6 +53,10 @@ def log(
     target = logs.load_target(model) if model is not None else None
     world = logs.load_world(scene) if scene is not None else None
     recordings = logs.read(recording, Window(skip, seconds))
+    if rate is not None:
+        if not rate > 0:
+            raise GapError("--rate is no rate", expected="samples per second, above 0", found=f"{rate:g}")
+        recordings = [replace(r, facts={**r.facts, "rate": rate}) for r in recordings]
     proposal = logs.propose(recordings, target, use=use, only=only, camera=camera, world=world)
     text, data = proposal.render(), proposal.as_dict()
     if out is not None and target is not None:

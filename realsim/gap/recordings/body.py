@@ -7,9 +7,10 @@ import numpy as np
 from realsim.core.statistics import alike
 from realsim.gap.recordings.evidence import Evidence
 from realsim.gap.recordings.joints import SPEEDS
-from realsim.gap.recordings.names import FEET, words
+from realsim.gap.recordings.names import FEET
 from realsim.gap.recordings.proposal import Candidate
 from realsim.gap.recordings.signals import MOST, at, factor, turning, upward
+from realsim.gap.recordings.vocabulary import english
 
 G = 9.81
 LIFTED = 0.15
@@ -204,9 +205,9 @@ def _feet(e: Evidence, labels: tuple[str, ...], width: int) -> tuple[list[str], 
         f"the feet of {n}": f for n, f in FEET.items() if len(f) == width
     }
     for how, names in lists.items():
-        parts = [set(words(n)) for n in names]
+        parts = [set(english(n)) for n in names]
         alike = set.intersection(*parts) if len(parts) > 1 else set()  # `foot`, which tells none from the others
-        found = [[b for b in leaves if part - alike and part - alike <= set(words(b))] for part in parts]
+        found = [[b for b in leaves if part - alike and part - alike <= set(english(b))] for part in parts]
         if len(found) == width and all(len(f) == 1 for f in found) and len({f[0] for f in found}) == width:
             return [f[0] for f in found], how
     return [], ""

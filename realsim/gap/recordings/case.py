@@ -26,10 +26,10 @@ from realsim.core.types import F64
 from realsim.gap.recordings.clocks import clocked, increasing
 from realsim.gap.recordings.depth import write_frames
 from realsim.gap.recordings.model import Target
-from realsim.gap.recordings.names import plain
 from realsim.gap.recordings.proposal import Assignment, Proposal, field_of
 from realsim.gap.recordings.recording import Recording, planned
 from realsim.gap.recordings.signals import at, held
+from realsim.gap.recordings.vocabulary import plain
 
 LEAST_SAMPLES = 20
 MAX_ASSET_BYTES = 512 * 2**20

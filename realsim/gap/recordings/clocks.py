@@ -15,8 +15,9 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.core.types import F64
 from realsim.gap.recordings.jumps import JUMP, own_clocks, shifts
-from realsim.gap.recordings.names import UNITS, seconds_of
+from realsim.gap.recordings.names import seconds_of
 from realsim.gap.recordings.recording import Recording, Stream, planned
+from realsim.gap.recordings.vocabulary import TIMES
 
 SAME_CLOCK = 0.5
 """s of offset up to which two clocks may be one and the offset the time on the way."""
@@ -73,8 +74,12 @@ def _of_stream(recording: Recording, stream: Stream) -> Clocked:
     raise GapError(
         f"{stream.name or recording.name} has no time",
         file=recording.path,
-        expected="a column named time, timestamp, stamp or t",
-        found=", ".join(stream.fields)[:200],
+        expected="a column that rises evenly (under any name), or one named time, timestamp, stamp or t",
+        found="; ".join(
+            [", ".join(c for f in stream.fields.values() for c in f.columns) or ", ".join(stream.fields), *said]
+        )[:300],
+        hint=f"name its column: realsim log {recording.path} --use time=COLUMN; or, of even samples, give "
+        "their rate in Hz: --rate 100",
     )
 
 
@@ -82,8 +87,8 @@ def _unit_by(raw: F64, receive: F64) -> tuple[F64, str]:
     """A counter in s by the receiver's clock: the unit whose seconds are the receiver's."""
     span, own = (float(np.median(np.abs(np.diff(c)))) for c in (receive, raw))  # a jump does not matter to these
     ratio = own / span if span > 0 else 1.0
-    unit = min(UNITS, key=lambda u: abs(np.log(max(ratio, 1e-12) * UNITS[u])))
-    return raw * UNITS[unit], unit
+    unit = min(TIMES, key=lambda u: abs(np.log(max(ratio, 1e-12) * TIMES[u])))
+    return raw * TIMES[unit], unit
 
 
 def _unfit(raw: F64) -> str:

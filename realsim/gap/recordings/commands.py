@@ -5,17 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from realsim.core.statistics import alike
 from realsim.core.types import F64
 from realsim.gap.recordings.evidence import Evidence
-from realsim.gap.recordings.joints import SPEEDS, columns_for, torque
+from realsim.gap.recordings.joints import ANGLES, SPEEDS, TORQUES, columns_for, torque
+from realsim.gap.recordings.names import known_type
+from realsim.gap.recordings.pairing import ALIKE, BETTER, PLAIN, agreement, pair
 from realsim.gap.recordings.proposal import Candidate
-from realsim.gap.recordings.signals import held
+from realsim.gap.recordings.signals import follows
 
-OTHER_ORDER = 0.3
-"""Correlation by which another order of columns must do better than the given one."""
+OTHER_UNIT = 3.0
+"""Ratio of what was commanded to what was reached from which it is not in the positions' unit."""
+THE_UNIT = 1.6
+"""Ratio up to which it is in another one."""
+NEGATED = -0.8
+"""Correlation below which a joint does the opposite of its command."""
 
 
 def command(e: Evidence) -> None:
@@ -33,15 +38,17 @@ def command(e: Evidence) -> None:
     columns, joints, how = columns_for(e, source)
     if not columns:
         return
-    time, field = e.of(source)
     kind = source.role.partition(".")[2] or _kind(e, source, columns) or wanted or "position"
     evidence = [f"by {source.why}", how]
-    scale, unit = _scale(e, kind, source)
+    doubtful = False
     if kind == "position":
-        columns, said = _order(e, time, field.values, columns, joints)
+        columns, said, doubtful = _order(e, source, columns, joints, named=how.startswith("its columns name"))
         evidence += said
+    scale, unit, offset, said, odd = _scale(e, kind, source, columns, joints)
+    evidence += said
+    doubtful |= odd
     if e.target is None:
-        e.settle("command", source, columns, joints, evidence, scale=scale, unit=unit)
+        e.settle("command", source, columns, joints, evidence, scale=scale, offset=offset, unit=unit, doubtful=doubtful)
     else:
         keep = [j for j in range(len(e.target.actuators)) if e.target.driven[j] in joints]
         order = [joints.index(e.target.driven[j]) for j in keep]
@@ -53,8 +60,8 @@ def command(e: Evidence) -> None:
         per_joint = np.broadcast_to(scale, len(columns))
         e.settle(
             "command", source, [columns[i] for i in order], [e.target.actuators[j] for j in keep], evidence,
-            scale=per_joint[order] * gear, offset=np.array(_offsets(e, joints))[order] if kind == "position" else 0.0,
-            unit=unit, doubtful=wanted != kind,
+            scale=per_joint[order] * gear, offset=offset[order], unit=unit,
+            doubtful=doubtful or wanted != kind,
         )  # fmt: skip
         if wanted and wanted != kind:
             e.proposal.warnings.append(
@@ -111,43 +118,84 @@ def _kind(e: Evidence, source: Candidate, columns: Sequence[int]) -> str:
     return max(found, key=lambda k: found[k]) if found and max(found.values()) > 0.5 else ""
 
 
-def _scale(e: Evidence, kind: str, source: Candidate) -> tuple[F64 | float, str]:
-    """(factor to the contract's unit, unit): a position command is in the positions' unit and signs."""
-    place = e.proposal.assignments["joint_pos"]
-    if kind == "position":
-        return np.array(place.scale), place.unit
-    sizes = SPEEDS if kind == "velocity" else {"N m": 1.0, "mN m": 1e-3}
-    unit = source.unit if source.unit in sizes else next(iter(sizes))
-    return sizes[unit], unit
+def _scale(
+    e: Evidence, kind: str, source: Candidate, columns: Sequence[int], joints: Sequence[str]
+) -> tuple[F64, str, F64, list[str], bool]:
+    """((K,) factors to the contract's unit, unit, (K,) offsets, what was found, whether that is in doubt).
 
-
-def _offsets(e: Evidence, joints: Sequence[str]) -> list[float]:
+    A position command is in the positions' unit and signs, unless its name or what the joints did says otherwise.
+    """
+    still = np.zeros(len(columns))
+    if kind != "position":
+        sizes = SPEEDS if kind == "velocity" else TORQUES
+        unit = source.unit if source.unit in sizes else next(iter(sizes))
+        return np.full(len(columns), sizes[unit]), unit, still, [], False
     place = e.proposal.assignments["joint_pos"]
-    return [place.offset[place.targets.index(j)] for j in joints]
+    at = [place.targets.index(j) for j in joints]
+    scale, offset = np.array(place.scale)[at], np.array(place.offset)[at]
+    factors, said, doubtful = [], [], False
+    for time, asked, done in e.in_runs(source, "joint_pos"):
+        for k, column in enumerate(columns):
+            corr, _, gain, _ = follows(time, scale[k] * (asked[:, column] - offset[k]), done[:, at[k]])
+            if corr > -NEGATED:
+                factors.append(gain)
+            elif follows(time, -asked[:, column] * scale[k], done[:, at[k]])[0] > -NEGATED:
+                text = f"{joints[k]} does the opposite of its command: is the sign of one of them another? Check it"
+                said += [text] if text not in said else []
+                doubtful = True
+    factor = float(np.median(factors)) if factors else 1.0
+    declared = source.unit if source.unit in ANGLES and place.unit in ANGLES and source.unit != place.unit else ""
+    others = {u: ANGLES[u] / ANGLES.get(place.unit, 1.0) for u in ANGLES if place.unit in ANGLES and u != place.unit}
+    near = min(others, key=lambda u: abs(np.log(max(factor, 1e-9) / others[u])), default="")
+    if not declared and near and max(factor, 1 / max(factor, 1e-9)) > OTHER_UNIT:
+        if max(factor / others[near], others[near] / factor) < THE_UNIT:
+            declared = near
+            said.append(f"the joints do {factor:.3g} times as much as is commanded in {place.unit}: it is in {near}")
+        else:
+            doubtful = True
+            said.append(f"the joints do {factor:.3g} times as much as is commanded, which is no unit")
+    if declared:
+        return np.sign(scale) * ANGLES[declared], declared, still, said, doubtful
+    return scale, place.unit, offset, said, doubtful
 
 
 def _order(
-    e: Evidence, time: F64, table: F64, columns: Sequence[int], joints: Sequence[str]
-) -> tuple[list[int], list[str]]:
-    """(columns in the joints' order, what was found): which column each joint follows best, where that is plain."""
-    place = e.series("joint_pos")
-    assert place is not None
-    at_times, positions = place
+    e: Evidence, source: Candidate, columns: Sequence[int], joints: Sequence[str], *, named: bool
+) -> tuple[list[int], list[str], bool]:
+    """(columns in the joints' order, what was found, whether that is in doubt), by all runs together.
+
+    Names are kept; columns side by side in one table, or of types that define their order, give way to a plain
+    difference; the order of another topic is nobody's promise.
+    """
     if len(columns) < 2:
-        return list(columns), []
-    asked = held(time, table[:, list(columns)], at_times)
-    positions = np.stack([positions[:, e.proposal.joints.index(j)] for j in joints], axis=1)
-    corr = np.array(
-        [[abs(alike(asked[:, a], positions[:, b])) for a in range(len(columns))] for b in range(len(joints))]
-    )
-    rows, best = linear_sum_assignment(-corr)
-    gain = corr[rows, best] - np.diag(corr)
-    moved = [b for b in range(len(joints)) if best[b] != b]
-    # Only where every joint that changes its column follows the new one, and not the old one, is it another order.
-    if moved and all(gain[b] > OTHER_ORDER and corr[b, best[b]] > 0.8 for b in moved):
-        said = ", ".join(f"{joints[b]} follows column {columns[best[b]]}" for b in moved[:6])
-        return [columns[i] for i in best], [f"in another order than the positions: {said} (correlation above 0.8)"]
-    return list(columns), []
+        return list(columns), [], False
+    place = e.proposal.assignments["joint_pos"]
+    at = [place.targets.index(j) for j in joints]
+    scale, offset = np.array(place.scale)[at], np.array(place.offset)[at]
+    tables = [
+        agreement(time, scale * (asked[:, list(columns)] - offset), done[:, at])
+        for time, asked, done in e.in_runs(source, "joint_pos")
+    ]
+    found = pair(tables, range(len(columns)))
+    moved = [b for b in range(len(joints)) if found.columns[b] != b]
+    which = ", ".join(f"{joints[b]} follows column {columns[found.columns[b]]}" for b in moved[:6])
+    if named:
+        if found.gain < PLAIN:
+            return list(columns), [], False
+        return list(columns), [f"the names say otherwise than the signals: {which}: check the names"], True
+    types = e.stream(source).type, e.stream(place.source).type
+    files = types == ("table", "table") and source.member == place.source.member  # of one program
+    promised = source.stream == place.source.stream or files or all(map(known_type, types))
+    needed = PLAIN if promised else BETTER
+    if moved and found.gain > needed and found.steady:
+        runs = f" in {len(tables)} runs" if len(tables) > 1 else ""
+        said = f"in another order than the positions{runs}: {which} (agreement better by {found.gain:.2f})"
+        return [columns[i] for i in found.columns], [said], found.margin < ALIKE
+    if moved and found.gain > BETTER:
+        return list(columns), [f"another order fits better by {found.gain:.2f}: {which}: check, or use --use"], True
+    if not promised and found.margin < ALIKE:
+        return list(columns), ["joints were moved alike: the signals do not tell the order; name it: --use"], True
+    return list(columns), [], False
 
 
 def _measured_torque(e: Evidence) -> None:

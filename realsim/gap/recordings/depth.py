@@ -30,8 +30,8 @@ from realsim.core.files import write_bytes, write_text
 from realsim.core.types import F64, Intrinsics
 from realsim.gap.recordings.messages import Topics
 from realsim.gap.recordings.model import Target
-from realsim.gap.recordings.names import words
 from realsim.gap.recordings.recording import Recording, Stream
+from realsim.gap.recordings.vocabulary import english
 
 RECEIVED = "received"
 """The field of a stream of frames: (T, 1) s, by which a frame is found again."""
@@ -160,8 +160,8 @@ def choose(recording: Recording, target: Target, asked: str) -> tuple[Depth | No
     if len({camera_name(t) for t in usable}) > 1:
         return None, f"{seen}: there are several depth cameras; choose one: --camera NAME=TOPIC"
     if not name:
-        place = words(f"{usable[0]} {topics[usable[0]].frame}")
-        alike = known if len(known) == 1 else [n for n in known if set(words(n)) <= set(place)]
+        place = english(f"{usable[0]} {topics[usable[0]].frame}")
+        alike = known if len(known) == 1 else [n for n in known if set(english(n)) <= set(place)]
         if len(alike) != 1:
             has = f"which of {', '.join(known)} saw them? --camera NAME" if known else (
                 "the model has no camera; add <camera/> to the body that carries it, at its optical centre"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,12 +11,15 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.core.statistics import alike
 from realsim.core.types import F64
-from realsim.gap.recordings.clocks import Clocked, increasing
+from realsim.gap.recordings.clocks import Clocked, clocked, increasing
 from realsim.gap.recordings.model import Target
+from realsim.gap.recordings.names import rawness
 from realsim.gap.recordings.proposal import Assignment, Candidate, Proposal, field_of
 from realsim.gap.recordings.recording import Field, Recording, Stream
-from realsim.gap.recordings.signals import MOST, at
+from realsim.gap.recordings.signals import MOST, at, held
 
+MOST_RUNS = 12
+"""Runs that orders and units are decided by together."""
 SAME = 0.9
 """Correlation from which two topics say the same of one robot."""
 
@@ -31,6 +34,8 @@ class Evidence:
     candidates: Sequence[Candidate]
     chosen: Mapping[str, Candidate | None]
     proposal: Proposal
+    recordings: Sequence[Recording] = ()
+    """All runs, of which `recording` is one."""
 
     def of(self, source: Candidate) -> tuple[F64, Field]:
         """(time, field) of a candidate, in the order of time."""
@@ -41,7 +46,7 @@ class Evidence:
         if (np.diff(time) > 0).all():
             return time, field_
         time, values = increasing(time, field_.values, stream.type)
-        return time, Field(values, field_.labels, field_.unit)
+        return time, replace(field_, values=values)
 
     def stream(self, source: Candidate) -> Stream:
         return next(s for s in self.recording.streams if s.name == source.stream)
@@ -70,8 +75,11 @@ class Evidence:
         home = self.proposal.assignments.get("joint_pos")
         place = home.source.stream if home else ""
         ranked = sorted(
-            found, key=lambda c: (c.stream != place, -_shared(c.stream, place), -len(self.of(c)[0]), c.label)
-        )
+            found,
+            key=lambda c: (
+                c.stream != place, -_shared(c.stream, place), rawness(c.member), -len(self.of(c)[0]), c.label
+            ),
+        )  # fmt: skip
         return ranked[0]
 
     def settle(
@@ -96,6 +104,20 @@ class Evidence:
             return None
         time, field_ = self.of(found.source)
         return time, found.values(field_)
+
+    def in_runs(self, source: Candidate, role: str) -> list[tuple[F64, F64, F64]]:
+        """(time, (T, A) newest values of a field, (T, B) of a role that is settled) of each run, up to MOST_RUNS."""
+        settled = self.proposal.assignments[role]
+        found = []
+        for recording in self.recordings[:MOST_RUNS] or [self.recording]:
+            raw, home = field_of(recording, source), field_of(recording, settled.source)
+            if raw is None or home is None or max(settled.columns) >= home[1].width:
+                continue
+            times = self.times if recording is self.recording else clocked(recording)
+            t, values = increasing(times[raw[0].name].time, raw[1].values, raw[0].type)
+            place, done = increasing(times[home[0].name].time, settled.values(home[1]), home[0].type)
+            found.append((place, held(t, values, place), done))
+        return found
 
     def beside(self, role: str, times: F64) -> F64 | None:
         """(T, K) of what is settled, at other times."""

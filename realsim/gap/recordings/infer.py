@@ -12,13 +12,13 @@ from dataclasses import replace
 import numpy as np
 
 from realsim.core.errors import GapError, did_you_mean
-from realsim.gap.recordings import body, commands, joints
+from realsim.gap.recordings import body, commands, joints, overrides
 from realsim.gap.recordings.case import run_arrays
 from realsim.gap.recordings.clocks import Clocked, clocked
 from realsim.gap.recordings.depth import choose, is_frames
-from realsim.gap.recordings.evidence import Evidence
+from realsim.gap.recordings.evidence import MOST_RUNS, Evidence
 from realsim.gap.recordings.model import Target
-from realsim.gap.recordings.names import ROLES, meaning
+from realsim.gap.recordings.names import meaning
 from realsim.gap.recordings.proposal import Candidate, Proposal
 from realsim.gap.recordings.recording import Recording, Stream
 from realsim.gap.recordings.signals import follows
@@ -28,8 +28,6 @@ MOVES = 1e-3
 """rad of spread from which a joint moves."""
 FOLLOWS = 0.7
 """Correlation below which a joint does not follow its command."""
-MOST_RUNS = 12
-"""Runs in which that is looked at."""
 
 
 def propose(
@@ -46,7 +44,7 @@ def propose(
     Args:
         recordings: one a run.
         target: the model that the case is for; without it, order and signs are not tested.
-        use: what the user knows better: `ROLE=STREAM:FIELD`, or `ROLE=none`.
+        use: what the user knows better (see `realsim.gap.recordings.overrides`).
         only: topics whose names begin so; for recordings of several robots.
         camera: of the model, by which depth frames were seen (see `realsim.gap.recordings.depth.choose`).
         world: of the scene into whose frame base poses are put.
@@ -54,18 +52,21 @@ def propose(
     Raises:
         GapError: two robots, a name in `use` or `only` that is not there.
     """
-    kept = [_only(r, only) for r in recordings]
+    kept, uses = overrides.apply([_only(r, only) for r in recordings], use)
     main = max(kept, key=lambda r: (len(r.streams), max((s.count for s in r.streams), default=0)))
     frames = {s.name for s in main.streams if is_frames(s)}
     times = clocked(main)
     candidates = _candidates(main)
-    chosen = _chosen(use, main, candidates)
+    chosen = {
+        role: next((c for c in candidates if (c.stream, c.member) == (u.stream, u.member)), None)
+        for role, u in uses.items()
+    }
     proposal = Proposal(list(kept), model=str(target.path) if target else "")
     proposal.base = "floating" if target is not None and target.floating else "fixed"
     _said_about_clocks(proposal, times, frames)
     proposal.warnings += list(dict.fromkeys(n for r in kept for n in r.notes))
 
-    evidence = Evidence(main, times, target, candidates, chosen, proposal)
+    evidence = Evidence(main, times, target, candidates, chosen, proposal, kept)
     joints.position(evidence)
     joints.velocity(evidence)
     commands.command(evidence)
@@ -115,29 +116,6 @@ def _candidates(recording: Recording) -> list[Candidate]:
     return found
 
 
-def _chosen(use: Sequence[str], recording: Recording, candidates: Sequence[Candidate]) -> dict[str, Candidate | None]:
-    """What the user says: role -> the candidate, or None for none."""
-    said: dict[str, Candidate | None] = {}
-    labels = {c.label: c for c in candidates} | {c.member: c for c in candidates}
-    for text in use:
-        role, equals, name = text.partition("=")
-        if not equals or role not in ROLES:
-            raise GapError(
-                f"--use {text!r} cannot be read", expected=f"ROLE=STREAM:FIELD, ROLE one of {', '.join(ROLES)}",
-                hint=did_you_mean(role, ROLES),
-            )  # fmt: skip
-        if name == "none":
-            said[role] = None
-        elif name in labels:
-            said[role] = labels[name]
-        else:
-            raise GapError(
-                f"--use names {name!r}, which is not in the recording", file=recording.path,
-                expected=f"one of {', '.join(c.label for c in candidates[:40])}", hint=did_you_mean(name, labels),
-            )  # fmt: skip
-    return said
-
-
 def _said_about_clocks(proposal: Proposal, times: Mapping[str, Clocked], frames: set[str]) -> None:
     for name, found in times.items():
         step = np.diff(found.time[np.isfinite(found.time)])
@@ -159,12 +137,13 @@ def _missing(proposal: Proposal, target: Target | None) -> None:
     have = proposal.assignments
     if "joint_pos" not in have:
         proposal.missing.append(
-            "joint_pos (needed): no field of joint positions; name it: --use joint_pos=STREAM:FIELD"
+            "joint_pos (needed): no field of joint positions is known by its name; name it: "
+            f"--use joint_pos={_example(proposal)}"
         )
     if "command" not in have:
         proposal.missing.append(
-            "command (needed): the commands were not recorded; record the command topic too, or name it: "
-            "--use command=STREAM:FIELD"
+            "command (needed): no field of commands is known by its name; name it: "
+            f"--use command={_example(proposal)}; or record the command topic too"
         )
     optional = {
         "joint_vel": "velocities",
@@ -184,6 +163,16 @@ def _missing(proposal: Proposal, target: Target | None) -> None:
         left = [j for j in target.joints if j not in proposal.joints]
         if left:
             proposal.warnings.append(f"joints of the model that are not in the log stay at rest: {', '.join(left[:8])}")
+
+
+def _example(proposal: Proposal) -> str:
+    """How a field is named in this recording."""
+    for stream in proposal.recordings[0].streams:
+        for name, field in stream.fields.items():
+            if field.columns:
+                return '"COLUMN,COLUMN,..." with names of columns'
+            return f"STREAM:FIELD, as {_label(stream, name)}"
+    return "STREAM:FIELD"
 
 
 def _label(stream: Stream, name: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,8 +11,8 @@ import numpy as np
 from realsim.core.statistics import alike
 from realsim.core.types import F64
 from realsim.gap.recordings.evidence import Evidence, two_robots
-from realsim.gap.recordings.model import Target
-from realsim.gap.recordings.names import known_type, match_joints
+from realsim.gap.recordings.model import MODELS_ORDER, Target
+from realsim.gap.recordings.names import is_electric, known_type, match_joints, rawness
 from realsim.gap.recordings.proposal import Candidate
 from realsim.gap.recordings.recording import Field
 from realsim.gap.recordings.signals import at, factor, smooth_derivatives, travelled
@@ -29,6 +30,8 @@ NEAR = 0.15
 """Relative difference up to which a measured factor is that of a known unit."""
 FEET_LEVEL = 0.02
 """m by which the feet of a standing robot may differ in height."""
+CONVENTION = 0.05
+"""Agreement by which another order must do better than the numbers in the columns' names."""
 DYNAMICS = 600
 """Samples on which inverse dynamics is evaluated."""
 
@@ -76,7 +79,7 @@ def _best_positions(e: Evidence, found: Sequence[Candidate]) -> Candidate | None
         counts = {c.label: _known(e.target, e.of(c)[1]) for c in found}
         best = max(counts.values())
         ranked = [c for c in found if counts[c.label] == best]
-    ranked.sort(key=lambda c: (c.role != "joint_pos", -len(e.of(c)[0]), c.label))
+    ranked.sort(key=lambda c: (c.role != "joint_pos", rawness(c.member), -len(e.of(c)[0]), c.label))
     first = ranked[0]
     for other in ranked[1:]:
         if other.stream != first.stream and e.stream(other).type == e.stream(first).type:
@@ -107,10 +110,13 @@ def _which_joints(e: Evidence, source: Candidate, field: Field) -> tuple[list[in
     if not orders:
         return [], [], "", False
     scores = {name: _order_score(e, field, order, source) for name, order in orders.items()}
-    ranked = sorted(scores, key=lambda n: -scores[n][0])
+    listed = source.label in {c.label for c in e.chosen.values() if c is not None} and "," in source.member
+    usual = MODELS_ORDER if (listed or _numbered(field)) and MODELS_ORDER in scores else ""
+    lead = {n: scores[n][0] + (CONVENTION if n == usual else 0.0) for n in scores}
+    ranked = sorted(lead, key=lambda n: -lead[n])
     best = ranked[0]
     said = f"unnamed columns: {best}, agreement {scores[best][0]:.2f} ({scores[best][1]})"
-    rivals = [n for n in ranked[1:] if scores[n][0] > scores[best][0] - 0.02]
+    rivals = [] if listed else [n for n in ranked[1:] if lead[n] > lead[best] - 0.02]
     if rivals:
         said += f"; as likely by the data: {', '.join(rivals)}: check, or name the columns"
     elif len(ranked) > 1:
@@ -119,6 +125,11 @@ def _which_joints(e: Evidence, source: Candidate, field: Field) -> tuple[list[in
     if moving:
         said += f"; {len(moving)} more columns that move are left out: is it another robot's model?"
     return list(orders[best]), list(orders[best].values()), said, bool(rivals or moving)
+
+
+def _numbered(field: Field) -> bool:
+    """Whether the columns of a table are numbered in their names: q1, q2 are the first and the second joint."""
+    return field.width > 1 and len(field.columns) == field.width and all(re.search(r"\d", c) for c in field.columns)
 
 
 def _still(values: F64) -> bool:
@@ -326,7 +337,7 @@ def torque(e: Evidence) -> None:
     if not np.nanstd(field.values[:, columns]) > 0:
         e.proposal.warnings.append(f"{source.label} never changes: it is left out")
         return
-    current = "current" in source.member.lower() or "load" in source.member.lower()
+    current = is_electric(source.member)
     kind = "current_times_constant" if current else "measured"
     evidence, scale, doubtful = [f"by {source.why}", how], 1.0, True
     if current:

@@ -17,7 +17,7 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.core.types import F64
 from realsim.gap.recordings.names import seconds_of
-from realsim.gap.recordings.recording import Field, Recording, Stream, planned
+from realsim.gap.recordings.recording import Recording, Stream, planned
 
 JUMP = 0.1
 """s by which a clock steps aside. Messages of one topic do not overtake each other by as much."""
@@ -166,7 +166,7 @@ def _rows(stream: Stream, rows: Any, back: float) -> Stream:
     if len(rows) and rows[-1] - rows[0] + 1 == len(rows):
         rows = slice(rows[0], rows[-1] + 1)  # a view: recordings may be as large as memory allows
     clocks = {n: c[rows] - (back if n == "receive" else 0.0) for n, c in stream.clocks.items()}
-    fields = {n: Field(f.values[rows], f.labels, f.unit) for n, f in stream.fields.items()}
+    fields = {n: replace(f, values=f.values[rows]) for n, f in stream.fields.items()}
     return replace(
         stream, clocks=clocks, fields=fields, order=stream.order[rows] if len(stream.order) else stream.order
     )

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from realsim.core.types import F64
-from realsim.gap.recordings.names import is_clock
 from realsim.gap.recordings.recording import Field, Stream, refuse_more
+from realsim.gap.recordings.vocabulary import is_clock
 
 MAX_WIDTH = 256
 """Columns of one field; beyond, it is a picture, a cloud or a map."""

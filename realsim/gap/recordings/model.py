@@ -13,9 +13,10 @@ from realsim.core.errors import GapError
 from realsim.core.files import check_size
 from realsim.core.models import not_compiled, odd_number
 from realsim.core.types import F64
-from realsim.gap.recordings.names import words
+from realsim.gap.recordings.vocabulary import english
 
 MAX_MODEL_BYTES = 64 * 2**20
+MODELS_ORDER = "the model's order"
 FOOT_HEIGHT = 0.05
 """m above the lowest leaf body in the reference pose up to which a leaf is taken for a foot."""
 
@@ -79,7 +80,7 @@ class Target:
         for i in range(m.nsensor):
             if int(m.sensor_type[i]) in (1, 3):  # mjSENS_ACCELEROMETER, mjSENS_GYRO
                 return str(m.site(int(m.sensor_objid[i])).name)
-        named = [m.site(i).name for i in range(m.nsite) if "imu" in words(m.site(i).name)]
+        named = [m.site(i).name for i in range(m.nsite) if "imu" in english(m.site(i).name)]
         return str(named[0]) if len(named) == 1 else ""
 
     @cached_property
@@ -114,7 +115,7 @@ class Target:
         joints, driven = list(self.joints), [j for j in self.driven if j]
         lists: dict[str, list[str]] = {}
         if width == len(joints):
-            lists["the model's order"] = joints
+            lists[MODELS_ORDER] = joints
             lists["the order of the model's actuators"] = driven
             lists["breadth first (Isaac)"] = self._breadth_first()
             lists["alphabetical"] = sorted(joints)

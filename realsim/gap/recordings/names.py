@@ -1,4 +1,4 @@
-"""Knowledge about names: known message types, words in names of columns, motor tables of robots."""
+"""What names mean: known message types, words in names of columns, motor tables of robots."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from realsim.core.types import F64
+from realsim.gap.recordings.vocabulary import SIGNALS, TIMES, english, plain, time_unit, unit_of
 
 ROLES = (
     "command",
@@ -59,60 +60,70 @@ TYPES: dict[str, dict[str, tuple[str, str]]] = {
     "sensor_combined": {"gyro_rad": ("imu_gyro", "rad/s"), "accelerometer_m_s2": ("imu_acc", "m/s^2")},
 }  # fmt: skip
 
-_SENT = r"cmds?|commands?|commanded|des|desired|targets?|goals?|ref|reference|setpoints?|actions?|ctrl|control"
-_NOT = re.compile(r"(^|_)(error|err|temp|temperature|temps|volt|volts|voltage|raw|ddq|kp|kd|limit|min|max|power)(_|$)")
+_NOT = {
+    "error",
+    "temperature",
+    "voltage",
+    "raw",
+    "ddq",
+    "qdd",
+    "kp",
+    "kd",
+    "ki",
+    "limit",
+    "limits",
+    "min",
+    "max",
+    "power",
+}
+_NOT |= {
+    "fric",
+    "friction",
+    "gravity",
+    "grav",
+    "comp",
+    "compensation",
+    "ff",
+    "feedforward",
+    "std",
+    "var",
+    "status",
+    "mode",
+}
+"""Words of what is no signal of a joint: bounds, settings, and parts of a command that a controller adds."""
 _WORDS: tuple[tuple[str, str], ...] = (
-    ("enabled", r"(^|_)(torque_enabled?|torque_on|motors?_enabled?|drives?_enabled?|enabled)(_|$)"),
+    ("enabled", r"(^|_)(torque_enabled?|torque_on|joint_enabled?|drives?_enabled?|enabled)(_|$)"),
     ("imu_acc", r"(^|_)(acc|accel|accelerometer|accelerations?_(linear|imu)|linear_accelerations?|imu_acc)(_|$)"),
-    ("imu_gyro", r"(^|_)(gyro|gyroscope|angular_velocity|ang_vel|base_ang_vel|omega|imu_gyro)(_|$)"),
+    ("imu_gyro", r"(^|_)(gyro|gyroscope|angular_velocity|ang_velocity|omega|imu_gyro)(_|$)"),
     ("base_quat", r"(^|_)(quat|quaternion|orientation|base_quat)(_|$)"),
-    ("base_pos", r"(^|_)(base_pos|base_position|root_pos|body_position|mocap_pos|base_xyz|translation)(_|$)"),
+    ("base_pos", r"(^|_)((base|root|body|mocap)_position|base_xyz|translation)(_|$)"),
     ("contact", r"(^|_)(contacts?|foot_force|foot_contacts?|feet_contacts?)(_|$)"),
-    ("joint_torque", r"(^|_)(tau|taus|torques?|efforts?|current|load|tau_est)(_|$)"),
-    ("joint_vel", r"(^|_)(dq|qd|qdot|qvel|vel|velocity|velocities|speeds?|dof_vel)(_|$)"),
-    ("joint_pos", r"(^|_)(q|qpos|pos|position|positions|angles?|joints|dof_pos|state|encoders?)(_|$)"),
+    ("joint_torque", r"(^|_)(torque|electric)(_|$)"),
+    ("joint_vel", r"(^|_)velocity(_|$)"),
+    ("joint_pos", r"(^|_)position(_|$)"),
 )
-_CLOCK = re.compile(
-    r"^(t|time|times|timestamps?|stamp|tick|ticks|clock|time_boot|timestamp_sample|ros_time|log_time|elapsed|rectime)"
-    r"(_?(s|sec|secs|seconds|ms|us|ns|usec|msec|nsec|micros|millis))?$"
-)
-_UNITS = (
-    ("deg/s", r"(deg_?p?e?r?_?s|dps|degs)$"), ("deg", r"(_|\[|\()deg(rees)?[\])]?$"), ("rad/s", r"rad_?(per_)?s$"),
-    ("rpm", r"rpm$"), ("mN m", r"mnm$"), ("mm", r"_mm$"), ("g", r"_g$"), ("rad", r"_rad$"), ("N m", r"_nm$"),
-)  # fmt: skip
-UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Role and the English words (`vocabulary.english`) that suggest it."""
+_BY_UNIT = {"deg": "joint_pos", "rad": "joint_pos", "rev": "joint_pos", "mrad": "joint_pos", "deg/s": "joint_vel",
+            "rad/s": "joint_vel", "rpm": "joint_vel", "rev/s": "joint_vel", "N m": "joint_torque",
+            "mN m": "joint_torque", "N cm": "joint_torque", "kgf cm": "joint_torque", "A": "joint_torque",
+            "mA": "joint_torque"}  # fmt: skip
+"""What a signal without a telling word is, by its unit."""
 RATES = (5.0, 5000.0)
 """Hz that a log of a robot is likely to have."""
-CLOCK_UNITS = {"ms": 1e-3, "msec": 1e-3, "millis": 1e-3, "us": 1e-6, "usec": 1e-6, "micros": 1e-6, "ns": 1e-9,
-               "nsec": 1e-9, "s": 1.0, "sec": 1.0, "secs": 1.0, "seconds": 1.0}  # fmt: skip
 
 
 def known_type(kind: str) -> bool:
     """Whether it is known what the members of a message type mean."""
-    return bool(TYPES.get(kind.replace("::", "/").rsplit("/", 1)[-1].rsplit(".", 1)[-1]))
+    return bool(TYPES.get(_last(kind)))
 
 
-def plain(name: str) -> str:
-    """A name in lower case with one kind of separator: `Goal Position (deg)` -> `goal_position_deg`."""
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)
-    return re.sub(r"[^a-z0-9]+", "_", spaced.lower()).strip("_")
-
-
-def words(name: str) -> list[str]:
-    """The words of a name, numbers apart: `FL_hip_joint2` -> fl, hip, joint, 2."""
-    return re.findall(r"[a-z]+|[0-9]+", plain(name))
-
-
-def is_clock(name: str) -> bool:
-    """Whether a column or member is a time or a counter, by its name."""
-    return bool(_CLOCK.match(plain(name)))
+def _last(kind: str) -> str:
+    return kind.replace("::", "/").rsplit("/", 1)[-1].rsplit(".", 1)[-1]
 
 
 def clock_unit(name: str) -> float | None:
     """Seconds per unit of this clock, if its name gives it."""
-    found = _CLOCK.match(plain(name))
-    last = found.group(3) if found else None
-    return CLOCK_UNITS.get(last) if last else None
+    return TIMES.get(time_unit(name))
 
 
 def seconds_of(name: str, raw: F64) -> tuple[F64, str]:
@@ -120,16 +131,26 @@ def seconds_of(name: str, raw: F64) -> tuple[F64, str]:
     factor = clock_unit(name)
     if factor is None:
         step = float(np.median(np.abs(np.diff(raw)))) if len(raw) > 1 else 1.0
-        fits = [f for f in UNITS.values() if RATES[0] <= 1 / max(step * f, 1e-12) <= RATES[1]]
+        fits = [f for f in TIMES.values() if RATES[0] <= 1 / max(step * f, 1e-12) <= RATES[1]]
         factor = fits[0] if fits else 1.0
-    unit = next(u for u, f in UNITS.items() if f == factor)
+    unit = next(u for u, f in TIMES.items() if f == factor)
     return raw * factor, unit
 
 
-def named_unit(name: str) -> str:
-    """The unit that a name ends in, or nothing."""
-    text = name.lower().strip()
-    return next((unit for unit, pattern in _UNITS if re.search(pattern, text)), "")
+def is_sent(name: str) -> bool:
+    """Whether a name of a topic, column or file is one of commands."""
+    return "target" in english(name)
+
+
+def is_electric(name: str) -> bool:
+    """Whether a name is that of a current or of a load without a unit: a torque up to an unknown factor."""
+    return "electric" in english(name) or "load" in plain(name).split("_") or unit_of(name) in ("A", "mA")
+
+
+def rawness(name: str) -> int:
+    """0 for what is named measured, 2 for what was filtered or estimated, which comes late, else 1."""
+    found = english(name)
+    return 2 if "filtered" in found else 0 if "measured" in found else 1
 
 
 def meaning(stream: str, kind: str, member: str) -> tuple[str, str, str]:
@@ -137,31 +158,32 @@ def meaning(stream: str, kind: str, member: str) -> tuple[str, str, str]:
 
     A command's role is `command.position`, `command.velocity`, `command.torque`, or `command` if unspecified.
     """
-    last = kind.replace("::", "/").rsplit("/", 1)[-1].rsplit(".", 1)[-1]
-    sent = re.search(rf"(^|_)({_SENT})(_|$)", plain(stream)) is not None
-    known = TYPES.get(last, {}).get(member)
+    sent = is_sent(stream)
+    known = TYPES.get(_last(kind), {}).get(member)
     if known is not None:
         role, unit = known
         if sent and role in JOINTS:
-            role = {"joint_pos": "command.position", "joint_vel": "command.velocity"}.get(role, "command.torque")
-            return role, unit, f"{member} of {kind} on a topic named for commands"
+            return f"command{_COMMANDS[role]}", unit, f"{member} of {kind} on a topic named for commands"
         return role, unit, f"{member} of {kind}"
     if known_type(kind):
         return "", "", ""  # the type is known, and this member is none of these
-    ending = member.rpartition(".")[2]
-    text = plain(member if ending in ("data", "values", "value") else ending)
-    if _NOT.search(text):
+    unit = unit_of(member)
+    above, _, ending = member.rpartition(".")
+    found = english(member if ending in ("data", "values", "value") else ending)
+    if set(found) & _NOT:
         return "", "", ""
-    unit = named_unit(member)
-    role = next((r for r, pattern in _WORDS if re.search(pattern, re.sub(rf"(^|_)({_SENT})(?=_|$)", "", text))), "")
-    asked = sent or re.search(rf"(^|_)({_SENT})(_|$)", text) is not None
-    above = plain(member.rpartition(".")[0].rpartition(".")[2])  # motor_cmd of motor_cmd.q
-    below_sent = re.search(rf"(^|_)({_SENT})(_|$)", above) is not None
+    text = "_".join(w for w in found if w != "target")
+    role = next((r for r, pattern in _WORDS if re.search(pattern, text)), "")
+    asked = sent or "target" in found
+    if not role and (asked or "measured" in found or (unit and len(found) <= 1)):
+        role = _BY_UNIT.get(unit, "" if asked or "measured" not in found else "joint_pos")
+    below_sent = is_sent(above.rpartition(".")[2])  # motor_cmd of motor_cmd.q
     if (asked and role in ("", *JOINTS)) or (below_sent and role in JOINTS):
-        kinds = {"joint_pos": ".position", "joint_vel": ".velocity", "joint_torque": ".torque"}
-        return f"command{kinds.get(role, '')}", unit, f"the name {member!r}" + (f" in {stream!r}" if sent else "")
+        return f"command{_COMMANDS.get(role, '')}", unit, f"the name {member!r}" + (f" in {stream!r}" if sent else "")
     return role, unit, f"the name {member!r}" if role else ""
 
+
+_COMMANDS = {"joint_pos": ".position", "joint_vel": ".velocity", "joint_torque": ".torque"}
 
 # ---------------------------------------------------------------- motor tables
 
@@ -221,8 +243,8 @@ def match_joints(labels: Sequence[str], joints: Sequence[str]) -> dict[int, str]
 
 
 def _core(name: str) -> list[str]:
-    found = [w for w in words(name) if w not in ("joint", "motor", "servo", "pos", "dof")]
-    return found if any(not w.isdigit() for w in found) else words(name)
+    found = [w for w in english(name) if w not in ("joint", *SIGNALS)]
+    return found if any(not w.isdigit() for w in found) else list(english(name))
 
 
 def _ends(label: str, joint: str) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,20 +12,21 @@ from realsim.core.errors import GapError, MissingExtraError, RealsimError
 from realsim.core.files import check_size
 from realsim.core.progress import track
 from realsim.gap.recordings.jumps import unbroken
+from realsim.gap.recordings.names import seconds_of
 from realsim.gap.recordings.readers import READERS
 from realsim.gap.recordings.recording import Reader, Recording, Stream, Window, no_samples
+from realsim.gap.recordings.vocabulary import KINDS, SIDES, english, plain
 
 MAX_RUNS = 400
 MAX_BYTES = 64 * 2**30
-_MEASURED = ("measured", "actual", "state", "states", "feedback")
-_HALF = re.compile(rf"(^|[_\-. ])({'|'.join(_MEASURED)}|desired|reference|commands?|cmd|targets?|goals?)(?=$|[_\-. ])")
 
 
 def read(path: Path, window: Window | None = None) -> list[Recording]:
     """The recordings in a file or a folder, one a run.
 
     A folder is one recording where a reader knows it as such (a ROS 2 bag, a LeRobot dataset); otherwise each file in
-    it that a reader knows is a run. Two tables named alike but for `measured` and `desired` are one run.
+    it that a reader knows is a run, and so is each folder in it. Tables of different signals over the same seconds are
+    one run.
 
     Raises:
         GapError: nothing that any reader knows, or a file that its reader cannot read.
@@ -105,6 +105,8 @@ def _finite(recording: Recording) -> Recording:
 def _folder(folder: Path, window: Window) -> list[Recording]:
     files = sorted(p for p in folder.iterdir() if not p.name.startswith("."))
     known = [(p, r) for p in files if (r := reader_of(p)) is not None]
+    if not known and (inner := _inner(files, window)):
+        return inner
     if not known:
         raise GapError(
             "no recording in the folder",
@@ -128,42 +130,70 @@ def _folder(folder: Path, window: Window) -> list[Recording]:
     if not found:
         assert first is not None
         raise first
-    merged = _halves(found)
+    merged = joined(found)
     return [replace(r, notes=r.notes + tuple(lost)) if i == 0 else r for i, r in enumerate(merged)]
 
 
-def _halves(recordings: Sequence[Recording]) -> list[Recording]:
-    """Recordings with those joined that are the measured and the desired half of one run."""
+def _inner(files: Sequence[Path], window: Window) -> list[Recording]:
+    """The recordings in folders that are runs; none where no folder holds any."""
+    folders = [p for p in files if p.is_dir() and any(reader_of(f) is not None for f in p.iterdir())]
+    found: list[Recording] = []
+    for folder in folders[:MAX_RUNS]:
+        inside = _folder(folder, window)
+        names = [folder.name] if len(inside) == 1 else [f"{folder.name}_{r.name}" for r in inside]
+        found += [replace(r, name=name) for r, name in zip(inside, names, strict=True)]
+    return found
+
+
+def joined(recordings: Sequence[Recording]) -> list[Recording]:
+    """Recordings with those joined that hold different signals of one run: commands here, states there.
+
+    They are named alike but for words of signals (`run1_cmd`, `run1_state`), or each of the folder's files holds
+    something else; and they run over the same seconds.
+    """
     groups: dict[str, list[Recording]] = {}
     for recording in recordings:
-        groups.setdefault(_HALF.sub("", recording.name).strip("_-. "), []).append(recording)
-    result = []
+        groups.setdefault(_bare(recording.name), []).append(recording)
+    if len({_layout(r) for r in recordings}) == len(recordings):
+        groups = {_bare(recordings[0].name) if len(groups) == 1 else "": list(recordings)}
+    result: list[Recording] = []
     for name, parts in groups.items():
-        if len(parts) == 2 and all(len(p.streams) == 1 for p in parts) and _one_clock(parts):
-            streams = tuple(replace(p.streams[0], name=_half(p.name)) for p in parts)
-            notes = (*parts[0].notes, *parts[1].notes, f"{parts[0].name} and {parts[1].name} are taken as one run")
-            result.append(replace(parts[0], name=name or parts[0].name, streams=streams, notes=notes))
-        else:
+        apart = len(parts) > 1 and len({_layout(p) for p in parts}) == len(parts)
+        if not (apart and all(len(p.streams) == 1 for p in parts) and _one_clock(parts)):
             result += parts
+            continue
+        streams = tuple(replace(p.streams[0], name=_half(p)) for p in parts)
+        files = ", ".join(p.name for p in parts)
+        notes = (*(n for p in parts for n in p.notes), f"{files} are taken as one run")
+        result.append(replace(parts[0], name=name or parts[0].name, streams=streams, notes=notes))
     return result
 
 
-def _half(name: str) -> str:
-    """`desired` or the like, or nothing for what was measured: alike in all runs of a folder, whole or in halves."""
-    found = _HALF.search(name)
-    return "" if found is None or found[2] in _MEASURED else found[2]
+def _bare(name: str) -> str:
+    """A file's name without its words of signals: `run1_motor_state` -> run_1."""
+    return "_".join(w for w in plain(name).split("_") if not set(english(w)) & {*SIDES, *KINDS, "joint"})
+
+
+def _half(recording: Recording) -> str:
+    """Name of a table among those of its run: the words of signals in its file's name, the same in all runs."""
+    return "_".join(w for w in english(recording.name) if w in (*SIDES, *KINDS)) or recording.name
+
+
+def _layout(recording: Recording) -> tuple[str, ...]:
+    """What tells tables of different signals: their columns, and which side of the loop the file's name is of."""
+    side = [w for w in english(recording.name) if w in SIDES]
+    return (*side, *(n for s in recording.streams for n in s.fields))
 
 
 def _one_clock(parts: Sequence[Recording]) -> bool:
-    """Whether the two halves run over the same seconds, and only one of them is named for what was desired."""
-    named = [_HALF.search(p.name) is not None for p in parts]
+    """Whether the tables run over the same seconds."""
     spans = []
     for part in parts:
-        clock = next(iter(part.streams[0].clocks.values()), None)
+        name, clock = next(iter(part.streams[0].clocks.items()), ("", None))
         if clock is None or not len(clock):
             return False
-        spans.append((float(clock[0]), float(clock[-1])))
+        seconds = seconds_of(name, clock)[0]
+        spans.append((float(seconds[0]), float(seconds[-1])))
     length = max(b - a for a, b in spans)
-    return (
-        any(named) and abs(spans[0][0] - spans[1][0]) < 0.1 * length and abs(spans[0][1] - spans[1][1]) < 0.1 * length
-    )
+    first, last = [a for a, _ in spans], [b for _, b in spans]
+    return max(first) - min(first) < 0.1 * length and max(last) - min(last) < 0.1 * length

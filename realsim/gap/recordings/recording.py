@@ -27,6 +27,8 @@ class Field:
     """Names of the K columns (joints, axes), or () where the file does not say."""
     unit: str = ""
     """The unit, if the file or its message type specifies it."""
+    columns: tuple[str, ...] = ()
+    """Names of the table's columns that it was made of, or ()."""
 
     @property
     def width(self) -> int:
@@ -92,6 +94,9 @@ class Window:
         return self.start == 0 and np.isinf(self.seconds)
 
 
+WHOLE = Window()
+
+
 @dataclass(frozen=True)
 class Reader:
     """One format: one file in `readers/`, one line in `READERS`."""
@@ -119,7 +124,7 @@ def no_samples(
     path: Path,
     what: str,
     skipped: Mapping[str, str] | None = None,
-    window: Window = Window(),
+    window: Window = WHOLE,
     notes: Sequence[str] = (),
 ) -> GapError:
     """The error for a file without anything numeric; says which topics there were."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -12,31 +14,83 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.core.types import F64
 from realsim.gap.recordings.messages import MAX_WIDTH
-from realsim.gap.recordings.names import is_clock, named_unit, words
-from realsim.gap.recordings.recording import Field, Stream
+from realsim.gap.recordings.names import seconds_of
+from realsim.gap.recordings.recording import WHOLE, Field, Stream, Window, in_window
+from realsim.gap.recordings.vocabulary import KINDS, SIDES, SIGNALS, english, is_clock, plain, split_unit, time_unit
 
 _AXIS = re.compile(r"^(?P<stem>.*?)[._\s\[(]*(?P<axis>[xyzw])[\])]?$")
 _INDEX = re.compile(r"^(?P<head>.*?)[._\s\[(]*(?P<index>\d+)[\])]?(?P<tail>[^0-9]*)$")
-_SIGNAL = {
-    "q", "qd", "dq", "qdes", "pos", "position", "angle", "vel", "velocity", "speed", "tau", "torque", "effort", "cmd",
-    "command", "target", "goal", "des", "desired", "ref", "action", "state", "measured", "actual", "current", "joint",
-    "observation", "deg", "rad", "nm", "rpm", "per", "s", "setpoint", "load", "present",
-}  # fmt: skip
-"""Words that say what is measured; what is left of a column's name says where."""
+_COUNTS = {"index", "idx", "frame", "sample", "seq", "sequence", "count", "counter", "row", "line", "iteration", "iter"}
+_COUNTS |= {"n", "no", "nr", "id", "step", "unnamed", "packet"}
+"""Words of columns that count rows: they rise evenly, and give no seconds."""
+EVEN = 0.9
+"""Share of the steps of a clock within a third to three times the median one. Set by hand: loops of hobby boards that
+wait for a serial port have 0.97 and more."""
+LEAST_CLOCK = 20
+"""Samples from which a column that rises evenly is taken for a clock."""
 
 
-def table(path: Path, name: str, columns: Mapping[str, F64], units: Mapping[str, str] | None = None) -> Stream:
-    """A stream from columns (T,) or (T, K) of one table; those that look like clocks become its clocks."""
-    clocks = {n: v for n, v in columns.items() if v.ndim == 1 and is_clock(n)}
+def table(path: Path, name: str, columns: Mapping[str, F64], *, window: Window = WHOLE) -> Stream:
+    """A stream from columns (T,) or (T, K) of one table; clocks are those named so, else the one that rises evenly."""
+    columns = _joined_stamps(columns)
+    scalars = {n: v for n, v in columns.items() if v.ndim == 1}
+    clocks = {n: v for n, v in scalars.items() if is_clock(n)}
+    if not any(rises_evenly(v) for v in clocks.values()) and (found := _clock_by_values(scalars)):
+        clocks = {found: scalars[found], **clocks}
     rest = {n: v for n, v in columns.items() if n not in clocks and v.ndim <= 2}
-    vectors = {n: Field(v, (), named_unit(n)) for n, v in rest.items() if v.ndim == 2 and 0 < v.shape[1] <= MAX_WIDTH}
-    scalars = {n: v for n, v in rest.items() if v.ndim == 1}
-    fields = vectors | grouped(scalars)
+    vectors = {
+        n: Field(v, (), split_unit(n)[1], (n,)) for n, v in rest.items() if v.ndim == 2 and 0 < v.shape[1] <= MAX_WIDTH
+    }
+    fields = vectors | grouped({n: v for n, v in rest.items() if v.ndim == 1})
     if not fields:
         raise GapError("the table has no columns of numbers", file=path, found=", ".join(list(columns)[:12]) or "none")
-    if units:
-        fields = {n: Field(f.values, f.labels, units.get(n, f.unit)) for n, f in fields.items()}
-    return Stream(name, "table", clocks, fields)
+    if window.whole:
+        return Stream(name, "table", clocks, fields)
+    if not clocks:
+        raise GapError("a time window is requested, but the table has no time", found=", ".join(list(columns)[:12]))
+    first = next(iter(clocks))
+    keep = in_window(seconds_of(first, clocks[first])[0], window)
+    kept = {n: replace(f, values=f.values[keep]) for n, f in fields.items()}
+    return Stream(name, "table", {n: v[keep] for n, v in clocks.items()}, kept)
+
+
+def rises_evenly(values: F64) -> bool:
+    """Whether a column (T,) can be a clock by its values alone."""
+    if len(values) < LEAST_CLOCK or not np.isfinite(values).all():
+        return False
+    steps = np.diff(values)
+    usual = float(np.median(steps))
+    near = (steps > usual / 3) & (steps < 3 * usual)
+    return usual > 0 and bool((steps >= 0).mean() > 0.98 and near.mean() > EVEN)
+
+
+def _clock_by_values(columns: Mapping[str, F64]) -> str:
+    """The column that rises evenly without being named for a signal or a count; one with a unit of time first."""
+    found = [n for n, v in columns.items() if rises_evenly(v) and not set(english(n)) & {*SIDES, *KINDS}]
+    found = [
+        n for n in found if time_unit(n) or not (_counts(columns[n]) and (set(english(n)) & _COUNTS or not plain(n)))
+    ]
+    return min(found, key=lambda n: (not time_unit(n), "time" not in english(n), _counts(columns[n])), default="")
+
+
+def _counts(values: F64) -> bool:
+    """Whether a column counts its rows."""
+    return bool((np.diff(values) == 1).all())
+
+
+def _joined_stamps(columns: Mapping[str, F64]) -> Mapping[str, F64]:
+    """Seconds and nanoseconds in columns of their own as one clock: `stamp.sec`, `stamp.nanosec`."""
+    result = dict(columns)
+    for name, whole in columns.items():
+        stem, unit = split_unit(name)
+        for other, part in columns.items():
+            rest, finer = split_unit(other)
+            if unit == "s" and finer in ("ns", "us") and rest == stem and whole.ndim == part.ndim == 1:
+                scale = {"ns": 1e-9, "us": 1e-6}[finer]
+                if np.nanmin(part) >= 0 and np.nanmax(part) < 1 / scale:
+                    result.pop(other, None)
+                    result[name] = whole + scale * part
+    return result
 
 
 def grouped(scalars: Mapping[str, F64]) -> dict[str, Field]:
@@ -49,8 +103,8 @@ def grouped(scalars: Mapping[str, F64]) -> dict[str, Field]:
             continue
         name = stem if stem and stem not in found else " ".join(members[:2])
         values = np.stack([left.pop(m) for m in members], axis=1)
-        found[name] = Field(values, labels, named_unit(members[0]))
-    return found | {n: Field(v[:, None], (), named_unit(n)) for n, v in left.items()}
+        found[name] = Field(values, labels, split_unit(members[0])[1], tuple(members))
+    return found | {n: Field(v[:, None], (), split_unit(n)[1], (n,)) for n, v in left.items()}
 
 
 _Groups = list[tuple[dict[str, str], tuple[str, ...], str]]
@@ -60,39 +114,47 @@ _Groups = list[tuple[dict[str, str], tuple[str, ...], str]]
 def _by_axis(names: Mapping[str, Any]) -> _Groups:
     stems: dict[str, dict[str, str]] = {}
     for name in names:
-        match = _AXIS.match(name)
+        match = _AXIS.match(split_unit(name)[0])
         if match and match["stem"]:
-            stems.setdefault(match["stem"], {})[match["axis"]] = name
+            stems.setdefault(match["stem"], {})[match["axis"].lower()] = name
     # The order of the columns is kept: it is the order of a quaternion too.
     return [(axes, tuple(axes), stem) for stem, axes in stems.items() if {"x", "y", "z"} <= set(axes)]
 
 
 def _by_index(names: Mapping[str, Any]) -> _Groups:
-    stems: dict[tuple[str, str], dict[int, str]] = {}
+    stems: dict[tuple[str, str, str], dict[int, str]] = {}
     for name in names:
-        match = _INDEX.match(name)
+        bare, unit = split_unit(name)
+        match = _INDEX.match(bare)
         if match and not match["tail"].strip("._ ").isdigit():
-            stems.setdefault((match["head"], match["tail"]), {})[int(match["index"])] = name
+            stems.setdefault((match["head"], match["tail"], unit), {})[int(match["index"])] = name
     groups = []
-    for (head, tail), found in stems.items():
+    for (head, tail, unit), found in stems.items():
         indices = sorted(found)
         if len(indices) >= 2 and indices == list(range(indices[0], indices[0] + len(indices))):
-            groups.append(
-                ({str(i): found[i] for i in indices}, tuple(found[i] for i in indices), head.rstrip("._ ") + tail)
-            )
+            labels = tuple(found[i] for i in indices)
+            groups.append(({str(i): found[i] for i in indices}, labels, _named(head.rstrip("._ ") + tail, unit)))
     return groups
 
 
 def _by_place(names: Mapping[str, Any]) -> _Groups:
-    """Columns of which every name is a place and the same words of a signal: hip_pos, knee_pos."""
-    stems: dict[tuple[str, ...], dict[str, str]] = {}
+    """Columns of which every name is a place and the same words of a signal: hip_pos, knee_pos; Knie_ist, Knie_soll."""
+    stems: dict[tuple[tuple[str, ...], str], dict[str, str]] = {}
     for name in names:
-        parts = words(name)
-        signal = tuple(w for w in parts if w in _SIGNAL)
-        place = "_".join(w for w in parts if w not in _SIGNAL)
-        if signal and place:
-            stems.setdefault(signal, {})[place] = name
-    return [(found, tuple(found), "_".join(signal)) for signal, found in stems.items() if len(found) >= 2]
+        parts, unit = english(name), split_unit(name)[1]
+        signal = tuple(w for w in parts if w in SIGNALS)
+        place = "_".join(w for w in parts if w not in SIGNALS)
+        if (signal or unit) and place:
+            stems.setdefault((signal, unit), {})[place] = name
+    return [
+        (found, tuple(found), _named("_".join(signal), unit))
+        for (signal, unit), found in stems.items()
+        if len(found) >= 2
+    ]
+
+
+def _named(stem: str, unit: str) -> str:
+    return f"{stem} [{unit}]".strip() if unit else stem
 
 
 def cells(path: Path, name: str, values: Sequence[Any]) -> F64 | None:
@@ -132,18 +194,41 @@ def odd_cell(values: Sequence[Any], column: F64) -> str | None:
     return None
 
 
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+_MOMENT = re.compile(r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)(?:Z|[+-]\d\d:?\d\d)?")
+
+
+def is_number(text: str) -> bool:
+    """Whether a cell is a number, a list of numbers or a time of day."""
+    return _cell(text) is not None
+
+
+def _text(text: str) -> float | None:
+    """A number as written, also with a decimal comma; a date and time, or a time of day, as s; None for other text."""
+    try:
+        return float(text)
+    except ValueError:
+        pass
+    if _DECIMAL_COMMA.fullmatch(text):
+        return float(text.replace(",", "."))
+    if moment := _MOMENT.fullmatch(text):
+        day, hours, minutes, seconds = moment.groups()
+        try:
+            since = 86400.0 * date.fromisoformat(day).toordinal() if day else 0.0
+        except ValueError:  # a thirteenth month
+            return None
+        return since + 3600.0 * int(hours) + 60.0 * int(minutes) + float(seconds.replace(",", "."))
+    return {"true": 1.0, "false": 0.0, "nan": np.nan}.get(text.lower())
+
+
 def _cell(value: Any) -> float | list[float] | None:
     """A number, a list of numbers, or None for what is neither (a text, an empty cell)."""
     if isinstance(value, str):
         text = value.strip()
-        if text.startswith(("[", "(")):
-            inner = text.strip("[]() ")
-            value = inner.replace(";", ",").split(",") if "," in inner or ";" in inner else inner.split()
-        else:
-            try:
-                return float(text)
-            except ValueError:
-                return {"true": 1.0, "false": 0.0, "nan": np.nan}.get(text.lower())
+        if not text.startswith(("[", "(")):
+            return _text(text)
+        inner = text.strip("[]() ")
+        value = inner.replace(";", ",").split(",") if "," in inner or ";" in inner else inner.split()
     if isinstance(value, (bool, int, float, np.number)):
         try:
             return float(value)

@@ -316,8 +316,8 @@ def test_measured_and_desired_halves_are_one_run(arm: Log, tmp_path: Path) -> No
         np.savetxt(folder / f"{name}.csv", np.stack(columns, axis=1), delimiter=",", header=head, comments="")
     proposal = propose(read(folder))
     assert len(proposal.recordings) == 1
-    assert proposal.assignments["command"].source.stream == "desired"
-    assert proposal.assignments["joint_pos"].source.stream == ""
+    assert proposal.assignments["command"].source.stream == "target"
+    assert proposal.assignments["joint_pos"].source.stream == "measured"
     for name in ("measured", "desired"):
         lines = (folder / f"data_{name}.csv").read_text().splitlines(keepends=True)
         (folder / f"again_{name}.csv").write_text("".join(lines[:700]))

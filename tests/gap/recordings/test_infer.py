@@ -14,9 +14,10 @@ from realsim.core.errors import GapError
 from realsim.gap.recordings import Window, load_target, propose, read
 from realsim.gap.recordings.case import run_arrays
 from realsim.gap.recordings.clocks import clocked
-from realsim.gap.recordings.names import clock_unit, is_clock, match_joints, meaning
+from realsim.gap.recordings.names import clock_unit, match_joints, meaning
 from realsim.gap.recordings.recording import Field, Recording, Stream
 from realsim.gap.recordings.tables import cells
+from realsim.gap.recordings.vocabulary import is_clock
 
 from .robots import ARM, PLACES, QUADRUPED, Log, save
 

@@ -12,7 +12,6 @@ from typing import Any
 
 from realsim.core.errors import GapError
 from realsim.core.files import check_size, read_json
-from realsim.gap.recordings.readers.csvfile import trimmed
 from realsim.gap.recordings.recording import Reader, Recording, Window, first_line, no_samples, refuse_more
 from realsim.gap.recordings.tables import rows, table
 
@@ -43,7 +42,7 @@ def read(path: Path, window: Window) -> list[Recording]:
         columns = rows(path, part, notes)
         if columns:
             refuse_more(path, sum(v.size for v in columns.values()))
-            streams.append(table(path, topic, trimmed(columns, window)))
+            streams.append(table(path, topic, columns, window=window))
     if not streams:
         raise no_samples(path, "objects with numbers or lists of numbers")
     return [Recording(path, path.stem, "json", tuple(streams), notes=tuple(notes), facts=facts)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,7 @@ import numpy as np
 
 from realsim.core.files import read_npz
 from realsim.core.types import F64
-from realsim.gap.recordings.readers.csvfile import trimmed
 from realsim.gap.recordings.recording import (
-    Field,
     Reader,
     Recording,
     Stream,
@@ -38,11 +37,10 @@ def read(path: Path, window: Window) -> list[Recording]:
     if not columns:
         raise no_samples(path, "arrays with a row a sample", {n: str(v.shape) for n, v in arrays.items()})
     refuse_more(path, sum(v.size for v in columns.values()))
-    stream = table(path, "", trimmed(columns, window))
+    stream = table(path, "", columns, window=window)
     labels = next((tuple(map(str, v)) for v in texts.values() if v.ndim == 1 and len(v) > 1), ())
     fields = {
-        n: Field(f.values, labels, f.unit) if not f.labels and f.width == len(labels) else f
-        for n, f in stream.fields.items()
+        n: replace(f, labels=labels) if not f.labels and f.width == len(labels) else f for n, f in stream.fields.items()
     }
     return [Recording(path, path.stem, "npz", (Stream(stream.name, "table", stream.clocks, fields),), facts=facts)]
 

@@ -11,7 +11,6 @@ import numpy as np
 from realsim.core.errors import GapError, extra
 from realsim.core.types import F64
 from realsim.gap.recordings.messages import MAX_WIDTH
-from realsim.gap.recordings.readers.csvfile import trimmed
 from realsim.gap.recordings.recording import Reader, Recording, Window, has_suffix, no_samples, refuse_more
 from realsim.gap.recordings.tables import table
 
@@ -20,7 +19,7 @@ def read(path: Path, window: Window) -> list[Recording]:
     columns, skipped = columns_of(path)
     if not columns:
         raise no_samples(path, "columns of numbers or of lists of numbers", skipped)
-    stream = table(path, "", trimmed(columns, window))
+    stream = table(path, "", columns, window=window)
     return [Recording(path, path.stem, "parquet", (stream,), skipped)]
 
 

@@ -15,7 +15,6 @@ import numpy as np
 from realsim.core.errors import GapError, extra
 from realsim.core.types import F64
 from realsim.gap.recordings.messages import MAX_WIDTH
-from realsim.gap.recordings.names import named_unit
 from realsim.gap.recordings.recording import (
     Field,
     Reader,
@@ -28,6 +27,7 @@ from realsim.gap.recordings.recording import (
     refuse_more,
 )
 from realsim.gap.recordings.tables import grouped
+from realsim.gap.recordings.vocabulary import unit_of
 
 RECEIVED = "log_time"
 
@@ -133,7 +133,7 @@ def _streams(
     streams = []
     for (clock, _), (time, columns) in together.items():
         scalars = {n: v[:, 0] for n, v in columns.items() if v.shape[1] == 1}
-        wide = {n: Field(v, _fitting(labels, n, v), named_unit(n)) for n, v in columns.items() if v.shape[1] > 1}
+        wide = {n: Field(v, _fitting(labels, n, v), unit_of(n)) for n, v in columns.items() if v.shape[1] > 1}
         name = next(iter(columns)) if len(together) > 1 else ""
         key = "receive" if clock == RECEIVED else "header"
         streams.append(Stream(name, "table", {key: time}, wide | grouped(scalars)))

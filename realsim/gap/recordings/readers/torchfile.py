@@ -11,7 +11,6 @@ import numpy as np
 
 from realsim.core.errors import GapError, extra
 from realsim.core.files import archive_damage, check_size
-from realsim.gap.recordings.readers.csvfile import trimmed
 from realsim.gap.recordings.recording import Reader, Recording, Window, has_suffix, no_samples, refuse_more
 from realsim.gap.recordings.tables import table
 
@@ -35,7 +34,7 @@ def read(path: Path, window: Window) -> list[Recording]:
     if not columns:
         raise no_samples(path, "tensors with a row a sample", {n: str(v.shape) for n, v in arrays.items()})
     refuse_more(path, sum(v.size for v in columns.values()))
-    return [Recording(path, path.stem, "torch", (table(path, "", trimmed(columns, window)),))]
+    return [Recording(path, path.stem, "torch", (table(path, "", columns, window=window),))]
 
 
 READER = Reader("torch", "a .pt file with a dictionary of tensors", has_suffix(".pt", ".pth"), read)

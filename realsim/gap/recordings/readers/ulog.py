@@ -8,7 +8,7 @@ import numpy as np
 
 from realsim.core.errors import GapError, extra
 from realsim.core.files import check_size
-from realsim.gap.recordings.recording import Field, Reader, Recording, Stream, Window, first_line, in_window, no_samples
+from realsim.gap.recordings.recording import Reader, Recording, Stream, Window, first_line, in_window, no_samples
 from realsim.gap.recordings.tables import grouped
 
 MAX_BYTES = 2**30
@@ -40,8 +40,7 @@ def read(path: Path, window: Window) -> list[Recording]:
         if keep.any() and columns:
             clocks = {"header": stamps[keep]}  # the autopilot stamps when it samples; nothing is received
             name = entry.name + (f"[{entry.multi_id}]" if entry.multi_id else "")
-            fields = {n: Field(f.values, f.labels, f.unit) for n, f in grouped(columns).items()}
-            streams.append(Stream(name, entry.name, clocks, fields))
+            streams.append(Stream(name, entry.name, clocks, grouped(columns)))
     if not streams:
         raise no_samples(path, "logged messages", window=window)
     notes: tuple[str, ...] = (f"{len(log.dropouts)} dropouts in the log",) if log.dropouts else ()

@@ -1,0 +1,200 @@
+"""Tables as strangers write them: clocks, languages, units, orders, files; each with its right value."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from realsim.core.errors import GapError
+from realsim.gap.recordings import load_target, propose, read
+from realsim.gap.recordings.case import run_arrays
+from realsim.gap.recordings.vocabulary import english, split_unit
+
+from . import writers
+from .robots import ARM, Log, drive, save
+
+DEG = 180 / np.pi
+JOINTS = ("shoulder_joint", "elbow_joint")
+
+
+def write(path: Path, header: str, *columns: np.ndarray, delimiter: str = ",", fmt: str = "%.9g") -> Path:
+    np.savetxt(path, np.column_stack(columns), delimiter=delimiter, header=header, comments="", fmt=fmt)
+    return path
+
+
+def check(source: Path, folder: Path, log: Log, use: tuple[str, ...] = ()) -> None:
+    """Commands and positions of the case are the robot's, joint by joint, in rad."""
+    found = propose(read(source), load_target(save(folder, ARM)), use=use)
+    assert found.complete, found.render()
+    arrays = run_arrays(found, found.recordings[0]).arrays
+    at = [JOINTS.index(j) for j in found.joints]
+    drives = [["shoulder_servo", "elbow_servo"].index(a) for a in found.assignments["command"].targets]
+    position = np.interp(arrays["time"], log.time - log.time[0], log.pos[:, at[0]])
+    np.testing.assert_allclose(arrays["joint_pos"][:, 0], position, atol=2e-3)
+    for k, j in enumerate(drives):
+        assert np.corrcoef(arrays["command"][:, k], log.command[-len(arrays["command"]) :, j])[0, 1] > 0.999
+    assert not found.assignments["command"].doubtful, found.render()
+    assert not found.assignments["joint_pos"].doubtful, found.render()
+
+
+CLOCKS = {
+    "millis": 1e3, "micros": 1e6, "seconds": 1, "TimeStamp": 1, "header.stamp": 1, "rosbagTimestamp": 1e9,
+    "sim_time": 1, "unix_time": 1, "uptime_ms": 1e3, "elapsed_time": 1, "Zeit [ms]": 1e3, "temps_ecoule": 1,
+    "Tiempo (s)": 1, "x-axis": 1, "时间": 1, "%time": 1e9, "T/ms": 1e3, "loop": 1, "ZEIT": 1e6,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CLOCKS)
+def test_a_clock_by_its_values(name: str, arm: Log, tmp_path: Path) -> None:
+    late = np.random.default_rng(0).uniform(0, 2e-4, len(arm.time))
+    clock = CLOCKS[name] * (arm.time + late + 12.0)
+    check(write(tmp_path / "a.csv", f"{name},q1,q2,qd1,qd2,cmd1,cmd2", clock, arm.pos, arm.vel, arm.command,
+                fmt="%.12g"), tmp_path, arm)  # fmt: skip
+
+
+HEADERS = {
+    "german": "Ellbogen_soll [deg],Schulter_soll [deg],Ellbogen_ist [deg],Schulter_ist [deg]",
+    "french": "coude consigne (deg),épaule consigne (deg),coude mesure (deg),épaule mesure (deg)",
+    "spanish": "Codo deseado [deg],Hombro deseado [deg],Codo actual [deg],Hombro actual [deg]",
+    "compounds": "Ellbogen_Sollwinkel [°],Schulter_Sollwinkel [°],Ellbogen_Istwinkel [°],Schulter_Istwinkel [°]",
+    "english": "elbow_ref_deg,shoulder_ref_deg,elbow_act_deg,shoulder_act_deg",
+    "camel": "elbowTargetDeg,shoulderTargetDeg,elbowActualDeg,shoulderActualDeg",
+    "spaced": "Elbow Goal Position (deg),Shoulder Goal Position (deg),Elbow Present Position (deg),"
+    "Shoulder Present Position (deg)",
+    "chinese": "肘目标角度 [deg],肩目标角度 [deg],肘实际角度 [deg],肩实际角度 [deg]",
+}
+
+
+@pytest.mark.parametrize("language", HEADERS)
+def test_set_and_actual_columns_in_any_language(language: str, arm: Log, tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", f"t,{HEADERS[language]}", arm.time, DEG * arm.command[:, ::-1],
+                 DEG * arm.pos[:, ::-1])  # fmt: skip
+    check(path, tmp_path, arm)
+
+
+def test_single_columns_by_name(arm: Log, tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", "t,A [deg],B [deg],C [deg],D [deg]", arm.time, DEG * arm.command[:, ::-1],
+                 DEG * arm.pos[:, ::-1])  # fmt: skip
+    check(path, tmp_path, arm, ("joint_pos=D [deg],C [deg]", "command=B [deg],A [deg]"))
+    with pytest.raises(GapError, match="which is not in the recording"):
+        propose(read(path), use=["joint_pos=D [deg],E [deg]"])
+
+
+def test_commands_in_another_order_by_all_runs(tmp_path: Path) -> None:
+    """ROS 2's usual set-up; whichever run comes first, and also where one run alone would not tell."""
+    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed: pip install -e '.[dev]'")
+    target = load_target(save(tmp_path, ARM))
+    for order in ((0, 1, 2), (2, 1, 0)):
+        folder = tmp_path / f"bags{order[0]}"
+        folder.mkdir()
+        for place, seed in enumerate(order):
+            log = drive(ARM, seed=seed)
+            joined = writers.joint_states(log, list(JOINTS)) + writers.float_commands(
+                replace(log, command=log.command[:, ::-1])
+            )
+            writers.mcap_ros2(folder / f"run_{place}.mcap", sorted(joined, key=lambda m: m[3]))
+        command = propose(read(folder), target).assignments["command"]
+        assert command.columns == (1, 0)
+        assert not command.doubtful
+
+
+def test_a_commanded_torque_is_no_measurement(arm: Log, tmp_path: Path) -> None:
+    wrong = 3 * arm.torque + 1
+    path = write(tmp_path / "a.csv", "time,pos_meas1,pos_meas2,pos_filt1,pos_filt2,tau_con1,tau_con2,tau_fric1,"
+                 "tau_fric2,tau_meas1,tau_meas2,q_ref1,q_ref2", arm.time, arm.pos, 0.9 * arm.pos, wrong, wrong,
+                 arm.torque, arm.command)  # fmt: skip
+    found = propose(read(path), load_target(save(tmp_path, ARM)))
+    assert {r: a.source.member for r, a in found.assignments.items()} == {
+        "joint_pos": "pos_meas", "joint_torque": "tau_meas", "command": "q_ref",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("names", [("control", "state_motor"), ("run1_cmd", "run1_fb"), ("Sollwerte", "Istwerte")])
+def test_commands_and_states_in_files_of_their_own(names: tuple[str, str], arm: Log, tmp_path: Path) -> None:
+    folder = tmp_path / "log"
+    folder.mkdir()
+    write(folder / f"{names[0]}.csv", "timestamp,positions_1,positions_2", 1e6 * arm.time, arm.command)
+    write(folder / f"{names[1]}.csv", "timestamp,positions_1,positions_2,velocities_1,velocities_2", 1e6 * arm.time,
+          arm.pos, arm.vel)  # fmt: skip
+    check(folder, tmp_path, arm)
+
+
+def test_tables_of_other_programs(arm: Log, tmp_path: Path) -> None:
+    """Decimal commas, lines before the header, a line of units, blanks, other encodings, times of day, split stamps."""
+    head, body = "Zeit;Schulter_soll;Ellbogen_soll;Schulter_ist;Ellbogen_ist", (arm.time, arm.command, arm.pos)
+    path = write(tmp_path / "comma.csv", head, *body, delimiter=";")
+    path.write_text(path.read_text().replace(".", ","))
+    check(path, tmp_path, arm)
+    path = write(tmp_path / "units.csv", f"Prüfstand 3\n\n{head}\ns;deg;deg;deg;deg", arm.time, DEG * arm.command,
+                 DEG * arm.pos, delimiter=";")  # fmt: skip
+    path.write_bytes(path.read_text().encode("cp1252"))
+    check(path, tmp_path, arm)
+    path = write(tmp_path / "blank.txt", "# time q1_des q2_des q1 q2", *body, delimiter=" ")
+    check(path, tmp_path, arm)
+    sec = np.floor(arm.time) + 1.7e9
+    path = write(tmp_path / "split.csv", "stamp.sec,stamp.nanosec,des1,des2,q1,q2", sec,
+                 np.round(1e9 * (arm.time % 1)), arm.command, arm.pos, fmt="%.12g")  # fmt: skip
+    check(path, tmp_path, arm)
+    rows = [f"2026-11-10 23:59:{59 - 59 + t:09.6f}" for t in arm.time]
+    lines = [
+        ",".join([r, *(f"{v:.6f}" for v in row)])
+        for r, row in zip(rows, np.hstack([arm.command, arm.pos]), strict=True)
+    ]
+    (tmp_path / "day.csv").write_text("\n".join(["when,des1,des2,q1,q2", *lines]))
+    check(tmp_path / "day.csv", tmp_path, arm)
+
+
+def test_units_of_commands_of_their_own(arm: Log, tmp_path: Path) -> None:
+    for head in ("t,q1_des,q2_des,q1,q2", "t,q1_des [deg],q2_des [deg],q1 [rad],q2 [rad]"):
+        check(write(tmp_path / "a.csv", head, arm.time, DEG * arm.command, arm.pos), tmp_path, arm)
+
+
+def test_what_cannot_be_known_is_in_doubt_or_refused(arm: Log, tmp_path: Path) -> None:
+    target = load_target(save(tmp_path, ARM))
+    path = write(tmp_path / "negated.csv", "t,q1_des,q2_des,q1,q2", arm.time, -arm.command, arm.pos)
+    assert propose(read(path), target).assignments["command"].doubtful
+    path = write(tmp_path / "index.csv", "index,q1_des,q2_des,q1,q2", np.arange(len(arm.time)), arm.command, arm.pos)
+    with pytest.raises(GapError, match="has no time") as error:
+        propose(read(path), target)
+    assert "--rate" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "unit"),
+    [
+        ("Ellbogen_soll [deg]", ("elbow", "target"), "deg"), ("qRef3", ("position", "target", "3"), ""),
+        ("Drehmoment_ist / Nm", ("torque", "measured"), "N m"), ("current_position", ("measured", "position"), ""),
+        ("motor_current_A", ("joint", "electric", "a"), ""), ("左膝_速度", ("left", "knee", "velocity"), ""),
+        ("FL_hip_joint2", ("fl", "hip", "joint", "2"), ""), ("speed_rpm", ("velocity",), "rpm"),
+    ],
+)  # fmt: skip
+def test_names_in_english(name: str, words: tuple[str, ...], unit: str) -> None:
+    assert english(name) == words
+    assert split_unit(name)[1] == unit
+
+
+@pytest.mark.parametrize("case", ["csv_millis", "csv_set_and_actual", "mcap_command_order"])
+def test_recordings_that_were_read_wrongly(case: str, shared: Callable[[str], Path]) -> None:
+    logs = shared("cases") / "logs" / case
+    found = propose(read(next(p for p in logs.iterdir() if p.is_dir())), load_target(logs / "arm.xml"))
+    command = found.assignments["command"]
+    assert command.targets == ("m_shoulder", "m_elbow")
+    assert found.joints == ("shoulder", "elbow")
+    assert not command.doubtful
+    assert found.assignments["joint_pos"].columns == (1, 0)
+    assert command.columns == ((0, 1) if "mcap" in case else (1, 0))
+
+
+def test_raw_files_that_were_read_wrongly(shared: Callable[[str], Path], tmp_path: Path) -> None:
+    raw = shared("cases") / "logs" / "raw_files"
+    assert propose(read(raw / "dfki_c1_trajectory.csv")).assignments["joint_torque"].source.member == "tau_meas"
+    for name in ("sage_control.csv", "sage_state_motor.csv"):
+        (tmp_path / name).symlink_to(raw / name)
+    found = propose(read(tmp_path))
+    assert len(found.recordings) == 1
+    assert found.assignments["command"].source.stream == "target"
+    assert found.assignments["joint_pos"].source.stream == "measured"
