@@ -37,12 +37,18 @@ def depth_unit(default: float, why: str, config: CaptureConfig, camera: Camera |
     return DepthUnit(default, 1.0, f"integer depth is in steps of {default:g} m ({why})")
 
 
-def _why_unreadable(path: Path) -> str:
-    try:
-        DepthImage(path, 1.0)()
-    except RealsimError as error:
-        return f"{path.name}: {error.message}" + (f" ({error.found})" if error.found else "")
-    return path.name
+def _no_depth(depth: Sequence[Path]) -> CaptureError:
+    """The error of a capture none of whose depth images can be read: what is wrong with the first."""
+    found, hint = "none", None
+    if depth:
+        try:
+            DepthImage(depth[0], 1.0)()
+        except RealsimError as error:
+            found, hint = f"{depth[0].name}: {one_line(error)}", error.hint
+    where = depth[0].parent if depth else None
+    return CaptureError(
+        "no depth image can be read", file=where, expected="16-bit or float images", found=found, hint=hint
+    )
 
 
 def cameras(
@@ -59,12 +65,7 @@ def cameras(
     depth_size = common_size(DepthImage(p, 1.0) for p in depth)
     color_size = common_size(ColorImage(p) for p in color)
     if depth_size is None:
-        raise CaptureError(
-            "no depth image can be read",
-            file=depth[0].parent if depth else None,
-            expected="16-bit or float images",
-            found=_why_unreadable(depth[0]) if depth else "none",
-        )
+        raise _no_depth(depth)
     if color_size in (None, depth_size):
         return camera.sized(depth_size), None, ()
     named = (camera.width, camera.height)

@@ -12,6 +12,7 @@ import numpy as np
 
 from realsim.capture.config import CaptureConfig
 from realsim.capture.consistency import GOOD, Agreement, check_agreement
+from realsim.capture.intrinsics import OFF_CENTRE, off_centre
 from realsim.capture.poses import PoseReport, settle_poses
 from realsim.capture.selection import pick
 from realsim.capture.survey import Look, blurred, duplicates, smeared, survey
@@ -68,7 +69,7 @@ def finish(raw: FrameSet, config: CaptureConfig) -> Finished:
     capture = replace(raw, frames=raw.frames[:: config.every], poses_metric=metric)
     if config.every > 1:
         capture = replace(capture, assumptions=(*capture.assumptions, f"only every {config.every}. frame is used"))
-    capture, poses = settle_poses(capture)
+    capture, poses = settle_poses(capture, config.max_depth)
     looks, damaged = survey(capture.frames, config)
     capture, looks = _without(capture, looks, damaged)
     _some_left(capture)
@@ -84,6 +85,13 @@ def finish(raw: FrameSet, config: CaptureConfig) -> Finished:
     if odd:
         note = f"{len(odd)} of {len(capture.frames)} frames have a camera unlike all others' ({', '.join(odd[:3])})"
         capture = replace(capture, warnings=(*capture.warnings, f"{note}: are their intrinsics damaged?"))
+    aside = [
+        c for f in capture.frames for c in {f.intrinsics, f.color_intrinsics} if c and off_centre(c) > OFF_CENTRE[0]
+    ]
+    if aside:
+        c = aside[0]
+        note = f"the principal point ({c.cx:.0f}, {c.cy:.0f}) is far from the middle of {c.width}x{c.height} pixels"
+        capture = replace(capture, warnings=(*capture.warnings, f"{note}: are the intrinsics of another resolution?"))
     stamped = [(f.timestamp, f.name) for f in capture.frames if f.timestamp is not None]
     late = [f"{b}, {t1:.3f} s after {t0:.3f} s" for (t0, _), (t1, b) in pairwise(stamped) if t1 <= t0]
     if late:

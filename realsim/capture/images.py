@@ -55,11 +55,13 @@ class DepthImage:
         raw = _load(self.path)
         # Eight bits cannot hold metric depth at any useful resolution: that is a picture of depth, not depth.
         if raw.ndim != 2 or not (raw.dtype.kind == "f" or (raw.dtype.kind == "u" and raw.dtype.itemsize > 1)):
+            viewed = raw.dtype == np.uint8
             raise CaptureError(
-                "depth of another type",
+                "depth coloured for viewing, not measured" if viewed else "depth of another type",
                 file=self.path,
                 expected="one channel, 16-bit unsigned or float",
                 found=f"{raw.dtype} of shape {raw.shape}",
+                hint="metres cannot be had back from it: record depth as 16 bit" if viewed else None,
             )
         return raw
 

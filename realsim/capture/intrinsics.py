@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,14 +12,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from realsim.capture.numbers import table_of
 from realsim.core.errors import CaptureError
-from realsim.core.files import read_json, read_text
+from realsim.core.files import parse_yaml, read_json, read_text
 from realsim.core.types import F64, Intrinsics
 
 MATRIX_KEYS = ("intrinsic_matrix", "camera_matrix", "K", "k", "intrinsics", "intrinsic", "matrix")
 WIDTH_KEYS, HEIGHT_KEYS = ("width", "image_width", "w"), ("height", "image_height", "h")
 DEPTH_UNIT_KEYS = ("depth_scale", "depth_unit", "depth_factor")
 FIELD_OF_VIEW_DEG = (5.0, 170.0)
+OFF_CENTRE = (0.1, 0.2)
+"""Of the image's size, that a principal point may lie off the middle: beyond the first it is doubtful; beyond the
+second it belongs to images of another size, where the file names none. Real cameras (iPhone, RealSense, Kinect, Xtion)
+have at most 0.04; figures of the next larger common size have 0.17 (1280x720 for 960x540) to 0.5."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +58,17 @@ class Camera:
                 found=f"{size[0]}x{size[1]} pixels",
                 hint="give the intrinsics of the images that are in the folder",
             )
-        return check(Intrinsics(*size, self.fx, self.fy, self.cx, self.cy), self.source)
+        camera = check(Intrinsics(*size, self.fx, self.fy, self.cx, self.cy), self.source)
+        if self.width is None and off_centre(camera) > OFF_CENTRE[1]:
+            raise CaptureError(
+                "the intrinsics are of images of another size",
+                file=self.source,
+                expected=f"a principal point near the middle of {size[0]}x{size[1]} pixels",
+                found=f"({self.cx:g}, {self.cy:g}), as of images of about {2 * self.cx:.0f}x{2 * self.cy:.0f}",
+                hint="give the intrinsics of the images as they are in the folder; for images that were cropped write "
+                f"`{self.fx:g} {self.fy:g} {self.cx:g} {self.cy:g} {size[0]} {size[1]}` into intrinsics.txt instead",
+            )
+        return camera
 
     def y_down(self) -> Camera:
         """The same with a positive fy: a negative one (ICL-NUIM) means a camera axis y that points up, while the rows
@@ -76,7 +92,7 @@ def camera_matrix(values: ArrayLike, source: Path) -> tuple[F64, str]:
         CaptureError: another count, or numbers that are a camera matrix in neither order.
     """
     try:
-        flat = np.asarray(values, float).ravel()
+        flat = table_of(values).ravel()
     except (TypeError, ValueError) as error:
         raise CaptureError("the camera matrix is not made of numbers", file=source, found=str(error)) from error
     if flat.size == 16:
@@ -139,6 +155,11 @@ def check(camera: Intrinsics, source: Path) -> Intrinsics:
             hint="intrinsics are in pixels of the images as they are in the folder",
         )
     return camera
+
+
+def off_centre(camera: Intrinsics) -> float:
+    """How far the principal point lies off the middle, over the image's size."""
+    return max(abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5))
 
 
 def read_camera(path: Path) -> Camera:
@@ -222,14 +243,9 @@ def _no_camera(source: Path, found: str) -> CaptureError:
 
 
 def _read_yaml(path: Path) -> Any:
-    import yaml
-
     # OpenCV's own writer starts its files with a directive and tags matrices, neither of which plain YAML knows.
     text = re.sub(r"^%YAML.*$|!!opencv-matrix", "", read_text(path, 2**20), flags=re.MULTILINE)
-    try:
-        return yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise CaptureError("broken YAML", file=path, found=" ".join(str(error).split())) from error
+    return parse_yaml(text, path)
 
 
 def _separate(data: Mapping) -> tuple | None:
@@ -254,7 +270,7 @@ def _first(data: Mapping, keys: Sequence[str]) -> Any | None:
 
 def _number(value: Any, source: Path) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise CaptureError("a camera parameter is not a number", file=source, found=repr(value))
+        raise CaptureError("a camera parameter is not a number", file=source, found=reprlib.repr(value))
     try:
         return float(value)
     except OverflowError as error:

@@ -115,7 +115,7 @@ def read_columns(path: Path, header: PcdHeader) -> dict[str, NDArray]:
         if header.data == "ascii":
             return _ascii(data, header)
         if header.data == "binary":
-            return _rows(data[: header.points * header.point_bytes], header)
+            return _rows(data, header)
         packed, unpacked = struct.unpack("<II", data[:8])
         return _blocks(decompress(data[8 : 8 + packed], unpacked), header)
     except (ValueError, OverflowError) as error:
@@ -219,9 +219,12 @@ def _check(header: PcdHeader, path: Path) -> None:
         raise CaptureError("unknown PCD encoding", file=path, expected=", ".join(ENCODINGS), found=header.data)
     rest = path.stat().st_size - header.offset
     expected = header.points * header.point_bytes
-    if header.data == "binary" and rest < expected:
+    if header.data == "binary" and rest != expected:
         raise CaptureError(
-            "corrupt or truncated point cloud", file=path, expected=f"{expected} bytes of points", found=f"{rest}"
+            "corrupt or truncated point cloud",
+            file=path,
+            expected=f"{expected} bytes of points after the header",
+            found=f"{rest}",
         )
     if header.data == "binary_compressed":
         lengths = read_head(path, 8, header.offset)

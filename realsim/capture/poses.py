@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,6 +17,9 @@ from realsim.core.types import F64, Dropped, Frame, FrameSet
 
 ROUNDING = 1e-5
 """Deviation of R R^T from the identity that a few printed digits explain; corrected without a word."""
+FAR = 100.0
+"""Times the usual distance of a capture's cameras from their middle beyond which a camera was never there; 67 m of a
+corridor have 2. Poses in metres may besides be as far off as two cameras that see one place."""
 MENDABLE = 0.05
 """Deviation up to which a rotation is replaced by the nearest one, with a note; beyond it the pose is refused."""
 
@@ -64,7 +68,7 @@ def rigid(T: ArrayLike) -> tuple[F64, float] | str:
     if M.shape != (4, 4):
         return f"the pose has shape {M.shape} instead of (4, 4)"
     if not np.isfinite(M).all():
-        return "the pose holds NaN or infinity"
+        return "the pose holds NaN, infinity or something that is no number"
     if np.abs(M[3] - [0, 0, 0, 1]).max() > ROUNDING:
         return f"the last row of the pose is {M[3].tolist()} instead of 0 0 0 1"
     R = M[:3, :3]
@@ -82,8 +86,11 @@ def rigid(T: ArrayLike) -> tuple[F64, float] | str:
     return out, deviation
 
 
-def settle_poses(capture: FrameSet) -> tuple[FrameSet, PoseReport]:
-    """Every pose rigid or its frame dropped; where some frames have a pose, those without one are dropped.
+def settle_poses(capture: FrameSet, reach: float) -> tuple[FrameSet, PoseReport]:
+    """Every pose rigid and near the others or its frame dropped; where some frames have a pose, so are those without.
+
+    Args:
+        reach: metres from a camera to the farthest depth that is used.
 
     Raises:
         PoseError: poses are given and none can be used (then they are of a kind that this toolkit does not know, and
@@ -102,6 +109,10 @@ def settle_poses(capture: FrameSet) -> tuple[FrameSet, PoseReport]:
         else:
             kept.append(frame.with_pose(result[0]))
             deviations.append(result[1])
+    astray = _astray(kept, 2 * reach if capture.poses_metric else 0.0)
+    dropped += [Dropped(kept[i].name, reason) for i, reason in astray.items()]
+    kept = [frame for i, frame in enumerate(kept) if i not in astray]
+    deviations = [deviation for i, deviation in enumerate(deviations) if i not in astray]
     if not kept:
         reason, count = Counter(d.reason for d in dropped).most_common(1)[0]
         raise PoseError(
@@ -121,3 +132,17 @@ def settle_poses(capture: FrameSet) -> tuple[FrameSet, PoseReport]:
         )
     settled = replace(capture, frames=tuple(kept), dropped=capture.dropped + tuple(dropped), assumptions=assumptions)
     return settled, report
+
+
+def _astray(frames: Sequence[Frame], reach: float) -> dict[int, str]:
+    """Index -> reason, of frames whose camera is so far from the middle of all that it sees nothing of theirs."""
+    if len(frames) < 3:
+        return {}
+    at = np.array([np.asarray(f.T_world_camera)[:3, 3] for f in frames])
+    with np.errstate(over="ignore"):
+        away = np.linalg.norm(at - np.median(at, axis=0), axis=1)
+    limit = FAR * float(np.median(away)) + reach
+    return {
+        int(i): f"its pose is {away[i]:.3g} away from the others' middle, theirs usually {np.median(away):.3g}"
+        for i in np.flatnonzero(~(away <= limit))
+    }

@@ -134,16 +134,42 @@ def read_ply(path: Path) -> RawScan:
 def read_stl(path: Path) -> RawScan:
     """A mesh whose triangles share no vertices in the file: equal ones are joined."""
     head = read_head(path, 84)
-    size = path.stat().st_size
-    if len(head) == 84 and 84 + 50 * struct.unpack("<I", head[80:])[0] == size:
-        check_count(3 * struct.unpack("<I", head[80:])[0], path)
+    told = struct.unpack("<I", head[80:])[0] if len(head) == 84 else 0
+    warnings: tuple[str, ...] = ()
+    # Text begins with `solid`, and so do some binary files: the size tells.
+    if 84 + 50 * told == path.stat().st_size:
+        check_count(3 * told, path)
+        warnings = _damaged_normals(np.frombuffer(read_bytes(path, MAX_SCAN_BYTES), STL_TRIANGLE, told, 84))
     raw = _load(path)
     points, index = np.unique(raw.points, axis=0, return_inverse=True)
     triangles = None if raw.triangles is None else index.ravel()[raw.triangles].astype(np.int32)
     notes = raw.notes
     if triangles is not None and (flat := int((triangles == np.roll(triangles, 1, axis=1)).any(axis=1).sum())):
         notes = (*notes, f"{flat} of {len(triangles)} triangles have no area: the file may be damaged there")
-    return replace(raw, points=points, triangles=triangles, normals=None, colors=None, notes=notes)
+    return replace(raw, points=points, triangles=triangles, normals=None, colors=None, notes=notes, warnings=warnings)
+
+
+STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("attribute", "<u2")])
+NORMAL_OFF = 0.02
+"""Of a unit vector: beyond what single precision and rounding explain in a triangle of usual shape. Not tuned."""
+
+
+def _damaged_normals(table: NDArray) -> tuple[str, ...]:
+    """A warning where few of a file's normals contradict their own triangle: a vertex that moved, bits that flipped.
+
+    Files whose normals mean something else (smoothed, all zero) contradict in most triangles, which says nothing.
+    """
+    normals, V = table["normal"].astype(float), table["vertices"].astype(float)
+    across = np.cross(V[:, 1] - V[:, 0], V[:, 2] - V[:, 0])
+    area = np.linalg.norm(across, axis=1)
+    longest = np.linalg.norm(V - np.roll(V, 1, axis=1), axis=2).max(axis=1)
+    with np.errstate(invalid="ignore"):
+        shaped = area > 1e-3 * longest**2  # of slivers rounding turns the normal
+        off = np.linalg.norm(across[shaped] / area[shaped, None] - normals[shaped], axis=1)
+    wrong = int((~(off < NORMAL_OFF)).sum())
+    if not 0 < wrong < 0.1 * len(off):
+        return ()
+    return (f"the normals of {wrong} of {len(table)} triangles contradict their vertices: is the file damaged?",)
 
 
 def read_obj(path: Path) -> RawScan:

@@ -26,6 +26,8 @@ from realsim.core.errors import RealsimError
 
 MAX_TEXT_BYTES = 64 * 2**20
 MAX_BINARY_BYTES = 2 * 2**30
+MAX_YAML_VALUES = 10**6
+"""More than any camera, policy or list of topics has."""
 MAX_DIGITS = 300
 """Of a whole number in JSON: a longer one has no value as a floating-point number, which end at 1.8e308."""
 MARKS = (
@@ -122,6 +124,40 @@ def _whole(digits: str) -> int:
     if len(digits) > MAX_DIGITS:
         raise ValueError(f"a whole number of {len(digits)} digits")
     return int(digits)
+
+
+def parse_yaml(text: str, path: Path) -> Any:
+    """Parsed plain YAML; `path` is where it is from, for the error. Aliases of aliases, a few lines of which stand for
+    billions of values, are refused before anything walks them."""
+    import yaml
+
+    try:
+        count = _expanded(yaml.compose(text, Loader=yaml.SafeLoader), {})
+        if count <= MAX_YAML_VALUES:
+            return yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise RealsimError("broken YAML", file=path, found=" ".join(str(error).split())) from error
+    raise RealsimError(
+        "YAML whose aliases expand without end",
+        file=path,
+        expected=f"at most {MAX_YAML_VALUES} values",
+        found=f"{count:.2g} in {len(text)} characters",
+        hint="write the values out, without & and *",
+    )
+
+
+def _expanded(node: Any, known: dict[int, int]) -> int:
+    """Values below a node of YAML, aliases counted each time; `known` has those of nodes that were counted before."""
+    if id(node) not in known:
+        known[id(node)] = MAX_YAML_VALUES + 1  # of a node within itself
+        below = getattr(node, "value", None)
+        children = (
+            [c for entry in below for c in (entry if isinstance(entry, tuple) else (entry,))]
+            if isinstance(below, list)
+            else []
+        )
+        known[id(node)] = 1 + sum(_expanded(child, known) for child in children)
+    return known[id(node)]
 
 
 def read_npz(path: Path, limit: int = MAX_BINARY_BYTES) -> dict[str, np.ndarray]:

@@ -181,13 +181,15 @@ def test_gltf_scenes_are_flattened_and_textures_said(tmp_path):
     assert any("2 meshes" in a for a in scan.assumptions)
 
 
-def test_nan_is_left_out_and_said(tmp_path):
-    text = "v 0 0 0\nv 2 0 0\nv 2 1 0\nv nan 1 0\nf 1 2 3\nf 1 3 4\n"
-    (tmp_path / "a.obj").write_text(text)
-    scan = scan_of(tmp_path / "a.obj")
-    assert scan.triangles is not None
-    np.testing.assert_array_equal(scan.triangles, [[0, 1, 2]])
-    assert any("1 of 4 points are NaN" in w for w in scan.warnings)
+def test_points_that_are_nan_are_left_out_but_vertices_are_refused(tmp_path):
+    text = "v 0 0 0\nv 2 0 0\nv 2 1 0\nv nan 1 0\n"
+    (tmp_path / "cloud.obj").write_text(text)
+    assert any("1 of 4 points are NaN" in w for w in scan_of(tmp_path / "cloud.obj").warnings)
+    (tmp_path / "mesh.obj").write_text(text + "f 1 2 3\nf 1 3 4\n")
+    with pytest.raises(CaptureError, match="no places") as caught:
+        scan_of(tmp_path / "mesh.obj")
+    assert caught.value.expected is not None
+    assert caught.value.expected.startswith("4 vertices")
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from realsim.capture.images import ColorImage, DepthImage, common_size
 from realsim.capture.intrinsics import Camera, camera_from_mapping, no_intrinsics
 from realsim.capture.layout import Layout, Recognition
 from realsim.capture.listing import Pair, natural_key
+from realsim.capture.numbers import table_of
 from realsim.core.errors import CaptureError, PoseError, RealsimError
 from realsim.core.files import inside, read_json, read_text
 from realsim.core.types import F64, FrameSet
@@ -126,7 +127,7 @@ def _camera(data: Mapping[str, Any], entry: Mapping[str, Any], path: Path) -> Ca
 
 def _pose(entry: Mapping[str, Any], scale: float, path: Path) -> F64:
     try:
-        T = np.array(entry.get("transform_matrix"), dtype=float)
+        T = table_of(entry.get("transform_matrix"))
     except (TypeError, ValueError) as error:
         raise PoseError("transform_matrix is not a matrix of numbers", file=path) from error
     if T.shape == (3, 4):

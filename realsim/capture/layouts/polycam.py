@@ -19,6 +19,7 @@ from realsim.capture.images import COLOR_SUFFIXES, ConfidenceImage, DepthImage, 
 from realsim.capture.intrinsics import camera_from_mapping, no_intrinsics
 from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.listing import Pair, list_files, pair_by_stem
+from realsim.capture.numbers import table_of
 from realsim.core.errors import CaptureError, PoseError
 from realsim.core.files import read_json
 from realsim.core.types import F64, FrameSet
@@ -103,7 +104,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
 
 def _matrix(data: Mapping[str, Any], source: Path) -> F64:
     try:
-        rows = [[float(data[key]) for key in row] for row in MATRIX_KEYS]
+        rows = table_of([[data[key] for key in row] for row in MATRIX_KEYS])
     except (KeyError, TypeError, ValueError) as error:
         raise PoseError("no camera pose", file=source, expected="numbers t_00 to t_23", found=str(error)) from error
     return np.array([*rows, [0.0, 0, 0, 1]])

@@ -24,6 +24,7 @@ from realsim.capture.images import MAX_IMAGE_BYTES, MAX_PIXELS, confidence, deco
 from realsim.capture.intrinsics import camera_from_mapping, check
 from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.listing import single_file
+from realsim.capture.numbers import table_of
 from realsim.core.errors import CaptureError, PoseError, RealsimError
 from realsim.core.files import MAX_TEXT_BYTES, parse_json
 from realsim.core.types import F32, F64, U8, Dropped, Frame, FrameSet, Intrinsics
@@ -258,7 +259,7 @@ def _table(data: Mapping[str, Any], key: str, columns: int, source: Path) -> F64
     if not value:
         return None
     try:
-        table = np.array(value, dtype=float)
+        table = table_of(value)
         table = table.reshape(len(table), -1)
     except (TypeError, ValueError) as error:
         raise CaptureError(f"{key} is not a table of numbers", file=source, found=str(error)) from error

@@ -21,6 +21,7 @@ SUFFIXES = tuple(READERS)
 PLAUSIBLE_EXTENT = (0.2, 100.0)
 """Metres: how long a terrain with its surroundings can be. Beyond, the unit is wrong, or it is a map."""
 USUAL_EXTENT = (0.5, 30.0)
+SMALLEST = float(np.finfo(np.float32).tiny)
 
 
 def recognise(path: Path) -> Recognition:
@@ -112,7 +113,17 @@ def _checked(raw: RawScan, source: Path) -> tuple[RawScan, list[str]]:
         raise CaptureError("the scan is empty", file=source, expected="points or triangles")
     if raw.triangles is not None and not (raw.triangles.min() >= 0 and raw.triangles.max() < len(raw.points)):
         raise CaptureError("triangles refer to missing points", file=source)
-    finite: Bool = np.asarray(np.isfinite(raw.points).all(axis=1))
+    # Numbers too small for single precision come of damaged bits, not of programs.
+    usual = (np.abs(raw.points) > SMALLEST) | (raw.points == 0)
+    finite: Bool = (usual & np.isfinite(raw.points)).all(axis=1)
+    if raw.triangles is not None and not finite.all():
+        raise CaptureError(
+            "vertices of the mesh are no places: the file is damaged",
+            file=source,
+            expected=f"{len(finite)} vertices with finite coordinates",
+            found=f"{finite.sum()}; the first other is {raw.points[~finite][0].tolist()}",
+            hint="export it again, or mend it in a mesh editor",
+        )
     if not finite.any():
         raise CaptureError(
             "no point of the scan has finite coordinates", file=source, found=f"{len(finite)} with NaN or infinity"
@@ -126,12 +137,7 @@ def _checked(raw: RawScan, source: Path) -> tuple[RawScan, list[str]]:
     if triangles is None and source.suffix.lower() == ".obj":
         warnings.append("the file has no faces and is taken as a cloud: is it cut off?")
     if not finite.all():
-        warnings.append(f"{(~finite).sum()} of {len(finite)} points are NaN or infinite and left out")
-        if triangles is not None:
-            renumbered = np.cumsum(finite, dtype=np.int32) - 1
-            triangles = renumbered[triangles[finite[triangles].all(1)]]
-            if not len(triangles):
-                raise CaptureError("no triangle of the scan has finite coordinates", file=source)
+        warnings.append(f"{(~finite).sum()} of {len(finite)} points are NaN, infinite or damaged and left out")
     normals = raw.normals
     if normals is not None:
         lengths = np.linalg.norm(normals[finite], axis=1)

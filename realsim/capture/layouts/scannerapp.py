@@ -9,8 +9,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from realsim.capture.arkit import AXES_NOTE, BEST_CONFIDENCE, GRIDS_NOTE, UP, WORLD_NOTE, from_opengl
 from realsim.capture.assemble import View, capture, depth_unit, frames_with, on_two_grids
 from realsim.capture.config import CaptureConfig
@@ -18,6 +16,7 @@ from realsim.capture.images import COLOR_SUFFIXES, ColorImage, ConfidenceImage, 
 from realsim.capture.intrinsics import camera_from_mapping, no_intrinsics
 from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.listing import Pair, list_files, natural_key
+from realsim.capture.numbers import table_of
 from realsim.core.errors import CaptureError, PoseError
 from realsim.core.files import read_json
 from realsim.core.types import F64, FrameSet
@@ -82,7 +81,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
 
 def _matrix(data: dict[str, Any], source: Path) -> F64:
     try:
-        T = np.array(data.get("cameraPoseARFrame"), dtype=float).ravel()
+        T = table_of(data.get("cameraPoseARFrame")).ravel()
     except (TypeError, ValueError) as error:
         raise PoseError("cameraPoseARFrame is not a matrix of numbers", file=source) from error
     if T.size != 16:

@@ -83,6 +83,14 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     if len(set(names)) < len(names):
         names = [f"{t:.6f}" for t in color_times]
     matches = associate(color_times, depth_times, config.max_time_difference)
+    if not matches:
+        raise CaptureError(
+            "the timestamps of colour and depth do not overlap",
+            file=folder / "depth.txt",
+            expected=f"times within {config.max_time_difference:g} s of colour, {_span(color_times)}",
+            found=_span(depth_times),
+            hint="fix the timestamps, or pass --max-time-difference",
+        )
     times = {names[i]: float(color_times[i]) for i, _ in matches}
     pairs = [Pair(names[i], color[i], depth[j]) for i, j in matches]
     reason = f"no depth image within {config.max_time_difference:g} s"
@@ -120,11 +128,27 @@ def read_list(folder: Path, name: str) -> tuple[F64, list[Path], list[str]]:
     for number, words in _rows(path):
         if len(words) != 2:
             raise CaptureError(f"line {number} is not `timestamp filename`", file=path, found=" ".join(words)[:80])
-        rows.append((_float(words[0], path, number), inside(folder, words[1])))
+        rows.append((number, _float(words[0], path, number), inside(folder, words[1])))
     if not rows:
         raise CaptureError("the list of images is empty", file=path)
-    times, order, warnings = in_order(np.array([t for t, _ in rows]), path)
-    return times, [rows[i][1] for i in order], warnings
+    stamps = np.array([t for _, t, _ in rows])
+    timed = np.flatnonzero(np.isfinite(stamps))
+    times, order, warnings = in_order(stamps[timed], path)
+    # Half of the images is less than any recorder loses; so few times are no times.
+    if 2 * len(times) < len(rows) or (len(times) == 1 < len(rows)):
+        kept = {int(timed[i]) for i in order}
+        bad = [f"line {number}: {stamp:g}" for i, (number, stamp, _) in enumerate(rows) if i not in kept]
+        raise CaptureError(
+            "the timestamps do not tell the images apart",
+            file=path,
+            expected="seconds, another for each image",
+            found=f"{len(bad)} of {len(rows)} that are no times or repeat another ({', '.join(bad[:3])})",
+            hint="write the times of recording; 1/30 s apart will do where colour and depth have the same numbers",
+        )
+    if len(timed) < len(rows):
+        lines = ", ".join(str(rows[i][0]) for i in np.flatnonzero(~np.isfinite(stamps))[:5])
+        warnings.append(f"{name}: {len(rows) - len(timed)} images without a time are left out (line {lines})")
+    return times, [rows[timed[i]][2] for i in order], warnings
 
 
 def in_order(times: F64, path: Path) -> tuple[F64, list[int], list[str]]:
@@ -154,8 +178,8 @@ def poses_at(
         raise PoseError(
             "the timestamps of poses and images do not overlap",
             file=path,
-            expected=f"poses between {min(times.values()):.3f} and {max(times.values()):.3f}",
-            found=f"poses between {stamps[0]:.3f} and {stamps[-1]:.3f}",
+            expected=f"poses {_span(np.array(sorted(times.values())))}",
+            found=f"poses {_span(stamps)}",
             hint="fix the timestamps, or pass --ignore-poses to have the poses estimated",
         )
     notes = [
@@ -194,6 +218,10 @@ def read_trajectory(path: Path) -> tuple[F64, F64, list[str]]:
     # The file has the quaternion's real part last, quat_to_R wants it first.
     poses = [make_T(quat_to_R(row[[7, 4, 5, 6]]), row[1:4]) for row in table[order]]
     return times, np.array(poses), warnings
+
+
+def _span(times: F64) -> str:
+    return f"between {times[0]:.3f} and {times[-1]:.3f} s"
 
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
