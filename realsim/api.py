@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from realsim.core.errors import GapError, require
+from realsim.core.recognise import explain_inputs, whole
 
 if TYPE_CHECKING:
     from realsim.capture import CaptureConfig, Inspection
@@ -35,6 +36,7 @@ Progress = Callable[[str, float], None]
 """Called with what is being done and the share that is done, 0..1."""
 
 
+@explain_inputs
 def inspect(capture: StrPath, config: CaptureConfig | None = None) -> Inspection:
     """How a capture or scan is recognised, every assumed convention, and what is wrong with it.
 
@@ -54,6 +56,7 @@ def inspect(capture: StrPath, config: CaptureConfig | None = None) -> Inspection
     return look(Path(capture), config or CaptureConfig())
 
 
+@explain_inputs
 def reconstruct(
     capture: StrPath, out: StrPath = "scene", config: ReconstructConfig | None = None, *, overwrite: bool = False
 ) -> Scene:
@@ -85,6 +88,7 @@ def reconstruct(
     return Scene.read(result.scene.folder, details=result)
 
 
+@explain_inputs
 def contact(
     mesh: StrPath,
     out: StrPath = "contact",
@@ -123,6 +127,7 @@ def contact(
     return Scene.read(Path(out))
 
 
+@explain_inputs
 def export(
     scene: Scene | StrPath, to: str | Sequence[str] = "all", out: StrPath | None = None, *, overwrite: bool = False
 ) -> Exported:
@@ -144,15 +149,20 @@ def export(
     from realsim.export import export_scene
     from realsim.results import Scene
 
-    folder = scene.folder if isinstance(scene, Scene) else Path(scene)
+    folder = scene.folder if isinstance(scene, Scene) else whole(Path(scene))
     return export_scene(folder, to, None if out is None else Path(out), overwrite=overwrite)
 
 
 def load_scene(folder: StrPath) -> Scene:
     """Read a scene that `reconstruct` or `contact` wrote: verdict, figures, and the model on request."""
+    return _scene(scene=folder)
+
+
+@explain_inputs
+def _scene(scene: StrPath) -> Scene:
     from realsim.results import Scene
 
-    return Scene.read(Path(folder))
+    return Scene.read(whole(Path(scene)))
 
 
 def load_case(folder: StrPath) -> Case:
@@ -161,11 +171,17 @@ def load_case(folder: StrPath) -> Case:
     Raises:
         GapError: with the file, what was expected and what was found.
     """
+    return _case(case=folder)
+
+
+@explain_inputs
+def _case(case: StrPath) -> Case:
     from realsim.gap import load_case as load
 
-    return load(Path(folder))
+    return load(whole(Path(case)))
 
 
+@explain_inputs
 def diagnose(
     case: Case | StrPath,
     out: StrPath | None = None,
@@ -213,6 +229,7 @@ def diagnose(
     return Diagnosis.of(gap.diagnose(loaded, config, progress).as_dict())
 
 
+@explain_inputs
 def next_experiment(
     source: StrPath,
     out: StrPath | None = None,
@@ -245,6 +262,7 @@ def next_experiment(
     return excite(Path(source), target, config, None, progress, case=folder, overwrite=overwrite)
 
 
+@explain_inputs
 def footholds(
     case: Case | StrPath,
     scene: StrPath | None = None,

@@ -135,16 +135,20 @@ class Scene:
         return path if path.is_file() else None
 
     def spec(self) -> Any:
-        """The scene as a new `mujoco.MjSpec`, to add to."""
+        """The scene as a new `mujoco.MjSpec`, to add to. Raises ExportError where it is damaged."""
         import mujoco
 
-        return mujoco.MjSpec.from_file(str(self.scene_xml))
+        from realsim.export.formats.scene import compile_scene
+
+        return compile_scene(self.folder, mujoco.MjSpec.from_file)
 
     def model(self) -> Any:
-        """The scene as a compiled `mujoco.MjModel`."""
+        """The scene as a compiled `mujoco.MjModel`. Raises ExportError where it is damaged."""
         import mujoco
 
-        return mujoco.MjModel.from_xml_path(str(self.scene_xml))
+        from realsim.export.formats.scene import compile_scene
+
+        return compile_scene(self.folder, mujoco.MjModel.from_xml_path)
 
     def geometry(self) -> Any:
         """Mesh, collision geometry and platforms as arrays (`realsim.export.formats.SceneOnDisk`)."""

@@ -5,3 +5,5 @@ from realsim.core.errors import RealsimError
 
 class TrainerError(RealsimError):
     """A scene, policy, checkpoint or machine that training cannot work with."""
+
+    usual_hint = "docs/training.md says what training needs; realsim help finetune lists its options"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any
 
@@ -47,6 +47,8 @@ class Command:
     common: tuple[str, ...] = ()
     """The options that `realsim COMMAND --help` shows; all if none are named. `realsim help COMMAND` shows all."""
     tool: Tool | None = None
+    takes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Parameter -> kinds of input that it takes, where `realsim.core.recognise.TAKES` does not say it."""
 
     @property
     def package(self) -> str:

@@ -19,6 +19,7 @@ from realsim.cli.table import commands, find
 from realsim.core.errors import RealsimError, explain_missing_packages, require
 from realsim.core.files import to_json
 from realsim.core.progress import console, set_quiet
+from realsim.core.recognise import TAKES, explain_inputs
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -82,7 +83,7 @@ def _run(name: str, arguments: list[str]) -> Any:
         call = parse(function, name, arguments)
         if command.extra:
             require(command.extra, f"realsim {name}")
-        return call()
+        return explain_inputs(function, TAKES | dict(command.takes))(*call.args, **call.keywords)
 
 
 def answer(command: str, data: Mapping[str, Any]) -> dict[str, Any]:

@@ -77,7 +77,7 @@ def _group(path: str, named: bool) -> str:
 
 def parse(
     function: Callable[..., Any], name: str, arguments: Sequence[str], defaults: Mapping[str, Any] | None = None
-) -> Callable[[], Any]:
+) -> functools.partial[Any]:
     """The call of a command with its arguments, not yet made.
 
     Args:
@@ -106,7 +106,7 @@ def parse(
         raise _usage_error(event, function, name, arguments)
 
     with events.on_parse_error(refuse):
-        call: Callable[[], Any] = tyro.cli(
+        call: functools.partial[Any] = tyro.cli(
             later, prog=f"realsim {name}", args=list(arguments), config=(tyro.conf.OmitArgPrefixes,)
         )
     return call

@@ -37,6 +37,9 @@ class RealsimError(Exception):
         hint: what to do about it.
     """
 
+    usual_hint = "check that the file is whole and what the command takes (realsim help COMMAND), or give another one"
+    """What to do where an error has nothing better; of a subclass for all errors of its kind."""
+
     def __init__(
         self,
         message: str,
@@ -49,11 +52,17 @@ class RealsimError(Exception):
         self.message = message
         self.file = None if file is None else str(file)
         self.expected, self.found, self.hint = expected, found, hint
-        super().__init__(self.render())
+        super().__init__(message)
+
+    def __str__(self) -> str:
+        return self._text(self.hint)
 
     def render(self) -> str:
-        """The whole text, one fact per line."""
-        facts = [("file", self.file), ("expected", self.expected), ("found", self.found), ("do", self.hint)]
+        """The whole text, one fact per line, with what to do."""
+        return self._text(self.hint or self.usual_hint)
+
+    def _text(self, hint: str | None) -> str:
+        facts = [("file", self.file), ("expected", self.expected), ("found", self.found), ("do", hint)]
         return printable("\n".join([self.message] + [f"  {name}: {value}" for name, value in facts if value]))
 
     def as_dict(self) -> dict[str, str | None]:
@@ -64,7 +73,7 @@ class RealsimError(Exception):
             "file": self.file,
             "expected": self.expected,
             "found": self.found,
-            "hint": self.hint,
+            "hint": self.hint or self.usual_hint,
         }
 
 
@@ -79,33 +88,49 @@ def did_you_mean(name: str, known: Iterable[str], cutoff: float = 0.3) -> str | 
 class CaptureError(RealsimError):
     """The capture cannot be read, or holds nothing that can be used."""
 
+    usual_hint = "mend, remove or record again what is named; realsim inspect CAPTURE shows the rest of the capture"
+
 
 class PoseError(RealsimError):
     """Camera poses are unusable, or could not be estimated."""
+
+    usual_hint = "give the frames without their poses (--ignore-poses), or record with more overlap between them"
 
 
 class ModelError(RealsimError):
     """A model file does not fit the contract, cannot be run, or gives nothing that can be used."""
 
+    usual_hint = "export the model again (docs/models.md says how it must be); realsim model inspect FILE checks it"
+
 
 class ScaleError(RealsimError):
     """The metric scale cannot be told, or frames disagree beyond the limit."""
+
+    usual_hint = "record with a camera whose depth is metric, or give its unit with --depth-unit"
 
 
 class AlignError(RealsimError):
     """No ground, no platform where one was asked for, or contradictory directions."""
 
+    usual_hint = "say where the way begins and ends: --start X Y --goal X Y"
+
 
 class MeshError(RealsimError):
     """A mesh cannot be built, or a given one cannot be used."""
+
+    usual_hint = "record the place again with more views, or give a mesh with triangles"
 
 
 class ExportError(RealsimError):
     """A scene does not compile, step or hold what stands on it."""
 
+    usual_hint = "make the scene or mesh again, without changes by hand; other --contact kinds may hold"
+
 
 class GapError(RealsimError):
     """A robot log cannot support a diagnosis."""
+
+    usual_hint = "docs/logs.md says what a case holds; realsim diagnose CASE --check shows the health of a log"
 
 
 EXTRA_OF = {
@@ -174,11 +199,13 @@ def explain_missing_packages(what: str) -> Iterator[None]:
 class UnknownNameError(RealsimError):
     """A name is not in a registry or a list; the message gives those that are, the closest first."""
 
-    def __init__(self, kind: str, name: str, known: Iterable[str], *, file: str | Path | None = None) -> None:
+    def __init__(
+        self, kind: str, name: str, known: Iterable[str], *, file: str | Path | None = None, hint: str | None = None
+    ) -> None:
         names = sorted(known)
         super().__init__(
             f"unknown {kind} {name!r}",
             file=file,
             expected=f"one of {', '.join(names)}",
-            hint=did_you_mean(name, names, cutoff=0.4),
+            hint="; ".join(filter(None, (did_you_mean(name, names, cutoff=0.4), hint))) or "give one of these names",
         )

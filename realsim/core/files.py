@@ -63,13 +63,18 @@ def check_size(path: Path, limit: int = MAX_BINARY_BYTES) -> None:
         size = path.stat().st_size
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         found = getattr(error, "strerror", None) or str(error)
-        raise RealsimError("the file cannot be read", file=path, found=found) from error
+        raise _unreadable(path, found) from error
     if not path.is_file():
-        raise RealsimError("not a plain file", file=path)
+        raise RealsimError("not a plain file", file=path, expected="a file, not a folder, pipe or device")
     if not os.access(path, os.R_OK):
-        raise RealsimError("the file cannot be read", file=path, found=os.strerror(errno.EACCES))
+        raise _unreadable(path, os.strerror(errno.EACCES))
     if size > limit:
         raise RealsimError("the file is too large", file=path, expected=f"at most {limit} bytes", found=f"{size} bytes")
+
+
+def _unreadable(path: Path, found: str) -> RealsimError:
+    hint = "check the path, and that you may read it"
+    return RealsimError("the file cannot be read", file=path, found=found, hint=hint)
 
 
 def read_bytes(path: Path, limit: int = MAX_BINARY_BYTES) -> bytes:
@@ -78,7 +83,7 @@ def read_bytes(path: Path, limit: int = MAX_BINARY_BYTES) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise RealsimError("the file cannot be read", file=path, found=error.strerror or str(error)) from error
+        raise _unreadable(path, error.strerror or str(error)) from error
 
 
 def read_head(path: Path, count: int, offset: int = 0) -> bytes:
@@ -89,7 +94,7 @@ def read_head(path: Path, count: int, offset: int = 0) -> bytes:
             file.seek(offset)
             return file.read(count)
     except OSError as error:
-        raise RealsimError("the file cannot be read", file=path, found=error.strerror or str(error)) from error
+        raise _unreadable(path, error.strerror or str(error)) from error
 
 
 def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
@@ -180,7 +185,7 @@ def read_npz(path: Path, limit: int = MAX_BINARY_BYTES) -> dict[str, np.ndarray]
         return {name: value for name, value in found.items() if isinstance(value, np.ndarray)}
     except (*_DAMAGED, MemoryError) as error:
         raise RealsimError(
-            "not a readable .npz of plain numbers", file=path, found=str(error) or type(error).__name__
+            "not a readable .npz", file=path, expected="plain numbers", found=str(error) or type(error).__name__
         ) from error
 
 

@@ -96,6 +96,7 @@ def contact_verdict(contact: Mapping[str, Any], tolerance: tuple[float, float]) 
             f"{contact['leaks']} of {contact['leak_objects']} balls thrown onto it fell into what should be solid."
         )
         todo.append("try another --contact (hybrid, convex, hfield), or close the holes of the mesh")
+        todo.append("if it is a scan of a place, which has a floor and holes: realsim reconstruct MESH --out scene")
     if contact["hidden_cm2"]:
         bad.append(f"{contact['hidden_cm2']:.0f} cm2 of the mesh lie below the ground and are not in the scene.")
         todo.append("leave out --ground-z, or give the height at which the mesh stands")

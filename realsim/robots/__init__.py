@@ -5,6 +5,7 @@ A robot is a function `() -> Robot`. `menagerie:NAME` reaches for MuJoCo Menager
 
 from __future__ import annotations
 
+from realsim.core.errors import UnknownNameError
 from realsim.core.registry import Registry
 from realsim.robots.base import Robot
 
@@ -24,4 +25,7 @@ def load(name: str) -> Robot:
         from realsim.robots.menagerie import menagerie
 
         return menagerie(name.removeprefix("menagerie:"))
+    if name not in ROBOTS:
+        hint = f"menagerie:{name} takes a robot from MuJoCo Menagerie"
+        raise UnknownNameError("robot", name, [*ROBOTS, "menagerie:NAME"], hint=hint)
     return ROBOTS[name]()

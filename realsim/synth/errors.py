@@ -72,10 +72,10 @@ def read_surface(path: Path) -> Surface:
     import trimesh
 
     if not path.is_file():
-        raise RealsimError("the scene has no mesh", file=path)
+        raise RealsimError("the scene has no mesh", expected="mesh.ply of realsim reconstruct", file=path)
     mesh: Any = trimesh.load(path, process=False, force="mesh")
     if len(mesh.faces) == 0:
-        raise RealsimError("the mesh has no triangles", file=path)
+        raise RealsimError("the mesh has no triangles", expected="mesh.ply of realsim reconstruct", file=path)
     return Surface(np.asarray(mesh.vertices), np.asarray(mesh.faces))
 
 

@@ -3,6 +3,8 @@
 from realsim.cli.command import Command
 
 _GROUP = "Policies"
+_TAKES = {"scene": ("scene",), "scenes": ("scene",)}
+"""Trials need a start and a goal, which `realsim contact` does not make."""
 COMMANDS = {
     "pretrain": Command(
         "",
@@ -25,6 +27,7 @@ COMMANDS = {
             "--policy", "--out", "--overwrite", "--minutes", "--stop-at-target", "--strategy", "--diagnosis",
             "--worlds", "--device", "--final-trials", "--resume",
         ),
+        takes=_TAKES,
     ),
     "evaluate": Command(
         "",
@@ -32,6 +35,7 @@ COMMANDS = {
         "realsim evaluate scene --policy tuned/policy.pt",
         _GROUP,
         "train",
+        takes=_TAKES,
     ),
     "play": Command(
         "",
@@ -39,6 +43,7 @@ COMMANDS = {
         "realsim play scene --policy tuned/policy.pt --out trial.mp4",
         _GROUP,
         "train",
+        takes=_TAKES,
     ),
     "deploy": Command(
         "",

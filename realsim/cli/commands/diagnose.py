@@ -102,7 +102,9 @@ def diagnose(
             text, result = f"{found.sentence}\n{text}", result | {"contract": found.as_dict()}
         return CommandResult(text, result, strict_exit({"level": level}, strict), level)
     if since is not None or recordings:
-        raise RealsimError("--since and new recordings belong to one case", found=f"{len(cases)} cases")
+        raise RealsimError(
+            "--since and new recordings belong to one case", expected="one CASE", found=f"{len(cases)} cases"
+        )
     levels = {verdict.value: said.level for verdict, said in SAID.items()}
     return run_each("diagnose", cases, out, many, shows="sentence", levels=levels)
 

@@ -34,7 +34,7 @@ def excite(
         overwrite: replace an experiment that realsim wrote before and for which nothing was recorded.
     """
     if threads is not None and threads < 1:
-        raise RealsimError("threads must be at least 1", found=str(threads))
+        raise RealsimError("--threads is too small", expected="at least 1", found=str(threads))
     refuse_recording(source)
     settings = DiagnoseConfig() if threads is None else DiagnoseConfig(threads=threads)
     with steps() as tick:

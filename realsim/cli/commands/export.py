@@ -10,6 +10,7 @@ import tyro
 from realsim.cli.commands import CommandResult
 from realsim.cli.commands.many import run_each
 from realsim.core.errors import RealsimError
+from realsim.core.recognise import whole
 from realsim.export import ALL, EXPORTERS, export_scene
 from realsim.jobs import ManyConfig
 from realsim.results import said_of_edited
@@ -46,6 +47,7 @@ def export(
         )
     if not scenes:
         raise RealsimError("no scene given", expected="realsim export SCENE --to FORMATS")
+    scenes = tuple(whole(scene) for scene in scenes)
     if len(scenes) > 1 or many.place != "processes":
         place = None if out is not None else lambda scene: scene / "export"
         parts = list(EXPORTERS) if names == [ALL] else names

@@ -23,7 +23,7 @@ def mcp(root: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FOLDER ...")] =
     """
     roots = Roots(root)
     if jobs < 1:
-        raise RealsimError("--jobs must be at least 1", found=str(jobs))
+        raise RealsimError("--jobs is too small", expected="at least 1", found=str(jobs))
     from realsim.cli.mcp_server import build
 
     build(roots, jobs).run("stdio")

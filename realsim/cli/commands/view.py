@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from realsim.cli.commands import CommandResult
+from realsim.core.recognise import whole
 
 
 def view(
@@ -21,5 +22,5 @@ def view(
     """
     from realsim.report.live import view as serve
 
-    serve(scene, port)
+    serve(whole(scene), port)
     return CommandResult("closed")

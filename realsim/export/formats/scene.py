@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.errors import ExportError
 from realsim.core.files import check_size, read_text
+
+T = TypeVar("T")
 
 F64 = NDArray[np.float64]
 DRAWN_OFF = 0.05  # of the scene's length: simplifying to 80,000 triangles moves the ends by millimetres
@@ -79,14 +82,12 @@ class SceneOnDisk:
         return self.boxes if floor is None else (floor, *self.boxes)
 
 
-def load_scene(folder: Path) -> SceneOnDisk:
-    """Read scene.xml (through MuJoCo) and mesh.ply of a folder.
+def compile_scene(folder: Path, load: Callable[[str], T]) -> T:
+    """What MuJoCo makes of a folder's scene.xml, by `MjModel.from_xml_path` or `MjSpec.from_file`.
 
     Raises:
-        ExportError: one of them is missing or broken.
+        ExportError: scene.xml or mesh.ply is missing, no plain file or XML, or MuJoCo refuses the scene.
     """
-    import mujoco
-    import trimesh
     from defusedxml import ElementTree
     from defusedxml.common import DefusedXmlException
 
@@ -102,9 +103,21 @@ def load_scene(folder: Path) -> SceneOnDisk:
     except (ElementTree.ParseError, DefusedXmlException) as error:
         raise ExportError("scene.xml is not plain XML", file=folder / "scene.xml", found=str(error)) from error
     try:
-        model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
+        return load(str(folder / "scene.xml"))
     except ValueError as error:
         raise ExportError("the scene does not compile", file=folder / "scene.xml", found=str(error)) from error
+
+
+def load_scene(folder: Path) -> SceneOnDisk:
+    """Read scene.xml (through MuJoCo) and mesh.ply of a folder.
+
+    Raises:
+        ExportError: one of them is missing or broken.
+    """
+    import mujoco
+    import trimesh
+
+    model = compile_scene(folder, mujoco.MjModel.from_xml_path)
     try:
         mesh: Any = trimesh.load(folder / "mesh.ply", process=False, force="mesh")
     except Exception as error:  # readers of broken files raise whatever comes up
