@@ -20,7 +20,6 @@ import realsim as rs
 from realsim.synth.capture import write_capture
 from realsim.synth.config import SynthConfig
 from trainer.commands.common import find_terrain, load_policy
-from trainer.commands.finetune import helped
 from trainer.commands.task_file import load_task
 from trainer.evaluate import EvaluationConfig, Setting, evaluate, trial_env
 from trainer.physics import PhysicsConfig
@@ -32,6 +31,7 @@ from trainer.robots import ROBOTS
 from trainer.terrain.rendered import in_room
 from trainer.terrain.scene import load
 from trainer.trainers import Scene, TrainConfig, find
+from trainer.trainers.ladder import HELP_BELOW, helped
 
 
 @dataclass(frozen=True)
@@ -82,13 +82,16 @@ def main(options: Options) -> None:
 
     before = rate(base)
     lap("trials of the base")
+    scene = Scene((terrain,))
+    if before < HELP_BELOW:
+        scene, task = helped(scene, task)
     config = TrainConfig(
         worlds=options.worlds,
         device=options.device,
-        task=task if before else helped(task),
+        task=task,
         loop=LoopConfig(iterations=100_000, minutes=options.minutes, stop_at_target=True),
     )
-    tuned = find("ppo")(Scene((terrain,)), base, config, options.out / "tuned")
+    tuned = find("ppo")(scene, base, config, options.out / "tuned")
     lap("fine-tuning")
     after = rate(tuned.policy)
     lap("trials of the tuned one")

@@ -31,17 +31,23 @@ from benchmarks.store import Row, Store
 from benchmarks.training.base_policy import SETTINGS, fingerprint
 from trainer import terrain as terrains
 from trainer.commands.common import load_policy
-from trainer.commands.finetune import helped
 from trainer.commands.task_file import load_task
 from trainer.evaluate import EvaluationConfig, Result, Setting, evaluate
 from trainer.physics import PhysicsConfig
 from trainer.policies import TASKS, base_of
 from trainer.ppo.config import LoopConfig, PPOConfig, StrategyConfig
 from trainer.ppo.distributed import pick_device
+from trainer.tasks.parkour import ParkourConfig
+from trainer.tasks.parkour.config import FloorConfig
 from trainer.terrain.scene import load as load_scene
 from trainer.trainers import Scene, TrainConfig, find
 
 ROOT = Path(__file__).resolve().parents[2]
+RAISED = FloorConfig(share=0.7, difficulty=0.0, seconds=30.0)
+"""For a terrain on which the base never succeeds. The share is that of the base's own training (training/g1); the floor
+sinks over some 60 iterations."""
+ALONG = 0.3
+"""Share of episodes that begin along such a course, as in the base's own training."""
 Source = Literal["exact", "rgbd", "lidar", "phone", "hand"]
 Method = Literal["base", "ttt1", "ttt13", "ttt13f", "scratch"]
 WATCHED = 250
@@ -171,7 +177,7 @@ def trained(job: Job, options: Options) -> tuple[Path, Row]:
     lands = tuple(_terrain(test, job.source, options) for test in job.tests)
     task = load_task(options.task_file)
     if scratch or any(not next(judged(base, test, replace(options, trials=40)))["won"] for test in job.tests):
-        task = helped(task)
+        task = raised(task)
     task = replace(task, reset=replace(task.reset, by_failure=0.5 if job.method == "ttt13f" else 0.0))
     config = TrainConfig(
         robot="g1" if scratch else "",
@@ -203,6 +209,12 @@ def trained(job: Job, options: Options) -> tuple[Path, Row]:
         "noise": None if scratch else options.noise,
     }
     return result.policy, figures
+
+
+def raised(task: ParkourConfig) -> ParkourConfig:
+    """The task with a raised floor and starts along the course, unless it has its own."""
+    floor = task.floor if task.floor.share else RAISED
+    return replace(task, floor=floor, reset=replace(task.reset, along=task.reset.along or ALONG))
 
 
 def _terrain(test: str, source: Source, options: Options) -> terrains.Terrain:

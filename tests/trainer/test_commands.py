@@ -14,11 +14,13 @@ from realsim.cli.command_line import COMMANDS, commands, main, usage
 from realsim.core.errors import RealsimError
 from trainer.commands import SUMMARIES
 from trainer.commands.common import find_terrain
-from trainer.commands.finetune import ALONG, RAISED, helped
 from trainer.commands.task_file import load_task
-from trainer.ppo import export
+from trainer.ppo import checkpoint, export
 from trainer.tasks.parkour import ParkourConfig
-from trainer.tasks.parkour.config import FloorConfig, ResetConfig
+from trainer.tasks.parkour.config import ResetConfig, RewardConfig
+from trainer.terrain.widen import LADDER
+from trainer.trainers import Scene
+from trainer.trainers.ladder import ALONG, HELP_BELOW, WAITING, helped
 
 SMALL = [
     "--worlds", "16", "--threads", "1", "--evaluate-every", "0", "--steps", "8", "--epochs", "2",
@@ -54,7 +56,13 @@ def test_smoke_fine_tune(folder: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert main([*arguments, "--out", str(out), "--json", *SMALL]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["before"]["terrains"][0]["trials"] == said["after"]["terrains"][0]["trials"] == 4
-    assert said["helped"] is (said["before"]["terrains"][0]["successes"] == 0)
+    assert said["helped"] is (said["before"]["terrains"][0]["rate"] < HELP_BELOW)
+    # Two iterations gain nothing in four trials: the base is delivered, with a reason and advice; the run can go on.
+    assert said["verdict"]["delivered"] == "base"
+    assert said["verdict"]["advice"]
+    delivered, latest = (checkpoint.load(out / "policy.pt", latest=late) for late in (False, True))
+    assert (delivered[0].tuned, latest[0].tuned[-1][0]) == ((), "adapter")
+    assert latest[1] is not None
     assert {"policy.pt", "policy.onnx", "history.jsonl", "result.json"} <= {p.name for p in out.iterdir()}
     assert main(["deploy", str(out / "policy.onnx"), "--scene", "boxes:0.2:1", "--seconds", "0.2", "--json"]) == 0
     deployed = json.loads(capsys.readouterr().out)
@@ -73,10 +81,13 @@ def test_smoke_fine_tune(folder: Path, capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_help_for_a_first_success_leaves_the_users_own_settings() -> None:
-    plain = helped(ParkourConfig())
-    assert (plain.floor.share, plain.reset.along) == (RAISED.share, ALONG)
-    own = ParkourConfig(floor=FloorConfig(share=0.2), reset=ResetConfig(along=0.1))
-    assert helped(own) == own
+    scene = Scene((find_terrain("beams:0.9:1")[0],))
+    lands, task = helped(scene, ParkourConfig())
+    assert (lands.rows, lands.judged, lands.goals) == (len(LADDER), scene.terrains, scene.terrains)
+    assert lands.terrains[-1] is scene.terrains[0]
+    assert (task.reset.along, task.reward.weights) == (ALONG, {"dont_wait": WAITING})
+    own = ParkourConfig(reset=ResetConfig(along=0.1, keep_last=0.5), reward=RewardConfig(weights={"dont_wait": -1.0}))
+    assert helped(scene, own)[1] == own
 
 
 def failure(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, str]:

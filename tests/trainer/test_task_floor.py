@@ -133,7 +133,8 @@ def test_figures_of_each_family_are_logged_by_themselves():
 
     outcome = torch.tensor([SUCCESS, OUTCOMES.index("ground"), 0, OUTCOMES.index("tilt")])
     covered = torch.tensor([1.0, 0.5, 0.9, 0.1])
-    tally.add(torch.zeros(len(tally.terms)), outcome, covered, torch.tensor([10.0, 4.0, 1.0, 2.0]), ids)
+    waiting = torch.tensor([True, False, False, False])
+    tally.add(torch.zeros(len(tally.terms)), outcome, covered, torch.tensor([10.0, 4.0, 1.0, 2.0]), ids, waiting)
     log = tally.report(torch.tensor([3, 5, 1, 1]), ids, {"physics/overflowed": 0.0}, 1.0)
     assert log["family/boxes/success"] == 0.5
     assert log["family/boxes/end/ground"] == 0.5
@@ -144,3 +145,4 @@ def test_figures_of_each_family_are_logged_by_themselves():
     assert log["success"] == pytest.approx(1 / 3)
     assert log["episode/covered"] == pytest.approx(1.6 / 3)
     assert log["episode/seconds"] == pytest.approx(16 / 3)
+    assert log["episode/waiting"] == pytest.approx(0.25)

@@ -60,6 +60,9 @@ class PointMass:
         self._begin(done)
         return Step(self._see(), reward, terminated, truncated, final, log={"level": float(self.level.mean())})
 
+    def ease(self) -> None:
+        self.level.zero_()
+
     def state_dict(self) -> dict[str, Any]:
         return {"rng": self.rng.get_state(), "level": self.level.clone()}
 

@@ -13,18 +13,11 @@ from realsim.core.files import to_json, write_text
 from realsim.core.progress import note
 from trainer.config import EvaluationConfig
 from trainer.policies import TASKS, base_of
-from trainer.tasks.parkour import ParkourConfig
-from trainer.tasks.parkour.config import FloorConfig
-from trainer.trainers import Scene, TrainConfig, find
+from trainer.trainers import Scene, TrainConfig, TrainResult, find
+from trainer.trainers.ladder import HELP_BELOW, helped
 
 if TYPE_CHECKING:
     from trainer.evaluate import Evaluation
-
-RAISED = FloorConfig(share=0.7, difficulty=0.0, seconds=30.0)
-"""For a terrain on which the base never succeeds. The share is that of the base's own training (training/g1); the floor
-sinks over some 60 iterations. On `stake2` five minutes on a GPU gave 84 instead of 39 % (training/g1/README.md)."""
-ALONG = 0.3
-"""Share of episodes that begin along such a course, as in the base's own training."""
 
 
 def finetune(
@@ -41,8 +34,9 @@ def finetune(
 ) -> CommandResult:
     """Fine-tune a policy on one reconstructed scene or several at once, and say what it gained.
 
-    Success is measured before and after with the same trials. The folder gets policy.pt, policy.onnx, history.jsonl,
-    result.json and TensorBoard's events. Under torchrun every process calls this; see docs/training.md.
+    Success is measured before and after with the same trials; a policy that does not beat its base beyond chance is
+    not delivered, the base is. The folder gets policy.pt, policy.onnx, history.jsonl, result.json and TensorBoard's
+    events. Under torchrun every process calls this; see docs/training.md.
 
     Args:
         scenes: folders of `realsim reconstruct`; or names of terrains: a test (boxes, stake1, ...), flat, or
@@ -54,12 +48,14 @@ def finetune(
         overwrite: replace the run in a folder that an earlier training wrote; --resume goes on with it.
         trainer: ppo, rsl_rl, or one that an installed package adds.
         task_file: JSON with differences from the paper's task; if not given, that of the base that ships goes with it.
-        final_trials: trials on each terrain before and after; 0 leaves both out.
-        first_success: help begins on a raised floor that sinks, with starts along the course; plain does not; auto
-            helps where the base succeeds in none of the trials before.
+        final_trials: trials on each terrain before and after; 0 leaves both out, and the policy of the best trials on
+            the way is delivered without a test.
+        first_success: help begins on the same course with wider tops, which narrow as it is crossed, and with starts
+            along it; plain does not; auto helps where the base crosses a terrain in fewer than 80 %.
     """
     from trainer.commands import common
     from trainer.commands.task_file import load_task
+    from trainer.verdict import judge
 
     common.check_output(out, overwrite, config)
     if policy is not None and from_scratch:
@@ -79,20 +75,27 @@ def finetune(
     if policy is not None and final_trials and common.first_rank():
         note("trials of the base policy")
         before = trials(policy, scene, config, final_trials)
-    help_it = first_success == "help" or (first_success == "auto" and before is not None and _never_succeeds(before))
+    help_it = first_success == "help" or (first_success == "auto" and before is not None and _hardly_crosses(before))
+    lands = scene
     if help_it:
-        config = replace(config, task=helped(config.task))
-    result = train(scene, policy, config, out)
+        lands, task = helped(scene, config.task)
+        config = replace(config, task=task)
+    result = train(lands, policy, config, out)
     if not common.first_rank():
         return CommandResult("")
-    after = None
+    after = verdict = None
     if final_trials and result.ours:
         note("trials of the fine-tuned policy")
         after = trials(result.policy, scene, config, final_trials)
+        if before is not None and policy is not None:
+            verdict = judge(before, after)
+            if not verdict.better:
+                deliver_base(policy, result, config)
     data = {
         "result": asdict(result),
         "before": None if before is None else before.as_dict(),
         "after": None if after is None else after.as_dict(),
+        "verdict": None if verdict is None else verdict.as_dict(),
         "target": config.loop.target,
         "helped": help_it,
     }
@@ -100,21 +103,29 @@ def finetune(
     lines = common.result_lines(result, config.loop.target)
     for title, evaluation in (("before", before), ("after", after)):
         lines += common.trial_lines(title, evaluation) if evaluation is not None else []
+    lines += [] if verdict is None else verdict.lines()
     return CommandResult("\n".join(lines), data)
 
 
-def _never_succeeds(before: Evaluation) -> bool:
-    failed = [r.terrain for r in before.results if not r.successes]
-    if failed:
-        note(f"the base never crosses {', '.join(failed)}: training begins on a raised floor and along the course")
-    return bool(failed)
+def _hardly_crosses(before: Evaluation) -> bool:
+    hard = [r.terrain for r in before.results if r.rate < HELP_BELOW]
+    if hard:
+        note(f"the base crosses {', '.join(hard)} in fewer than {HELP_BELOW:.0%}: training begins on wider tops")
+    return bool(hard)
 
 
-def helped(task: ParkourConfig) -> ParkourConfig:
-    """The task with a raised floor and starts along the course, unless it has its own."""
-    floor = task.floor if task.floor.share else RAISED
-    along = task.reset.along or ALONG
-    return replace(task, floor=floor, reset=replace(task.reset, along=along))
+def deliver_base(base: Path, result: TrainResult, config: TrainConfig) -> None:
+    """Put the base in the place of the policy that did not beat it; the run can still be resumed."""
+    from trainer.commands import common
+    from trainer.physics import PhysicsConfig
+    from trainer.ppo import checkpoint
+    from trainer.trainers.ppo import write_onnx
+
+    policy = common.load_policy(base)
+    checkpoint.deliver(result.policy, policy)
+    if result.onnx is not None:
+        physics = PhysicsConfig()
+        write_onnx(result.onnx, policy, config.task, physics.timestep * physics.decimation)
 
 
 def trials(policy: Path, scene: Scene, config: TrainConfig, count: int) -> Evaluation:

@@ -21,6 +21,7 @@ from trainer.errors import TrainerError
 from trainer.physics import warp_kernels as kernels
 from trainer.physics.base import MAX_SPEED, PhysicsConfig, State, WorldParams, empty_state
 from trainer.physics.static_geoms import StaticGeoms
+from trainer.physics.warp_compile import compile_for
 from trainer.physics.warp_params import BATCHED, TERRAIN_FIELDS, WorldFields
 from trainer.physics.world import GROUND, check_order, slots_for, world_spec
 from trainer.robots import TrainedRobot
@@ -50,7 +51,8 @@ class WarpPhysics:
         with wp.ScopedDevice(self._device):
             self._make(worlds)
             self._bind_state()
-            # Once outside of a graph: kernels are compiled or loaded from the cache, buffers of the allocator filled.
+            compile_for(self._policy_step, self._device)
+            # Once outside of a graph: what is left to load is loaded, buffers of the allocator are filled.
             self._policy_step()
             self._graph = self._refresh_graph = None
             if self._device.is_cuda:

@@ -189,6 +189,11 @@ class PPO:
             "asked_rate": self.config.learning_rate,
         }
 
+    def forget(self) -> None:
+        """Begin anew with the first learning rate and no momentum, as for a policy that was put in its place."""
+        self.optimiser.state.clear()
+        self.learning_rate.fill_(self.config.first_rate(self.tuned))
+
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """The inverse. If a different learning rate is requested, it replaces the saved one."""
         self.optimiser.load_state_dict(state["adam"])

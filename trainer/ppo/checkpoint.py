@@ -23,13 +23,14 @@ MAX_BYTES = 2 * 2**30
 T = TypeVar("T")
 
 
-def save(path: Path, policy: Policy, training: Mapping[str, Any] | None = None) -> None:
+def save(path: Path, policy: Policy, training: Mapping[str, Any] | None = None, latest: Policy | None = None) -> None:
     """Write a policy, with the state of its training if it is to be resumed.
 
     Args:
         path: the .pt file; replaced only when the new one is complete.
         policy: what it sees and what it has learnt.
         training: tensors and plain values only; see `trainer.ppo.runner`.
+        latest: the policy with which the training goes on, where that is another than the one to be used.
     """
     data = {
         "format": FORMAT,
@@ -37,18 +38,22 @@ def save(path: Path, policy: Policy, training: Mapping[str, Any] | None = None) 
         "robot": policy.robot,
         "layout": asdict(policy.layout),
         "networks": asdict(policy.networks),
-        "tuned": [(name, asdict(config)) for name, config in policy.tuned],
-        "actor": policy.actor.state_dict(),
-        "critic": policy.critic.state_dict(),
+        **_weights(policy),
         "training": None if training is None else dict(training),
+        "latest": None if latest is None else _weights(latest),
     }
     buffer = io.BytesIO()
     torch.save(data, buffer)
     write_bytes(path, buffer.getvalue())
 
 
-def load(path: Path, device: str | torch.device = "cpu") -> tuple[Policy, dict[str, Any] | None]:
+def load(path: Path, device: str | torch.device = "cpu", latest: bool = False) -> tuple[Policy, dict[str, Any] | None]:
     """The policy of a checkpoint and, if it has one, the state of its training.
+
+    Args:
+        path: the .pt file.
+        device: where its weights go.
+        latest: the policy with which the training goes on, instead of the one to be used.
 
     Raises:
         TrainerError: missing, cut off, not a checkpoint, of another version, or not what its header says.
@@ -58,10 +63,11 @@ def load(path: Path, device: str | torch.device = "cpu") -> tuple[Policy, dict[s
         layout = _layout(data["layout"])
         networks = _config(NetworkConfig, data["networks"])
         policy = policies.new(layout, networks, str(data["robot"]), 0)
-        for name, config in data["tuned"]:
+        weights = (latest and data.get("latest")) or data
+        for name, config in weights["tuned"]:
             policy = policies.fine_tune(policy, str(name), _config(StrategyConfig, config))
-        policy.actor.load_state_dict(data["actor"])
-        policy.critic.load_state_dict(data["critic"])
+        policy.actor.load_state_dict(weights["actor"])
+        policy.critic.load_state_dict(weights["critic"])
     except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
         raise TrainerError(
             "the checkpoint's contents do not fit together",
@@ -71,6 +77,24 @@ def load(path: Path, device: str | torch.device = "cpu") -> tuple[Policy, dict[s
         ) from error
     _refuse_what_is_not_a_number(path, policy)
     return policy.to(torch.device(device)), data["training"]
+
+
+def deliver(path: Path, policy: Policy) -> None:
+    """Put another policy of the same robot into a checkpoint; the training goes on where it was.
+
+    Raises:
+        TrainerError: see `load`.
+    """
+    went_on, training = load(path, latest=True)
+    save(path, policy, training, None if training is None else went_on)
+
+
+def _weights(policy: Policy) -> dict[str, Any]:
+    return {
+        "tuned": [(name, asdict(config)) for name, config in policy.tuned],
+        "actor": policy.actor.state_dict(),
+        "critic": policy.critic.state_dict(),
+    }
 
 
 def read(path: Path) -> dict[str, Any]:

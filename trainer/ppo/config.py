@@ -174,6 +174,9 @@ class LoopConfig:
     evaluate_share: float = 0.1
     """Largest share of the training time that they may take: an evaluation that is due sooner is left out. 1 leaves
     none out, which makes a run repeatable to its last row."""
+    watch: int = 20
+    """Iterations over which robots must wait for half of the time before training goes back to the policy of the best
+    evaluation and makes the task easier; so it does when success has fallen. 0 never does."""
     target: float = 0.97
     """Success rate whose first evaluation above it is reported (iterations to 97 percent)."""
     stop_at_target: bool = False
@@ -184,7 +187,7 @@ class LoopConfig:
     """Write event files for TensorBoard into the folder."""
 
     def __post_init__(self) -> None:
-        counts = self.iterations >= 1 and self.checkpoint_every >= 1 and self.evaluate_every >= 0
+        counts = min(self.iterations, self.checkpoint_every) >= 1 and min(self.evaluate_every, self.watch) >= 0
         if not (counts and 0 < self.target <= 1 and 0 < self.evaluate_share <= 1 and self.minutes >= 0):
             raise TrainerError(
                 "iterations and their intervals must be positive, target and evaluate_share in (0, 1]", found=str(self)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -22,6 +24,12 @@ from trainer.ppo.distributed import any_rank
 from trainer.ppo.policy import Policy
 from trainer.ppo.runner import Runner
 
+STANDING = 0.5
+"""Share of the time for which robots that are told to go may wait. Bases that ship wait 8 to 15 % of it (starting, and
+falling), a policy that had learnt to stand on narrow beams 90 %."""
+FALLEN = 0.15
+"""By how much success may fall below the best evaluation: of 100 trials at 50 %, chance does it once in sixty."""
+
 Evaluate = Callable[[Policy], float]
 """Success rate (0..1) of the deterministic policy in fixed trials; must leave the training's worlds alone."""
 
@@ -33,6 +41,10 @@ class History:
     evaluations: list[tuple[int, float]] = field(default_factory=list)
     """(iterations done, success rate)."""
     notes: list[str] = field(default_factory=list)
+
+    def at(self, iteration: int) -> bool:
+        """Whether the policy of that iteration was evaluated."""
+        return bool(self.evaluations) and self.evaluations[-1][0] == iteration
 
     def to_target(self, target: float) -> int | None:
         """Iterations done at the first evaluation that reached the target; None if none did."""
@@ -47,23 +59,26 @@ def train(
     Args:
         runner: see there.
         config: see `LoopConfig`.
-        folder: gets policy.pt (the latest checkpoint), history.jsonl (a line an iteration), and event files.
+        folder: gets policy.pt, history.jsonl (a line an iteration), and event files. policy.pt holds the policy of the
+            best evaluation, the latest without evaluations, and all that it takes to go on from the latest.
         evaluate: asked on the first rank only; without it there is no target.
         resume: a checkpoint of the same policy to go on from.
 
     An interrupt leaves the last checkpoint. Files are written by the first rank.
     """
-    history = History()
+    history, best = History(), Best()
     if resume is not None:
         history = _resume(runner, resume)
+        best = Best.of_checkpoint(resume, history)
     elif evaluate is not None and config.evaluate_every:
-        _evaluate(runner, evaluate, history)
+        _evaluate(runner, evaluate, history, best)
+    watch = Watch(config.watch if runner.policy.tuned else 0)
     # Whoever asked for the training goes on with its policy.pt, also where nothing is left to train.
     until = time.monotonic() + 60 * config.minutes if config.minutes else math.inf
     done = _done(runner, history, config, until)
     began, evaluating = time.perf_counter(), 0.0
     if done:
-        save(runner, history, folder)
+        save(runner, history, folder, best)
     else:
         runner.begin()
     with _writer(folder, runner, config.tensorboard) as write, _progress(runner, config) as show:
@@ -76,23 +91,85 @@ def train(
             affordable = evaluating <= config.evaluate_share * (time.perf_counter() - began)
             if evaluate is not None and due and affordable:
                 asked = time.perf_counter()
-                write({"iteration": runner.iteration - 1, "success": _evaluate(runner, evaluate, history)})
+                rate = _evaluate(runner, evaluate, history, best)
+                write({"iteration": runner.iteration - 1, "success": rate})
                 evaluating += time.perf_counter() - asked
             show(row, history)
             done = _done(runner, history, config, until)
+            if done and evaluate is not None and config.evaluate_every and not history.at(runner.iteration):
+                rate = _evaluate(runner, evaluate, history, best)  # who is stopped has learnt since the last one
+                write({"iteration": runner.iteration - 1, "success": rate})
+            lost = watch.lost(row.get("env/episode/waiting"), history, runner.iteration, best)
+            if not done and any_rank(lost is not None, runner.rank.device):
+                note(f"{lost}: back to the policy of the best trials, on an easier course")
+                history.notes.append(f"iteration {runner.iteration}: {lost}; training went back to its best policy")
+                runner.go_back(best.policy)
+                watch.restart()
             if runner.iteration % config.checkpoint_every == 0 or done:
-                save(runner, history, folder)
+                save(runner, history, folder, best)
                 if config.restart_at_checkpoint:
                     runner.begin()
     return history
 
 
-def save(runner: Runner, history: History, folder: Path) -> None:
+@dataclass
+class Best:
+    """The policy of the best evaluation so far, on the first rank."""
+
+    rate: float = -1.0
+    policy: Policy | None = None
+
+    @classmethod
+    def of_checkpoint(cls, path: Path, history: History) -> Best:
+        """That of a run that is resumed."""
+        if not history.evaluations:
+            return cls()
+        return cls(max(rate for _, rate in history.evaluations), checkpoint.load(path)[0])
+
+    def consider(self, rate: float, policy: Policy) -> None:
+        """Keep a copy if it is better than all before; the first of equals stays."""
+        if rate > self.rate:
+            self.rate, self.policy = rate, copy.deepcopy(policy)
+
+
+class Watch:
+    """Whether training has lost what a policy knew: it waits instead of walking, or its success has fallen."""
+
+    def __init__(self, iterations: int) -> None:
+        self.waiting: deque[float] = deque(maxlen=iterations)
+
+    def restart(self) -> None:
+        """After the policy has been changed."""
+        self.waiting.clear()
+
+    def lost(self, waits: float | None, history: History, iteration: int, best: Best) -> str | None:
+        """What was lost; None if nothing.
+
+        Args:
+            waits: share of the last iteration's time for which robots waited.
+            history: with all evaluations.
+            iteration: iterations done.
+            best: so far.
+        """
+        most = self.waiting.maxlen
+        if not most or waits is None or best.policy is None:
+            return None
+        self.waiting.append(waits)
+        share = sum(self.waiting) / most
+        if len(self.waiting) == most and share > STANDING:
+            return f"robots wait {share:.0%} of the time"
+        if history.at(iteration) and best.rate - history.evaluations[-1][1] > FALLEN:
+            return f"success fell from {best.rate:.0%} to {history.evaluations[-1][1]:.0%}"
+        return None
+
+
+def save(runner: Runner, history: History, folder: Path, best: Best) -> None:
     """Write the checkpoint; to be called on all ranks."""
     state = runner.state_dict()
     if runner.rank.first:
         training = {**state, "evaluations": list(map(list, history.evaluations))}
-        checkpoint.save(folder / "policy.pt", runner.policy, training)
+        latest = None if best.policy is None else runner.policy
+        checkpoint.save(folder / "policy.pt", best.policy or runner.policy, training, latest)
 
 
 def read_rows(folder: Path) -> list[dict[str, float | None]]:
@@ -107,7 +184,7 @@ def read_rows(folder: Path) -> list[dict[str, float | None]]:
 
 
 def _resume(runner: Runner, path: Path) -> History:
-    policy, training = checkpoint.load(path, runner.rank.device)
+    policy, training = checkpoint.load(path, runner.rank.device, latest=True)
     if training is None:
         raise TrainerError(
             "the checkpoint holds a policy but no training state", file=path, hint="pass it as --policy instead"
@@ -134,8 +211,11 @@ def _resume(runner: Runner, path: Path) -> History:
     return History(evaluations, notes)
 
 
-def _evaluate(runner: Runner, evaluate: Evaluate, history: History) -> float:
-    rate = evaluate(runner.policy) if runner.rank.first else 0.0
+def _evaluate(runner: Runner, evaluate: Evaluate, history: History, best: Best) -> float:
+    rate = 0.0
+    if runner.rank.first:
+        rate = evaluate(runner.policy)
+        best.consider(rate, runner.policy)
     history.evaluations.append((runner.iteration, rate))
     return rate
 

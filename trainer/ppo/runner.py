@@ -104,6 +104,19 @@ class Runner:
         result["samples"] = float(self.samples)
         return result
 
+    def go_back(self, policy: Policy | None) -> None:
+        """Train on from an earlier policy of this run, that of the first rank, in an easier task; on all ranks at once.
+
+        None on the first rank: from where it is.
+        """
+        if policy is not None:
+            self.policy.actor.load_state_dict(policy.actor.state_dict())
+            self.policy.critic.load_state_dict(policy.critic.state_dict())
+        broadcast(self.policy.actor, self.policy.critic)
+        self.ppo.forget()
+        self.env.ease()
+        self.begin()
+
     def state_dict(self) -> dict[str, Any]:
         """Everything but the networks. To be taken on all ranks at once; the same on all."""
         here = {"env": self.env.state_dict(), "rng": self.rng.get_state(), "torch": torch.get_rng_state()}

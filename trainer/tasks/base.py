@@ -106,6 +106,9 @@ class VecEnv(Protocol):
     def step(self, actions: Tensor) -> Step:
         """One policy step with actions (N, num_actions)."""
 
+    def ease(self) -> None:
+        """Make the task easier: asked when training has lost what the policy knew."""
+
     def state_dict(self) -> dict[str, Any]:
         """Curriculum levels and random generators: with the learner's state enough to resume exactly at a reset."""
 

@@ -21,12 +21,19 @@ class Scene:
     terrains: tuple[Terrain, ...]
     rows: int = 1
     """Rows of a curriculum grid, row by row; 1 without a curriculum."""
+    judged: tuple[Terrain, ...] = ()
+    """Terrains of the trials on the way, where those trained on are easier too; () judges on those without rows."""
     folders: tuple[Path, ...] = ()
     """Reconstructed scenes that the terrains come from, for engines that load `scene.xml` themselves."""
 
     def __post_init__(self) -> None:
         if not self.terrains:
             raise TrainerError("there is no terrain to train on")
+
+    @property
+    def goals(self) -> tuple[Terrain, ...]:
+        """The terrains that success is measured on; none of a curriculum whose success is in its own log."""
+        return self.judged or (self.terrains if self.rows == 1 else ())
 
 
 @dataclass(frozen=True)

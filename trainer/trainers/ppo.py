@@ -61,7 +61,8 @@ def train(scene: Scene, policy: Path | None, config: TrainConfig, out: Path) -> 
         onnx: Path | None = None
         if rank.first:
             try:
-                onnx = write_onnx(out / "policy.onnx", runner.policy, plan.task, runner.env.policy_dt)
+                delivered, _ = checkpoint.load(out / "policy.pt")
+                onnx = write_onnx(out / "policy.onnx", delivered, plan.task, runner.env.policy_dt)
             except MissingExtraError as error:  # a training machine need not be able to export; the checkpoint is there
                 warnings.append(f"no policy.onnx was written: {error.message}; {error.hint}")
     return TrainResult(
@@ -115,7 +116,7 @@ def start(scene: Scene, file: Path | None, plan: Plan, rank: Rank) -> Runner:
         graphs=config.graphs,
     )
     if config.resume is not None:
-        policy, _ = checkpoint.load(config.resume)
+        policy, _ = checkpoint.load(config.resume, latest=True)
         _refuse_another_strategy(policy, config)
     elif file is not None:
         base, _ = checkpoint.load(file)
@@ -149,7 +150,7 @@ def trials(scene: Scene, plan: Plan) -> loop.Evaluate:
     @torch.inference_mode()
     def evaluate(policy: Policy) -> float:
         if not envs:
-            made = [trial_env(t, settings.worlds, settings, setting) for t in scene.terrains]
+            made = [trial_env(t, settings.worlds, settings, setting) for t in scene.goals]
             envs.extend((env, env.state_dict()) for env in made)
         won, count = 0, 0
         for env, state in envs:
@@ -171,8 +172,8 @@ def write_onnx(path: Path, policy: Policy, task: ParkourConfig, policy_dt: float
 
 def _attempt(scene: Scene, file: Path | None, plan: Plan, rank: Rank, out: Path) -> tuple[Runner, loop.History]:
     runner = start(scene, file, plan, rank)
-    # A curriculum's success is in its own log; trials on each of its hundreds of terrains would take longer than it.
-    evaluate = trials(scene, plan) if scene.rows == 1 else None
+    # A grid's success is in its own log; trials on each of its hundreds of terrains would take longer than it.
+    evaluate = trials(scene, plan) if scene.goals else None
     config = plan.config
     return runner, loop.train(runner, config.loop, out, evaluate=evaluate, resume=config.resume)
 

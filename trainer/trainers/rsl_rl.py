@@ -23,7 +23,7 @@ from trainer.ppo import checkpoint, gaussian
 from trainer.ppo import policy as policies
 from trainer.ppo.config import PPOConfig
 from trainer.ppo.distributed import Rank, pick_device
-from trainer.ppo.loop import History
+from trainer.ppo.loop import Best, History
 from trainer.ppo.policy import Policy
 from trainer.ppo.symmetry import Mirror
 from trainer.tasks import Observation, VecEnv
@@ -60,12 +60,13 @@ def train(scene: Scene, policy: Path | None, config: TrainConfig, out: Path) -> 
         learner = policies.fine_tune(base, settings.strategy or "full", settings.tuning, settings.seed)
     out.mkdir(parents=True, exist_ok=True)
     runner = build(env, learner.to(rank.device), settings.ppo, out / "events", settings.seed, env.mirror)
-    history = History()
-    evaluate = trials(scene, plan) if scene.rows == 1 and settings.loop.evaluate_every else None
+    history, best = History(), Best()
+    evaluate = trials(scene, plan) if scene.goals and settings.loop.evaluate_every else None
     done, chunk = 0, settings.loop.evaluate_every or settings.loop.iterations
     while True:
         if evaluate is not None:
             history.evaluations.append((done, evaluate(learner)))
+            best.consider(history.evaluations[-1][1], learner)
         reached = settings.loop.stop_at_target and history.to_target(settings.loop.target) is not None
         if done >= settings.loop.iterations or reached:
             break
@@ -73,6 +74,7 @@ def train(scene: Scene, policy: Path | None, config: TrainConfig, out: Path) -> 
         with (out / "rsl_rl.log").open("a") as log, contextlib.redirect_stdout(log):
             runner.learn(ahead)
         done += ahead
+    learner = best.policy or learner
     checkpoint.save(out / "policy.pt", learner)
     return TrainResult(
         policy=out / "policy.pt",

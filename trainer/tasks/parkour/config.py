@@ -182,12 +182,19 @@ class ResetConfig:
     """Share of new episodes whose terrain is drawn by how often it is failed lately, the others evenly, where several
     terrains have no order of difficulty. In a graded grid worlds move from row to row instead. Beside 0, the one value
     that was tried, on the thirteen tests at once (benchmarks/training/ttt.py, `ttt13f`)."""
+    keep_last: float = 0.0
+    """Share of the worlds that master the last row of a curriculum which stay in it; the others are sent to a random
+    row. Above 0, worlds begin in all rows, otherwise in the easier half."""
     spread_ages: bool = True
     """Whether the first episodes begin at random ages, so that they do not end together. Such an episode that runs out
     of time moves no world of a curriculum and is no failure in the log."""
 
     def __post_init__(self) -> None:
-        _require(self, (0 <= self.by_failure <= 1, "by_failure must lie between 0 and 1"))
+        _require(
+            self,
+            (0 <= self.by_failure <= 1, "by_failure must lie between 0 and 1"),
+            (0 <= self.keep_last <= 1, "keep_last must lie between 0 and 1"),
+        )
 
 
 @dataclass(frozen=True)

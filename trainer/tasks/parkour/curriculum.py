@@ -29,17 +29,19 @@ class Curriculum:
         device: torch.device,
         generator: torch.Generator,
         by_failure: float = 0.0,
+        keep_last: float = 0.0,
     ) -> None:
         """`by_failure`: share of new episodes whose terrain is drawn by how often it is failed, where there are several
-        and `rows` is 1."""
+        and `rows` is 1. `keep_last`: see `ResetConfig`."""
         if rows < 1 or terrains % rows:
             raise TrainerError(
                 "the terrains do not fill the grid", expected=f"a multiple of {rows} rows", found=str(terrains)
             )
         self.rows, self.columns = rows, terrains // rows
         self.column = torch.arange(worlds, device=device) % self.columns
-        # The easy half first: the harder rows have to be earned.
-        top = max(1, (rows + 1) // 2)
+        self.keep_last = keep_last
+        # The easy half first: the harder rows have to be earned. Who knows the course begins everywhere on its ladder.
+        top = rows if keep_last else max(1, (rows + 1) // 2)
         self.row = randint(0, top, worlds, generator)
         self.by_failure = by_failure if rows == 1 and self.columns > 1 else 0.0
         self.tried = torch.ones(self.columns, device=device)
@@ -58,15 +60,22 @@ class Curriculum:
     def update(self, ids: Tensor, success: Tensor, covered: Tensor, generator: torch.Generator) -> None:
         """Move worlds `ids` (K,) after episodes that succeeded (K,) bool or covered a share (K,) of the way.
 
-        Who masters the last row is sent to a random one, so that no row is forgotten.
+        Who masters the last row is sent to a random one, but for `keep_last`, so that no row is forgotten.
         """
         row = self.row[ids] + success.long() - ((covered < DEMOTE) & ~success).long()
         anywhere = randint(0, self.rows, len(ids), generator)
+        if self.keep_last:
+            stays = rand((len(ids),), generator) < self.keep_last
+            anywhere = torch.where(stays, torch.full_like(anywhere, self.rows - 1), anywhere)
         self.row[ids] = torch.where(row >= self.rows, anywhere, row.clamp_min(0))
         if self.by_failure:
             chance = self.chances().cumsum(0)
             drawn = torch.searchsorted(chance, rand((len(ids),), generator), right=True)
             self.column[ids] = drawn.clamp_max(self.columns - 1)
+
+    def ease(self) -> None:
+        """Every world goes back by one row."""
+        self.row.sub_(1).clamp_(min=0)
 
     def chances(self) -> Tensor:
         """(columns,) with which a new episode gets each terrain: a share of them by how often it is failed, the others

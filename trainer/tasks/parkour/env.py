@@ -30,6 +30,7 @@ from trainer.tasks.parkour.observations import Proprioception, critic_view, layo
 from trainer.tasks.parkour.randomise import Known, Randomiser
 from trainer.tasks.parkour.resets import Course, Stances, poses
 from trainer.tasks.parkour.rewards import Rewards
+from trainer.tasks.parkour.rewards.task import SLOW, WALKING
 from trainer.tasks.parkour.scan import HeightScan
 from trainer.tasks.parkour.signals import PhaseClock, Signals, derive, sole_points
 from trainer.tasks.parkour.symmetry import Mirror
@@ -123,7 +124,7 @@ class ParkourEnv:
         self.generator.manual_seed(seed)
         self.course = Course.of(physics.terrains, device)
         kinds, by_failure = len(physics.terrains) // variants, config.reset.by_failure
-        self.curriculum = Curriculum(kinds, rows, worlds, device, self.generator, by_failure)
+        self.curriculum = Curriculum(kinds, rows, worlds, device, self.generator, by_failure, config.reset.keep_last)
         self.command = GoalCommand(config.command, worlds, device)
         self.randomiser = Randomiser(config.randomisation, known or Known(), physics)
         self.probe = FootholdProbe(physics.terrains, edges, caster, self.body, config.reward.edge_radius)
@@ -220,6 +221,11 @@ class ParkourEnv:
         self.clock.fill_(self.count)
         self.curriculum.load_state_dict(state["curriculum"])
 
+    def ease(self) -> None:
+        """See `VecEnv.ease`: worlds go back by a row, and waiting costs twice what it did."""
+        self.curriculum.ease()
+        self.rewards.scale("dont_wait", 2.0)
+
     @property
     def warnings(self) -> tuple[str, ...]:
         """What makes the figures of this environment doubtful so far; for reports."""
@@ -260,7 +266,8 @@ class ParkourEnv:
         no_trial = (self.shortened & (outcome == TIMEOUT)) | (self.elsewhere & (outcome > DIVERGED))
         helped = self.floor.touched & (outcome == SUCCESS)
         trial = outcome.masked_fill(helped, TIMEOUT).masked_fill(no_trial, RUNNING)
-        self.tally.add(terms, trial, covered, self.age * self.policy_dt, self.terrain_ids)
+        waiting = (signals.command.speed > WALKING) & (signals.heading_vel[:, 0] < SLOW)
+        self.tally.add(terms, trial, covered, self.age * self.policy_dt, self.terrain_ids, waiting)
         self.curriculum.count(trial > DIVERGED, trial == SUCCESS)
         way = covered.masked_fill(no_trial, 1.0)  # what was no trial leaves its world in its row
         over = outcome != RUNNING

@@ -33,18 +33,29 @@ class Tally:
         self._outcomes = torch.zeros(kinds, len(OUTCOMES), device=device)
         self._covered = torch.zeros(kinds, device=device)
         self._age = torch.zeros((), device=device)
+        self._waiting = torch.zeros((), device=device)
         self._steps = torch.zeros((), device=device)
         self.diverged = 0
         """Worlds that diverged in all reports so far."""
 
-    def add(self, rewards: Tensor, outcome: Tensor, covered: Tensor, seconds: Tensor, terrain_ids: Tensor) -> None:
-        """One step: (terms,) mean rewards, and for all worlds (N,) outcome code, share covered, age and terrain."""
+    def add(
+        self,
+        rewards: Tensor,
+        outcome: Tensor,
+        covered: Tensor,
+        seconds: Tensor,
+        terrain_ids: Tensor,
+        waiting: Tensor,
+    ) -> None:
+        """One step: (terms,) mean rewards, and for all worlds (N,) outcome code, share covered, age, terrain, and
+        whether the robot waits though it is told to go."""
         self._rewards += rewards
         ended = (outcome > 0).float()
         kind = (self.family[terrain_ids][:, None] == self._kinds).float()
         self._outcomes += kind.T @ (outcome[:, None] == self._codes).float()
         self._covered += (covered * ended) @ kind
         self._age += (seconds * ended).sum()
+        self._waiting += waiting.float().mean()
         self._steps += 1
 
     def report(
@@ -64,10 +75,11 @@ class Tally:
         """
         kind = (self.family[terrain_ids][:, None] == self._kinds).float()
         rows = (row.float() @ kind) / kind.sum(0)
-        parts = [self._rewards / self._steps, self._age[None], row.float().mean()[None], self._steps[None]]
+        waiting = self._waiting / self._steps
+        parts = [self._rewards / self._steps, torch.stack([self._age, row.float().mean(), self._steps, waiting])]
         values = torch.cat(parts).tolist()
         table = torch.cat([self._outcomes, self._covered[:, None], rows[:, None]], 1).tolist()
-        rewards, (seconds, level, steps) = values[: len(self.terms)], values[len(self.terms) :]
+        rewards, (seconds, level, steps, waits) = values[: len(self.terms)], values[len(self.terms) :]
         sums = [sum(column) for column in zip(*table, strict=True)]
         outcomes = dict(zip(OUTCOMES, sums, strict=False))
         diverged = outcomes["diverged"]
@@ -83,14 +95,14 @@ class Tally:
         log |= {"terrain/level": level, "physics/diverged": diverged, **counters}
         log |= _ends(sums)
         ended = sum(sums[1 : len(OUTCOMES)])
-        log |= {"episode/seconds": _ratio(seconds, ended)}
+        log |= {"episode/seconds": _ratio(seconds, ended), "episode/waiting": waits}
         for name, own in zip(self.families, table, strict=False):
             log |= {f"family/{name}/{key}": value for key, value in _ends(own).items() if key != "episode/covered"}
             count = sum(own[1 : len(OUTCOMES)])
             log[f"family/{name}/covered"] = _ratio(own[len(OUTCOMES)], count)
             log[f"family/{name}/row"] = own[len(OUTCOMES) + 1]
             log[f"family/{name}/episodes"] = count
-        for tensor in (self._rewards, self._outcomes, self._covered, self._age, self._steps):
+        for tensor in (self._rewards, self._outcomes, self._covered, self._age, self._waiting, self._steps):
             tensor.zero_()
         return log
 

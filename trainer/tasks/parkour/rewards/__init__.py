@@ -99,6 +99,11 @@ class Rewards:
         self._weights = torch.tensor([weights[name] * dt for name in self.names], device=device)
         self._config, self._body = config, body
 
+    def scale(self, name: str, ratio: float) -> None:
+        """Change the weight of a term, where it has one, from the next step on."""
+        if name in self.names:
+            self._weights[self.names.index(name)] *= ratio
+
     def __call__(self, signals: Signals) -> tuple[Tensor, Tensor]:
         """((N,) reward, (terms,) mean over worlds of weight * term * dt). Worlds that are not finite get 0."""
         terms = torch.stack([term(signals, self._body, self._config).float() for term in self._terms], -1)

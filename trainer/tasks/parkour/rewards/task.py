@@ -9,6 +9,8 @@ from trainer.tasks.parkour.body import Body
 from trainer.tasks.parkour.config import RewardConfig
 from trainer.tasks.parkour.signals import Signals
 
+SLOW, WALKING = 0.15, 0.3
+"""m/s: who is told to go faster than the second and is slower than the first waits."""
 _JOINTS_OF_G1 = 29
 """The slack of 4 rad in `stand_still` is for this many joints."""
 
@@ -32,8 +34,8 @@ def heading_error(s: Signals, body: Body, c: RewardConfig) -> Tensor:
 def dont_wait(s: Signals, body: Body, c: RewardConfig) -> Tensor:
     """0 to 3: slower than 0.15 m/s, backward, and faster backward than 0.15 m/s, while told to go."""
     v = s.heading_vel[:, 0]
-    slow = (v < 0.15).float() + (v < 0.0).float() + (v < -0.15).float()
-    return (s.command.velocity[:, 0] > 0.3) * slow
+    slow = (v < SLOW).float() + (v < 0.0).float() + (v < -SLOW).float()
+    return (s.command.velocity[:, 0] > WALKING) * slow
 
 
 def alive(s: Signals, body: Body, c: RewardConfig) -> Tensor:

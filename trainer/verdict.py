@@ -1,0 +1,90 @@
+"""Whether a fine-tuned policy is better than its base, by trials; which of them is delivered, and what to try."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from math import comb
+from typing import Any
+
+from trainer.evaluate import Evaluation
+
+CHANCE = 0.05
+"""A policy is better if fewer pairs of equally good policies than this share would differ so much."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Base and fine-tuned policy side by side."""
+
+    better: bool
+    p: float
+    """Chance that equally good policies differ so much in favour of the second (Fisher's exact test, one-sided)."""
+    text: str
+    failures: tuple[str, ...]
+    """Where the better of the two fails most, a line a terrain."""
+    advice: tuple[str, ...]
+
+    def lines(self) -> list[str]:
+        """For the terminal."""
+        return [
+            f"delivered      {self.text}",
+            *(f"fails          {line}" for line in self.failures),
+            *(f"try            {line}" for line in self.advice),
+        ]
+
+    def as_dict(self) -> dict[str, Any]:
+        return {"delivered": "tuned" if self.better else "base", **vars(self)}
+
+
+def judge(before: Evaluation, after: Evaluation) -> Verdict:
+    """The verdict on trials of a base and of what was made of it; on several terrains their successes are added."""
+    (won_a, of_a), (won_b, of_b) = (_total(e) for e in (before, after))
+    p = fisher(won_b, of_b, won_a, of_a)
+    better = p < CHANCE
+    rates = f"{won_b / of_b:.1%} after, {won_a / of_a:.1%} before"
+    if better:
+        text = f"the fine-tuned policy: {rates} (p {p:.2g})"
+    else:
+        text = f"the base, unchanged: training did not beat it beyond chance ({rates}; p {p:.2g}, wanted < {CHANCE:g})"
+    best = after if better else before
+    return Verdict(better, p, text, tuple(_failures(best)), tuple(_advice(before, after, better)))
+
+
+def fisher(won: int, trials: int, base_won: int, base_trials: int) -> float:
+    """Chance of at least `won` successes in `trials` if both rates are equal (Fisher 1935), all successes given."""
+    total, all_won = trials + base_trials, won + base_won
+    ways = comb(total, all_won)
+    return sum(comb(trials, k) * comb(base_trials, all_won - k) for k in range(won, min(trials, all_won) + 1)) / ways
+
+
+def _total(evaluation: Evaluation) -> tuple[int, int]:
+    own = [r for r in evaluation.results if r.geometry == "trained"]
+    return sum(r.successes for r in own), sum(r.trials for r in own)
+
+
+def _failures(evaluation: Evaluation) -> list[str]:
+    lines = []
+    for result in evaluation.results:
+        counts = [(sum(v for k, v in b.items() if k not in ("from_m", "to_m")), b) for b in result.where]
+        if counts:
+            count, worst = max(counts, key=lambda item: item[0])
+            causes = ", ".join(f"{k} {v}" for k, v in worst.items() if k not in ("from_m", "to_m"))
+            where = f"{worst['from_m']:.2f} to {worst['to_m']:.2f} m"
+            lines.append(f"{result.terrain}: {count} of {result.trials} trials at {where} ({causes})")
+    return lines
+
+
+def _advice(before: Evaluation, after: Evaluation, better: bool) -> list[str]:
+    if better or _total(before)[0] == _total(before)[1]:
+        return []
+    causes: Counter[str] = Counter()
+    for result in after.results:
+        causes.update(result.reasons)
+    waits, falls = causes["timeout"] + causes["stuck"], causes["ground"] + causes["tilt"]
+    advice = ["more time: --minutes, with --resume to go on from where this run ended"]
+    if waits > falls:
+        advice.append("the policy waits: --first-success help begins on wider tops and makes waiting cost more")
+    elif falls:
+        advice.append("look at a failing trial with `realsim play`; is the scan right there? (`realsim view`)")
+    return advice
