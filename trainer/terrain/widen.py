@@ -37,14 +37,14 @@ def widened(terrain: Terrain, by: float) -> Terrain:
     terrain = replace(terrain, family=f"{terrain.family} +{100 * by:g} cm")
     if terrain.contact is None:
         boxes = tuple(_wider_box(b, half) for b in terrain.boxes)
-        vertices, triangles = mesh(boxes)
-        return replace(terrain, boxes=boxes, vertices=vertices, triangles=triangles)
+        solid = mesh(boxes)
+        return replace(terrain, boxes=boxes, vertices=solid[0], triangles=solid[1])
     contact, parts = _wider_contact(terrain.contact, half)
-    vertices, triangles = [terrain.vertices], [terrain.triangles]
-    for points, faces in parts:
-        triangles.append((faces + sum(map(len, vertices))).astype(np.int32))
-        vertices.append(points)
-    return replace(terrain, contact=contact, vertices=np.vstack(vertices), triangles=np.vstack(triangles))
+    seen, faces = [terrain.vertices], [terrain.triangles]
+    for points, triangles in parts:
+        faces.append((triangles + sum(map(len, seen))).astype(np.int32))
+        seen.append(points)
+    return replace(terrain, contact=contact, vertices=np.vstack(seen), triangles=np.vstack(faces))
 
 
 def _wider_box(box: Box, half: float) -> Box:
