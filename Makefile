@@ -1,7 +1,7 @@
 # `make demo` and `make test` are all that a fresh machine needs; both make .venv/ first.
 PYTHON ?= python3
 BIN := .venv/bin
-EXTRAS := dev,docs,recon,viewer,colmap,phone,lidar,logs,usd,ray,slurm,mcp,train,warp,rsl-rl
+EXTRAS := dev,docs,recon,viewer,colmap,phone,lidar,logs,usd,ray,slurm,mcp,app,train,warp,rsl-rl
 # MuJoCo renders without a display.
 export MUJOCO_GL ?= osmesa
 

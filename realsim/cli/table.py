@@ -130,6 +130,13 @@ COMMANDS: dict[str, Command] = {
         "realsim schema reconstruct",
         "Machines",
     ),
+    "app": Command(
+        f"{_HERE}.app:app",
+        "the commands as a page in the browser, on this machine",
+        "realsim app my_folder",
+        "To try",
+        "app",
+    ),
     "demo": Command(
         f"{_HERE}.demo:demo",
         "render, reconstruct and measure, end to end",

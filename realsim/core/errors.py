@@ -150,6 +150,7 @@ EXTRA_OF = {
     **dict.fromkeys(("warp", "mujoco_warp"), "warp"),
     "rsl_rl": "rsl-rl",
     "robot_descriptions": "menagerie",
+    "nicegui": "app",
 }
 """Modules that a plain `pip install realsim` leaves out -> the extra that brings them."""
 

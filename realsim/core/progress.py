@@ -36,18 +36,20 @@ BETWEEN = 0.1
 
 
 def report_to(pipe: IO[str] | None) -> None:
-    """Write progress to `pipe` as well, a JSON object {"what", "share"} a line; share is null if it is not known."""
+    """Write progress to `pipe` as well, a JSON object {"what", "share"} a line; share is null if it is not
+    known. A job of several stages also gives "left", the seconds that it will still take, where a stage begins."""
     global _pipe
     _pipe = pipe
 
 
-def _report(what: str, share: float | None) -> None:
+def _report(what: str, share: float | None, left: float | None = None) -> None:
     global _last
     if _pipe is None or (share is not None and _last[0] == what and time.monotonic() - _last[1] < BETWEEN):
         return
     _last = (what, time.monotonic())
     with suppress(OSError, ValueError):  # whoever listened has gone
-        _pipe.write(json.dumps({"what": what, "share": share}) + "\n")
+        more = {} if left is None else {"left": round(left, 1)}
+        _pipe.write(json.dumps({"what": what, "share": share} | more) + "\n")
         _pipe.flush()
 
 
@@ -143,6 +145,7 @@ class Remaining:
     def begin(self, stage: str) -> None:
         """A stage begins; the one before has ended."""
         self.stage, self.usual, self.began = stage, self.waiting.pop(stage, 0.0), self.clock()
+        _report(stage, None, self.seconds())
 
     def end(self, kept: bool = False) -> None:
         """The stage has ended. `kept`: its result was there already, which tells nothing about the pace."""
