@@ -304,8 +304,8 @@ def _mesh(path: Path, reading: Reading) -> None:
 
     made = reading.get("mesh", read_mesh, path)
     if made is not None:
-        mesh, notes = made
-        reading.said += notes
+        mesh = made.terrain
+        reading.said += made.notes
         reading.part("surface", _surface, mesh.vertices, mesh.triangles)
         reading.part("ground", lambda: math.floor(1e6 * ground_level(mesh).z))
 

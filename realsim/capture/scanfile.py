@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from realsim.capture.pcdfile import read_columns, read_header, unpack_rgb
 from realsim.core.errors import CaptureError, MissingExtraError, RealsimError
 from realsim.core.files import check_size, read_bytes, read_head
+from realsim.core.objfile import parse_obj
 from realsim.core.types import F64, U8
 
 MAX_VERTICES = 20_000_000
@@ -174,15 +175,17 @@ def _damaged_normals(table: NDArray) -> tuple[str, ...]:
 
 def read_obj(path: Path) -> RawScan:
     """A mesh or a cloud as text; faces that cannot be read are left out."""
-    raw = _load(path)
-    with path.open("rb") as file:
-        told = sum(line.startswith((b"f ", b"f\t")) for line in file)
-    found = 0 if raw.triangles is None else len(raw.triangles)
-    if found >= told:  # polygons make several triangles each
-        return raw
-    return replace(
-        raw, warnings=(*raw.warnings, f"{told - found} of {told} faces could not be read: the file is damaged")
-    )
+    mesh = parse_obj(read_bytes(path, MAX_SCAN_BYTES))
+    if not len(mesh.vertices):
+        raise CaptureError("the scan is empty", file=path, expected="points or triangles")
+    if mesh.faces and not len(mesh.triangles):
+        found = f"{mesh.faces} faces, none of which can be read"
+        raise CaptureError(
+            "corrupt or truncated scan", file=path, expected="faces of vertices in the file", found=found
+        )
+    damaged = f"{mesh.bad_faces} of {mesh.faces} faces could not be read: the file is damaged"
+    triangles = mesh.triangles if len(mesh.triangles) else None
+    return RawScan(mesh.vertices, triangles, None, mesh.colors, warnings=(damaged,) if mesh.bad_faces else ())
 
 
 def read_glb(path: Path) -> RawScan:
@@ -196,9 +199,7 @@ def _load(path: Path) -> RawScan:
     import trimesh
 
     data = io.BytesIO(read_bytes(path, MAX_SCAN_BYTES))
-    kind = path.suffix.lower()[1:]
-    more: dict[str, Any] = {"skip_materials": True} if kind == "obj" else {}
-    scene = trimesh.load_scene(data, file_type=kind, process=False, **more)
+    scene = trimesh.load_scene(data, file_type=path.suffix.lower()[1:], process=False)
     parts = []
     for node in scene.graph.nodes_geometry:
         T, name = scene.graph[node]

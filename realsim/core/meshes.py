@@ -2,11 +2,58 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+
+def faces_by_place(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.int64]:
+    """(K, 3) triangles over vertices of which there is one a place (0.1 micrometres): files that list the corners of
+    every triangle (STL) have one a corner."""
+    _, merged = np.unique(np.round(vertices, 7), axis=0, return_inverse=True)
+    return np.asarray(merged.reshape(-1)[triangles], np.int64)
+
+
+def connected(faces: NDArray[Any]) -> NDArray[np.int64]:
+    """(K,) number of the piece that each triangle (K, 3) belongs to, by shared corners."""
+    ends = faces[:, [0, 1, 1, 2]].reshape(-1, 2)
+    return linked(ends[:, 0], ends[:, 1], int(faces.max(initial=-1)) + 1)[faces[:, 0]]
+
+
+def linked(one: NDArray[Any], other: NDArray[Any], count: int) -> NDArray[np.int64]:
+    """(count,) number of the component of each node of a graph with edges from `one` to `other`."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_matrix((np.ones(len(one), bool), (one, other)), (count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Sides of triangles, by the edge that they lie on."""
+
+    runs: NDArray[np.int64]
+    """(3K, 2) from and to of every side; side s belongs to triangle s // 3."""
+    order: NDArray[np.int64]
+    """(3K,) sides in order of their edge."""
+    first: NDArray[np.int64]
+    """(E,) place in `order` of the first side of each edge."""
+    uses: NDArray[np.int64]
+    """(E,) how many sides each edge has."""
+
+
+def edges_of(faces: NDArray[np.int64]) -> Edges:
+    """The edges of triangles (K, 3)."""
+    runs = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    key = runs.min(1) * (int(faces.max()) + 1) + runs.max(1)
+    order = np.argsort(key, kind="stable")
+    first = np.flatnonzero(np.r_[True, np.diff(key[order]) != 0])
+    return Edges(runs, order, first, np.diff(np.r_[first, len(order)]))
+
 
 LOOSE = 0.05
 """Share of vertices without a triangle from which a warning is due. Sound meshes have next to none; a text file lists
@@ -23,20 +70,65 @@ def compact(
     return (np.asarray(vertices)[used], inverse.reshape(F.shape).astype(np.int32), *arrays)
 
 
-def loose_vertices(path: Path, count: int, triangles: NDArray[Any]) -> str | None:
-    """A sentence where many vertices belong to no triangle, as in a file that ends early; None where few do.
+def loose_vertices(count: int, triangles: NDArray[Any]) -> str | None:
+    """A sentence where many vertices belong to no triangle; None where few do.
+
+    Only those at the end of the list tell of a file that ends early: faces are written in about the order of their
+    vertices, and programs that leave a part of their vertices unused leave them anywhere.
 
     Args:
-        path: the file; an .obj is counted again, because its reader leaves out what no triangle uses.
         count: vertices that were read. triangles: (K, 3).
     """
-    if path.suffix.lower() == ".obj":
-        with path.open("rb") as file:
-            count = max(count, sum(line.startswith((b"v ", b"v\t")) for line in file))
     unused = 1 - len(np.unique(triangles)) / max(count, 1)
     if unused <= LOOSE:
         return None
-    return f"{unused:.0%} of the vertices belong to no triangle: is the file cut off?"
+    said = f"{unused:.0%} of the vertices belong to no triangle"
+    missing_end = int(np.max(triangles, initial=-1)) < (1 - LOOSE) * count
+    return f"{said}: is the file cut off?" if missing_end else f"{said} and are not used"
+
+
+FAR = 1000.0
+"""Metres from the origin (maps are millions): single precision is coarser than a twentieth of a millimetre there."""
+
+
+def local_origin(points: NDArray[Any]) -> NDArray[np.float64]:
+    """(3,) whole metres to take from points (M, 3) that lie FAR from the origin; zeros where none do.
+
+    MuJoCo, Open3D and glTF keep coordinates in single precision, which is half a metre at five million metres.
+    """
+    finite = points[np.isfinite(points).all(1)]
+    if not len(finite) or np.abs(finite).max() <= FAR:
+        return np.zeros(3)
+    # A few points far from the rest are stray, and no reason to move it; nor are large numbers about the origin, which
+    # are of another unit.
+    low, high = np.percentile(finite, [0.5, 99.5], axis=0)
+    away = float(np.maximum(low, -high).max())
+    return np.floor(low) if away > max(FAR, float((high - low).max())) else np.zeros(3)
+
+
+def origin_note(origin: NDArray[Any]) -> str:
+    """The sentence for what was moved by `local_origin`."""
+    x, y, z = origin
+    return f"moved to a local origin: add ({x:.0f}, {y:.0f}, {z:.0f}) m for the file's own coordinates"
+
+
+COARSE = 0.002
+"""Metres between neighbouring coordinates from which edges are lost."""
+BINARY = (".stl", ".ply", ".glb", ".pcd")
+"""Formats that may hold numbers in single precision; in the others they are written as text or as integers."""
+
+
+def lost_precision(path: Path, points: NDArray[Any], scale: float = 1.0) -> str | None:
+    """A sentence where points (M, 3) were stored in single precision so far from the origin that edges are lost; None
+    where they were not. `scale` metres are one unit of them."""
+    finite = points[np.isfinite(points).all(1)]
+    if path.suffix.lower() not in BINARY or not len(finite):
+        return None
+    single = finite.astype(np.float32)
+    step = float(np.spacing(np.abs(np.percentile(single, [0.5, 99.5], axis=0)).max())) * scale
+    if step <= COARSE or not (single == finite).all():
+        return None
+    return f"coordinates in steps of {step:.2g} m: single precision, far from the origin"
 
 
 def lonely_vertex(points: NDArray[Any]) -> str | None:

@@ -15,6 +15,7 @@ from realsim.core.progress import note
 from realsim.core.types import SceneFiles
 from realsim.export.config import SceneConfig
 from realsim.export.contact.heatmap import heatmap_png
+from realsim.export.contact.shape import Solids
 from realsim.export.ground import DEEP, GroundLevel, ground_level, hidden_cm2
 from realsim.export.mend import read_mesh
 from realsim.export.scene import write_terrain
@@ -31,7 +32,7 @@ def contact_mesh(
 ) -> SceneFiles:
     """A mesh file becomes a scene folder with measured collision geometry, contact.json and contact.png.
 
-    The frame is the file's own (z up, metres).
+    The frame is the file's own (z up, metres), less `origin_m` of contact.json where the file is far from its origin.
 
     Args:
         mesh: .ply, .obj, .stl, .glb or .off.
@@ -48,7 +49,8 @@ def contact_mesh(
             "the height of the ground is not a number", expected="--ground-z in metres", found=f"{ground_z}"
         )
     note(f"reading and mending {mesh.name} ...")
-    terrain, notes = read_mesh(mesh, unit, up)
+    made = read_mesh(mesh, unit, up)
+    terrain = made.terrain
     ground = (
         ground_level(terrain)
         if ground_z is None
@@ -57,12 +59,14 @@ def contact_mesh(
     top = float(terrain.vertices[:, 2].max())
     if top < ground.z - DEEP:  # nothing is left that could be measured
         raise _under_the_ground(mesh, ground, f"its highest point at z = {top:.3f} m")
-    files = write_terrain(folder, terrain, ground.z, config, bare=True)
+    solids = Solids(made.solids, made.rest)
+    files = write_terrain(folder, terrain, ground.z, config, bare=True, solids=solids)
     hidden = hidden_cm2(terrain, files.scene_xml, ground)
     if hidden and set(files.contact["geoms"]) == {"plane"}:
         raise _under_the_ground(mesh, ground, f"{hidden:.0f} cm2 of its surface below")
     contact = dict(files.contact) | {"mesh": mesh.name, "ground_z": ground.z, "ground": ground.said}
-    contact |= {"hidden_cm2": hidden, "mended": notes}
+    contact |= {"hidden_cm2": hidden, "mended": list(made.notes), "up": made.up.axis}
+    contact |= {"origin_m": made.origin.tolist(), "question": made.up.question}
     contact["missing_area_cm2"] = round(contact["missing_area_cm2"] + hidden, 2)
     contact["verdict"] = contact_verdict(contact, config.contact_tolerance)
     write_text(folder / "contact.json", to_json(contact | {"files": file_digests(folder)}))
@@ -87,10 +91,13 @@ def contact_verdict(contact: Mapping[str, Any], tolerance: tuple[float, float]) 
     Bad is what lets a robot fall or walk through, or hides part of the mesh; look is a tolerance that is not met.
 
     Args:
-        contact: the figures of the measure, and `hidden_cm2`; `drop` and `sides` may be missing.
+        contact: the figures of the measure, and `hidden_cm2`; `drop`, `sides` and `question` may be missing.
         tolerance: metres at the median and at the 95th percentile.
     """
     bad, look, todo = [], [], []
+    if contact.get("question"):
+        look.append(contact["question"])
+        todo.append("say which axis points up: --up z or --up y")
     if contact["leaks"]:
         bad.append(
             f"{contact['leaks']} of {contact['leak_objects']} balls thrown onto it fell into what should be solid."
@@ -109,7 +116,7 @@ def contact_verdict(contact: Mapping[str, Any], tolerance: tuple[float, float]) 
     for name, share, check, reject in off:
         most, said = (check, look) if share <= reject else (reject, bad)
         said.append(f"{name}: {share:.1%}, above the limit of {most:.0%}.")
-    if look or off:
+    if off or len(look) > bool(contact.get("question")):
         todo.append("look at contact.png, and try another --contact or a finer --hfield-resolution")
     level = "bad" if bad else "look" if look else "good"
     return {"level": level, "headline": HEADLINES[level], "reasons": bad + look, "next": todo}

@@ -12,6 +12,8 @@ from realsim.core.types import TerrainMesh
 
 LEVEL = 0.01  # metres: one level
 SHARE = 0.05  # of all that is level: less is no floor
+AROUND = 0.25
+"""Share of the rim that lies at a floor's height; on rolling ground, every height has a few percent."""
 SLAB = 0.25
 """Area of a slab's sides for each area of its top up to which it is a floor. Set on two slabs under stakes (3 x 2 m, 2
 and 10 cm thick: 0.03 and 0.17), a podium of two tiers (1.1) and a pyramid of four (0.36), which are no floors."""
@@ -49,7 +51,7 @@ def ground_level(mesh: TerrainMesh) -> GroundLevel:
         return GroundLevel(level, False, f"at z = {level:.3f} m, the mesh's lowest level")
     top, bottom, cell = _rim(mesh)
     at, below = np.abs(bottom - level) <= LEVEL, bottom < level - LEVEL
-    if at.sum() > below.sum():
+    if at.sum() > below.sum() and at.mean() > AROUND:
         return GroundLevel(level, False, f"at z = {level:.3f} m, the floor of the mesh")
     sides = float(np.clip(level - bottom, 0, None).sum()) * cell
     carries = float(mesh.vertices[mesh.triangles][..., 2].max()) > level + LEVEL
@@ -110,7 +112,10 @@ def _lowest_level(mesh: TerrainMesh) -> tuple[float, float]:
     z = corners[level].mean(1)[:, 2]
     bins = np.floor((z - z.min()) / LEVEL).astype(int)
     sums = np.bincount(bins, area[level])
-    first = int(np.flatnonzero(sums > SHARE * sums.sum())[0])
+    wide = np.flatnonzero(sums > SHARE * sums.sum())
+    if not len(wide):  # a slope or rolling ground has some of every height
+        return float(corners[..., 2].min()), 0.0
+    first = int(wide[0])
     near = bins == first
     return float(np.average(z[near], weights=area[level][near])), float(sums[first])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,22 @@ from numpy.typing import NDArray
 
 from realsim.core.errors import ExportError
 from realsim.core.files import check_size
-from realsim.core.meshes import compact, lonely_vertex, loose_vertices
+from realsim.core.meshes import (
+    compact,
+    edges_of,
+    faces_by_place,
+    local_origin,
+    lonely_vertex,
+    loose_vertices,
+    lost_precision,
+    origin_note,
+)
+from realsim.core.objfile import parse_obj
 from realsim.core.types import MeshQuality, TerrainMesh
 from realsim.export.contact.columns import check_extent, crossings
+from realsim.export.pieces import convex_solids, without_twins
 from realsim.export.unite import united
+from realsim.export.up import Up, find_up, y_to_z
 from realsim.export.winding import turn_closed, turn_stray
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
@@ -25,84 +38,186 @@ VAST = 50.0  # metres: larger than what a robot is taken across, so that the uni
 F64 = NDArray[np.float64]
 
 
-def read_mesh(path: Path, unit: str | None = None, up: str = "auto") -> tuple[TerrainMesh, list[str]]:
-    """A mesh file as a terrain, z up, metres, with notes on what was assumed and mended.
+@dataclass(frozen=True)
+class Mended:
+    """A mesh made fit for collision: z up, metres."""
+
+    terrain: TerrainMesh
+    notes: tuple[str, ...]
+    """One sentence for everything that was assumed or changed, or that limits what can be known."""
+    solids: tuple[F64, ...]
+    """[(M, 3)] corners of those closed pieces of the mesh that are convex."""
+    rest: TerrainMesh | None
+    """What is not made of `solids`; None where nothing is left."""
+
+
+@dataclass(frozen=True)
+class MeshFile(Mended):
+    """The same of a file, near the origin."""
+
+    origin: F64
+    """(3,) metres that were taken from the file's coordinates (z up)."""
+    up: Up
+    """Which axis of the file points up, and how that was found."""
+
+
+def read_mesh(path: Path, unit: str | None = None, up: str = "auto") -> MeshFile:
+    """A mesh file as a terrain, z up, metres, moved to a local origin where it is far from its own.
 
     Args:
         path: one of FORMATS.
         unit: of the file's numbers, one of UNITS; None for metres that nobody has vouched for: a mesh that is VAST in
             them is refused, because it will be in millimetres.
-        up: axis that points up, `z`, `y`, or `auto` (y for GLB, as glTF has it, else z).
+        up: axis that points up, `z`, `y`, or `auto`: found from the mesh.
 
     Raises:
         ExportError: not such a file, nothing usable in it, or of a size that no terrain has.
     """
-    import trimesh
-
     if unit is not None and unit not in UNITS:
         raise ExportError(f"unknown unit {unit!r}", expected=f"one of {', '.join(UNITS)}")
     if up not in UP:
         raise ExportError(f"unknown axis {up!r}", expected=f"one of {', '.join(UP)}")
     if path.suffix.lower() not in FORMATS:
         raise ExportError("not a mesh file", file=path, expected=f"one of {' '.join(FORMATS)}", found=path.suffix)
-    check_size(path)
+    vertices, triangles, notes = _read(path)
+    notes += [note for note in (loose_vertices(len(vertices), triangles), lonely_vertex(vertices)) if note]
+    scale = UNITS[unit or "m"]
+    if lost := lost_precision(path, vertices, scale):
+        hint = "subtract an offset where the mesh is exported"
+        expected = "a local origin, or double precision"
+        raise ExportError(
+            "the coordinates have lost their precision", file=path, expected=expected, found=lost, hint=hint
+        )
     try:
-        mesh: Any = trimesh.load(path, force="mesh", process=False, skip_materials=True)
-        vertices, triangles = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
-    except Exception as error:  # readers of broken files raise whatever comes up
-        found = f"a file that is cut off or damaged ({type(error).__name__}: {error})"
-        raise ExportError("the mesh cannot be read", file=path, found=found) from error
-    if path.suffix.lower() == ".stl" and not len(triangles):
-        raise ExportError("the mesh cannot be read", file=path, found="no triangle: cut off, or no STL")
-    loose = loose_vertices(path, len(vertices), triangles)
-    notes = [note for note in (loose, lonely_vertex(vertices)) if note]
-    if up == "y" or (up == "auto" and path.suffix.lower() == ".glb"):
-        vertices = np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
-        notes.append("y of the file points up")
-    _check_unit(path, vertices, unit)
-    try:
-        terrain, mended = mend(vertices * UNITS[unit or "m"], triangles)
+        named = _used(vertices, triangles)
+        origin = local_origin(named * scale)
+        _check_unit(named, unit, surveyed=bool(origin.any()))
+        vertices = vertices * scale - origin
+        found = find_up(vertices, triangles, path.suffix.lower()) if up == "auto" else Up(up)
+        if found.axis == "y":
+            vertices, origin = y_to_z(vertices), y_to_z(origin)
+        if origin.any():
+            notes.append(origin_note(origin))
+        mended = mend(vertices, triangles)
     except ExportError as error:
         raise ExportError(
             error.message, file=path, expected=error.expected, found=error.found, hint=error.hint
         ) from error
-    return terrain, notes + mended
+    notes = [*found.notes, *notes, *mended.notes]
+    return MeshFile(mended.terrain, tuple(notes), mended.solids, mended.rest, origin, found)
 
 
-def _check_unit(path: Path, vertices: F64, unit: str | None) -> None:
-    """Refuse what is of no terrain's size in its unit, and say in which it would be."""
+def _check_unit(vertices: F64, unit: str | None, *, surveyed: bool) -> None:
+    """Refuse what is of no terrain's size in its unit, and say in which it would be; coordinates of a map (`surveyed`)
+    are in metres."""
     finite = vertices[np.isfinite(vertices).all(1)]
     numbers = float(np.ptp(finite, 0).max()) if len(finite) else 0.0
-    size, most = numbers * UNITS[unit or "m"], 200.0 if unit else VAST
+    size, most = numbers * UNITS[unit or "m"], 200.0 if unit or surveyed else VAST
     if numbers == 0 or 0.02 <= size <= most:
         return
-    others = {name: numbers * scale for name, scale in UNITS.items() if name != (unit or "m")}
+    others = {name: numbers * scale for name, scale in UNITS.items() if name != (unit or "m") and not surveyed}
     fits = [f"--unit {name} makes it {across:.3g} m" for name, across in others.items() if 0.02 <= across <= VAST]
     if unit is None and VAST < size <= 200:
         fits.append("--unit m if it is that large")
     raise ExportError(
         "the mesh is not of a terrain's size",
-        file=path,
         expected=f"0.02 to {most:g} metres across",
         found=f"{size:.4g} metres, if its unit is {unit or 'm'}",
-        hint="; ".join(fits) or "scale the mesh, or remove triangles far from the rest",
+        hint="; ".join(fits) or "cut out the part that the robot gets to, or remove triangles far from the rest",
     )
 
 
-def mend(vertices: F64, triangles: NDArray[Any]) -> tuple[TerrainMesh, list[str]]:
+def _read(path: Path) -> tuple[F64, NDArray[np.int64], list[str]]:
+    """(vertices (V, 3), triangles (K, 3), what could not be read) of a file, in its own unit and frame."""
+    import trimesh
+
+    check_size(path)
+    suffix = path.suffix.lower()
+    try:
+        if suffix == ".obj":
+            mesh = parse_obj(path.read_bytes())
+            left_out = [f"{mesh.bad_faces} of {mesh.faces} faces could not be read"] if mesh.bad_faces else []
+            return mesh.vertices, mesh.triangles.astype(np.int64), left_out
+        loaded: Any = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+        vertices, triangles = np.asarray(loaded.vertices, float), np.asarray(loaded.faces, np.int64)
+    except Exception as error:  # readers of broken files raise whatever comes up
+        found = f"a file that is cut off or damaged ({type(error).__name__}: {error})"
+        raise ExportError("the mesh cannot be read", file=path, found=found) from error
+    if suffix == ".stl" and not len(triangles):
+        raise ExportError("the mesh cannot be read", file=path, found="no triangle: cut off, or no STL")
+    return vertices, triangles, []
+
+
+def _used(vertices: F64, triangles: NDArray[Any]) -> F64:
+    """Those of the vertices (V, 3) that a triangle names, where it names any."""
+    named = np.unique(triangles)
+    named = named[(named >= 0) & (named < len(vertices))]
+    return vertices[named] if len(named) else vertices
+
+
+def mend(vertices: F64, triangles: NDArray[Any]) -> Mended:
     """Take out what cannot be used, turn inside-out meshes round, and look at the rest.
 
     Args:
         vertices: (V, 3) metres, z up. triangles: (K, 3).
 
-    Returns:
-        The mesh, and one sentence for everything that was changed or that limits what can be known.
+    Raises:
+        ExportError: nothing usable is left.
     """
-    notes = []
+    notes: list[str] = []
+    vertices, faces, flat = _usable(vertices, triangles, notes)
+    faces, again = without_twins(vertices, faces)
+    if again:
+        vertices, faces = compact(vertices, faces)
+        notes.append(f"{again} triangles that were there twice were removed")
+    faces, turned = turn_stray(vertices, faces)
+    if turned:
+        notes.append(f"{turned} triangles that faced the other way than their neighbours were flipped")
+    quality = _quality(vertices, faces, flat)
+
+    def made(vertices: F64, faces: NDArray[np.int32]) -> TerrainMesh:
+        return TerrainMesh(vertices, faces, None, np.zeros(len(faces), bool), quality, "file", 0.0)
+
+    terrain = made(vertices, faces)
+    check_extent(terrain)
+    if _from_above(terrain)[0]:
+        faces = np.ascontiguousarray(faces[:, ::-1])
+        notes.append("the mesh was inside out and has been flipped")
+    faces, turned = turn_closed(vertices, faces)
+    if turned:
+        notes.append(f"{turned} closed pieces were inside out and have been flipped")
+    solids, others = convex_solids(vertices, faces)
+    rest = None
+    if others.any():
+        left, left_faces = compact(vertices, faces[others])
+        rest = made(left, left_faces)
+    terrain = made(vertices, faces)
+    if _from_above(terrain)[1]:
+        vertices, faces, count = united(vertices, faces)
+        vertices, faces = compact(vertices, faces)
+        quality = _quality(vertices, faces, flat)
+        terrain = made(vertices, faces)
+        joined = f": {count} closed pieces were made one" if count else ""
+        crossing = "solids of the mesh overlap or its surface crosses itself"
+        notes.append(f"{crossing}{joined or ': whatever lies in any of them is solid'}")
+    if not quality.manifold:
+        notes.append("the mesh is not manifold: solids are taken from columns of rays, which need no manifold")
+    if _open(vertices, faces):
+        notes.append("the mesh is open: a surface without an underside is taken to be solid down to the ground")
+    return Mended(terrain, tuple(notes), solids, rest if solids else terrain)
+
+
+def _usable(vertices: F64, triangles: NDArray[Any], notes: list[str]) -> tuple[F64, NDArray[np.int32], int]:
+    """(vertices, triangles with corners and an area, how many had none)."""
     if not len(triangles):
         raise ExportError("the mesh has no triangles", hint="a point cloud has to be meshed first")
     if len(triangles) > MAX_TRIANGLES:
-        raise ExportError("too many triangles", expected=f"at most {MAX_TRIANGLES}", found=str(len(triangles)))
+        raise ExportError(
+            "too many triangles",
+            expected=f"at most {MAX_TRIANGLES}",
+            found=str(len(triangles)),
+            hint="decimate the mesh, or cut out the part that the robot gets to",
+        )
     sound: NDArray[np.bool_] = np.asarray(((triangles >= 0) & (triangles < len(vertices))).all(1))
     sound[sound] &= np.isfinite(vertices[triangles[sound]]).all((1, 2))
     if not sound.all():
@@ -118,35 +233,8 @@ def mend(vertices: F64, triangles: NDArray[Any]) -> tuple[TerrainMesh, list[str]
         notes.append(f"{flat.sum()} triangles without area were removed")
     if flat.all():
         raise ExportError("the mesh has no usable triangles", found=f"{len(flat)} triangles, all without area")
-    vertices, faces = compact(vertices, triangles[~flat].astype(np.int32))
-    faces, turned = turn_stray(vertices, faces)
-    if turned:
-        notes.append(f"{turned} triangles that faced the other way than their neighbours were flipped")
-    quality = _quality(vertices, faces, int(flat.sum()))
-    terrain = TerrainMesh(vertices, faces, None, np.zeros(len(faces), bool), quality, "file", 0.0)
-    check_extent(terrain)
-    inside_out, _ = _from_above(terrain)
-    if inside_out:
-        faces = np.ascontiguousarray(faces[:, ::-1])
-        terrain = TerrainMesh(vertices, faces, None, terrain.invented, quality, "file", 0.0)
-        notes.append("the mesh was inside out and has been flipped")
-    faces, turned = turn_closed(vertices, faces)
-    if turned:
-        terrain = TerrainMesh(vertices, faces, None, terrain.invented, quality, "file", 0.0)
-        notes.append(f"{turned} closed pieces were inside out and have been flipped")
-    if _from_above(terrain)[1]:
-        vertices, faces, count = united(vertices, faces)
-        vertices, faces = compact(vertices, faces)
-        quality = _quality(vertices, faces, int(flat.sum()))
-        terrain = TerrainMesh(vertices, faces, None, np.zeros(len(faces), bool), quality, "file", 0.0)
-        made = f": {count} closed pieces were made one" if count else ""
-        crossing = "solids of the mesh overlap or its surface crosses itself"
-        notes.append(f"{crossing}{made or ': whatever lies in any of them is solid'}")
-    if not quality.manifold:
-        notes.append("the mesh is not manifold: solids are taken from columns of rays, which need no manifold")
-    if _open(vertices, faces):
-        notes.append("the mesh is open: a surface without an underside is taken to be solid down to the ground")
-    return terrain, notes
+    kept, faces = compact(vertices, triangles[~flat].astype(np.int32))
+    return kept, faces, int(flat.sum())
 
 
 def _from_above(mesh: TerrainMesh) -> tuple[bool, bool]:
@@ -172,7 +260,7 @@ def _from_above(mesh: TerrainMesh) -> tuple[bool, bool]:
 
 def _quality(vertices: F64, triangles: NDArray[np.int32], degenerate: int) -> MeshQuality:
     """Counts of edges tell open and non-manifold; self-intersections are left uncounted (-1), rays do not mind them."""
-    uses = _edge_uses(vertices, triangles)
+    uses = edges_of(faces_by_place(vertices, triangles)).uses
     return MeshQuality(
         len(vertices), len(triangles), bool((uses == 2).all()), bool((uses <= 2).all()), -1, degenerate, 1, None
     )
@@ -180,12 +268,4 @@ def _quality(vertices: F64, triangles: NDArray[np.int32], degenerate: int) -> Me
 
 def _open(vertices: F64, triangles: NDArray[np.int32]) -> bool:
     """Whether there is a rim. Where solids touch, edges belong to four triangles, and none is missing."""
-    return bool((_edge_uses(vertices, triangles) % 2).any())
-
-
-def _edge_uses(vertices: F64, triangles: NDArray[np.int32]) -> NDArray[np.int64]:
-    """How many triangles each edge belongs to; vertices at one place are one."""
-    _, merged = np.unique(np.round(vertices, 7), axis=0, return_inverse=True)
-    faces = merged.reshape(-1)[triangles]
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    return np.unique(edges, axis=0, return_counts=True)[1]
+    return bool((edges_of(faces_by_place(vertices, triangles)).uses % 2).any())

@@ -14,6 +14,7 @@ from realsim.core.types import F64, AlignedScene, Platform, SceneFiles, TerrainM
 from realsim.export.check import check_scene
 from realsim.export.config import SceneConfig
 from realsim.export.contact.choose import fit_contact
+from realsim.export.contact.shape import Solids
 from realsim.export.glb import glb_bytes
 from realsim.export.mjcf import scene_xml
 from realsim.export.ply import ply_bytes
@@ -62,6 +63,7 @@ def write_terrain(
     cost_at: F64 | None = None,
     azimuth: float = 60.0,
     bare: bool = False,
+    solids: Solids | None = None,
 ) -> SceneFiles:
     """The same for a mesh with its ground alone.
 
@@ -70,8 +72,9 @@ def write_terrain(
         cost_at: (3,) where G1 stands when the cost of a step is measured; the highest level place if None.
         azimuth: direction in which viewers look first, degrees from x to y.
         bare: whether the ground goes on where the mesh has no surface.
+        solids: convex pieces that the mesh is made of, if it is.
     """
-    fitted = fit_contact(mesh, ground_z, config, cost_at, bare=bare)
+    fitted = fit_contact(mesh, ground_z, config, cost_at, bare=bare, solids=solids)
     contact = fitted.contact
     vertices, triangles, colors = compact(mesh.vertices, mesh.carrying, mesh.colors)
     normals = vertex_normals(vertices, triangles)

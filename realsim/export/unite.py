@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.meshes import connected, faces_by_place
+
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 
@@ -25,9 +27,9 @@ def united(vertices: F64, triangles: I32) -> tuple[F64, I32, int]:
 
     solids: list[Any] = []
     rest = np.arange(len(triangles))
-    merged = np.unique(np.round(vertices, 7), axis=0, return_inverse=True)[1].reshape(-1)
+    merged = faces_by_place(vertices, triangles)
     # By place, solids that share an edge are one piece, and still overlap; by their own vertices, an STL has no piece.
-    for faces in (triangles, merged[triangles]):
+    for faces in (triangles, merged):
         open_ = [rest[:0]]
         for piece in _pieces(faces[rest]):
             solid = _solid(vertices, triangles[rest[piece]])
@@ -44,15 +46,9 @@ def united(vertices: F64, triangles: I32) -> tuple[F64, I32, int]:
 
 def _pieces(faces: NDArray[Any]) -> Iterator[NDArray[np.int64]]:
     """Indices of the triangles (K, 3) of each connected piece."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     if not len(faces):
         return
-    size = int(faces.max()) + 1
-    edges = faces[:, [0, 1, 1, 2]].reshape(-1, 2)
-    graph = coo_matrix((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), (size, size))
-    piece = connected_components(graph, directed=False)[1][faces[:, 0]]
+    piece = connected(faces)
     order = np.argsort(piece, kind="stable")
     yield from np.split(order, np.flatnonzero(np.diff(piece[order])) + 1)
 

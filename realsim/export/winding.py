@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.meshes import connected, edges_of, faces_by_place, linked
+
 
 def turn_stray(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> tuple[NDArray[np.int32], int]:
     """Triangles that all face the way most of their connected piece does.
@@ -20,21 +22,16 @@ def turn_stray(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> t
     Returns:
         ((K, 3) triangles, how many were turned).
     """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     count = len(triangles)
-    runs, order, first, uses = _edges(_merged(vertices, triangles))
-    pairs = first[uses == 2]
-    a, b = order[pairs], order[pairs + 1]
-    against = runs[a, 0] == runs[b, 0]  # both run along the edge in the same direction
+    edges = edges_of(faces_by_place(vertices, triangles))
+    pairs = edges.first[edges.uses == 2]
+    a, b = edges.order[pairs], edges.order[pairs + 1]
+    against = edges.runs[a, 0] == edges.runs[b, 0]  # both run along the edge in the same direction
     if not against.any():
         return triangles, 0
     one, other = a // 3, b // 3 + count * against
     across = np.where(other < count, other + count, other - count)
-    rows, columns = np.r_[one, one + count], np.r_[other, across]
-    graph = coo_matrix((np.ones(len(rows), bool), (rows, columns)), (2 * count, 2 * count))
-    label = connected_components(graph, directed=False)[1]
+    label = linked(np.r_[one, one + count], np.r_[other, across], 2 * count)
     kept, turned = label[:count], label[count:]
     # How many triangles stay as they are where a component is chosen.
     stay = np.bincount(kept, minlength=int(label.max()) + 1)
@@ -51,37 +48,14 @@ def turn_closed(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> 
     Args:
         vertices: (V, 3) metres; those at the same place count as one. triangles: (K, 3).
     """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    faces = _merged(vertices, triangles)
-    runs, order, first, uses = _edges(faces)
-    size = int(faces.max()) + 1
-    graph = coo_matrix((np.ones(len(runs), bool), (runs[:, 0], runs[:, 1])), (size, size))
-    count, label = connected_components(graph, directed=False)
-    piece = label[faces[:, 0]]
+    faces = faces_by_place(vertices, triangles)
+    edges = edges_of(faces)
+    piece = connected(faces)
+    count = int(piece.max()) + 1
     closed = np.ones(count, bool)
-    closed[piece[order[first[uses != 2]] // 3]] = False
+    closed[piece[edges.order[edges.first[edges.uses != 2]] // 3]] = False
     corners = vertices[triangles] - vertices.mean(0)
     volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
     inward = closed & (np.bincount(piece, volume, count) < -1e-9)
     out = np.where(inward[piece][:, None], triangles[:, ::-1], triangles)
     return np.ascontiguousarray(out, np.int32), int(inward.sum())
-
-
-def _merged(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> NDArray[np.int64]:
-    """(K, 3) triangles over vertices of which there is one a place (0.1 micrometres)."""
-    _, merged = np.unique(np.round(vertices, 7), axis=0, return_inverse=True)
-    return np.asarray(merged.reshape(-1)[triangles], np.int64)
-
-
-def _edges(
-    faces: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """(from and to of every side (3K, 2), sides in order of their edge, first side of each edge in that order, how many
-    sides each edge has)."""
-    runs = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    key = runs.min(1) * (int(faces.max()) + 1) + runs.max(1)
-    order = np.argsort(key, kind="stable")
-    first = np.flatnonzero(np.r_[True, np.diff(key[order]) != 0])
-    return runs, order, first, np.diff(np.r_[first, len(order)])

@@ -116,7 +116,8 @@ def test_las(suffix, deep, tmp_path):
     las.red, las.green, las.blue = np.full((3, 400), 200) * (256 if deep else 1)
     las.write(tmp_path / f"a.{suffix}")
     scan = scan_of(tmp_path / f"a.{suffix}")
-    np.testing.assert_allclose(scan.points, points, atol=1e-4)
+    np.testing.assert_allclose(scan.points, points - corner, atol=2e-4)
+    assert any("add (500000, 4100000, 120) m" in note for note in scan.assumptions)
     assert scan.colors is not None
     assert (scan.colors == 200).all()
     np.testing.assert_array_equal(scan.up_world, [0, 0, 1])

@@ -40,7 +40,7 @@ def table() -> TerrainMesh:
     for part, place in zip(parts, places, strict=True):
         part.apply_translation(place)
     whole = trimesh.util.concatenate(parts)
-    return mend(np.asarray(whole.vertices), np.asarray(whole.faces))[0]
+    return mend(np.asarray(whole.vertices), np.asarray(whole.faces)).terrain
 
 
 def test_faces_that_lie_in_each_other_both_count() -> None:

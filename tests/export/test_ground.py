@@ -52,7 +52,7 @@ SLABS = {
 
 def mended(solid: Manifold) -> TerrainMesh:
     mesh = solid.to_mesh64()
-    return mend(np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts, np.int32))[0]
+    return mend(np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts, np.int32)).terrain
 
 
 def stl(path: Path, solid: Manifold) -> Path:
@@ -72,7 +72,7 @@ def test_what_has_no_floor_stands_on_its_lowest_point(name: str, lift: float) ->
 def test_a_box_without_a_bottom_too() -> None:
     mesh = mended(WITHOUT["box"])
     open_below = mesh.triangles[mesh.vertices[mesh.triangles][..., 2].max(1) > 0.01]
-    assert ground_level(mend(mesh.vertices, open_below)[0]).z == pytest.approx(0.0, abs=1e-6)
+    assert ground_level(mend(mesh.vertices, open_below).terrain).z == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("name", TERRAINS)
@@ -94,7 +94,7 @@ def test_a_noisy_scan_keeps_its_floor() -> None:
     z = np.where((np.abs(vertices - 0.8) < 0.25).all(1), 0.3, 0.0) + rng.normal(0, 0.003, len(vertices))
     a = (np.arange(49)[:, None] * 60 + np.arange(59)).ravel()
     faces = np.concatenate([np.stack([a, a + 1, a + 60], 1), np.stack([a + 1, a + 61, a + 60], 1)])
-    mesh, _ = mend(np.column_stack([vertices, z]), faces)
+    mesh = mend(np.column_stack([vertices, z]), faces).terrain
     assert ground_level(mesh).z == pytest.approx(0.0, abs=0.005)
 
 

@@ -14,7 +14,7 @@ from realsim.capture.recognition import LAST_RESORT
 from realsim.capture.scanfile import READERS, RawScan, read_scan
 from realsim.capture.standpoint import stood_at
 from realsim.core.errors import CaptureError
-from realsim.core.meshes import lonely_vertex, loose_vertices
+from realsim.core.meshes import local_origin, lonely_vertex, loose_vertices, lost_precision, origin_note
 from realsim.core.types import F64, Bool, Scan
 
 SUFFIXES = tuple(READERS)
@@ -22,6 +22,8 @@ PLAUSIBLE_EXTENT = (0.2, 100.0)
 """Metres: how long a terrain with its surroundings can be. Beyond, the unit is wrong, or it is a map."""
 USUAL_EXTENT = (0.5, 30.0)
 SMALLEST = float(np.finfo(np.float32).tiny)
+METRES = (".las", ".laz", ".pcd")
+"""Formats whose unit is the metre: laser scanners and robots write no other."""
 
 
 def recognise(path: Path) -> Recognition:
@@ -43,17 +45,29 @@ def read(path: Path, config: CaptureConfig) -> Scan:
         raise CaptureError("no scan", file=path, expected=f"one file {', '.join(SUFFIXES)}, or a folder that holds one")
     raw, warnings = _checked(read_scan(source), source)
     points = raw.points * UNITS[config.unit]
-    unusual = check_extent(points, config.unit, source)
+    origin = local_origin(points)
+    unusual = check_extent(points, config.unit, source, surveyed=bool(origin.any()))
+    if lost := lost_precision(source, raw.points, UNITS[config.unit]):
+        raise CaptureError(
+            "the coordinates have lost their precision",
+            file=source,
+            expected="a local origin, or double precision",
+            found=lost,
+            hint="subtract an offset where the scan is exported",
+        )
+    points = points - origin
     shape = "a cloud" if raw.triangles is None else "a mesh"
     assumptions = [
         f"{shape} in {config.unit}{'' if config.unit == 'm' else ', as asked for'}: "
         f"{np.ptp(points, axis=0)[0]:.3g} x {np.ptp(points, axis=0)[1]:.3g} x {np.ptp(points, axis=0)[2]:.3g} m",
         *raw.notes,
+        *([origin_note(origin)] if origin.any() else []),
         *_flat(raw.triangles),
     ]
     if raw.up is None:
         assumptions.append("the file does not say which way is up")
-    sensor = np.zeros(3) if raw.triangles is None and stood_at(points, np.zeros(3)) else None
+    local = raw.triangles is None and not origin.any()
+    sensor = np.zeros(3) if local and stood_at(points, np.zeros(3)) else None
     if sensor is not None:
         assumptions.append("the scanner stood at the origin: from there no point hides behind another")
     return Scan(
@@ -76,11 +90,12 @@ def _flat(triangles: NDArray[np.int32] | None) -> list[str]:
     return [f"{count} triangles name a vertex twice: they have no area"] if count else []
 
 
-def check_extent(points: F64, unit: str, source: Path) -> str | None:
+def check_extent(points: F64, unit: str, source: Path, *, surveyed: bool = False) -> str | None:
     """A warning where the size is unusual, None where it is not.
 
     Args:
         points: (M, 3) metres, with `unit` applied.
+        surveyed: whether they are coordinates of a map, which are in metres.
 
     Raises:
         CaptureError: no terrain is of this size; names the units under which it would be usual.
@@ -93,7 +108,9 @@ def check_extent(points: F64, unit: str, source: Path) -> str | None:
         if unit in likely:
             return None
         return f"the scan is {extent:.3g} m long: unusual, check the unit (--unit)"
-    hint = f"pass --unit {' or --unit '.join(likely)}" if likely else "crop the scan to the terrain"
+    hint = "crop the scan to the terrain"
+    if likely and not surveyed and source.suffix.lower() not in METRES:
+        hint = f"pass --unit {' or --unit '.join(likely)}"
     raise CaptureError(
         "the scan is of an implausible size",
         file=source,
@@ -130,7 +147,7 @@ def _checked(raw: RawScan, source: Path) -> tuple[RawScan, list[str]]:
         )
     warnings = []
     triangles = raw.triangles
-    if triangles is not None and (loose := loose_vertices(source, len(raw.points), triangles)):
+    if triangles is not None and (loose := loose_vertices(len(raw.points), triangles)):
         warnings.append(loose)
     if alone := lonely_vertex(raw.points[finite]):
         warnings.append(alone)

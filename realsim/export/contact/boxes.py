@@ -1,7 +1,8 @@
 """`boxes`: oriented boxes, and prisms where a box does not fit, under every planar piece of the surface.
 
-Every top face becomes solids with exactly that face: its outline drawn down to the ground, or to the underside where
-there is one. Gaps stay open, edges stay sharp, and what MuJoCo has to collide are boxes and small convex prisms.
+Convex pieces of the mesh stay as they are. Of the rest, every top face becomes solids with exactly that face: its
+outline drawn down to the ground, or to the underside where there is one. Gaps stay open, edges stay sharp, and what
+MuJoCo has to collide are boxes and small convex prisms.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import ContactModel
 from realsim.export.contact.prisms import as_contact
+from realsim.export.contact.seams import overlap
 from realsim.export.contact.shape import Shape
 
 
@@ -17,4 +19,4 @@ def boxes(shape: Shape, config: SceneConfig) -> ContactModel:
     whole = shape.fine
     prisms = [prism for island in shape.planar for prism in island.prisms]
     statistics = whole.statistics | {"plane_tolerance_m": whole.tolerance}
-    return as_contact("boxes", prisms, whole.floor, statistics)
+    return overlap(as_contact("boxes", prisms, whole.floor, statistics, shape.solids))

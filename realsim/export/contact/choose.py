@@ -19,7 +19,7 @@ from realsim.export.contact.convex import TooManyColumnsError
 from realsim.export.contact.cost import standing_place, step_cost
 from realsim.export.contact.fidelity import OFF, Fidelity, measure
 from realsim.export.contact.probe import Reference, spec_of
-from realsim.export.contact.shape import Shape
+from realsim.export.contact.shape import Shape, Solids
 
 # Cheapest first. `convex` takes a minute to build and is better than none of these, `sdf` costs a hundred planes.
 CANDIDATES = ("boxes", "hybrid", "sheets", "hfield")
@@ -43,12 +43,14 @@ def fit_contact(
     place: NDArray[np.float64] | None = None,
     *,
     bare: bool = False,
+    solids: Solids | None = None,
 ) -> Fitted:
     """Collision geometry of a mesh and how faithful it is; `config.contact` names it, or is `auto`.
 
     Args:
         place: (3,) where a robot stands when the cost is measured; the highest level place if None.
         bare: whether the ground goes on where the mesh has no surface; in a scan, nothing is known there.
+        solids: convex pieces that the mesh is made of, if it is.
 
     Raises:
         UnknownNameError: no such representation.
@@ -58,7 +60,7 @@ def fit_contact(
     if config.contact != "auto" and config.contact not in CONTACT:
         raise UnknownNameError("collision representation", config.contact, ["auto", *CONTACT])
     reference = Reference(mesh.vertices, mesh.triangles, mesh.invented)
-    shape = Shape(mesh, ground_z)
+    shape = Shape(mesh, ground_z, solids or Solids((), mesh))
     names = CANDIDATES if config.contact == "auto" else (config.contact,)
     tried: list[tuple[ContactModel, Fidelity]] = []
     refused: list[dict[str, Any]] = []

@@ -196,26 +196,18 @@ def convex_parts(rings: list[F64], tolerance: float) -> list[F64]:
             key = e if e[0] < e[1] else e[::-1]
             if key in bulge:
                 bulge[key] = _bulge(points, pieces, owner, key)
-    return [hull(points[[a for a, _ in sorted(piece)]]) for piece in pieces if piece]
+    made = [hull(points[[a for a, _ in sorted(piece)]]) for piece in pieces if piece]
+    return [part for part in made if len(part)]
 
 
 def hull(points: F64) -> F64:
-    """(M, 2) convex hull, counter-clockwise (Andrew's monotone chain)."""
-    ordered = sorted(map(tuple, points.tolist()))
+    """(M, 2) convex hull, counter-clockwise; (0, 2) of points on one line."""
+    from scipy.spatial import ConvexHull, QhullError
 
-    def chain(sequence: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
-        out: list[tuple[float, ...]] = []
-        for p in sequence:
-            while (
-                len(out) > 1
-                and ((out[-1][0] - out[-2][0]) * (p[1] - out[-2][1]) - (out[-1][1] - out[-2][1]) * (p[0] - out[-2][0]))
-                <= 1e-12
-            ):
-                out.pop()
-            out.append(p)
-        return out[:-1]
-
-    return np.array(chain(ordered) + chain(ordered[::-1]))
+    try:
+        return np.asarray(points[ConvexHull(points).vertices])
+    except (QhullError, ValueError):
+        return np.zeros((0, 2))
 
 
 def _union(one: set[Edge], two: set[Edge]) -> set[Edge]:
@@ -231,6 +223,8 @@ def _bulge(points: F64, pieces: list[set[Edge] | None], owner: dict[Edge, int], 
     ring = _union(one, two)
     corners = points[sorted({a for a, _ in ring})]
     outer = hull(corners)
+    if not len(outer):
+        return 0.0
     a, b = outer, np.roll(outer, -1, axis=0)
     side = b - a
     normal = np.stack([side[:, 1], -side[:, 0]], 1) / np.maximum(np.linalg.norm(side, axis=1), 1e-12)[:, None]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from realsim.core.geometry import R_to_quat, quat_to_R
 from realsim.export.contact.base import Asset, ContactModel, Geom
+from realsim.export.contact.polytope import Polytope
 
 F64 = NDArray[np.float64]
 FLAT = 1e-4  # metres: corners are written to a hundredth of a millimetre, and MuJoCo finds no hull of a plane
@@ -39,11 +40,14 @@ class Prism:
         return bool(np.linalg.svd(corners, compute_uv=False)[-1] < FLAT)
 
 
-def as_contact(name: str, prisms: list[Prism], floor: tuple[Geom, ...], statistics: Mapping[str, Any]) -> ContactModel:
-    """Geoms of prisms: a box where that is within 5 mm of it, else a convex mesh of its corners."""
-    made = [as_geom(f"part_{k}", prism) for k, prism in enumerate(prisms)]
+def as_contact(
+    name: str, prisms: list[Prism], floor: tuple[Geom, ...], statistics: Mapping[str, Any], solids: Iterable[F64] = ()
+) -> ContactModel:
+    """Geoms of solids [(M, 3) corners] and of prisms: a box where that is within 5 mm of one, else a convex mesh."""
+    made = [Polytope.of_points("", corners).part(f"solid_{k}") for k, corners in enumerate(solids)]
+    made += [as_geom(f"part_{k}", prism) for k, prism in enumerate(prisms)]
     geoms, assets = (*floor, *(geom for geom, _ in made)), tuple(asset for _, asset in made if asset is not None)
-    return ContactModel(name, geoms, assets, dict(statistics) | {"parts": len(prisms)})
+    return ContactModel(name, geoms, assets, dict(statistics) | {"parts": len(made)})
 
 
 def as_geom(name: str, prism: Prism, R: F64 | None = None, origin: F64 | None = None) -> tuple[Geom, Asset | None]:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.core.meshes import compact
+from realsim.core.meshes import compact, connected, faces_by_place
 
 F64 = NDArray[np.float64]
 MOST = 256  # pieces kept apart; of a scan's thousands of specks, the smaller ones share
@@ -65,18 +65,9 @@ class Rays:
 
 def pieces(vertices: F64, triangles: NDArray[np.int32]) -> NDArray[np.int64]:
     """(K,) number of the connected piece that each triangle belongs to, the largest first, at most MOST of them."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     if not len(triangles):
         return np.zeros(0, np.int64)
-    # Files that list the corners of every triangle (STL) have one vertex a corner: what is at one place is one.
-    _, merged = np.unique(np.round(vertices, 7), axis=0, return_inverse=True)
-    faces = merged.reshape(-1)[triangles]
-    ends = faces[:, [0, 1, 1, 2]].reshape(-1, 2)
-    size = int(faces.max()) + 1
-    graph = coo_matrix((np.ones(len(ends), bool), (ends[:, 0], ends[:, 1])), (size, size))
-    label = connected_components(graph, directed=False)[1][faces[:, 0]]
+    label = connected(faces_by_place(vertices, triangles))
     _, label, counts = np.unique(label, return_inverse=True, return_counts=True)
     rank = np.empty(len(counts), np.int64)
     rank[np.argsort(-counts, kind="stable")] = np.arange(len(counts))

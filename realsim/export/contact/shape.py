@@ -5,11 +5,25 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
+from numpy.typing import NDArray
+
 from realsim.core.types import TerrainMesh
-from realsim.export.contact.islands import Terrain, terrain
+from realsim.export.contact.islands import PIT, Terrain, terrain
 from realsim.export.contact.planar import PlanarIsland, planar
 
 COARSE = 0.01  # metres
+HIDDEN = 0.001  # metres above the ground: what is lower is the ground
+
+
+@dataclass(frozen=True, eq=False)
+class Solids:
+    """Convex pieces that a mesh is made of, and what is left of it."""
+
+    corners: tuple[NDArray[np.float64], ...]
+    """[(M, 3)] of each piece, metres."""
+    rest: TerrainMesh | None
+    """The mesh without them; None where nothing is left."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,16 +33,44 @@ class Shape:
     mesh: TerrainMesh
     ground_z: float
     """z of the ground, metres."""
+    pieces: Solids | None = None
+    """Convex pieces of the mesh that need no fitting, if it has some."""
+
+    @cached_property
+    def solids(self) -> tuple[NDArray[np.float64], ...]:
+        """[(M, 3)] corners of those pieces that rise from the ground.
+
+        None where the ground has pits: their walls are made of the whole mesh.
+        """
+        if self.pieces is None or (self.pieces.rest is not None and self._dug):
+            return ()
+        least = -np.inf if self._dug else self.ground_z + HIDDEN
+        return tuple(points for points in self.pieces.corners if points[:, 2].max() > least)
+
+    @cached_property
+    def _dug(self) -> bool:
+        """Whether there are pits in the ground."""
+        lowest = float(self.mesh.vertices[self.mesh.triangles][..., 2].min())
+        return lowest < self.ground_z - PIT and terrain(self.mesh, self.ground_z).floor[0].type != "plane"
 
     @cached_property
     def fine(self) -> Terrain:
-        """Columns of 5 mm: for planes and outlines."""
-        return terrain(self.mesh, self.ground_z)
+        """Columns of 5 mm of what is not in `solids`: for planes and outlines."""
+        return self._rest(terrain(self._left, self.ground_z))
 
     @cached_property
     def coarse(self) -> Terrain:
-        """Columns of 1 cm: for closed solids."""
-        return terrain(self.mesh, self.ground_z, COARSE)
+        """Columns of 1 cm of the same: for closed solids."""
+        return self._rest(terrain(self._left, self.ground_z, COARSE))
+
+    @property
+    def _left(self) -> TerrainMesh:
+        whole = not self.solids or self.pieces is None or self.pieces.rest is None
+        return self.mesh if whole else self.pieces.rest  # type: ignore[union-attr,return-value]
+
+    def _rest(self, made: Terrain) -> Terrain:
+        nothing = self.solids and self.pieces is not None and self.pieces.rest is None
+        return replace(made, islands=()) if nothing else made
 
     @cached_property
     def planar(self) -> tuple[PlanarIsland, ...]:

@@ -1,0 +1,168 @@
+"""Convex parts with their faces: what boxes and convex meshes have in common."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.core.geometry import R_to_quat, quat_to_R
+from realsim.export.contact.base import Asset, Geom
+
+F64 = NDArray[np.float64]
+ONE_PLANE = 1e-3
+"""Cosine from 1, and metres, by which the triangles of a hull that lie in one face may differ."""
+SQUARE = 1e-4
+"""Metres by which corners may be off those of a box that stands for them."""
+SIGNS = np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)], float)
+
+
+@dataclass(frozen=True, eq=False)
+class Polytope:
+    """The hull of some corners."""
+
+    points: F64
+    """(M, 3) metres."""
+    box: Geom | None = None
+    """The box that it is, if it is one."""
+
+    @staticmethod
+    def of_box(geom: Geom) -> Polytope:
+        """The corners of a box."""
+        return Polytope(np.array(geom.pos) + SIGNS * np.array(geom.size) @ quat_to_R(geom.quat).T, geom)
+
+    @staticmethod
+    def of_points(name: str, points: F64) -> Polytope:
+        """The hull of points (M, 3), as a box where it is one."""
+        return Polytope(points, _as_box(name, points))
+
+    @cached_property
+    def lower(self) -> F64:
+        """(3,) lower corner of its bounds."""
+        return np.asarray(self.points.min(0))
+
+    @cached_property
+    def upper(self) -> F64:
+        """(3,) upper corner of its bounds."""
+        return np.asarray(self.points.max(0))
+
+    @cached_property
+    def planes(self) -> F64:
+        """(P, 4) of each face: unit normal and offset; inside, normal . x + offset <= 0."""
+        return np.array([[*face.normal, face.offset] for face in self.faces])
+
+    @cached_property
+    def faces(self) -> tuple[Face, ...]:
+        """Its faces, triangles of one plane together."""
+        from scipy.spatial import ConvexHull
+
+        middle = self.points.mean(0)
+        hull = ConvexHull(self.points - middle)
+        order = np.argsort(-_areas(hull.points[hull.simplices]), kind="stable")  # large ones have the better normals
+        free = np.ones(len(order), bool)
+        out = []
+        equations = hull.equations
+        for k in order:
+            if not free[k]:
+                continue
+            normal, offset = equations[k, :3], equations[k, 3]
+            within = np.abs(hull.points[hull.simplices] @ normal + offset).max(1) < SQUARE
+            same = free & within & (equations[:, :3] @ normal > 1 - ONE_PLANE)
+            same[k] = True
+            free &= ~same
+            corners = hull.points[np.unique(hull.simplices[same])] + middle
+            out.append(Face(normal, float(offset - normal @ middle), corners))
+        return tuple(out)
+
+    def face_like(self, face: Face) -> Face | None:
+        """Its face in the plane of another, if it has one there."""
+        for own in self.faces:
+            if own.normal @ face.normal > 1 - 1e-9 and abs(own.offset - face.offset) < SQUARE:
+                return own
+        return None
+
+    def contains(self, points: F64, margin: float = 0.0) -> NDArray[np.bool_]:
+        """(N,) whether points (N, 3) lie inside, or outside by at most `margin` metres."""
+        return np.asarray((points @ self.planes[:, :3].T + self.planes[:, 3]).max(1) <= margin)
+
+    def section(self, face: Face, beyond: float) -> F64:
+        """(K, 2) outline of this where the plane `beyond` metres outside another's face cuts it, in that face's plane;
+        empty where it does not."""
+        height = self.points @ face.normal + face.offset - beyond
+        over, under = height > 0, height <= 0
+        if not over.any() or not under.any():
+            return np.zeros((0, 2))
+        a, b = self.points[over][:, None], self.points[under][None]
+        t = (height[over][:, None] / (height[over][:, None] - height[under][None]))[..., None]
+        return face.flat((a + t * (b - a)).reshape(-1, 3))
+
+    def part(self, name: str) -> tuple[Geom, Asset | None]:
+        """Its geom, and the asset of that where it is no box."""
+        if self.box is not None:
+            return replace(self.box, name=name), None
+        return Geom(name, "mesh", asset=name), Asset.of_points(name, self.points)
+
+
+@dataclass(frozen=True, eq=False)
+class Face:
+    """A face of a convex part."""
+
+    normal: F64
+    """(3,) unit, outward."""
+    offset: float
+    """normal . x + offset = 0 on it."""
+    corners: F64
+    """(M, 3) metres."""
+
+    @cached_property
+    def axes(self) -> F64:
+        """(2, 3) unit vectors in its plane."""
+        u = np.cross(self.normal, np.eye(3)[np.abs(self.normal).argmin()])
+        u /= np.linalg.norm(u)
+        return np.stack([u, np.cross(self.normal, u)])
+
+    def flat(self, points: F64) -> F64:
+        """(N, 2) of points (N, 3), dropped into its plane."""
+        return np.asarray(points @ self.axes.T)
+
+    def lifted(self, flat: F64, beyond: float = 0.0) -> F64:
+        """(N, 3) of points (N, 2) in its plane, `beyond` metres outside."""
+        return np.asarray(flat @ self.axes + (beyond - self.offset) * self.normal)
+
+
+def _areas(corners: F64) -> F64:
+    return np.asarray(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1))
+
+
+def _as_box(name: str, points: F64) -> Geom | None:
+    """The box of which the points (M, 3) are the corners, if there is one."""
+    faces = Polytope(points).faces
+    if len(faces) != 6:
+        return None
+    u = faces[0].normal
+    v = min((f.normal for f in faces[1:]), key=lambda n: abs(float(n @ u)))
+    v = v - (v @ u) * u
+    v /= np.linalg.norm(v)
+    axes = np.stack([u, v, np.cross(u, v)])
+    # Axes nearest to the world's in their order, so that a box that stands straight is written without a turn.
+    axes = axes[[int(np.abs(axes[:, k]).argmax()) for k in range(3)]] if _straight(axes) else axes
+    if _straight(axes):
+        axes = axes * np.sign(np.diagonal(axes))[:, None]
+    if np.linalg.det(axes) < 0:
+        axes[2] = -axes[2]
+    along = points @ axes.T
+    low, high = along.min(0), along.max(0)
+    centre, half = (low + high) / 2, (high - low) / 2
+    corners = centre + SIGNS * half
+    if np.linalg.norm(along[:, None] - corners[None], axis=2).min(1).max() > SQUARE:
+        return None
+    x, y, z = (float(c) for c in centre @ axes)
+    a, b, c, d = (float(q) for q in R_to_quat(axes.T))
+    return Geom(name, "box", (x, y, z), (a, b, c, d), (float(half[0]), float(half[1]), float(half[2])))
+
+
+def _straight(axes: F64) -> bool:
+    """Whether each of the world's axes is nearest to another of these."""
+    return len({int(np.abs(axes[:, k]).argmax()) for k in range(3)}) == 3

@@ -1,0 +1,93 @@
+"""Which axis of a mesh file points up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+# Evidence for z against y in nats. Set on 32 meshes of furniture, stairs and terrains in both frames, with and without
+# their base at zero (benchmarks/contact/clean_meshes.py --up), and on two files of phones and Blender.
+AREA = 1.6
+"""Most that the ratio of the areas facing up counts: a wall that stands is not laid down for its area alone."""
+FLOOR = 1.0
+"""For a floor: level surface, facing up, in the lowest fifth of the height, over half of the plan."""
+BASE = 1.5
+"""For a mesh whose numbers begin at 0 along one axis and not along the other: modellers stand things on zero."""
+HABIT = 0.75
+"""For z in STL, PLY, OBJ and OFF (most have it so, and phones and Blender write y); twice as much for y in GLB."""
+CLEAR = 0.9
+"""What is less is a question."""
+WALKABLE = np.cos(np.radians(35))
+
+
+@dataclass(frozen=True)
+class Up:
+    """The axis that is taken to point up."""
+
+    axis: str
+    """z or y."""
+    question: str | None = None
+    """What to ask the user where both are plausible."""
+    notes: tuple[str, ...] = ()
+
+
+def y_to_z(points: F64) -> F64:
+    """Points (..., 3) of a world with y up, turned so that z is."""
+    x, y, z = np.moveaxis(points, -1, 0)
+    return np.stack([x, -z, y], -1)
+
+
+def find_up(vertices: F64, triangles: NDArray[np.int64], suffix: str) -> Up:
+    """z or y, from the surface that faces up along each, from what lies at zero, and from the habits of the format.
+
+    Args:
+        vertices: (V, 3) of the file. triangles: (K, 3); bad ones do not count.
+        suffix: of the file, lower case.
+    """
+    named = triangles[((triangles >= 0) & (triangles < len(vertices))).all(1)]
+    corners = vertices[named]
+    corners = corners[np.isfinite(corners).all((1, 2))]
+    habit = -2 * HABIT if suffix == ".glb" else HABIT
+    usual = "z" if habit > 0 else "y"
+    if not len(corners):
+        return Up(usual)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    if np.einsum("ij,ij->", corners[:, 0] - corners.reshape(-1, 3).mean(0), cross) < 0:  # inside out
+        cross = -cross
+    z, y = (_facing_up(corners, cross, axis) for axis in (2, 1))
+    evidence = habit + float(np.clip(np.log((z.area + 1e-9) / (y.area + 1e-9)), -AREA, AREA))
+    evidence += FLOOR * (int(z.floor) - int(y.floor)) + BASE * (int(z.base) - int(y.base))
+    axis = "z" if evidence > 0 else "y"
+    areas = f"{z.area:.2g} m2 face up along z, {y.area:.2g} m2 along y"
+    if abs(evidence) < CLEAR:
+        return Up(usual, f"z or y may point up ({areas}); {usual} was taken: pass --up z or --up y.")
+    if axis == "z" and usual == "z":
+        return Up("z")
+    other = "z" if axis == "y" else "y"
+    return Up(axis, notes=(f"{axis} of the file points up ({areas}); if not, pass --up {other}",))
+
+
+@dataclass(frozen=True)
+class _FacingUp:
+    """What speaks for one axis."""
+
+    area: float
+    """m^2 on which one could walk."""
+    floor: bool
+    base: bool
+
+
+def _facing_up(corners: F64, cross: F64, axis: int) -> _FacingUp:
+    area = np.linalg.norm(cross, axis=1)
+    up = cross[:, axis] > WALKABLE * np.maximum(area, 1e-30)
+    heights = corners[:, :, axis]
+    low, high = float(heights.min()), float(heights.max())
+    plan = np.delete(corners, axis, 2).reshape(-1, 2)
+    footprint = float(np.ptp(plan, axis=0).prod())
+    at_bottom = up & (heights.max(1) < low + 0.2 * (high - low) + 1e-6)
+    size = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
+    base = abs(low) < 1e-3 * size
+    return _FacingUp(float(area[up].sum()), bool(area[at_bottom].sum() > 0.5 * footprint), base)
