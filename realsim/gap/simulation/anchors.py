@@ -19,8 +19,9 @@ from realsim.core.types import F64
 from realsim.gap.case.case import Case, Run
 from realsim.gap.case.model.edit import Edit
 from realsim.gap.case.motion import Motion, estimate
+from realsim.gap.simulation.control import controls, switched_off, tracks_of
 from realsim.gap.simulation.sampling import rotation_from
-from realsim.gap.simulation.start import Anchor, Start, initial_state
+from realsim.gap.simulation.state import Anchor, Start, initial_state
 
 if TYPE_CHECKING:
     from realsim.gap.simulation.simulate import Simulator
@@ -66,9 +67,9 @@ class _Replay:
         self.model = self.edit.set_up(run.setup).compile()
         self.dt = float(self.model.opt.timestep)
         self.steps = int(np.ceil(run.duration / self.dt)) + 2
-        self.control = simulator._control(self.model, run, self.edit, self.steps, 0, self.dt)
-        self.off = simulator._off(self.model, run, self.edit, self.steps, 0, self.dt)
         case = simulator.case
+        self.control = controls(simulator.context, self.model, run, self.edit, self.steps, 0, simulator.onsets)
+        self.off = switched_off(case, self.model, run, self.edit, self.steps, 0)
         tracks = {"pos": motion.qpos[:, [case.model.joint(n).qposadr[0] for n in case.joint_names]]}
         if case.floating:
             adr = int(case.model.jnt_qposadr[np.flatnonzero(case.model.jnt_type == 0)[0]])
@@ -121,7 +122,9 @@ class _Replay:
         mujoco.mj_getState(self.model, data, aside, kind)
         offs = None if self.off is None else [self.off[first:]] * 2
         rolled = simulator.rolled(self.model, [state, aside], [self.control[first:]] * 2, self.edit, offs)
-        one, other = (self._coordinates(simulator._tracks(self.model, s, 0, self.edit), first) for s in rolled)
+        one, other = (
+            self._coordinates(tracks_of(simulator.context, self.model, s, 0, self.edit), first) for s in rolled
+        )
         lost = ~(np.abs(one - other).max(axis=1) <= GROWTH * SMALL)
         if near:
             off = (one - self._coordinates(self.logged, first)[first:]) / self.spread

@@ -23,21 +23,19 @@ from realsim.gap.effects.base import Place
 from realsim.gap.effects.deviations_file import check_places, read_deviations
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.simulation.anchors import anchored
+from realsim.gap.simulation.control import controls, switched_off, tracks_of
 from realsim.gap.simulation.cores import Cores
 from realsim.gap.simulation.recent import Recent
 from realsim.gap.simulation.sampling import continuous_turn, either_side, nearest_turn
-from realsim.gap.simulation.sampling import held_mean as held_mean
 from realsim.gap.simulation.sampling import quiet_mujoco as quiet_mujoco
 from realsim.gap.simulation.sampling import rotation_from as rotation_from
 from realsim.gap.simulation.sampling import sample as sample
-from realsim.gap.simulation.start import Start, find_starts, first_rows, initial_state
+from realsim.gap.simulation.start import find_starts
+from realsim.gap.simulation.state import Start, first_rows, initial_state
 from realsim.gap.simulation.stepping import Roller, gears, rolled, spare, stepped, switched, waves
 
 Setting = tuple[str, Place, dict[str, float]]
 """(effect name, place, coordinates by parameter name; missing ones keep their defaults)."""
-
-LIMIT = 1e4
-"""A coordinate or speed beyond this (m, rad, /s) means that the simulation has exploded."""
 
 KEPT = 3
 """Roll-outs that are kept: of the nominal simulator at coarser steps, and of changed ones."""
@@ -206,8 +204,11 @@ class Simulator:
         settle = [self._settle_steps(start, edit, dt) for start in begun]
         lengths = [int(np.ceil((min(run.duration, seconds) + 0.05) / dt)) + 2 for run in runs]
         steps = [lead + length for lead, length in zip(settle, lengths, strict=True)]
-        control = [self._control(model, run, edit, n, k, dt) for run, n, k in zip(runs, steps, settle, strict=True)]
-        off = [self._off(model, run, edit, n, k, dt) for run, n, k in zip(runs, steps, settle, strict=True)]
+        control = [
+            controls(self.context, model, run, edit, n, k, self.onsets)
+            for run, n, k in zip(runs, steps, settle, strict=True)
+        ]
+        off = [switched_off(self.case, model, r, edit, n, k) for r, n, k in zip(runs, steps, settle, strict=True)]
         edges = [
             [0, *self._anchored_at(start, edit, k, dt), n] for start, n, k in zip(begun, steps, settle, strict=True)
         ]
@@ -218,7 +219,7 @@ class Simulator:
         sensors = [np.concatenate([next(rolled) for _ in e[1:]]) for e in edges]
         with self._counting:
             self.simulated_seconds += float(sum(steps)) * dt
-        return [self._tracks(model, s, k, edit) for s, k in zip(sensors, settle, strict=True)]
+        return [tracks_of(self.context, model, s, k, edit) for s, k in zip(sensors, settle, strict=True)]
 
     def rolled(
         self, model: Any, states: Sequence[F64], controls: Sequence[F64], edit: Edit, off: Sequence[Any] | None = None
@@ -251,66 +252,6 @@ class Simulator:
         """Steps at which a run goes on from a state of the log: late encoders read there what was earlier."""
         late = 0.0 if self.case.floating else edit.signals.observation_delay
         return [settle + round((anchor.time - late) / dt) for anchor in start.anchors]
-
-    def _control(self, model: Any, run: Run, edit: Edit, steps: int, settle: int, dt: float) -> F64:
-        command = run.command.copy()
-        if self.case.command_kind == "position":
-            for u, name in enumerate(self.case.actuator_names):
-                joint = next((j for j, a in self.context.actuator.items() if a == name), "")
-                command[:, u] -= self.case.gear(joint) * edit.signals.joint_offset.get(joint, 0.0)
-        grid = (np.arange(steps + 1) - settle) * dt
-        mean = held_mean(run.time, command, grid - edit.signals.command_delay)
-        control = np.zeros((steps, model.nu))
-        for u, name in enumerate(self.case.actuator_names):
-            control[:, model.actuator(name).id] = mean[:, u]
-        for pulse in edit.signals.pulses:
-            began = self.onsets.get(run.name) if pulse.by_onset else 0.0
-            if began is not None:
-                since = grid[:-1] - began
-                control[:, model.actuator(pulse.actuator).id] = (since >= pulse.start) & (since < pulse.end)
-        return control
-
-    def _off(self, model: Any, run: Run, edit: Edit, steps: int, settle: int, dt: float) -> Any:
-        """(T, U) which actuators are switched off at each step, or None; before the run as at its first sample."""
-        if run.enabled is None:
-            return None
-        grid = (np.arange(steps) - settle + 0.5) * dt - edit.signals.command_delay
-        row = np.clip(np.searchsorted(run.time, grid, side="right") - 1, 0, len(run.time) - 1)
-        off = np.zeros((steps, model.nu), bool)
-        for u, name in enumerate(self.case.actuator_names):
-            off[:, model.actuator(name).id] = ~run.enabled[row, u]
-        return off
-
-    def _tracks(self, model: Any, sensors: F64, settle: int, edit: Edit) -> dict[str, F64]:
-        """Signals on the simulator's grid, from the first settling step; NaN after a failure."""
-
-        def take(prefix: str, names: Sequence[str], width: int = 1) -> F64:
-            columns = [model.sensor(prefix + n).adr[0] + k for n in names for k in range(width)]
-            return sensors[:, columns]
-
-        pos, vel = take("rs_pos_", self.case.joint_names), take("rs_vel_", self.case.joint_names)
-        force = take("rs_force_", self.case.actuator_names)
-        torque = np.zeros_like(pos)
-        for j, joint in enumerate(self.case.joint_names):
-            if joint in self.context.actuator:
-                u = self.case.actuator_names.index(self.context.actuator[joint])
-                torque[:, j] = self.case.gear(joint) * force[:, u]
-                motor = model.joint(edit.motor_joint(joint)).id
-                if model.jnt_actfrclimited[motor]:  # the sensor reads what the actuator gives, before the joint's limit
-                    back = edit.signals.back_emf.get(joint, 0.0) * vel[:, j]
-                    torque[:, j] = np.clip(torque[:, j] + back, *model.jnt_actfrcrange[motor]) - back
-        tracks = {"pos": pos, "vel": vel, "torque": torque}
-        if self.case.floating:
-            tracks["base_pos"], tracks["base_quat"] = take("rs_base_pos", [""], 3), take("rs_base_quat", [""], 4)
-        if self.case.imu_site:
-            tracks["gyro"], tracks["acc"] = take("rs_gyro", [""], 3), take("rs_acc", [""], 3)
-        bad = ~np.isfinite(sensors).all(axis=1) | (np.abs(vel) > LIMIT).any(axis=1)
-        if bad.any():
-            for name in tracks:
-                tracks[name] = tracks[name].copy()
-                tracks[name][int(np.argmax(bad)) :] = np.nan
-        tracks["settle"] = np.array([settle * model.opt.timestep, model.opt.timestep])
-        return tracks
 
     def _command_steps(self, run: Run) -> F64:
         """(T, J) what each new command adds to a position servo's torque at once, N m."""

@@ -1,24 +1,25 @@
-"""Start of a run in the simulator: at rest under its first command, or exactly in the state it was recorded from.
+"""Start of a run in the simulator: at rest under its first command, or in the state that the log shows.
 
-Sensors and drives make a robot at rest look out of place: an encoder with an offset, play, a load that the model does
-not know. None of that moves. So a run is taken out of rest only where the log moves in its first moments in a way that
-the state it begins in explains and that a start from rest does not.
+A start is a measurement. The first command is held only where the log stands still under it: sensors and drives make a
+robot at rest look out of place (an encoder with an offset, play, a load that the model does not know), and a changed
+model is to find its own rest. Where the log moves at its first sample, or leaves its first posture under a command that
+stands, the state is that of `init_qpos` and `init_qvel`, or the one fitted to the first samples. Where commands change
+at once, so that the log alone does not tell, the nominal simulator tries both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from realsim.core.errors import GapError
 from realsim.core.types import F64
 from realsim.gap.case.case import Case, Run
 from realsim.gap.case.kinks import median_size, third_differences
-from realsim.gap.case.model.edit import Edit
-from realsim.gap.simulation.stepping import fresh
+from realsim.gap.case.motion import estimate
+from realsim.gap.simulation.state import Start
 
 if TYPE_CHECKING:
     from realsim.gap.simulation.simulate import Simulator
@@ -37,113 +38,11 @@ DECISIVE = 0.35
 """A start in motion must leave at most this share of the squared error that a start at rest leaves."""
 LEAST_MOTION = 2e-3
 """rad or m (root mean square) that a start from rest must miss of the first moments."""
-
-
-@dataclass(frozen=True)
-class Anchor:
-    """A state of the log from which a replay goes on."""
-
-    time: float
-    """s in the run."""
-    qpos: F64
-    """(nq,) of the nominal model."""
-    qvel: F64
-    """(nv,)"""
-
-
-@dataclass(frozen=True)
-class Start:
-    """How one run begins."""
-
-    kind: str = "rest"
-    """`rest`: the first command was held until the robot stood still. `given`: init_qpos and init_qvel. `log`: the
-    first samples."""
-    qpos: F64 | None = None
-    """(nq,) of the nominal model; None at rest."""
-    qvel: F64 | None = None
-    """(nv,)"""
-    encoders: bool = True
-    """Joint positions are encoder readings: an encoder's offset and delay are in them too."""
-    reason: str = "the robot stands still"
-    anchors: tuple[Anchor, ...] = ()
-    """Where the replay goes on from the log's state; see realsim.gap.simulation.anchors."""
-
-    @property
-    def moving(self) -> bool:
-        return self.qpos is not None
-
-    @property
-    def reads_the_log(self) -> bool:
-        """Whether what the sensors do changes a state that the simulator is in."""
-        return self.moving or bool(self.anchors)
-
-    def part(self, k: int) -> Start:
-        """How part k of the run begins."""
-        return replace(self, anchors=()) if k == 0 else Start("log", self.anchors[k - 1].qpos, self.anchors[k - 1].qvel)
-
-
-def initial_state(case: Case, model: Any, run: Run, edit: Edit, start: Start | None = None) -> F64:
-    """(S,) full physics state of a changed model at the first sample: `start`'s, or the logged pose without motion."""
-    import mujoco
-
-    data = fresh(model)
-    nominal = case.model
-    qpos = start.qpos if start and start.qpos is not None else run.init_qpos
-    if qpos is not None:
-        for j in range(nominal.njnt):
-            width = 7 if nominal.jnt_type[j] == 0 else 4 if nominal.jnt_type[j] == 1 else 1
-            a, b = nominal.jnt_qposadr[j], model.jnt_qposadr[_counterpart(nominal, model, j)]
-            data.qpos[b : b + width] = qpos[a : a + width]
-    elif case.floating and "base_pos" in run.signals:
-        adr = int(model.joint(int(np.flatnonzero(model.jnt_type == 0)[0])).qposadr[0])
-        data.qpos[adr : adr + 3] = first_rows(run.signals["base_pos"])
-        if "base_quat" in run.signals:
-            quat = first_rows(run.signals["base_quat"])
-            data.qpos[adr + 3 : adr + 7] = quat / max(float(np.linalg.norm(quat)), 1e-9)
-    moved = start.qpos if start else None
-    read = first_rows(run.signals["joint_pos"]) if moved is None else np.zeros(len(case.joint_names))
-    for j, name in enumerate(case.joint_names):
-        true = read[j] if moved is None else moved[nominal.joint(name).qposadr[0]]
-        if start is None or start.encoders:
-            true = true - edit.signals.joint_offset.get(name, 0.0) - edit.signals.reading_offset.get(name, 0.0)
-        data.qpos[model.joint(name).qposadr[0]] = true
-        if name in edit.signals.rotors:
-            data.qpos[model.joint(edit.signals.rotors[name]).qposadr[0]] = true
-    if start is not None and start.qvel is not None:
-        _set_speeds(nominal, model, data, edit, start.qvel)
-    mujoco.mj_forward(model, data)
-    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
-    state = np.zeros(mujoco.mj_stateSize(model, kind))
-    mujoco.mj_getState(model, data, state, kind)
-    return state
-
-
-def _set_speeds(nominal: Any, model: Any, data: Any, edit: Edit, qvel: F64) -> None:
-    """A rotor behind play or a spring moves with its joint."""
-    for j in range(nominal.njnt):
-        name = nominal.joint(j).name
-        width = {0: 6, 1: 3}.get(int(nominal.jnt_type[j]), 1)
-        a, b = nominal.jnt_dofadr[j], model.jnt_dofadr[_counterpart(nominal, model, j)]
-        data.qvel[b : b + width] = qvel[a : a + width]
-        if name in edit.signals.rotors:
-            data.qvel[model.joint(edit.signals.rotors[name]).dofadr[0]] = qvel[a]
-
-
-def _counterpart(nominal: Any, model: Any, joint: int) -> int:
-    """Index of a nominal joint in a changed model. Effects add only joints with names, so nameless ones keep order."""
-    name = nominal.joint(joint).name
-    if name:
-        return int(model.joint(name).id)
-    before = sum(not nominal.joint(k).name for k in range(joint))
-    return [k for k in range(model.njnt) if not model.joint(k).name][before]
-
-
-def first_rows(values: F64, count: int = 5) -> F64:
-    """Median of the first finite rows: the pose at rest, without the encoder's noise."""
-    good = values[np.isfinite(values).all(axis=1)][:count]
-    if not len(good):
-        raise GapError("a signal has no complete sample")
-    return np.asarray(np.median(good, axis=0))
+STANDS = 0.01
+"""Share of its range in the run by which a command may change and still stand. Not tuned."""
+STEADY = 0.5
+"""Share of the mean speed of the first moments that a first speed must have: a robot that is set going at once has
+next to none, one that was moving about as much. Not tuned."""
 
 
 # ---------------------------------------------------------------- which runs
@@ -154,11 +53,11 @@ def find_starts(simulator: Simulator, resting: Sequence[F64]) -> tuple[Start, ..
     case = simulator.case
     starts = [Start() for _ in case.runs]
     trials: dict[int, Start] = {}
+    sure = {i for i, run in enumerate(case.runs) if _moves(simulator, run, resting[i])}
     for i, run in enumerate(case.runs):
-        if run.init_qvel is not None and np.abs(run.init_qvel).max(initial=0.0) > STILL:
-            trials[i] = _given(case, run)
-        elif _suspicious(simulator, run, resting[i]):
-            trials[i] = _from_log(case, run)
+        if _says_that_it_moves(run) or i in sure or _suspicious(simulator, run, resting[i]):
+            given = _says_that_it_moves(run) or run.init_qpos is not None
+            trials[i] = _given(case, run) if given else _from_log(case, run)
     if not trials:
         return tuple(starts)
     predicted = _trial(simulator, trials)
@@ -175,15 +74,56 @@ def find_starts(simulator: Simulator, resting: Sequence[F64]) -> tuple[Start, ..
     for i, start in trials.items():
         before = _motion_missed(simulator, case.runs[i], resting[i])
         after = _motion_missed(simulator, case.runs[i], predicted[i])
-        if start.kind == "given":
+        says = _says_that_it_moves(case.runs[i])
+        if i in sure:
+            believed = True
+        elif says:
             believed = after < max(4 * before, LEAST_MOTION**2)
         else:
             believed = after < DECISIVE * before and before > LEAST_MOTION**2
         if believed:
             starts[i] = start
-        elif start.kind == "given":
+        elif says:
             starts[i] = Start(reason="the log stands still where init_qvel says that it moves")
     return tuple(starts)
+
+
+def _says_that_it_moves(run: Run) -> bool:
+    return run.init_qvel is not None and bool(np.abs(run.init_qvel).max(initial=0.0) > STILL)
+
+
+def _moves(simulator: Simulator, run: Run, resting: F64) -> bool:
+    """Whether the log alone shows that it does not begin at rest under its first command: it moves at its first sample,
+    or leaves its first posture while that command stands. A torque, held, leads anywhere: there it is enough that the
+    simulator does not rest where the log begins."""
+    case = simulator.case
+    if case.floating and "base_pos" not in run.signals and run.init_qpos is None:
+        return False  # nobody knows where the base is
+    change = np.abs(run.command - run.command[0]) > STANDS * np.ptp(run.command, axis=0)
+    changed = change.any(axis=1)
+    until = min(float(run.time[np.argmax(changed)]) if changed.any() else np.inf, BEGINNING)
+    stands, beginning = run.time <= until, _beginning(run.time)
+    for columns, signal in _moving_parts(simulator):
+        values = run.signals[signal]
+        error = values - resting[:, columns]
+        if not np.isfinite(values[beginning]).any(axis=0).all() or not np.isfinite(error[beginning]).any():
+            continue
+        rates = run.signals.get("joint_vel") if signal == "joint_pos" else None
+        noise = _noise(values)
+        place, speed = first_fit(run.time, values, 2, rates)
+        off, excess = first_fit(run.time, error, 2)
+        way = first_fit(run.time, values, 1)[1]
+        sigma = _speed_spread(run.time) * noise
+        fast = np.abs(speed) > np.maximum(STILL, NOISES * sigma)
+        fast &= (speed * way > 0) & (np.abs(speed) > STEADY * np.abs(way)) & (np.abs(excess) > STEADY * np.abs(speed))
+        away = np.abs(off)
+        moved = np.nanmax(np.abs(values[stands] - place), axis=0, initial=0.0)
+        left = (away > FAR) & (
+            (moved > np.maximum(np.minimum(0.2 * away, FAR), NOISES * noise)) | (case.command_kind == "torque")
+        )
+        if (fast | left).any():
+            return True
+    return False
 
 
 def _trial(simulator: Simulator, trials: dict[int, Start]) -> dict[int, F64]:
@@ -195,22 +135,23 @@ def _trial(simulator: Simulator, trials: dict[int, Start]) -> dict[int, F64]:
 
 
 def _given(case: Case, run: Run) -> Start:
-    """The state that the log gives; its positions where it gives only speeds."""
-    guess = _from_log(case, run)
+    """The state that the log gives; of its first samples what it does not give."""
+    guess, reason = _from_log(case, run), "the log does not stand still under its first command"
     assert guess.qpos is not None
+    if _says_that_it_moves(run):
+        reason = "init_qvel says that it moves"
+    qvel = guess.qvel if run.init_qvel is None else run.init_qvel
     if run.init_qpos is None:
-        return replace(guess, kind="given", qvel=run.init_qvel, reason="init_qvel says that it moves")
+        return replace(guess, kind="given", qvel=qvel, reason=reason)
     reading = run.signals["joint_pos"][0]
     if not np.isfinite(reading).all():
         reading = guess.qpos[[case.model.joint(n).qposadr[0] for n in case.joint_names]]
     given = run.init_qpos[[case.model.joint(n).qposadr[0] for n in case.joint_names]]
-    return Start("given", run.init_qpos, run.init_qvel, _agree(run, reading, given), "init_qvel says that it moves")
+    return Start("given", run.init_qpos, qvel, _agree(run, reading, given), reason)
 
 
 def _from_log(case: Case, run: Run) -> Start:
     """The state of the first samples; of parts that are not logged, the given one."""
-    from realsim.gap.case.motion import estimate
-
     motion = estimate(case, run)
     qpos, qvel = motion.qpos[0].copy(), motion.qvel[0].copy()
     return Start("log", qpos, qvel, reason="its first samples move as from a state of their own")
@@ -238,7 +179,7 @@ def _suspicious(simulator: Simulator, run: Run, resting: F64) -> bool:
         if (fast & (np.abs(excess) > 0.5 * np.abs(speed))).any():
             return True
         away, moved = np.abs(place), np.nanstd(error[inside], axis=0)
-        if ((away > FAR) & (moved > np.maximum(0.2 * away, NOISES * noise))).any():
+        if ((away > FAR) & (moved > np.maximum(np.minimum(0.2 * away, FAR), NOISES * noise))).any():
             return True
     return False
 

@@ -17,7 +17,7 @@ from realsim.gap.case.model.edit import Edit
 from realsim.gap.case.repeats import replicates
 from realsim.gap.inference.evidence.inverse import torque_residual
 from realsim.gap.simulation.simulate import Simulator
-from realsim.gap.simulation.start import initial_state
+from realsim.gap.simulation.state import initial_state
 
 UNDRIVEN = 0.5
 """Share of a torque's variance that may have nothing to do with the motion."""

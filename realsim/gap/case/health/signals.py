@@ -13,7 +13,8 @@ from realsim.gap.case.kinks import median_size, third_differences
 from realsim.gap.case.repeats import replicates, spread
 from realsim.gap.inference.likelihood.comparison import DETAIL
 from realsim.gap.simulation.simulate import Simulator
-from realsim.gap.simulation.start import NOISES, STILL, Start, first_fit, first_rows, first_speed_spread
+from realsim.gap.simulation.start import NOISES, STILL, first_fit, first_speed_spread
+from realsim.gap.simulation.state import Start, first_rows
 
 Said = list[str]
 SLOWEST = 0.2

@@ -15,8 +15,9 @@ import numpy as np
 from realsim.core.types import F64
 from realsim.gap.case.case import Run
 from realsim.gap.case.motion import Motion, estimate
+from realsim.gap.simulation.control import controls, switched_off, tracks_of
 from realsim.gap.simulation.simulate import Setting, Simulator, rotation_from, sample
-from realsim.gap.simulation.start import Start, initial_state
+from realsim.gap.simulation.state import Start, initial_state
 
 HORIZONS = (0.02, 0.1, 0.5)
 """Seconds, beside one sample and the whole run."""
@@ -68,18 +69,18 @@ def shoot(simulator: Simulator, settings: Sequence[Setting] = (), runs: Sequence
     count = int(np.ceil(seconds[-1] / dt)) + 2
     late = edit.signals.observation_delay
     windows = _windows(simulator, chosen, float(seconds[-1]))
-    states, controls, offs, seen = [], [], [], []
+    states, inputs, offs, seen = [], [], [], []
     for i, motion, starts in windows:
         run = case.runs[i]
         model = models[run.setup]
         reach = int(np.ceil((run.duration + seconds[-1]) / dt)) + count
-        control = simulator._control(model, run, edit, reach, 0, dt)
-        off = simulator._off(model, run, edit, reach, 0, dt)
+        commands = controls(simulator.context, model, run, edit, reach, 0, simulator.onsets)
+        off = switched_off(case, model, run, edit, reach, 0)
         for n in starts:
             first = max(round((float(motion.time[n]) - late) / dt), 0)
             here = Start("log", motion.qpos[n], motion.qvel[n])
             states.append(initial_state(case, model, run, edit, here))
-            controls.append(control[first : first + count])
+            inputs.append(commands[first : first + count])
             offs.append(None if off is None else off[first : first + count])
             seen.append((run, motion, n))
     if not states:
@@ -87,15 +88,13 @@ def shoot(simulator: Simulator, settings: Sequence[Setting] = (), runs: Sequence
     sensors: list[F64] = [np.zeros(0)] * len(states)
     for setup, model in models.items():
         of = [k for k, (run, _, _) in enumerate(seen) if run.setup == setup]
-        rolled = simulator.rolled(
-            model, [states[k] for k in of], [controls[k] for k in of], edit, [offs[k] for k in of]
-        )
+        rolled = simulator.rolled(model, [states[k] for k in of], [inputs[k] for k in of], edit, [offs[k] for k in of])
         for k, rows_of in zip(of, rolled, strict=True):
             sensors[k] = rows_of
     simulator.simulated_seconds += len(states) * count * dt
     names, rows = _names(simulator), []
     for s, (run, motion, n) in zip(sensors, seen, strict=True):
-        track = simulator._tracks(models[run.setup], s, 0, edit)
+        track = tracks_of(simulator.context, models[run.setup], s, 0, edit)
         rows.append(_errors(simulator, run, motion, n, track, seconds, dt, edit))
     return Shots(labels, seconds, tuple(names), np.stack(rows))
 

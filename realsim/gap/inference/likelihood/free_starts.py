@@ -13,7 +13,7 @@ from realsim.gap.case.model.edit import Edit
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.simulation.anchors import SMALL
 from realsim.gap.simulation.simulate import Simulator
-from realsim.gap.simulation.start import Anchor, Start
+from realsim.gap.simulation.state import Anchor, Start
 
 
 def free_starts(simulator: Simulator, comparison: Comparison) -> None:
