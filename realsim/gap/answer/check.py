@@ -31,6 +31,18 @@ KINDS = {
 
 
 @dataclass(frozen=True)
+class Horizons:
+    """Squared errors of predictions from states of the log, in units of sensors, detail and the states' own noise."""
+
+    windows: int
+    before: float
+    """Mean square of the nominal simulator."""
+    fraction: float
+    """Share of it that the causes remove."""
+    ci90: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class Check:
     """Squared normalised errors on the runs of the check."""
 
@@ -56,14 +68,24 @@ class Check:
     where_it_acts: float = 0.0
     """Share of the squared error that the patch removes in the channels that it changes, weighed by how much of its
     change falls in each: one joint's cause is not judged by another joint's gap."""
+    horizons: Horizons | None = None
+    """The same over horizons of a second at most, in all windows that were not fitted."""
 
     @property
     def holds(self) -> bool:
-        """Whether the causes surely reduce the error.
+        """Whether the causes surely reduce the error: over horizons, where one whole replay decides nothing, or in that
+        replay, where the horizons do not speak against it.
 
         As the patch stands; or beside everyday deviations, where these explain the rest: on a robot with many joints
         and feet they make most of the error, and a cause without them may even leave more.
         """
+        if self.horizons is not None and self.horizons.ci90[0] > 0:
+            return True
+        return self.replay_holds and not (self.horizons is not None and self.horizons.ci90[1] < 0)
+
+    @property
+    def replay_holds(self) -> bool:
+        """The same in whole replays of the runs of the check alone."""
         if self.beside90 is None or is_gap(np.array([self.beside])):
             return self.ci90[0] > 0
         return max(self.ci90[0], self.beside90[0]) > 0

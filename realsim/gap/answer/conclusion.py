@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -16,15 +15,22 @@ from realsim.core.errors import GapError
 from realsim.core.types import F64
 from realsim.gap import figures
 from realsim.gap.answer.check import Check, check, errors, mean_square, predictable
+from realsim.gap.answer.horizons import over_horizons
 from realsim.gap.answer.leaveout import LeftOut, better, leave_out
+from realsim.gap.answer.stays import laws_left
 from realsim.gap.answer.verdict import Fitted, Judgement, judge
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects.lookup import lookup
-from realsim.gap.inference.causes.fitted import Z90, Cause, values_of
+from realsim.gap.inference.causes.fit import Fitter
+from realsim.gap.inference.causes.fitted import Z90, Cause, Fit, Trial
 from realsim.gap.inference.causes.leftover import is_gap, leftover, nuisance_settings
+from realsim.gap.inference.causes.plausible import implausible
+from realsim.gap.inference.causes.score import score
+from realsim.gap.inference.causes.select import Selection
 from realsim.gap.inference.causes.starts import contains, suggested
 from realsim.gap.inference.evidence.onsets import find_onsets
 from realsim.gap.inference.likelihood.comparison import Comparison
+from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.verdicts import GapVerdict
 
 NO_GAP_THERE = (
@@ -37,79 +43,132 @@ NO_GAP_THERE = (
 class Conclusion:
     """The answer, and what it rests on."""
 
-    fit: Any
+    fit: Fit
     """The causes with their values."""
     sigmas: F64
     """(m,) standard errors of all values in a row."""
-    equivalent: tuple[Any, ...]
+    equivalent: tuple[Fit, ...]
     check: Check
     judgement: Judgement
     left_out: LeftOut | None
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
+    lead: Fit | None = None
+    """Where no cause is named: the nearest one, whose size robots of one kind may differ by."""
 
 
 def conclude(
-    config: DiagnoseConfig, screen: Any, fitter: Any, selection: Any, held: Sequence[int], nominal: Sequence[F64]
+    config: DiagnoseConfig,
+    screen: Screen,
+    fitter: Fitter,
+    selection: Selection,
+    held: Sequence[int],
+    nominal: Sequence[F64],
 ) -> Conclusion:
     """The causes that last, sets as good as them, the check, the verdict.
 
     Args:
         screen: of the fitted runs.
-        fitter: with `fit` and `prior_beside`.
-        selection: `fit`, `nominal`, `equivalent`, `trials`, `notes` of the search.
+        selection: of the search.
         held: runs that nothing above has looked at.
         nominal: (T, C) a run, of the nominal simulator, all runs of the case.
     """
     notes: list[str] = list(selection.notes)
-    fit, left = _lasting(screen, fitter, selection.fit, notes)
-    changed = fit is not selection.fit
-    given = [] if changed else [f for f in selection.equivalent if not _again(screen, f, fit)]
+    fit, left, dropped = _lasting(screen, fitter, selection.fit, notes)
+    if fit is selection.fit:
+        given = [f for f in selection.equivalent if not _again(screen, f, fit)]
+    else:  # the search compared other sets: what is as good as what lasts is looked for anew
+        fit, left, given = _simplest(screen, fitter, selection.trials, fit, left)
     fit, left, others = _beside_imitations(screen, fitter, fit, left, given, notes)
     checked, warnings = _checked(config, screen, fit, selection.nominal, left, held, nominal)
     fitted = _fitted(screen, fit, selection.nominal, nominal)
-    ends = _at_an_end(fit)
-    judgement = judge(fitted, checked, len(fit.causes), len(others), ends, config.unexplained_share)
-    if judgement.verdict is GapVerdict.PARTLY_EXPLAINED and left is not None:
-        others = _as_good(screen, fitter, selection.trials, fit, left)
-        judgement = judge(fitted, checked, len(fit.causes), len(others), ends, config.unexplained_share)
     sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)) if fit.causes else np.zeros(0)
     if left is not None:
         sigmas = np.maximum(sigmas, left.sigmas)
-    if judgement.verdict is GapVerdict.UNEXPLAINED and fit.causes and not _told_from_none(fit, sigmas):
+    ends = _at_an_end(fit)
+    doubts = _doubts(screen, fit, sigmas, dropped, selection.trials)
+
+    def judged() -> Judgement:
+        share, count = config.unexplained_share, len(fit.causes)
+        return judge(fitted, checked, count, len(others), ends, share, doubts)
+
+    judgement = judged()
+    if judgement.verdict is GapVerdict.PARTLY_EXPLAINED and left is not None:
+        others = _as_good(screen, fitter, selection.trials, fit, left)
+        judgement = judged()
+    if judgement.verdict is GapVerdict.UNEXPLAINED and fit.causes and not any(_told_from_none(fit, sigmas)):
         notes.append(f"{', '.join(map(_name, fit.causes))}: not told from none, so it is not named as the nearest")
         without = replace(selection, fit=selection.nominal, equivalent=[], notes=notes)
         return conclude(config, screen, fitter, without, held, nominal)
-    return Conclusion(fit, sigmas, tuple(others), checked, judgement, left, tuple(notes), tuple(warnings))
+    lead = None if fit.causes else _lead(fitter, selection.trials)
+    return Conclusion(
+        fit, sigmas, tuple(others), checked, judgement, left, tuple(notes), tuple(warnings), lead
+    )  # fmt: skip
+
+
+def _doubts(screen: Screen, fit: Fit, sigmas: F64, dropped: Sequence[Cause], trials: Sequence[Trial]) -> list[str]:
+    """What keeps the causes from being identified although they explain the runs."""
+    if not fit.causes:
+        return []
+    context = screen.simulator.context
+    found = implausible(context, fit.causes)
+    for cause, told in zip(fit.causes, _told_from_none(fit, sigmas), strict=True):
+        if not told:
+            found.append(f"{_name(cause)}: its 90 % interval holds zero")
+    kept = min(_gained(trials, c) for c in fit.causes)
+    found += [f"{_name(c)} was taken out, and had gained more" for c in dropped if _gained(trials, c) > kept]
+    if leftover(screen, fit).mean() > figures.LAWFUL:
+        found += [f"{e['joint']}: what stays looks {e['what']}" for e in laws_left(screen, fit)]
+    return found
+
+
+def _gained(trials: Sequence[Trial], cause: Cause) -> float:
+    """Nats that a cause gained in the search, at most."""
+    return max((t.gain or 0.0 for t in trials if t.candidate.key == cause.candidate.key), default=0.0)
+
+
+def _lead(fitter: Fitter, trials: Sequence[Trial]) -> Fit | None:
+    """The nearest single cause at its best values, if it gains anything clearly; it is no finding."""
+    first = [t for t in trials if t.stage == 0 and t.gain is not None and t.gain > figures.CLEARLY and t.values]
+    if not first:
+        return None
+    best = max(first, key=lambda t: t.gain or 0.0)
+    found = fitter.fit([Cause(best.candidate, best.values)])
+    return fitter.spread(found) if found is not None else None
 
 
 # ---------------------------------------------------------------- on the fitted runs
 
 
-def _lasting(screen: Any, fitter: Any, fit: Any, notes: list[str]) -> tuple[Any, LeftOut | None]:
-    """The causes without those that do not help the others to predict left-out runs."""
+def _lasting(screen: Screen, fitter: Fitter, fit: Fit, notes: list[str]) -> tuple[Fit, LeftOut | None, list[Cause]]:
+    """(the causes without those that do not help the others to predict left-out runs, these runs, what was dropped).
+
+    Of several that left-out runs do not need, the one goes that explains least: two that do much the same (dry and
+    viscous friction) are hardly needed beside each other, and the larger one is the cause."""
+    dropped: list[Cause] = []
     while fit.causes:
         left = leave_out(screen, fitter, fit)
         if len(screen.runs) < 2 or len(fit.causes) == 1:
-            return fit, left
-        weakest: tuple[float, Any, Any] | None = None
+            return fit, left, dropped
+        weakest: tuple[float, Fit, Cause] | None = None
         for i, cause in enumerate(fit.causes):
             less = fitter.fit([c for j, c in enumerate(fit.causes) if j != i])
             if less is None:
                 continue
             gain, error = left.gained_over(leave_out(screen, fitter, less))
-            if gain <= max(figures.HOLDS * error, figures.LEAST) and (weakest is None or gain < weakest[0]):
-                weakest = (gain, less, cause)
+            if gain <= max(figures.HOLDS * error, figures.LEAST) and (weakest is None or less.misfit < weakest[0]):
+                weakest = (less.misfit, less, cause)
         if weakest is None:
-            return fit, left
+            return fit, left, dropped
         notes.append(f"{_name(weakest[2])} was taken out again: left-out runs do not need it")
+        dropped.append(weakest[2])
         fit = weakest[1]
-    return fit, None
+    return fit, None, dropped
 
 
 def _beside_imitations(
-    screen: Any, fitter: Any, fit: Any, left: LeftOut | None, given: Sequence[Any], notes: list[str]
-) -> tuple[Any, LeftOut | None, list[Any]]:
+    screen: Screen, fitter: Fitter, fit: Fit, left: LeftOut | None, given: Sequence[Fit], notes: list[str]
+) -> tuple[Fit, LeftOut | None, list[Fit]]:
     """(fit, left-out runs, others) once each cause was compared with what its effect is taken for."""
     others = list(given)
     if left is None or len(screen.runs) < 2:
@@ -137,16 +196,25 @@ def _beside_imitations(
     return fit, left, others
 
 
-def _as_good(screen: Any, fitter: Any, trials: Sequence[Any], fit: Any, left: LeftOut) -> list[Any]:
+def _simplest(
+    screen: Screen, fitter: Fitter, trials: Sequence[Trial], fit: Fit, left: LeftOut | None
+) -> tuple[Fit, LeftOut | None, list[Fit]]:
+    """(the set with the lowest score of those that left-out runs cannot tell from this one, its runs, the others)."""
+    others = _as_good(screen, fitter, trials, fit, left) if left is not None else []
+    best, *rest = sorted([fit, *others], key=lambda f: score(screen, f))
+    return (fit, left, others) if best is fit else (fitter.spread(best), leave_out(screen, fitter, best), rest)
+
+
+def _as_good(screen: Screen, fitter: Fitter, trials: Sequence[Trial], fit: Fit, left: LeftOut) -> list[Fit]:
     """Single causes that left-out runs cannot tell from the one named, with what both leave counted as noise."""
     if len(fit.causes) != 1 or len(screen.runs) < 2:
         return []
     own = fit.causes[0].candidate
     tried = [t for t in trials if t.stage == 0 and t.gain is not None and t.candidate.effect != own.effect]
     # Of the forms of an effect at one place the one that gains most.
-    best = {(t.candidate.effect, t.candidate.places): t for t in sorted(tried, key=lambda t: t.gain)}
-    found: list[Any] = []
-    for trial in sorted(best.values(), key=lambda t: -t.gain)[: figures.PLACES]:
+    best = {(t.candidate.effect, t.candidate.places): t for t in sorted(tried, key=lambda t: t.gain or 0.0)}
+    found: list[Fit] = []
+    for trial in sorted(best.values(), key=lambda t: -(t.gain or 0.0))[: figures.PLACES]:
         rival = fitter.fit([Cause(trial.candidate, trial.values)])
         if rival is None or _again(screen, rival, fit):
             continue
@@ -157,7 +225,7 @@ def _as_good(screen: Any, fitter: Any, trials: Sequence[Any], fit: Any, left: Le
     return found
 
 
-def _again(screen: Any, rival: Any, fit: Any) -> bool:
+def _again(screen: Screen, rival: Fit, fit: Fit) -> bool:
     """Whether a rival says nothing new: one of its causes does nothing, or contains one that is named."""
     runs, simulator, comparison = list(screen.runs), screen.simulator, screen.comparison
     nothing = [screen.comparison.residual(r, y) for r, y in zip(runs, screen.nominal, strict=True)]
@@ -173,7 +241,7 @@ def _apart(comparison: Comparison, runs: Sequence[int], a: Sequence[F64], b: Seq
     return mean_square(comparison, [x - y for x, y in zip(a, b, strict=True)], runs)
 
 
-def _fitted(screen: Any, fit: Any, nothing: Any, nominal: Sequence[F64]) -> Fitted:
+def _fitted(screen: Screen, fit: Fit, nothing: Fit, nominal: Sequence[F64]) -> Fitted:
     comparison, runs = screen.comparison, list(screen.runs)
     before = mean_square(comparison, [comparison.residual(r, nominal[r]) for r in runs], runs)
     left, gap = leftover(screen, fit), np.maximum(leftover(screen, nothing) - 1, 1e-9)
@@ -181,16 +249,19 @@ def _fitted(screen: Any, fit: Any, nothing: Any, nominal: Sequence[F64]) -> Fitt
     return Fitted(before, left, float((weight * shares).sum() / weight.sum()))
 
 
-def _at_an_end(fit: Any) -> list[str]:
+def _at_an_end(fit: Fit) -> list[str]:
     """Strengths at an end of their range; a law's shape may be at one, as where dry friction has no dip."""
     strengths = {p.name for c in fit.causes for p in c.candidate.parameters if p.strength}
     return [name for name in fit.at_bounds if name in strengths]
 
 
-def _told_from_none(fit: Any, sigmas: F64) -> bool:
-    """Whether the 90 percent interval of some cause's strength leaves out zero, where nothing is changed."""
-    strengths = [p.strength for c in fit.causes for p in c.candidate.parameters]
-    return bool(np.any(np.abs(values_of(fit.causes)[strengths]) > Z90 * sigmas[strengths]))
+def _told_from_none(fit: Fit, sigmas: F64) -> list[bool]:
+    """Of each cause, whether the 90 percent interval of some strength leaves out zero, where nothing is changed."""
+    found, spread = [], iter(sigmas)
+    for cause in fit.causes:
+        rows = list(zip(cause.candidate.parameters, cause.values, spread, strict=False))
+        found.append(any(p.strength and abs(value) > Z90 * sigma for p, value, sigma in rows))
+    return found
 
 
 # ---------------------------------------------------------------- on the runs of the check
@@ -198,17 +269,18 @@ def _told_from_none(fit: Any, sigmas: F64) -> bool:
 
 def _checked(
     config: DiagnoseConfig,
-    screen: Any,
-    fit: Any,
-    nothing: Any,
+    screen: Screen,
+    fit: Fit,
+    nothing: Fit,
     left: LeftOut | None,
     held: Sequence[int],
     nominal: Sequence[F64],
 ) -> tuple[Check, list[str]]:
     """The check on the runs held out; where there is none, or it shows no gap, on the fitted runs left out in turn."""
     warnings = _read_onsets(screen, fit, held, nominal)
+    ahead = over_horizons(screen, fit, left, held, config.seed) if fit.causes else None
     if held:
-        found = _check_on(config, screen, fit, nothing, held, "validation", nominal, None)
+        found = replace(_check_on(config, screen, fit, nothing, held, "validation", nominal, None), horizons=ahead)
         if not fit.causes or is_gap(np.array([found.before])):
             return found, warnings
         warnings.append(NO_GAP_THERE)
@@ -220,14 +292,14 @@ def _checked(
             + (", each predicted by values fitted to the others" if len(runs) > 1 else "")
         )
     after = None if left is None else list(left.residuals)
-    return _check_on(config, screen, fit, nothing, runs, kind, nominal, after), warnings
+    return replace(_check_on(config, screen, fit, nothing, runs, kind, nominal, after), horizons=ahead), warnings
 
 
 def _check_on(
     config: DiagnoseConfig,
-    screen: Any,
-    fit: Any,
-    nothing: Any,
+    screen: Screen,
+    fit: Fit,
+    nothing: Fit,
     runs: Sequence[int],
     kind: str,
     nominal: Sequence[F64],
@@ -248,7 +320,7 @@ def _check_on(
     return check(comparison, runs, kind, before, after, beside, config.bootstrap, config.seed, structure, alone)
 
 
-def _beside(screen: Any, fit: Any, runs: Sequence[int]) -> list[F64] | None:
+def _beside(screen: Screen, fit: Fit, runs: Sequence[int]) -> list[F64] | None:
     """Residuals with the causes and the everyday deviations of the fitted runs, which shrink until they can be run."""
     for scale in (1.0, 0.5):
         settings = [*fit.settings(), *nuisance_settings(screen, fit, scale)]
@@ -258,7 +330,7 @@ def _beside(screen: Any, fit: Any, runs: Sequence[int]) -> list[F64] | None:
     return None
 
 
-def _read_onsets(screen: Any, fit: Any, held: Sequence[int], nominal: Sequence[F64]) -> list[str]:
+def _read_onsets(screen: Screen, fit: Fit, held: Sequence[int], nominal: Sequence[F64]) -> list[str]:
     """When a passing force begins in a run held out cannot be foretold: that alone is read off it, and reported."""
     passing = any("lasts" in c.candidate.names for c in fit.causes)
     if not passing or not held:
@@ -272,6 +344,6 @@ def _read_onsets(screen: Any, fit: Any, held: Sequence[int], nominal: Sequence[F
     return [f"when the force begins in the runs of the check was read off them ({said}); nothing else was"]
 
 
-def _name(cause: Any) -> str:
+def _name(cause: Cause) -> str:
     place = ", ".join(cause.candidate.place)
     return f"{cause.candidate.effect} {place}".strip()

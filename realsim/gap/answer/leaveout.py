@@ -8,15 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from realsim.core.types import F64
 from realsim.gap.answer.check import BLOCK_SECONDS, errors, mean_square
-from realsim.gap.inference.causes.fitted import values_of
+from realsim.gap.inference.causes.fit import Fitter
+from realsim.gap.inference.causes.fitted import Fit, values_of
 from realsim.gap.inference.causes.leftover import rests
 from realsim.gap.inference.likelihood.comparison import CORRELATION, Comparison
+from realsim.gap.inference.likelihood.screen import Screen
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class LeftOut:
         return float(ratios.mean()), error
 
 
-def leave_out(screen: Any, fitter: Any, fit: Any) -> LeftOut:
+def leave_out(screen: Screen, fitter: Fitter, fit: Fit) -> LeftOut:
     """Refit the values without each run in turn, and predict that run (`Fitter.without_each`).
 
     Errors count by the noise floor and by what the fit leaves in each channel beside everyday deviations.

@@ -33,10 +33,18 @@ class Judgement:
     reasons: tuple[str, ...]
     at_an_end: tuple[str, ...] = ()
     """Strengths of the causes that lie at an end of their range."""
+    stays: bool = False
+    """Whether a good part of the gap stays beside the causes."""
 
 
 def judge(
-    fitted: Fitted, checked: Check, causes: int, others: int, at_an_end: Sequence[str], unexplained_share: float
+    fitted: Fitted,
+    checked: Check,
+    causes: int,
+    others: int,
+    at_an_end: Sequence[str],
+    unexplained_share: float,
+    doubts: Sequence[str] = (),
 ) -> Judgement:
     """No gap, identified, ambiguous, partly explained or unexplained, with the reasons.
 
@@ -45,6 +53,8 @@ def judge(
         others: other sets that explain the runs as well.
         at_an_end: strengths at an end of their range, where a cause stands for something else.
         unexplained_share: share of the gap from which on a rest is reported as left.
+        doubts: what keeps the causes from being all that there is: a size that no such robot has, an interval that
+            holds zero, a law that the rest still looks like, a stronger cause that was dropped.
     """
     ends = tuple(at_an_end)
     came = (
@@ -62,13 +72,15 @@ def judge(
         doubt = f"{', '.join(ends)}: as far as the library goes, so it stands for something else"
         return Judgement(GapVerdict.UNEXPLAINED, (came, doubt), ends)
     stays = rest(fitted, checked, unexplained_share)
-    if stays and checked.where_it_acts < figures.NAMED_SHARE:
-        doubt = f"only {checked.where_it_acts:z.0%} of the check's error is removed in what the causes change"
+    acts = max(checked.where_it_acts, checked.horizons.fraction if checked.horizons else 0.0)
+    if stays and acts < figures.NAMED_SHARE:
+        doubt = f"only {acts:z.0%} of the check's error is removed in what the causes change"
         return Judgement(GapVerdict.UNEXPLAINED, (came, stays, doubt))
+    reasons = tuple(r for r in (came, stays, *doubts) if r)
     if others:
-        return Judgement(GapVerdict.AMBIGUOUS, tuple(r for r in (came, stays) if r))
-    if stays:
-        return Judgement(GapVerdict.PARTLY_EXPLAINED, (came, stays))
+        return Judgement(GapVerdict.AMBIGUOUS, reasons, stays=bool(stays))
+    if stays or doubts:
+        return Judgement(GapVerdict.PARTLY_EXPLAINED, reasons, stays=bool(stays))
     return Judgement(GapVerdict.IDENTIFIED, (came,))
 
 

@@ -81,6 +81,15 @@ def smooth(grid: F64, time: F64, values: F64) -> tuple[F64, F64, F64]:
     return tuple(savgol_filter(even, 2 * half + 1, 3, deriv=d, delta=step, axis=0) for d in (0, 1, 2))
 
 
+def rate_gain(time: F64) -> float:
+    """Standard deviation of a velocity that `smooth` estimates from readings of standard deviation 1, 1/s."""
+    from scipy.signal import savgol_coeffs
+
+    step = float(np.median(np.diff(time)))
+    half = int(np.clip(round(HALF_WINDOW / step), 3, max((len(time) - 1) // 2, 3)))
+    return float(np.linalg.norm(savgol_coeffs(2 * half + 1, 3, deriv=1, delta=step)))
+
+
 def blur(grid: F64, time: F64, values: F64) -> tuple[F64, F64, F64]:
     """The same through a Gaussian and its derivatives: all three are blurred alike."""
     from scipy.ndimage import gaussian_filter1d

@@ -7,6 +7,10 @@ from realsim.gap.effects.base import JOINTS, Edit, Effect, Excitation, Parameter
 from realsim.gap.effects.stribeck_friction import higher_at_rest
 
 
+ONE_WAY = 0.2
+"""rad or m that a joint moves one way: then dry friction is a constant torque, and one of what that may be."""
+
+
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     nominal = min(context.friction(j) for j in place)
     scale = min(context.torque_scale(j) for j in place)
@@ -17,8 +21,8 @@ def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
 
 
 def _excited(context: Context, place: Place) -> Excitation:
-    turns = min(context.reversals[j] for j in place)
-    return Excitation(turns >= 1, f"the velocity changes sign {turns} times")
+    turns, travel = min(context.reversals[j] for j in place), min(context.travel(j) for j in place)
+    return Excitation(turns >= 1 or travel > ONE_WAY, f"the velocity changes sign {turns} times")
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:

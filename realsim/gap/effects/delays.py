@@ -18,6 +18,9 @@ from realsim.gap.effects.base import (
     joint_signals_only,
 )
 
+LONGEST = 2.0
+"""s: a queue or a lost clock, not a bus."""
+
 
 def delay(name: str, twin: str, words: Words) -> Effect:
     """The effect that adds to the field `name` of the simulator's signals, in seconds; `twin` is the other one."""
@@ -31,10 +34,10 @@ def delay(name: str, twin: str, words: Words) -> Effect:
     return Effect(
         name=name,
         where=EVERYWHERE,
-        parameters=fixed(Parameter("delay", "s", (-0.01, 0.2), 0.01, nuisance=0.0012)),
+        parameters=fixed(Parameter("delay", "s", (-0.01, LONGEST), 0.01, nuisance=0.0012)),
         apply=apply,
         words=words,
         patchable=False,
         law=Law(form=EXACT),
-        rivals=Rivals(suggest),
+        rivals=Rivals(suggest, compared=(twin,)),
     )

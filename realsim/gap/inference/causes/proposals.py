@@ -16,6 +16,7 @@ from realsim.gap.inference.causes.starts import Guess, nested, starts, suggested
 from realsim.gap.inference.causes.windows import window_candidates
 from realsim.gap.inference.likelihood.linear import Spectrum, log_evidence, marginal
 from realsim.gap.inference.likelihood.screen import Candidate, Screen, slab
+from realsim.gap.simulation.simulate import measured
 
 Scored = tuple[float, Candidate, F64]
 """(gain in log evidence by the linear screen, candidate, estimate of its linear parameters)."""
@@ -148,5 +149,31 @@ def _further(fitter: Fitter, here: Fit, candidate: Candidate, guess: Guess, gain
     return Proposal((*here.causes, Cause(candidate, tuple(first))), tuple((*done, *s) for s in more), gain)
 
 
-ADD: Sequence[Propose] = (by_slopes, by_window, by_simulation)
+def by_lag(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
+    """One more cause: a delay so long that no slope foretells it, by the shift at which the prediction fits the log."""
+    screen = fitter.screen
+    late = [c for c in screen.candidates if c.names == ("delay",) and not here.has(c.effect, c.place)]
+    if late and (lag := best_lag(screen, here, max(c.parameters[0].bounds[1] for c in late))):
+        for candidate in late:
+            yield _further(fitter, here, candidate, {"delay": lag}, 0.0)
+
+
+def best_lag(screen: Screen, here: Fit, longest: float) -> float:
+    """s by which the log is behind the prediction; 0 where slopes say as much, or where it is no good explanation."""
+    width = screen.comparison.config.bin_seconds
+    lags = np.arange(0.0, longest, width)
+    left = np.zeros(len(lags))
+    for run, predicted in zip(screen.runs, here.predictions, strict=True):
+        one = screen.simulator.case.runs[run]
+        real = measured(one, screen.comparison.channels)
+        for c, channel in enumerate(screen.comparison.channels):
+            if channel.signal in ("joint_pos", "base_pos"):
+                then = np.maximum(one.time - lags[:, None], 0.0)
+                shifted = np.interp(then, one.time, predicted[:, c])
+                left += np.nanmean((real[:, c] - shifted) ** 2, axis=1) / max(float(np.nanvar(real[:, c])), 1e-12)
+    k = int(np.argmin(left))
+    return float(lags[k]) if lags[k] > figures.LONG_LAG and left[k] < (1 - figures.NAMED_SHARE) * left[0] else 0.0
+
+
+ADD: Sequence[Propose] = (by_slopes, by_window, by_simulation, by_lag)
 EXCHANGE: Sequence[Propose] = (by_effect,)
