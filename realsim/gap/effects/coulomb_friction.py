@@ -6,7 +6,6 @@ from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import JOINTS, Edit, Effect, Excitation, Parameter, Place, Rivals, Suggestion, Words
 from realsim.gap.effects.stribeck_friction import higher_at_rest
 
-
 ONE_WAY = 0.2
 """rad or m that a joint moves one way: then dry friction is a constant torque, and one of what that may be."""
 
