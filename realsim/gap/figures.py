@@ -72,6 +72,9 @@ PROBED, SIZES = 12, (2.0, 0.7, -0.7, -2.0)
 """Candidates of an effect that are simulated where no slope foretells it (a quadruped has twelve joints), and the sizes
 at which they are, in steps of the parameter. Budget."""
 
+APART = 4
+"""Joints that share a value and may have one each. Budget."""
+
 # ---------------------------------------------------------------- forces that act for a while
 BRIEF = 0.2
 """Seconds of the shortest force, before an onset at which one may begin, and twice the grid on which windows begin and

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -151,13 +151,14 @@ def _assemble(
     causes = describe_set(simulator, fit, order, concluded.sigmas) if gap else []
     equivalent = [tuple(describe_set(simulator, other)) for other in (concluded.equivalent if causes else ())]
     looks_like = what_stays(simulator, comparison, fit, runs) if gap else []
+    lead = describe_set(simulator, concluded.lead)[0] if concluded.lead else None
     health["warnings"] += concluded.warnings
     of_check = [i for i, run in enumerate(case.runs) if run.name in checked.runs]
     arrays = collect(simulator, comparison, residuals, shares, of_check, fit)
     return Diagnosis(
         verdict=judgement.verdict,
-        sentence=sentence(judgement, causes, equivalent, checked, where, looks_like, case),
-        advice=advice(judgement, causes, equivalent, where, case),
+        sentence=sentence(judgement, causes, equivalent, checked, where, looks_like, case, lead),
+        advice=advice(judgement, causes, equivalent, where, case, lead),
         causes=tuple(causes),
         equivalent=tuple(equivalent),
         where=tuple(where),
@@ -169,6 +170,7 @@ def _assemble(
             "beside_deviations": list(checked.beside90) if checked.beside90 and checked.ci90[0] <= 0 else None,
             "above_floor": checked.above_floor,
             "where_it_acts": checked.where_it_acts,
+            "horizons": None if checked.horizons is None else asdict(checked.horizons),
             "runs": list(checked.runs),
             "unseen": checked.unseen,
             "kind": checked.kind,
@@ -177,6 +179,7 @@ def _assemble(
         },
         unexplained_share=checked.unexplained if gap else 0.0,
         looks_like=tuple(looks_like),
+        lead=lead,
         patch=make_patch(simulator, fit) if causes else empty_patch(),
         ranking=tuple(ranked_effects(selection, screen)),
         health=health,

@@ -199,9 +199,15 @@ def _beside_imitations(
 def _simplest(
     screen: Screen, fitter: Fitter, trials: Sequence[Trial], fit: Fit, left: LeftOut | None
 ) -> tuple[Fit, LeftOut | None, list[Fit]]:
-    """(the set with the lowest score of those that left-out runs cannot tell from this one, its runs, the others)."""
+    """(the set with the lowest score of those that left-out runs cannot tell from this one, its runs, the others): one
+    whose sizes the runs determine goes before one that could be none."""
     others = _as_good(screen, fitter, trials, fit, left) if left is not None else []
-    best, *rest = sorted([fit, *others], key=lambda f: score(screen, f))
+
+    def order(one: Fit) -> tuple[bool, float]:
+        sigmas = np.sqrt(np.maximum(np.diag(fitter.spread(one).covariance), 0.0))
+        return not all(_told_from_none(one, sigmas)), score(screen, one)
+
+    best, *rest = sorted([fit, *others], key=order)
     return (fit, left, others) if best is fit else (fitter.spread(best), leave_out(screen, fitter, best), rest)
 
 

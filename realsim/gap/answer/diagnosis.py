@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.files import to_json, write_text
+from realsim.gap import figures
 from realsim.gap.answer.arrays import Arrays
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fit import Cause, Fit
@@ -16,6 +17,10 @@ from realsim.gap.inference.causes.fitted import Z90
 from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.verdicts import GapVerdict
 
+ROUNDING = 1e-6
+"""Of a parameter's step: less is what arithmetic leaves of zero."""
+NOT_DETERMINED = "not determined"
+"""Note of a value that the runs do not tell from none, nor from a size worth a name."""
 MODEL_ERROR = 0.07
 """Relative error of a fitted value that comes from the simplified form of an effect (measured on made cases)."""
 
@@ -47,6 +52,8 @@ class Diagnosis:
     """`seconds` of wall time, `cpu_seconds`, `simulated_seconds` (of the robot's time, all replays together)."""
     looks_like: tuple[dict[str, Any], ...] = ()
     """What stays beside the causes, by joint: {joint, what, explains}."""
+    lead: dict[str, Any] | None = None
+    """Where no cause is named: the nearest one in the form of a cause, of a size that robots of one kind differ by."""
     provenance: dict[str, Any] = field(default_factory=dict)
     """Which engine gave this answer, and its settings; see `realsim.gap.provenance`."""
     evidence: Arrays | None = field(default=None, repr=False)
@@ -70,6 +77,7 @@ class Diagnosis:
             "health": self.health,
             "statistics": self.statistics,
             "looks_like": list(self.looks_like),
+            "lead": self.lead,
             **self.cost,
             "provenance": self.provenance,
         }
@@ -98,7 +106,10 @@ def describe_cause(
         sigma = float(np.sqrt(sigma**2 + p.nuisance**2 + relative**2))
         low, high = (float(np.clip(value + s * Z90 * sigma, *p.bounds)) for s in (-1, 1))
         ends = sorted((p.report(low), p.report(high)))
+        value = 0.0 if abs(value) < ROUNDING * abs(p.step) else value
         note = p.note
+        if low <= 0 <= high and sigma > figures.CLOSED * abs(p.step) and p.default == 0:
+            note = NOT_DETERMINED
         if (when := effect.law.passing.get(name)) and when.onset:
             since = cause.named[when.onset]
             starts = [f"{run} from {at + since:.2f} s" for run, at in simulator.onsets.items()]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from realsim.gap.answer.check import Check
+from realsim.gap.answer.diagnosis import NOT_DETERMINED
 from realsim.gap.answer.verdict import Judgement
 from realsim.gap.case.case import Case
 from realsim.gap.case.repeats import replicates
@@ -38,45 +38,84 @@ def sentence(
     where: Sequence[dict[str, Any]],
     looks_like: Sequence[dict[str, Any]],
     case: Case,
+    lead: Cause | None = None,
 ) -> str:
     """What is wrong, how sure that is, what it brings; or why that cannot be told, and what to record."""
     verdict = judgement.verdict
+    nearest = f" The nearest cause is {_lower(phrase(lead))}" if lead else ""
     if verdict is GapVerdict.NO_GAP:
         return (
             "No gap that these runs can show: what differs is within sensor noise and the small deviations that every "
-            "robot has."
+            "robot has." + (f"{nearest}: robots of one kind differ by as much." if lead else "")
         )
     if not causes:
         return (
             f"No cause that this library knows{_mostly(where)}: {errors_of(checked, after=False)}{_looks(looks_like)}; "
-            f"record {_next_for_unknown(where, case)}."
+            f"record {_next_for_unknown(where, case)}." + (f"{nearest}; it does not explain the runs." if lead else "")
         )
-    found = "; ".join(phrase(c) for c in causes)
-    gain = f"removes {removed(checked)} of the squared error on {_runs(checked)}"
-    if checked.ci90[0] <= 0 and checked.holds:
-        low, high = checked.beside90 or checked.ci90
-        gain = (
-            f"removes {share(low)} to {share(high)} of what everyday deviations leave on {_runs(checked)}, and "
-            f"{removed(checked)} of all"
-        )
-    elif not checked.holds:
-        gain = f"does not surely reduce the squared error on {_runs(checked)} (by {removed(checked)})"
+    pronoun = "it" if len(causes) == 1 else "them"
+    gain = gone(checked)
     if verdict is GapVerdict.AMBIGUOUS:
-        stays = f" What stays: {errors_of(checked)}." if len(judgement.reasons) > 1 else ""
+        stays = f" What stays: {errors_of(checked)}." if judgement.stays else ""
         tells = _what_tells([causes, *equivalent], case)
         return f"{_either(causes, equivalent)} {gain}; to tell them apart, record {tells}.{stays}"
-    text = f"{found}; {_verb(causes)} {gain}"
+    corrected = "" if all(clause(c).startswith("lacks") for c in causes) else " corrected"
+    text = f"Your model {' and '.join(clause(c) for c in causes)}; with {pronoun}{corrected}, {gain}"
     if verdict is GapVerdict.PARTLY_EXPLAINED:
-        return (
-            f"{text}. A part stays: {errors_of(checked)}{_looks(looks_like)}; record {_next_for_unknown(where, case)}."
-        )
+        stays = f"A part stays: {errors_of(checked)}{_looks(looks_like)}" if judgement.stays else ""
+        doubts = f"Not sure: {'; '.join(judgement.doubts)}" if judgement.doubts else ""
+        return f"{text}. {'. '.join(filter(None, (doubts, stays)))}; record {_next_for_unknown(where, case)}."
     if verdict is GapVerdict.UNEXPLAINED:
         ends = f", with {', '.join(judgement.at_an_end)} as far as this library goes" if judgement.at_an_end else ""
+        near = "; ".join(phrase(c) for c in causes)
         return (
-            f"Not explained{_mostly(where)}. The nearest is {text}{ends}: it may only imitate the cause. "
-            f"What stays: {errors_of(checked)}{_looks(looks_like)}; record {_next_for_unknown(where, case)}."
+            f"Not explained{_mostly(where)}. The nearest is {near}{ends}; with {pronoun}, {gain}: it may only imitate "
+            f"the cause. What stays: {errors_of(checked)}{_looks(looks_like)}; record {_next_for_unknown(where, case)}."
         )
     return f"{text}."
+
+
+def gone(checked: Check) -> str:
+    """99.9 % of the error is gone (on a run that was kept back)."""
+    if not checked.replay_holds and checked.horizons is not None and checked.holds:
+        part, windows = share(checked.horizons.fraction), checked.horizons.windows
+        return f"{part} of the squared error of predictions over 0.1 to 0.5 s is gone (in {windows} windows kept back)"
+    if checked.ci90[0] <= 0 and checked.holds:
+        low, high = checked.beside90 or checked.ci90
+        return (
+            f"{share(low)} to {share(high)} of what everyday deviations leave is gone {_runs(checked)}, and "
+            f"{share(checked.fraction)} of all"
+        )
+    if not checked.holds:
+        return f"the squared error does not surely shrink {_runs(checked)} (by {removed(checked)})"
+    return f"{share(checked.fraction)} of the squared error is gone {_runs(checked)}"
+
+
+def clause(cause: Cause) -> str:
+    """What the model lacks or has too much of, without intervals: `lacks 0.21 kg on forearm`."""
+    effect, parameters = EFFECTS[cause["effect"]], cause["parameters"]
+    words, passing = effect.words, effect.law.passing
+    names = ", ".join(_plain(n) for n in cause.get("joints") or cause.get("bodies") or [])
+    place = f" {'on' if cause.get('bodies') else 'at'} {names}" if names else ""
+    if words.ratio_of:
+        parameters = {n: _percent(p, words.ratio_of) for n, p in parameters.items()}
+    bare = {n: {k: v for k, v in p.items() if k != "ci90"} for n, p in parameters.items()}
+    name, first = next(iter(bare.items()))
+    thing, where = words.sort == "thing", _at(parameters)
+    sized = {name: first} if thing else bare
+    less = first["value"] < 0 and (thing or (words.sort == "amount" and len(bare) == 1))
+    size = _size(sized, passing, -1 if less else 1)
+    if first["unit"] == "kg":
+        return f"{'has' if less else 'lacks'} {size}{' too much' if less else ''}{place}{where}"
+    if word := words.comparatives[0 if first["value"] < 0 else 1]:
+        return f"should be {_size(sized, passing, -1 if first['value'] < 0 else 1)} {word}{place}"
+    if first["unit"] == "ratio" and len(bare) == 1:
+        return f"needs {size} its {effect.title}{place}"
+    if words.sort == "direction" and first["unit"] == "m":
+        return f"has its {effect.title} off by {size}{place}"
+    if less:
+        return f"has {size} too much {effect.title}{place}"
+    return f"lacks {'a ' if thing else ''}{effect.title} of {size}{place}"
 
 
 def errors_of(checked: Check, after: bool = True) -> str:
@@ -105,9 +144,12 @@ def advice(
     equivalent: Sequence[Sequence[Cause]],
     where: Sequence[dict[str, Any]],
     case: Case,
+    lead: Cause | None = None,
 ) -> str:
     """What to do about a verdict: one thing."""
     verdict = judgement.verdict
+    if verdict is GapVerdict.NO_GAP and lead:
+        return f"if it matters, record {_what_tells([[lead]], case)}: the nearest cause is {_lower(phrase(lead))}"
     if verdict is GapVerdict.NO_GAP:
         return "change nothing in the model; record livelier runs to look closer"
     if verdict is GapVerdict.IDENTIFIED:
@@ -135,28 +177,15 @@ def _either(causes: Sequence[Cause], equivalent: Sequence[Sequence[Cause]]) -> s
         shared, rest = [], alternatives
     sure = f"{'; '.join(phrase(c) for c in shared)}. Beside that, cannot" if shared else "Cannot"
     either = ", or ".join(" with ".join(phrase(c) for c in s) for s in rest)
-    return f"{sure} tell: {either}; each explains these runs as well, and adding the first"
+    return f"{sure} tell: {either}; each explains these runs as well. With the first,"
 
 
 def _same(a: Cause, b: Cause) -> bool:
     return all(a.get(key) == b.get(key) for key in ("effect", "joints", "bodies"))
 
 
-@dataclass(frozen=True)
-class Phrase:
-    """What is wrong with the model."""
-
-    text: str
-    missing: bool
-    """Whether the model lacks something; else a value of it is wrong."""
-
-
 def phrase(cause: Cause) -> str:
     """left knee: Coulomb friction 1.9 N m [1.6, 2.2] is missing."""
-    return _worded(cause).text
-
-
-def _worded(cause: Cause) -> Phrase:
     effect, parameters = EFFECTS[cause["effect"]], cause["parameters"]
     words, passing = effect.words, effect.law.passing
     names = ", ".join(_plain(n) for n in cause.get("joints") or cause.get("bodies") or [])
@@ -170,19 +199,17 @@ def _worded(cause: Cause) -> Phrase:
     sized = {name: first} if where else parameters
     if word := words.comparatives[0 if negative else 1]:
         what = names if thing else f"{place}{effect.title}"
-        return Phrase(
-            f"{what} is {_size(sized, passing, -1 if negative else 1)} {word} than in the model{where}", False
-        )
+        return f"{what} is {_size(sized, passing, -1 if negative else 1)} {word} than in the model{where}"
     size = _size(sized, passing)
     if thing:
-        return Phrase(f"{place}a {effect.title} of {size}{where} is missing", True)
+        return f"{place}a {effect.title} of {size}{where} is missing"
     if first["unit"] == "ratio" and len(parameters) == 1:
-        return Phrase(f"{place}{effect.title} is {size} the model's", False)
+        return f"{place}{effect.title} is {size} the model's"
     if negative and len(parameters) == 1 and words.sort == "amount":
-        return Phrase(f"{place}{effect.title} is {_size(parameters, passing, -1)} too large in the model", False)
-    notes = [p["note"] for p in parameters.values() if p.get("note")]
+        return f"{place}{effect.title} is {_size(parameters, passing, -1)} too large in the model"
+    notes = [p["note"] for p in parameters.values() if p.get("note") not in (None, NOT_DETERMINED)]
     note = f" ({'; '.join(notes)})" if notes else ""
-    return Phrase(f"{place}{effect.title} {size} is missing{note}", True)
+    return f"{place}{effect.title} {size} is missing{note}"
 
 
 def _percent(parameter: dict[str, Any], of: str) -> dict[str, Any]:
@@ -249,16 +276,22 @@ def _at(parameters: dict[str, dict[str, Any]]) -> str:
     """At (0.02, 0, 0.1) m."""
     if not all(axis in parameters for axis in "xyz"):
         return ""
-    return f" at ({', '.join(_number(round(parameters[axis]['value'], 3)) for axis in 'xyz')}) m"
+    known = [p["value"] if (p := parameters[axis]).get("note") != NOT_DETERMINED else None for axis in "xyz"]
+    return f" at ({', '.join(NOT_DETERMINED if v is None else _number(round(v, 3)) for v in known)}) m"
 
 
 def _interval(parameter: dict[str, Any], sign: int) -> str:
+    """1.9 N m [1.6, 2.2], or without the interval where there is none."""
+    if parameter.get("note") == NOT_DETERMINED:
+        return NOT_DETERMINED
     unit, factor = parameter["unit"], float(sign)
     if unit == "s" and abs(parameter["value"]) < 0.5:
         unit, factor = "ms", 1000.0 * sign
+    text = f"{_number(factor * parameter['value'])} {_SPELLED.get(unit, unit)}"
+    if "ci90" not in parameter:
+        return text
     low, high = sorted(factor * v for v in parameter["ci90"])
-    value = factor * parameter["value"]
-    return f"{_number(value)} {_SPELLED.get(unit, unit)} [{_number(low)}, {_number(high)}]"
+    return f"{text} [{_number(low)}, {_number(high)}]"
 
 
 def _number(value: float) -> str:
@@ -267,16 +300,12 @@ def _number(value: float) -> str:
     return text.replace("-", "−") if "e" not in text else text
 
 
-def _verb(causes: Sequence[Cause]) -> str:
-    """Adding what is missing, correcting what is wrong."""
-    missing = all(_worded(c).missing for c in causes)
-    return f"{'adding' if missing else 'correcting'} {'it' if len(causes) == 1 else 'them'}"
-
-
 def _runs(checked: Check) -> str:
     if checked.kind == "left_out_in_turn":
-        return "the fitted runs, each left out in turn (none was held out)"
-    return "runs it has not seen" if checked.unseen else "the run it was fitted to (no other was left)"
+        return "(on the fitted runs, each left out in turn)"
+    if not checked.unseen:
+        return "(on the run that it was fitted to: no other was left)"
+    return f"(on {'a run that was' if len(checked.runs) == 1 else 'runs that were'} kept back)"
 
 
 def _plain(name: str) -> str:

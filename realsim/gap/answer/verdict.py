@@ -35,6 +35,8 @@ class Judgement:
     """Strengths of the causes that lie at an end of their range."""
     stays: bool = False
     """Whether a good part of the gap stays beside the causes."""
+    doubts: tuple[str, ...] = ()
+    """What keeps the causes from being identified, where nothing stays."""
 
 
 def judge(
@@ -78,9 +80,9 @@ def judge(
         return Judgement(GapVerdict.UNEXPLAINED, (came, stays, doubt))
     reasons = tuple(r for r in (came, stays, *doubts) if r)
     if others:
-        return Judgement(GapVerdict.AMBIGUOUS, reasons, stays=bool(stays))
+        return Judgement(GapVerdict.AMBIGUOUS, reasons, (), bool(stays), tuple(doubts))
     if stays or doubts:
-        return Judgement(GapVerdict.PARTLY_EXPLAINED, reasons, stays=bool(stays))
+        return Judgement(GapVerdict.PARTLY_EXPLAINED, reasons, (), bool(stays), tuple(doubts))
     return Judgement(GapVerdict.IDENTIFIED, (came,))
 
 

@@ -12,22 +12,37 @@ from realsim.gap.case.case import Case, Run
 from realsim.gap.case.model.context import Context
 from realsim.gap.case.model.edit import Edit
 from realsim.gap.simulation.sampling import held_mean
+from realsim.gap.simulation.state import Start
 
 LIMIT = 1e4
 """A coordinate or speed beyond this (m, rad, /s) means that the simulation has exploded."""
 
 
 def controls(
-    context: Context, model: Any, run: Run, edit: Edit, steps: int, settle: int, onsets: Mapping[str, float]
+    context: Context,
+    model: Any,
+    run: Run,
+    edit: Edit,
+    steps: int,
+    settle: int,
+    onsets: Mapping[str, float],
+    start: Start | None = None,
 ) -> F64:
-    """(steps, U) control of every step, the first `settle` of them before the run begins."""
-    case, dt, command = context.case, float(model.opt.timestep), run.command.copy()
+    """(steps, U) control of every step, the first `settle` of them before the run begins.
+
+    What was commanded before the log began it does not say: its first command, but where a servo stands still
+    elsewhere (`start`), that posture. A delayed command, or a delayed reading, needs it.
+    """
+    case, dt, command, time = context.case, float(model.opt.timestep), run.command, run.time
+    if start is not None and start.stands and case.command_kind == "position":
+        command, time = np.vstack([_at_posture(case, command[0], start), command]), np.append(time[0] - 1.0, time)
+    command = command.copy()
     if case.command_kind == "position":
         for u, name in enumerate(case.actuator_names):
             joint = next((j for j, a in context.actuator.items() if a == name), "")
             command[:, u] -= case.gear(joint) * edit.signals.joint_offset.get(joint, 0.0)
     grid = (np.arange(steps + 1) - settle) * dt
-    mean = held_mean(run.time, command, grid - edit.signals.command_delay)
+    mean = held_mean(time, command, grid - edit.signals.command_delay)
     control = np.zeros((steps, model.nu))
     for u, name in enumerate(case.actuator_names):
         control[:, model.actuator(name).id] = mean[:, u]
@@ -37,6 +52,17 @@ def controls(
             since = grid[:-1] - began
             control[:, model.actuator(pulse.actuator).id] = (since >= pulse.start) & (since < pulse.end)
     return control
+
+
+def _at_posture(case: Case, first: F64, start: Start) -> F64:
+    """(U,) commands under which servos hold the posture of a start."""
+    assert start.qpos is not None
+    held = first.copy()
+    for u, name in enumerate(case.actuator_names):
+        joint = next((j for j in case.joint_names if case.actuator_of(j) == name), None)
+        if joint is not None:
+            held[u] = case.gear(joint) * start.qpos[case.model.joint(joint).qposadr[0]]
+    return held
 
 
 def switched_off(case: Case, model: Any, run: Run, edit: Edit, steps: int, settle: int) -> Any:

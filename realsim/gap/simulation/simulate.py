@@ -205,8 +205,8 @@ class Simulator:
         lengths = [int(np.ceil((min(run.duration, seconds) + 0.05) / dt)) + 2 for run in runs]
         steps = [lead + length for lead, length in zip(settle, lengths, strict=True)]
         control = [
-            controls(self.context, model, run, edit, n, k, self.onsets)
-            for run, n, k in zip(runs, steps, settle, strict=True)
+            controls(self.context, model, run, edit, n, k, self.onsets, start)
+            for run, n, k, start in zip(runs, steps, settle, begun, strict=True)
         ]
         off = [switched_off(self.case, model, r, edit, n, k) for r, n, k in zip(runs, steps, settle, strict=True)]
         edges = [

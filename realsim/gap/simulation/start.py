@@ -19,13 +19,11 @@ from realsim.core.types import F64
 from realsim.gap.case.case import Case, Run
 from realsim.gap.case.kinks import median_size, third_differences
 from realsim.gap.case.motion import estimate
-from realsim.gap.simulation.state import Start
+from realsim.gap.simulation.state import AT_REST, Start
 
 if TYPE_CHECKING:
     from realsim.gap.simulation.simulate import Simulator
 
-STILL = 0.05
-"""rad/s or m/s: slower than this is at rest."""
 FAR = 0.03
 """rad or m: a posture farther than this from the nominal simulator's rest may be one that the robot was let go from."""
 NOISES = 5.0
@@ -34,12 +32,18 @@ BEGINNING = 0.3
 """s in which a state that is out of equilibrium shows."""
 FIRST = 0.08
 """s that a first state is estimated from."""
+AT_FIRST = 0.018
+"""s (or one sample) in which a log that stands still at first does not move: below a servo's response, which is often
+a sample or two late. Not tuned."""
 DECISIVE = 0.35
 """A start in motion must leave at most this share of the squared error that a start at rest leaves."""
 LEAST_MOTION = 2e-3
 """rad or m (root mean square) that a start from rest must miss of the first moments."""
 STANDS = 0.01
 """Share of its range in the run by which a command may change and still stand. Not tuned."""
+GROSS = 0.25
+"""Share of a joint's travel in the log: no offset, load or weak servo makes a robot at rest look so far out of place
+without a command that stands for long. Not tuned."""
 STEADY = 0.5
 """Share of the mean speed of the first moments that a first speed must have: a robot that is set going at once has
 next to none, one that was moving about as much. Not tuned."""
@@ -89,13 +93,14 @@ def find_starts(simulator: Simulator, resting: Sequence[F64]) -> tuple[Start, ..
 
 
 def _says_that_it_moves(run: Run) -> bool:
-    return run.init_qvel is not None and bool(np.abs(run.init_qvel).max(initial=0.0) > STILL)
+    return run.init_qvel is not None and bool(np.abs(run.init_qvel).max(initial=0.0) > AT_REST)
 
 
 def _moves(simulator: Simulator, run: Run, resting: F64) -> bool:
     """Whether the log alone shows that it does not begin at rest under its first command: it moves at its first sample,
-    or leaves its first posture while that command stands. A torque, held, leads anywhere: there it is enough that the
-    simulator does not rest where the log begins."""
+    or leaves its first posture while that command stands, or is nowhere near where a command that soon changes would
+    have led. A torque, held, leads anywhere: there it is enough that the simulator does not rest where the log begins.
+    """
     case = simulator.case
     if case.floating and "base_pos" not in run.signals and run.init_qpos is None:
         return False  # nobody knows where the base is
@@ -114,16 +119,22 @@ def _moves(simulator: Simulator, run: Run, resting: F64) -> bool:
         off, excess = first_fit(run.time, error, 2)
         way = first_fit(run.time, values, 1)[1]
         sigma = _speed_spread(run.time) * noise
-        fast = np.abs(speed) > np.maximum(STILL, NOISES * sigma)
+        fast = np.abs(speed) > np.maximum(AT_REST, NOISES * sigma)
         fast &= (speed * way > 0) & (np.abs(speed) > STEADY * np.abs(way)) & (np.abs(excess) > STEADY * np.abs(speed))
         away = np.abs(off)
         moved = np.nanmax(np.abs(values[stands] - place), axis=0, initial=0.0)
-        left = (away > FAR) & (
-            (moved > np.maximum(np.minimum(0.2 * away, FAR), NOISES * noise)) | (case.command_kind == "torque")
-        )
+        moved_off = moved > np.maximum(np.minimum(0.2 * away, FAR), NOISES * noise)
+        nowhere_near = (away > GROSS * _travel(case, signal)) & (until < BEGINNING)
+        left = (away > FAR) & (moved_off | nowhere_near | (case.command_kind == "torque"))
         if (fast | left).any():
             return True
     return False
+
+
+def _travel(case: Case, signal: str) -> F64:
+    """(K,) range of a signal in all runs."""
+    values = np.concatenate([run.signals[signal] for run in case.runs])
+    return np.asarray(np.nanmax(values, axis=0) - np.nanmin(values, axis=0))
 
 
 def _trial(simulator: Simulator, trials: dict[int, Start]) -> dict[int, F64]:
@@ -175,7 +186,7 @@ def _suspicious(simulator: Simulator, run: Run, resting: F64) -> bool:
         noise = _noise(values)
         speed, spread = first_fit(run.time, values, 2)[1], _speed_spread(run.time) * noise
         place, excess = first_fit(run.time, error, 2)
-        fast = np.abs(speed) > np.maximum(STILL, NOISES * spread)
+        fast = np.abs(speed) > np.maximum(AT_REST, NOISES * spread)
         if (fast & (np.abs(excess) > 0.5 * np.abs(speed))).any():
             return True
         away, moved = np.abs(place), np.nanstd(error[inside], axis=0)
@@ -208,7 +219,7 @@ def _motion_missed(simulator: Simulator, run: Run, predicted: F64) -> float:
 
 
 def _refined(simulator: Simulator, run: Run, start: Start, predicted: F64) -> Start:
-    """The start moved by what the prediction from it misses in its first moments."""
+    """The start moved by what the prediction from it misses in its first moments; no speed where the log stands."""
     case = simulator.case
     assert start.qpos is not None
     assert start.qvel is not None
@@ -220,13 +231,14 @@ def _refined(simulator: Simulator, run: Run, start: Start, predicted: F64) -> St
             rate = run.signals["joint_vel"] - predicted[:, speeds] if speeds else None
             place, speed = first_fit(run.time, error, 2, rate)
             qpos[[case.model.joint(n).qposadr[0] for n in case.joint_names]] += place
-            qvel[[case.model.joint(n).dofadr[0] for n in case.joint_names]] += speed
+            dofs = [case.model.joint(n).dofadr[0] for n in case.joint_names]
+            qvel[dofs] = np.where(_still(run.time, run.signals[signal]), 0.0, qvel[dofs] + speed)
         else:
             free = int(np.flatnonzero(case.model.jnt_type == 0)[0])
             a, b = int(case.model.jnt_qposadr[free]), int(case.model.jnt_dofadr[free])
             place, speed = first_fit(run.time, error, 2)
             qpos[a : a + 3] += place
-            qvel[b : b + 3] += speed
+            qvel[b : b + 3] = np.where(_still(run.time, run.signals[signal]), 0.0, qvel[b : b + 3] + speed)
     return replace(start, qpos=qpos, qvel=qvel)
 
 
@@ -255,6 +267,13 @@ def first_fit(time: F64, values: F64, degree: int, rates: F64 | None = None) -> 
         elif good.any():
             place[k] = values[inside, k][good][0]
     return place, slope
+
+
+def _still(time: F64, values: F64) -> Any:
+    """(K,) whether (T, K) readings stand still at first: a late response must not become a first speed."""
+    k = max(int(np.searchsorted(time, AT_FIRST)), 1)
+    least = np.maximum(NOISES * np.sqrt(2) * _noise(values), AT_REST * time[k])
+    return np.abs(values[k] - values[0]) < least
 
 
 def _beginning(time: F64) -> Any:

@@ -13,6 +13,9 @@ from realsim.gap.case.case import Case, Run
 from realsim.gap.case.model.edit import Edit
 from realsim.gap.simulation.stepping import fresh
 
+AT_REST = 0.05
+"""rad/s or m/s: slower than this is at rest."""
+
 
 @dataclass(frozen=True)
 class Anchor:
@@ -46,6 +49,11 @@ class Start:
     @property
     def moving(self) -> bool:
         return self.qpos is not None
+
+    @property
+    def stands(self) -> bool:
+        """Whether it begins in a posture of the log, and without motion."""
+        return self.qpos is not None and (self.qvel is None or float(np.abs(self.qvel).max(initial=0.0)) < AT_REST)
 
     @property
     def reads_the_log(self) -> bool:

@@ -13,8 +13,8 @@ from realsim.gap.case.kinks import median_size, third_differences
 from realsim.gap.case.repeats import replicates, spread
 from realsim.gap.inference.likelihood.comparison import DETAIL
 from realsim.gap.simulation.simulate import Simulator
-from realsim.gap.simulation.start import NOISES, STILL, first_fit, first_speed_spread
-from realsim.gap.simulation.state import Start, first_rows
+from realsim.gap.simulation.start import NOISES, first_fit, first_speed_spread
+from realsim.gap.simulation.state import AT_REST, Start, first_rows
 
 Said = list[str]
 SLOWEST = 0.2
@@ -293,6 +293,6 @@ def _given_state(case: Case, run: Run, start: Start, first: F64) -> Said:
         j = int(np.argmax(np.abs(given - first)))
         if abs(given[j] - first[j]) > REST_OFF:
             said.append(f"{run.name}: init_qpos has {case.joint_names[j]} at {given[j]:.3g}, the log at {first[j]:.3g}")
-    if run.init_qvel is not None and np.abs(run.init_qvel).max(initial=0) > STILL and not start.moving:
+    if run.init_qvel is not None and np.abs(run.init_qvel).max(initial=0) > AT_REST and not start.moving:
         said.append(f"{run.name}: init_qvel is not zero, but the log stands still: the run is simulated from rest")
     return said

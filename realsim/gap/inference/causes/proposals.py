@@ -154,8 +154,10 @@ def by_lag(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
     screen = fitter.screen
     late = [c for c in screen.candidates if c.names == ("delay",) and not here.has(c.effect, c.place)]
     if late and (lag := best_lag(screen, here, max(c.parameters[0].bounds[1] for c in late))):
-        for candidate in late:
-            yield _further(fitter, here, candidate, {"delay": lag}, 0.0)
+        done, width = tuple(v for c in here.causes for v in c.values), screen.comparison.config.bin_seconds
+        for candidate in late:  # slopes may have proposed it, from elsewhere
+            near = tuple((*done, lag + k * width) for k in (-1, 1))
+            yield Proposal((*here.causes, Cause(candidate, (lag,))), near)
 
 
 def best_lag(screen: Screen, here: Fit, longest: float) -> float:

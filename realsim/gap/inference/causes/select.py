@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from realsim.gap import figures
 from realsim.gap.config import DiagnoseConfig
-from realsim.gap.inference.causes.fit import Fit, Fitter
+from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
 from realsim.gap.inference.causes.fitted import Trial
-from realsim.gap.inference.causes.score import alike, near, score
+from realsim.gap.inference.causes.score import alike, determined, left_out, near, score
 from realsim.gap.inference.causes.search import Search, Tick
 from realsim.gap.inference.causes.starts import contains
 from realsim.gap.inference.likelihood.screen import Screen
@@ -35,6 +36,9 @@ def select(screen: Screen, fitter: Fitter, config: DiagnoseConfig, tick: Tick = 
     search.run(tick)
     nominal = fitter.looked_at(nothing, ()) or nothing
     best, equivalent = _alike(search, nominal)
+    if (apart := by_joint(fitter, best)) is not None:
+        search.notes.append("a value that joints shared was replaced by one a joint")
+        best, equivalent = apart, []
     gains = {}
     for i in range(len(best.causes)):
         rest = [c for j, c in enumerate(best.causes) if j != i]
@@ -45,6 +49,34 @@ def select(screen: Screen, fitter: Fitter, config: DiagnoseConfig, tick: Tick = 
     if len(screen.runs) == 1 and best.causes:
         search.notes.append("a single run: no cause could be held against a run that is left out")
     return Selection(best, nominal, search.trials, equivalent, gains, search.notes)
+
+
+def by_joint(fitter: Fitter, fit: Fit) -> Fit | None:
+    """The set with a value a joint where one was shared by a few, if the runs call for it: that is no further cause, so
+    only its parameters have a price. None where they do not, or where nothing is shared."""
+    parts = [_parts(fitter.screen, c) for c in fit.causes]
+    causes = [one for cause, found in zip(fit.causes, parts, strict=True) for one in (found or [cause])]
+    apart = fitter.fit(causes) if len(causes) > len(fit.causes) else None
+    if apart is None:
+        return None
+    apart, fit = fitter.spread(apart), fitter.spread(fit)
+    gain = fit.misfit - apart.misfit - figures.PRICE * (determined(apart) - determined(fit))
+    held = left_out(fitter, fit, apart)
+    return apart if gain > figures.CLEARLY and (held is None or held[0] > figures.HOLDS * held[1]) else None
+
+
+def _parts(screen: Screen, cause: Cause) -> list[Cause]:
+    """The same cause at each of its places; empty where they are one, or many."""
+    own = cause.candidate
+    if not 2 <= len(own.places) <= figures.APART:
+        return []
+    alone = {
+        c.places[0]: c
+        for c in screen.candidates
+        if c.effect == own.effect and c.names == own.names and len(c.places) == 1
+    }
+    found = [Cause(alone[p], cause.values) for p in own.places if p in alone]
+    return found if len(found) == len(own.places) else []
 
 
 def _alike(search: Search, nominal: Fit) -> tuple[Fit, list[Fit]]:
