@@ -45,29 +45,30 @@ def say(
     of: Any = None,
     has: tuple[str, ...] = ("joint_torque",),
     ends: tuple[str, ...] = (),
+    lead: Any = None,
 ) -> str:
     case: Any = SimpleNamespace(has=lambda s: s in has, floating=False, has_imu=False, runs=[], command_kind="position")
-    judgement = Judgement(GapVerdict(verdict), ("came",), ends)
-    return sentence(judgement, causes, equivalent, of or shrunk(), WHERE, LOOKS, case)
+    judgement = Judgement(GapVerdict(verdict), ("came",), ends, stays=verdict == "partly_explained")
+    return sentence(judgement, causes, equivalent, of or shrunk(), WHERE, LOOKS, case, lead)
 
 
 def test_identified_is_the_sentence_of_the_promise() -> None:
     assert say("identified", [KNEE]) == (
-        "left knee: Coulomb friction 1.9 N m [1.6, 2.2] is missing; adding it removes 83 % [74, 88] of the squared "
-        "error on runs it has not seen."
+        "Your model lacks Coulomb friction of 1.9 N m at left knee; with it, 83 % of the squared error is gone (on a "
+        "run that was kept back)."
     )
 
 
 def test_what_holds_beside_everyday_deviations_only_is_said_so() -> None:
     check = replace(shrunk(-0.04, -0.05, -0.02), beside=0.8, beside90=(0.41, 0.47))
     assert say("identified", [KNEE], of=check).endswith(
-        "removes 41 % to 47 % of what everyday deviations leave on runs it has not seen, and −4 % [−5, −2] of all."
+        "41 % to 47 % of what everyday deviations leave is gone (on a run that was kept back), and −4 % of all."
     )
 
 
 def test_what_unseen_runs_do_not_confirm_is_not_said_to_be_removed() -> None:
     assert say("identified", [KNEE], of=shrunk(-0.11, -0.66, 0.47)).endswith(
-        "adding it does not surely reduce the squared error on runs it has not seen (by −11 % [−66, 47])."
+        "the squared error does not surely shrink (on a run that was kept back) (by −11 % [−66, 47])."
     )
 
 
@@ -194,7 +195,7 @@ def test_advice_asks_for_one_recording_and_for_no_sensor_that_such_robots_lack(m
 
 def test_what_explains_a_part_and_holds_is_a_cause_with_its_rest() -> None:
     said = say("partly_explained", [KNEE])
-    assert said.startswith("left knee: Coulomb friction 1.9 N m [1.6, 2.2] is missing; adding it removes 83 % [74, 88]")
+    assert said.startswith("Your model lacks Coulomb friction of 1.9 N m at left knee; with it, 83 % of the squared")
     assert "A part stays: joint position 14 mrad rms of a motion of 0.41 rad rms (51 mrad before)" in said
     assert "it looks friction-like (left knee)" in said
 
@@ -207,7 +208,8 @@ def test_what_does_not_hold_is_the_nearest_and_no_cause() -> None:
 
 def test_a_value_at_the_end_of_its_range_is_said() -> None:
     said = say("unexplained", [KNEE], ends=("friction",))
-    assert "with friction as far as this library goes: it may only imitate the cause" in said
+    assert "with friction as far as this library goes; with it" in said
+    assert "it may only imitate the cause" in said
 
 
 def test_a_sentence_has_one_share_and_it_is_the_check_s() -> None:
@@ -218,7 +220,7 @@ def test_a_sentence_has_one_share_and_it_is_the_check_s() -> None:
 
 
 def test_what_the_check_is_and_no_gap_are_said() -> None:
-    assert "the run it was fitted to" in say("identified", [KNEE], of=shrunk(kind="fitted"))
+    assert "the run that it was fitted to" in say("identified", [KNEE], of=shrunk(kind="fitted"))
     assert "each left out in turn" in say("identified", [KNEE], of=shrunk(kind="left_out_in_turn"))
     assert say("no_gap", []).startswith("No gap that these runs can show")
 
@@ -241,11 +243,9 @@ def test_amounts_are_in_a_person_s_units(value: float, unit: str, text: str) -> 
 
 
 def test_two_causes_are_added_together() -> None:
-    assert "is missing; command delay 12 ms [11, 13.3] is missing; adding them removes" in say(
-        "identified", [KNEE, LATE]
-    )
+    assert "at left knee and lacks command delay of 12 ms; with them, 83 %" in say("identified", [KNEE, LATE])
     gain = cause("motor_gain", 0.8, "ratio", 0.7, 0.9, joints=["hip"])
-    assert "correcting them removes" in say("identified", [KNEE, gain])
+    assert "with them corrected, 83 %" in say("identified", [KNEE, gain])
 
 
 def test_a_single_component_says_which_way() -> None:
@@ -271,3 +271,17 @@ def test_no_minus_stands_before_a_zero() -> None:
     from realsim.gap.answer.sentence import _number
 
     assert [_number(v) for v in (-0.0, 0.0, -0.5)] == ["0", "0", "−0.5"]
+
+
+def test_what_no_run_determines_is_not_a_number() -> None:
+    arm = cause("payload", 0.12, "kg", 0.1, 0.14, name="mass", bodies=["arm"])
+    arm["parameters"] |= {axis: {"value": 0.0, "unit": "m", "ci90": [-0.2, 0.2]} for axis in "xyz"}
+    arm["parameters"]["y"]["note"] = "not determined"
+    assert "at (0, not determined, 0) m" in phrase(arm)
+
+
+@pytest.mark.parametrize(("verdict", "said"), [("no_gap", "robots of one kind differ by"), ("unexplained", "nearest")])
+def test_where_nothing_passes_the_nearest_cause_is_a_lead(verdict: str, said: str) -> None:
+    assert said in say(verdict, [], lead=KNEE)
+    assert "1.9 N m" in say(verdict, [], lead=KNEE)
+    assert said not in say(verdict, [])

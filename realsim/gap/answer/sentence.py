@@ -42,7 +42,7 @@ def sentence(
 ) -> str:
     """What is wrong, how sure that is, what it brings; or why that cannot be told, and what to record."""
     verdict = judgement.verdict
-    nearest = f" The nearest cause is {_lower(phrase(lead))}" if lead else ""
+    nearest = f" The nearest cause is {phrase(lead)}" if lead else ""
     if verdict is GapVerdict.NO_GAP:
         return (
             "No gap that these runs can show: what differs is within sensor noise and the small deviations that every "
@@ -149,7 +149,7 @@ def advice(
     """What to do about a verdict: one thing."""
     verdict = judgement.verdict
     if verdict is GapVerdict.NO_GAP and lead:
-        return f"if it matters, record {_what_tells([[lead]], case)}: the nearest cause is {_lower(phrase(lead))}"
+        return f"if it matters, record {_what_tells([[lead]], case)}: the nearest cause is {phrase(lead)}"
     if verdict is GapVerdict.NO_GAP:
         return "change nothing in the model; record livelier runs to look closer"
     if verdict is GapVerdict.IDENTIFIED:
