@@ -10,6 +10,7 @@ import tyro
 
 from realsim.cli.commands import CommandResult
 from realsim.core.errors import GapError
+from realsim.core.files import write_text
 
 
 def log(
@@ -23,6 +24,7 @@ def log(
     scene: Annotated[Path | None, tyro.conf.arg(metavar="STR")] = None,
     skip: float = 0.0,
     seconds: float = float("inf"),
+    plot: Annotated[Path | None, tyro.conf.arg(metavar="FILE.html")] = None,
     overwrite: bool = False,
 ) -> CommandResult:
     """Show what a robot's recording holds: which topic or column is what, with the evidence; and write it as a case.
@@ -42,10 +44,12 @@ def log(
             are put into its frame, in which `realsim footholds` expects them.
         skip: seconds after the first message from which the recording is read.
         seconds: how many seconds of it are read.
+        plot: page to write: commands against positions, joint by joint, and what was understood of the recording.
         overwrite: replace a case that realsim wrote before.
     """
     from realsim import gap
     from realsim.gap import recordings as logs
+    from realsim.gap.recordings.page import recording_page
     from realsim.gap.recordings.recording import Window
 
     if out is not None and model is None:
@@ -59,11 +63,17 @@ def log(
         recordings = [replace(r, facts={**r.facts, "rate": rate}) for r in recordings]
     proposal = logs.propose(recordings, target, use=use, only=only, camera=camera, world=world)
     text, data = proposal.render(), proposal.as_dict()
+    if plot is not None:
+        write_text(plot, recording_page(proposal, target))
+        text += f"\n\nplots   {plot}"
+        data["plot"] = str(plot)
     if out is not None and target is not None:
         said = logs.write_case(proposal, target, out, overwrite=overwrite, check=gap.load_case)
         case = gap.load_case(out)
         said += [*(f"left out: {run}" for run in case.dropped_runs), *case.warnings]
         runs = f"{len(case.runs)} run{'s' * (len(case.runs) > 1)}"
-        text += "\n".join(["", "", f"case    {out} ({runs})", *(f"note    {s}" for s in said)])
+        steps = [f"look at {out / 'log.html'}", f"realsim diagnose {out} --check"]
+        lines = [f"case    {out} ({runs})", *(f"note    {s}" for s in said), *(f"next    {s}" for s in steps)]
+        text += "\n".join(["", "", *lines])
         data |= {"case": str(out), "notes": said}
     return CommandResult(text, data)

@@ -10,9 +10,11 @@ from realsim.core.statistics import alike
 from realsim.core.types import F64
 from realsim.gap.recordings.evidence import Evidence
 from realsim.gap.recordings.joints import ANGLES, SPEEDS, TORQUES, columns_for, torque
-from realsim.gap.recordings.names import known_type
+from realsim.gap.recordings.model import Target
+from realsim.gap.recordings.names import known_type, match_joints
 from realsim.gap.recordings.pairing import ALIKE, BETTER, PLAIN, agreement, pair
 from realsim.gap.recordings.proposal import Candidate
+from realsim.gap.recordings.recording import Field
 from realsim.gap.recordings.signals import follows
 
 OTHER_UNIT = 3.0
@@ -25,6 +27,9 @@ NEGATED = -0.8
 
 def command(e: Evidence) -> None:
     """The command that the model's actuators take; where none was recorded, the torque that drove the joints."""
+    if e.target is not None and not e.target.joints:
+        _of_a_body(e, e.target)
+        return
     if "joint_pos" not in e.proposal.assignments:
         return
     wanted = e.target.command_kind if e.target is not None else ""
@@ -70,6 +75,32 @@ def command(e: Evidence) -> None:
             )
     e.proposal.command_kind = kind
     _gains(e, source)
+
+
+def _of_a_body(e: Evidence, target: Target) -> None:
+    """Commands of a body without joints, a drone's: a column for each actuator, by name, else in their order."""
+    found = [c for c in (*e.candidates_for("command"), *e.candidates_for("command.")) if _moves(e, c)]
+    fitting = [(c, _actuators(e.of(c)[1], target)) for c in found]
+    ranked = [(c, columns, how) for c, (columns, how) in fitting if columns]
+    if not ranked:
+        return
+    source, columns, how = min(ranked, key=lambda r: (r[0].unit not in ("N", "N m"), r[0].label))
+    thrust = "the thrust that the motors' PWM means is another drone's figure: compare the weight with the mean thrust"
+    derived = e.stream(source).type == "crazyflie"
+    e.settle("command", source, columns, target.actuators, [f"by {source.why}", how, thrust if derived else ""],
+             unit=source.unit or "the actuators' own", doubtful=derived or not source.unit)  # fmt: skip
+    e.proposal.command_kind = target.command_kind
+
+
+def _actuators(field: Field, target: Target) -> tuple[list[int], str]:
+    """(column of each actuator, why); none where the field has too few."""
+    at = match_joints(field.labels, target.actuators)
+    if len(at) == len(target.actuators):
+        inverse = {name: column for column, name in at.items()}
+        return [inverse[a] for a in target.actuators], "its columns name the actuators"
+    if field.width == len(target.actuators):
+        return list(range(field.width)), "unnamed columns: in the order of the model's actuators"
+    return [], ""
 
 
 def enabled(e: Evidence) -> None:

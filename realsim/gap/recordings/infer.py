@@ -13,7 +13,7 @@ import numpy as np
 
 from realsim.core.errors import GapError, did_you_mean
 from realsim.gap.recordings import body, commands, joints, overrides
-from realsim.gap.recordings.case import run_arrays
+from realsim.gap.recordings.arrays import run_arrays
 from realsim.gap.recordings.clocks import Clocked, clocked
 from realsim.gap.recordings.depth import choose, is_frames
 from realsim.gap.recordings.evidence import MOST_RUNS, Evidence
@@ -62,6 +62,7 @@ def propose(
         for role, u in uses.items()
     }
     proposal = Proposal(list(kept), model=str(target.path) if target else "")
+    proposal.jointless = target is not None and not target.joints
     proposal.base = "floating" if target is not None and target.floating else "fixed"
     _said_about_clocks(proposal, times, frames)
     proposal.warnings += list(dict.fromkeys(n for r in kept for n in r.notes))
@@ -135,7 +136,11 @@ def _said_about_clocks(proposal: Proposal, times: Mapping[str, Clocked], frames:
 
 def _missing(proposal: Proposal, target: Target | None) -> None:
     have = proposal.assignments
-    if "joint_pos" not in have:
+    if proposal.jointless and "base_pos" not in have:
+        proposal.missing.append(
+            "base_pos (needed): no field of the body's position; name it: --use base_pos=STREAM:FIELD"
+        )
+    elif not proposal.jointless and "joint_pos" not in have:
         proposal.missing.append(
             "joint_pos (needed): no field of joint positions is known by its name; name it: "
             f"--use joint_pos={_example(proposal)}"
@@ -145,10 +150,14 @@ def _missing(proposal: Proposal, target: Target | None) -> None:
             "command (needed): no field of commands is known by its name; name it: "
             f"--use command={_example(proposal)}; or record the command topic too"
         )
-    optional = {
-        "joint_vel": "velocities",
-        "joint_torque": "torques: gains, friction and payload are told apart by them",
-    }
+    optional = (
+        {}
+        if proposal.jointless
+        else {
+            "joint_vel": "velocities",
+            "joint_torque": "torques: gains, friction and payload are told apart by them",
+        }
+    )
     if proposal.base == "floating":
         optional |= {
             "base_quat": "the base's orientation", "base_pos": "the base's position",

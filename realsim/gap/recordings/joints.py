@@ -38,6 +38,8 @@ DYNAMICS = 600
 
 def position(e: Evidence) -> None:
     """Joint positions: the field, the joints of its columns, unit, signs."""
+    if e.target is not None and not e.target.joints:
+        return
     found = e.candidates_for("joint_pos")
     if not found and e.target is not None and "joint_pos" not in e.chosen:
         # A field without a telling name, as wide as the robot; of known types it is known that it is something else.

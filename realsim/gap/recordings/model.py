@@ -205,8 +205,12 @@ def load_target(path: Path) -> Target:
         expected = "finite numbers of a robot's size"
         raise GapError("the model cannot be simulated", file=path, expected=expected, found=odd)
     joints = tuple(model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] in (2, 3))
-    if not all(joints) or not joints:
-        raise GapError("the model has no joints, or joints without a name", file=path, expected="named hinges, slides")
+    free = any(model.jnt_type == 0)
+    if not all(joints) or not (joints or (free and model.nu)):
+        raise GapError(
+            "the model has no joints, or joints without a name", file=path,
+            expected="named hinges and slides, or a free body with actuators",
+        )  # fmt: skip
     actuators = tuple(model.actuator(i).name for i in range(model.nu))
     driven = tuple(
         model.joint(int(model.actuator_trnid[i, 0])).name

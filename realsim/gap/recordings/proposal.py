@@ -75,6 +75,8 @@ class Proposal:
     assignments: dict[str, Assignment] = field(default_factory=dict)
     command_kind: str = "position"
     base: str = "fixed"
+    jointless: bool = False
+    """The model is a free body without joints: a drone."""
     torque_kind: str = "none"
     imu_site: str | None = None
     clocks: list[str] = field(default_factory=list)
@@ -91,7 +93,12 @@ class Proposal:
     @property
     def complete(self) -> bool:
         """Whether a case can be written."""
-        return "command" in self.assignments and "joint_pos" in self.assignments
+        return "command" in self.assignments and self.place in self.assignments
+
+    @property
+    def place(self) -> str:
+        """The array whose samples are the rows of a run: joint positions, of a body without joints its own."""
+        return "base_pos" if self.jointless else "joint_pos"
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import pytest
 
 from realsim.core.errors import GapError
 from realsim.gap.recordings import load_target, propose, read
-from realsim.gap.recordings.case import run_arrays
+from realsim.gap.recordings.arrays import run_arrays
 from realsim.gap.recordings.vocabulary import english, split_unit
 
 from . import writers

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from realsim.core.errors import GapError
 from realsim.gap.recordings import Window, load_target, propose, read
-from realsim.gap.recordings.case import run_arrays
+from realsim.gap.recordings.arrays import run_arrays
 from realsim.gap.recordings.clocks import clocked
 from realsim.gap.recordings.names import clock_unit, match_joints, meaning
 from realsim.gap.recordings.recording import Field, Recording, Stream

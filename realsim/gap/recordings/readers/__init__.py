@@ -13,6 +13,7 @@ READERS = Registry(
         "parquet": "realsim.gap.recordings.readers.parquet:READER",
         "ulog": "realsim.gap.recordings.readers.ulog:READER",
         "rerun": "realsim.gap.recordings.readers.rerun:READER",
+        "crazyflie": "realsim.gap.recordings.readers.crazyflie:READER",
         "json": "realsim.gap.recordings.readers.jsonfile:READER",
         "npz": "realsim.gap.recordings.readers.npz:READER",
         "torch": "realsim.gap.recordings.readers.torchfile:READER",

@@ -56,7 +56,7 @@ def read(path: Path, window: Window) -> list[Recording]:
         raise GapError("no column holds numbers", file=path, found=f"text in {', '.join(dropped[:8])}")
     if not columns:
         raise no_samples(path, "a header and one row per sample")
-    notes += [f"{path.name}: columns of text left out: {', '.join(dropped[:8])}"] if dropped else []
+    notes += [f"columns of text left out: {', '.join(dropped[:8])}"] if dropped else []
     notes += [f"{path.name}: {n} has values that are no numbers, the first is {c!r}" for n, c in odd.items()]
     return [Recording(path, path.stem, "csv", (table(path, "", columns, window=window),), notes=tuple(notes))]
 
@@ -105,7 +105,7 @@ def _columns(path: Path, lines: Iterator[str], notes: list[str]) -> tuple[dict[s
         lines = (_BLANKS.sub(" ", line.strip()) for line in lines)
     header = _header(path, head[:first], delimiter, len(_split(head[first], delimiter)) if first < len(head) else 0)
     if not head[:first] or header[0] == "column_1":
-        notes.append(f"{path.name} has no header: its columns are called column_1 to column_{len(header)}")
+        notes.append(f"there is no header: the columns are called column_1 to column_{len(header)}")
     parts: dict[str, list[F64]] = {name: [] for name in header}
     block: list[list[str]] = []
     dropped: list[str] = []
