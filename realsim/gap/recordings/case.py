@@ -53,7 +53,7 @@ def write_case(
             file=proposal.recordings[0].path,
             expected="a command and joint positions, or the position of a body without joints",
             found=f"{'; '.join(proposal.missing[:2])}; recorded: {_recorded(proposal)}",
-            hint="`realsim log` without --out shows what was understood; --use ROLE=FIELD (or COLUMN,...) names a field",
+            hint="`realsim log` without --out shows what was understood; --use ROLE=FIELD (or COLUMN,...) names it",
         )
     said: list[str] = []
     with output_folder(out, overwrite=overwrite, source=proposal.recordings[0].path) as work:
