@@ -229,9 +229,9 @@ def test_a_name_that_cannot_be_followed_is_said(tmp_path: Path, name: str) -> No
 
 def test_names_cannot_control_the_terminal() -> None:
     name = "a\x1b[31mEVIL\x1b]0;title\x07\x9b2J\u202eb\tc"
-    shown = RealsimError("a file", file=name).render()
+    shown = RealsimError("a file", file=name, hint="x").render()
     assert "\x1b" not in shown
-    assert shown == "a file\n  file: a\\x1b[31mEVIL\\x1b]0;title\\x07\\x9b2J\\u202eb\tc"
+    assert shown == "a file\n  file: a\\x1b[31mEVIL\\x1b]0;title\\x07\\x9b2J\\u202eb\tc\n  do: x"
     text = files.to_json({name: name})
     assert all(c.isprintable() or c in "\n\u202e" for c in text)
     assert json.loads(text) == {name: name}

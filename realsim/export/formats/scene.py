@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.errors import ExportError
-from realsim.core.files import check_size, read_text
+from realsim.core.files import check_size
+from realsim.core.mjcf import check_mjcf
 
 T = TypeVar("T")
 
@@ -88,9 +89,6 @@ def compile_scene(folder: Path, load: Callable[[str], T]) -> T:
     Raises:
         ExportError: scene.xml or mesh.ply is missing, no plain file or XML, or MuJoCo refuses the scene.
     """
-    from defusedxml import ElementTree
-    from defusedxml.common import DefusedXmlException
-
     for name in ("scene.xml", "mesh.ply"):
         if not (folder / name).is_file():
             raise ExportError("not a scene folder", file=folder, expected="scene.xml and mesh.ply", found=f"no {name}")
@@ -98,10 +96,7 @@ def compile_scene(folder: Path, load: Callable[[str], T]) -> T:
     for path in sorted(folder.iterdir()):  # MuJoCo would wait for ever at a pipe in place of a file that it reads
         if not path.is_dir() and not path.is_file():
             raise ExportError("not a plain file", file=path, expected="a scene folder as realsim wrote it")
-    try:
-        ElementTree.fromstring(read_text(folder / "scene.xml"))
-    except (ElementTree.ParseError, DefusedXmlException) as error:
-        raise ExportError("scene.xml is not plain XML", file=folder / "scene.xml", found=str(error)) from error
+    check_mjcf(folder / "scene.xml", folder, ExportError)
     try:
         return load(str(folder / "scene.xml"))
     except ValueError as error:

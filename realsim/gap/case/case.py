@@ -12,16 +12,14 @@ from typing import Any
 import numpy as np
 
 from realsim.core.errors import GapError, RealsimError, did_you_mean
-from realsim.core.files import inside, read_json, read_text
+from realsim.core.files import read_json
+from realsim.core.mjcf import check_mjcf
 from realsim.core.models import not_compiled, odd_number
 from realsim.core.notebook import table, traces
 from realsim.gap.case.recordings import read_recordings
 from realsim.gap.case.resolve import resolve
 from realsim.gap.case.runs import Layout, layout, read_run
 from realsim.gap.case.runs import Run as Run
-
-MAX_INCLUDES = 8
-"""Files of a model that include each other in a row."""
 
 KEYS = (
     "joint_names", "actuator_names", "command_kind", "command_hold", "base", "torque_kind", "imu_site",
@@ -262,7 +260,7 @@ def load_model(path: Path) -> tuple[Any, Any, str]:
     """(MjSpec resolved, MjModel, text) of an MJCF file that is safe to read. Raises GapError with the reason."""
     import mujoco
 
-    text = harmless_xml(path, path.parent)
+    text = check_mjcf(path, path.parent, GapError)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         resolve(spec)
@@ -290,46 +288,6 @@ def load_model(path: Path) -> tuple[Any, Any, str]:
     if model.nu == 0:
         raise GapError("the model has no actuators", file=path, expected="the robot's servos as actuators")
     return spec, model, text
-
-
-def harmless_xml(path: Path, root: Path, where: Path = Path(), depth: int = 0) -> str:
-    """The text of an MJCF file that neither runs code nor names a file outside `root`; nor do those that it reads.
-
-    As MuJoCo takes them, names are relative to `where`, a folder below `root`: that of the first file, also in those
-    that it includes, but that of the file itself in a model to attach.
-    """
-    from defusedxml import ElementTree
-    from defusedxml.common import DefusedXmlException
-
-    text = read_text(path)
-    try:
-        tree = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, DefusedXmlException) as error:
-        raise GapError(f"{path.name} is not plain XML", file=path, found=str(error)) from error
-    for node in tree.iter():
-        for attribute, name in node.attrib.items():
-            if name and (attribute.startswith("file") or attribute in ("meshdir", "texturedir", "assetdir")):
-                _check_name(path, root, where, name)
-        if node.tag in ("plugin", "extension"):
-            raise GapError("models with plugins are not loaded", file=path, found=f"<{node.tag}>")
-        if node.tag in ("include", "model") and (further := node.get("file")):
-            if depth == MAX_INCLUDES:
-                raise GapError("the model's files include each other", file=path, found=further)
-            below = where if node.tag == "include" else (where / further).parent
-            harmless_xml(root / where / further, root, below, depth + 1)
-    return text
-
-
-def _check_name(path: Path, root: Path, where: Path, name: str) -> None:
-    """Refuse a name that leads out of the case, or that would not lead to the same file from another folder."""
-    inside(root, str(where / name))
-    if Path(name).is_absolute():
-        raise GapError(
-            "a file of the model is named by an absolute path",
-            file=path,
-            expected="a path relative to model.xml, so that the patched model finds its files too",
-            found=name,
-        )
 
 
 def _names(log: dict[str, Any], key: str, folder: Path) -> list[str]:

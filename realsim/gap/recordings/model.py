@@ -11,6 +11,7 @@ import numpy as np
 
 from realsim.core.errors import GapError
 from realsim.core.files import check_size
+from realsim.core.mjcf import check_mjcf
 from realsim.core.models import not_compiled, odd_number
 from realsim.core.types import F64
 from realsim.gap.recordings.vocabulary import english
@@ -196,6 +197,7 @@ def load_target(path: Path) -> Target:
 
     path = Path(path)
     check_size(path, MAX_MODEL_BYTES)
+    check_mjcf(path, problem=GapError)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         model = spec.compile()

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from realsim.core.errors import GapError
+from realsim.core.mjcf import check_mjcf
 from realsim.core.types import F64
-from realsim.gap.case.case import harmless_xml
 
 CELL = 0.3
 """m: a geom that is larger is divided into squares of this size, about what a robot's foot treads on in one place."""
@@ -76,7 +76,7 @@ def load_terrain(path: Path) -> Terrain:
         raise GapError("no such scene", file=path, expected="scene.xml, or the folder that holds it")
     import mujoco
 
-    harmless_xml(path, path.parent)
+    check_mjcf(path, path.parent, GapError)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         model = spec.copy().compile()
