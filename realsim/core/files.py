@@ -11,7 +11,6 @@ import os
 import re
 import shutil
 import tempfile
-import time
 import tokenize
 import zipfile
 import zlib
@@ -41,8 +40,6 @@ MARKS = (
 )
 """Files of which every output folder holds one: a scene, `realsim contact`, a diagnosis, a case, a synthetic
 capture, an export, an experiment."""
-STALE = 60.0
-"""Seconds after which an unfinished folder that no process holds is one that a killed run left."""
 _DAMAGED = (
     OSError,
     ValueError,
@@ -64,7 +61,9 @@ def check_size(path: Path, limit: int = MAX_BINARY_BYTES) -> None:
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         found = getattr(error, "strerror", None) or str(error)
         raise _unreadable(path, found) from error
-    if not path.is_file():
+    # What the system makes up while it is read (a link to /proc/kmsg) may never end.
+    made_up = (size == 0 and path.resolve().is_relative_to("/proc")) or path.resolve().is_relative_to("/sys")
+    if not path.is_file() or made_up:
         raise RealsimError("not a plain file", file=path, expected="a file, not a folder, pipe or device")
     if not os.access(path, os.R_OK):
         raise _unreadable(path, os.strerror(errno.EACCES))
@@ -298,15 +297,18 @@ def output_folder(path: Path, *, overwrite: bool = False, source: Path | None = 
     with explain_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         _sweep(path)
-        work = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.partial-"))
+        new = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.new-"))
+        # It is locked before it has the name by which unfinished folders are found: whoever can lock one may remove it.
+        work = new.with_name(f".{path.name}.partial-{new.name.removeprefix(f'.{path.name}.new-')}")
     try:
-        with _held(work):
+        with _held(new):
+            new.rename(work)
             yield work
             with explain_write_errors(path):
                 os.chmod(work, 0o755)
                 place_folder(work, path, overwrite=overwrite)
     except BaseException:
-        shutil.rmtree(work, ignore_errors=True)
+        shutil.rmtree(work if work.exists() else new, ignore_errors=True)
         for parent in made:
             with contextlib.suppress(OSError):  # not empty: somebody else writes there too
                 parent.rmdir()
@@ -326,13 +328,12 @@ def _held(folder: Path) -> Iterator[None]:
 
 
 def _sweep(path: Path) -> None:
-    """Remove what killed runs left beside `path`: unfinished folders, and replaced ones whose successor is in place."""
+    """Remove what killed runs left beside `path`: unfinished folders that no process holds, and replaced ones whose
+    successor is in place."""
     left = list(path.parent.glob(f".{glob_escape(path.name)}.partial-*"))
     left += list(path.parent.glob(f".{glob_escape(path.name)}.old-*")) if path.is_dir() else []
     for folder in left:
         with contextlib.suppress(OSError):
-            if time.time() - folder.stat().st_mtime < STALE:
-                continue
             handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -6,6 +6,9 @@ import errno
 import io
 import json
 import os
+import signal
+import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
@@ -186,21 +189,42 @@ def test_of_two_runs_into_one_folder_the_later_is_refused(tmp_path: Path) -> Non
         out.rmdir()
 
 
-def test_what_killed_runs_left_goes_with_the_next_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Old and held by nobody: gone. Young, held by a process, or of another output: left alone."""
+def test_what_killed_runs_left_goes_with_the_next_run(tmp_path: Path) -> None:
+    """Held by nobody: gone, however young. Held by a process, or of another output: left alone."""
     dead, other = tmp_path / ".scene.partial-dead", tmp_path / ".scene2.partial-dead"
     for folder in (dead, other):
         folder.mkdir()
         (folder / "mesh.ply").write_text("x")
     with files.output_folder(tmp_path / "scene"):
-        assert dead.exists()
-    (tmp_path / "scene" / "report.json").write_text("{}")
-    monkeypatch.setattr(files, "STALE", -1.0)
-    with files.output_folder(tmp_path / "a") as held, files.output_folder(tmp_path / "a", overwrite=True):
-        assert held.exists()
-    with files.output_folder(tmp_path / "scene", overwrite=True):
         assert not dead.exists()
+    with files.output_folder(tmp_path / "a") as held, files.output_folder(tmp_path / "a"):
+        assert held.exists()
     assert other.exists()
+
+
+def test_a_killed_run_leaves_nothing_after_the_next(tmp_path: Path) -> None:
+    code = f"""
+import os, signal
+from pathlib import Path
+from realsim.core.files import output_folder
+with output_folder(Path({str(tmp_path / "scene")!r})) as work:
+    (work / "mesh.ply").write_text("x")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
+    assert len(list(tmp_path.iterdir())) == 1
+    with files.output_folder(tmp_path / "scene") as work:
+        (work / "mesh.ply").write_text("y")
+    assert [p.name for p in tmp_path.iterdir()] == ["scene"]
+
+
+@pytest.mark.parametrize(
+    "target", ["/proc/kmsg", "/proc/self/status", "/dev/zero", "/dev/null", "/sys/kernel/profiling"]
+)
+def test_what_the_system_makes_up_is_no_file(target: str, tmp_path: Path) -> None:
+    (tmp_path / "depth.png").symlink_to(target)
+    with pytest.raises(RealsimError):
+        files.read_bytes(tmp_path / "depth.png")
 
 
 @pytest.mark.parametrize("damage", ["no array", "broken header", "zero byte"])
