@@ -1,7 +1,6 @@
 """`python -m realsim.cli.child ARGUMENTS`: the `realsim` command, ended when the process that started it ends.
 
-A worker that is killed outright can end nothing itself; without this its command would go on beside the one of the
-worker that takes the job over. (Linux; elsewhere the command runs to its end.)
+A process that is killed outright can end nothing itself. (Linux; elsewhere the command runs to its end.)
 """
 
 from __future__ import annotations

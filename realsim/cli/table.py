@@ -111,12 +111,6 @@ COMMANDS: dict[str, Command] = {
         "realsim footholds my_case --scene scene --out footholds",
         "Robots and their logs",
     ),
-    "worker": Command(
-        f"{_HERE}.worker:worker",
-        "does the jobs of a folder that several machines share",
-        "realsim worker scenes --idle 60",
-        "Machines",
-    ),
     "mcp": Command(
         f"{_HERE}.mcp:mcp",
         "realsim as tools for agents (Model Context Protocol)",

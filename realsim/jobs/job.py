@@ -1,24 +1,37 @@
-"""A job: one `realsim` command on one input, as a JSON file that says everything that its result depends on."""
+"""A job: one `realsim` command on one input, in a process of its own: no crash of one can stop the others.
+
+FOLDER/NAME-KEY/log.txt        what the command printed beside its result; it was begun
+FOLDER/NAME-KEY/result.json    what became of it
+"""
 
 from __future__ import annotations
 
+import json
 import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from realsim import __version__
+from realsim.cli.child import PARENT
 from realsim.cli.commands import DO_NOT_USE
 from realsim.core.errors import RealsimError
-from realsim.core.files import digest
+from realsim.core.files import digest, explain_write_errors, read_json, refuse_existing, to_json, write_text
 
-FORMAT = "realsim.job/1"
-COMMANDS = ("inspect", "reconstruct", "contact", "export", "diagnose", "synth")
-"""Commands that a job may run. A job file may come from somebody else: none of these opens a port, waits for a person,
-runs code from a file, or writes elsewhere than to its output folder."""
-CANCELLED: dict[str, Any] = {"error": "Cancelled", "message": "cancelled"}
-"""Result of a job that was stopped before it was done."""
+POLL = 0.3
+"""Seconds between two looks at a running command."""
+GRACE = 20.0
+"""Seconds that a command gets to stop and clean up before it is killed."""
+MOST_OUTPUT = 64 * 2**20
+"""Bytes that a command may print as its result."""
+TAIL = 2000
+"""Bytes at the end of a log that a crash is reported with."""
 
 
 @dataclass(frozen=True)
@@ -27,10 +40,9 @@ class Job:
 
     Attributes:
         name: for people; of many items, no two have the same.
-        command: one of COMMANDS.
+        command: of `realsim`.
         arguments: of the command, without `--json`.
-        output: folder that the command is told to make; "" if it makes none.
-        folders: what appears there whole, and is refused where it is there already: `output` itself, or parts of it.
+        folders: what it makes, each whole or not at all; refused where it is there already.
         inputs: path -> fingerprint of the file or folder when the job was made.
         cwd: folder that relative paths in `arguments` start from.
         version: of realsim.
@@ -39,7 +51,6 @@ class Job:
     name: str
     command: str
     arguments: tuple[str, ...] = ()
-    output: str = ""
     folders: tuple[str, ...] = ()
     inputs: Mapping[str, str] = field(default_factory=dict)
     cwd: str = field(default_factory=os.getcwd)
@@ -47,54 +58,37 @@ class Job:
 
     @property
     def key(self) -> str:
-        """Name of the job's folder: a digest of all of the above, so that the same job has the same folder."""
-        return digest(FORMAT, *asdict(self).items())[:32]
+        """Name of the job's folder; the same job has the same."""
+        return f"{self.name[:40]}-{digest(*asdict(self).items())[:12]}"
 
-    def as_dict(self) -> dict[str, Any]:
-        """As stored in job.json."""
-        return {"format": FORMAT, **asdict(self)}
+    @property
+    def command_line(self) -> list[str]:
+        """What is run."""
+        return [sys.executable, "-m", "realsim.cli.child", self.command, *self.arguments, "--json"]
 
-    @classmethod
-    def read(cls, data: Any, key: str, file: Path) -> Job:
-        """A job from job.json.
 
-        Raises:
-            RealsimError: it is damaged, changed, or not one that may be run.
-        """
-        try:
-            if data.pop("format") != FORMAT:
-                raise ValueError("another format")
-            job = cls(
-                **{
-                    **data,
-                    **{name: tuple(data[name]) for name in ("arguments", "folders")},
-                    "inputs": dict(data["inputs"]),
-                }
-            )
-            texts = (job.name, job.command, job.output, job.cwd, job.version, *job.arguments, *job.folders)
-            if not all(isinstance(text, str) for text in (*texts, *job.inputs.values())):
-                raise TypeError("not text")
-            if job.key != key:
-                raise ValueError("its content does not belong to its name: it was changed or damaged")
-            if job.command not in COMMANDS:
-                raise ValueError(f"the command {job.command!r}")
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
-            raise RealsimError(
-                "the job file cannot be used",
-                file=file,
-                expected=f"{FORMAT} with one of the commands {', '.join(COMMANDS)}",
-                found=str(error) or type(error).__name__,
-                hint="submit the job again",
-            ) from error
-        return job
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a job.
 
-    def made(self) -> bool:
-        """Whether what the command makes is there, or it makes nothing."""
-        return not self.folders or any(Path(folder).exists() for folder in self.folders)
+    Attributes:
+        name: of the job.
+        exit_code: of the command; negative after a signal.
+        result: what the command printed with `--json`, an error's fields included.
+        seconds: that it took.
+        kept: it was there from an earlier run.
+    """
 
-    def changed(self) -> list[str]:
-        """Inputs that are no longer what they were when the job was made."""
-        return [path for path, was in self.inputs.items() if fingerprint(Path(path), self.output) != was]
+    name: str
+    exit_code: int
+    result: dict[str, Any]
+    seconds: float = 0.0
+    kept: bool = False
+
+    @property
+    def ok(self) -> bool:
+        """The output is there. Whether it should be used is its verdict's affair."""
+        return self.exit_code in (0, DO_NOT_USE)
 
 
 def make_job(command: str, source: Path, output: Path, options: Sequence[str] = (), parts: Sequence[str] = ()) -> Job:
@@ -112,7 +106,6 @@ def make_job(command: str, source: Path, output: Path, options: Sequence[str] = 
         output.name,
         command,
         (str(source), "--out", str(output), *options),
-        str(output),
         tuple(str(output / part) for part in parts) or (str(output),),
         {str(path): fingerprint(path, str(output)) for path in inputs},
     )
@@ -120,8 +113,6 @@ def make_job(command: str, source: Path, output: Path, options: Sequence[str] = 
 
 def fingerprint(path: Path, without: str = "") -> str:
     """Digest of the names, sizes and times of change of a file, or of all files of a folder: no content is read.
-
-    A terabyte of captures is submitted in seconds so; a copy counts as another input, which costs a second run at most.
 
     Args:
         without: a folder inside that does not count: the output, which may lie within its input.
@@ -143,25 +134,89 @@ def _stamp(path: Path) -> tuple[int, int]:
     return status.st_size, status.st_mtime_ns
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What became of a job.
+def find_outcome(job: Job, folder: Path) -> Outcome | None:
+    """What became of a job whose result is kept: it is done and its output still there, or its output is in the way."""
+    place = folder / job.key
+    there = [Path(made).exists() for made in job.folders]
+    try:
+        earlier = Outcome(**{**read_json(place / "result.json"), "name": job.name, "kept": True})
+    except (RealsimError, TypeError):  # none, or damaged: it is done again
+        earlier = None
+    if earlier is not None and earlier.ok and (any(there) or not there):
+        return earlier
+    if "--overwrite" in job.arguments or _interrupted(place):
+        return None
+    try:
+        for made in job.folders:
+            refuse_existing(Path(made), overwrite=False)
+    except RealsimError as error:
+        return Outcome(job.name, 2, dict(error.as_dict()))
+    return None
 
-    Attributes:
-        name: of the job.
-        exit_code: of the command; negative after a signal, 130 if it was cancelled.
-        result: what the command printed with `--json`, an error's fields included.
-        seconds: that it took.
-        kept: it was there from an earlier run.
+
+def _interrupted(place: Path) -> bool:
+    """Whether a job was begun and nobody could say what became of it."""
+    return (place / "log.txt").exists() and not (place / "result.json").exists()
+
+
+def carry_out(job: Job, folder: Path, threads: int | None = None, stop: threading.Event | None = None) -> Outcome:
+    """Run a job to its end, and store what became of it.
+
+    Args:
+        folder: of all jobs.
+        threads: that numeric libraries may use; as the environment says if None.
+        stop: ends the job early; nothing is stored then.
     """
+    began, place = time.monotonic(), folder / job.key
+    if _interrupted(place) and job.folders and "--overwrite" not in job.arguments:
+        job = replace(job, arguments=(*job.arguments, "--overwrite"))  # what it finds there is its own
+    with explain_write_errors(place):
+        place.mkdir(parents=True, exist_ok=True)
+        (place / "result.json").unlink(missing_ok=True)
+        log = (place / "log.txt").open("wb")
+    with log, tempfile.TemporaryFile() as out:
+        code = _run(job, out, log, threads, stop)
+        result = _read_result(out, code, place / "log.txt")
+    outcome = Outcome(job.name, code, result, round(time.monotonic() - began, 3))
+    if stop is None or not stop.is_set():
+        write_text(place / "result.json", to_json(asdict(outcome)))
+    return outcome
 
-    name: str
-    exit_code: int
-    result: dict[str, Any]
-    seconds: float = 0.0
-    kept: bool = False
 
-    @property
-    def ok(self) -> bool:
-        """The output is there. Whether it should be used is its verdict's affair."""
-        return self.exit_code in (0, DO_NOT_USE)
+def _run(job: Job, out: IO[bytes], log: IO[bytes], threads: int | None, stop: threading.Event | None) -> int:
+    """The exit code of a job's command."""
+    environment = dict(os.environ, PYTHONUNBUFFERED="1", **{PARENT: str(os.getpid())})
+    if threads is not None:
+        environment |= {"OMP_NUM_THREADS": str(threads), "OPENBLAS_NUM_THREADS": str(threads)}
+    process = subprocess.Popen(
+        job.command_line, stdout=out, stderr=log, stdin=subprocess.DEVNULL, env=environment, cwd=job.cwd
+    )
+    try:
+        while stop is None or not stop.is_set():
+            try:
+                return process.wait(POLL)
+            except subprocess.TimeoutExpired:
+                continue
+    finally:
+        if process.poll() is None:
+            process.terminate()
+            try:
+                process.wait(GRACE)
+            except subprocess.TimeoutExpired:
+                process.kill()
+    return process.wait()
+
+
+def _read_result(out: IO[bytes], code: int, log: Path) -> dict[str, Any]:
+    """What a command printed with `--json`, or that it printed nothing of the kind."""
+    out.seek(0)
+    text = out.read(MOST_OUTPUT + 1)
+    try:
+        result = json.loads(text) if len(text) <= MOST_OUTPUT else None
+    except ValueError:
+        result = None
+    if isinstance(result, dict):
+        return result
+    what = f"killed by signal {-code}" if code < 0 else "ended without a result"
+    end = log.read_bytes()[-TAIL:].decode(errors="replace").strip()
+    return {"error": "Crash", "message": f"the process {what}", "found": end}

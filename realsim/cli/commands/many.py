@@ -7,9 +7,9 @@ from functools import partial
 from pathlib import Path
 
 from realsim.cli.commands import WORDS, CommandResult, other_arguments
-from realsim.jobs import FOLDER, WAITING, ManyConfig, Outcome, Queue, make_job, run_many
+from realsim.jobs import FOLDER, ManyConfig, Outcome, make_job, run_many
 
-DROPPED = {"--out": 1, "--jobs": 1, "--executor": 1, "--ray": 1, "--slurm": 1, "--wait": 0, "--no-wait": 0}
+DROPPED = {"--out": 1, "--jobs": 1, "--executor": 1, "--ray": 1, "--slurm": 1}
 """Options that say how many items are handled, and not how one is -> how many values they take."""
 
 
@@ -38,20 +38,16 @@ def run_each(
     jobs = [
         make_job(command, path.resolve(), target, options, parts) for path, target in zip(inputs, targets, strict=True)
     ]
-    outcomes = run_many(jobs, Queue(out / FOLDER), many)
+    outcomes = run_many(jobs, out / FOLDER, many)
     failed = sum(not o.ok for o in outcomes)
     level = partial(_level, levels or {})
     rejected = sum(level(o) == "bad" for o in outcomes)
-    states = [str(o.result.get("state", "")) if not many.wait else "" for o in outcomes]
-    pending = sum(map(bool, states))
     counts = {
         "failed": failed,
         "not to be used": rejected,
-        "waiting": states.count(WAITING),
-        "running": pending - states.count(WAITING),
         "kept from an earlier run": sum(o.kept for o in outcomes),
     }
-    first = f"{len(outcomes) - failed - pending} of {len(outcomes)} done"
+    first = f"{len(outcomes) - failed} of {len(outcomes)} done"
     lines = [
         ", ".join([first, *(f"{count} {what}" for what, count in counts.items() if count)]),
         *_table([(o.name, *_said(o, shows, level(o))) for o in outcomes]),
@@ -62,7 +58,7 @@ def run_each(
         for o in outcomes
     ]
     code = 1 if failed else max((o.exit_code for o in outcomes), default=0)
-    data = {"items": items, "failed": failed, "rejected": rejected, "pending": pending, "jobs": str(out / FOLDER)}
+    data = {"items": items, "failed": failed, "rejected": rejected, "jobs": str(out / FOLDER)}
     return CommandResult("\n".join(lines), data, code)
 
 
@@ -77,8 +73,7 @@ def _said(outcome: Outcome, shows: str, level: str) -> tuple[str, str, str]:
     if not outcome.ok:
         found = outcome.result.get("found") or outcome.result.get("file")
         return "FAILED", seconds, f"{outcome.result.get('message')}" + (f" ({_line(found)})" if found else "")
-    state = outcome.result.get("state")
-    return str(state or WORDS.get(level, "done")), seconds, str(outcome.result.get(shows) or "")
+    return WORDS.get(level, "done"), seconds, str(outcome.result.get(shows) or "")
 
 
 def _level(levels: Mapping[str, str], outcome: Outcome) -> str:
