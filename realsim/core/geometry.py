@@ -99,20 +99,6 @@ def R_to_quat(R: ArrayLike) -> Array:
     return -q if q[0] < 0 else q
 
 
-def rotation_between(a: ArrayLike, b: ArrayLike) -> Array:
-    """The shortest rotation that takes direction `a` (3,) to direction `b` (3,)."""
-    u = np.asarray(a, float) / np.linalg.norm(a)
-    v = np.asarray(b, float) / np.linalg.norm(b)
-    axis = np.cross(u, v)
-    s, c = float(np.linalg.norm(axis)), float(u @ v)
-    if s < 1e-12:
-        if c > 0:
-            return np.eye(3)
-        axis = np.cross(u, np.eye(3)[np.argmin(np.abs(u))])
-        return exp_so3(np.pi * axis / np.linalg.norm(axis))
-    return exp_so3(np.arctan2(s, c) * axis / s)
-
-
 def fit_plane(points: ArrayLike, weights: ArrayLike | None = None) -> tuple[Array, float, float]:
     """Least-squares plane by PCA: unit normal n (3,), offset d with n·x + d = 0, RMS distance.
 

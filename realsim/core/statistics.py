@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 
+Z90 = 1.6449
+"""Standard deviations of a Gaussian from its middle to either end of a 90 percent interval."""
+
 
 def resampled(values: F64, resamples: int, seed: int) -> F64:
     """(resamples, N, ...) of (N, ...) values, each row drawn from them with replacement."""

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.core.geometry import outside_hull, pixel_rays, transform
+from realsim.core.geometry import outside_hull, pixel_rays
 from realsim.core.ordered import in_order
 
 F64 = NDArray[np.float64]
@@ -273,11 +273,6 @@ class MetricScene:
     def views(self) -> Iterator[tuple[int, PointView]]:
         """All views in order, a few in memory at a time."""
         yield from enumerate(in_order(self.load, len(self.frames)))
-
-    def world_points(self, i: int) -> tuple[F64, PointView]:
-        """((M, 3) world points of view i's valid pixels, the view)."""
-        view = self.load(i)
-        return transform(self.T_world_camera[i], view.points[view.mask].astype(np.float64)), view
 
 
 # ---------------------------------------------------------------- align

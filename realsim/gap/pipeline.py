@@ -186,7 +186,6 @@ def _assemble(
         statistics={
             "gap_over_floor": checked.before,
             "left_over_floor": checked.beside,
-            "structure_left": checked.structure,
             "by_signal": by_signal(comparison, shares),
             **evidence(simulator, comparison, residuals, config.seed),
             "atoms": len(screen.atoms),

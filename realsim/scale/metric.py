@@ -10,7 +10,7 @@ from realsim.core.errors import ScaleError
 from realsim.core.ordered import in_order
 from realsim.core.progress import track
 from realsim.core.registry import Registry
-from realsim.core.statistics import interval90, resampled
+from realsim.core.statistics import Z90, interval90, resampled
 from realsim.core.types import F32, F64, Bool, MetricScene, Pointmaps, PointView, ScaleEstimate
 from realsim.scale.config import ScaleConfig
 
@@ -142,7 +142,7 @@ def with_sensor(scale: ScaleEstimate, sigma: float) -> ScaleEstimate:
     The two errors are independent: their 90 percent half widths add in squares.
     """
     low, high = scale.ci90
-    own = 1.645 * sigma * scale.value
+    own = Z90 * sigma * scale.value
     down, up = np.hypot(scale.value - low, own), np.hypot(high - scale.value, own)
     return replace(scale, ci90=(float(scale.value - down), float(scale.value + up)), sensor_sigma=sigma)
 

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.core.geometry import make_T, rotation_between
+from realsim.core.geometry import make_T
 from realsim.core.types import Intrinsics
 
 CAMERA = Intrinsics(96, 72, 88.0, 87.0, 46.5, 37.0)
@@ -50,11 +50,10 @@ def render(T_world_camera: NDArray, camera: Intrinsics) -> tuple[NDArray, NDArra
 
 def _view(i: int, camera: Intrinsics) -> View:
     forward = np.array([np.cos(0.06 * i), np.sin(0.06 * i), -0.9])
-    # Optical z to the viewing direction, then turned about it so that the image's x is to the walker's right.
-    R = rotation_between([0, 0, 1], forward)
-    right, level = R[:, 0], np.cross(forward, [0, 0, 1.0])
-    level /= np.linalg.norm(level)
-    R = rotation_between(right, level) @ R
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0, 0, 1.0])  # the image's x is to the walker's right
+    right /= np.linalg.norm(right)
+    R = np.column_stack([right, np.cross(forward, right), forward])
     T = make_T(R, [0.08 * i, 0.01 * i, 1.2 + 0.03 * i])
     depth, color = render(T, camera)
     depth[:6, : 6 + i] = 0

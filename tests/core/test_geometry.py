@@ -19,7 +19,6 @@ from realsim.core.geometry import (
     nearest_rotation,
     outside_hull,
     quat_to_R,
-    rotation_between,
     transform,
 )
 from realsim.core.types import Intrinsics
@@ -49,17 +48,6 @@ def test_rigid_transforms_form_a_group(w: np.ndarray, t: np.ndarray) -> None:
 def test_quaternion_round_trip(w: np.ndarray) -> None:
     R = exp_so3(w)
     np.testing.assert_allclose(quat_to_R(R_to_quat(R)), R, atol=1e-9)
-
-
-@given(directions, directions)
-def test_rotation_between_takes_one_to_the_other(a: np.ndarray, b: np.ndarray) -> None:
-    R = rotation_between(a, b)
-    assert is_rotation(R, 1e-6)
-    np.testing.assert_allclose(R @ (a / np.linalg.norm(a)), b / np.linalg.norm(b), atol=1e-6)
-
-
-def test_opposite_directions_are_no_special_case() -> None:
-    np.testing.assert_allclose(rotation_between([0, 0, 1], [0, 0, -1]) @ [0, 0, 1], [0, 0, -1], atol=1e-12)
 
 
 def test_nearest_rotation_mends_noise_and_never_reflects() -> None:

@@ -32,12 +32,6 @@ def multiply(a: Tensor, b: Tensor) -> Tensor:
     return torch.cat([w, aw * bv + bw * av + torch.linalg.cross(av, bv)], -1)
 
 
-def yaw_of(q: Tensor) -> Tensor:
-    """(...) heading in radians: the angle of the body's x axis about world z."""
-    w, x, y, z = q.unbind(-1)
-    return torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-
-
 def about_z(angle: Tensor) -> Tensor:
     """(..., 4) rotations by (...) radians about z."""
     half = angle / 2
@@ -53,7 +47,7 @@ def from_vector(v: Tensor) -> Tensor:
 
 
 def heading_of(q: Tensor) -> Tensor:
-    """(..., 2) unit vector on the level in which the body's x axis points: cosine and sine of `yaw_of`."""
+    """(..., 2) unit vector on the level in which the body's x axis points: cosine and sine of its heading."""
     w, x, y, z = q.unbind(-1)
     ahead = torch.stack([1 - 2 * (y * y + z * z), 2 * (w * z + x * y)], -1)
     return ahead / ahead.norm(dim=-1, keepdim=True).clamp_min(1e-9)

@@ -16,7 +16,6 @@ from realsim.core.errors import GapError
 from realsim.core.types import F64
 from realsim.gap.case.model.channels import unit_of
 from realsim.gap.inference.causes.leftover import is_gap
-from realsim.gap.inference.evidence.blackbox import predict
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Setting, Simulator, measured
 
@@ -60,8 +59,6 @@ class Check:
     signals: dict[str, dict[str, Any]]
     """By signal, root mean squares in its `unit`: of the `motion` about its mean, of the error before and after, and of
     what sensors and a good simulator's details leave (`floor`)."""
-    structure: float = 0.0
-    """Share of what is left beside causes and deviations that a black box still predicts."""
     beside90: tuple[float, float] | None = None
     """90 percent interval of the share that the causes remove beside everyday deviations; None where that cannot be
     simulated."""
@@ -119,7 +116,6 @@ def check(
     beside: Sequence[F64],
     resamples: int,
     seed: int,
-    structure: float = 0.0,
     nothing: Sequence[F64] | None = None,
 ) -> Check:
     """From (B, C) residuals a run: nominal, patched, and patched with everyday deviations; `nothing`: these alone."""
@@ -132,7 +128,6 @@ def check(
         beside=mean_square(comparison, beside, runs),
         ci90=_gone(before, after, *drawn),
         signals=_signals(comparison, runs, before, after),
-        structure=structure,
         beside90=_gone(nothing, beside, *drawn) if nothing is not None else None,
         where_it_acts=_where_it_acts(comparison, runs, before, after),
     )
@@ -178,20 +173,6 @@ def mean_square(comparison: Comparison, residuals: Sequence[F64], runs: Sequence
         total += float(np.nansum(ratio))
         count += int(np.isfinite(ratio).sum())
     return total / max(count, 1)
-
-
-def predictable(
-    simulator: Simulator,
-    comparison: Comparison,
-    fitted: Sequence[int],
-    left: Sequence[F64],
-    runs: Sequence[int],
-    rest: Sequence[F64],
-) -> float:
-    """Share of `rest` (of `runs`) that ridge regression, learned from `left` (of the fitted runs), still predicts."""
-    further = predict(simulator, comparison, left, fitted, runs)
-    without = mean_square(comparison, [a - p for a, p in zip(rest, further, strict=True)], runs)
-    return float(np.clip(1 - without / max(mean_square(comparison, rest, runs), 1e-12), 0, 1))
 
 
 def _blocks(comparison: Comparison, residuals: Sequence[F64], runs: Sequence[int]) -> F64:

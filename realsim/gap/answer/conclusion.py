@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from realsim.core.errors import GapError
+from realsim.core.statistics import Z90
 from realsim.core.types import F64
 from realsim.gap import figures
-from realsim.gap.answer.check import Check, check, errors, mean_square, predictable
+from realsim.gap.answer.check import Check, check, errors, mean_square
 from realsim.gap.answer.horizons import over_horizons
 from realsim.gap.answer.leaveout import LeftOut, better, leave_out
 from realsim.gap.answer.stays import laws_left
@@ -22,7 +23,7 @@ from realsim.gap.answer.verdict import Fitted, Judgement, judge
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fit import Fitter
-from realsim.gap.inference.causes.fitted import Z90, Cause, Fit, Trial
+from realsim.gap.inference.causes.fitted import Cause, Fit, Trial
 from realsim.gap.inference.causes.leftover import is_gap, leftover, nuisance_settings
 from realsim.gap.inference.causes.plausible import implausible
 from realsim.gap.inference.causes.score import score
@@ -319,11 +320,8 @@ def _check_on(
         after = errors(simulator, comparison, fit.settings(), runs) if fit.causes else before
         after = before if after is None else after  # a patch that does not run there is none
     beside = _beside(screen, fit, runs) or after
-    structure = 0.0
-    if kind == "validation" and (mine := _beside(screen, fit, screen.runs)) is not None:
-        structure = predictable(simulator, comparison, list(screen.runs), mine, runs, beside)
     alone = _beside(screen, nothing, runs) if fit.causes else None
-    return check(comparison, runs, kind, before, after, beside, config.bootstrap, config.seed, structure, alone)
+    return check(comparison, runs, kind, before, after, beside, config.bootstrap, config.seed, alone)
 
 
 def _beside(screen: Screen, fit: Fit, runs: Sequence[int]) -> list[F64] | None:

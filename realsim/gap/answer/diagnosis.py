@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from realsim.core.files import to_json, write_text
+from realsim.core.statistics import Z90
 from realsim.gap import figures
 from realsim.gap.answer.arrays import Arrays
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fit import Cause, Fit
-from realsim.gap.inference.causes.fitted import Z90
 from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.verdicts import GapVerdict
 

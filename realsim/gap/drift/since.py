@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import t as student
 from threadpoolctl import threadpool_limits
 
+from realsim.core.statistics import Z90
 from realsim.core.types import F64
 from realsim.gap import figures
 from realsim.gap.answer.diagnosis import MODEL_ERROR
@@ -20,7 +21,7 @@ from realsim.gap.drift.pair import pair_of
 from realsim.gap.drift.words import sentence
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fit import Fitter
-from realsim.gap.inference.causes.fitted import Z90, Cause
+from realsim.gap.inference.causes.fitted import Cause
 from realsim.gap.inference.causes.leftover import is_gap
 from realsim.gap.inference.causes.score import determined
 from realsim.gap.inference.causes.select import Selection, select

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from realsim.core.errors import GapError
+from realsim.core.statistics import Z90
 from realsim.core.types import F64
 from realsim.gap.answer.diagnosis import MODEL_ERROR
 from realsim.gap.config import DiagnoseConfig
@@ -35,8 +36,6 @@ from realsim.gap.simulation.simulate import Setting, Simulator
 
 DRAWS = 2000
 """Of the log Bayes factors, for the expected posterior; its own error is then about 0.01."""
-ENDS = 1.645
-"""Standard deviations at which a rival's values are tried for the limits: the ends of their 90 % intervals."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +104,7 @@ class Bench:
     def _aside(self, simulator: Simulator, rival: Rival, axis: F64) -> tuple[list[F64] | str, float]:
         """(prediction at the nearer end of an interval, in standard deviations from the fit)."""
         bounds = np.array([p.bounds for p in rival.parameters(simulator.context)])
-        for size in (ENDS, -ENDS, 0.5, -0.5):
+        for size in (Z90, -Z90, 0.5, -0.5):  # the ends of a rival's 90 % intervals, and between
             values = rival.values + size * axis
             inside = np.clip(values, bounds[:, 0], bounds[:, 1])
             if np.abs(inside - values).max(initial=0.0) < 1e-9:

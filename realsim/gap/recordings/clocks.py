@@ -7,7 +7,6 @@ straight line through the messages of least delay; what a message took on its wa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -165,8 +164,3 @@ def increasing(time: F64, values: F64, kind: str) -> tuple[F64, F64]:
     time, values = time[order], values[order]
     keep = np.concatenate([np.diff(time) > 0, [True]]) if len(time) else np.zeros(0, bool)
     return time[keep], values[keep]
-
-
-def common_start(times: Sequence[F64]) -> tuple[float, float]:
-    """(start, end) s of the stretch in which all of these streams run."""
-    return max(float(t[0]) for t in times), min(float(t[-1]) for t in times)

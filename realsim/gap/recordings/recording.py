@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -162,8 +162,3 @@ def has_suffix(*suffixes: str) -> Callable[[Path], bool]:
         return path.is_file() and path.suffix.lower() in suffixes
 
     return test
-
-
-def total_values(streams: Iterable[Stream]) -> int:
-    """How many numbers the streams hold."""
-    return sum(f.values.size for s in streams for f in s.fields.values())

@@ -38,11 +38,6 @@ def held(times: F64, values: F64, wanted: F64) -> F64:
     return out
 
 
-def thinned(times: F64, *series: F64) -> tuple[F64, ...]:
-    """The first MOST samples: neighbours must stay neighbours where differences are taken."""
-    return tuple(s[:MOST] for s in (times, *series))
-
-
 def factor(a: F64, b: F64) -> float:
     """f of least squares in a = f b, without means, both taken to be noisy (the ratio of spreads, with the sign)."""
     good = np.isfinite(a) & np.isfinite(b)

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.statistics import Z90
 from realsim.gap.answer.arrays import Arrays
 from realsim.gap.answer.brief import on_what
 from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.answer.sentence import amount
-from realsim.gap.inference.causes.fitted import Z90
 from realsim.gap.inference.evidence.where import PHASES
 from realsim.gap.report.series import horizons, place_shares
 from realsim.gap.report.words import NOT_KEPT, after, percent, places, short, signal_name, title_of

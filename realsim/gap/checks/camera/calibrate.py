@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from realsim.core.errors import GapError
+from realsim.core.statistics import Z90
 from realsim.core.types import F64
 from realsim.gap.case.case import Case, Run
 from realsim.gap.checks.camera.mixed import Fit
@@ -27,7 +28,6 @@ from realsim.gap.effects.camera_delay import EFFECT as DELAY
 from realsim.gap.effects.camera_mount import EFFECT as MOUNT
 from realsim.gap.effects.depth_noise import EFFECT as NOISE
 
-Z90 = 1.645
 FRAMES, PIXELS = 60, 800
 CLIP = 0.06
 """m beyond which a pixel saw something else."""

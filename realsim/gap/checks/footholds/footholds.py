@@ -8,13 +8,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from realsim.core.statistics import Z90
 from realsim.core.types import F64
 from realsim.gap.case.case import Case
 from realsim.gap.checks.camera.mixed import Fit, fit
 from realsim.gap.checks.camera.terrain import Terrain
 from realsim.gap.checks.footholds.touches import Touch, Touches, find_touches
 
-Z90 = 1.645
 # Priors. Everyday sizes are what a good scan and a good robot err by; they come from the
 # contact errors of reconstructed scenes (docs/contact.md: 2 to 5 mm) and from what encoders and motion capture are off
 # by, looked at on terrains 0 and 1 of tests/truths/crossings.py; benchmarks/diagnosis/footholds.py reports on others.

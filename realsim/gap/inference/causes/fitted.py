@@ -14,9 +14,6 @@ from realsim.gap.inference.likelihood.linear import Evidence
 from realsim.gap.inference.likelihood.screen import Candidate
 from realsim.gap.simulation.simulate import Setting
 
-Z90 = 1.6449
-"""Standard errors to either end of a 90 percent interval."""
-
 
 @dataclass(frozen=True)
 class Cause:
