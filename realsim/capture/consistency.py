@@ -36,10 +36,12 @@ OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 DEPTH_FACTORS = {
     "depth 5 times nearer": 0.2,
     "depth 5 times farther": 5.0,
+    "depth 4 times nearer": 0.25,
+    "depth 4 times farther": 4.0,
     "depth 10 times nearer": 0.1,
     "depth 10 times farther": 10.0,
 }
-"""The units in use (1/1000, 1/5000, 1/10000 m) differ by these; other factors already fail `check_unit`."""
+"""The units in use (1/1000, 1/4000, 1/5000, 1/10000 m) differ by these; other factors already fail `check_unit`."""
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
+from realsim.capture.alignment import put_right
 from realsim.capture.config import CaptureConfig
 from realsim.capture.consistency import GOOD, Agreement, check_agreement
 from realsim.capture.intrinsics import OFF_CENTRE, off_centre
 from realsim.capture.poses import PoseReport, settle_poses
 from realsim.capture.selection import pick
 from realsim.capture.survey import Look, blurred, duplicates, smeared, survey
-from realsim.capture.units import check_unit
+from realsim.capture.units import check_height, check_unit
 from realsim.core.errors import CaptureError
 from realsim.core.types import F32, Dropped, Frame, FrameSet
 
@@ -81,6 +82,7 @@ def finish(raw: FrameSet, config: CaptureConfig) -> Finished:
     if not config.keep_blurred:
         capture, looks = _without(capture, looks, blurred(looks))
     capture, looks = _without(capture, looks, pick(capture.frames, looks, config.max_frames))
+    capture = put_right(capture)
     odd = _odd_cameras(capture.frames)
     if odd:
         note = f"{len(odd)} of {len(capture.frames)} frames have a camera unlike all others' ({', '.join(odd[:3])})"
@@ -104,7 +106,8 @@ def finish(raw: FrameSet, config: CaptureConfig) -> Finished:
     agreement, pose_note = check_agreement(capture)
     # Metric poses that agree with the depth have confirmed its unit.
     confirmed = agreement is not None and capture.poses_metric and agreement.as_read >= GOOD
-    notes = [pose_note, smeared(looks)] if confirmed else [unit_note, pose_note, smeared(looks)]
+    units = () if confirmed else (unit_note, check_height(capture.frames))
+    notes = [*units, pose_note, smeared(looks)]
     capture = replace(
         capture,
         frames=_files_named_once([_limited(f, config) for f in capture.frames]),

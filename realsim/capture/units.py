@@ -15,7 +15,22 @@ PLAUSIBLE_MEDIAN = (0.25, 8.0)
 """Metres: where the median depth of a capture of terrain in front of a person or a robot lies."""
 USUAL_MEDIAN = (0.45, 5.0)
 """Metres: where it usually lies; a unit wrong by 5 (TUM for millimetres) often ends between the two ranges."""
-UNITS = {"metres": 1.0, "millimetres": 1e-3, "1/5000 m (TUM)": 1 / 5000, "1/10000 m": 1e-4, "1/256 m": 1 / 256}
+USUAL_HEIGHT = (0.1, 2.6)
+"""Metres from the camera down to the level surface that it sees most of: a robot's chest, a raised arm, a table top."""
+LEVEL_FRAMES, LEVEL_POINTS, LEVEL_TRIALS = 6, 1500, 150
+"""Looked at for that surface. Budget."""
+LEVEL_SHARE = 0.25
+"""Of a frame's points that have to lie in a plane for it to be one."""
+UPRIGHT = 0.35
+"""Cosine of the steepest view down, of a camera that is held upright, from which a plane below it may be level."""
+UNITS = {
+    "metres": 1.0,
+    "millimetres": 1e-3,
+    "1/5000 m (TUM)": 1 / 5000,
+    "1/4000 m (L515)": 1 / 4000,
+    "1/10000 m": 1e-4,
+    "1/256 m": 1 / 256,
+}
 
 
 def check_unit(frames: Sequence[Frame], looks: Sequence[Look], source: Path) -> str | None:
@@ -42,6 +57,44 @@ def check_unit(frames: Sequence[Frame], looks: Sequence[Look], source: Path) -> 
         found=found,
         hint=f"likely {' or '.join(likely)}: pass --depth-unit {UNITS[likely[0]]:g}" if likely else None,
     )
+
+
+def check_height(frames: Sequence[Frame]) -> str | None:
+    """A warning where the camera hangs higher over the ground, or lower, than anybody holds it; None where it does not,
+    and where no ground is seen.
+
+    It tells units apart whose depth alone is plausible in both (an L515's quarter millimetres).
+    """
+    chosen = [frames[k] for k in np.unique(np.linspace(0, len(frames) - 1, LEVEL_FRAMES).astype(int))]
+    heights = [h for h in map(_height, chosen) if h is not None]
+    unit = step_of(frames[0])
+    if 2 * len(heights) <= len(chosen) or unit is None or _within(height := float(np.median(heights)), USUAL_HEIGHT):
+        return None
+    likely = [name for name, u in UNITS.items() if _within(height / unit * u, USUAL_HEIGHT) and u < 1]
+    found = f"the camera is {height:.2g} m above the level surface that it sees most of"
+    ways = ", ".join(f"{UNITS[name]:g} for {name}" for name in likely)
+    return f"{found}: is the depth in another unit? (--depth-unit {ways})" if likely else f"{found}: is the unit right?"
+
+
+def _height(frame: Frame) -> float | None:
+    """Metres from an upright camera down to the plane that holds most of what it sees; None without such a plane."""
+    depth = frame.depth()
+    step = max(int(np.sqrt(depth.size / LEVEL_POINTS)), 1)
+    z = depth[::step, ::step].astype(float)
+    P = (frame.intrinsics.rays()[::step, ::step] * z[..., None])[z > 0]
+    if len(P) < LEVEL_POINTS // 4:
+        return None
+    rng = np.random.default_rng(0)
+    corners = P[rng.integers(0, len(P), (LEVEL_TRIALS, 3))]
+    n = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(n, axis=1)
+    n, corners = n[length > 0] / length[length > 0, None], corners[length > 0]
+    n *= np.where(n[:, 1] < 0, 1, -1)[:, None]  # up: y points down
+    height = -(n * corners[:, 0]).sum(1)
+    near = np.abs(P @ n.T + height) < 0.015 * P[:, 2:]
+    share = near.mean(0) * ((n[:, 1] < -UPRIGHT) & (height > 0))
+    best = int(share.argmax()) if len(share) else 0
+    return float(height[best]) if len(share) and share[best] > LEVEL_SHARE else None
 
 
 def step_of(frame: Frame) -> float | None:
