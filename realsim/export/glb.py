@@ -13,17 +13,19 @@ def glb_bytes(
     triangles: NDArray[np.int32],
     normals: NDArray[np.float64],
     colors: NDArray[np.uint8] | None = None,
+    texture: tuple[bytes, NDArray[np.float64]] | None = None,
 ) -> bytes:
     """A triangle mesh as one glTF 2.0 node whose rotation turns our z up into glTF's y up.
 
     Args:
         vertices: (V, 3) metres. normals: (V, 3) unit. triangles: (K, 3). colors: (V, 3) sRGB, stored linear as the
-            glTF specification (3.7.2.1) asks.
+            glTF specification (3.7.2.1) asks. texture: a PNG and (V, 2) places in it, v counted from the bottom row.
     """
     file = GltfFile()
     pbr = {"metallicFactor": 0.0, "roughnessFactor": 0.9}
     rgba = None if colors is None else _linear_rgba(colors)
-    file.node("terrain", mesh=file.mesh("terrain", vertices, normals, triangles, pbr, rgba), rotation=Z_UP_TO_Y_UP)
+    mesh = file.mesh("terrain", vertices, normals, triangles, pbr, rgba, texture)
+    file.node("terrain", mesh=mesh, rotation=Z_UP_TO_Y_UP)
     return file.to_bytes()
 
 

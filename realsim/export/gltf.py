@@ -35,7 +35,7 @@ class GltfFile:
         Args:
             values: little-endian float32, uint32, or uint16 (then 65535 stands for 1); rows of a multiple of 4 bytes,
                 as glTF's alignment needs.
-            kind: SCALAR, VEC3 or VEC4.
+            kind: SCALAR, VEC2, VEC3 or VEC4.
             limits: whether its least and largest values are written, which positions and times need.
             target: VERTEX_BUFFER or INDEX_BUFFER.
         """
@@ -63,12 +63,14 @@ class GltfFile:
         triangles: NDArray[Any],
         pbr: Mapping[str, Any],
         linear_rgba: NDArray[np.uint16] | None = None,
+        texture: tuple[bytes, F64] | None = None,
     ) -> int:
         """A mesh of (V, 3) vertices, (V, 3) unit normals and (K, 3) triangles.
 
         Args:
             pbr: its material, as `pbrMetallicRoughness` of the specification.
             linear_rgba: (V, 4) colours of the vertices.
+            texture: a PNG of the material's colour, and each vertex' place in it, (V, 2), v counted from the bottom.
         """
         attributes = {
             "POSITION": self.array(vertices.astype("<f4"), "VEC3", limits=True, target=VERTEX_BUFFER),
@@ -76,7 +78,13 @@ class GltfFile:
         }
         if linear_rgba is not None:
             attributes["COLOR_0"] = self.array(linear_rgba, "VEC4", target=VERTEX_BUFFER)
-        material = {"name": name, "doubleSided": True, "pbrMetallicRoughness": dict(pbr)}
+        look: dict[str, Any] = dict(pbr)
+        if texture is not None:
+            # glTF counts v from the image's top row.
+            places = np.array([0.0, 1.0]) + texture[1] * [1.0, -1.0]
+            attributes["TEXCOORD_0"] = self.array(places.astype("<f4"), "VEC2", target=VERTEX_BUFFER)
+            look["baseColorTexture"] = {"index": self._image(texture[0])}
+        material = {"name": name, "doubleSided": True, "pbrMetallicRoughness": look}
         primitive = {
             "attributes": attributes,
             "indices": self.array(triangles.astype("<u4").reshape(-1), "SCALAR", target=INDEX_BUFFER),
@@ -109,6 +117,16 @@ class GltfFile:
         data = b"".join(self._parts)
         chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
         return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+    def _image(self, png: bytes) -> int:
+        """A texture from a PNG, kept in the buffer; returns its index."""
+        view = self._add("bufferViews", {"buffer": 0, "byteOffset": self._length, "byteLength": len(png)})
+        padded = png + b"\0" * (-len(png) % 4)
+        self._parts.append(padded)
+        self._length += len(padded)
+        self._document.setdefault("images", []).append({"bufferView": view, "mimeType": "image/png"})
+        self._document.setdefault("textures", []).append({"source": len(self._document["images"]) - 1})
+        return len(self._document["textures"]) - 1
 
     def _children(self, node: int) -> list[int]:
         return self._document["nodes"][node].setdefault("children", [])

@@ -63,6 +63,41 @@ def test_meshes_hold_the_scan(folder: Path, exported: dict[str, list[Path]], nam
     np.testing.assert_allclose(corners, scene.vertices[scene.triangles].reshape(-1, 3), atol=2e-5)
 
 
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [
+        ("glb", "terrain.glb"),
+        ("obj", "terrain.obj"),
+        ("ply", "terrain.ply"),
+        ("sdf", "meshes/visual.obj"),
+        ("urdf", "visual.obj"),
+        ("mjcf", "visual.obj"),
+    ],
+)
+def test_every_format_that_is_looked_at_keeps_its_colours(
+    folder: Path, exported: dict[str, list[Path]], name: str, file: str
+) -> None:
+    scene = load_scene(folder)
+    assert scene.colors is not None
+    path = next(p for p in exported[name] if str(p).endswith(file))
+    if name == "mjcf":  # the material stands in scene.xml
+        image = next(p for p in exported[name] if p.suffix == ".png")
+        assert image.name in exported[name][0].read_text()
+        (path.parent / "visual.mtl").write_text(f"newmtl m\nKd 1 1 1\nmap_Kd {image.relative_to(path.parent)}\n")
+        text = path.read_text()
+        path = path.with_name("shown.obj")
+        path.write_text("mtllib visual.mtl\nusemtl m\n" + text)
+    mesh = trimesh.load(path, force="mesh", process=False)
+    shown = np.asarray(
+        mesh.visual.to_color().vertex_colors if mesh.visual.kind == "texture" else mesh.visual.vertex_colors
+    )
+    found = shown[np.asarray(mesh.faces), :3].reshape(-1, 3).astype(int)
+    expected = scene.colors[scene.triangles].reshape(-1, 3).astype(int)
+    assert len(found) == len(expected)
+    assert np.abs(found - expected).max() <= 4
+    assert np.ptp(expected, axis=0).max() > 20, "a scan of one colour would show nothing"
+
+
 @pytest.mark.parametrize("name", ["mjcf", "warp", "urdf"])
 def test_what_mujoco_reads_has_the_same_heights(folder: Path, exported: dict[str, list[Path]], name: str) -> None:
     """A ray down onto collision geometry; URDF goes through MuJoCo's own URDF reader."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from realsim.core.files import write_bytes, write_text
+from realsim.core.files import write_bytes
 from realsim.export.formats.scene import SceneOnDisk
 from realsim.export.glb import glb_bytes
 from realsim.export.ply import ply_bytes
@@ -14,26 +14,42 @@ from realsim.export.visual import bake, obj_bytes, vertex_normals
 
 
 def glb(scene: SceneOnDisk, folder: Path) -> list[Path]:
-    """glTF 2.0 binary with vertex colours; y up as glTF has it, by the node's rotation."""
+    """glTF 2.0 binary with a texture where the scan has colour; y up as glTF has it, by the node's rotation.
+
+    Vertex colours alone are grey in programs that show a material's texture only (Blender as it opens).
+    """
     normals = vertex_normals(scene.vertices, scene.triangles)
     path = folder / "terrain.glb"
-    write_bytes(path, glb_bytes(scene.vertices, scene.triangles, normals, scene.colors))
+    if scene.colors is None:
+        write_bytes(path, glb_bytes(scene.vertices, scene.triangles, normals))
+        return [path]
+    image, uv = bake(scene.vertices, scene.triangles, scene.colors)
+    corners = scene.triangles.ravel()
+    own = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
+    write_bytes(path, glb_bytes(scene.vertices[corners], own, normals[corners], texture=(image, uv.reshape(-1, 2))))
     return [path]
 
 
 def obj(scene: SceneOnDisk, folder: Path) -> list[Path]:
     """Wavefront OBJ, z up, with a material and a texture where the scan has colour."""
+    files = drawn(scene, "terrain")
+    for name, data in files.items():
+        write_bytes(folder / name, data)
+    return [folder / name for name in files]
+
+
+def drawn(scene: SceneOnDisk, name: str) -> dict[str, bytes]:
+    """File name -> content of the scanned surface as OBJ, with a material and a texture where the scan has colour."""
     normals = vertex_normals(scene.vertices, scene.triangles)
-    path = folder / "terrain.obj"
     if scene.colors is None:
-        write_bytes(path, obj_bytes(scene.vertices, scene.triangles, normals))
-        return [path]
+        return {f"{name}.obj": obj_bytes(scene.vertices, scene.triangles, normals)}
     image, uv = bake(scene.vertices, scene.triangles, scene.colors)
-    head = b"mtllib terrain.mtl\nusemtl scan\n"
-    write_bytes(path, head + obj_bytes(scene.vertices, scene.triangles, normals, uv))
-    write_text(folder / "terrain.mtl", "newmtl scan\nKd 1 1 1\nmap_Kd terrain.png\n")
-    write_bytes(folder / "terrain.png", image)
-    return [path, folder / "terrain.mtl", folder / "terrain.png"]
+    head = f"mtllib {name}.mtl\nusemtl scan\n".encode()
+    return {
+        f"{name}.obj": head + obj_bytes(scene.vertices, scene.triangles, normals, uv),
+        f"{name}.mtl": f"newmtl scan\nKd 1 1 1\nmap_Kd {name}.png\n".encode(),
+        f"{name}.png": image,
+    }
 
 
 def stl(scene: SceneOnDisk, folder: Path) -> list[Path]:

@@ -6,11 +6,10 @@ import xml.etree.ElementTree as ET  # writing only
 from pathlib import Path
 
 from realsim.core.files import write_bytes, write_text
-from realsim.export.formats.meshes import stl_bytes
+from realsim.export.formats.meshes import drawn, stl_bytes
 from realsim.export.formats.scene import SceneOnDisk
 from realsim.export.formats.urdf import roll_pitch_yaw
 from realsim.export.mjcf import numbers
-from realsim.export.visual import obj_bytes, vertex_normals
 
 VERSION = "1.9"
 CONFIG = f"""<?xml version="1.0"?>
@@ -29,8 +28,7 @@ def sdf(scene: SceneOnDisk, folder: Path) -> list[Path]:
     model = ET.SubElement(root, "model", name="terrain")
     ET.SubElement(model, "static").text = "true"
     link = ET.SubElement(model, "link", name="terrain")
-    normals = vertex_normals(scene.vertices, scene.triangles)
-    files = {"meshes/visual.obj": obj_bytes(scene.vertices, scene.triangles, normals)}
+    files = {f"meshes/{name}": data for name, data in drawn(scene, "visual").items()}
     _mesh(ET.SubElement(link, "visual", name="scan"), "visual.obj")
     if scene.floor_z is not None:
         floor = ET.SubElement(link, "collision", name="floor")

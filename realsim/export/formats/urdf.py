@@ -8,17 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from realsim.core.files import write_bytes, write_text
-from realsim.export.formats.meshes import stl_bytes
+from realsim.export.formats.meshes import drawn, stl_bytes
 from realsim.export.formats.scene import Box, SceneOnDisk
 from realsim.export.mjcf import numbers
-from realsim.export.visual import obj_bytes, vertex_normals
 
 
 def urdf(scene: SceneOnDisk, folder: Path) -> list[Path]:
     """terrain.urdf with meshes beside it (relative names, metres, z up); the floor is a wide box."""
     robot = ET.Element("robot", name="terrain")
     link = ET.SubElement(robot, "link", name="terrain")
-    files = {"visual.obj": obj_bytes(scene.vertices, scene.triangles, vertex_normals(scene.vertices, scene.triangles))}
+    files = drawn(scene, "visual")
     visual = ET.SubElement(link, "visual", name="scan")
     ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename="visual.obj")
     for box in scene.all_boxes():
