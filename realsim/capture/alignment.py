@@ -119,7 +119,8 @@ def _scores(frame: Frame) -> F64 | None:
     camera = frame.color_intrinsics or frame.intrinsics
     if camera.width > WIDTH:
         camera = camera.resized(WIDTH, WIDTH * camera.height // camera.width)
-    near = _nearness(cv2.resize(color, (camera.width, camera.height), interpolation=cv2.INTER_AREA))
+    small = cv2.resize(color, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    near = _nearness(np.asarray(small, np.uint8))
     out = np.zeros((2, len(ZOOMS), len(SHIFTS)))
     for i, zoom in enumerate(ZOOMS):
         for k, shift in enumerate(SHIFTS):

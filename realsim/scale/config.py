@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
+
+SHEETS = {"a4": (0.297, 0.210), "letter": (0.2794, 0.2159)}
+"""Metres, the long side first."""
 
 
 @dataclass(frozen=True)
@@ -21,6 +25,12 @@ class ScaleConfig:
     sensor_sigma: float | None = None
     """Relative standard error of the depth sensor's own scale; enters the interval if poses did not correct it
     (default: by the sensor: 0.006 of a depth camera, 0.04 of a phone's LiDAR)."""
+    known_length: Annotated[tuple[str, str, float] | None, tyro.conf.arg(metavar="A B METRES")] = None
+    """Two points and their distance, which sets the scale: each as FRAME:X,Y, pixels of the frame's colour image."""
+    tag_size: Annotated[float | None, tyro.conf.arg(metavar="METRES")] = None
+    """Side of the black square of printed tags in view (AprilTag 36h11 or 25h9, ArUco), which set the scale."""
+    sheet: Literal["a4", "letter"] | None = None
+    """A sheet of paper lies in view, flat and whole, and sets the scale."""
     seed: Annotated[int, tyro.conf.Suppress] = 0
 
     def __post_init__(self) -> None:
@@ -30,3 +40,13 @@ class ScaleConfig:
             raise ValueError("need 0 <= sensor_sigma < 0.5")
         if self.bootstrap < 10:
             raise ValueError("need bootstrap >= 10")
+        if sum(given is not None for given in (self.known_length, self.tag_size, self.sheet)) > 1:
+            raise ValueError("only one of known_length, tag_size and sheet can set the scale")
+        if self.known_length is not None:
+            if not 0 < self.known_length[2] < 1000:
+                raise ValueError("known_length must end in a distance in metres")
+            for name in self.known_length[:2]:
+                if re.fullmatch(r".+:\d+(\.\d+)?,\d+(\.\d+)?", name) is None:
+                    raise ValueError(f"known_length takes FRAME:X,Y twice and metres, not {name}")
+        if self.tag_size is not None and not 0.005 <= self.tag_size <= 5:
+            raise ValueError("tag_size is in metres: need 0.005 <= tag_size <= 5")

@@ -13,6 +13,7 @@ from realsim.core.registry import Registry
 from realsim.core.statistics import Z90, interval90, resampled
 from realsim.core.types import F32, F64, Bool, MetricScene, Pointmaps, PointView, ScaleEstimate
 from realsim.scale.config import ScaleConfig
+from realsim.scale.reference import Reference, measure
 
 ESTIMATORS = Registry(
     "scale estimator",
@@ -56,10 +57,14 @@ def to_metric(
         return float("nan") if pixels is None else ratio(*pixels, np.random.default_rng([config.seed, i]))
 
     ratios = list(track(in_order(of_frame, len(points)), "scale", len(points)))
-    scale = estimate(np.array(ratios), [f.name for f in points.frames], config)
-    scale = with_sensor(
-        scale, _sensor_sigma(points, config.sensor_sigma if config.sensor_sigma is not None else sensor_sigma)
-    )
+    names = [f.name for f in points.frames]
+    scale = estimate(np.array(ratios), names, config)
+    own = _sensor_sigma(points, config.sensor_sigma if config.sensor_sigma is not None else sensor_sigma)
+    if np.allclose(np.array(ratios)[np.isfinite(ratios)], 1.0, atol=1e-4):  # the points are the sensor's own
+        corrected = points.depth_gain_sigma is not None and np.isfinite(points.depth_gain_sigma)
+        scale = replace(scale, method="the capture's poses" if corrected else "sensor depth")
+    known = measure(points, config)
+    scale = with_sensor(scale, own) if known is None else by_reference(known, scale, own, names, config)
     scale = with_claim(scale, points.metric_claim)
 
     poses = points.T_world_camera.copy()
@@ -145,6 +150,18 @@ def with_sensor(scale: ScaleEstimate, sigma: float) -> ScaleEstimate:
     own = Z90 * sigma * scale.value
     down, up = np.hypot(scale.value - low, own), np.hypot(high - scale.value, own)
     return replace(scale, ci90=(float(scale.value - down), float(scale.value + up)), sensor_sigma=sigma)
+
+
+def by_reference(
+    known: Reference, of_depth: ScaleEstimate, sigma: float, names: list[str], config: ScaleConfig
+) -> ScaleEstimate:
+    """The scale by a thing of known size, and a warning where depth of that `sigma` says otherwise."""
+    scale = replace(estimate(known.ratios, names, config), method=known.name)
+    off = of_depth.value / scale.value - 1
+    warnings = [w for w in scale.warnings if not w.startswith("no scale from frames")]
+    if abs(off) > 3 * np.hypot(sigma, known.sigma):
+        warnings.append(f"{of_depth.method} says {100 * off:+.1f} percent of what {known.name} says, which is believed")
+    return with_sensor(replace(scale, warnings=tuple(warnings)), known.sigma)
 
 
 def with_claim(scale: ScaleEstimate, claim: float | None) -> ScaleEstimate:
