@@ -19,7 +19,7 @@ cp -r examples "$work/examples"
 cd "$work"
 "$work/core/bin/python" -c 'import realsim; assert "site-packages" in realsim.__file__, realsim.__file__'
 "$work/core/bin/realsim" --help >/dev/null
-"$work/core/bin/python" examples/diagnose.py
+"$work/core/bin/python" examples/03_diagnose.py
 code=0
 "$work/core/bin/realsim" reconstruct nowhere 2>message.txt || code=$?
 [ $code -eq 2 ] && grep -q 'pip install "realsim\[recon\]"' message.txt
@@ -28,6 +28,8 @@ code=0
 "$python" -m pip install --quiet --disable-pip-version-check --no-deps --target "$work/wheel" "$wheel"
 export PYTHONPATH=$work/wheel
 "$python" -c "import realsim, trainer; assert not realsim.__file__.startswith('$source/realsim'), realsim.__file__"
-"$python" examples/reconstruct.py
-"$python" examples/finetune.py
+"$python" -m realsim synth --terrain mixed --frames 20 --width 320 --out synthetic
+"$python" examples/01_reconstruct.py synthetic/capture
+"$python" examples/02_contact.py
+"$python" examples/04_finetune.py
 echo "the wheel works: $(basename "$wheel")"

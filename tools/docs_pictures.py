@@ -33,17 +33,17 @@ EVERY, FPS = 4, 12.5 / 4
 
 STEPS = {
     "synthetic": "realsim synth --terrain mixed --frames 40 --with-poses --out synthetic",
-    "phone": "python examples/phone_capture.py synthetic phone",
+    "phone": "python examples/05_phone_capture.py synthetic phone",
     "phone_scene": "realsim reconstruct phone --out phone_scene --robot g1",
     "boston": "realsim synth --terrain boston --frames 10 --out boston",
-    "scan.ply": "python examples/lidar_scan.py boston scan.ply",
+    "scan.ply": "python examples/06_lidar_scan.py boston scan.ply",
     "scan_scene": "realsim reconstruct scan.ply --out scan_scene --robot g1",
-    "servo": "python examples/servo_log.py servo",
+    "servo": "python examples/07_servo_log.py servo",
     "servo_case": (
         "realsim diagnose --init servo/servo.xml --out servo_case\ncp -r servo/runs servo/columns.json servo_case/"
     ),
     "servo_diagnosis": "realsim diagnose servo_case --out servo_diagnosis",
-    "quadruped": "python examples/quadruped_log.py quadruped",
+    "quadruped": "python examples/08_quadruped_log.py quadruped",
     "quadruped_case": (
         "realsim diagnose --init quadruped/quadruped.xml --out quadruped_case\ncp -r quadruped/runs quadruped_case/"
     ),

@@ -1,8 +1,8 @@
-"""What closing the loop regains: `examples/close_the_gap.py`, kept as rows.
+"""What closing the loop regains: `benchmarks/training/closed_loop.py`, kept as rows.
 
-    python benchmarks/training/close_the_gap.py --out loop [options of the example]
+    python benchmarks/training/close_the_gap.py --out loop [options of closed_loop.py]
 
-Runs the example, or goes on with it, and stores a row for every robot that it has finished in
+Runs that script, or goes on with it, and stores a row for every robot that it has finished in
 benchmarks/results/close_the_gap.json. With `--store-only` it stores what is there.
 """
 
@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks.store import Store
 
-EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "close_the_gap.py"
+LOOP = Path(__file__).with_name("closed_loop.py")
 RESULTS = Path(__file__).parents[1] / "results" / "close_the_gap.json"
 KEY = ("robot", "iterations", "effects_considered", "course")
 FACTS = {
@@ -69,7 +69,7 @@ def main() -> int:
     parser.add_argument("--store", type=Path, default=RESULTS)
     args, rest = parser.parse_known_args()
     if not args.store_only:
-        subprocess.run([sys.executable, str(EXAMPLE), "--out", str(args.out), *rest], check=True)
+        subprocess.run([sys.executable, str(LOOP), "--out", str(args.out), *rest], check=True)
     store = Store(args.store, KEY)
     store.facts = FACTS
     for row in rows(json.loads((args.out / "results.json").read_text())):

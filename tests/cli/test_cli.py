@@ -150,7 +150,11 @@ def test_every_option_that_is_spoken_of_exists() -> None:
     """In messages, docstrings and docs: what they tell people to type must be taken."""
     pytest.importorskip("torch")
     others = {"--head", "--mjcf"}  # of ray and MuJoCo's viewer
-    others |= {"--opset", "--tolerance", "--course"}  # of tools/export_onnx and examples/close_the_gap.py, by tyro
+    others |= {
+        "--opset",
+        "--tolerance",
+        "--course",
+    }  # of tools/export_onnx and benchmarks/training/closed_loop.py, by tyro
     others |= {"--logdir", "--nproc-per-node", "--nnodes", "--rdzv-endpoint"}  # of tensorboard and torchrun
     others |= {"--env"}  # of GNU parallel
     known = {name for c in commands().values() for option in options_of(c.load())[1] for name in option.names}

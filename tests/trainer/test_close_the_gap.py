@@ -1,4 +1,4 @@
-"""The example that closes the loop: its logs are a case, its steps resume, and its table says what was regained."""
+"""The benchmark that closes the loop: its logs are a case, its steps resume, and its table says what was regained."""
 
 import argparse
 import runpy
@@ -13,19 +13,19 @@ pytest.importorskip("cv2", reason="the figure needs OpenCV (extra `recon`)")
 from realsim.gap import load_case
 from trainer.robots import ROBOTS
 
-EXAMPLE = runpy.run_path(str(Path(__file__).resolve().parents[2] / "examples" / "close_the_gap.py"))
+LOOP = runpy.run_path(str(Path(__file__).resolve().parents[2] / "benchmarks" / "training" / "closed_loop.py"))
 
 
 @pytest.mark.parametrize(("name", "late"), [("payload", 0.0), ("motors", 0.0), ("delay", 0.05)])
 def test_the_robot_is_logged_as_it_is_and_its_model_as_it_is_believed(name: str, late: float, tmp_path: Path) -> None:
-    real = EXAMPLE["REAL"]["quadruped"][name]
-    EXAMPLE["write_case"](real, "quadruped", tmp_path)
+    real = LOOP["REAL"]["quadruped"][name]
+    LOOP["write_case"](real, "quadruped", tmp_path)
     case = load_case(tmp_path)
     nominal = ROBOTS["quadruped"]().robot.spec.copy().compile()
     assert case.model.body_subtreemass[1] == pytest.approx(nominal.body_subtreemass[1])
     assert case.model.actuator_gainprm[:, 0] == pytest.approx(nominal.actuator_gainprm[:, 0])
     run = case.runs[0]
-    assert run.duration == pytest.approx(EXAMPLE["SECONDS"], abs=0.02)
+    assert run.duration == pytest.approx(LOOP["SECONDS"], abs=0.02)
     assert run.signals["base_pos"][:, 2].min() > 0.2  # it stands
     moved, still = run.command[100:, 1], run.signals["joint_pos"][:20, 1]
     assert np.ptp(moved) > 0.05
@@ -34,7 +34,7 @@ def test_the_robot_is_logged_as_it_is_and_its_model_as_it_is_believed(name: str,
 
 
 def test_g1_is_logged_as_it_hangs_and_its_model_knows_nothing_of_weak_motors(tmp_path: Path) -> None:
-    EXAMPLE["write_case"](EXAMPLE["REAL"]["g1"]["motors"], "g1", tmp_path)
+    LOOP["write_case"](LOOP["REAL"]["g1"]["motors"], "g1", tmp_path)
     case = load_case(tmp_path)
     nominal, run = ROBOTS["g1"](), case.runs[0]
     gains = nominal.robot.spec.copy().compile().actuator_gainprm[:, 0]
@@ -47,15 +47,15 @@ def test_g1_is_logged_as_it_hangs_and_its_model_knows_nothing_of_weak_motors(tmp
 
 def test_a_step_is_done_once_and_none_begins_when_the_time_is_over(tmp_path: Path) -> None:
     args = argparse.Namespace(minutes=1.0)
-    loop = EXAMPLE["Loop"](tmp_path, args)
+    loop = LOOP["Loop"](tmp_path, args)
     assert loop.step("a", "", lambda: {"rate": 0.5})["rate"] == 0.5
-    again = EXAMPLE["Loop"](tmp_path, argparse.Namespace(minutes=0.0))
+    again = LOOP["Loop"](tmp_path, argparse.Namespace(minutes=0.0))
     assert again.step("a", "", lambda: pytest.fail("done already"))["rate"] == 0.5
     with pytest.raises(TimeoutError):
         again.step("b", "", lambda: pytest.fail("the time is over"))
     with pytest.raises(TimeoutError):
         loop.step("b", "", lambda: False)  # a training that did not come to its end is not done
-    assert "b" not in EXAMPLE["Loop"](tmp_path, args).results
+    assert "b" not in LOOP["Loop"](tmp_path, args).results
 
 
 def test_the_table_says_what_was_regained(tmp_path: Path) -> None:
@@ -66,11 +66,11 @@ def test_the_table_says_what_was_regained(tmp_path: Path) -> None:
     results = {"nominal": result(0.9, 0.5), "delay/before": result(0.1, 0.3), "delay/diagnosis": found,
                "delay/patch": result(0.8, 0.4), "delay/random": result(0.3, 0.2), "motors/before": result(0.9, 0.5),
                "motors/patch": result(0.9, 0.5)}  # fmt: skip
-    said = EXAMPLE["table"](results)
+    said = LOOP["table"](results)
     assert "identified: command_delay" in said
     assert "regained: success 88%, speed 50%" in said
     assert "regained: success 25%, speed -50%" in said
     assert "nothing was lost" in said
     assert "payload" not in said
-    EXAMPLE["figure"](results, tmp_path / "loop.png")
+    LOOP["figure"](results, tmp_path / "loop.png")
     assert (tmp_path / "loop.png").stat().st_size > 1000

@@ -73,4 +73,4 @@ EFFECTS = Effects(
 
 ON_REQUEST = ("friction_of_joints", "position_torque")
 """Effects that are considered only where they are named. They hold simpler ones as special cases: with them in every
-search, dry friction of one joint was no longer told from friction of all (examples/diagnose.py)."""
+search, dry friction of one joint was no longer told from friction of all (examples/03_diagnose.py)."""

@@ -1,9 +1,9 @@
 """Close the loop: a robot that fails where simulation succeeds, its logs, the cause, and a policy trained for it.
 
-    python examples/close_the_gap.py --out loop                 some 20 minutes of a free core; interrupt at will
-    python examples/close_the_gap.py --out loop --minutes 20    stops at the next finished step; run it again to go on
-    python examples/close_the_gap.py --out loop --course boxes:0.5:900 --iterations 200       for a machine with a GPU
-    python examples/close_the_gap.py --out loop --robot g1 --course boxes:0.5:900 --iterations 200
+    python benchmarks/training/closed_loop.py --out loop                some 20 minutes of a core
+    python benchmarks/training/closed_loop.py --out loop --minutes 20   stops; run it again to go on
+    python benchmarks/training/closed_loop.py --out loop --course boxes:0.5:900 --iterations 200   on a GPU
+    python benchmarks/training/closed_loop.py --out loop --robot g1 --course boxes:0.5:900 --iterations 200
 
 The "real" robot is a simulated one with something that its model lacks, one thing at a time. The policy learnt
 on the nominal model has to walk 4 m on flat ground in 10 s, or, with `--course`, the one that ships has to cross a

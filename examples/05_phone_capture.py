@@ -1,7 +1,7 @@
 """A rendered capture, rewritten as a phone app stores one: 3D Scanner App, export "All Data".
 
     realsim synth --terrain mixed --frames 40 --with-poses --out synthetic
-    python examples/phone_capture.py synthetic phone
+    python examples/05_phone_capture.py synthetic phone
 
 Depth on a grid of 256 x 192 as a phone's LiDAR gives it, and camera poses in ARKit's axes, in a world whose y is up.
 """

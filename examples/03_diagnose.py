@@ -1,6 +1,6 @@
 """A robot that behaves differently from its simulator: write its log, find the cause, mend the simulator.
 
-    python examples/diagnose.py
+    python examples/03_diagnose.py
 
 The "robot" is a simulated arm with 0.25 N m of dry friction that its model does not know of.
 """
@@ -12,7 +12,7 @@ from tempfile import mkdtemp
 import mujoco
 import numpy as np
 
-from realsim.gap import apply_patch, run_case
+import realsim as rs
 
 ARM = """
 <mujoco>
@@ -31,9 +31,9 @@ ARM = """
 case = Path(mkdtemp()) / "case"
 (case / "runs").mkdir(parents=True)
 (case / "model.xml").write_text(ARM)
-log = {"joint_names": ["shoulder", "elbow"], "actuator_names": ["shoulder", "elbow"], "command_kind": "position",
-       "command_hold": "zoh", "base": "fixed", "torque_kind": "none", "imu_site": None, "contact_bodies": [],
-       "notes": "made by examples/diagnose.py"}  # fmt: skip
+joints = ["shoulder", "elbow"]
+log = {"joint_names": joints, "actuator_names": joints, "command_kind": "position", "command_hold": "zoh"}
+log |= {"base": "fixed", "torque_kind": "none", "imu_site": None, "contact_bodies": [], "notes": ""}
 (case / "log.json").write_text(json.dumps(log))
 
 robot = mujoco.MjModel.from_xml_string(ARM)
@@ -46,17 +46,16 @@ for seed in range(6):
     for k in range(2000):
         if k % 4 == 0:
             data.ctrl = size * np.sin(2 * np.pi * rate * data.time)
-            rows.append(
-                [data.time, *data.ctrl, *(data.qpos + rng.normal(0, 2e-4, 2)), *(data.qvel + rng.normal(0, 5e-3, 2))]
-            )
+            noise = rng.normal(0, [2e-4, 2e-4, 5e-3, 5e-3])
+            rows.append([data.time, *data.ctrl, *(np.append(data.qpos, data.qvel) + noise)])
         mujoco.mj_step(robot, data)
-    time, command, position, velocity = np.split(np.array(rows), [1, 3, 5], axis=1)
-    np.savez(case / "runs" / f"{seed}.npz", time=time[:, 0], command=command, joint_pos=position, joint_vel=velocity)
+    log = np.array(rows)
+    signals = {"time": log[:, 0], "command": log[:, 1:3], "joint_pos": log[:, 3:5], "joint_vel": log[:, 5:]}
+    np.savez(case / "runs" / f"{seed}.npz", **signals)
 
-found = run_case(case, case.parent / "diagnosis")
-print(found["sentence"])
-print("report:", case.parent / "diagnosis" / "report.html")
+found = rs.diagnose(case, case.parent / "diagnosis")
+print(found.sentence)
 
 mended = mujoco.MjSpec.from_file(str(case / "model.xml"))
-apply_patch(mended, found["patch"])
+rs.apply_patch(mended, found)
 print("friction of the elbow in the mended model:", mended.compile().joint("elbow").frictionloss, "N m")

@@ -1,6 +1,6 @@
 """Logs of a quadruped that sways on the spot, and the model that is believed in.
 
-    python examples/quadruped_log.py quadruped
+    python examples/08_quadruped_log.py quadruped
 
 The "robot" is simulated. It carries 1.5 kg at the back of its trunk, which quadruped.xml does not know of.
 """

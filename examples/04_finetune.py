@@ -1,6 +1,6 @@
 """A policy for one terrain: learnt on flat ground, then fine-tuned where it has to walk.
 
-    python examples/finetune.py [SCENE]
+    python examples/04_finetune.py [SCENE]
 
 SCENE is a folder of `realsim reconstruct`; without one an easy course is generated. A few iterations on the CPU show
 the calls and teach next to nothing: walking takes hundreds of them (benchmarks/training/trainer_cpu.py).

@@ -1,7 +1,7 @@
 """A LiDAR scan of a synthetic terrain: what a scanner on a tripod sees from four places, as one point cloud.
 
 realsim synth --terrain boston --frames 10 --out synthetic
-python examples/lidar_scan.py synthetic scan.ply
+python examples/06_lidar_scan.py synthetic scan.ply
 """
 
 import sys

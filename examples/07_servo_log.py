@@ -1,6 +1,6 @@
 """Logs of a hobby servo that swings a lever, as CSV files, and the model that is believed in.
 
-    python examples/servo_log.py servo
+    python examples/07_servo_log.py servo
 
 The "servo" is simulated. Its gears have 0.1 N m more dry friction than servo.xml says.
 """
