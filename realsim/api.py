@@ -19,6 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from realsim.core.engine import check_mujoco
 from realsim.core.errors import GapError, require
 from realsim.core.recognise import explain_inputs, whole
 
@@ -76,6 +77,7 @@ def reconstruct(
     Raises:
         RealsimError: bad input or an impossible request; nothing is left behind at `out`.
     """
+    check_mujoco()
     from realsim.results import Scene
 
     require("recon", "reconstructing a scene")
@@ -113,6 +115,7 @@ def contact(
     Raises:
         ExportError: the mesh cannot be used, or the scene does not hold what is dropped on it.
     """
+    check_mujoco()
     from realsim.results import Scene
 
     require("recon", "measured contact geometry")
@@ -210,6 +213,7 @@ def diagnose(
     Raises:
         GapError: the log cannot support a diagnosis, with the reason.
     """
+    check_mujoco()
     from realsim import gap
     from realsim.results import Diagnosis
 
@@ -255,6 +259,7 @@ def next_experiment(
     Raises:
         GapError: nothing is to be told apart, or nothing within the limits tells it.
     """
+    check_mujoco()
     from realsim.gap.excite import excite
 
     folder = None if case is None else Path(case)
@@ -287,6 +292,7 @@ def footholds(
     Raises:
         GapError: the log lacks base pose, contacts or positions, or does not lie on the scene.
     """
+    check_mujoco()
     from realsim import gap
     from realsim.gap.checks.camera.terrain import load_terrain
     from realsim.gap.checks.footholds.run import check_scene, run_scene, terrain_of_case

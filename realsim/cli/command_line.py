@@ -14,8 +14,10 @@ from realsim import __version__
 from realsim.cli import schemas
 from realsim.cli.commands import set_arguments
 from realsim.cli.help import help_of, usage
-from realsim.cli.options import parse
+from realsim.cli.options import UsageError, parse
+from realsim.cli.saved import defaults_of
 from realsim.cli.table import commands, find
+from realsim.core.engine import check_mujoco
 from realsim.core.errors import RealsimError, explain_missing_packages, require
 from realsim.core.files import to_json
 from realsim.core.progress import console, set_quiet
@@ -80,7 +82,10 @@ def _run(name: str, arguments: list[str]) -> Any:
     with explain_missing_packages(f"realsim {name}"):
         function = command.load()
         set_arguments(arguments)
-        call = parse(function, name, arguments)
+        file, preset = _take_value(arguments, "--config"), _take_value(arguments, "--preset")
+        defaults = None if file is None and preset is None else defaults_of(function, file, preset)
+        call = parse(function, name, arguments, defaults)
+        check_mujoco()
         if command.extra:
             require(command.extra, f"realsim {name}")
         return explain_inputs(function, TAKES | dict(command.takes))(*call.args, **call.keywords)
@@ -150,6 +155,20 @@ def _take(arguments: list[str], flag: str) -> bool:
     while flag in arguments:
         arguments.remove(flag)
     return found
+
+
+def _take_value(arguments: list[str], flag: str) -> str | None:
+    """The value of an option that comes before all others."""
+    for i, word in enumerate(arguments):
+        if word.startswith(f"{flag}="):
+            return arguments.pop(i).partition("=")[2]
+        if word == flag:
+            taken = arguments[i + 1 : i + 2]
+            if not taken or taken[0].startswith("--"):
+                raise UsageError(f"{flag} lacks a value", expected=f"{flag} VALUE", hint="realsim help COMMAND")
+            del arguments[i : i + 2]
+            return taken[0]
+    return None
 
 
 def _interrupt(*_: object) -> None:

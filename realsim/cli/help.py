@@ -72,7 +72,10 @@ def help_of(name: str, command: Command, everything: bool) -> str:
     return "\n".join([*lines, EVERYWHERE])
 
 
-FILES = "options from a file: --config report.json (of an earlier result), --preset NAME; what is typed wins"
+FILES = (
+    "options from a file: --config report.json (of an earlier scene); --preset phone|stairs|room|parkour for scenes; "
+    "what is typed wins"
+)
 
 
 def _rows(options: Iterable[Option], width: int) -> list[str]:
