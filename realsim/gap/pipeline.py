@@ -28,6 +28,7 @@ from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects import EFFECTS
 from realsim.gap.experiments.proposal import propose, with_text
 from realsim.gap.inference.causes.fit import Fitter
+from realsim.gap.inference.causes.fitted import at_an_end
 from realsim.gap.inference.causes.select import Selection, select
 from realsim.gap.inference.evidence.onsets import find_onsets
 from realsim.gap.inference.evidence.where import by_horizon, by_signal, evidence, localise
@@ -146,7 +147,8 @@ def _assemble(
     residuals = [comparison.residual(i, nominal[i]) for i in runs]
     where, shares = localise(comparison, residuals, runs, simulator.nominal_tracks)
     gains = selection.gains if fit is selection.fit else {}
-    order = sorted(range(len(fit.causes)), key=lambda i: -gains.get(i, 0.0))
+    # What is at an end of its range only imitates something: what is not goes before it.
+    order = sorted(range(len(fit.causes)), key=lambda i: (bool(at_an_end(fit.causes[i])), -gains.get(i, 0.0)))
     gap = judgement.verdict is not GapVerdict.NO_GAP
     causes = describe_set(simulator, fit, order, concluded.sigmas) if gap else []
     equivalent = [tuple(describe_set(simulator, other)) for other in (concluded.equivalent if causes else ())]

@@ -14,7 +14,7 @@ from realsim.gap.answer.conclusion import _at_an_end
 from realsim.gap.effects.base import Parameter
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.figures import BRIEF, CAUSE, CAUSE_A_JOINT, CLEARLY, SHARE
-from realsim.gap.inference.causes.fit import Cause, Fitter, _at_bound
+from realsim.gap.inference.causes.fit import Cause, Fitter, at_bound
 from realsim.gap.inference.causes.leftover import leftover
 from realsim.gap.inference.causes.proposals import by_slopes, ranked
 from realsim.gap.inference.causes.score import asked, doubts, score
@@ -145,9 +145,9 @@ def test_of_causes_that_do_the_same_the_one_at_fewer_places_comes_first(fitter: 
 def test_no_friction_at_all_is_an_answer_and_twice_the_range_is_none() -> None:
     friction = Parameter("friction", "N m", (-0.1, 100.0), 0.05, none_left=True)
     ratio = Parameter("ratio", "ratio", (-0.85, 2.0), 0.15)
-    ends = [_at_bound(friction, v) for v in (-0.1, -0.05, 0.0, 100.0)]
+    ends = [at_bound(friction, v) for v in (-0.1, -0.05, 0.0, 100.0)]
     assert ends == [False, False, False, True]
-    assert [_at_bound(ratio, v) for v in (-0.85, -0.8, 0.0, 2.0)] == [True, False, False, True]
+    assert [at_bound(ratio, v) for v in (-0.85, -0.8, 0.0, 2.0)] == [True, False, False, True]
 
 
 def test_a_rotor_without_inertia_is_an_answer(fitter: Fitter) -> None:
@@ -155,13 +155,13 @@ def test_a_rotor_without_inertia_is_an_answer(fitter: Fitter) -> None:
     context, joint = fitter.screen.simulator.context, fitter.screen.simulator.context.driven[0]
     (inertia,) = lookup("armature").parameters(context, (joint,))
     assert inertia.bounds[0] == -context.armature(joint)
-    assert not _at_bound(inertia, inertia.bounds[0])
+    assert not at_bound(inertia, inertia.bounds[0])
 
 
 def test_a_strength_at_an_end_of_its_range_is_no_answer(fitter: Fitter) -> None:
-    fit = replace(fitter.nominal(), causes=(_cause(fitter, "motor_gain", -0.9),), at_bounds=("ratio",))
+    fit = replace(fitter.nominal(), causes=(_cause(fitter, "motor_gain", 100.0),))
     assert _at_an_end(fit) == ["ratio"]
-    assert _at_an_end(replace(fit, at_bounds=("stribeck_velocity",))) == []
+    assert _at_an_end(replace(fit, causes=(_cause(fitter, "motor_gain", -0.9),))) == []
 
 
 def test_the_best_place_of_every_effect_is_fitted_before_a_second_one(fitter: Fitter) -> None:

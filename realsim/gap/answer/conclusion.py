@@ -23,7 +23,7 @@ from realsim.gap.answer.verdict import Fitted, Judgement, judge
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fit import Fitter
-from realsim.gap.inference.causes.fitted import Cause, Fit, Trial
+from realsim.gap.inference.causes.fitted import Cause, Fit, Trial, at_an_end
 from realsim.gap.inference.causes.leftover import is_gap, leftover, nuisance_settings
 from realsim.gap.inference.causes.plausible import implausible
 from realsim.gap.inference.causes.score import score
@@ -88,6 +88,9 @@ def conclude(
         sigmas = np.maximum(sigmas, left.sigmas)
     ends = _at_an_end(fit)
     doubts = _doubts(screen, fit, sigmas, dropped, selection.trials)
+    if not all(at_an_end(c) for c in fit.causes):  # the others may still be what they are
+        doubts += [f"{name}: as far as the library goes, so it stands for something else" for name in ends]
+        ends = []
 
     def judged() -> Judgement:
         share, count = config.unexplained_share, len(fit.causes)
@@ -258,8 +261,7 @@ def _fitted(screen: Screen, fit: Fit, nothing: Fit, nominal: Sequence[F64]) -> F
 
 def _at_an_end(fit: Fit) -> list[str]:
     """Strengths at an end of their range; a law's shape may be at one, as where dry friction has no dip."""
-    strengths = {p.name for c in fit.causes for p in c.candidate.parameters if p.strength}
-    return [name for name in fit.at_bounds if name in strengths]
+    return [name for c in fit.causes for name in at_an_end(c)]
 
 
 def _told_from_none(fit: Fit, sigmas: F64) -> list[bool]:

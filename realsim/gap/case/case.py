@@ -64,16 +64,17 @@ class Case:
 
     def _repr_html_(self) -> str:
         first = self.runs[0]
-        angles = np.asarray(first.signals["joint_pos"], float)
+        signal = "joint_pos" if self.joint_names else "base_pos"
+        drawn = np.asarray(first.signals[signal], float)
         rows = [
             ("case", str(self.folder)),
             ("robot", f"{self.base} base, joints {', '.join(self.joint_names)}"),
             ("runs", f"{len(self.runs)}, {sum(run.duration for run in self.runs):.1f} s"),
             ("signals", ", ".join(first.signals)),
             *(("note", warning) for warning in self.warnings),
-            ("drawn", f"joint_pos of {first.name}, {np.nanmin(angles):.2g} to {np.nanmax(angles):.2g} rad or m"),
+            ("drawn", f"{signal} of {first.name}, {np.nanmin(drawn):.2g} to {np.nanmax(drawn):.2g} rad or m"),
         ]
-        return f"<div>{table(rows)}{traces(angles)}</div>"
+        return f"<div>{table(rows)}{traces(drawn)}</div>"
 
     @property
     def floating(self) -> bool:
@@ -145,7 +146,7 @@ def load_case(folder: Path, recordings: Sequence[Path] = ()) -> Case:
     if not isinstance(log, dict):
         raise GapError("log.json is not an object", file=folder / "log.json")
     spec, model, xml = load_model(folder / "model.xml")
-    joints = _names(log, "joint_names", folder)
+    joints = _joints(log, model, folder)
     actuators = _names(log, "actuator_names", folder)
     _match(joints, [model.joint(i).name for i in range(model.njnt)], "joint", folder)
     _match(actuators, [model.actuator(i).name for i in range(model.nu)], "actuator", folder)
@@ -302,6 +303,21 @@ def _names(log: dict[str, Any], key: str, folder: Path) -> list[str]:
     if len(set(value)) != len(value):
         raise GapError(f"{key} names something twice", file=folder / "log.json", found=", ".join(value))
     return value
+
+
+def _joints(log: dict[str, Any], model: Any, folder: Path) -> list[str]:
+    """The logged joints: none of a body that flies or rolls as a whole."""
+    if log.get("joint_names") != [] or log.get("base") != "floating":
+        return _names(log, "joint_names", folder)
+    turning = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] in (2, 3)]
+    if turning:
+        raise GapError(
+            "joint_names is empty, but the model has joints",
+            file=folder / "log.json",
+            expected=f"those of {', '.join(turning[:20])} that are logged",
+            found="[]",
+        )
+    return []
 
 
 def _match(names: list[str], known: list[str], kind: str, folder: Path) -> None:

@@ -54,7 +54,7 @@ def estimate(case: Case, run: Run, smoother: Smoother | None = None) -> Motion:
     qvel, qacc = np.zeros((len(time), model.nv)), np.zeros((len(time), model.nv))
     joints = run.signals["joint_pos"]
     good = _near(run.time, np.isfinite(joints).all(axis=1), time)
-    value, rate, change = smoother(time, run.time, joints)
+    value, rate, change = smoother(time, run.time, joints) if case.joint_names else (joints,) * 3
     for j, name in enumerate(case.joint_names):
         part = model.joint(name)
         qpos[:, part.qposadr[0]] = value[:, j]

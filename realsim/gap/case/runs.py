@@ -29,6 +29,7 @@ SIGNAL_SHAPES: dict[str, str | int] = {
 FRAMES = ("depth", "depth_time")
 """Arrays of the depth camera, with a clock of their own: read by `realsim.gap.checks.camera` where they are wanted."""
 REQUIRED = ("time", "command", "joint_pos")
+"""Of a body without joints, its pose instead of joint positions."""
 OFF_AFTER = 0.1
 """Seconds without any command from which on a drive is off; shorter gaps are lost messages, and a command holds."""
 MAX_SAMPLES = 5_000_000
@@ -144,9 +145,12 @@ def read_run(path: Path, want: Layout, warnings: list[str]) -> Run:
         for name, unit in want.units.items():
             if name in data:
                 data[name] = in_si(data[name], name, unit, want.command_kind, path)
-    for name in REQUIRED:
+    jointless = not want.names["joint_pos"]
+    for name in ("time", "command", "base_pos", "base_quat") if jointless else REQUIRED:
         if name not in data:
             raise GapError(f"array {name!r} is missing", file=path, found=", ".join(sorted(data)) or "nothing")
+    if jointless:
+        data = {k: v for k, v in data.items() if not k.startswith("joint_")}
     return _checked(path, data, want, warnings)
 
 
@@ -185,6 +189,7 @@ def _checked(path: Path, data: dict[str, F64], want: Layout, warnings: list[str]
             _check_shape(path, name, data[name], (count, len(want.names[name])))
             _check_size(path, name, data[name])
             signals[name] = np.where(np.isfinite(data[name]), data[name], np.nan)
+    signals.setdefault("joint_pos", np.zeros((count, 0)))
     empty = ~np.isfinite(signals["joint_pos"]).any(axis=0)
     if empty.any():
         joint = want.names["joint_pos"][int(np.argmax(empty))]

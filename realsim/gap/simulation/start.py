@@ -170,7 +170,8 @@ def _from_log(case: Case, run: Run) -> Start:
 
 def _agree(run: Run, reading: F64, given: F64) -> bool:
     """Whether a given posture is what the encoders read, and so has their errors."""
-    return bool(np.nanmax(np.abs(reading - given)) < 3e-3 + NOISES * float(np.max(_noise(run.signals["joint_pos"]))))
+    noise = _noise(run.signals["joint_pos"])
+    return bool((np.abs(reading - given) < 3e-3 + NOISES * noise.max(initial=0.0)).all())
 
 
 def _suspicious(simulator: Simulator, run: Run, resting: F64) -> bool:

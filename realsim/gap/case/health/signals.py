@@ -78,7 +78,7 @@ def _stale(name: str, values: F64, command: F64, joints: tuple[str, ...]) -> Sai
     """Readings that repeat exactly while the command moves: the sensor is slower than the log."""
     moving = (np.abs(np.diff(command, axis=0)) > 1e-9).any(axis=1)
     same = (np.diff(values, axis=0) == 0)[moving]
-    if len(same) < 50:
+    if len(same) < 50 or not joints:
         return []
     share = same.mean(axis=0)
     # A coarse encoder repeats at slow motion, joint by joint; a slow bus repeats all joints in the same samples.
@@ -123,7 +123,7 @@ def _spikes(column: F64, least: float) -> Any:
 def missing(case: Case) -> tuple[dict[str, float], Said]:
     """Share of each signal that is not there. Refuses a log without most of its joint positions."""
     found = {k: float(np.mean([1 - np.isfinite(r.signals[k]).mean() for r in case.runs if k in r.signals]))
-             for k in case.runs[0].signals}  # fmt: skip
+             for k, first in case.runs[0].signals.items() if first.size}  # fmt: skip
     found = {k: v for k, v in found.items() if v > 0}
     if found.get("joint_pos", 0) > 0.7:
         raise GapError("most joint positions are missing", file=case.folder, found=f"{found['joint_pos']:.0%} are NaN")
@@ -234,10 +234,13 @@ def initial_states(simulator: Simulator) -> tuple[dict[str, Any], Said]:
         travel = np.nanmax(position, axis=0) - np.nanmin(position, axis=0)
         distance, speed = np.abs(first - rest), _first_speed(run, y[:, : len(first)])
         peak = np.nanmax(np.abs(np.gradient(track["pos"], track["settle"][1], axis=0)), axis=0)
-        off.append(float(np.nanmax(distance)))
-        fast.append(float(np.nanmax(speed)))
+        off.append(float(np.nanmax(distance, initial=0.0)))
+        fast.append(float(np.nanmax(speed, initial=0.0)))
         how[run.name] = f"{STARTED[start.kind]}: {start.reason}"
         done = f"; it is simulated {STARTED[start.kind]}"
+        said += _given_state(case, run, start, first)
+        if not case.joint_names:
+            continue
         j = int(np.nanargmax(distance / (travel + REST_OFF)))
         if distance[j] > max(REST_OFF, 0.2 * travel[j]):
             said.append(
@@ -251,7 +254,6 @@ def initial_states(simulator: Simulator) -> tuple[dict[str, Any], Said]:
             )
         elif start.moving and not start.anchors:
             said.append(f"{run.name}: the run does not begin at rest{done}")
-        said += _given_state(case, run, start, first)
     parts = [
         float(length)
         for run, start in zip(case.runs, simulator.starts, strict=True)
@@ -290,8 +292,9 @@ def _given_state(case: Case, run: Run, start: Start, first: F64) -> Said:
     said = []
     if run.init_qpos is not None:
         given = np.array([run.init_qpos[case.model.joint(n).qposadr[0]] for n in case.joint_names])
-        j = int(np.argmax(np.abs(given - first)))
-        if abs(given[j] - first[j]) > REST_OFF:
+        far = np.abs(given - first)
+        if far.max(initial=0.0) > REST_OFF:
+            j = int(np.argmax(far))
             said.append(f"{run.name}: init_qpos has {case.joint_names[j]} at {given[j]:.3g}, the log at {first[j]:.3g}")
     if run.init_qvel is not None and np.abs(run.init_qvel).max(initial=0) > AT_REST and not start.moving:
         said.append(f"{run.name}: init_qvel is not zero, but the log stands still: the run is simulated from rest")

@@ -69,7 +69,7 @@ def uncompared(case: Case) -> list[str]:
     used = {"base_quat" if c.signal == "base_rot" else c.signal for c in channels(case)}
     if case.floating:
         used.add("contact")  # it tells touchdowns, and what bears the robot
-    shared = [name for name in case.runs[0].signals if all(name in run.signals for run in case.runs)]
+    shared = [k for k, v in case.runs[0].signals.items() if v.size and all(k in run.signals for run in case.runs)]
     return [_why_not(case, name) for name in shared if name not in used]
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.core.types import F64
 from realsim.gap import figures
-from realsim.gap.effects.base import Parameter
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fitted import Cause as Cause
 from realsim.gap.inference.causes.fitted import Fit as Fit
@@ -156,12 +155,12 @@ class Fitter(GaussNewton):
     def remeasure(self, fit: Fit) -> Fit:
         """The same fit under the present weights."""
         with self.beside_those_of(fit):
-            return replace(self._measure(fit.causes), covariance=fit.covariance, at_bounds=fit.at_bounds)
+            return replace(self._measure(fit.causes), covariance=fit.covariance)
 
     def looked_at(self, fit: Fit, causes: Sequence[Cause]) -> Fit | None:
         """These causes at their very values, without a search, under the fit's weights; None if the robot falls."""
         try:
-            return replace(self._measure(tuple(causes)), covariance=fit.covariance, at_bounds=fit.at_bounds)
+            return replace(self._measure(tuple(causes)), covariance=fit.covariance)
         except GapError:
             return None
 
@@ -242,19 +241,10 @@ class Fitter(GaussNewton):
         prior = scale * prior
         z, parameters = values_of(causes), parameters_of(causes)
         covariance = np.zeros((len(z), len(z)))
-        at_bounds: list[str] = []
         if spread_too and parameters:
             if slopes is None:
                 slopes, few = self.slopes(causes, predicted), None
             if slopes is not None:
                 seen = predicted if few is None else [predicted[k] for k in few]
                 covariance = spread(*self._local(prior, self._normal(causes, seen, slopes, few)), parameters)
-            at_bounds = [p.name for p, v in zip(parameters, z, strict=True) if _at_bound(p, float(v))]
-        return Fit(tuple(causes), misfit, covariance, tuple(predicted), about, evidence, prior, scale, tuple(at_bounds))
-
-
-def _at_bound(p: Parameter, value: float) -> bool:
-    """Whether a value lies at an end of its range; zero, where an effect begins, and nothing left of it are no ends."""
-    low, high = p.bounds
-    near = min(1e-3 * (high - low), 0.05 * abs(p.step))
-    return value >= high - near or (low != 0 and not p.none_left and value <= low + near)
+        return Fit(tuple(causes), misfit, covariance, tuple(predicted), about, evidence, prior, scale)

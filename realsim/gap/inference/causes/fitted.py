@@ -49,7 +49,6 @@ class Fit:
     """(p,) prior of the nuisances that stay beside these causes, times the scale."""
     scale: float
     """Of all nuisances, at its most probable value."""
-    at_bounds: tuple[str, ...] = ()
 
     def settings(self) -> list[Setting]:
         return [s for c in self.causes for s in c.settings()]
@@ -128,3 +127,16 @@ def spread(info: F64, scores: F64, parameters: list[Parameter]) -> F64:
 def form(fit: Fit) -> float:
     """Share of the correction that the laws of these causes may miss: that of the roughest one."""
     return max((lookup(c.candidate.effect).law.form for c in fit.causes), default=0.0)
+
+
+def at_bound(p: Parameter, value: float) -> bool:
+    """Whether a value lies at an end of its range; zero, where an effect begins, and nothing left of it are no ends."""
+    low, high = p.bounds
+    near = min(1e-3 * (high - low), 0.05 * abs(p.step))
+    return value >= high - near or (low != 0 and not p.none_left and value <= low + near)
+
+
+def at_an_end(cause: Cause) -> list[str]:
+    """Strengths of a cause that lie at an end of their range."""
+    rows = zip(cause.candidate.parameters, cause.values, strict=True)
+    return [p.name for p, value in rows if p.strength and at_bound(p, value)]

@@ -151,4 +151,4 @@ def _logged(run: Run, signal: str, at: F64) -> F64:
         value = np.interp(at, time, column[finite]) if finite.any() else np.full(len(at), np.nan)
         hole = np.abs(time[np.searchsorted(time, at).clip(0, len(time) - 1)] - at) > 0.05 if finite.any() else True
         columns.append(np.where(hole, np.nan, value))
-    return np.stack(columns, axis=1)
+    return np.stack(columns, axis=1) if columns else np.zeros((len(at), 0))

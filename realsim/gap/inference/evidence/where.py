@@ -29,7 +29,7 @@ def phases(comparison: Comparison, run: int, track: dict[str, F64], joint: int |
     speed = np.nan_to_num(track["vel"])
     peak = np.maximum(np.abs(speed).max(axis=0), 1e-6)
     scaled = speed / peak
-    v = scaled[index, joint] if joint is not None else np.abs(scaled[index]).max(axis=1)
+    v = scaled[index, joint] if joint is not None else np.abs(scaled[index]).max(axis=1, initial=0.0)
     result = np.where(np.abs(v) < 0.25, 2, np.where(v > 0, 3, 4))
     near = np.zeros(len(v), bool)
     moving = np.flatnonzero(np.abs(v) > 0.03)

@@ -1,0 +1,63 @@
+"""Bodies without joints: what flies as a whole is diagnosed from its pose."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from realsim.core.errors import GapError
+from realsim.gap import DiagnoseConfig, diagnose, load_case
+
+CRAZYFLIE = Path(os.environ.get("REALSIM_SHARED", "../shared")) / "cases" / "logs" / "cf_W3_M3"
+FLYING = """<mujoco><option timestep="0.005"/><worldbody><body name="drone"><freejoint/>
+<inertial pos="0 0 0" mass="0.03" diaginertia="2e-5 2e-5 3e-5"/><site name="up"/></body></worldbody>
+<actuator><motor name="lift" site="up" gear="0 0 1 0 0 0"/></actuator></mujoco>"""
+LOG = {"joint_names": [], "actuator_names": ["lift"], "command_kind": "torque", "base": "floating"}
+
+
+def case_in(folder: Path, xml: str = FLYING, **other: object) -> Path:
+    """A body that hovers for two seconds; `other` replaces arrays of its run, None leaves one out."""
+    time = np.arange(0, 2, 0.01)
+    pose = {"base_pos": np.tile([0, 0, 1.0], (len(time), 1)), "base_quat": np.tile([1.0, 0, 0, 0], (len(time), 1))}
+    run = {"time": time, "command": 0.2943 + 0.01 * np.sin(6 * time)[:, None], **pose} | other
+    (folder / "runs").mkdir(parents=True)
+    (folder / "model.xml").write_text(xml)
+    (folder / "log.json").write_text(json.dumps(LOG))
+    np.savez(folder / "runs" / "flight.npz", **{k: v for k, v in run.items() if v is not None})
+    return folder
+
+
+def test_a_body_without_joints_is_read(tmp_path: Path) -> None:
+    case = load_case(case_in(tmp_path / "case"))
+    assert case.joint_names == ()
+    assert case.runs[0].signals["joint_pos"].shape == (200, 0)
+    assert "base_pos" in case._repr_html_()
+
+
+def test_it_needs_its_pose(tmp_path: Path) -> None:
+    with pytest.raises(GapError, match="'base_quat' is missing"):
+        load_case(case_in(tmp_path / "case", base_quat=None))
+
+
+def test_joints_of_the_model_are_not_left_out_silently(tmp_path: Path) -> None:
+    weight = '<inertial pos="0 0 0" mass="0.01" diaginertia="1e-6 1e-6 1e-6"/>'
+    arm = f'<body name="arm"><joint name="tilt" axis="0 1 0"/>{weight}</body>'
+    with pytest.raises(GapError, match="joint_names is empty, but the model has joints"):
+        load_case(case_in(tmp_path / "case", xml=FLYING.replace('<site name="up"/>', f'<site name="up"/>{arm}')))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not CRAZYFLIE.is_dir(), reason="needs the logs of REALSIM_SHARED")
+def test_a_weight_beside_a_rotor_is_named_with_its_place() -> None:
+    """3.9 g beside motor 3, which sits at (-0.033, 0.033) m."""
+    found = diagnose(load_case(CRAZYFLIE), DiagnoseConfig(threads=1, report=False))
+    assert found.verdict != "identified"  # motors that answer late look like inertia
+    weight = found.causes[0]
+    assert weight["effect"] == "payload"
+    low, high = weight["parameters"]["mass"]["ci90"]
+    assert low < 0.0039 < high
+    assert weight["parameters"]["x"]["value"] < 0 < weight["parameters"]["y"]["value"]
