@@ -1,14 +1,20 @@
-# `make demo` and `make test` are all that a fresh machine needs; both make .venv/ first.
+# `make demo` and `make test` are all that a fresh machine needs; they make .venv/ first, with what each needs.
 PYTHON ?= python3
 BIN := .venv/bin
-EXTRAS := dev,docs,recon,viewer,colmap,phone,lidar,logs,usd,ray,slurm,mcp,app,train,warp,rsl-rl
+PIP := $(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt --editable
+EXTRAS := dev,docs,recon,viewer,colmap,phone,lidar,logs,usd,ray,slurm,mcp,train,warp,rsl-rl
+# Directories whose tests take a second or less each: what `make check` runs beside the linters.
+QUICK := tests/core tests/cli tests/scale tests/align tests/capture tests/robots tests/report tests/test_imports.py
 # MuJoCo renders without a display.
 export MUJOCO_GL ?= osmesa
 
-.PHONY: demo test lint format venv bench readme docs wheel clean
+.PHONY: demo check test lint format venv bench readme docs wheel clean
 
-demo: venv
+demo: .venv/.demo
 	$(BIN)/realsim demo --out demo_out --overwrite
+
+check: lint
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow" $(QUICK)
 
 test: venv
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
@@ -36,11 +42,21 @@ wheel: venv
 
 venv: .venv/.stamp
 
-.venv/.stamp: pyproject.toml constraints.txt tools/system_packages.sh
+.venv/.made: tools/system_packages.sh
 	bash tools/system_packages.sh
-	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.11 ...")'
+	$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14) and "Python 3.11 to 3.13 is needed: make PYTHON=python3.11 ...")'
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[$(EXTRAS)]'
+	touch $@
+
+# The demo needs neither torch nor ray: 2.1 GB instead of 4.6.
+.venv/.demo: pyproject.toml constraints.txt .venv/.made
+	@echo "installing what the demo needs into .venv (once)"
+	test -e .venv/.stamp || $(PIP) '.[recon]'
+	touch $@
+
+.venv/.stamp: pyproject.toml constraints.txt .venv/.made
+	@echo "installing all parts into .venv (once)"
+	$(PIP) '.[$(EXTRAS)]'
 	touch $@
 
 clean:
