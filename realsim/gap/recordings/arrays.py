@@ -14,6 +14,8 @@ from realsim.gap.recordings.recording import Recording, planned
 from realsim.gap.recordings.signals import at, held
 
 LEAST_SAMPLES = 20
+LONGEST_HOLD = 5.0
+"""s that the last command may be older than the first position."""
 SETTLED = 1e-3
 """s of difference up to which commands and positions count as sampled together."""
 
@@ -53,6 +55,13 @@ def run_arrays(proposal: Proposal, recording: Recording) -> RunArrays:
                 f"{role} is not in the run", file=recording.path, expected=proposal.assignments[role].source.label
             )
     place, sent = series[proposal.place][0], series["command"][0]
+    if place[-1] < sent[0] or sent[-1] < place[0] - LONGEST_HOLD:
+        raise GapError(
+            "commands and positions do not overlap in time", file=recording.path,
+            expected="clocks that agree, or time stamps of one clock in both",
+            found=f"commands {sent[0]:.6g} to {sent[-1]:.6g} s, positions {place[0]:.6g} to {place[-1]:.6g} s",
+            hint="record both with one clock; --use time=COLUMN chooses another column of a table as its clock",
+        )  # fmt: skip
     start, end = max(place[0], sent[0]), place[-1]
     rows, notes = _rows(place, sent, start, end)
     if len(rows) < LEAST_SAMPLES:

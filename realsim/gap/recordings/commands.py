@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from realsim.core.statistics import alike
 from realsim.core.types import F64
 from realsim.gap.recordings.evidence import Evidence
+from realsim.gap.recordings.guess import LEADS, leads
 from realsim.gap.recordings.joints import ANGLES, SPEEDS, TORQUES, columns_for, torque
 from realsim.gap.recordings.model import Target
 from realsim.gap.recordings.names import known_type, match_joints
@@ -21,6 +23,7 @@ OTHER_UNIT = 3.0
 """Ratio of what was commanded to what was reached from which it is not in the positions' unit."""
 THE_UNIT = 1.6
 """Ratio up to which it is in another one."""
+BY_VALUES = "what the joints did: they follow it"
 NEGATED = -0.8
 """Correlation below which a joint does the opposite of its command."""
 
@@ -38,6 +41,8 @@ def command(e: Evidence) -> None:
     if source is None and wanted == "torque" and "command" not in e.chosen:
         _measured_torque(e)
         return
+    if source is None and "command" not in e.chosen:
+        source = _leader(e)
     if source is None:
         return
     columns, joints, how = columns_for(e, source)
@@ -45,10 +50,11 @@ def command(e: Evidence) -> None:
         return
     kind = source.role.partition(".")[2] or _kind(e, source, columns) or wanted or "position"
     evidence = [f"by {source.why}", how]
-    doubtful = False
+    doubtful = source.why == BY_VALUES
     if kind == "position":
-        columns, said, doubtful = _order(e, source, columns, joints, named=how.startswith("its columns name"))
+        columns, said, odd = _order(e, source, columns, joints, named=how.startswith("its columns name"))
         evidence += said
+        doubtful |= odd
     scale, unit, offset, said, odd = _scale(e, kind, source, columns, joints)
     evidence += said
     doubtful |= odd
@@ -75,6 +81,23 @@ def command(e: Evidence) -> None:
             )
     e.proposal.command_kind = kind
     _gains(e, source)
+
+
+def _leader(e: Evidence) -> Candidate | None:
+    """A field without a telling name that the joints follow: commands, by what they did."""
+    home = e.proposal.assignments["joint_pos"]
+    taken = {a.source.label for a in e.proposal.assignments.values()}
+    found = {}
+    for c in e.candidates:
+        columns = columns_for(e, c)[0]
+        if c.label in taken or len(columns) < len(home.columns) or c.role not in ("", "joint_pos", "joint_vel"):
+            continue
+        time, field = e.of(c)
+        place = e.beside("joint_pos", time)
+        if place is not None and (corr := leads(time, field.values[:, columns], place)) > LEADS:
+            found[c] = corr
+    best = max(found, key=lambda c: found[c], default=None)
+    return None if best is None else replace(best, role="command.position", why=BY_VALUES)
 
 
 def _of_a_body(e: Evidence, target: Target) -> None:

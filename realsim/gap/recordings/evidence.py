@@ -64,23 +64,20 @@ class Evidence:
             if c.label not in taken and (c.role == plain or (role.endswith(".") and c.role.startswith(role)))
         ]  # fmt: skip
 
-    def nearest(self, found: Sequence[Candidate]) -> Candidate | None:
-        """The best of several for one role: of the stream of the joints or nearest to it by name, then the fastest.
-
-        Raises:
-            GapError: they say different things of robots of different names.
-        """
-        if not found:
-            return None
+    def ranked(self, found: Sequence[Candidate]) -> list[Candidate]:
+        """Candidates for one role: of the stream of the joints or nearest to it by name, then raw ones, then fast."""
         home = self.proposal.assignments.get("joint_pos")
         place = home.source.stream if home else ""
-        ranked = sorted(
+        return sorted(
             found,
             key=lambda c: (
                 c.stream != place, -_shared(c.stream, place), rawness(c.member), -len(self.of(c)[0]), c.label
             ),
         )  # fmt: skip
-        return ranked[0]
+
+    def nearest(self, found: Sequence[Candidate]) -> Candidate | None:
+        """The first of `ranked`."""
+        return next(iter(self.ranked(found)), None)
 
     def settle(
         self, role: str, source: Candidate, columns: Sequence[int], targets: Sequence[str], evidence: Sequence[str], *,

@@ -17,6 +17,7 @@ from realsim.gap.recordings.arrays import run_arrays
 from realsim.gap.recordings.clocks import Clocked, clocked
 from realsim.gap.recordings.depth import choose, is_frames
 from realsim.gap.recordings.evidence import MOST_RUNS, Evidence
+from realsim.gap.recordings.guess import blocks
 from realsim.gap.recordings.model import Target
 from realsim.gap.recordings.names import meaning
 from realsim.gap.recordings.proposal import Candidate, Proposal
@@ -56,6 +57,11 @@ def propose(
     main = max(kept, key=lambda r: (len(r.streams), max((s.count for s in r.streams), default=0)))
     frames = {s.name for s in main.streams if is_frames(s)}
     times = clocked(main)
+    by_values = _by_values(main, target, uses)
+    if by_values:
+        kept, more = overrides.apply(kept, by_values)
+        uses = more | uses
+        main = next(r for r in kept if r.name == main.name)
     candidates = _candidates(main)
     chosen = {
         role: next((c for c in candidates if (c.stream, c.member) == (u.stream, u.member)), None)
@@ -81,6 +87,12 @@ def propose(
     if target is not None:
         proposal.depth, lacks = choose(main, target, camera)
         proposal.missing += [lacks] if lacks else []
+    for text in by_values:
+        role = text.partition("=")[0]
+        if role in proposal.assignments:
+            found = proposal.assignments[role]
+            why = (f"{text}: by its values alone, no name tells it", *found.evidence)
+            proposal.assignments[role] = replace(found, doubtful=True, evidence=why)
     if world is not None and "base_pos" not in proposal.assignments:
         raise GapError(
             "there is no base pose to put into the scene", file=main.path,
@@ -89,7 +101,7 @@ def propose(
         )  # fmt: skip
     proposal.world = world
     _followed(proposal, target)
-    _missing(proposal, target)
+    _missing(proposal, target, candidates)
     used = {a.source.label for a in proposal.assignments.values()}
     proposal.unused = sorted({_label(s, n) for s in main.streams if not is_frames(s) for n in s.fields} - used)
     return proposal
@@ -117,6 +129,21 @@ def _candidates(recording: Recording) -> list[Candidate]:
     return found
 
 
+def _by_values(recording: Recording, target: Target | None, uses: Mapping[str, overrides.Use]) -> list[str]:
+    """`--use` texts for a table in which no name tells positions, from what its columns do."""
+    named = any(c.role in ("joint_pos", "command.position") for c in _candidates(recording))
+    if target is None or not target.joints or named or "joint_pos" in uses or len(recording.streams) != 1:
+        return []
+    stream = recording.streams[0]
+    columns = [(n, f.values[:, k]) for f in stream.fields.values() for k, n in enumerate(f.columns)]
+    if len(columns) < 2 * len(target.joints):
+        return []
+    time = clocked(recording)[stream.name].time
+    found = blocks(time, np.stack([v for _, v in columns], axis=1), len(target.joints))
+    names = [n for n, _ in columns]
+    return [f"{role}={','.join(names[k : k + len(target.joints)])}" for role, k in found.items()]
+
+
 def _said_about_clocks(proposal: Proposal, times: Mapping[str, Clocked], frames: set[str]) -> None:
     for name, found in times.items():
         step = np.diff(found.time[np.isfinite(found.time)])
@@ -134,7 +161,7 @@ def _said_about_clocks(proposal: Proposal, times: Mapping[str, Clocked], frames:
             proposal.warnings.append(f"{name or 'table'}: {gaps} gaps in time, the longest of {step.max():.3g} s")
 
 
-def _missing(proposal: Proposal, target: Target | None) -> None:
+def _missing(proposal: Proposal, target: Target | None, candidates: Sequence[Candidate]) -> None:
     have = proposal.assignments
     if proposal.jointless and "base_pos" not in have:
         proposal.missing.append(
@@ -146,8 +173,11 @@ def _missing(proposal: Proposal, target: Target | None) -> None:
             f"--use joint_pos={_example(proposal)}"
         )
     if "command" not in have:
+        still = [c.label for c in candidates if c.role.startswith("command")]
         proposal.missing.append(
-            "command (needed): no field of commands is known by its name; name it: "
+            f"command (needed): {', '.join(still[:3])} never changes, which tells nothing of the joints: record motion"
+            if still
+            else "command (needed): no field of commands is known by its name; name it: "
             f"--use command={_example(proposal)}; or record the command topic too"
         )
     optional = (

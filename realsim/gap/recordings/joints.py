@@ -105,7 +105,8 @@ def _which_joints(e: Evidence, source: Candidate, field: Field) -> tuple[list[in
         how = "its columns name the model's joints" + (f"; not in the model: {', '.join(left[:6])}" if left else "")
         inverse = {j: i for i, j in at_.items()}
         names = [j for j in e.target.joints if j in inverse]
-        return [inverse[j] for j in names], names, how, False
+        moving = [i for i in range(field.width) if i not in at_ and not _still(field.values[:, [i]])]
+        return [inverse[j] for j in names], names, how, bool(moving) and len(names) < len(e.target.joints)
     if len(e.target.joints) == 1 and field.width == 1:
         return [0], list(e.target.joints), "one column, one joint", False
     orders = e.target.orders(field.width)
@@ -126,7 +127,10 @@ def _which_joints(e: Evidence, source: Candidate, field: Field) -> tuple[list[in
     moving = [c for c in range(field.width) if c not in orders[best] and not _still(field.values[:, c])]
     if moving:
         said += f"; {len(moving)} more columns that move are left out: is it another robot's model?"
-    return list(orders[best]), list(orders[best].values()), said, bool(rivals or moving)
+    strange = bool(field.labels) and not listed and not _numbered(field)
+    if strange:
+        said += f"; the columns' names ({', '.join(field.labels[:4])}) are none of the model's: check, or use --use"
+    return list(orders[best]), list(orders[best].values()), said, bool(rivals or moving or strange)
 
 
 def _numbered(field: Field) -> bool:
@@ -283,12 +287,14 @@ def velocity(e: Evidence) -> None:
     """Joint velocities, by the slope of the positions."""
     if "joint_pos" not in e.proposal.assignments:
         return
-    source = e.nearest(_with_samples(e, e.candidates_for("joint_vel")))
-    if source is None:
-        return
-    columns, names, how = columns_for(e, source)
-    if len(columns) < len(e.proposal.joints):
-        return
+    for source in e.ranked(_with_samples(e, e.candidates_for("joint_vel"))):
+        columns, names, how = columns_for(e, source)
+        if len(columns) == len(e.proposal.joints) and _velocity(e, source, columns, names, how):
+            return
+
+
+def _velocity(e: Evidence, source: Candidate, columns: list[int], names: list[str], how: str) -> bool:
+    """Settle a field as the joints' velocity; False where it is not the slope of their positions."""
     time, field = e.of(source)
     place = e.beside("joint_pos", time)
     assert place is not None
@@ -301,16 +307,17 @@ def velocity(e: Evidence) -> None:
     if not factors:
         e.settle("joint_vel", source, columns, names, [f"by {source.why}", how, "no joint moves: nothing tests it"],
                  scale=SPEEDS.get(source.unit, 1.0), unit=source.unit or "rad/s", doubtful=True)  # fmt: skip
-        return
+        return True
     signs = np.sign(np.array(factors))
     ratio, corr = float(np.median(np.abs(factors))), float(np.median(np.abs(corrs)))
     if corr < 0.6 and "joint_vel" not in e.chosen:
         e.proposal.warnings.append(
             f"{source.label} is no velocity of the joints: correlation {corr:.2f} with what their positions travel"
         )
-        return
+        return False
     unit = min(SPEEDS, key=lambda u: abs(np.log(ratio * SPEEDS[u])))
-    close = abs(ratio * SPEEDS[unit] - 1) < NEAR
+    odd = [n for n, c in zip(names, corrs, strict=False) if abs(c) < 0.6] if len(corrs) == len(names) else []
+    close = abs(ratio * SPEEDS[unit] - 1) < NEAR and not odd
     said = f"its integral against the positions: correlation {corr:.3f}, factor {ratio:.4g} -> {unit}"
     if not close:
         usual = source.unit if source.unit in SPEEDS else "rad/s"
@@ -321,8 +328,11 @@ def velocity(e: Evidence) -> None:
     if turned.all():
         flips[:] = -1.0
         said += ", and negated"
+    if odd:
+        said += f"; that of {', '.join(odd)} has nothing to do with its position: --use joint_vel=none leaves it out"
     e.settle("joint_vel", source, columns, names, [f"by {source.why}", how, said], scale=SPEEDS[unit] * flips,
              unit=unit,             doubtful=not close)  # fmt: skip
+    return True
 
 
 def torque(e: Evidence) -> None:

@@ -236,7 +236,7 @@ def match_joints(labels: Sequence[str], joints: Sequence[str]) -> dict[int, str]
     found: dict[int, str] = {}
     for column, label in enumerate(labels):
         alike = [j for j in joints if j == label] or [j for j in joints if same_joint(label, j)]
-        alike = alike or [j for j in joints if _ends(label, j)]
+        alike = alike or [j for j in joints if _ends(label, j)] or [j for j in joints if _begins(label, j)]
         if len(alike) == 1 and alike[0] not in found.values():
             found[column] = alike[0]
     return found
@@ -245,6 +245,12 @@ def match_joints(labels: Sequence[str], joints: Sequence[str]) -> dict[int, str]
 def _core(name: str) -> list[str]:
     found = [w for w in english(name) if w not in ("joint", *SIGNALS)]
     return found if any(not w.isdigit() for w in found) else list(english(name))
+
+
+def _begins(label: str, joint: str) -> bool:
+    """Whether a label names a joint in short: `knee` of `knee_pitch`."""
+    a, b = _core(label), _core(joint)
+    return any(not w.isdigit() for w in a) and len(a) < len(b) and b[: len(a)] == a
 
 
 def _ends(label: str, joint: str) -> bool:

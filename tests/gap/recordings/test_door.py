@@ -198,3 +198,46 @@ def test_raw_files_that_were_read_wrongly(shared: Callable[[str], Path], tmp_pat
     assert len(found.recordings) == 1
     assert found.assignments["command"].source.stream == "target"
     assert found.assignments["joint_pos"].source.stream == "measured"
+
+
+def test_roles_by_values_are_in_doubt(arm: Log, tmp_path: Path) -> None:
+    """A table without a header, and a `qd` that is the desired position beside `dq`."""
+    target = load_target(save(tmp_path, ARM))
+    np.savetxt(tmp_path / "bare.csv", np.column_stack([arm.time, arm.pos, arm.vel, arm.command]), delimiter=",")
+    np.savez(tmp_path / "qd.npz", t=arm.time, q=arm.pos, dq=arm.vel, qd=arm.command)
+    for name in ("bare.csv", "qd.npz"):
+        found = propose(read(tmp_path / name), target)
+        arrays = run_arrays(found, found.recordings[0]).arrays
+        np.testing.assert_allclose(arrays["command"], arm.command, atol=1e-6)
+        np.testing.assert_allclose(arrays["joint_pos"], arm.pos, atol=1e-6)
+        np.testing.assert_allclose(arrays["joint_vel"], arm.vel, atol=1e-6)
+        assert found.assignments["command"].doubtful
+
+
+def test_names_of_joints_in_short_and_strange_ones(arm: Log, tmp_path: Path) -> None:
+    longer = ARM.replace("elbow_joint", "elbow_pitch_joint").replace("shoulder_joint", "shoulder_pitch_joint")
+    target = load_target(save(tmp_path, longer))
+    path = write(tmp_path / "a.csv", "t,elbow_cmd,shoulder_cmd,elbow_pos,shoulder_pos", arm.time, arm.command[:, ::-1],
+                 arm.pos[:, ::-1])  # fmt: skip
+    found = propose(read(path), target)
+    assert found.assignments["joint_pos"].columns == found.assignments["command"].columns == (1, 0)
+    assert not found.assignments["joint_pos"].doubtful
+    for head in ("t,foo_cmd,bar_cmd,foo_pos,bar_pos", "t,foo_cmd,elbow_cmd,foo_pos,elbow_pos"):
+        path.write_text("\n".join([head, *path.read_text().splitlines()[1:]]))
+        assert propose(read(path), target).assignments["joint_pos"].doubtful
+
+
+def test_commands_and_positions_of_two_clocks_are_refused(arm: Log, tmp_path: Path) -> None:
+    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed: pip install -e '.[dev]'")
+    messages = writers.joint_states(arm, list(JOINTS)) + writers.float_commands(arm, offset=-1e6)
+    path = writers.mcap_ros2(tmp_path / "a.mcap", sorted(messages, key=lambda m: m[3]))
+    found = propose(read(path), load_target(save(tmp_path, ARM)))
+    with pytest.raises(GapError, match="do not overlap in time"):
+        run_arrays(found, found.recordings[0])
+
+
+def test_nothing_that_moves_is_said_to(arm: Log, tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", "t,q1,q2,q1_cmd,q2_cmd", arm.time, arm.pos, 0 * arm.command)
+    found = propose(read(path), load_target(save(tmp_path, ARM)))
+    assert not found.complete
+    assert "never changes" in " ".join(found.missing)
