@@ -97,16 +97,15 @@ def test_a_known_length_sets_the_scale():
     points = capture("a4", 0.992)
     T = points.T_world_camera.copy()
     names = []
-    # Two corners of the sheet, picked in two frames to half a pixel.
-    for i, corner in ((2, [-0.1485, 0.105, 0]), (9, [0.1485, -0.105, 0])):
+    # Two marks on the floor, each picked in another frame to half a pixel.
+    for i, corner in ((2, [-0.4, 0.3, 0]), (9, [0.4, -0.3, 0])):
         eye = T[i][:3, 3] / 0.992
         seen = T[i][:3, :3].T @ (np.array(corner) - eye)
         u, v = seen[:2] / seen[2] * 610 + (318, 243)
         names.append(f"f{i}:{round(2 * u) / 2},{round(2 * v) / 2}")
-    length = float(np.hypot(0.297, 0.210))
-    scale = to_metric(points, ScaleConfig(known_length=(names[0], names[1], length), bootstrap=200)).scale
+    scale = to_metric(points, ScaleConfig(known_length=(names[0], names[1], 1.0), bootstrap=200)).scale
     assert scale.value == pytest.approx(1 / 0.992, rel=0.002)
-    assert scale.method == "a known length of 0.363731 m"
+    assert scale.method == "a known length of 1 m"
 
 
 def test_depth_that_disagrees_is_named():
