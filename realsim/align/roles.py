@@ -5,13 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.align.config import AlignConfig
-from realsim.align.platforms import Face
+from realsim.align.platforms import Face, oriented_extent
 from realsim.core.errors import AlignError
 from realsim.core.geometry import invert_T, make_T, transform
 from realsim.core.types import F64, MetricScene, Scan
 
 SLACK = 0.10
 """Metres outside a platform's outline that a point which asks for it may lie."""
+ROOM = 0.35
+"""Metres, the shortest side of a platform that a robot can start from: treads are 0.22 to 0.32 deep, a G1's foot 0.2 m
+long and its stance as wide. What is narrower is stepped on, from the ground before it."""
 Roles = tuple[int | None, int | None]
 """Indices of start and goal among the faces."""
 
@@ -20,8 +23,8 @@ def by_rule(faces: list[Face], near: F64) -> Roles:
     """Start and goal by the rule: the pair that is largest and furthest apart, see `pair_score`.
 
     The one nearer to `near` ((2,), first camera, sensor or origin in the plan of the levelled frame) is the start. A
-    single platform is the start. A tread that was inferred is none, a robot has hardly room on it: its flight begins
-    at the ground. It ends at its last tread.
+    single platform is the start. A tread is none, measured or inferred, as a robot has hardly room on it: its flight
+    begins at the ground. It ends at its last tread.
     """
     if len(faces) < 2:
         return (0, None) if faces else (None, None)
@@ -31,7 +34,7 @@ def by_rule(faces: list[Face], near: F64) -> Roles:
     start, goal = (i, j) if first else (j, i)
     if faces[goal].inferred:
         goal = max((k for k, face in enumerate(faces) if face.inferred), key=lambda k: faces[k].height)
-    return (None if faces[start].inferred else start), goal
+    return (None if faces[start].inferred or oriented_extent(faces[start].outline)[1] < ROOM else start), goal
 
 
 def pair_score(a: Face, b: Face) -> float:

@@ -69,9 +69,10 @@ def carried(frames: Sequence[Frame], T_world_camera: F64) -> Bool | None:
     through, judged = _looked_through(depth, near, cameras, T_world_camera[some])
     count = judged.sum(0)
     share = np.divide(through.sum(0), count, out=np.zeros(count.shape), where=count >= JUDGED)
-    z = np.where(depth > 0, depth, np.nan)
-    with np.errstate(all="ignore"):
-        low, middle, high = np.nanpercentile(z, (25, 50, 75), axis=0)
+    seen = (depth > 0).any(0)
+    low, middle, high = np.full((3, *seen.shape), np.nan)
+    z = np.where(depth > 0, depth, np.nan)[:, seen]
+    low[seen], middle[seen], high[seen] = np.nanpercentile(z, (25, 50, 75), axis=0)
     steady = (high - low < STEADY * middle) & ((depth > 0).mean(0) > MOST)
     found = steady & (share > MOST)
     found = _grown(found, steady & (count < JUDGED), middle)
