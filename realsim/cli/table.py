@@ -105,6 +105,12 @@ COMMANDS: dict[str, Command] = {
         "realsim excite diagnosis --out experiment",
         "Robots and their logs",
     ),
+    "doctor": Command(
+        f"{_HERE}.doctor:doctor",
+        "a robot's log and its policy -> contract, delay, physics, camera and terrain on one page",
+        "realsim doctor my_case --policy policy.onnx --out doctor",
+        "Robots and their logs",
+    ),
     "footholds": Command(
         f"{_HERE}.footholds:footholds",
         "a robot's log against the scene it walked on -> which foothold differs from the scan, by how much",

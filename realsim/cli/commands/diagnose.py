@@ -53,8 +53,9 @@ def diagnose(
         explain: instead of a case: describe an effect and what excites it (`all` lists them).
         model: of the robot, where CASE is a recording (MCAP, bag, CSV, ...): the case is written beside --out first.
         scene: scene.xml that the depth frames of the log are compared with (default: the terrain of the case's model).
-        policy: policy.onnx that was run: check first whether it was run as it was trained (docs/logs.md).
-        deploy_yaml: the contract of a policy whose ONNX file has none (unitree_rl_lab).
+        policy: policy.onnx that was run: check first whether it was run as it was trained.
+        deploy_yaml: the contract of a policy whose ONNX file has none (deploy.yaml of unitree_rl_lab,
+            IO_descriptors.yaml of Isaac Lab).
         since: case of an earlier log of the same robot: say what changed since then, too (docs/experiments.md).
         strict: exit with code 3 if the gap stays unexplained (the patched model is then not to be used); a gap that is
             partly explained is no failure.
@@ -76,7 +77,7 @@ def diagnose(
         refuse_recording(since)
     if check and model is not None and len(cases) == 1:
         with TemporaryDirectory() as temporary:
-            return _checked((_from_recording(cases[0], model, Path(temporary) / cases[0].stem),), config)
+            return _checked((from_recording(cases[0], model, Path(temporary) / cases[0].stem),), config)
     if check:
         return _checked(cases, config)
     out = out or Path("diagnosis")
@@ -86,7 +87,7 @@ def diagnose(
     if len(cases) == 1 and many.place == "processes":
         case = cases[0]
         if model is not None:
-            case = _from_recording(cases[0], model, out.with_name(f"{out.name}_case"), overwrite)
+            case = from_recording(cases[0], model, out.with_name(f"{out.name}_case"), overwrite)
             note(f"{cases[0]} is read as {case}; why: realsim log {cases[0]} --model {model}")
         refuse_within(out, case)
         found = None if policy is None else _contract(case, policy, deploy_yaml)
@@ -99,7 +100,8 @@ def diagnose(
         if since is not None:
             text = f"{text}\nsince      {result['since']['sentence']}"
         if found is not None:
-            text, result = f"{found.sentence}\n{text}", result | {"contract": found.as_dict()}
+            notes = "".join(f"note: {note}\n" for note in found.notes)
+            text, result = f"{found.sentence}\n{notes}{text}", result | {"contract": found.as_dict()}
         return CommandResult(text, result, strict_exit({"level": level}, strict), level)
     if since is not None or recordings:
         raise RealsimError(
@@ -149,7 +151,7 @@ def _contract(folder: Path, policy: Path, deploy_yaml: Path | None) -> Found:
 
     case = gap.load_case(folder)
     trained = contract.load_policy(policy, deploy_yaml, case.joint_names)
-    return contract.check(trained, contract.read_steps(case))
+    return contract.check(trained, contract.read_steps(case, trained.camera))
 
 
 def refuse_recording(path: Path) -> None:
@@ -165,7 +167,7 @@ def refuse_recording(path: Path) -> None:
         )
 
 
-def _from_recording(recording: Path, model: Path, case: Path, overwrite: bool = False) -> Path:
+def from_recording(recording: Path, model: Path, case: Path, overwrite: bool = False) -> Path:
     """The case of a recording, written to a folder; see `realsim log`."""
     from realsim.gap import recordings as logs
 

@@ -150,6 +150,16 @@ def _recorded(runs: Path, name: str) -> _Recorded | None:
     return runs / f"{name}.npz", time, lambda pick: depth[pick]
 
 
+def recorded_frames(runs: Path, name: str) -> tuple[F64, Callable[[Any], Any]] | None:
+    """((N,) s, a function of indices (K,) -> (K, h, w) as recorded) of one run; None where it has no frames.
+
+    Raises:
+        GapError: frames that cannot be read, or a clock that does not increase.
+    """
+    found = _recorded(runs, name)
+    return None if found is None else (np.asarray(found[1], dtype=np.float64), found[2])
+
+
 def _images(folder: Path) -> _Recorded:
     """Frames in files, by the list depth.txt."""
     listing = folder / "depth.txt"

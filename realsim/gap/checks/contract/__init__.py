@@ -1,17 +1,19 @@
-"""Was the policy run as it was trained? The policy replayed on what was logged, under every way to get it wrong.
+"""Was the policy run as it was trained? The policy replayed on what was logged, and a fit of what has to differ.
 
     from realsim.gap.checks.contract import check, load_policy, read_steps
-    found = check(load_policy("policy.onnx"), read_steps("case"))
+    found = check(load_policy("policy.onnx"), read_steps(case))
     print(found.sentence)
 
-policy.py    the contract, from the ONNX file's metadata or deploy.yaml    steps.py   what the policy saw and sent
-replay.py    observations -> actions -> targets, right or wrong            kinds.py   the ways to get it wrong
-compare.py   which of them explains the targets that were sent
+policy.py    the contract and its network             formats.py    where contracts are written down
+steps.py     what the policy saw and sent             loop.py       observations -> actions -> targets, as parameters
+proposals.py what may differ, with its parameters     search.py     one score, a mistake after the other
+servo.py     gains, by the measured torque            check.py      rates, verdict, sentence
+settings.py  the setting behind a mistake, in the framework's words
 """
 
 from __future__ import annotations
 
-from realsim.gap.checks.contract.compare import Found, check
+from realsim.gap.checks.contract.check import Found, check
 from realsim.gap.checks.contract.policy import Contract, load_policy
 from realsim.gap.checks.contract.steps import Steps, read_steps
 

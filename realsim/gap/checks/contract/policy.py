@@ -1,35 +1,30 @@
-"""A policy and its contract: what it sees, in which order and scale, and what its actions mean.
-
-Read from policy.onnx: the metadata of `realsim finetune`, or of mjlab (joint_names, default_joint_pos, action_scale,
-joint_stiffness, joint_damping, observation_names); or from deploy.yaml of unitree_rl_lab beside it.
-"""
+"""A policy and its contract: what it sees, in which order and scale, and what its actions mean."""
 
 from __future__ import annotations
 
-import json
-import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from realsim.core.errors import GapError
-from realsim.core.files import check_size, read_bytes, read_text
+from realsim.core.errors import GapError, ModelError
+from realsim.core.onnx_file import open_network
 from realsim.core.types import F64
 
 TERMS = {
     "base_ang_vel": "ang_vel", "ang_vel": "ang_vel", "imu_ang_vel": "ang_vel", "gyro": "ang_vel",
+    "base_lin_vel": "lin_vel",
     "gravity": "gravity", "projected_gravity": "gravity", "gravity_vec": "gravity",
     "command": "command", "velocity_commands": "command", "commands": "command", "twist": "command",
-    "steering_command": "command",
+    "steering_command": "command", "generated_commands": "command", "velocity_command": "command",
     "joint_pos": "joint_pos", "joint_pos_rel": "joint_pos", "dof_pos": "joint_pos",
     "joint_vel": "joint_vel", "joint_vel_rel": "joint_vel", "dof_vel": "joint_vel",
     "last_action": "last_action", "actions": "last_action", "prev_actions": "last_action",
 }  # fmt: skip
-"""Names of observation terms -> what they hold."""
+"""Names of observation terms -> what they hold. Others are unknown inputs: the replay shows zeros there."""
+WIDTH = {"ang_vel": 3, "lin_vel": 3, "gravity": 3, "command": 3}
 
 
 @dataclass(frozen=True)
@@ -38,11 +33,28 @@ class Term:
 
     name: str
     kind: str
-    """A value of TERMS."""
+    """A value of TERMS, or `unknown`."""
     width: int
     """Of one moment."""
     history: int = 1
-    scale: float = 1.0
+    scale: float | F64 = 1.0
+    """One, or one a column."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """The depth input: (frames, rows, columns), newest first, `stride` policy steps apart."""
+
+    shape: tuple[int, int, int]
+    stride: int
+    near: float
+    """m along the optical axis that becomes 0."""
+    far: float
+    """m that becomes 1; no measurement is 1 too."""
+
+
+Run = Callable[[F64, F64 | None], F64]
+"""(N, A) observations and (N, M, H, W) depth or None -> (N, J) actions."""
 
 
 @dataclass(frozen=True)
@@ -52,150 +64,97 @@ class Contract:
     joints: tuple[str, ...]
     terms: tuple[Term, ...]
     default: F64 = field(repr=False)
-    """(J,) rad: target = default + scale * action."""
+    """(J,) rad that the observed joint positions are relative to."""
     scale: F64 = field(repr=False)
     kp: F64 = field(repr=False)
     kd: F64 = field(repr=False)
     period: float = 0.02
     clip: float | None = None
-    run: Any = field(default=None, repr=False)
-    """(N, A) observations -> (N, J) actions."""
+    run: Run = field(default=lambda rows, depth: rows, repr=False)
+    camera: Camera | None = None
+    offset: F64 | None = field(default=None, repr=False)
+    """(J,) rad: target = offset + scale * action; the default pose if None."""
+    framework: str = "realsim"
+    """`realsim`, `mjlab`, `isaaclab`, or `unitree`: in whose words settings are named."""
+
+    @property
+    def zero(self) -> F64:
+        """(J,) rad that an action of zero sends."""
+        return self.default if self.offset is None else self.offset
 
     @property
     def width(self) -> int:
         return sum(t.width * t.history for t in self.terms)
+
+    @property
+    def history(self) -> int:
+        """Moments of the longest term."""
+        return max(t.history for t in self.terms)
 
 
 def load_policy(path: Path, deploy: Path | None = None, joints: Sequence[str] = ()) -> Contract:
     """The contract of a policy.
 
     Args:
-        path: policy.onnx.
-        deploy: deploy.yaml of unitree_rl_lab, where the ONNX file has no metadata.
+        path: policy.onnx; weights in another file are looked for beside it.
+        deploy: deploy.yaml of unitree_rl_lab, or IO_descriptors.yaml of Isaac Lab, where the ONNX file has no metadata.
         joints: names of the motors in the robot's order, which deploy.yaml does not know; those of the log.
 
     Raises:
         GapError: no ONNX, no contract in it, or one that does not fit the network.
     """
-    session = _session(path)
-    inputs = session.get_inputs()
-    if len(inputs) != 1:
-        raise GapError(
-            "the policy has more inputs than a vector", file=path, expected="one input of proprioception",
-            found=", ".join(i.name for i in inputs), hint="policies with a camera cannot be replayed from such logs",
-        )  # fmt: skip
-    meta = session.get_modelmeta().custom_metadata_map
+    from realsim.gap.checks.contract.formats import read_contract
+
     try:
-        if deploy is not None:
-            made = _of_deploy_yaml(yaml.safe_load(read_text(deploy)), joints)
-        elif "realsim" in meta:
-            made = _of_realsim(json.loads(meta["realsim"]))
-        elif "joint_names" in meta:
-            made = _of_mjlab(meta)
-        else:
-            raise GapError(
-                "the policy does not describe its observations", file=path,
-                expected="metadata of realsim or mjlab, or --deploy-yaml", found=", ".join(meta) or "no metadata",
-            )  # fmt: skip
-    except (KeyError, TypeError, ValueError, AttributeError, yaml.YAMLError) as error:
+        session = open_network(path)
+    except ModelError as error:
         raise GapError(
-            "the policy's contract cannot be read", file=deploy or path, found=f"{type(error).__name__}: {error}"
-        ) from error
-    size = inputs[0].shape[-1]
+            f"not a readable ONNX policy: {error.message}", file=path, expected=error.expected, found=error.found,
+            hint=error.hint,
+        ) from error  # fmt: skip
+    made = read_contract(path, session.get_modelmeta().custom_metadata_map, deploy, joints)
+    return replace(made, run=_runner(session, made, path))
+
+
+def _runner(session: Any, made: Contract, path: Path) -> Run:
+    """The network as a function; run once on zeros, so that a damaged one is refused here."""
+    inputs = session.get_inputs()
+    vector, images = inputs[0], inputs[1:]
+    size = vector.shape[-1]
     if isinstance(size, int) and size != made.width:
         raise GapError(
             "the contract does not fit the network", file=path, expected=f"{size} numbers of observation",
-            found=" + ".join(f"{t.history} x {t.width} {t.name}" for t in made.terms),
+            found=f"{made.width}: " + " + ".join(f"{t.history} x {t.width} {t.name}" for t in made.terms),
         )  # fmt: skip
-    name = inputs[0].name
+    if len(images) != (made.camera is not None):
+        raise GapError(
+            "the policy has inputs that its contract does not describe", file=path,
+            expected=f"{vector.name}" + (" and a depth image" if made.camera else ""),
+            found=", ".join(i.name for i in inputs),
+            hint="policies with a clock, a motion reference or a memory of their own cannot be replayed step by step",
+        )  # fmt: skip
+    single = isinstance(vector.shape[0], int)  # exported for a batch of one
 
-    def run(rows: F64) -> F64:
-        return np.asarray(session.run(None, {name: rows.astype(np.float32)})[0], dtype=np.float64)
+    def call(rows: F64, depth: F64 | None) -> F64:
+        feeds = {vector.name: np.ascontiguousarray(rows, np.float32)}
+        if made.camera is not None:
+            assert depth is not None
+            feeds[images[0].name] = np.ascontiguousarray(depth, np.float32)
+        if not single:
+            return np.asarray(session.run(None, feeds)[0], dtype=np.float64)
+        each = [session.run(None, {k: v[i : i + 1] for k, v in feeds.items()})[0][0] for i in range(len(rows))]
+        return np.asarray(each, dtype=np.float64).reshape(len(rows), -1)
 
-    from dataclasses import replace
-
-    return replace(made, run=run)
-
-
-def _session(path: Path) -> Any:
-    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
-    import onnxruntime
-
-    check_size(path)
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3
     try:
-        return onnxruntime.InferenceSession(read_bytes(path), options, providers=["CPUExecutionProvider"])
+        shape = call(np.zeros((1, made.width)), None if made.camera is None else np.ones((1, *made.camera.shape))).shape
     except Exception as error:  # onnxruntime's own exception classes share no base but this
-        raise GapError("not a readable ONNX policy", file=path, found=str(error).partition("\n")[0]) from error
-
-
-def _terms(names: Mapping[str, tuple[int, float]] | Sequence[tuple[str, int, float]], joints: int) -> tuple[Term, ...]:
-    """Terms from (name, whole width or history, scale); a negative width is a history."""
-    items = [(n, *v) for n, v in names.items()] if isinstance(names, Mapping) else list(names)
-    found = []
-    for name, size, scale in items:
-        kind = TERMS.get(name)
-        if kind is None:
-            raise ValueError(f"unknown observation term {name!r}: known are {', '.join(TERMS)}")
-        width = 3 if kind in ("ang_vel", "gravity", "command") else joints
-        if size > 0 and size % width:
-            raise ValueError(f"{name} is {size} wide, which is no multiple of {width}")
-        found.append(Term(name, kind, width, -size if size < 0 else size // width, scale))
-    return tuple(found)
-
-
-def _array(values: Any, count: int) -> F64:
-    found = np.broadcast_to(np.asarray(values, dtype=np.float64), (count,)).copy()
-    if not np.isfinite(found).all():
-        raise ValueError("a figure is not finite")
-    return found
-
-
-def _of_realsim(facts: Mapping[str, Any]) -> Contract:
-    layout = facts["layout"]
-    joints = tuple(layout["actions"])
-    n = len(joints)
-    terms = _terms([(name, int(width), 1.0) for name, width in layout["actor"]], n)
-    return Contract(
-        joints, terms, _array(facts["default"], n), _array(facts["action_scale"], n), _array(facts["kp"], n),
-        _array(facts["kd"], n), float(facts["policy_dt"]), facts.get("action_limit"),
-    )  # fmt: skip
-
-
-def _of_mjlab(meta: Mapping[str, str]) -> Contract:
-    joints = tuple(meta["joint_names"].split(","))
-    n = len(joints)
-
-    def numbers(key: str) -> F64:
-        return _array([float(v) for v in meta[key].split(",")], n)
-
-    terms = _terms([(name.strip(), -1, 1.0) for name in meta["observation_names"].split(",")], n)
-    scale = [float(v) for v in meta["action_scale"].split(",")]
-    return Contract(
-        joints, terms, numbers("default_joint_pos"), _array(scale if len(scale) == n else scale[0], n),
-        numbers("joint_stiffness"), numbers("joint_damping"), float(meta.get("step_dt", 0.02)),
-    )  # fmt: skip
-
-
-def _of_deploy_yaml(said: Mapping[str, Any], motors: Sequence[str]) -> Contract:
-    """deploy.yaml: lists in the policy's order; `joint_ids_map` is the motor of each of the policy's joints."""
-    ids = [int(i) for i in said["joint_ids_map"]]
-    if max(ids) >= len(motors):
-        raise ValueError(f"joint_ids_map names motor {max(ids)}, the log has {len(motors)} joints")
-    n = len(ids)
-    ((_, action),) = said["actions"].items()
-    sizes = {}
-    for name, term in said["observations"].items():
-        scale = np.unique(np.atleast_1d(term.get("scale") if term.get("scale") is not None else 1.0))
-        if len(scale) > 1:
-            raise ValueError(f"{name} has a scale per column")
-        sizes[name] = (-int(term.get("history_length") or 1), float(scale[0]))
-    clip = action.get("clip")
-    limit = float(np.max(np.abs(clip))) if clip is not None else None
-    return Contract(
-        tuple(motors[i] for i in ids), _terms(sizes, n), _array(said["default_joint_pos"], n),
-        _array(action["scale"], n), _array(said["stiffness"], n), _array(said["damping"], n), float(said["step_dt"]),
-        limit,
-    )  # fmt: skip
+        raise GapError(
+            "the policy cannot be run", file=path, expected=f"{len(made.joints)} actions for an observation of zeros",
+            found=str(error).partition("\n")[0],
+        ) from error  # fmt: skip
+    if shape != (1, len(made.joints)):
+        raise GapError(
+            "the contract does not fit the network", file=path, expected=f"{len(made.joints)} actions",
+            found=f"an output of {shape}",
+        )  # fmt: skip
+    return call

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,11 @@ from realsim.core.errors import GapError
 from realsim.core.files import read_npz
 from realsim.core.types import F64, Bool
 from realsim.gap.case.case import Case
+from realsim.gap.checks.camera.recorded import recorded_frames
+from realsim.gap.checks.contract.policy import Camera
+
+LEAST = 20
+"""Policy steps: a run with fewer says nothing."""
 
 
 @dataclass(frozen=True)
@@ -27,11 +33,23 @@ class Run:
     """(K, 3) rad/s."""
     quat: F64
     """(K, 4) w x y z."""
-    told: F64
-    """(K, 3) the velocity command."""
+    told: F64 | None
+    """(K, 3) the velocity command; None where it is not logged."""
     sent: Bool
     """(K,) whether the command changed in this row."""
     torque: F64 | None = None
+    lin_vel: F64 | None = None
+    """(K, 3) m/s of the base, its own axes."""
+    frames: F64 | None = None
+    """(K, H, W) m: the newest depth frame at each row."""
+
+    def at(self, rows: Any, seen: Any = None) -> Run:
+        """Only these rows; `seen` are those of the readings, where they are others than those of the commands."""
+        seen = rows if seen is None else seen
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "name"}
+        own = ("time", "command", "sent")
+        picked: dict[str, Any] = {k: None if v is None else v[rows if k in own else seen] for k, v in values.items()}
+        return replace(self, **picked)
 
 
 @dataclass(frozen=True)
@@ -44,15 +62,19 @@ class Steps:
     """s between two rows."""
     changes: float
     """s between two changes of the command."""
+    notes: tuple[str, ...] = ()
+
+    def each(self, change: Callable[[Run], Run]) -> Steps:
+        return replace(self, runs=tuple(map(change, self.runs)))
 
 
-def read_steps(case: Case, told: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Steps:
-    """The runs of a case as policy steps: the rows of the log where it runs at the policy's rate, else those in which
-    the command changes.
+def read_steps(case: Case, camera: Camera | None = None) -> Steps:
+    """The rows of a case's runs.
 
     Args:
-        case: with joint positions, velocities, gyroscope and orientation.
-        told: the velocity command, where a run has no array `policy_command` (T, 3).
+        case: with joint positions, velocities, gyroscope and orientation. Runs may hold `policy_command` (T, 3), the
+            velocity command that the policy was given.
+        camera: of the policy: depth frames of its size are read along.
 
     Raises:
         GapError: an array that a policy needs is not logged.
@@ -67,27 +89,36 @@ def read_steps(case: Case, told: tuple[float, float, float] = (0.0, 0.0, 0.0)) -
     if case.command_kind != "position":
         raise GapError("the log does not command positions", file=case.folder, found=case.command_kind)
     joints = [case.joint_names.index(_driven(case, a)) for a in case.actuator_names]
-    runs, periods, changes = [], [], []
+    runs, periods, changes, notes = [], [], [], []
     for run in case.runs:
         moved = np.concatenate([[True], (np.abs(np.diff(run.command, axis=0)) > 1e-9).any(axis=1)])
-        steps = np.diff(run.time[moved])
-        if len(steps) < 20:
+        if len(run.time) < LEAST:
             continue
         s = run.signals
         periods.append(float(np.median(np.diff(run.time))))
-        changes.append(float(np.median(steps)))
+        if moved.sum() > LEAST:
+            changes.append(float(np.median(np.diff(run.time[moved]))))
+        quat = _units(_newest(s["base_quat"]))
+        torque = s["joint_torque"][:, joints] if "joint_torque" in s and case.torque_kind != "none" else None
+        lin_vel = None
+        if "base_pos" in s and np.isfinite(s["base_pos"]).all():
+            lin_vel = turn(quat * [1, -1, -1, -1], np.gradient(s["base_pos"], run.time, axis=0))
+        frames, note = _frames(case, run.name, run.time, camera)
+        notes += [note] if note else []
         runs.append(
             Run(
                 run.name, run.time, run.command, _newest(s["joint_pos"][:, joints]), _newest(s["joint_vel"][:, joints]),
-                _newest(s["imu_gyro"]), _units(_newest(s["base_quat"])),
-                _told(case.folder / "runs" / f"{run.name}.npz", len(run.time), told), moved,
-                _newest(s["joint_torque"][:, joints]) if "joint_torque" in s and case.torque_kind != "none" else None,
+                _newest(s["imu_gyro"]), quat, _told(case, run.name, len(run.time)), moved,
+                None if torque is None or not np.isfinite(torque).any() else _newest(torque), lin_vel, frames,
             )
         )  # fmt: skip
     if not runs:
-        raise GapError("no run has twenty policy steps", file=case.folder)
-    return Steps(tuple(case.joint_names[j] for j in joints), tuple(runs), float(np.median(periods)),
-                 float(np.median(changes)))  # fmt: skip
+        raise GapError(f"no run has {LEAST} samples", file=case.folder)
+    period = float(np.median(periods))
+    return Steps(
+        tuple(case.joint_names[j] for j in joints), tuple(runs), period,
+        float(np.median(changes)) if changes else period, tuple(dict.fromkeys(notes)),
+    )  # fmt: skip
 
 
 def at_changes(steps: Steps, late: int = 0) -> Steps:
@@ -95,13 +126,35 @@ def at_changes(steps: Steps, late: int = 0) -> Steps:
 
     def thin(run: Run) -> Run:
         rows = np.flatnonzero(run.sent)
-        seen = np.clip(rows - late, 0, None)
-        return Run(
-            run.name, run.time[rows], run.command[rows], run.pos[seen], run.vel[seen], run.gyro[seen], run.quat[seen],
-            run.told[seen], np.ones(len(rows), bool), None if run.torque is None else run.torque[rows],
-        )  # fmt: skip
+        return run.at(rows, np.clip(rows - late, 0, None))
 
-    return Steps(steps.joints, tuple(map(thin, steps.runs)), steps.changes, steps.changes)
+    return replace(steps.each(thin), period=steps.changes)
+
+
+def every(steps: Steps, count: int) -> Steps:
+    """Every n-th row."""
+    found = steps.each(lambda run: run.at(slice(None, None, count)))
+    return replace(found, period=steps.period * count, changes=max(steps.changes, steps.period * count))
+
+
+def liveliest(steps: Steps, rows: int, of_each: int) -> Steps:
+    """At most about `rows` rows: of every run (the longest first) the stretch of `of_each` whose commands move most."""
+
+    def stretch(run: Run) -> Run:
+        length = min(of_each, len(run.time))
+        moved = np.concatenate([[0.0], np.cumsum(np.sum(np.abs(np.diff(run.command, axis=0)), axis=1))])
+        begin = int(np.argmax(moved[length - 1 :] - moved[: len(moved) - length + 1]))
+        return run.at(slice(begin, begin + length))
+
+    runs = sorted(steps.runs, key=lambda r: -len(r.time))[: max(1, rows // of_each)]
+    return replace(steps, runs=tuple(map(stretch, runs)))
+
+
+def turn(quat: F64, v: F64) -> F64:
+    """(K, 3) vectors rotated by unit quaternions w x y z (K, 4)."""
+    w, u = quat[:, :1], quat[:, 1:]
+    t = 2 * np.cross(u, v)
+    return np.asarray(v + w * t + np.cross(u, t))
 
 
 def _driven(case: Case, actuator: str) -> str:
@@ -120,9 +173,28 @@ def _units(quat: F64) -> F64:
     return quat / np.maximum(np.linalg.norm(quat, axis=1, keepdims=True), 1e-9)
 
 
-def _told(path: Path, count: int, otherwise: tuple[float, float, float]) -> F64:
+def _told(case: Case, name: str, count: int) -> F64 | None:
+    path = case.folder / "runs" / f"{name}.npz"
     if path.is_file():
         found = read_npz(path).get("policy_command")
-        if found is not None and found.shape == (count, 3):
+        if found is not None and found.shape == (count, 3) and np.isfinite(found).all():
             return np.asarray(found, dtype=np.float64)
-    return np.tile(np.asarray(otherwise, dtype=np.float64), (count, 1))
+    return None
+
+
+def _frames(case: Case, name: str, time: F64, camera: Camera | None) -> tuple[F64 | None, str]:
+    """(K, H, W) m and a note where there are none that fit."""
+    if camera is None:
+        return None, ""
+    found = recorded_frames(case.folder / "runs", name)
+    if found is None:
+        return None, "no depth frames are logged"
+    stamps, read = found
+    newest = np.clip(np.searchsorted(stamps, time, side="right") - 1, 0, None)
+    kept, back = np.unique(newest, return_inverse=True)
+    images = read(kept)
+    if images.shape[1:] != camera.shape[1:]:
+        size = " x ".join(map(str, images.shape[1:]))
+        return None, f"depth frames are {size}, the policy sees {camera.shape[1]} x {camera.shape[2]}: not replayed"
+    metres = images * 1e-3 if images.dtype.kind in "ui" else np.asarray(images, dtype=np.float64)
+    return metres[back], ""

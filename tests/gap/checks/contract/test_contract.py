@@ -1,8 +1,9 @@
-"""A policy that is run wrongly is told from one that is run rightly, and the mistake is named."""
+"""A policy that is run wrongly is distinguished from one that is run rightly, and its mistakes are named."""
 
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from realsim.core.errors import GapError
+from realsim.core.errors import GapError, RealsimError
 from realsim.gap.checks.contract import Contract, Steps, check, load_policy
 from realsim.gap.checks.contract.policy import Term
 from realsim.gap.checks.contract.steps import Run
@@ -25,7 +26,7 @@ def make_contract() -> Contract:
     width = HISTORY * sum(WIDTHS.values())
     weights, out = rng.normal(size=(width, 24)) / np.sqrt(width), rng.normal(size=(24, 6)) / 3
 
-    def run(rows: np.ndarray) -> np.ndarray:
+    def run(rows: np.ndarray, depth: np.ndarray | None) -> np.ndarray:
         return np.asarray(np.tanh(rows @ weights) @ out)
 
     terms = tuple(Term(kind, kind, w, HISTORY) for kind, w in WIDTHS.items())
@@ -42,7 +43,7 @@ def loop(
     gravity: float = 1.0,
     newest_first: bool = False,
     late: int = 0,
-    gain: float = 1.0,
+    gain: float | np.ndarray = 1.0,
     noise: float = 1e-3,
 ) -> Steps:
     """A loop of its own over made-up readings, step by step, with a mistake in it."""
@@ -68,7 +69,7 @@ def loop(
         for kind, value in now.items():
             past[kind] = [value] * HISTORY if not past[kind] else [*past[kind][1:], value]
             vector += past[kind][::-1] if newest_first else past[kind]
-        action = contract.run(np.concatenate(vector)[None])[0]
+        action = contract.run(np.concatenate(vector)[None], None)[0]
         sent.append(send(contract.default + gain * contract.scale * action))
     command = np.array(sent)
     moved = np.ones(count, bool)
@@ -86,30 +87,107 @@ def test_a_policy_that_is_run_rightly_is_no_error() -> None:
 
 SIGN = np.array([1, 1, 1, 1, -1, 1.0])
 OFFSET = np.array([0, 0, 0.15, 0, 0, 0])
+ONE = np.array([1, 0.64, 1, 1, 1, 1])
 
 
 @pytest.mark.parametrize(
-    ("kind", "mistake"),
+    ("kinds", "mistake"),
     [
-        ("joint_order", {"send": lambda t: t[[3, 4, 5, 0, 1, 2]]}),
-        ("joint_order", {"send": lambda t: t[[0, 3, 1, 4, 2, 5]]}),
-        ("joint_sign", {"see": lambda q: SIGN * q, "see_vel": lambda v: SIGN * v}),
-        ("zero_offset", {"send": lambda t: t + OFFSET}),
-        ("zero_offset", {"see": lambda q: q + OFFSET}),
-        ("default_pose", {"send": lambda t: t + 0.1 * np.array([1, -1, 1, 1, -1, 1])}),
-        ("action_scale", {"gain": 0.5}),
-        ("gravity_frame", {"gravity": -1.0}),
-        ("history_order", {"newest_first": True}),
-        ("observation_delay", {"late": 2}),
+        ({"joint_order"}, {"send": lambda t: t[[3, 4, 5, 0, 1, 2]]}),
+        ({"joint_order"}, {"send": lambda t: t[[0, 3, 1, 4, 2, 5]]}),
+        ({"joint_order"}, {"see_vel": lambda v: v[[0, 3, 1, 4, 2, 5]]}),
+        ({"joint_sign"}, {"see": lambda q: SIGN * q, "see_vel": lambda v: SIGN * v}),
+        ({"zero_offset"}, {"send": lambda t: t + OFFSET}),
+        ({"zero_offset"}, {"see": lambda q: q + OFFSET}),
+        ({"default_pose"}, {"send": lambda t: t + 0.1 * np.array([1, -1, 1, 1, -1, 1])}),
+        ({"action_scale"}, {"gain": 0.5}),
+        ({"action_scale"}, {"gain": ONE}),
+        ({"observation_scale"}, {"see_vel": lambda v: 0.25 * v}),
+        ({"gravity_frame"}, {"gravity": -1.0}),
+        ({"history_order"}, {"newest_first": True}),
+        ({"observation_delay"}, {"late": 2}),
+        ({"action_scale", "observation_scale"}, {"gain": 0.8, "see_vel": lambda v: 0.05 * v}),
+        ({"gravity_frame", "joint_sign"}, {"gravity": -1.0, "see": lambda q: SIGN * q, "see_vel": lambda v: SIGN * v}),
     ],
-    ids=lambda v: v if isinstance(v, str) else "",
+    ids=lambda v: "+".join(sorted(v)) if isinstance(v, set) else "",
 )
-def test_a_mistake_is_named(kind: str, mistake: dict[str, object]) -> None:
+def test_mistakes_are_named_one_after_the_other(kinds: set[str], mistake: dict[str, object]) -> None:
     contract = make_contract()
     found = check(contract, loop(contract, **mistake))  # type: ignore[arg-type]
     assert found.verdict in ("broken", "ambiguous")
-    assert found.errors[0]["kind"] == kind
-    assert found.left > 2 * found.errors[0]["left"]
+    assert {e["kind"] for e in found.errors} == kinds
+    assert found.left > 2 * found.after
+    assert all(e["setting"] for e in found.errors)
+
+
+def test_the_period_is_the_logs() -> None:
+    contract = make_contract()
+    steps = loop(contract)
+    fast = steps.each(lambda run: replace(run, time=run.time / 2))
+    found = check(contract, replace(fast, period=0.01, changes=0.01))
+    assert [e["kind"] for e in found.errors] == ["control_period"]
+    assert "every 10 ms instead of every 20 ms" in found.sentence
+
+
+@pytest.mark.parametrize("ratio", [0.8, 1.0])
+def test_gains_are_those_of_the_measured_torque(ratio: float) -> None:
+    contract = make_contract()
+
+    def driven(run: Run) -> Run:
+        torque = ratio * 40.0 * (run.command - run.pos) - 1.0 * run.vel
+        return replace(run, torque=torque + np.random.default_rng(3).normal(0, 0.05, torque.shape))
+
+    found = check(contract, loop(contract).each(driven))
+    assert [e["kind"] for e in found.errors] == (["gains"] if ratio != 1 else [])
+    assert ratio == 1 or "kp is 0.8" in found.sentence
+
+
+def test_a_command_that_is_not_logged_is_estimated() -> None:
+    contract = make_contract()
+    found = check(contract, loop(contract).each(lambda run: replace(run, told=None)))
+    assert found.verdict == "kept"
+    assert any("velocity command is not logged" in note for note in found.notes)
+
+
+def test_standing_still_and_short_logs_say_so() -> None:
+    contract = make_contract()
+    steps = loop(contract)
+    rest = steps.each(lambda run: replace(run, command=run.command[:1] + 1e-4 * np.sin(run.time)[:, None]))
+    hour = rest.each(lambda run: run.at(np.zeros(180_000, int)))
+    hour = hour.each(lambda run: replace(run, time=0.02 * np.arange(180_000.0)))
+    resting = replace(contract, run=lambda rows, depth: np.tile((rest.runs[0].command[0] - contract.default) / 0.25,
+                                                                  (len(rows), 1)))  # fmt: skip
+    assert check(resting, hour).verdict == "still"
+    long = replace(contract, terms=(*contract.terms[:-1], replace(contract.terms[-1], history=400)))
+    with pytest.raises(GapError, match="history is longer than the log"):
+        check(long, steps)
+
+
+SHARED = Path(os.environ.get("REALSIM_SHARED", Path(__file__).parents[5] / "shared"))
+CASES = SHARED / "cases" / "logs" / "contract"
+
+
+@pytest.mark.skipif(not CASES.is_dir(), reason="the cases of realsim's shared folder are not here")
+@pytest.mark.parametrize(
+    ("name", "faster", "kinds"),
+    [
+        ("healthy", 1, []), ("healthy", 2, ["control_period"]), ("C5_rl_sar58_kp20", 1, ["gains"]),
+        ("C6_BFMZero17_scale_and_gains", 1, ["action_scale", "gains"]),
+    ],
+)  # fmt: skip
+def test_cases_with_known_answers(name: str, faster: int, kinds: list[str]) -> None:
+    with np.load(CASES / f"{name}.npz", allow_pickle=False) as data:
+        runs = []
+        for i in (0, 1):
+            a = {k: data[f"run{i}_{k}"] for k in ("time", "command", "pos", "vel", "gyro", "quat", "told", "torque")}
+            sent = np.ones(len(a["time"]), bool)
+            arrays = (a["command"], a["pos"], a["vel"], a["gyro"], a["quat"], a["told"])
+            runs.append(Run(f"run{i}", a["time"] / faster, *arrays, sent, a["torque"]))
+        joints = tuple(str(j) for j in data["joints"])
+    period = 0.02 / faster
+    found = check(load_policy(CASES / f"{name}.onnx"), Steps(joints, tuple(runs), period, period))
+    assert [e["kind"] for e in found.errors] == kinds
+    assert found.verdict == ("broken" if kinds else "kept")
 
 
 def test_another_policys_targets_are_not_explained() -> None:
@@ -152,10 +230,11 @@ def test_contracts_of_other_tools(tmp_path: Path) -> None:
     made = load_policy(onnx_policy(tmp_path / "mjlab.onnx", 27, meta))
     assert made.joints == JOINTS
     assert made.width == 27
-    assert made.run(np.ones((2, 27))).shape == (2, 6)
+    assert made.run(np.ones((2, 27)), None).shape == (2, 6)
 
     deploy = {
-        "joint_ids_map": [3, 4, 5, 0, 1, 2], "step_dt": 0.02, "stiffness": [40.0] * 6, "damping": [1.0] * 6,
+        "joint_ids_map": [3, 4, 5, 0, 1, 2], "step_dt": 0.02, "stiffness": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0],
+        "damping": [1.0] * 6,
         "default_joint_pos": [0.1] * 6, "actions": {"JointPositionAction": {"scale": [0.25] * 6, "clip": None}},
         "observations": {"base_ang_vel": {"scale": [0.2] * 3, "history_length": 5},
                          "joint_pos_rel": {"scale": [1.0] * 6, "history_length": 5}},
@@ -165,6 +244,22 @@ def test_contracts_of_other_tools(tmp_path: Path) -> None:
     made = load_policy(bare, tmp_path / "deploy.yaml", JOINTS)
     assert made.joints[0] == JOINTS[3]
     assert (made.terms[0].history, made.terms[0].scale) == (5, 0.2)
+    assert made.kp.tolist() == [4.0, 5.0, 6.0, 1.0, 2.0, 3.0]  # the file has them in the motors' order
+
+    seen = [{"name": "base_ang_vel", "shape": [3], "overloads": {"history_length": 0, "scale": None}},
+            {"name": "joint_pos_rel", "shape": [6], "overloads": {"history_length": 0, "scale": None}},
+            {"name": "height_scan", "shape": [4], "overloads": {}}]  # fmt: skip
+    robot = {"joint_names": JOINTS[::-1], "default_joint_pos": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6],
+             "default_joint_stiffness": [20.0] * 6, "default_joint_damping": [0.5] * 6}  # fmt: skip
+    content = {
+        "actions": [{"joint_names": JOINTS, "scale": 0.5, "offset": [0.1] * 6}], "articulations": {"robot": robot},
+        "observations": {"policy": seen}, "scene": {"dt": 0.02},
+    }  # fmt: skip
+    (tmp_path / "IO_descriptors.yaml").write_text(json.dumps(content))
+    made = load_policy(onnx_policy(tmp_path / "isaac.onnx", 13, {}), tmp_path / "IO_descriptors.yaml")
+    assert made.default.tolist() == [0.6, 0.5, 0.4, 0.3, 0.2, 0.1]
+    assert made.terms[2].kind == "unknown"
+    assert made.zero.tolist() == [0.1] * 6
 
 
 def test_policies_that_cannot_be_read(tmp_path: Path) -> None:
@@ -175,6 +270,34 @@ def test_policies_that_cannot_be_read(tmp_path: Path) -> None:
         load_policy(onnx_policy(tmp_path / "bare.onnx", 27, {}))
     with pytest.raises(GapError, match="cannot be read"):
         load_policy(onnx_policy(tmp_path / "short.onnx", 27, {"joint_names": "a,b"}))
+    for text, match in (
+        ("a: " + "[" * 3000, "YAML"), ("a: &a [1]\nb: *a\n", "YAML"), ("3", "no map"), ("x: 1\n", "no contract"),
+    ):  # fmt: skip
+        (tmp_path / "deploy.yaml").write_text(text)
+        with pytest.raises(GapError, match=match):
+            load_policy(tmp_path / "bare.onnx", tmp_path / "deploy.yaml", JOINTS)
     (tmp_path / "deploy.yaml").write_text("joint_ids_map: [9]\n")
     with pytest.raises(GapError, match="cannot be read"):
         load_policy(tmp_path / "bare.onnx", tmp_path / "deploy.yaml", JOINTS)
+
+
+def test_weights_lie_beside_the_policy_wherever_it_is_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    onnx = pytest.importorskip("onnx", reason="onnx is not installed: pip install -e '.[dev]'")
+    six = ",".join(["0.5"] * 6)
+    numbers = ("default_joint_pos", "action_scale", "joint_stiffness", "joint_damping")
+    meta = {"joint_names": ",".join(JOINTS), "observation_names": "joint_pos"} | dict.fromkeys(numbers, six)
+    home, away = tmp_path / "home", tmp_path / "away"
+    home.mkdir()
+    away.mkdir()
+    model = onnx.load(str(onnx_policy(tmp_path / "whole.onnx", 6, meta)))
+    onnx.save(model, str(home / "p.onnx"), save_as_external_data=True, location="w.data", size_threshold=0)
+    monkeypatch.chdir(away)
+    assert load_policy(home / "p.onnx").run(np.ones((1, 6)), None).tolist() == [[6.0] * 6]
+    (away / "w.data").write_bytes((home / "w.data").read_bytes())
+    (home / "w.data").unlink()
+    with pytest.raises(GapError, match="absent"):
+        load_policy(home / "p.onnx")
+    outside = (home / "p.onnx").read_bytes().replace(b"w.data", b"../w.d")
+    (home / "p.onnx").write_bytes(outside)
+    with pytest.raises(RealsimError, match=r"leads out|not a readable"):
+        load_policy(home / "p.onnx")

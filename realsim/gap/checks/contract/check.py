@@ -1,0 +1,192 @@
+"""Was the policy run as its contract says? The search at the log's rates, the servos' gains, and one sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from realsim.core.errors import GapError
+from realsim.gap.checks.contract.loop import Loop, targets
+from realsim.gap.checks.contract.policy import Contract
+from realsim.gap.checks.contract.search import Problem, Taken, search
+from realsim.gap.checks.contract.servo import check_gains
+from realsim.gap.checks.contract.settings import setting
+from realsim.gap.checks.contract.steps import LEAST, Steps, at_changes, every, liveliest
+
+ROWS, ROWS_WITH_CAMERA = 300, 120
+"""Policy steps that the search looks at: with twelve joints some 4,000 equations."""
+KEPT = 0.1
+"""Share of the targets' spread (rms) up to which the policy explains them: what noise of the log's own sensors leaves
+under random networks is below 0.06 (benchmarks/diagnosis/contract.py, seeds below 100)."""
+STILL = 0.01
+"""rad: targets that move less (rms) show nothing of the policy but its rest."""
+OTHER_PERIOD = 0.1
+"""Relative difference of the period from the contract's: clocks and jitter of loops stay below."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """The answer."""
+
+    verdict: str
+    """`kept`, `broken`, `ambiguous` (several mistakes explain it), `unexplained`, or `still` (the log cannot tell)."""
+    sentence: str
+    errors: tuple[dict[str, Any], ...]
+    """{kind, text, left, setting, or}: mistakes one after the other, and what is left of the spread when all up to it
+    are mended; `or` are other kinds that explain as much."""
+    left: float
+    """Share of the targets' spread (rms) that the contract itself leaves."""
+    after: float
+    """The same with all mistakes mended."""
+    notes: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "verdict": self.verdict, "sentence": self.sentence, "errors": list(self.errors), "left": self.left,
+            "after": self.after, "notes": list(self.notes),
+        }  # fmt: skip
+
+
+def check(contract: Contract, steps: Steps) -> Found:
+    """Compare what was sent with what the policy would have sent, and find what has to differ for both to agree.
+
+    Raises:
+        GapError: the policy moves joints that the log does not have, or its history is longer than the log.
+    """
+    other = [j for j in contract.joints if j not in steps.joints]
+    if other:
+        raise GapError(
+            "the policy is for another robot, or its joints have other names",
+            expected=", ".join(steps.joints), found=", ".join(other),
+        )  # fmt: skip
+    notes = list(steps.notes)
+    rows = ROWS if contract.camera is None else ROWS_WITH_CAMERA
+    problem = min(_rates(contract, steps, rows, notes), key=lambda p: p.left(Loop()))
+    moves = float(np.sqrt(np.mean(problem.spread**2)))
+    if moves < STILL and problem.left(Loop()) < 0.5:
+        return Found(
+            "still", f"The log cannot tell: the targets move by {1e3 * moves:.1f} mrad. Nothing contradicts the "
+            "contract; record a run in which the policy walks.", (), problem.left(Loop()), problem.left(Loop()),
+            tuple(notes),
+        )  # fmt: skip
+    start, unknown = _blank(problem, notes)
+    right = problem.left(start)
+    loop, taken = search(problem, start)
+    after = problem.left(loop)
+    errors = _errors(problem, start, taken, notes)
+    explained = after <= max(KEPT, unknown) or after < 0.3 * right
+    errors += _outside(contract, problem.steps, steps, explained)
+    return _answer(errors, right, after, explained, max(KEPT, unknown), notes)
+
+
+def _rates(contract: Contract, steps: Steps, rows: int, notes: list[str]) -> Iterator[Problem]:
+    """The log at the rates at which its policy may have been asked: as logged, where commands change, at its own."""
+    found = [steps]
+    if steps.changes > 1.5 * steps.period:
+        found += [at_changes(steps, 0), at_changes(steps, 1)]
+    count = round(contract.period / steps.period)
+    if count > 1:
+        found.append(every(steps, count))
+    least = contract.history + LEAST
+    long = [replace(s, runs=tuple(r for r in s.runs if len(r.time) >= least)) for s in found]
+    if not any(s.runs for s in long):
+        longest = max(len(r.time) for r in found[0].runs)
+        raise GapError(
+            "the policy's history is longer than the log", expected=f"a run of at least {least} policy steps",
+            found=f"{longest} at most",
+        )  # fmt: skip
+    short = {r.name for r in steps.runs} - {r.name for s in long for r in s.runs}
+    if short:
+        notes.append(f"runs too short for the policy's history are left out: {', '.join(sorted(short)[:3])}")
+    half = max(rows // 2, least)
+    return (Problem(contract, liveliest(s, 2 * half, half)) for s in long if s.runs)
+
+
+def _blank(problem: Problem, notes: list[str]) -> tuple[Loop, float]:
+    """(where the search begins, the share of the spread that inputs which are not logged leave open)."""
+    contract, steps = problem.contract, problem.steps
+    logged = {"command": any(r.told is not None for r in steps.runs),
+              "lin_vel": any(r.lin_vel is not None for r in steps.runs), "unknown": False}  # fmt: skip
+    blind = [t.name for t in contract.terms if not logged.get(t.kind, True) and t.kind != "command"]
+    if any(t.kind == "command" for t in contract.terms) and not logged["command"]:
+        notes.append("the velocity command is not logged (policy_command): it is estimated five times a second")
+    if blind:
+        notes.append(f"not logged, taken as zero: {', '.join(blind)}; the other terms are checked")
+    if contract.camera is None or any(r.frames is not None for r in steps.runs):
+        return Loop(), 0.5 if blind else 0.0
+    loops = [Loop(blank=b) for b in (1.0, 0.75, 0.5, 0.25, 0.0)]
+    best = min(loops, key=problem.left)
+    replayed = [np.concatenate(targets(contract, steps, loop)) for loop in loops]
+    here = replayed[loops.index(best)]
+    apart = float(
+        np.median([np.sqrt(np.mean((r - here) ** 2)) for r in replayed]) / np.sqrt(np.mean(problem.spread**2))
+    )
+    notes.append(
+        f"the camera is checked by no frame: a blank image stands for it, which leaves about {apart:.0%} of the "
+        "targets' spread open; the other terms are checked"
+    )
+    return best, min(apart, 0.7)
+
+
+def _errors(problem: Problem, start: Loop, taken: list[Taken], notes: list[str]) -> list[dict[str, Any]]:
+    loop, found = start, []
+    for t in taken:
+        loop = t.trial.family.change(loop, t.trial.values)
+        if t.trial.kind == "timing":
+            notes.append(t.trial.text)
+            continue
+        found.append({
+            "kind": t.trial.kind, "text": t.trial.text, "left": problem.left(loop),
+            "setting": setting(t.trial.kind, problem.contract.framework),
+            "or": [{"kind": r.kind, "text": r.text} for r in t.rivals if r.kind != "timing"],
+        })  # fmt: skip
+    return found
+
+
+def _outside(contract: Contract, used: Steps, steps: Steps, explained: bool) -> list[dict[str, Any]]:
+    """What no residual of targets shows: the period, where the replay agrees at the rate it has, and the gains."""
+    found = []
+    asked = float(np.median([np.median(np.diff(r.time)) for r in used.runs]))
+    if explained and abs(asked / contract.period - 1) > OTHER_PERIOD:
+        text = f"the policy is asked every {1e3 * asked:.3g} ms instead of every {1e3 * contract.period:.3g} ms"
+        if steps.period > 1.5 * contract.period:
+            text += " (unless the log leaves out steps)"
+        found.append(("control_period", text))
+    gains = check_gains(contract, steps if steps.period <= contract.period * 1.5 else used)
+    if gains:
+        found.append(("gains", gains))
+    return [
+        {"kind": kind, "text": text, "left": None, "setting": setting(kind, contract.framework), "or": []}
+        for kind, text in found
+    ]
+
+
+def _answer(
+    errors: list[dict[str, Any]], right: float, after: float, explained: bool, noise: float, notes: list[str]
+) -> Found:
+    words = [" or ".join([e["text"], *(o["text"] for o in e["or"])]) for e in errors]
+    tail = tuple(notes)
+    if not explained:
+        near = f"; nearest: {words[0]}" if words else ""
+        return Found(
+            "unexplained",
+            f"The targets that were sent are not the policy's: {right:.0%} of their spread is left, and {after:.0%} "
+            f"with every mistake that the search knows{near}. Is it this policy?", tuple(errors), right, after, tail,
+        )  # fmt: skip
+    if not errors:
+        open_ = "" if noise <= KEPT else f" Up to {noise:.0%} may come from inputs that are not logged."
+        return Found(
+            "kept", f"The policy was run as its contract says: {right:.1%} of its targets' spread is left.{open_}", (),
+            right, after, tail,
+        )  # fmt: skip
+    rest = "" if after <= noise else f", and something that the search does not know leaves {after:.0%}"
+    which = "; ".join(f"({i}) {w}" for i, w in enumerate(words, 1)) if len(words) > 1 else words[0]
+    mended = f" As trained, {right:.0%} of the targets' spread is left; with this mended {after:.1%}{rest}."
+    return Found(
+        "ambiguous" if any(e["or"] for e in errors) else "broken",
+        f"The policy's contract is broken: {which}.{mended if any(e['left'] is not None for e in errors) else ''}",
+        tuple(errors), right, after, tail,
+    )  # fmt: skip

@@ -1,0 +1,197 @@
+"""Where a contract is written down: metadata of `realsim finetune` or of mjlab (and of Isaac Lab projects that attach
+the same) in the ONNX file; deploy.yaml of unitree_rl_lab; IO_descriptors.yaml of Isaac Lab."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from realsim.core.errors import GapError
+from realsim.core.files import read_text
+from realsim.core.types import F64
+from realsim.gap.checks.contract.policy import TERMS, WIDTH, Camera, Contract, Term
+
+MOST_NESTED = 20
+"""Levels of lists and maps in a YAML file; deploy.yaml has four."""
+MOST_BYTES = 2**20
+"""Of a YAML file: deploy.yaml of a humanoid has 10 kB."""
+
+
+def read_contract(path: Path, meta: Mapping[str, str], deploy: Path | None, joints: Sequence[str]) -> Contract:
+    """See `load_policy`; the network is not looked at. Raises GapError."""
+    try:
+        if deploy is not None:
+            content = read_yaml(deploy)
+            if "joint_ids_map" in content:
+                return _of_deploy_yaml(content, joints)
+            if "articulations" in content:
+                return _of_io_descriptors(content)
+            raise GapError(
+                "this YAML file is no contract of a policy", file=deploy,
+                expected="deploy.yaml of unitree_rl_lab (joint_ids_map, ...) or Isaac Lab's IO_descriptors.yaml",
+                found=", ".join(map(str, list(content)[:8])) or "nothing",
+            )  # fmt: skip
+        if "realsim" in meta:
+            return _of_realsim(json.loads(meta["realsim"]))
+        if "joint_names" in meta:
+            return _of_mjlab(meta)
+    except KeyError as error:
+        raise GapError(
+            f"the policy's contract cannot be read: {error.args[0]!r} is missing", file=deploy or path
+        ) from error
+    except (TypeError, ValueError, AttributeError, IndexError, RecursionError) as error:
+        raise GapError("the policy's contract cannot be read", file=deploy or path, found=str(error)[:200]) from error
+    raise GapError(
+        "the policy does not describe its observations", file=path,
+        expected="metadata of realsim or mjlab, or --deploy-yaml", found=", ".join(meta)[:200] or "no metadata",
+        hint="unitree_rl_lab writes params/deploy.yaml beside the export, Isaac Lab params/IO_descriptors.yaml",
+    )  # fmt: skip
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """A map from a YAML file without aliases, so that a small file stays small. Raises GapError."""
+    text = read_text(path)
+    try:
+        if len(text) > MOST_BYTES:
+            raise ValueError(f"{len(text)} bytes, more than {MOST_BYTES}")
+        depth = 0
+        for event in yaml.parse(text, Loader=yaml.SafeLoader):
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if depth > MOST_NESTED:
+                raise ValueError(f"more than {MOST_NESTED} lists in each other")
+            if isinstance(event, yaml.AliasEvent):
+                raise ValueError("an alias")
+        found = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise GapError(
+            "the YAML file cannot be read", file=path, expected="a short map of names to numbers and lists",
+            found=" ".join(str(error).split())[:200] or type(error).__name__,
+        ) from error  # fmt: skip
+    if not isinstance(found, dict):
+        raise GapError("the YAML file is no map", file=path, found=type(found).__name__)
+    return found
+
+
+def _terms(items: Iterable[tuple[str, int | None, int, Any]], joints: int) -> tuple[Term, ...]:
+    """Terms from (name, width of all moments if known, history, scale)."""
+    found = []
+    for name, size, history, scale in items:
+        kind = TERMS.get(name, "unknown")
+        width = WIDTH.get(kind, joints) if kind != "unknown" else size
+        if width is None:
+            raise ValueError(f"unknown observation term {name!r} of unknown width: known are {', '.join(TERMS)}")
+        if size is not None and kind != "unknown":
+            if size % width:
+                raise ValueError(f"{name} is {size} wide, which is no multiple of {width}")
+            history = size // width
+        scales = np.atleast_1d(np.asarray(1.0 if scale is None else scale, dtype=np.float64))
+        if not np.isfinite(scales).all() or len(scales) not in (1, width):
+            raise ValueError(f"{name} has {len(scales)} scales for {width} columns")
+        found.append(Term(name, kind, width, max(history, 1), float(scales[0]) if len(set(scales)) == 1 else scales))
+    if not found:
+        raise ValueError("no observation term")
+    return tuple(found)
+
+
+def _array(values: Any, count: int) -> F64:
+    found = np.broadcast_to(np.asarray(values, dtype=np.float64), (count,)).copy()
+    if not np.isfinite(found).all():
+        raise ValueError("a figure is not finite")
+    return found
+
+
+def _of_realsim(facts: Mapping[str, Any]) -> Contract:
+    layout = facts["layout"]
+    joints = tuple(layout["actions"])
+    n = len(joints)
+    depth = layout.get("depth")
+    camera = None
+    if depth is not None:
+        frames, height, width = map(int, depth)
+        camera = Camera((frames, height, width), max(int(layout.get("depth_stride", 1)), 1),
+                        float(facts["depth_near"]), float(facts["depth_far"]))  # fmt: skip
+    return Contract(
+        joints, _terms([(name, int(width), 1, 1.0) for name, width in layout["actor"]], n),
+        _array(facts["default"], n), _array(facts["action_scale"], n), _array(facts["kp"], n), _array(facts["kd"], n),
+        float(facts["policy_dt"]), facts.get("action_limit"), camera=camera,
+    )  # fmt: skip
+
+
+def _of_mjlab(meta: Mapping[str, str]) -> Contract:
+    """Lists separated by commas; observation_history_lengths and observation_scales where a project adds them."""
+    joints = tuple(name.strip() for name in meta["joint_names"].split(","))
+    n = len(joints)
+
+    def numbers(key: str, count: int = n) -> F64:
+        return _array([float(v) for v in meta[key].split(",")], count)
+
+    names = [name.strip() for name in meta["observation_names"].split(",")]
+    m = len(names)
+    histories = numbers("observation_history_lengths", m) if "observation_history_lengths" in meta else np.ones(m)
+    scales = numbers("observation_scales", m) if "observation_scales" in meta else np.ones(m)
+    terms = _terms([(a, None, int(b), c) for a, b, c in zip(names, histories, scales, strict=True)], n)
+    return Contract(
+        joints, terms, numbers("default_joint_pos"), numbers("action_scale"), numbers("joint_stiffness"),
+        numbers("joint_damping"), float(meta.get("step_dt", 0.02)), framework="mjlab",
+    )  # fmt: skip
+
+
+def _of_deploy_yaml(content: Mapping[str, Any], motors: Sequence[str]) -> Contract:
+    """deploy.yaml as unitree_rl_lab's export_deploy_cfg writes it: `joint_ids_map` is the motor of each of the policy's
+    joints; default_joint_pos, scale and offset are in the policy's order, stiffness and damping in the motors'."""
+    ids = [int(i) for i in content["joint_ids_map"]]
+    if not ids or min(ids) < 0 or max(ids) >= len(motors):
+        raise ValueError(f"joint_ids_map names motor {max(ids, default=None)}, the log has {len(motors)} joints")
+    actions = content["actions"]
+    if not isinstance(actions, Mapping) or list(actions) != ["JointPositionAction"]:
+        raise ValueError(f"actions: expected JointPositionAction alone, found {', '.join(map(str, actions))}")
+    action = actions["JointPositionAction"]
+    default = _array(content["default_joint_pos"], len(ids))
+    moved = action.get("joint_ids")
+    if moved is not None and list(moved) != list(range(len(ids))):
+        raise ValueError("joint_ids: a policy that moves only some of its joints is not supported")
+    items = []
+    for name, term in content["observations"].items():
+        scale = term.get("scale")
+        known = TERMS.get(name) is not None
+        size = None if known else len(np.atleast_1d(1.0 if scale is None else scale))
+        items.append((name, size, int(term.get("history_length") or 1), scale))
+    clip = action.get("clip")
+    offset = action.get("offset")
+    return Contract(
+        tuple(motors[i] for i in ids), _terms(items, len(ids)), default, _array(action["scale"], len(ids)),
+        _array(content["stiffness"], len(motors))[ids], _array(content["damping"], len(motors))[ids],
+        float(content["step_dt"]), None if clip is None else float(np.max(np.abs(clip))),
+        offset=None if offset is None else _array(offset, len(ids)), framework="unitree",
+    )  # fmt: skip
+
+
+def _of_io_descriptors(content: Mapping[str, Any]) -> Contract:
+    """IO_descriptors.yaml of Isaac Lab 2.2 and later: one joint position action, one group of observations."""
+    (action,) = content["actions"]
+    (robot,) = content["articulations"].values()
+    joints = tuple(map(str, action["joint_names"]))
+    own = {str(name): i for i, name in enumerate(robot["joint_names"])}
+    at = [own[j] for j in joints]
+    groups = content["observations"]
+    group = groups["policy"] if "policy" in groups else next(iter(groups.values()))
+    items = []
+    for term in group:
+        more = term.get("overloads") or {}
+        width = int(np.prod([int(s) for s in term["shape"]]))
+        items.append((str(term["name"]), width, int(more.get("history_length") or 1), more.get("scale")))
+
+    def of(key: str) -> F64:
+        return _array(robot[key], len(own))[at]
+
+    return Contract(
+        joints, _terms([(a, None if a in TERMS else b, c, d) for a, b, c, d in items], len(joints)),
+        of("default_joint_pos"), _array(action["scale"], len(joints)), of("default_joint_stiffness"),
+        of("default_joint_damping"), float(content["scene"]["dt"]), offset=_array(action["offset"], len(joints)),
+        framework="isaaclab",
+    )  # fmt: skip

@@ -1,0 +1,219 @@
+"""The loop on the robot as parameters: observations -> actions -> targets, all steps of a run at once.
+
+The default is the contract. The action before is what was sent before, turned back: so an error of one step does not
+grow along the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from realsim.core.types import F64
+from realsim.gap.checks.contract.policy import Camera, Contract, Term
+from realsim.gap.checks.contract.steps import Run, Steps, turn
+
+SENSORS = ("ang_vel", "gravity", "lin_vel", "joint_pos", "joint_vel")
+WINDOW = 10
+"""Policy steps (a fifth of a second) for which an input that is not logged is taken to be constant."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """How a loop really runs. Matrices act from the left on columns in the policy's order of joints."""
+
+    mix: Mapping[str, F64] = field(default_factory=dict)
+    """Kind of a term -> (W, W) on what is seen: its scale, signs, order, or the rotation of its sensor."""
+    shift: Mapping[str, F64] = field(default_factory=dict)
+    """Kind of a term -> (W,) added to what is seen."""
+    age: Mapping[str, float] = field(default_factory=dict)
+    """Kind of a term -> policy steps by which it is older than the log has it."""
+    source: Mapping[str, str] = field(default_factory=dict)
+    """Kind of a term -> what else is shown in its place; see `_now`."""
+    terms: tuple[int, ...] | None = None
+    """The order in which the terms are put together."""
+    newest_first: bool = False
+    by_time: bool = False
+    """History as whole observations, oldest first, instead of term by term."""
+    length: int | None = None
+    """Moments that the history really holds; the older ones repeat the oldest."""
+    skipped: int = 1
+    """Policy steps between two moments of the history."""
+    clip: float | None = None
+    gain: F64 | None = None
+    """(J,) on the scaled actions."""
+    sent: F64 | None = None
+    """(J,) rad added to the targets."""
+    order: tuple[int, ...] | None = None
+    """Whose target each joint is sent."""
+    bounds: tuple[F64, F64] | None = None
+    """(J,) and (J,) rad at which targets end."""
+    stale: tuple[F64, ...] | None = None
+    """Of every run (K,) policy steps by which all sensors are older in a row."""
+    blank: float = 1.0
+    """What a depth image that is not logged shows, 0 near to 1 far."""
+
+
+def targets(contract: Contract, steps: Steps, loop: Loop) -> list[F64]:
+    """(K, J) targets of every run in the policy's order of joints."""
+    return [_of_run(contract, steps, k, loop) for k in range(len(steps.runs))]
+
+
+def commands(contract: Contract, steps: Steps) -> list[F64]:
+    """(K, J) rad sent in every run, in the policy's order of joints."""
+    order = [steps.joints.index(j) for j in contract.joints]
+    return [run.command[:, order] for run in steps.runs]
+
+
+def _of_run(contract: Contract, steps: Steps, which: int, loop: Loop) -> F64:
+    run = steps.runs[which]
+    order = [steps.joints.index(j) for j in contract.joints]
+    sent = run.command[:, order]
+    now = _now(contract, run, order, sent, loop)
+    rows = np.arange(len(sent), dtype=float)
+    stale = loop.stale[which] if loop.stale is not None else np.zeros(len(sent))
+    parts = []
+    for term in contract.terms:
+        values = now[term.kind] if term.kind in now else np.zeros((len(sent), term.width))
+        age = loop.age.get(term.kind, 0.0) + (stale if term.kind in SENSORS else 0.0)
+        if np.any(age != 0):
+            values = _at(values, rows - age)
+        if term.kind in loop.mix:
+            values = values @ loop.mix[term.kind].T
+        if term.kind in loop.shift:
+            values = values + loop.shift[term.kind]
+        if term.kind == "joint_pos":
+            values = values - contract.default
+        parts.append(_history(values * term.scale, term, loop))
+    depth = None if contract.camera is None else _images(contract.camera, run, loop)
+    if run.told is None and any(t.kind == "command" for t in contract.terms):
+        return _with_unknown(contract, sent, parts, depth, loop, "command")
+    return _targets(contract, sent, parts, depth, loop)
+
+
+def _targets(contract: Contract, sent: F64, parts: Sequence[F64], depth: F64 | None, loop: Loop) -> F64:
+    action = contract.run(_vector(parts, loop), depth)
+    limit = loop.clip if loop.clip is not None else contract.clip
+    if limit is not None:
+        action = np.clip(action, -limit, limit)
+    wanted = contract.scale * action
+    if loop.gain is not None:
+        wanted = wanted * loop.gain
+    wanted = contract.zero + wanted
+    if loop.sent is not None:
+        wanted = wanted + loop.sent
+    if loop.order is not None:  # targets are handed to the wrong motors, default pose and all
+        wanted = wanted[:, list(loop.order)]
+    return np.clip(wanted, *loop.bounds) if loop.bounds is not None else wanted
+
+
+def _now(contract: Contract, run: Run, order: Sequence[int], sent: F64, loop: Loop) -> dict[str, F64]:
+    """What a term shows of the moment itself."""
+    source = loop.source
+    action = _action(contract, sent, loop)
+    if source.get("last_action") == "zero":
+        action = np.zeros_like(action)
+    elif source.get("last_action") == "target":
+        action = sent
+    elif source.get("last_action") == "scaled":
+        action = contract.scale * action
+    before = np.concatenate([np.zeros_like(action[:1]), action[:-1]])
+    gyro = turn(run.quat, run.gyro) if source.get("ang_vel") == "world" else run.gyro
+    told = np.zeros((len(sent), 3)) if run.told is None else run.told
+    now = {"ang_vel": gyro, "gravity": _gravity(run, source.get("gravity", "body")), "command": told,
+           "joint_pos": run.pos[:, order], "joint_vel": run.vel[:, order], "last_action": before}  # fmt: skip
+    return now if run.lin_vel is None else now | {"lin_vel": run.lin_vel}
+
+
+def _gravity(run: Run, source: str) -> F64:
+    """(K, 3) down in the body's axes; or in the world's, turned by the inverse, or by a quaternion misread."""
+    down = np.tile([0.0, 0.0, -1.0], (len(run.quat), 1))
+    if source == "world":
+        return down
+    if source == "turned":
+        return turn(run.quat, down)
+    quat = run.quat[:, [3, 0, 1, 2]] if source == "xyzw" else run.quat
+    return turn(quat * [1, -1, -1, -1], down)
+
+
+def _action(contract: Contract, sent: F64, loop: Loop) -> F64:
+    """(K, J) the actions behind the targets that were sent."""
+    if loop.order is not None:
+        back = np.empty_like(sent)
+        back[:, list(loop.order)] = sent
+        sent = back
+    wanted = sent - contract.zero
+    if loop.sent is not None:
+        wanted = wanted - loop.sent
+    gain = contract.scale if loop.gain is None else contract.scale * loop.gain
+    return wanted / np.where(np.abs(gain) < 1e-9, np.inf, gain)
+
+
+def _at(values: F64, rows: F64) -> F64:
+    """Values between rows; before the first there was the first."""
+    rows = np.clip(rows, 0, len(values) - 1)
+    low = np.floor(rows).astype(int)
+    part = (rows - low)[:, None]
+    return (1 - part) * values[low] + part * values[np.minimum(low + 1, len(values) - 1)]
+
+
+def _history(values: F64, term: Term, loop: Loop) -> F64:
+    """(K, length, W), oldest first; before the first moment there was the first moment."""
+    held = term.history if loop.length is None else min(loop.length, term.history)
+    back = np.minimum(np.arange(term.history)[::-1], held - 1) * loop.skipped
+    rows = values[np.clip(np.arange(len(values))[:, None] - back[None], 0, None)]
+    return rows[:, ::-1] if loop.newest_first else rows
+
+
+def _vector(parts: Sequence[F64], loop: Loop) -> F64:
+    if loop.terms is not None:
+        parts = [parts[i] for i in loop.terms]
+    if loop.by_time and len({r.shape[1] for r in parts}) == 1:
+        return np.concatenate(parts, axis=2).reshape(len(parts[0]), -1)
+    return np.concatenate([r.reshape(len(r), -1) for r in parts], axis=1)
+
+
+def _images(camera: Camera, run: Run, loop: Loop) -> F64:
+    """(K, M, H, W) what the network is shown: newest first; a blank where nothing is logged."""
+    if run.frames is None:
+        return np.full((len(run.time), *camera.shape), loop.blank)
+    seen = np.isfinite(run.frames) & (run.frames > 0)
+    near, far = camera.near, camera.far
+    image = np.where(seen, np.clip((np.nan_to_num(run.frames) - near) / (far - near), 0, 1), 1.0)
+    back = np.arange(camera.shape[0]) * camera.stride
+    return image[np.clip(np.arange(len(image))[:, None] - back[None], 0, None)]
+
+
+def _with_unknown(contract: Contract, sent: F64, parts: Sequence[F64], depth: F64 | None, loop: Loop, kind: str) -> F64:
+    """The targets with an input that is not logged as it explains them best: one value for each window.
+
+    Two Gauss-Newton steps with slopes by row; a window has many times more targets than unknowns.
+    """
+    which = next(i for i, t in enumerate(contract.terms) if t.kind == kind)
+    term, count = contract.terms[which], len(sent)
+    windows = np.arange(count) // WINDOW
+    value = np.zeros((windows[-1] + 1, term.width))
+
+    def given(per_row: F64) -> F64:
+        shown = list(parts)
+        shown[which] = _history(per_row * term.scale, term, loop)
+        return _targets(contract, sent, shown, depth, loop)
+
+    for _ in range(2):
+        here = given(value[windows])
+        slopes = np.stack([(given(value[windows] + e) - here) / 0.05 for e in 0.05 * np.eye(term.width)], axis=2)
+        for w in range(len(value)):
+            rows = windows == w
+            x, y = slopes[rows].reshape(-1, term.width), (sent - here)[rows].ravel()
+            step = np.linalg.solve(x.T @ x + 1e-6 * np.eye(term.width) * max(np.trace(x.T @ x), 1e-9), x.T @ y)
+            value[w] = np.clip(value[w] + step, -2.0, 2.0)
+    return given(value[windows])
+
+
+def merged(loop: Loop, **changes: Mapping[str, Any]) -> Loop:
+    """The loop with entries added to its maps."""
+    whole: dict[str, Any] = {k: {**getattr(loop, k), **v} for k, v in changes.items()}
+    return replace(loop, **whole)

@@ -1,0 +1,90 @@
+"""The servos' gains, by the torque that the drives report: torque = kp (target - q) - kd dq."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from realsim.core.types import F64
+from realsim.gap.checks.contract.policy import Contract
+from realsim.gap.checks.contract.proposals import listed
+from realsim.gap.checks.contract.search import FLOOR, PRICE
+from realsim.gap.checks.contract.steps import Run, Steps
+
+EXPLAINED = 0.5
+"""Rms share of a torque that the servo's law may leave, with gains of its own, for those gains to be believed: a
+quarter of the variance."""
+SAME = 0.1
+"""Relative difference below which a gain is as it should be: rounding, and how well drives know their torque."""
+AGES = (0.0, 0.125, 0.25, 0.375, 0.5, 0.75, 1.0)
+"""Rows by which the readings behind a torque are older than its row."""
+
+
+def check_gains(contract: Contract, steps: Steps) -> str | None:
+    """What is off about the gains, in words; None where nothing is, or no torque is logged.
+
+    Judged as all mistakes are: fitted gains must take away a third of the variance that the contract's leave in some
+    joint (`search.PRICE`).
+    """
+    runs = [r for r in steps.runs if r.torque is not None]
+    if not runs:
+        return None
+    order = [steps.joints.index(j) for j in contract.joints]
+    n = len(order)
+    # A drive reports the torque of a moment between two rows: the one that explains all joints best.
+    rows = min((_rows(contract, runs, order, late, age) for late in (0, 1) for age in AGES), key=_left)
+    kp, kd, off, believed = np.ones(n), np.ones(n), np.zeros(n, bool), np.zeros(n, bool)
+    for i, (x, y) in enumerate(rows):
+        floor = max(FLOOR * float(np.std(y)), 1e-9)
+        found = np.linalg.lstsq(x, y, rcond=None)[0]
+        after, before = (float(np.sqrt(np.mean((y - g) ** 2) + floor**2)) for g in (x @ found, x.sum(axis=1)))
+        believed[i] = after < EXPLAINED * float(np.std(y))
+        off[i] = believed[i] and np.log(before / after) > PRICE
+        # No difference: an interval of three sigma that includes 1, or less than the share that the law leaves.
+        least = np.maximum(max(SAME, after / float(np.std(y))), 3 * after * np.sqrt(np.diag(np.linalg.pinv(x.T @ x))))
+        kp[i], kd[i] = (v if abs(v - 1) > s else 1.0 for v, s in zip(found, least, strict=True))
+    if believed.sum() < 0.5 * n:
+        return None
+    kp, kd = np.where(off, kp, 1.0), np.where(off, kd, 1.0)
+    words = [
+        f"{name} is {listed(contract.joints, ratio, 1.0, '{:.3g} times what it should be')}"
+        for name, ratio in (("kp", kp), ("kd", kd))
+        if (ratio != 1).any()
+    ]
+    if not words:
+        return None
+    both = bool(np.all(np.abs(kp - kd)[off] < SAME))
+    return " and ".join(words) + (" (or torques are reported by that factor)" if both else "")
+
+
+Rows = list[tuple[F64, F64]]
+"""Of each joint: (rows, 2) torques of either gain of the contract, (rows,) measured."""
+
+
+def _rows(contract: Contract, runs: Sequence[Run], order: Sequence[int], late: int, age: float) -> Rows:
+    """Torques beside what the contract's law makes of the command `late` rows ago and readings `age` rows old.
+
+    Rows in which a drive is at its limit are left out.
+    """
+    found = []
+    for i, j in enumerate(order):
+        parts, measured = [], []
+        for r in runs:
+            assert r.torque is not None
+            pos, vel = ((1 - age) * v[1:, j] + age * v[:-1, j] for v in (r.pos, r.vel))
+            command = r.command[:-1, j] if late else r.command[1:, j]
+            parts.append(np.stack([contract.kp[i] * (command - pos), -contract.kd[i] * vel], axis=1))
+            measured.append(r.torque[1:, j])
+        x, y = np.concatenate(parts), np.concatenate(measured)
+        most = 0.98 * np.abs(y).max()
+        limited = np.mean(np.abs(y) > most) > 0.02
+        kept = np.abs(y) < most if limited else np.ones(len(y), bool)
+        found.append((x[kept], y[kept]))
+    return found
+
+
+def _left(rows: Rows) -> float:
+    """Mean log of what the law leaves with free gains."""
+    rest = [y - x @ np.linalg.lstsq(x, y, rcond=None)[0] for x, y in rows]
+    return float(np.mean([np.log(np.std(r) + 1e-9) for r in rest]))
