@@ -123,7 +123,7 @@ class WrongSession:
         self.session, self.change, self.scale = session, change, scale
 
     def run(self, names: Any, inputs: dict[str, np.ndarray]) -> Any:
-        vector = (self.change(inputs["vector"]) * self.scale).astype(np.float32)
+        vector = self.change(inputs["vector"] * self.scale).astype(np.float32)
         return self.session.run(names, inputs | {"vector": vector})
 
 
@@ -314,7 +314,7 @@ def mistakes(kind: str, rng: np.random.Generator, history: int) -> Wrong:
         return Wrong(vector=blocks(lambda p: p[keep], history))
     if kind == "history_stride":
         return Wrong(vector=Strided(history))
-    if kind == "observation_delay":
+    if kind == "sensor_delay":
         return Wrong(late={"": int(rng.integers(1, 4))})
     if kind == "sensor_age":
         late = int(rng.integers(1, 4))
@@ -363,12 +363,12 @@ def mistakes(kind: str, rng: np.random.Generator, history: int) -> Wrong:
 KINDS = (
     "joint_order", "joint_sign", "zero_offset", "default_pose", "action_scale", "gains", "quaternion_order",
     "gravity_frame", "rate_frame", "imu_rotation", "control_period", "history_order", "history_length",
-    "history_stride", "observation_delay", "sensor_age", "irregular_readings", "clipped_action", "clipped_target",
+    "history_stride", "sensor_delay", "sensor_age", "irregular_readings", "clipped_action", "clipped_target",
     "observation_scale", "observation_offset", "velocity_command", "last_action", "term_order", "scale_and_gains",
     "imu_and_delay",
 )  # fmt: skip
 NAMED = {k: {k} for k in KINDS} | {"scale_and_gains": {"action_scale", "gains"},
-                                   "imu_and_delay": {"gravity_frame", "observation_delay"}}  # fmt: skip
+                                   "imu_and_delay": {"gravity_frame", "sensor_delay"}}  # fmt: skip
 """What must be named, and nothing else."""
 
 

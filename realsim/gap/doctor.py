@@ -21,8 +21,6 @@ from realsim.gap.verdicts import SAID, GapVerdict
 from realsim.report import page
 from realsim.report.page import Level
 
-DELAYS = ("command_delay", "observation_delay", "delays")
-
 
 @dataclass(frozen=True)
 class Part:
@@ -103,9 +101,9 @@ def _physics(case: Case, config: DiagnoseConfig, progress: Progress) -> list[Par
         return [Part("delay", None, error.render()), Part("physics", None, error.render())]
     verdict = GapVerdict(result["verdict"])
     rows = [f"{label}: {text}" for part in brief(result).values() for label, text in part]
-    effects = dict.fromkeys(c["effect"] for s in (result["causes"], *result["equivalent"]) for c in s)
-    delays = [e for e in effects if e in DELAYS]
-    others = [e for e in effects if e not in DELAYS]
+    causes = [c for s in (result["causes"], *result["equivalent"]) for c in s]
+    delays = list(dict.fromkeys(c["effect"] for c in causes if "delay" in c["parameters"]))
+    others = list(dict.fromkeys(c["effect"] for c in causes if "delay" not in c["parameters"]))
     late = "no delay of commands or readings is named" if not delays else result["sentence"]
     level = SAID[verdict].level
     if verdict is GapVerdict.IDENTIFIED:
@@ -137,7 +135,8 @@ def _terrain(case: Case, scene: Path | None) -> Part:
         found = check_scene(case, load_terrain(scene) if scene is not None else terrain_of_case(case)).verdict
     except RealsimError as error:
         return Part("terrain", None, error.render())
-    words = {} if found.level == "good" else _settings(["terrain_height"])
+    corrected = "train on the corrected scene.xml of realsim footholds"
+    words = {} if found.level == "good" else dict.fromkeys(FRAMEWORKS, corrected)
     return Part("terrain", found.level, found.headline, words, tuple(found.reasons))
 
 

@@ -55,7 +55,6 @@ def test_an_effect_is_one_file() -> None:
         "case/model/context.py": "armature",  # of MuJoCo's joints
         "case/setups.py": "payload",  # that a run is known to carry
         "experiments/write.py": "payload",
-        "checks/contract/kinds.py": "observation_delay",  # of a policy's input
         "answer/patch.py": "external_force",  # a wrapper
     }
     root = Path(realsim.gap.__file__).parent

@@ -31,6 +31,7 @@ EFFECT = Effect(
     parameters=_parameters,
     apply=_apply,
     words=Words(
+        settings=("armature of the actuator", "armature of the actuator", "armature in the MJCF"),
         title="rotor inertia (armature)",
         description="The inertia of the rotor seen through the gear is not the model's.",
         signature="Error in proportion to acceleration, the same in every pose; overshoot after steps.",

@@ -129,6 +129,8 @@ class Words:
     so that it is missing either way and never too large in the model."""
     comparatives: tuple[str, str] = ("", "")
     """What the robot is than the model where the first parameter is negative and where it is positive."""
+    settings: tuple[str, str, str] | None = None
+    """What to change in mjlab, Isaac Lab and Unitree's deployment; None: what the patch of model.xml does."""
     ratio_of: str = ""
     """What its ratio is a share of, if not of the model's value."""
 

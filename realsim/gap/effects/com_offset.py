@@ -27,6 +27,11 @@ EFFECT = Effect(
     parameters=_parameters,
     apply=_apply,
     words=Words(
+        settings=(
+            "the body's com, or its randomisation",
+            "randomize_rigid_body_com",
+            "the body's inertial pos in the MJCF",
+        ),
         title="centre of mass",
         description="The centre of mass of a body is shifted in the body's frame; mass and inertia stay.",
         signature="A torque that turns with the pose; on a floating base, weight moves from some feet to others.",

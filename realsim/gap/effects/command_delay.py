@@ -7,6 +7,11 @@ EFFECT = delay(
     "command_delay",
     "observation_delay",
     Words(
+        settings=(
+            "delay_min_lag, delay_max_lag of the actuator",
+            "DelayedPDActuatorCfg: min_delay, max_delay",
+            "the loop's period and the age of lowcmd",
+        ),
         description="Every command acts a fixed time after it was logged (bus, queue, low-level control rate).",
         signature="The same lag at all joints and speeds; error in proportion to the speed of the command; IMU and "
         "base lag with the joints.",

@@ -42,6 +42,7 @@ EFFECT = Effect(
     parameters=_parameters,
     apply=_apply,
     words=Words(
+        settings=("frictionloss of the joint", "friction of the actuator", "frictionloss in the MJCF"),
         title="Coulomb friction",
         description="A constant torque against the motion, and sticking at rest.",
         signature="A constant error that changes sign with the velocity; flats at reversals; hysteresis at rest.",

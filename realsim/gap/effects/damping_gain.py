@@ -53,6 +53,7 @@ EFFECT = Effect(
     parameters=gain(0.25, 0.03),
     apply=_apply,
     words=Words(
+        settings=("damping of the actuator", "damping of the actuator", "damping in deploy.yaml"),
         title="damping gain (kd)",
         description="The servo turns velocity into torque with another gain than the model's.",
         signature="Lag in proportion to speed, both ways; overshoot after steps; shows in the drive's torque, "

@@ -18,6 +18,7 @@ EFFECT = Effect(
     parameters=relative((-0.92, 2.0), -0.4, 0.1),
     apply=_apply,
     words=Words(
+        settings=("friction of feet and terrain", "physics_material of the terrain", "friction in the MJCF"),
         title="ground friction",
         description="The sliding friction coefficient of all contacts is scaled.",
         signature="Feet slide where the model's stick (or the reverse): base position and yaw drift under shear load.",

@@ -30,6 +30,7 @@ EFFECT = Effect(
     parameters=_parameters,
     apply=_apply,
     words=Words(
+        settings=("noise and bias of base_ang_vel", "noise and bias of base_ang_vel", "calibrate the IMU at rest"),
         title="IMU bias",
         description="Constant offsets on the gyroscope and accelerometer.",
         signature="A constant in the IMU only; joints and base are right.",

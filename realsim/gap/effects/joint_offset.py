@@ -50,6 +50,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     words=Words(
+        settings=("the encoder's zero", "the encoder's zero", "the motor's zero"),
         title="encoder zero offset",
         description="The reading is the true angle plus a constant: of the encoder that the servo uses too, or only of "
         "the one that is logged (`reading_offset`).",

@@ -7,6 +7,11 @@ EFFECT = delay(
     "observation_delay",
     "command_delay",
     Words(
+        settings=(
+            "delay_min_lag, delay_max_lag of the observations",
+            "delayed observations (modifiers)",
+            "the age of lowstate when it is read",
+        ),
         description="Joint positions, velocities and torques are logged a fixed time after they were true; the IMU is "
         "not.",
         signature="The same lag at all joints and speeds, while IMU and base pose are on time.",

@@ -84,6 +84,7 @@ EFFECT = Effect(
     parameters=_parameters,
     apply=_apply,
     words=Words(
+        settings=("the body's mass, or its randomisation", "randomize_rigid_body_mass", "the body's mass in the MJCF"),
         title="payload",
         description="A mass fixed to a body at a point (x, y, z in the body's frame).",
         signature="More sag in every pose that carries it, in the joints between it and the base; slower acceleration; "

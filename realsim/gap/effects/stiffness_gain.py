@@ -28,6 +28,7 @@ EFFECT = Effect(
     parameters=gain(0.15, 0.015),
     apply=_apply,
     words=Words(
+        settings=("stiffness of the actuator", "stiffness of the actuator", "stiffness in deploy.yaml"),
         title="stiffness gain (kp)",
         description="The servo turns position error into torque with another gain than the model's.",
         signature="Steady position error under load scales with 1/ratio; fast motion changes less than by motor gain.",

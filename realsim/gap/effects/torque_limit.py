@@ -30,6 +30,7 @@ EFFECT = Effect(
     parameters=_parameters,
     apply=_apply,
     words=Words(
+        settings=("effort_limit of the actuator", "effort_limit of the actuator", "the drive's torque limit"),
         title="torque limit",
         description="The force of the actuator is clipped at a lower value than in the model (current limit, heat).",
         signature="No error until the load or acceleration is high; then the joint falls behind, and catches up.",

@@ -59,6 +59,7 @@ EFFECT = Effect(
     parameters=_parameters,
     apply=_apply,
     words=Words(
+        settings=("damping of the joint (passive)", "viscous_friction of the actuator", "damping in the MJCF"),
         title="viscous friction",
         description="A torque against the motion in proportion to speed (grease, back-EMF through the gear).",
         signature="Lag that grows with speed; nothing at rest; the drive's torque shows it, a damping gain's does not.",

@@ -434,7 +434,7 @@ def _ages(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
             if abs(x[0]) < 0.5 or x[0] < 0:
                 return "timing", f"{name}: {ms} between the log and what the policy saw"
             if name == "all sensors":
-                return "observation_delay", f"what is seen is {ms} old"
+                return "sensor_delay", f"what is seen is {ms} old"
             are = "are" if name.endswith("s") else "is"
             return "last_action" if name == WORDS["last_action"] else "sensor_age", f"{name} {are} {ms} old"
 

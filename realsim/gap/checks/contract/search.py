@@ -33,6 +33,8 @@ PER_PARAMETER = 0.004
 """Nats of the score: a family of as many parameters as joints must fit better by 5 % than one with a single one."""
 TIE = 0.05
 """Nats of the score by which another kind may be worse and still be named beside the best."""
+SAME = 0.01
+"""Relative difference of all joints' scales within which two proposals are one change."""
 MOST = 6
 """Mistakes one after the other."""
 ITERATIONS = 6
@@ -112,6 +114,8 @@ def search(problem: Problem, loop: Loop) -> tuple[Loop, list[Taken]]:
             break
         best = tried[0]
         near = [t for t in tried[1:] if t.score < best.score + TIE and t.kind != best.kind]
+        # The same change in other words (minus one as a scale, and as three axes turned round) is no rival.
+        near = [t for t in near if not np.allclose(t.scales, best.scales, rtol=SAME)]
         rivals = {t.kind: t for t in reversed(near) if problem.worth(here, t.scales)}
         taken.append(Taken(best, tuple(rivals.values())))
         loop = best.loop

@@ -32,7 +32,7 @@ _SETTINGS: dict[str, tuple[str, str, str, str]] = {
     "history_length": ("the widths of layout.actor", "history_length", "history_length",
                        "observations.*.history_length"),
     "history_stride": ("one moment a policy step", "history_length", "history_length", "history_length; step_dt"),
-    "observation_delay": ("latency between read and write", "delay_min_lag, delay_max_lag of the observation group",
+    "sensor_delay": ("latency between read and write", "delay_min_lag, delay_max_lag of the observation group",
                           "DelayedPDActuatorCfg, or delayed observations", "the age of lowstate when it is read"),
     "sensor_age": ("the newest sample of that sensor in `read`", "delay_min_lag, delay_max_lag of that term",
                    "a delay of that term (modifiers)", "the age of that topic when it is read"),

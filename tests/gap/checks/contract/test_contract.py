@@ -105,7 +105,7 @@ ONE = np.array([1, 0.64, 1, 1, 1, 1])
         ({"observation_scale"}, {"see_vel": lambda v: 0.25 * v}),
         ({"gravity_frame"}, {"gravity": -1.0}),
         ({"history_order"}, {"newest_first": True}),
-        ({"observation_delay"}, {"late": 2}),
+        ({"sensor_delay"}, {"late": 2}),
         ({"action_scale", "observation_scale"}, {"gain": 0.8, "see_vel": lambda v: 0.05 * v}),
         ({"gravity_frame", "joint_sign"}, {"gravity": -1.0, "see": lambda q: SIGN * q, "see_vel": lambda v: SIGN * v}),
     ],
