@@ -10,7 +10,7 @@ from realsim.core.types import F64
 from realsim.gap.checks.contract.policy import Contract
 from realsim.gap.checks.contract.proposals import listed
 from realsim.gap.checks.contract.search import FLOOR, PRICE
-from realsim.gap.checks.contract.steps import Run, Steps
+from realsim.gap.checks.contract.steps import LEAST, Run, Steps
 
 EXPLAINED = 0.5
 """Rms share of a torque that the servo's law may leave, with gains of its own, for those gains to be believed: a
@@ -39,10 +39,12 @@ def check_gains(contract: Contract, steps: Steps) -> str | None:
         floor = max(FLOOR * float(np.std(y)), 1e-9)
         found = np.linalg.lstsq(x, y, rcond=None)[0]
         after, before = (float(np.sqrt(np.mean((y - g) ** 2) + floor**2)) for g in (x @ found, x.sum(axis=1)))
-        believed[i] = after < EXPLAINED * float(np.std(y))
+        believed[i] = after < EXPLAINED * max(float(np.std(y)), 1e-9)
         off[i] = believed[i] and np.log(before / after) > PRICE
         # No difference: an interval of three sigma that includes 1, or less than the share that the law leaves.
-        least = np.maximum(max(SAME, after / float(np.std(y))), 3 * after * np.sqrt(np.diag(np.linalg.pinv(x.T @ x))))
+        least = np.maximum(
+            max(SAME, after / max(float(np.std(y)), 1e-9)), 3 * after * np.sqrt(np.diag(np.linalg.pinv(x.T @ x)))
+        )
         kp[i], kd[i] = (v if abs(v - 1) > s else 1.0 for v, s in zip(found, least, strict=True))
     if believed.sum() < 0.5 * n:
         return None
@@ -78,8 +80,9 @@ def _rows(contract: Contract, runs: Sequence[Run], order: Sequence[int], late: i
             measured.append(r.torque[1:, j])
         x, y = np.concatenate(parts), np.concatenate(measured)
         most = 0.98 * np.abs(y).max()
-        limited = np.mean(np.abs(y) > most) > 0.02
-        kept = np.abs(y) < most if limited else np.ones(len(y), bool)
+        kept = np.abs(y) < most
+        if kept.mean() > 0.98 or kept.sum() < LEAST:
+            kept[:] = True
         found.append((x[kept], y[kept]))
     return found
 
