@@ -77,6 +77,11 @@ INDEX = (
     ("A depth camera that is late, turned, or right", "gap_depth", "python benchmarks/diagnosis/depth.py"),
     ("Mistakes between a policy and its robot", "gap_contract", "python benchmarks/diagnosis/contract.py --seed 2000"),
     ("Damaged input: tracebacks, hangs, silent changes", "fuzz", "python benchmarks/robustness/fuzz.py"),
+    (
+        "Recordings as strangers write them, read without a hand",
+        "recordings",
+        "python -m benchmarks.robustness.recordings",
+    ),
     ("Recordings that decide between causes", "gap_next", "python benchmarks/diagnosis/next.py --seed 29"),
     ("Changes between two logs of one robot", "gap_since", "python benchmarks/diagnosis/since.py --seed 40"),
     ("The base policy without fine-tuning", "base_policy", "python benchmarks/training/base_policy.py"),

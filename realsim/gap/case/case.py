@@ -135,13 +135,17 @@ def load_case(folder: Path, recordings: Sequence[Path] = ()) -> Case:
     folder = Path(folder)
     if not folder.is_dir():
         raise GapError(
-            "no such case", file=folder, expected="a folder with log.json, model.xml and runs/ with .npz or .csv"
-        )
+            "no such case", file=folder, expected="a folder with log.json, model.xml and runs/ with .npz or .csv",
+            hint=f"of a model: realsim diagnose --init {folder}; of a recording: realsim log {folder} --model robot.xml"
+            if folder.is_file() else None,
+        )  # fmt: skip
     for name in ("log.json", "model.xml"):
         if not (folder / name).is_file():
             raise GapError(
-                f"{name} is missing", file=folder, expected="log.json, model.xml and runs/ with .npz or .csv"
-            )
+                f"{name} is missing", file=folder, expected="log.json, model.xml and runs/ with .npz or .csv",
+                hint=f"make a case of recordings: realsim log {folder} --model robot.xml --out case; or of a model: "
+                "realsim diagnose --init robot.xml --out case",
+            )  # fmt: skip
     log = read_json(folder / "log.json")
     if not isinstance(log, dict):
         raise GapError("log.json is not an object", file=folder / "log.json")

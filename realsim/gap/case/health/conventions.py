@@ -160,10 +160,11 @@ def _refuse_order(case: Case, real: F64, model: F64, follows: Sequence[bool]) ->
             moved.append(f"the column of {names[j]} moves like {names[best]}")
     if moved:
         raise GapError(
-            "the joints are in another order than joint_names says",
+            "positions and commands are in different orders of joints",
             file=case.folder / "log.json",
             found="; ".join(moved[:6]),
-            hint="bring joint_names into the order of the columns",
+            hint="one of joint_names (of joint_pos) and actuator_names (of command) is not in its columns' order: "
+            "mend that one, not both; `realsim log RECORDING --model model.xml` decides it by names",
         )
 
 
