@@ -38,6 +38,8 @@ class DiagnoseConfig:
     """JSON with standard deviations of everyday deviations that you know better than the library (docs/diagnose.md)."""
     report: bool = True
     """Write report.html beside diagnosis.json."""
+    signals: bool = False
+    """Write signals.mcap: measured and simulated signals for Foxglove, PlotJuggler or Rerun (extra `logs`)."""
 
     def __post_init__(self) -> None:
         if self.max_causes < 1 or self.threads < 1 or self.max_runs < 1:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from realsim.core.errors import extra
 from realsim.core.files import check_size, inside, output_folder, read_bytes, write_bytes, write_text
 from realsim.gap.answer.camera import with_camera
 from realsim.gap.answer.patch import asset_files
@@ -45,6 +46,8 @@ def run_case(
     Returns what diagnosis.json holds. Raises GapError with the reason where a log cannot support a diagnosis.
     """
     config = config or DiagnoseConfig()
+    if config.signals:
+        extra("mcap.writer", "logs", "writing signals.mcap")
     with output_folder(
         Path(out), overwrite=overwrite
     ) as work:  # what cannot be written is refused before the work is done
@@ -73,6 +76,10 @@ def run_case(
             from realsim.gap.report import write_report
 
             write_report(work / "report.html", found)
+        if config.signals:
+            from realsim.gap.report.signals import write_signals
+
+            write_signals(work / "signals.mcap", found, str(found.as_dict()["sentence"]))
     return found.as_dict()
 
 

@@ -32,6 +32,7 @@ EXPORTERS = Registry(
         "stl": "realsim.export.formats.meshes:stl",
         "ply": "realsim.export.formats.meshes:ply",
         "heightmap": "realsim.export.formats.heightmap:heightmap",
+        "foxglove": "realsim.export.formats.foxglove:foxglove",
     },
 )
 
