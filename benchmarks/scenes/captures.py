@@ -70,8 +70,8 @@ def _place(source: Path) -> Iterator[Row]:
     from realsim.capture.config import CaptureConfig
     from realsim.feedforward.config import PointsConfig
     from realsim.feedforward.rgbd.estimate import connect
-    from realsim.feedforward.rgbd.loops import _placed, join
-    from realsim.feedforward.rgbd.tracks import Evidence
+    from realsim.feedforward.rgbd.features import Evidence
+    from realsim.feedforward.rgbd.loop_closure import _placed, join
 
     frames: Any = capture.read(source, CaptureConfig(keep_blurred=True))
     truth = np.stack([f.T_world_camera for f in frames.frames])

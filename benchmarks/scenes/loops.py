@@ -121,7 +121,7 @@ def measured(case: Case, source: Path) -> Row:
     from realsim.capture.config import CaptureConfig
     from realsim.core.errors import PoseError
     from realsim.feedforward.rgbd.estimate import estimate
-    from realsim.feedforward.rgbd.tracks import Evidence
+    from realsim.feedforward.rgbd.features import Evidence
 
     frames: Any = capture.read(source, CaptureConfig(keep_blurred=True, max_frames=0))
     order = np.arange(len(frames))

@@ -2,7 +2,7 @@
 
 Depth that a camera recorded as its own sensor saw it has another field of view than colour, and a shift that depends on
 depth. Both are found by where steps in depth fall on edges of colour (Levinson and Thrun 2013), image by image, so that
-no motion is needed. Small differences are left to `feedforward.rgbd.registration`, which measures them better.
+no motion is needed. Small differences are left to `feedforward.rgbd.extrinsic_calibration`, which measures them better.
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ from realsim import feedforward
 from realsim.core.geometry import angle_deg, invert_T, make_T
 from realsim.feedforward.config import PointsConfig
 from realsim.feedforward.rgbd import keyframes
-from realsim.feedforward.rgbd.follow import Landmarks, follow
-from realsim.feedforward.rgbd.tracks import Evidence, build_tracks
+from realsim.feedforward.rgbd.features import Evidence, build_tracks
+from realsim.feedforward.rgbd.localize import Landmarks, localize
 
 N = 16
 TRUTH = rooms.path(N, step=0.02)
@@ -57,7 +57,7 @@ def test_a_view_starts_a_centimetre_off_and_comes_back(frames: list) -> None:
     points /= np.bincount(tracks.point, minlength=tracks.count)[:, None]
     off = make_T(np.eye(3), [0.004, -0.004, 0.008])
     views = Evidence.of([frames[3]]).views
-    found, residual = follow(views, (TRUTH[3] @ off)[None], Landmarks(evidence.views, T, tracks, points))
+    found, residual = localize(views, (TRUTH[3] @ off)[None], Landmarks(evidence.views, T, tracks, points))
     assert np.linalg.norm((invert_T(TRUTH[3]) @ found[0])[:3, 3]) < 0.004
     assert 0 < residual[0] < 0.02
 

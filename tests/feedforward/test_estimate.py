@@ -13,9 +13,9 @@ from realsim.core.errors import CaptureError, PoseError, UnknownNameError
 from realsim.core.geometry import angle_deg, invert_T, make_T
 from realsim.core.types import Solution
 from realsim.feedforward.config import PointsConfig
+from realsim.feedforward.rgbd.features import prepare
+from realsim.feedforward.rgbd.matching import by_features, guided
 from realsim.feedforward.rgbd.overlap import overlap, register
-from realsim.feedforward.rgbd.pairs import by_features, guided
-from realsim.feedforward.rgbd.tracks import prepare
 
 TRUTH = rooms.path(7)
 ESTIMATE = PointsConfig(poses="estimate")

@@ -20,7 +20,7 @@ from realsim.core.types import Frame
 from realsim.feedforward import matcher
 from realsim.feedforward.config import PointsConfig
 from realsim.feedforward.rgbd import learned
-from realsim.feedforward.rgbd.tracks import Match, build_tracks, prepare
+from realsim.feedforward.rgbd.features import Match, build_tracks, prepare
 
 ESTIMATE = PointsConfig(poses="estimate")
 TRUTH = rooms.path(4)

@@ -13,10 +13,11 @@ from realsim.core.errors import PoseError
 from realsim.core.geometry import angle_deg, exp_so3, invert_T, make_T, transform
 from realsim.core.types import Frame, Intrinsics
 from realsim.feedforward.rgbd.bias import grouped_error
+from realsim.feedforward.rgbd.check_poses import check_poses, scale_by_depth
+from realsim.feedforward.rgbd.features import Evidence, build_tracks, rigid_ransac
+from realsim.feedforward.rgbd.hypotheses import BODY, FLIP, MIRROR, shift_poses
 from realsim.feedforward.rgbd.refine import refine
 from realsim.feedforward.rgbd.refine_adjust import initial_state
-from realsim.feedforward.rgbd.refine_check import BODY, FLIP, MIRROR, _shifted, check_poses, scale_by_depth
-from realsim.feedforward.rgbd.tracks import Evidence, build_tracks, rigid_ransac
 
 CAMERA = Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
 NOISE = 0.0015
@@ -218,7 +219,7 @@ def test_frames_with_wrong_poses_are_named_and_no_others(wrong: list[int]) -> No
         ("world-to-camera", invert_T),
         ("body axes", lambda T: T @ invert_T(BODY)),
         ("scale", lambda T: np.stack([make_T(p[:3, :3], 1.3 * p[:3, 3]) for p in T])),
-        ("time offset", lambda T: _shifted(T, 3)),
+        ("time offset", lambda T: shift_poses(T, 3)),
         ("mirrored images", lambda T: MIRROR @ T @ MIRROR),
     ],
 )

@@ -125,7 +125,7 @@ def test_poses_that_depth_agrees_with_are_of_no_other_convention(
 ) -> None:
     # as on a shared capture with the colour of another: 60 cm by features, 6 cm half a frame later, 0.6 cm by depth
     by_chance = ("a time offset between poses and images of -0.5 frames", 0.064, "associate anew")
-    monkeypatch.setattr("realsim.feedforward.rgbd.refine_check._explain", lambda *_: by_chance)
+    monkeypatch.setattr("realsim.feedforward.rgbd.check_poses._explain", lambda *_: by_chance)
     folder = spoilt(two, tmp_path / "wrong", colour_of_another)
     with pytest.raises(PoseError, match="colour images belong to other depth"):
         solved(folder)

@@ -22,7 +22,7 @@ from realsim.feedforward.onnx.preprocess import depth_to_grid
 from realsim.feedforward.onnx.runner import Views, predict, without
 from realsim.feedforward.onnx.session import Model, open_model
 from realsim.feedforward.onnx.views import pack, predicted_depth
-from realsim.feedforward.rgbd.tracks import Evidence, Match
+from realsim.feedforward.rgbd.features import Evidence, Match
 
 FEW = 200
 """Pixels with both depths below which a frame says nothing about scale."""
@@ -192,9 +192,9 @@ def _refined(frames: list[Frame], T: F64, seed: int) -> tuple[Solution, list[int
     Returns:
         The solution, the indices of the frames kept, and index -> why of the others.
     """
+    from realsim.feedforward.rgbd.check_poses import check_poses
     from realsim.feedforward.rgbd.estimate import bundle_again
     from realsim.feedforward.rgbd.refine import refine
-    from realsim.feedforward.rgbd.refine_check import check_poses
 
     if len(frames) == 1:
         return Solution((0,), T, world_is_capture=False), [0], {}

@@ -15,7 +15,7 @@ from realsim.feedforward.backend import Backend
 from realsim.feedforward.config import PointsConfig
 
 if TYPE_CHECKING:
-    from realsim.feedforward.rgbd.tracks import Evidence
+    from realsim.feedforward.rgbd.features import Evidence
 
 
 def solve(frames: FrameSet, config: PointsConfig) -> Solution:
@@ -28,35 +28,35 @@ def solve(frames: FrameSet, config: PointsConfig) -> Solution:
     Raises:
         PoseError: see `realsim.feedforward.solve`.
     """
-    from realsim.feedforward.rgbd.carried import carried, told, without
+    from realsim.feedforward.rgbd.ego_mask import describe_ego_mask, find_ego_mask, mask_out
 
     given = _posed(frames, config)
     if given is not None and frames.poses_metric:
         posed = [frames.frames[i] for i in given]
-        cells = carried(posed, np.stack([f.T_world_camera for f in posed if f.T_world_camera is not None]))
+        cells = find_ego_mask(posed, np.stack([f.T_world_camera for f in posed if f.T_world_camera is not None]))
     else:
         first = _solved(frames, given, config)
-        cells = carried([frames.frames[i] for i in first.used], first.T_world_camera)
+        cells = find_ego_mask([frames.frames[i] for i in first.used], first.T_world_camera)
         cells = first.arrays.get("carried") if cells is None else cells
         if cells is None:
             return first
     if cells is None:
         return _solved(frames, given, config)
-    masked = replace(frames, frames=tuple(without(f, cells) for f in frames.frames))
+    masked = replace(frames, frames=tuple(mask_out(f, cells) for f in frames.frames))
     solution = _solved(masked, given, config)
-    statistics = {**solution.statistics, "left_out": [told(cells)]}
+    statistics = {**solution.statistics, "left_out": [describe_ego_mask(cells)]}
     return replace(solution, arrays={**solution.arrays, "carried": cells}, statistics=statistics)
 
 
 def pointmaps(frames: FrameSet, solution: Solution, config: PointsConfig) -> Pointmaps:
     """Views from corrected sensor depth (`solution.depth_gain` times the sensor's), camera frame, metres."""
-    from realsim.feedforward.rgbd.carried import without
-    from realsim.feedforward.rgbd.registration import Registration
+    from realsim.feedforward.rgbd.ego_mask import mask_out
+    from realsim.feedforward.rgbd.extrinsic_calibration import Registration
     from realsim.feedforward.rgbd.views import point_view
 
     used = tuple(frames.frames[i] for i in solution.used)
     if (cells := solution.arrays.get("carried")) is not None:
-        used = tuple(without(f, cells) for f in used)
+        used = tuple(mask_out(f, cells) for f in used)
     for row in solution.arrays.get("registration", ()):
         used = tuple(Registration.of(row).applied(f) for f in used)
     return Pointmaps(
@@ -92,8 +92,8 @@ def _posed(frames: FrameSet, config: PointsConfig) -> list[int] | None:
 
 
 def _given(frames: FrameSet, posed: list[int], config: PointsConfig) -> Solution:
-    from realsim.feedforward.rgbd.refine_check import check_poses, scale_by_depth
-    from realsim.feedforward.rgbd.settle import settle
+    from realsim.feedforward.rgbd.accept_refinement import refine_or_keep
+    from realsim.feedforward.rgbd.check_poses import check_poses, scale_by_depth
 
     chosen = [frames.frames[i] for i in posed]
     T = np.stack([f.T_world_camera for f in chosen if f.T_world_camera is not None])
@@ -116,7 +116,7 @@ def _given(frames: FrameSet, posed: list[int], config: PointsConfig) -> Solution
         chosen, evidence, registration = _registered_under(T, chosen, evidence, keep, registration, noted, options)
     found: dict[str, Any] = {"T_world_camera": T[keep], "statistics": {"poses": "given"}, "warnings": ()}
     if config.refine:
-        found = settle([chosen[k] for k in keep], T[keep], evidence.subset(keep), **options)
+        found = refine_or_keep([chosen[k] for k in keep], T[keep], evidence.subset(keep), **options)
     found["statistics"] |= {"check": dict(check.statistics), **noted}
     found["warnings"] = said + _told(noted) + check.warnings + found["warnings"]
     unposed = tuple(Dropped(f.name, "has no pose") for f in frames.frames if f.T_world_camera is None)
@@ -130,17 +130,17 @@ def _given(frames: FrameSet, posed: list[int], config: PointsConfig) -> Solution
 
 
 def _estimated(frames: FrameSet, config: PointsConfig) -> Solution:
-    from realsim.feedforward.rgbd.anchor import anchored
-    from realsim.feedforward.rgbd.carried import still, without
+    from realsim.feedforward.rgbd.accept_refinement import refine_all
+    from realsim.feedforward.rgbd.align_to_given import align_to_given
+    from realsim.feedforward.rgbd.ego_mask import mask_out, still
     from realsim.feedforward.rgbd.estimate import estimate
-    from realsim.feedforward.rgbd.settle import refine_all
 
     if len(frames) == 1:
         return Solution((0,), np.eye(4)[None], world_is_capture=False, statistics={"poses": "one frame"})
     chosen, evidence, registration, noted = _registered(frames.frames, frames.source, config.seed)
     cells = still(evidence.views, config.seed)
     if cells is not None:
-        bare = [without(f, cells) for f in frames.frames]
+        bare = [mask_out(f, cells) for f in frames.frames]
         chosen, evidence, registration, noted = _registered(bare, frames.source, config.seed)
     result = estimate(evidence.views, config.seed, config.learned_matches)
     found: dict[str, Any] = {"T_world_camera": result.T_world_camera, "statistics": {}, "warnings": ()}
@@ -158,7 +158,7 @@ def _estimated(frames: FrameSet, config: PointsConfig) -> Solution:
     found["statistics"] = {**found["statistics"], "poses": "estimated", **result.statistics, **noted}
     found["warnings"] = _told(noted) + result.warnings + found["warnings"]
     dropped = tuple(Dropped(frames.frames[i].name, why) for i, why in sorted(result.lost.items()))
-    found = anchored(found, [frames.frames[i] for i in result.used], frames, config.correct_depth_bias)
+    found = align_to_given(found, [frames.frames[i] for i in result.used], frames, config.correct_depth_bias)
     arrays = {"registration": registration} | ({} if cells is None else {"carried": cells})
     return Solution(used=result.used, dropped=dropped, arrays=arrays, **found)
 
@@ -170,9 +170,9 @@ def _registered(frames: Sequence[Frame], source: Path, seed: int) -> tuple[list[
     Raises:
         PoseError: colour and depth are not of one view at one time.
     """
-    from realsim.feedforward.rgbd.registration import neighbours, seek
-    from realsim.feedforward.rgbd.together import check_together
-    from realsim.feedforward.rgbd.tracks import Evidence
+    from realsim.feedforward.rgbd.depth_colour_sync import check_together
+    from realsim.feedforward.rgbd.extrinsic_calibration import calibrate, nearby_pairs
+    from realsim.feedforward.rgbd.features import Evidence
 
     evidence = Evidence.of(frames, seed)
     check_together(evidence.views, source, seed)
@@ -180,7 +180,7 @@ def _registered(frames: Sequence[Frame], source: Path, seed: int) -> tuple[list[
     applied: list[F64] = []
     statistics: dict[str, Any] = {}
     for _ in range(3):  # right rays match more, which makes them righter
-        found = seek(evidence.views, evidence.matches(neighbours(len(chosen))))
+        found = calibrate(evidence.views, evidence.matches(nearby_pairs(len(chosen))))
         if found is None:
             break
         use = found.clear or (bool(applied) and found.after < found.before)
@@ -205,17 +205,17 @@ def _registered_under(
     """As `_registered`, where colour turned out to be another camera and poses are given: surfaces alone refine these,
     and matches under them say where that camera stands. Features, which are to refine the poses next, would else pull
     them to where the colour camera is taken to be."""
-    from realsim.feedforward.rgbd.loops import plausible
+    from realsim.feedforward.rgbd.accept_refinement import refine_all
+    from realsim.feedforward.rgbd.extrinsic_calibration import calibrate
+    from realsim.feedforward.rgbd.features import Evidence
+    from realsim.feedforward.rgbd.loop_closure import plausible
     from realsim.feedforward.rgbd.refine_pairs import choose_pairs
-    from realsim.feedforward.rgbd.registration import seek
-    from realsim.feedforward.rgbd.settle import refine_all
-    from realsim.feedforward.rgbd.tracks import Evidence
 
     own = evidence.subset(keep)
     alone = refine_all([frames[k] for k in keep], T[keep], own.without_color(), trust="metric", **options)
     poses = alone.T_world_camera
     matches = plausible(own, choose_pairs(own.views, poses), poses)
-    found = seek(own.views, matches, poses, alone.result.depth_gain)
+    found = calibrate(own.views, matches, poses, alone.result.depth_gain)
     if found is None or found.after >= found.before:
         return frames, evidence, registration
     noted["registration"].append({**found.summary(), "applied": True})

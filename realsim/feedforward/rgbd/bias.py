@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.types import F64
+from realsim.feedforward.rgbd.features import Tracks
 from realsim.feedforward.rgbd.refine_adjust import GAIN_PRIOR, KINDS, Step
 from realsim.feedforward.rgbd.refine_pairs import Surface
-from realsim.feedforward.rgbd.tracks import Tracks
 
 SYSTEMATIC = 5e-4
 """Relative error that no regrouping of the residuals shows: focal length, sub-pixel offsets of features, a disparity

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.types import F64
-from realsim.feedforward.rgbd.graph import exp_se3, hat
+from realsim.feedforward.rgbd.pose_graph import exp_se3, hat
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,13 @@ from realsim.core.geometry import invert_T
 from realsim.core.progress import track
 from realsim.core.types import F64
 from realsim.feedforward.rgbd.bundle import Adjusted, Observations, adjust
-from realsim.feedforward.rgbd.follow import SIGMA_INVERSE, SIGMA_PX, Landmarks, follow
-from realsim.feedforward.rgbd.graph import Edge, optimise
+from realsim.feedforward.rgbd.features import Match, Tracks, View, build_tracks
+from realsim.feedforward.rgbd.icp_links import links
 from realsim.feedforward.rgbd.keyframes import by_matching
 from realsim.feedforward.rgbd.learned import join_pieces
-from realsim.feedforward.rgbd.loops import Joined, join
-from realsim.feedforward.rgbd.overlap import FINE, overlap
-from realsim.feedforward.rgbd.pairs import (
+from realsim.feedforward.rgbd.localize import SIGMA_INVERSE, SIGMA_PX, Landmarks, localize
+from realsim.feedforward.rgbd.loop_closure import Joined, join
+from realsim.feedforward.rgbd.matching import (
     MIN_AGREEMENT,
     as_edge,
     believable,
@@ -27,8 +27,8 @@ from realsim.feedforward.rgbd.pairs import (
     candidates,
     guided,
 )
-from realsim.feedforward.rgbd.shapes import links
-from realsim.feedforward.rgbd.tracks import Match, Tracks, View, build_tracks
+from realsim.feedforward.rgbd.overlap import FINE, overlap
+from realsim.feedforward.rgbd.pose_graph import Edge, optimise
 
 WORTH_TELLING = 3
 """Frames from which a piece that is left out is named as one."""
@@ -74,7 +74,7 @@ def estimate(views: Sequence[View], seed: int, learned: bool = True) -> Estimate
     if rest:
         starts = np.stack([T[followers[k][0]] @ followers[k][1] for k in rest])
         if landmarks is not None:
-            starts, _ = follow([views[k] for k in rest], starts, landmarks)
+            starts, _ = localize([views[k] for k in rest], starts, landmarks)
         T |= dict(zip(rest, starts, strict=True))
     used = sorted(T)
     poses = np.stack([T[k] for k in used])

@@ -13,8 +13,8 @@ import numpy as np
 
 from realsim.core.geometry import invert_T
 from realsim.core.types import F64
+from realsim.feedforward.rgbd.features import View
 from realsim.feedforward.rgbd.refine_pairs import look_up, sample_surface
-from realsim.feedforward.rgbd.tracks import View
 
 EVERY = 5
 """Of this many pairs that are not neighbours in the sequence, one is held out."""

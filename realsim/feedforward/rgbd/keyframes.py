@@ -2,7 +2,7 @@
 
 A video of thirty frames a second shows everything a hundred times. Views that hardly differ tell a joint adjustment
 nothing new, but couple to each other: its cost would grow with the square of the frame rate and more. So only views
-that moved on from the last one are adjusted together; the others follow them (follow.py), each on its own.
+that moved on from the last one are adjusted together; the others follow them (localize.py), each on its own.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 from realsim.core.geometry import invert_T
 from realsim.core.progress import track
 from realsim.core.types import F64
-from realsim.feedforward.rgbd.pairs import believable, by_features
-from realsim.feedforward.rgbd.tracks import View
+from realsim.feedforward.rgbd.features import View
+from realsim.feedforward.rgbd.matching import believable, by_features
 
 DENSE = 100
 """Up to this many views all are adjusted together."""

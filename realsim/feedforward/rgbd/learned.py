@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from realsim.core.progress import track
 from realsim.feedforward import matcher
-from realsim.feedforward.rgbd.graph import Edge, components
+from realsim.feedforward.rgbd.features import Match, View, points_of, rigid_ransac
+from realsim.feedforward.rgbd.matching import ALL_PAIRS, WINDOW, as_edge, believable, tightened
 from realsim.feedforward.rgbd.overlap import overlap
-from realsim.feedforward.rgbd.pairs import ALL_PAIRS, WINDOW, as_edge, believable, tightened
-from realsim.feedforward.rgbd.tracks import Match, View, points_of, rigid_ransac
+from realsim.feedforward.rgbd.pose_graph import Edge, components
 
 MOST = 1024
 """Keypoints with depth that take part; the cost of a pair grows with their square."""

@@ -8,8 +8,8 @@ import numpy as np
 
 from realsim.core.geometry import invert_T, transform
 from realsim.core.types import F64, Bool
-from realsim.feedforward.rgbd.graph import exp_se3, hat
-from realsim.feedforward.rgbd.tracks import View
+from realsim.feedforward.rgbd.features import View
+from realsim.feedforward.rgbd.pose_graph import exp_se3, hat
 
 TOLERANCE = 0.012
 """1/m: inverse depths that differ by less agree (1.2 cm at 1 m, 5 cm at 2 m: noise, slant and pose error together)."""

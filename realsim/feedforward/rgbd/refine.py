@@ -1,7 +1,7 @@
 """Camera poses refined against each other, and the depth sensor's scale recovered where the poses are metric.
 
     evidence = Evidence.of(frames)
-    check = check_poses(frames, T, evidence=evidence)          # refine_check.py: refuses or names what contradicts
+    check = check_poses(frames, T, evidence=evidence)          # check_poses.py: refuses or names what contradicts
     found = refine(frames, T, estimate_gain=True, trust="metric", evidence=evidence)
 
 With metric poses the depth gain is what makes triangulated and measured depth agree; how much the given poses are
@@ -20,12 +20,12 @@ from realsim.core.errors import PoseError
 from realsim.core.geometry import is_rotation
 from realsim.core.types import F64, Frame
 from realsim.feedforward.rgbd.bias import GainEstimate, judge_gain
-from realsim.feedforward.rgbd.follow import Landmarks
+from realsim.feedforward.rgbd.features import Evidence, Match, Tracks, View, build_tracks
 from realsim.feedforward.rgbd.heldout import hold_out
-from realsim.feedforward.rgbd.loops import plausible
+from realsim.feedforward.rgbd.localize import Landmarks
+from realsim.feedforward.rgbd.loop_closure import plausible
 from realsim.feedforward.rgbd.refine_adjust import Sigmas, State, Step, initial_state, solve_step
 from realsim.feedforward.rgbd.refine_pairs import Surface, associate, choose_pairs, sample_surface
-from realsim.feedforward.rgbd.tracks import Evidence, Match, Tracks, View, build_tracks
 
 STEPS = 12
 SAMPLES = 300

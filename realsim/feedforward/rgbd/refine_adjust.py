@@ -27,9 +27,9 @@ from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from realsim.core.types import F64
-from realsim.feedforward.rgbd.graph import hat
+from realsim.feedforward.rgbd.features import Tracks
+from realsim.feedforward.rgbd.pose_graph import hat
 from realsim.feedforward.rgbd.refine_pairs import Surface
-from realsim.feedforward.rgbd.tracks import Tracks
 
 GAIN_PRIOR = 0.05
 """Depth cameras are off by a percent or two; this prior only fixes the gain if the data leave it free."""

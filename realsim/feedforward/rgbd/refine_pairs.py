@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.types import F64
-from realsim.feedforward.rgbd.tracks import View
+from realsim.feedforward.rgbd.features import View
 
 MOST_COMPARED = 64
 """In a dense capture each view is compared with this many that may see the same, evenly over the sequence."""
@@ -34,14 +34,14 @@ def choose_pairs(views: Sequence[View], T_world_camera: F64, per_frame: int = 6)
         facing = np.einsum("na,a->n", T_world_camera[near, :3, 2], T_world_camera[i, :3, 2]) > 0.3
         near = near[facing]
         near = near[np.unique(np.linspace(0, len(near) - 1, MOST_COMPARED).astype(int))] if len(near) else near
-        seen = overlap(views, T_world_camera, i, near, samples[i])
+        seen = share_in_image(views, T_world_camera, i, near, samples[i])
         good = near[seen > 0.3][np.argsort(-seen[seen > 0.3], kind="stable")]
         for j in good[np.unique(np.linspace(0, len(good) - 1, per_frame).round().astype(int))] if len(good) else ():
             pairs.add((min(i, int(j)), max(i, int(j))))
     return sorted(pairs)
 
 
-def overlap(views: Sequence[View], T: F64, i: int, others: NDArray[np.int64], points: F64) -> F64:
+def share_in_image(views: Sequence[View], T: F64, i: int, others: NDArray[np.int64], points: F64) -> F64:
     """Share of view i's points (M, 3) that fall into the image of each of the others."""
     world = points @ T[i, :3, :3].T + T[i, :3, 3]
     share = np.zeros(len(others))

@@ -21,7 +21,7 @@ import numpy as np
 
 from realsim.core.geometry import invert_T
 from realsim.core.types import F64, Frame, Intrinsics
-from realsim.feedforward.rgbd.tracks import Match, View
+from realsim.feedforward.rgbd.features import Match, View
 
 PRIOR = np.array([0.1, 0.03, 0.03, 0.03, 0.03])
 """Standard deviations of zoom, centre (2, on the plane z = 1) and shift (2, metres): colour and depth cameras of one
@@ -109,13 +109,13 @@ class Found:
         }
 
 
-def neighbours(count: int) -> list[tuple[int, int]]:
+def nearby_pairs(count: int) -> list[tuple[int, int]]:
     """Pairs i < j near in the sequence, at most about twice as many as take part."""
     every = max(1, 2 * count // PAIRS)
     return [(i, i + step) for step in (1, 3) for i in range(0, count - step, every)]
 
 
-def seek(views: Sequence[View], matches: Sequence[Match], T: F64 | None = None, gain: float = 1.0) -> Found | None:
+def calibrate(views: Sequence[View], matches: Sequence[Match], T: F64 | None = None, gain: float = 1.0) -> Found | None:
     """The registration that matched features have, or None if there are too few.
 
     Args:

@@ -12,9 +12,9 @@ from realsim import capture, feedforward
 from realsim.capture.config import CaptureConfig
 from realsim.core.types import FrameSet
 from realsim.feedforward.config import PointsConfig
+from realsim.feedforward.rgbd.extrinsic_calibration import Registration
+from realsim.feedforward.rgbd.features import Evidence
 from realsim.feedforward.rgbd.heldout import compare, hold_out
-from realsim.feedforward.rgbd.registration import Registration
-from realsim.feedforward.rgbd.tracks import Evidence
 from realsim.synth import SynthConfig, write_capture
 from realsim.synth.truth import read_truth
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from realsim import feedforward
 from realsim.core.types import Frame
 from realsim.feedforward.config import PointsConfig
-from realsim.feedforward.rgbd.carried import carried, still, told, without
-from realsim.feedforward.rgbd.tracks import prepare
+from realsim.feedforward.rgbd.ego_mask import describe_ego_mask, find_ego_mask, mask_out, still
+from realsim.feedforward.rgbd.features import prepare
 
 POSES = rooms.path(16)
 HAND = np.zeros((240, 320), bool)
@@ -35,12 +35,12 @@ def plain() -> list[Frame]:
 
 
 def test_nothing_is_carried_in_a_still_room(plain: list[Frame]) -> None:
-    assert carried(plain, POSES) is None
+    assert find_ego_mask(plain, POSES) is None
 
 
 def test_wrong_poses_are_no_reason_to_leave_anything_out(plain: list[Frame]) -> None:
-    assert carried(plain, POSES[::-1]) is None
-    assert carried([holding(f) for f in plain], POSES[::-1]) is None
+    assert find_ego_mask(plain, POSES[::-1]) is None
+    assert find_ego_mask([holding(f) for f in plain], POSES[::-1]) is None
 
 
 @settings(max_examples=8, deadline=None)
@@ -48,7 +48,7 @@ def test_wrong_poses_are_no_reason_to_leave_anything_out(plain: list[Frame]) -> 
 def test_it_is_found_wherever_it_is(plain: list[Frame], left: int, top: int, at: float) -> None:
     where = np.zeros((240, 320), bool)
     where[top : top + 80, left : left + 90] = True
-    cells = carried([holding(f, where, at) for f in plain], POSES)
+    cells = find_ego_mask([holding(f, where, at) for f in plain], POSES)
     assert cells is not None
     full = cells[np.arange(240)[:, None] * len(cells) // 240, np.arange(320) * cells.shape[1] // 320]
     assert full[where].mean() > 0.97
@@ -57,7 +57,7 @@ def test_it_is_found_wherever_it_is(plain: list[Frame], left: int, top: int, at:
 
 def test_what_moves_by_itself_is_not_carried(plain: list[Frame]) -> None:
     moved = [holding(f, np.roll(HAND, (0, 12 * k), (0, 1)), 0.4 + 0.05 * (k % 5)) for k, f in enumerate(plain)]
-    assert carried(moved, POSES) is None
+    assert find_ego_mask(moved, POSES) is None
 
 
 def test_features_that_stay_while_the_rest_moves_need_no_poses(plain: list[Frame]) -> None:
@@ -86,7 +86,7 @@ def test_the_scene_is_made_without_it(plain: list[Frame], poses: str) -> None:
 def test_it_is_said_where(plain: list[Frame]) -> None:
     cells = np.zeros((48, 64), bool)
     cells[36:, 16:32] = True
-    assert "6% of every picture (25 to 50 % from the left, 75 to 100 % from the top)" in told(cells)
-    depth = without(plain[0], cells).depth()
+    assert "6% of every picture (25 to 50 % from the left, 75 to 100 % from the top)" in describe_ego_mask(cells)
+    depth = mask_out(plain[0], cells).depth()
     assert not depth[180:, 80:160].any()
     np.testing.assert_array_equal(depth[:180], plain[0].depth()[:180])

@@ -10,19 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from realsim.core.errors import PoseError
-from realsim.core.geometry import invert_T, make_T, transform
+from realsim.core.geometry import invert_T, transform
 from realsim.core.types import F64, Dropped, Frame
-from realsim.feedforward.rgbd.loops import LINKS, plausible
-from realsim.feedforward.rgbd.refine_pairs import choose_pairs, look_up, overlap, sample_surface
-from realsim.feedforward.rgbd.together import has_own_depth
-from realsim.feedforward.rgbd.tracks import Evidence, View
+from realsim.feedforward.rgbd.depth_colour_sync import has_own_depth
+from realsim.feedforward.rgbd.features import Evidence, View
+from realsim.feedforward.rgbd.hypotheses import Hypothesis, best_of, of_depth_images, of_poses
+from realsim.feedforward.rgbd.loop_closure import LINKS, plausible
+from realsim.feedforward.rgbd.refine_pairs import choose_pairs, look_up, sample_surface, share_in_image
 
 TOLERANCE = (0.05, 0.12)
 """Metres: an edge contradicts beyond four times the median edge, but within these. Handheld trackers are off by 1 to
@@ -89,22 +90,79 @@ def check_poses(
         PoseError: the poses as a whole contradict the depth; the message names the convention that would agree.
     """
     T = np.asarray(T_world_camera, float)
-    evidence = evidence or Evidence.of(frames, seed)
+    found = _compare(frames, T, evidence or Evidence.of(frames, seed), seed)
+    if isinstance(found, PoseCheck):
+        return found
+    if isinstance(found, Hypothesis):
+        raise PoseError(
+            f"with the given poses no two frames show the same surface: they look like {found.name}",
+            file=source,
+            hint=found.hint,
+        )
+    reasons = _reasons(found, sensor_sigma)
+    for refuse in REFUSALS:
+        if (why := refuse(found, reasons)) is not None:
+            text, expected, seen, hint = why
+            raise PoseError(text, file=source, expected=expected, found="; ".join([*reasons, *seen]), hint=hint)
+    dropped = _named(frames, found.bad, found.agreement, found.middle, found.strangers, found.pieces)
+    return PoseCheck(found.agreement, dropped, tuple(_warnings(found)), found.statistics)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Poses against frames."""
+
+    frames: Sequence[Frame]
+    evidence: Evidence
+    T: F64
+    seed: int
+    edges: Sequence[Edge]
+    typical: float
+    """Metres by which the points that features share are misplaced, the median."""
+    contradicting: float
+    """Share of the edges that contradict."""
+    bad: np.ndarray
+    """(N,) frames that most others contradict."""
+    agreement: F64
+    middle: F64
+    """(N,) of each frame's edges: the share that agrees, and the median misplacement in metres."""
+    pieces: list[list[int]]
+    """Frames that pairs join, the largest piece first."""
+    strangers: list[list[int]]
+    """Pieces that contradict the first where both see the same surface."""
+    scale: tuple[float | None, float]
+    """Metres by depth for one by the poses, and its standard error."""
+    statistics: dict[str, Any]
+
+    @cached_property
+    def convention(self) -> tuple[Hypothesis, float] | None:
+        """The reading of the poses that agrees best, and the misplacement that it leaves."""
+        return _explain(self.edges, self.evidence, self.T, self.typical, self.scale[0])
+
+    @cached_property
+    def by_depth(self) -> float:
+        """Misplacement by depth alone, metres."""
+        return _by_depth_alone(self.edges, self.evidence, self.T)
+
+    @property
+    def several_places(self) -> bool:
+        """Whether a large part agrees within itself and many others do not."""
+        n = MANY * len(self.frames)
+        return bool(self.bad.sum() > n and self.pieces and len(self.pieces[0]) > n)
+
+
+def _compare(frames: Sequence[Frame], T: F64, evidence: Evidence, seed: int) -> Comparison | PoseCheck | Hypothesis:
+    """The comparison; where no two frames see the same, the reading that explains it or a check of nothing."""
     n = len(frames)
     edges = _edges(evidence, T, seed)
     error = _errors(edges, evidence, T, MOST)
     pair = np.array([(e.i, e.j) for e in edges]).reshape(-1, 2)
     weight = np.array([0.3 if e.t is None else 1.0 for e in edges])
     seen = np.isfinite(error)
-    if not seen.any() and (found := _explain(edges, evidence, T, 2 * TOLERANCE[1], None)):
-        raise PoseError(
-            f"with the given poses no two frames show the same surface: they look like {found[0]}",
-            file=source,
-            hint=found[2],
-        )
     if not seen.any():
+        explained = _explain(edges, evidence, T, 2 * TOLERANCE[1], None)
         text = "the poses could not be checked: no two frames show the same surface"
-        return PoseCheck(np.full(n, np.nan), (), (text,), {"edges": 0})
+        return explained[0] if explained else PoseCheck(np.full(n, np.nan), (), (text,), {"edges": 0})
     certain = seen & (weight == weight[seen].max())
     typical = float(np.median(_errors(edges, evidence, T)[certain]))
     limit = float(np.clip(4 * typical, *TOLERANCE))
@@ -116,78 +174,117 @@ def check_poses(
     # By depth alone: likeness may be false wherever pieces meet. So many pairs see the same surface, and none agrees.
     strangers = [p for p in pieces[1:] if _between(pair[seen & (weight < 1)], p, pieces[0]) >= LINKS]
     bad[[k for p in strangers for k in p]] = True
-    pieces = _pieces(agreeing, bad, n)
     scale, spread = _scale(edges, T)
-    found = _explain(edges, evidence, T, typical, scale)
-    statistics: dict[str, Any] = {
+    contradicting = float((error[seen] > limit).mean())
+    statistics = {
         "edges": int(seen.sum()),
         "feature_edges": int((weight == 1).sum()),
         "typical_m": typical,
         "limit_m": limit,
-        "contradicting_edges": float((error[seen] > limit).mean()),
+        "contradicting_edges": contradicting,
         "pose_scale": None if scale is None else 1 / scale,
     }
+    return Comparison(
+        frames, evidence, T, seed, edges, typical, contradicting, bad, agreement, middle, _pieces(agreeing, bad, n),
+        strangers, (scale, spread), statistics,
+    )  # fmt: skip
+
+
+def _reasons(c: Comparison, sensor_sigma: float) -> list[str]:
+    """Why the poses as a whole are in question; none if they are not."""
+    n, (scale, spread), reasons = len(c.frames), c.scale, []
+    if c.bad.sum() > MANY * n:
+        bad = np.flatnonzero(c.bad)
+        named = f"{c.frames[bad[0]].name} to {c.frames[bad[-1]].name}"
+        reasons.append(f"{len(bad)} of {n} frames contradict most of the others ({named})")
     allowed = max(SCALE_LIMIT, 3 * sensor_sigma, 3 * spread)
-    explained = found is not None and typical > TOLERANCE[0] and found[1] < CLEARER * typical
-    reasons = []
-    if bad.sum() > MANY * n:
-        named = f"{frames[np.flatnonzero(bad)[0]].name} to {frames[np.flatnonzero(bad)[-1]].name}"
-        reasons.append(f"{bad.sum()} of {n} frames contradict most of the others ({named})")
     if scale is not None and abs(scale - 1) > allowed:
-        off = scale - 1
-        reasons.append(f"baselines by depth are {off:+.1%} of those by the poses; this sensor allows {allowed:.0%}")
-    if explained or typical >= TOLERANCE[1]:
-        reasons.append(f"points misplaced by {100 * typical:.1f} cm (median)")
-    if statistics["contradicting_edges"] > 0.5:
-        reasons.append(f"{statistics['contradicting_edges']:.0%} of the pairs of frames contradict the poses")
-    fit = _by_depth_alone(edges, evidence, T) if reasons else float("inf")
-    if found and fit < TOLERANCE[0] < found[1]:
-        found = None  # the depth agrees with the poses as they are, so it is not their convention that is wrong
-    if (reasons or typical > TOLERANCE[0]) and not found and (late := _late_depth(edges, evidence, T)) is not None:
-        moved = f"{100 * late[1]:.1f} cm with the depth images moved back, {100 * typical:.1f} cm as they are"
-        raise PoseError(
-            f"the depth images are {abs(late[0])} frames {'late' if late[0] > 0 else 'early'}",
-            file=source,
-            expected="colour, depth and pose of one instant in each frame",
-            found="; ".join([*reasons, moved]),
-            hint="associate colour and depth by their time stamps anew",
+        reasons.append(
+            f"baselines by depth are {scale - 1:+.1%} of those by the poses; this sensor allows {allowed:.0%}"
         )
-    if not found and fit < TOLERANCE[0] and not has_own_depth(evidence.views, seed):
-        raise PoseError(
-            "the colour images belong to other depth images than those they are named with",
-            file=source,
-            expected="colour and depth of the same view",
-            found=f"{'; '.join(reasons)}; without colour, poses and depth agree to {100 * fit:.1f} cm",
-            hint="check that colour and depth come from one capture and carry the same numbers or times",
+    explained = c.convention is not None and c.typical > TOLERANCE[0] and c.convention[1] < CLEARER * c.typical
+    if explained or c.typical >= TOLERANCE[1]:
+        reasons.append(f"points misplaced by {100 * c.typical:.1f} cm (median)")
+    if c.contradicting > 0.5:
+        reasons.append(f"{c.contradicting:.0%} of the pairs of frames contradict the poses")
+    return reasons
+
+
+Refusal = tuple[str, str, list[str], str]
+"""What is wrong, what was expected, what was found beside the reasons, and what to do."""
+
+
+def _late_depth(c: Comparison, reasons: Sequence[str]) -> Refusal | None:
+    """The depth images are of other frames: depth alone says so clearly."""
+    if (not reasons and c.typical <= TOLERANCE[0]) or _convention(c, reasons):
+        return None
+    limit = min(TOLERANCE[0], CLEARER * c.by_depth)
+    found = best_of(of_depth_images(), c.T, lambda T: _by_depth_alone(c.edges, c.evidence, T), limit)
+    if found is None:
+        return None
+    moved = f"{100 * found[1]:.1f} cm with the depth images moved back, {100 * c.typical:.1f} cm as they are"
+    return found[0].name, "colour, depth and pose of one instant in each frame", [moved], found[0].hint
+
+
+def _colour_of_other_depth(c: Comparison, reasons: Sequence[str]) -> Refusal | None:
+    """Poses and depth agree, and the colour shows something else."""
+    if not reasons or _convention(c, reasons) or c.by_depth >= TOLERANCE[0] or has_own_depth(c.evidence.views, c.seed):
+        return None
+    return (
+        "the colour images belong to other depth images than those they are named with",
+        "colour and depth of the same view",
+        [f"without colour, poses and depth agree to {100 * c.by_depth:.1f} cm"],
+        "check that colour and depth come from one capture and carry the same numbers or times",
+    )
+
+
+def _contradiction(c: Comparison, reasons: Sequence[str]) -> Refusal | None:
+    """The poses are wrong: by a convention, by being of several places, or for no reason that is known."""
+    if not reasons:
+        return None
+    text = "the given poses contradict the depth"
+    expected = "camera to world, OpenCV camera axes (x right, y down, z forward), metres"
+    if found := _convention(c, reasons):
+        hypothesis, left = found
+        undone = f"{100 * left:.1f} cm with {hypothesis.name} undone"
+        return f"{text}: they look like {hypothesis.name}", expected, [undone], hypothesis.hint
+    if c.several_places:
+        return f"{text}: they look like poses of more than one place", expected, [], _leave(c.frames, c.pieces[0])
+    return text, expected, [], _way_out(c.by_depth)
+
+
+REFUSALS: tuple[Callable[[Comparison, Sequence[str]], Refusal | None], ...] = (
+    _late_depth,
+    _colour_of_other_depth,
+    _contradiction,
+)
+"""In this order; the first that applies is what the person is told."""
+
+
+def _convention(c: Comparison, reasons: Sequence[str]) -> tuple[Hypothesis, float] | None:
+    """The reading that explains it, unless the depth agrees with the poses as they are: then it is not a convention."""
+    if reasons and c.convention and c.by_depth < TOLERANCE[0] < c.convention[1]:
+        return None
+    return c.convention
+
+
+def _warnings(c: Comparison) -> Iterator[str]:
+    """What a person should know of poses that are used."""
+    if not c.convention and c.typical > TOLERANCE[0] and c.by_depth < CLEARER * c.typical:
+        yield (
+            f"features of the colour images contradict the poses ({100 * c.typical:.1f} cm), depth does not "
+            f"({100 * c.by_depth:.1f} cm): is the colour of another capture or time, or not registered to depth?"
         )
-    if reasons:
-        several = not found and bad.sum() > MANY * n and bool(pieces) and len(pieces[0]) > MANY * n
-        seems = found[0] if found else "poses of more than one place" if several else ""
-        raise PoseError(
-            "the given poses contradict the depth" + (f": they look like {seems}" if seems else ""),
-            file=source,
-            expected="camera to world, OpenCV camera axes (x right, y down, z forward), metres",
-            found="; ".join(reasons) + (f"; {100 * found[1]:.1f} cm with {found[0]} undone" if found else ""),
-            hint=found[2] if found else _leave(frames, pieces[0]) if several else _way_out(fit),
-        )
-    warnings = []
-    if not found and typical > TOLERANCE[0] and (fit := _by_depth_alone(edges, evidence, T)) < CLEARER * typical:
-        warnings.append(
-            f"features of the colour images contradict the poses ({100 * typical:.1f} cm), depth does not "
-            f"({100 * fit:.1f} cm): is the colour of another capture or time, or not registered to depth?"
-        )
-    if found and typical > 0.02:
-        warnings.append(f"poses agree only roughly ({100 * typical:.1f} cm); {found[0]} would explain it")
-    if (alone := n - int(bad.sum()) - sum(map(len, pieces))) > 0:
-        warnings.append(f"{alone} frames share no surface with others that are used: their poses could not be checked")
-    if len(pieces) > 1:
-        names = " and ".join(_span(frames, p) for p in pieces[:4])
-        warnings.append(
+    if c.convention and c.typical > 0.02:
+        yield f"poses agree only roughly ({100 * c.typical:.1f} cm); {c.convention[0].name} would explain it"
+    if (alone := len(c.frames) - int(c.bad.sum()) - sum(map(len, c.pieces))) > 0:
+        yield f"{alone} frames share no surface with others that are used: their poses could not be checked"
+    if len(c.pieces) > 1:
+        names = " and ".join(_span(c.frames, p) for p in c.pieces[:4])
+        yield (
             f"nothing that the frames show joins {names}: their poses to each other could not be checked; "
             "are they of one place?"
         )
-    dropped = _named(frames, bad, agreement, middle, strangers, pieces)
-    return PoseCheck(agreement, dropped, tuple(warnings), statistics)
 
 
 def scale_by_depth(evidence: Evidence, T_world_camera: F64) -> tuple[float, float]:
@@ -283,13 +380,6 @@ def _span(frames: Sequence[Frame], piece: Sequence[int]) -> str:
     return f"{frames[piece[0]].name} to {frames[piece[-1]].name} ({len(piece)} frames)"
 
 
-def _late_depth(edges: Sequence[Edge], evidence: Evidence, T: F64) -> tuple[int, float] | None:
-    """(frames by which depth is late, misplacement once undone) where depth alone says so clearly."""
-    fits = {shift: _by_depth_alone(edges, evidence, _shifted(T, -shift)) for shift in range(-4, 5)}
-    shift = min(fits, key=lambda s: fits[s])
-    return (shift, fits[shift]) if shift and fits[shift] < min(TOLERANCE[0], CLEARER * fits[0]) else None
-
-
 def _greedy(pair: np.ndarray, weight: F64, wrong: np.ndarray, n: int) -> np.ndarray:
     """Take out the frame with the largest contradicted share until every frame agrees with most of the others.
 
@@ -341,7 +431,7 @@ def _nowhere(evidence: Evidence, T: F64, agreement: F64) -> np.ndarray:
         if 0 < k < len(T) - 1:
             z = evidence.views[k - 1].depth
             points = (evidence.views[k - 1].camera.rays() * z[..., None])[z > 0][::97].astype(float)
-            bad[k] = len(points) > 0 and overlap(evidence.views, T, k - 1, np.array([k + 1]), points)[0] > 0.3
+            bad[k] = len(points) > 0 and share_in_image(evidence.views, T, k - 1, np.array([k + 1]), points)[0] > 0.3
     return bad
 
 
@@ -359,82 +449,22 @@ def _scale(edges: Sequence[Edge], T: F64) -> tuple[float | None, float]:
     return float(middle), float(1.4826 * np.median(np.abs(ratio - middle)) / np.sqrt(long.sum()) * 1.25)
 
 
-# ---------------------------------------------------------------- what it may be
-
-FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
-MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
-BODY = make_T(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]))
-"""OpenCV camera axes written in x forward, y left, z up."""
-
-
-def _turned(degrees: float) -> F64:
-    return make_T(Rotation.from_euler("z", degrees, degrees=True).as_matrix())
-
-
-CONVENTIONS: tuple[tuple[str, str, Callable[[F64], F64]], ...] = (
-    ("OpenGL camera axes (y up, z backward)", "turn y and z of the camera axes", lambda T: T @ FLIP),
-    ("world-to-camera matrices", "invert the matrices", invert_T),
-    ("OpenGL world-to-camera matrices", "invert the matrices and turn y and z", lambda T: invert_T(T) @ FLIP),
-    ("body axes (x forward, y left, z up)", "rotate to camera axes", lambda T: T @ BODY),
-    ("a camera turned by 90 degrees", "images or poses were rotated for portrait", lambda T: T @ _turned(90)),
-    ("a camera turned by -90 degrees", "images or poses were rotated for portrait", lambda T: T @ _turned(-90)),
-    ("a camera turned by 180 degrees", "images or poses were rotated", lambda T: T @ _turned(180)),
-    ("mirrored images, or poses of left-handed axes", "mirror images or poses", lambda T: MIRROR @ T @ MIRROR),
-)
-
-
-def _hypotheses(T: F64, scale: float | None) -> Iterator[tuple[str, str, F64]]:
-    for name, hint, undo in CONVENTIONS:
-        yield name, hint, undo(T)
-    factors = {"millimetres": 1e-3, "centimetres": 1e-2, "feet": 0.3048}
-    if scale is not None:
-        factors[f"poses of another scale ({1 / scale:.3g} units a metre)"] = scale
-    for name, factor in factors.items():
-        scaled = T.copy()
-        scaled[:, :3, 3] *= factor
-        yield (
-            name,
-            f"multiply the positions by {factor:.4g}, or pass --no-metric-poses: the depth then scales them",
-            scaled,
-        )
-    for shift in (-4, -3, -2, -1, -0.5, 0.5, 1, 2, 3, 4):
-        text = f"a time offset between poses and images of {-shift:g} frames"
-        yield text, "associate poses and images by their timestamps anew", _shifted(T, shift)
-
-
-def _shifted(T: F64, shift: float) -> F64:
-    """Poses `shift` frames later, interpolated, held at the ends."""
-    n = len(T)
-    at = np.clip(np.arange(n) + shift, 0, n - 1)
-    out = np.tile(np.eye(4), (n, 1, 1))
-    if n < 2:
-        return T
-    out[:, :3, :3] = Slerp(np.arange(n), Rotation.from_matrix(T[:, :3, :3]))(at).as_matrix()
-    low = np.minimum(at.astype(int), n - 2)
-    part = (at - low)[:, None]
-    out[:, :3, 3] = (1 - part) * T[low, :3, 3] + part * T[low + 1, :3, 3]
-    return out
-
-
 def _explain(
     edges: Sequence[Edge], evidence: Evidence, T: F64, typical: float, scale: float | None
-) -> tuple[str, float, str] | None:
-    """(name, median misplacement once undone, hint) of the convention that agrees best, if it clearly beats none."""
+) -> tuple[Hypothesis, float] | None:
+    """The reading of the poses that agrees best and the median misplacement it leaves, if it clearly beats none."""
     certain = [e for e in edges if e.t is not None]
     # By depth alone, only frames next to each other surely see the same; poses do not decide who is compared.
     certain = certain if len(certain) >= 8 else [e for e in edges if e.j - e.i <= 3]
     if not certain or typical < 0.02:
         return None
-    best: tuple[str, float, str] | None = None
-    for name, hint, other in _hypotheses(T, scale):
+
+    def misplaced(other: F64) -> float:
         error = _errors(certain, evidence, other)
         # A convention under which frames no longer see each other explains nothing.
-        if np.isfinite(error).mean() < 0.7:
-            continue
-        value = float(np.nanmedian(error))
-        if value < min(0.5 * typical, TOLERANCE[1]) and (best is None or value < 0.999 * best[1]):
-            best = (name, value, hint)
-    return best
+        return float(np.nanmedian(error)) if np.isfinite(error).mean() >= 0.7 else float("inf")
+
+    return best_of(of_poses(scale), T, misplaced, min(0.5 * typical, TOLERANCE[1]))
 
 
 def _named(

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from realsim.core.types import F64, Frame
-from realsim.feedforward.rgbd.follow import follow
+from realsim.feedforward.rgbd.features import Evidence
 from realsim.feedforward.rgbd.heldout import compare
 from realsim.feedforward.rgbd.keyframes import by_poses
+from realsim.feedforward.rgbd.localize import localize
 from realsim.feedforward.rgbd.refine import RefineResult, refine
-from realsim.feedforward.rgbd.tracks import Evidence
 
 WORTH_TELLING = 0.02
 """Relative difference between the scale of poses and depth from which a warning is given."""
@@ -66,11 +66,11 @@ def refine_all(frames: Sequence[Frame], T: F64, evidence: Evidence, **options: A
         s = result.statistics
         position, degrees = s.get("given_position_sigma_m"), s.get("given_angle_sigma_deg")
         prior = None if position is None or degrees is None else (float(position), float(np.radians(degrees)))
-        poses[rest], residual[rest] = follow([evidence.views[k] for k in rest], starts, result.landmarks, prior)
+        poses[rest], residual[rest] = localize([evidence.views[k] for k in rest], starts, result.landmarks, prior)
     return Refined(result, keys, poses, residual)
 
 
-def settle(
+def refine_or_keep(
     frames: Sequence[Frame], T: F64, evidence: Evidence, *, estimate_gain: bool, sensor_sigma: float, seed: int
 ) -> dict[str, Any]:
     """Fields of a `Solution` from metric poses (N, 4, 4): the first proposal that is not worse than they are.

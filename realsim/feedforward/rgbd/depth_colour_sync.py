@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from realsim.core.errors import PoseError
 from realsim.core.types import F64
-from realsim.feedforward.rgbd.registration import inverse_depth
-from realsim.feedforward.rgbd.tracks import View, alike, rigid_ransac
+from realsim.feedforward.rgbd.extrinsic_calibration import inverse_depth
+from realsim.feedforward.rgbd.features import View, alike, rigid_ransac
 
 Index = NDArray[np.int64]
 

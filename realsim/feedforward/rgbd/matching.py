@@ -8,9 +8,9 @@ import numpy as np
 
 from realsim.core.geometry import invert_T, make_T, transform
 from realsim.core.types import F64
-from realsim.feedforward.rgbd.graph import Edge, whitening
+from realsim.feedforward.rgbd.features import Match, View, match, rigid_ransac
 from realsim.feedforward.rgbd.overlap import COARSE, FINE, Overlap, overlap, register
-from realsim.feedforward.rgbd.tracks import Match, View, match, rigid_ransac
+from realsim.feedforward.rgbd.pose_graph import Edge, whitening
 
 WINDOW = 4
 """Each frame is compared with this many that follow it."""

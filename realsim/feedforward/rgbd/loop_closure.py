@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from realsim.core.errors import PoseError
 from realsim.core.geometry import angle_deg, invert_T, transform
 from realsim.core.types import F64
-from realsim.feedforward.rgbd.graph import Edge, components, optimise, spanning_poses
+from realsim.feedforward.rgbd.features import Evidence, Match, View
+from realsim.feedforward.rgbd.matching import MIN_AGREEMENT, MIN_OVERLAP, WINDOW, as_edge
 from realsim.feedforward.rgbd.overlap import overlap
-from realsim.feedforward.rgbd.pairs import MIN_AGREEMENT, MIN_OVERLAP, WINDOW, as_edge
-from realsim.feedforward.rgbd.tracks import Evidence, Match, View
+from realsim.feedforward.rgbd.pose_graph import Edge, components, optimise, spanning_poses
 
 EDGE_LIMIT = 6.0
 """Standard deviations beyond which a pair contradicts the graph and is left out."""

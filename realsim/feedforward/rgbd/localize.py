@@ -12,9 +12,9 @@ from realsim.core.geometry import invert_T
 from realsim.core.progress import track
 from realsim.core.types import F64
 from realsim.feedforward.rgbd.bundle import Observations, gather, linearise, weights
-from realsim.feedforward.rgbd.graph import exp_se3
-from realsim.feedforward.rgbd.pairs import guided
-from realsim.feedforward.rgbd.tracks import Tracks, View
+from realsim.feedforward.rgbd.features import Tracks, View
+from realsim.feedforward.rgbd.matching import guided
+from realsim.feedforward.rgbd.pose_graph import exp_se3
 
 NEAREST = 4
 """Each view is matched with this many adjusted ones."""
@@ -43,7 +43,7 @@ class Landmarks:
     """World metres for a metre of sensor depth."""
 
 
-def follow(
+def localize(
     views: Sequence[View], starts: F64, landmarks: Landmarks, prior: tuple[float, float] | None = None
 ) -> tuple[F64, F64]:
     """Poses of M views from the landmarks that they see.

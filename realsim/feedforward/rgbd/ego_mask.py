@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from realsim.core.geometry import invert_T, transform
 from realsim.core.types import F64, Bool, Frame
-from realsim.feedforward.rgbd.tracks import View, alike, rigid_ransac
+from realsim.feedforward.rgbd.features import View, alike, rigid_ransac
 
 # Each of CLEAR, STEADY, RARELY, LEAST and COLUMNS halved or doubled, MOST halved or 0.7, and twice as many JUDGED find
 # the same with true poses in 29 rendered captures: all of ten carried things and nothing else. Only a STEADY twice as
@@ -50,7 +50,7 @@ ten captures, three of them real, has more than one; something well marked has 1
 to 3, which do no harm."""
 
 
-def carried(frames: Sequence[Frame], T_world_camera: F64) -> Bool | None:
+def find_ego_mask(frames: Sequence[Frame], T_world_camera: F64) -> Bool | None:
     """Cells (h, w) of the picture that hold what moves with the camera, or None.
 
     Args:
@@ -119,7 +119,7 @@ def _staying(A: View, B: View, rng: np.random.Generator) -> F64 | None:
     return np.asarray(A.xy[a[stays]][off > FAR], np.float64)
 
 
-def without(frame: Frame, cells: NDArray[Any]) -> Frame:
+def mask_out(frame: Frame, cells: NDArray[Any]) -> Frame:
     """The frame without depth in the cells (h, w) of the picture."""
 
     def read() -> NDArray[np.float32]:
@@ -131,7 +131,7 @@ def without(frame: Frame, cells: NDArray[Any]) -> Frame:
     return replace(frame, read_depth=read)
 
 
-def told(cells: NDArray[Any]) -> str:
+def describe_ego_mask(cells: NDArray[Any]) -> str:
     """Which part of the picture the cells (h, w) are, in words."""
     (top, bottom), (left, right) = (
         (100 * np.flatnonzero(cells.any(axis))[[0, -1]] / cells.shape[1 - axis]).round() for axis in (1, 0)

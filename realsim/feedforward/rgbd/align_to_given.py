@@ -14,7 +14,7 @@ import numpy as np
 
 from realsim.core.geometry import make_T
 from realsim.core.types import F64, Frame, FrameSet
-from realsim.feedforward.rgbd.settle import two_metres
+from realsim.feedforward.rgbd.accept_refinement import two_metres
 
 AGREE = (0.05, 0.02)
 """A frame agrees if its position differs by less than this many metres, or this share of the path's extent."""
@@ -22,7 +22,7 @@ MOST = 0.7
 """Share of frames that must agree."""
 
 
-def anchored(found: dict[str, Any], used: Sequence[Frame], capture: FrameSet, correct: bool) -> dict[str, Any]:
+def align_to_given(found: dict[str, Any], used: Sequence[Frame], capture: FrameSet, correct: bool) -> dict[str, Any]:
     """The fields of a `Solution`, in the capture's world and metres where its own poses agree with what was found.
 
     Args:

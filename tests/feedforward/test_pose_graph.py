@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from realsim.core.geometry import invert_T
 from realsim.feedforward.rgbd.bundle import Observations, adjust
-from realsim.feedforward.rgbd.graph import (
+from realsim.feedforward.rgbd.pose_graph import (
     Edge,
     adjoint,
     components,

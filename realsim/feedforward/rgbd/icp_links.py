@@ -17,11 +17,11 @@ import numpy as np
 from realsim.core.geometry import angle_deg, invert_T
 from realsim.core.progress import track
 from realsim.core.types import F64
-from realsim.feedforward.rgbd.graph import Edge, components
-from realsim.feedforward.rgbd.loops import drift, in_order
+from realsim.feedforward.rgbd.features import View
+from realsim.feedforward.rgbd.loop_closure import drift, in_order
+from realsim.feedforward.rgbd.matching import WINDOW, ambiguous, by_shape, shape_features, shape_starts
 from realsim.feedforward.rgbd.overlap import FINE, overlap
-from realsim.feedforward.rgbd.pairs import WINDOW, ambiguous, by_shape, shape_features, shape_starts
-from realsim.feedforward.rgbd.tracks import View
+from realsim.feedforward.rgbd.pose_graph import Edge, components
 
 STEPS = 2
 """Frames that features do not connect are compared by shape with this many that follow."""
