@@ -18,7 +18,7 @@ import numpy as np
 import tyro
 from threadpoolctl import threadpool_limits
 
-from realsim import align, capture, feedforward, meshing, report, robots, scale
+from realsim import align, capture, changes, feedforward, meshing, report, robots, scale
 from realsim.align.config import AlignConfig
 from realsim.capture.config import CaptureConfig
 from realsim.core import modes
@@ -63,6 +63,8 @@ class ReconstructConfig:
     """Seed of everything random in every stage."""
     compare: bool = False
     """Also build the mesh from the other sources of points (onnx, onnx+depth, rgbd) and report how they differ."""
+    since: Annotated[Path | None, tyro.conf.arg(metavar="SCENE")] = None
+    """An earlier scene of the same place: report what moved, appeared, sank or went since then."""
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Where finished stages are kept (default: REALSIM_CACHE or the user's cache folder)."""
     no_cache: tyro.conf.FlagCreatePairsOff[bool] = False
@@ -95,6 +97,8 @@ def reconstruct(source: Path, out: Path, config: ReconstructConfig | None = None
             behind at `out`.
     """
     config = (config or ReconstructConfig()).seeded()
+    if config.since is not None:
+        changes.check_scene(config.since)
     run = _Run(config)
     with output_folder(out, overwrite=config.overwrite, source=source) as folder:
         data = run.stage("capture", lambda: capture.read(source, config.capture))
@@ -106,6 +110,8 @@ def reconstruct(source: Path, out: Path, config: ReconstructConfig | None = None
             result = Reconstruction(
                 data, points, aligned, mesh, scene, tuple(run.stages), config.seed, config_as_dict(config), rivals
             )
+            if (before := config.since) is not None:
+                result = replace(result, changes=run.stage("changes", lambda: changes.since(before, folder)))
             run.stage("report", lambda: report.write_report(folder, result))
     return replace(result, scene=_moved(scene, out.absolute()), stages=tuple(run.stages))
 

@@ -21,7 +21,7 @@ COMMANDS: dict[str, Command] = {
         "recon",
         (
             "--out", "--robot", "--overwrite", "--strict", "--layout", "--depth-unit", "--unit", "--every", "--poses",
-            "--backend", "--keep", "--start", "--goal", "--contact",
+            "--backend", "--keep", "--start", "--goal", "--contact", "--since", "--tag-size",
         ),
         Tool(
             "Turn a capture or scan into a metric, level MuJoCo scene; minutes. Read the verdict first.",

@@ -496,6 +496,8 @@ class Reconstruction:
     """The configuration that was used, JSON-able."""
     modes: tuple[Mode, ...] = ()
     """The delivered source of points and the others, where a comparison was asked for; the delivered one first."""
+    changes: Mapping[str, Any] | None = None
+    """What is otherwise than in an earlier scene (`realsim.changes.since`), where one was given."""
 
     @property
     def warnings(self) -> tuple[str, ...]:

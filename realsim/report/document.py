@@ -45,6 +45,7 @@ def reconstruction_page(
             page.card("The scene and its collision geometry (orange)", view, drag, wide=True),
             page.card("From above", map_from_above(result.aligned, result.mesh), wide=True),
         ),
+        page.grid(*_changes_card(result)),
         page.columns(
             [_checks_card(judgement), *contact_card(result)],
             [_notes_card(result), *_scale_card(result), _platform_card(result), _dropped_card(result)],
@@ -95,6 +96,8 @@ def _scale_card(result: Reconstruction) -> list[str]:
     if scale is None or len(scale.per_frame) < 2:
         return []
     y = np.asarray(scale.per_frame, float)
+    if not np.isfinite(y).all():  # a tag or sheet that only some frames see
+        return []
     if np.ptp(y) < 1e-6:  # points that come from the depth itself have one scale: a flat line says nothing
         return []
     span = svg.padded(np.r_[y, scale.ci90, scale.value])
@@ -109,6 +112,15 @@ def _scale_card(result: Reconstruction) -> list[str]:
     spread = percent(scale.per_frame_spread)
     note = f"One ratio per frame; the stripe is the 90 % interval. Spread between frames {spread}."
     return [page.card("Scale, frame by frame", axes.svg("scale of every frame"), note)]
+
+
+def _changes_card(result: Reconstruction) -> list[str]:
+    if result.changes is None:
+        return []
+    rows = [[change["kind"], change["text"]] for change in result.changes["objects"]]
+    note = f"Against {result.changes['since']}, over {result.changes['compared_m2']:.1f} m² that both scans saw."
+    body = page.table(["change", "what"], rows) if rows else "<p>Nothing of 3 cm or more is otherwise.</p>"
+    return [page.card("Since the earlier scene", body, note, wide=True)]
 
 
 def _checks_card(judgement: Judgement) -> str:

@@ -76,6 +76,7 @@ def summary(result: Reconstruction, judgement: Judgement, made: Made) -> dict[st
         ],
         "assumptions": [*result.source.assumptions, *aligned.assumptions],
         "warnings": list(result.warnings),
+        "changes": None if result.changes is None else dict(result.changes),
         "modes": [vars(m) for m in result.modes],
         "statistics": {"align": dict(aligned.statistics), "mesh": dict(mesh.statistics)},
         "config": dict(result.config),

@@ -56,7 +56,7 @@ def _data(result: Reconstruction) -> dict[str, Any]:
         "dropped": [{"name": n, "stage": s, "reason": r} for n, s, r in dropped_frames(result)],
         "cropped": list(result.aligned.cropped),
         "assumptions": [*result.source.assumptions, *result.aligned.assumptions],
-    }
+    } | ({} if result.changes is None else {"changes": dict(result.changes)})
 
 
 def _summary(result: Reconstruction) -> list[str]:
@@ -71,6 +71,8 @@ def _summary(result: Reconstruction) -> list[str]:
         said = [(names[0] if len(names) == 1 else f"{len(names)} frames", why) for why, names in by_reason.items()]
         lines += _first([f"dropped {which}: {why}" for which, why in said], "more reasons")
         lines.append(f"scale   {scale.value:.4f} [{scale.ci90[0]:.4f}, {scale.ci90[1]:.4f}] by {scale.method}")
+    if result.changes is not None:
+        lines += [f"since   {change['text']}" for change in result.changes["objects"]] or ["since   nothing changed"]
     gravity = result.aligned.gravity
     lines.append(f"level   to within {gravity.tilt_sigma_deg:.2f} degrees (1 sigma)")
     for role in ("start", "goal"):
