@@ -24,6 +24,10 @@ SPEEDS = {"rad/s": 1.0, "deg/s": np.pi / 180, "rpm": np.pi / 30, "rev/s": 2 * np
 TORQUES = {"N m": 1.0, "mN m": 1e-3, "N cm": 1e-2, "kgf cm": 0.0980665}
 MARGIN = 0.05
 """rad or m beyond its range at which a joint may still be read."""
+IN_TURNS = 0.99
+"""Share of the samples within the ranges, read as turns, from which a missing unit is in doubt."""
+IN_RANGE = 0.5
+"""Share of the samples within the joints' ranges below which positions are in doubt."""
 CLEAR = 0.25
 """Difference of two hypotheses' agreement (0 to 1) from which one is preferred to what is declared."""
 NEAR = 0.15
@@ -64,8 +68,15 @@ def position(e: Evidence) -> None:
     unit, offset, said = _unit(e.target, names, values, source.unit)
     size = ANGLES.get(unit, 2 * np.pi / TICKS)
     values = (values - offset) * size
+    turns = not source.unit and unit == "rad" and _share_within(e.target, names, 2 * np.pi * values) > IN_TURNS
+    if turns and np.isfinite(e.target.ranges[[e.target.joints.index(n) for n in names]]).any():
+        doubtful = True
+        said += "; as turns they would be, too: give the unit in the column's name, q1 [rad]"
     signs, turned = _signs(e.target, names, values)
     evidence = [f"by {source.why}", how, said, *turned, _within(e.target, names, values * signs)]
+    if _share_within(e.target, names, values * signs) < IN_RANGE:
+        doubtful = True
+        evidence.append("most samples are outside the ranges of the model's joints: another unit, zero or model?")
     e.settle("joint_pos", source, columns, names, evidence, scale=size * signs, offset=offset, unit=unit,
              doubtful=doubtful)  # fmt: skip
 

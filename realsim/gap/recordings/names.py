@@ -237,6 +237,7 @@ def match_joints(labels: Sequence[str], joints: Sequence[str]) -> dict[int, str]
     for column, label in enumerate(labels):
         alike = [j for j in joints if j == label] or [j for j in joints if same_joint(label, j)]
         alike = alike or [j for j in joints if _ends(label, j)] or [j for j in joints if _begins(label, j)]
+        alike = alike or [j for j in joints if _short(label, j)]
         if len(alike) == 1 and alike[0] not in found.values():
             found[column] = alike[0]
     return found
@@ -251,6 +252,12 @@ def _begins(label: str, joint: str) -> bool:
     """Whether a label names a joint in short: `knee` of `knee_pitch`."""
     a, b = _core(label), _core(joint)
     return any(not w.isdigit() for w in a) and len(a) < len(b) and b[: len(a)] == a
+
+
+def _short(label: str, joint: str) -> bool:
+    """Whether a label is the beginning of a joint's name: `sh` of `shoulder`."""
+    a, b = _core(label), _core(joint)
+    return len(a) == 1 and len(a[0]) > 1 and a[0].isalpha() and bool(b) and b[0].startswith(a[0])
 
 
 def _ends(label: str, joint: str) -> bool:

@@ -15,7 +15,7 @@ _SIGNALS = {
     "target": "cmd cmds command commands commanded des desired desire target targets goal goals ref refs reference"
     " setpoint setpoints set sp action actions ctrl control con demand demanded dmd wanted request requested planned"
     " soll sollwert sollwerte vorgabe befehl consigne consignes cible ordre commande consigna objetivo deseado deseada"
-    " referencia comando riferimento desiderato desiderata zadana 指令 命令 目标 期望 给定 目標 指示",
+    " referencia comando riferimento desiderato desiderata zadana input inputs 指令 命令 目标 期望 给定 目標 指示",
     "measured": "act actual meas measured measurement fb fbk feedback present real sensed state states readback ist"
     " istwert istwerte gemessen mesure mesures mesuree reel medido medida actuel misurato misurata attuale zmierzona"
     " 实际 反馈 测量 当前 実測 現在 実際",
@@ -28,14 +28,15 @@ _SIGNALS = {
     "electric": "amps iq strom courant corriente corrente 电流 電流",
     "current": "current currents",
     "observation": "observation obs data value values measured_value sensor",
-    "filtered": "filt filtered filter smooth smoothed lowpass est estimated gefiltert filtre",
+    "filtered": "filt filtered filter smooth smoothed lowpass est estimate estimated gefiltert filtre",
 }
 _PARTS = {
     "joint": "joint motor servo dof gelenk achse articulation articulacion giunto axe axis eje asse 关节 関節 軸 轴",
-    "shoulder": "shoulder schulter epaule hombro spalla 肩", "elbow": "elbow ellbogen ellenbogen coude codo gomito 肘",
-    "wrist": "wrist handgelenk poignet muneca polso 腕", "hip": "hip huefte hufte hanche cadera anca 髋",
-    "knee": "knee knie genou rodilla ginocchio 膝",
-    "ankle": "ankle knoechel knochel cheville tobillo caviglia sprunggelenk fussgelenk 踝",
+    "shoulder": "shoulder schulter epaule hombro ombro spalla 肩",
+    "elbow": "elbow ellbogen ellenbogen coude codo cotovelo gomito 肘",
+    "wrist": "wrist handgelenk poignet muneca polso 腕", "hip": "hip huefte hufte hanche cadera quadril anca 髋",
+    "knee": "knee knie genou rodilla joelho ginocchio 膝",
+    "ankle": "ankle knoechel knochel cheville tobillo tornozelo caviglia sprunggelenk fussgelenk 踝",
     "thigh": "thigh oberschenkel cuisse muslo coscia 大腿", "calf": "calf shank unterschenkel mollet pantorrilla 小腿",
     "leg": "leg bein jambe pierna gamba", "left": "left links gauche izquierda izquierdo sinistra sinistro 左",
     "right": "right rechts droite droit derecha derecho destra destro 右", "waist": "waist taille cintura",
@@ -52,7 +53,7 @@ _SHORT = ("q",)
 """Single letters that may begin a compound: qdes."""
 _FOREIGN_SCRIPT = re.compile("|".join(sorted((w for w in _ENGLISH if not w.isascii()), key=len, reverse=True)))
 _UNITS = {
-    "deg": "deg degree degrees ° grad degre degres grados gradi", "rad": "rad radian radians", "mrad": "mrad",
+    "deg": "deg degree degrees ° grad degre degres grados graus gradi", "rad": "rad radian radians", "mrad": "mrad",
     "rev": "rev revs turn turns", "deg/s": "deg/s dps °/s degs grad/s deg_s deg_per_s deg/sec degrees/s",
     "rad/s": "rad/s rads rad_s rad_per_s rad/sec radians/s", "rpm": "rpm u/min 1/min tr/min upm min-1",
     "rev/s": "rev/s rps", "N m": "nm n_m n*m n.m n·m newtonmeter", "mN m": "mnm mn*m", "N cm": "ncm",

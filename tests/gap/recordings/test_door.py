@@ -241,3 +241,14 @@ def test_nothing_that_moves_is_said_to(arm: Log, tmp_path: Path) -> None:
     found = propose(read(path), load_target(save(tmp_path, ARM)))
     assert not found.complete
     assert "never changes" in " ".join(found.missing)
+
+
+def test_a_unit_that_ranges_do_not_tell_is_in_doubt(arm: Log, tmp_path: Path) -> None:
+    """ODrive's turns without a word of it; and encoder steps that are not those of a known servo."""
+    target = load_target(save(tmp_path, ARM))
+    for scale in (0.5 / np.pi, 1000.3):
+        path = write(tmp_path / "a.csv", "t,q1,q2,q1_cmd,q2_cmd", arm.time, scale * arm.pos, scale * arm.command)
+        assert propose(read(path), target).assignments["joint_pos"].doubtful
+    path = write(tmp_path / "b.csv", "t,q1 [rev],q2 [rev],q1_cmd [rev],q2_cmd [rev]", arm.time,
+                 0.5 / np.pi * arm.pos, 0.5 / np.pi * arm.command)  # fmt: skip
+    check(path, tmp_path, arm)

@@ -34,8 +34,8 @@ def recognise(path: Path) -> bool:
     if not path.is_file() or path.suffix.lower() not in SUFFIXES:
         return False
     lines = _head(path)
-    if path.suffix.lower() == ".csv":
-        return any(max(map(line.count, ",;\t")) for line in lines)
+    if path.suffix.lower() == ".csv" and any(max(map(line.count, ",;\t")) for line in lines):
+        return True
     return _begin(lines)[1] < len(lines)
 
 
