@@ -183,6 +183,24 @@ def _boxes(_: Path, __: Path, report: dict[str, Any]) -> str:
     return f"{len(report['frames']['used'])} of 10 fit together; the sheet is not measured"
 
 
+CABINET = np.array([0.793, 0.445, 0.545])
+"""Metres: length, depth and height of TUM's fr3/cabinet."""
+
+
+def _cabinet(source: Path, _: Path, report: dict[str, Any]) -> str:
+    from realsim import capture
+    from realsim.capture.config import CaptureConfig
+
+    frames: Any = capture.read(source, CaptureConfig(keep_blurred=True, max_frames=0))
+    given = {f.name: f.T_world_camera[:3, 3] for f in frames.frames}
+    sizes = [np.array(p["size"]) for p in report["platforms"]]
+    if not sizes:
+        return _ate(report, given) + "; the cabinet is no platform"
+    size = min(sizes, key=lambda v: np.abs(v - CABINET).max())
+    off = " ".join(f"{1e3 * v:+.0f}" for v in size - CABINET)
+    return f"{_ate(report, given)}; {' x '.join(f'{v:.3f}' for v in size)} m, off by {off} mm"
+
+
 CASES = {
     "chair": Case(
         "scannerapp_chair/data",
@@ -199,6 +217,13 @@ CASES = {
     "room": Case("pcl_room_lidar/tutorials/room_scan1.pcd", "2.95 m from floor to ceiling", _room, ("--keep", "all")),
     "boxes": Case(
         "realsense_boxes_floor/data", "six of ten views show the same boxes; things were moved between others", _boxes
+    ),
+    "cabinet": Case("tum_cabinet/data", "TUM fr3/cabinet, motion capture; 0.793 x 0.445 x 0.545 m", _cabinet),
+    "cabinet, no poses": Case(
+        "tum_cabinet/data",
+        "TUM fr3/cabinet, motion capture; 0.793 x 0.445 x 0.545 m",
+        _cabinet,
+        ("--poses", "estimate"),
     ),
     "slambook": Case("slambook_five/data", "five poses", _slambook),
 }
