@@ -1,4 +1,4 @@
-"""One closed mesh with a flat border, about its own centre: what Isaac Lab and mjlab import as a terrain."""
+"""One closed mesh with a flat border, about its own centre: what Isaac Lab imports as a terrain (not run here)."""
 
 from __future__ import annotations
 
