@@ -12,6 +12,10 @@ unset PYTHONPATH
 
 "$python" -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir "$work" .
 wheel=$(echo "$work"/realsim-*.whl)
+[ "$(stat -c %s "$wheel")" -le $((40 * 2**20)) ] || { echo "the wheel is larger than 40 MB" >&2; exit 1; }
+# What the messages tell people to type, from an index that has the wheel alone.
+"$python" -m pip install --quiet --disable-pip-version-check --dry-run --ignore-installed --no-deps --no-index \
+  --find-links "$work" "realsim[recon]"
 
 "$python" -m venv "$work/core"
 "$work/core/bin/python" -m pip install --quiet --disable-pip-version-check --constraint constraints.txt "$wheel"

@@ -93,6 +93,31 @@ def append(path: Path, rng: Rng) -> None:
         file.write(rng.bytes(int(rng.choice((1, 100, 5000)))))
 
 
+def shifted(path: Path, rng: Rng) -> None:
+    """A byte more or less in the middle: all that follows is off by one."""
+    data = path.read_bytes()
+    at = int(rng.integers(len(data) + 1))
+    path.write_bytes(data[:at] + (rng.bytes(1) + data[at:] if rng.random() < 0.5 else data[at + 1 :]))
+
+
+def doubled(path: Path, rng: Rng) -> None:
+    """A block stands twice, as after a transfer that was taken up again at the wrong place."""
+    data = path.read_bytes()
+    at, size = int(rng.integers(len(data) + 1)), int(rng.integers(1, 4096))
+    path.write_bytes(data[: at + size] + data[at : at + size] + data[at + size :])
+
+
+def no_numbers(path: Path, rng: Rng) -> None:
+    """Some numbers of four or eight bytes become NaN, infinite or enormous."""
+    data = bytearray(path.read_bytes())
+    kind = np.dtype(rng.choice(("<f4", "<f8")))
+    for at in rng.integers(0, max(len(data) - 8, 1), int(rng.choice((1, 3, 50)))):
+        value = np.array(rng.choice((np.nan, np.inf, -np.inf, 1e38, -1e38)), kind).tobytes()
+        place = int(at) // 4 * 4 + int(rng.integers(4)) * int(rng.random() < 0.5)  # headers are of any length
+        data[place : place + len(value)] = value
+    path.write_bytes(bytes(data))
+
+
 def emptied(path: Path, rng: Rng) -> None:
     path.write_bytes(b"")
 
@@ -254,6 +279,57 @@ def xml_value(path: Path, rng: Rng) -> None:
     tree.write(path)
 
 
+def xml_tree(path: Path, rng: Rng) -> None:
+    """Elements are replicated, nested, included or linked without end."""
+    tree = ElementTree.parse(path)
+    parents = [(p, c) for p in tree.iter() for c in p]
+    parent, child = parents[int(rng.integers(len(parents)))]
+    how = int(rng.integers(7))
+    parent.remove(child)
+    if how == 0:
+        outer = ElementTree.SubElement(parent, "replicate", count=str(rng.choice((3, 1000, 10**8))), offset="1 0 0")
+        outer.append(child)
+    elif how == 1:
+        for _ in range(int(rng.choice((6, 300)))):
+            parent = ElementTree.SubElement(parent, "replicate", count="30")
+        parent.append(child)
+    elif how == 2:
+        for _ in range(int(rng.choice((50, 2000)))):
+            parent = ElementTree.SubElement(parent, str(rng.choice(("body", "frame", "default"))))
+        parent.append(child)
+    elif how == 3:
+        ElementTree.SubElement(parent, "include", file=str(rng.choice((path.name, "../x.xml", "/etc/passwd", "none"))))
+    elif how == 4:
+        size = {"width": "99999", "height": "99999"}
+        asset = ElementTree.SubElement(tree.getroot(), "asset")
+        ElementTree.SubElement(asset, "texture", {"name": "big", "type": "2d", "builtin": "flat", **size})
+    elif how == 5:
+        ElementTree.SubElement(tree.getroot(), "size", memory=str(rng.choice(("900G", "1", "-5", "x"))))
+    else:
+        body = tree.getroot().find("worldbody")
+        composite = {"type": "cable", "count": str(rng.choice(("3", "90000000", "0"))) + " 1 1", "size": "1"}
+        ElementTree.SubElement(parent if body is None else body, "composite", composite)
+    tree.write(path)
+
+
+def yaml_tree(path: Path, rng: Rng) -> None:
+    """Aliases that grow by ten a line, brackets without end, a tag, a key that is none, a value of another kind."""
+    bomb = "\n".join(["a0: &a0 [x]", *(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 9))])
+    odd = (f"{bomb}\n", "[" * 5000, "!!python/object/apply:os.system [ls]\n", "? [1, 2]\n: 3\n", "&a [*a]\n")
+    text = path.read_text("utf-8", "surrogateescape")
+    how = int(rng.integers(4))
+    if how == 0:
+        text = odd[int(rng.integers(len(odd)))]
+    elif how == 1:
+        text += odd[int(rng.integers(len(odd)))]
+    else:
+        found = list(re.finditer(r":[ \t]*\S.*", text))
+        place = found[int(rng.integers(len(found)))]
+        value = "*a8" if how == 2 else json.dumps(ODD_VALUES[int(rng.integers(len(ODD_VALUES)))])
+        text = (f"{bomb}\n" if how == 2 else "") + text[: place.start()] + f": {value}" + text[place.end() :]
+    path.write_text(text, "utf-8", "surrogateescape")
+
+
 def xml_entities(path: Path, rng: Rng) -> None:
     path.write_text('<!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]><mujoco>&b;</mujoco>')
 
@@ -319,7 +395,9 @@ def archive_member(path: Path, rng: Rng) -> None:
 
 
 Damage = Callable[[Path, Rng], None]
-BYTES: tuple[Damage, ...] = (flip_bits, flip_early, huge_header, cut_off, zero_block, append, emptied, noise)
+BYTES: tuple[Damage, ...] = (
+    flip_bits, flip_early, huge_header, cut_off, zero_block, append, emptied, noise, shifted, doubled, no_numbers,
+)  # fmt: skip
 FILES: tuple[Damage, ...] = (
     removed, renamed, renamed_inside, swapped, copied, loop, loop_of_two, dangling, outside, fifo, folder_instead,
 )  # fmt: skip
@@ -328,7 +406,10 @@ TEXTUAL: tuple[Damage, ...] = (text_number, text_line)
 DAMAGE_OF: dict[str, tuple[Damage, ...]] = {
     ".json": (json_value, json_value, json_value, json_deep, text_number),
     ".jsonl": (jsonl_value, text_number, text_line),
-    ".xml": (xml_value, xml_value, xml_value, xml_entities, text_number),
+    ".xml": (xml_value, xml_value, xml_tree, xml_tree, xml_entities, text_number),
+    ".yaml": (yaml_tree, yaml_tree, text_number, text_line),
+    ".yml": (yaml_tree, yaml_tree, text_number, text_line),
+    **dict.fromkeys((".ply", ".stl", ".glb", ".pcd", ".las", ".bin"), (shifted, doubled, no_numbers)),
     ".npz": (archive_array, archive_array, archive_member),
     ".npy": (array,),
     ".r3d": (archive_member,),

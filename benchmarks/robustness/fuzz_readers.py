@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import re
 import shutil
 import sys
 from collections.abc import Callable, Sequence
@@ -347,6 +348,36 @@ def _training(path: Path, reading: Reading) -> None:
             reading.part(f"{name} of history", lambda values=values: values)
 
 
+def read_request(folder: Path) -> Reading:
+    """What `realsim mcp` does with a request; an error without a reason counts as a crash of the tool."""
+    import asyncio
+
+    import mcp
+
+    from realsim.cli.mcp_server import build
+    from realsim.cli.roots import Roots
+
+    async def ask(tool: str, arguments: dict[str, Any]) -> Any:
+        async with mcp.Client(build(Roots([folder]))) as client:
+            return await client.call_tool(tool, arguments)
+
+    reading = Reading()
+    try:
+        request = json.loads((folder / "request.json").read_text())
+        tool, arguments = str(request["tool"]), dict(request["arguments"])
+    except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
+        reading.refused.append(f"no request: {type(error).__name__}")  # the library's own affair
+        return reading
+    answer = asyncio.run(ask(tool, arguments))
+    text = "\n".join(part.text for part in answer.content)
+    if answer.is_error:
+        assert not re.match(r"Error executing tool \w+$|the command ended without", text), text
+        reading.refused.append(text[:80])
+        return reading
+    reading.part("answer", lambda: re.sub(r"[0-9.]+(e-?[0-9]+)?", "#", text.replace(str(folder), "")))
+    return reading
+
+
 FILES: dict[str, Callable[[Path, Reading], None]] = {
     "policy.onnx": _policy_onnx, "policy.pt": _policy_pt, "model.onnx": _model_onnx, "scene.xml": _scene,
     "diagnosis.json": _diagnosis, "task.json": _task, "history.jsonl": _training,
@@ -357,5 +388,6 @@ READERS: dict[str, Callable[[Path], Reading]] = {
     "cases": read_case,
     "recordings": read_recording,
     "others": read_other,
+    "requests": read_request,
 }
 """Kind, as in benchmarks.robustness.fuzz_sources -> its reader."""

@@ -237,10 +237,37 @@ def _training(folder: Path) -> None:
     (folder / "history.jsonl").write_text("".join(json.dumps(row(i)) + "\n" for i in range(60)))
 
 
+# ---------------------------------------------------------------- requests of agents
+
+
+def requests() -> dict[str, Write]:
+    """`request.json` as an agent sends it, beside the files that it names."""
+    calls: dict[str, dict[str, Any]] = {
+        "inspect": {"frames": "any.stl"},
+        "contact": {"meshes": "any.stl", "out": "made", "unit": "m", "ground_z": -0.05, "overwrite": True},
+        "export": {"scenes": "scene", "to": "obj,stl", "out": "made"},
+        "diagnose": {"cases": "case", "check": True, "max_causes": 1},
+        "report": {"folder": "scene"},
+    }
+    return {f"request {tool}": partial(_request, tool, arguments) for tool, arguments in calls.items()}
+
+
+def _request(tool: str, arguments: dict[str, Any], folder: Path) -> None:
+    _any_mesh("stl", folder)
+    if tool in ("export", "report"):
+        _scene(folder / "scene")
+    if tool == "diagnose":
+        from tests.gap.truth import ARM, Truth, make_case
+
+        make_case(folder / "case", ARM, Truth(), runs=2, seed=1, span=(1.0, 1.2))
+    (folder / "request.json").write_text(json.dumps({"tool": tool, "arguments": arguments}))
+
+
 TARGETS: dict[str, tuple[int, Callable[[], dict[str, Write]]]] = {
     "captures": (1000, lambda: captures() | scans()),
     "cases": (500, cases),
     "recordings": (300, recordings),
     "others": (200, others),
+    "requests": (100, requests),
 }
 """Kind -> (trials, its examples)."""
