@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from trainer.errors import TrainerError
 
@@ -21,6 +22,10 @@ class EvaluationConfig:
     """Whether friction, masses, gains, delays and sensor noise vary as in training; the starting pose always does."""
     pushes: bool = False
     """Whether the robot is pushed."""
+    finish: Literal["reach", "stop"] = "reach"
+    """What a trial asks. reach: a constant speed, as `realsim deploy` and the paper; it succeeds when base and feet are
+    over the goal platform. stop: a speed that falls with the distance to the goal, on which the robot must stay for a
+    second, as training has it."""
     bin_m: float = 0.25
     """Metres a bin of the failures along the course."""
 

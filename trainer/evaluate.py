@@ -30,6 +30,8 @@ from trainer.terrain import Terrain
 Policy = Callable[[Observation], Tensor]
 """Observation -> (N, J) actions, without exploration noise."""
 
+ON_ARRIVAL = 1e-3
+"""Seconds on the goal platform that are over at the first step there."""
 Z95 = 1.959963984540054
 """Quantile of the normal distribution for a 95 percent interval."""
 
@@ -181,6 +183,12 @@ def trial_config(task: ParkourConfig, config: EvaluationConfig) -> ParkourConfig
     random = replace(task.randomisation, use=config.randomise and task.randomisation.use, terrain_variants=1)
     if not config.pushes:
         random = replace(random, push=0.0)
+    if config.finish == "reach":
+        task = replace(
+            task,
+            command=replace(task.command, constant=True),
+            termination=replace(task.termination, goal_seconds=ON_ARRIVAL),
+        )
     task = replace(
         task,
         randomisation=random,

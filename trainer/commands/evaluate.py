@@ -20,7 +20,7 @@ def evaluate(
     finer: tuple[str, ...] = (),
     out: Path = Path("evaluation.json"),
     overwrite: bool = False,
-    engine: Annotated[str, tyro.conf.arg(metavar="{mujoco,warp}")] = "",
+    engine: Annotated[str, tyro.conf.arg(metavar="{mujoco,warp,elliptic}")] = "",
     device: str = "auto",
     task_file: Path | None = None,
     diagnosis: Path | None = None,
@@ -33,7 +33,8 @@ def evaluate(
         finer: the same scenes with contact geometry that was not trained on.
         out: JSON with every figure and every failed trial.
         overwrite: replace a file that is there already.
-        engine: physics engine; by default warp on a GPU and mujoco on the CPU.
+        engine: physics engine; by default warp on a GPU and mujoco on the CPU; elliptic is another contact model
+            (elliptic friction cones, half the timestep, another solver), to see what a policy owes to its own.
         device: cpu, cuda, or auto.
         task_file: JSON with differences from the paper's task; use that of the training.
         diagnosis: diagnosis.json of `realsim diagnose`, or its folder.

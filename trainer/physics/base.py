@@ -13,8 +13,16 @@ from realsim.core.registry import Registry
 from trainer.robots import TrainedRobot
 from trainer.terrain import Terrain
 
-ENGINES = Registry("physics engine", {"mujoco": "trainer.physics.mujoco:make", "warp": "trainer.physics.warp:make"})
-"""name -> `(robot, terrains, worlds, config: PhysicsConfig) -> Physics`."""
+ENGINES = Registry(
+    "physics engine",
+    {
+        "mujoco": "trainer.physics.mujoco:make",
+        "elliptic": "trainer.physics.mujoco:elliptic",
+        "warp": "trainer.physics.warp:make",
+    },
+)
+"""name -> `(robot, terrains, worlds, config: PhysicsConfig) -> Physics`. `elliptic` is another contact model than
+policies are trained in: elliptic friction cones, half the timestep, another solver."""
 
 
 MAX_SPEED = 100.0
@@ -33,6 +41,12 @@ class PhysicsConfig:
     """Whether the robot's own capsules collide with each other; a task may ask for it too (`ParkourConfig`)."""
     device: str = "cpu"
     """torch device of the state; `warp` needs a CUDA device to be fast."""
+    cone: Literal["pyramidal", "elliptic"] = "pyramidal"
+    """Friction cones of contacts; the GPU engine has pyramids."""
+    solver: Literal["newton", "cg", "pgs"] = "newton"
+    """Solver of the constraints."""
+    softness: float = 1.0
+    """Ratio on the time constant with which contacts push back (MuJoCo's solref, 20 ms): above 1 softer."""
     iterations: int = 10
     """Newton iterations of the constraint solver, at most."""
     ls_iterations: int = 20

@@ -11,6 +11,7 @@ import copy
 import os
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -225,3 +226,17 @@ def _put(tensor: Tensor, values: NDArray[Any], worlds: NDArray[np.int_] | None =
 def make(robot: TrainedRobot, terrains: Sequence[Terrain], worlds: int, config: PhysicsConfig) -> MujocoPhysics:
     """The engine `mujoco` of `trainer.physics.ENGINES`."""
     return MujocoPhysics(robot, terrains, worlds, config)
+
+
+def elliptic(robot: TrainedRobot, terrains: Sequence[Terrain], worlds: int, config: PhysicsConfig) -> MujocoPhysics:
+    """The engine `elliptic`: what a policy makes of another contact model than the one that it knows."""
+    other = replace(
+        config,
+        timestep=config.timestep / 2,
+        decimation=2 * config.decimation,
+        cone="elliptic",
+        solver="cg",
+        iterations=100,
+        ls_iterations=50,
+    )
+    return MujocoPhysics(robot, terrains, worlds, other)

@@ -62,6 +62,8 @@ def world_spec(
     spec = robot.robot.spec.copy()
     _set_options(spec, config)
     for geom in spec.geoms:
+        if not (geom.contype or geom.conaffinity):
+            continue  # only drawn
         geom.contype = ROBOT_BIT if config.self_collision else 0
         geom.conaffinity = TERRAIN_BIT | ROBOT_BIT if config.self_collision else TERRAIN_BIT
     _add_terrain_geom(
@@ -76,6 +78,9 @@ def world_spec(
             _attach_contact(spec, contact, f"{SCENE}{i}/")
     for key in list(spec.keys):
         spec.delete(key)
+    if config.softness != 1.0:
+        for geom in spec.geoms:
+            geom.solref = [config.softness * geom.solref[0], geom.solref[1]]
     return spec
 
 
@@ -100,6 +105,8 @@ def _set_options(spec: Any, config: PhysicsConfig) -> None:
     spec.option.timestep = config.timestep
     # The servos' damping acts implicitly: explicit integration of kd / armature = 250 / s at 5 ms would ring.
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = getattr(mujoco.mjtCone, f"mjCONE_{config.cone.upper()}")
+    spec.option.solver = getattr(mujoco.mjtSolver, f"mjSOL_{config.solver.upper()}")
     spec.option.iterations = config.iterations
     spec.option.ls_iterations = config.ls_iterations
     spec.option.jacobian = getattr(mujoco.mjtJacobian, f"mjJAC_{config.jacobian.upper()}")

@@ -11,8 +11,16 @@ from torch import Tensor
 from realsim.core.registry import Registry
 from trainer.terrain import Terrain
 
-CASTERS = Registry("ray caster", {"embree": "trainer.rays.embree:Caster", "warp": "trainer.rays.warp:Caster"})
-"""name -> `(terrains, device) -> RayCaster`. `embree` is Open3D's RaycastingScene on the CPU."""
+CASTERS = Registry(
+    "ray caster",
+    {
+        "embree": "trainer.rays.embree:Caster",
+        "warp": "trainer.rays.warp:Caster",
+        "warp_host": "trainer.rays.warp:HostCaster",
+    },
+)
+"""name -> `(terrains, device) -> RayCaster`. `embree` is Open3D's RaycastingScene on the CPU; `warp_host` casts on the
+GPU for an engine on the CPU."""
 
 
 class RayCaster(Protocol):

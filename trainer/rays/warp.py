@@ -75,6 +75,18 @@ class Caster:
         return distances
 
 
+class HostCaster(Caster):
+    """Rays on the GPU of worlds whose state is on the CPU."""
+
+    def __init__(self, terrains: Sequence[Terrain], device: str = "cpu") -> None:
+        super().__init__(terrains, "cuda")
+
+    def cast(self, origins: Tensor, directions: Tensor, terrain_ids: Tensor, far: float) -> Tensor:
+        """See `RayCaster.cast`."""
+        there = (x.to(self._torch) for x in (origins, directions, terrain_ids))
+        return super().cast(*there, far).to(origins.device)
+
+
 def _mesh(terrain: Terrain) -> wp.Mesh:
     points = wp.array(np.ascontiguousarray(terrain.vertices, np.float32), dtype=wp.vec3)
     return wp.Mesh(points, wp.array(np.ascontiguousarray(terrain.triangles, np.int32).ravel(), dtype=int))

@@ -46,7 +46,7 @@ class TrainConfig:
     """What fine-tuning changes: full (if not given), adapter, residual, last_layer."""
     worlds: int = 0
     """Simulated robots on each rank; 0 takes 4096 on a GPU and 64 on the CPU."""
-    engine: Annotated[str, tyro.conf.arg(metavar="{mujoco,warp}")] = ""
+    engine: Annotated[str, tyro.conf.arg(metavar="{mujoco,warp,elliptic}")] = ""
     """Physics engine; by default warp on a GPU and mujoco on the CPU."""
     device: str = "auto"
     """cpu, cuda, or auto: a GPU where there is one, unless the engine is mujoco, which runs on the CPU."""

@@ -38,4 +38,5 @@ class GoalCommand:
         # Close to the goal its direction means nothing: the turning command fades with the speed command.
         fade = speed / self.limit.clamp_min(1e-6)
         most = self.config.yaw_rate
-        return Command(velocity, fade * (self.config.heading_gain * error).clamp(-most, most), distance)
+        yaw_rate = fade * (self.config.heading_gain * error).clamp(-most, most)
+        return Command(velocity, yaw_rate, distance, self.limit.clone() if self.config.constant else speed)

@@ -31,6 +31,9 @@ class CommandConfig:
     """m/s to which the velocity towards the goal is clipped, drawn for each episode."""
     gain: float = 2.0
     """1/s: wanted velocity = gain * (goal - position), before clipping; brakes within speed / gain metres."""
+    constant: bool = False
+    """Whether the actor is told its speed until the end, as on a robot, where nobody knows how far the goal is.
+    Otherwise the speed that it is told falls with the distance, so that it stops on the goal platform."""
     heading_gain: float = 1.0
     """1/s: wanted yaw rate = gain * heading error; for rewards; the actor sees it where it is steered."""
     yaw_rate: float = 1.0
