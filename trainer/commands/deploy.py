@@ -43,6 +43,8 @@ def deploy(
     policy: Annotated[Path, tyro.conf.Positional],
     config: DeployConfig,
     scene: str = "flat",
+    log: Path | None = None,
+    seed: int = 0,
 ) -> CommandResult:
     """Run an exported policy in a 50 Hz loop on a simulated robot; latencies are measured.
 
@@ -51,8 +53,11 @@ def deploy(
     Args:
         policy: policy.onnx.
         scene: where the simulated robot stands: a folder of `realsim reconstruct`, or the name of a terrain.
+        log: folder of a case for `realsim diagnose` and `realsim close`; a further run is added to those there.
+        seed: of where on the start platform the robot stands; 0 is its middle.
     """
     from trainer.commands import common
+    from trainer.deploy.log import CaseLog
     from trainer.deploy.loop import deploy as run_loop
     from trainer.deploy.mujoco import MujocoRobot
     from trainer.ppo import export
@@ -60,11 +65,8 @@ def deploy(
     session, facts = export.load(policy)
     terrain, _ = common.find_terrain(scene)
     body = body_of(facts, policy)
-    robot = MujocoRobot(body, terrain, depth=facts.layout.depth is not None)
-
-    def arrived() -> bool:
-        return bool(terrain.goal.contains(robot.position[None, :2])[0])
-
+    robot = MujocoRobot(body, terrain, depth=facts.layout.depth is not None, seed=seed)
+    case = None if log is None else CaseLog(log, body, terrain, policy, facts, config)
     steps_begun = count()
     with steps() as tick:
 
@@ -72,11 +74,11 @@ def deploy(
             begun = next(steps_begun)
             if begun % SHOWN_EVERY == 0:
                 tick("running the policy", min(1.0, begun * facts.policy_dt / config.seconds))
-            return arrived()
+            return robot.arrived()
 
-        report = run_loop(robot, session, facts, config, until=ended, steer=robot.steer)
+        report = run_loop(robot, session, facts, config, until=ended, steer=robot.steer, log=case)
     figures = report.figures()
-    if report.reason == "done" and arrived():
+    if report.reason == "done" and robot.arrived():
         figures["reason"] = "goal"
     x, y, z = robot.position
     think, whole = figures["inference_ms"], figures["latency_ms"]
@@ -86,5 +88,6 @@ def deploy(
         f"inference      {think['p50']:.2f} ms median, {think['p99']:.2f} ms at the 99th percentile",
         f"read to write  {whole['p50']:.2f} ms median, {whole['p99']:.2f} ms (the simulation's step included)",
         f"late           {report.late} steps; {report.clipped} joint targets clipped",
+        *([] if case is None else [f"log            {log}, {len(case.runs)} runs"]),
     ]
     return CommandResult("\n".join(lines), {**figures, "position": [x, y, z], "robot": facts.robot})

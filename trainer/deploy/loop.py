@@ -6,16 +6,19 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trainer.deploy.config import DeployConfig
 from trainer.deploy.observer import Observer
-from trainer.deploy.robot import Robot
+from trainer.deploy.robot import Reading, Robot
 from trainer.errors import TrainerError
 from trainer.ppo.export import Deployment
+
+if TYPE_CHECKING:
+    from trainer.deploy.log import CaseLog
 
 
 @dataclass
@@ -61,8 +64,10 @@ def deploy(
     steer: Callable[[float], NDArray[np.float64]] | None = None,
     clock: Callable[[], float] = time.perf_counter,
     sleep: Callable[[float], None] = time.sleep,
+    log: CaseLog | None = None,
 ) -> Report:
-    """Drive a robot by a policy until the time is over or something is wrong; the robot is stopped in any case.
+    """Drive a robot by a policy until the time is over or something is wrong; the robot is stopped in any case, and what
+    was logged until then is written.
 
     Args:
         robot: see `Robot`.
@@ -73,6 +78,7 @@ def deploy(
         steer: for a policy that is steered (`ObservationConfig.steered`): speed in m/s -> (3,) velocity ahead and to
             the left in m/s, yaw rate in rad/s. Others are told to go straight ahead.
         clock, sleep: seconds; for tests.
+        log: gets every step; written after the robot has stopped.
 
     Raises:
         TrainerError: a policy that is to be steered, and nobody who steers.
@@ -90,17 +96,21 @@ def deploy(
     _warm_up(session, facts)  # the first call allocates, and may fail: not while the robot waits
     try:  # from here on the robot may hold gains of ours, also where `start` itself fails half way
         robot.start(np.asarray(facts.kp), np.asarray(facts.kd))
-        due = clock()
+        began = due = clock()
         late = 0
         while report.steps * facts.policy_dt < config.seconds and not (until is not None and until()):
             started = clock()
             reading = robot.read()
+            if (broken := _not_a_number(reading)) is not None:
+                report.reason = f"the robot's {broken} is not a number"
+                break
             if -reading.gravity[2] < math.cos(config.max_tilt):
                 report.reason = "tilted"
                 break
             speed = _speed(config, report.steps * facts.policy_dt)
             ahead = np.array([speed, 0.0, 0.0])
-            inputs = observe(reading, steer(speed) if observe.steered and steer is not None else ahead, action)
+            told = steer(speed) if observe.steered and steer is not None else ahead
+            inputs = observe(reading, told, action)
             thought = clock()
             try:
                 action = session.run(None, inputs)[0][0]
@@ -117,6 +127,9 @@ def deploy(
             targets = np.clip(wanted, reading.joint_pos - config.max_step, reading.joint_pos + config.max_step)
             report.clipped += int((targets != wanted).sum())
             robot.write(targets)
+            if log is not None:
+                passed = started - began if config.realtime else report.steps * facts.policy_dt
+                log.add(passed, reading, inputs, speed, action, targets)
             report.latency_s.append(clock() - started)
             report.steps += 1
             due += facts.policy_dt
@@ -132,9 +145,20 @@ def deploy(
                 due = now + max(0.0, facts.policy_dt - min(report.latency_s))
             if config.realtime:
                 sleep(max(0.0, due - clock()))
+    except BaseException as error:
+        report.reason = f"{type(error).__name__}: {error}"
+        raise
     finally:
         robot.stop()
+        if log is not None:
+            log.write(report.figures())
     return report
+
+
+def _not_a_number(reading: Reading) -> str | None:
+    """The first part of a reading that the policy would be misled by; depth may miss pixels."""
+    parts = ("gravity", "ang_vel", "joint_pos", "joint_vel")
+    return next((name for name in parts if not np.isfinite(getattr(reading, name)).all()), None)
 
 
 def _speed(config: DeployConfig, seconds: float) -> float:

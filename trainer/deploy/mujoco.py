@@ -15,6 +15,7 @@ from trainer.robots import TrainedRobot
 from trainer.tasks.parkour.commands import GoalCommand
 from trainer.tasks.parkour.config import CommandConfig, DepthConfig
 from trainer.tasks.parkour.depth import rays
+from trainer.tasks.parkour.resets import Course
 from trainer.tasks.rotations import multiply, rotate, rotate_back
 from trainer.terrain import Terrain
 
@@ -27,18 +28,24 @@ class MujocoRobot:
         terrain: where it stands, on the start platform.
         depth: whether the camera is read.
         far: metres beyond which the camera sees nothing.
+        seed: of where on the start platform it stands, up to 5 cm beside its middle; 0 is the middle.
     """
 
-    def __init__(self, robot: TrainedRobot, terrain: Terrain, *, depth: bool = True, far: float = 5.0) -> None:
+    def __init__(
+        self, robot: TrainedRobot, terrain: Terrain, *, depth: bool = True, far: float = 5.0, seed: int = 0
+    ) -> None:
         self.robot, self.terrain, self.far = robot, terrain, far
         self.physics = ENGINES["mujoco"](robot, [terrain], 1, PhysicsConfig(threads=1))
         self.policy_dt = self.physics.policy_dt
         self.eye = caster("embree", [terrain], "cpu") if depth and robot.camera is not None else None
         ground = terrain.start.centre
         base = torch.tensor([[ground[0], ground[1], ground[2] + robot.standing_height]], dtype=torch.float32)
+        if seed:
+            base[0, :2] += torch.tensor(np.random.default_rng(seed).uniform(-0.05, 0.05, 2), dtype=torch.float32)
         pose = torch.tensor(robot.default, dtype=torch.float32)[None]
         here = torch.zeros(1, dtype=torch.long)
         self.physics.reset(here, base, torch.tensor([[1.0, 0, 0, 0]]), pose, here)
+        self._course = Course.of([terrain], torch.device("cpu"))
         self.stopped = True
 
     def start(self, kp: F64, kd: F64) -> None:
@@ -55,7 +62,9 @@ class MujocoRobot:
         s = self.physics.state
         down = rotate_back(s.base_quat, torch.tensor([0.0, 0.0, -1.0]))
         first = [t[0].double().numpy() for t in (s.base_ang_vel, down, s.joint_pos, s.joint_vel)]
-        return Reading(first[0], first[1], first[2], first[3], self._depth())
+        pose = [t[0].double().numpy().copy() for t in (s.base_pos, s.base_quat, s.joint_torque)]
+        contact = (s.foot_force[0] > 1.0).double().numpy()
+        return Reading(first[0], first[1], first[2], first[3], self._depth(), pose[0], pose[1], contact, pose[2])
 
     def write(self, targets: F64) -> None:
         """See `Robot.write`; advances the simulation by a policy step."""
@@ -71,6 +80,12 @@ class MujocoRobot:
     def position(self) -> F64:
         """(3,) m of the base in the terrain's frame; what no sensor of a real robot tells."""
         return self.physics.state.base_pos[0].double().numpy()
+
+    def arrived(self) -> bool:
+        """Whether base and feet are over the goal platform, as a trial has it."""
+        s = self.physics.state
+        here = torch.zeros(1, dtype=torch.long)
+        return bool(self._course.on_goal(s.base_pos[:, :2], s.foot_pos[..., :2], here)[0])
 
     def steer(self, speed: float) -> F64:
         """(3,) velocity ahead and to the left in m/s and yaw rate in rad/s towards the goal, as in training: what

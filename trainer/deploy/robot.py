@@ -26,6 +26,14 @@ class Reading:
     depth: F64 | None = None
     """(H, W) metres along the optical axis, cropped as the policy sees it (`trainer.tasks.parkour.depth.crop`); 0 or
     not finite where nothing was measured. None without a camera."""
+    base_pos: F64 | None = None
+    """(3,) m in the scene's frame, where somebody knows it (motion capture, an estimator); for the log only."""
+    base_quat: F64 | None = None
+    """(4,) w x y z, base to scene."""
+    contact: F64 | None = None
+    """(F,) 1 for a foot that bears load, in the order of the robot's feet."""
+    joint_torque: F64 | None = None
+    """(J,) N m."""
 
 
 class Robot(Protocol):
