@@ -52,6 +52,14 @@ COMMANDS = {
         _GROUP,
         "recon",
     ),
+    "close": Command(
+        "",
+        "from a deployment's log to a policy for the robot as it is: contract, diagnosis, fine-tuning, one page",
+        "realsim close case --policy tuned/policy.pt --scene scene",
+        _GROUP,
+        "train",
+        ("--policy", "--scene", "--out", "--effects", "--minutes", "--iterations", "--worlds", "--device"),
+    ),
     "training": Command(
         "",
         "`realsim training report RUN ...`: a page with the curves of training runs, over each other",

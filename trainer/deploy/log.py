@@ -17,7 +17,6 @@ from math import radians, tan
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from realsim.core.errors import RealsimError

@@ -66,8 +66,8 @@ def deploy(
     sleep: Callable[[float], None] = time.sleep,
     log: CaseLog | None = None,
 ) -> Report:
-    """Drive a robot by a policy until the time is over or something is wrong; the robot is stopped in any case, and what
-    was logged until then is written.
+    """Drive a robot by a policy until the time is over or something is wrong; the robot is stopped in any case, and
+    what was logged until then is written.
 
     Args:
         robot: see `Robot`.

@@ -66,10 +66,10 @@ class Observer:
             parts += _window(self.terms[name], np.asarray(now[name], np.float32), length)
         inputs = {"vector": np.concatenate(parts)[None]}
         if self.facts.layout.depth is not None:
-            inputs["depth"] = self._stack(reading.depth)[None]
+            inputs["depth"] = self.stack(reading.depth)[None]
         return inputs
 
-    def _stack(self, depth: NDArray[np.float64] | None) -> F32:
+    def stack(self, depth: NDArray[np.float64] | None) -> F32:
         """(M, H, W), newest first; before the first image there was the first image."""
         assert self.facts.layout.depth is not None
         count, *shape = self.facts.layout.depth

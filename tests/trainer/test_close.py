@@ -1,0 +1,169 @@
+"""The log of a deployment, and the loop that begins with it, at toy size on the quadruped that ships."""
+# ruff: noqa: E402 - what needs torch is imported after it is known to be there
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
+
+from realsim.gap.case.case import load_case
+from realsim.gap.checks.camera.recorded import depth_camera
+from trainer.commands.close import close
+from trainer.commands.common import find_terrain
+from trainer.deploy import log as logs
+from trainer.deploy.contract import check
+from trainer.deploy.log import CaseLog
+from trainer.deploy.loop import DeployConfig, deploy
+from trainer.deploy.mujoco import MujocoRobot
+from trainer.errors import TrainerError
+from trainer.policies import FOLDER, base_of
+from trainer.ppo import export
+from trainer.robots import ROBOTS
+from trainer.tasks.parkour.depth import rays
+from trainer.trainers import TrainConfig
+
+POLICY = FOLDER / "quadruped_parkour.onnx"
+QUADRUPED = ROBOTS["quadruped"]()
+CONFIG = DeployConfig(seconds=0.8, realtime=False)
+
+
+def run(folder: Path, robot: MujocoRobot | None = None, seed: int = 0) -> tuple[CaseLog, object]:
+    terrain, _ = find_terrain("boxes:0.2:1")
+    session, facts = export.load(POLICY)
+    robot = robot or MujocoRobot(QUADRUPED, terrain, seed=seed)
+    log = CaseLog(folder, QUADRUPED, terrain, POLICY, facts, CONFIG)
+    return log, deploy(robot, session, facts, CONFIG, log=log)
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("log") / "case"
+    for seed in (0, 1):
+        run(folder, seed=seed)
+    return folder
+
+
+def test_a_run_is_a_case_without_a_note(case: Path) -> None:
+    found = load_case(case)
+    assert found.warnings == ()
+    assert [r.name for r in found.runs] == ["run_0", "run_1"]
+    assert {"base_pos", "base_quat", "contact", "joint_torque", "imu_gyro"} <= set(found.runs[0].signals)
+    assert json.loads((case / "deploy.json").read_text())["runs"]["run_1"]["reason"] == "done"
+
+
+def test_the_logged_pinhole_has_the_rays_of_the_policys_pixels(case: Path) -> None:
+    camera = depth_camera(load_case(case))
+    width, height = QUADRUPED.camera.crop
+    u, v = np.meshgrid(np.arange(width), np.arange(height))
+    directions = np.stack([np.ones_like(u, float), -(u - camera.cx) / camera.fx, -(v - camera.cy) / camera.fy], -1)
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    angle = np.arccos(np.clip((directions.reshape(-1, 3) * rays(QUADRUPED.camera)).sum(-1), -1, 1))
+    assert angle.max() < 0.003  # half a pixel of the full image: the nearest one is kept
+
+
+def test_the_contract_is_kept_and_a_broken_link_is_named(case: Path, tmp_path: Path) -> None:
+    assert check(case).kept
+    for name, change, link in (
+        ("joints", lambda d: d | {"joint_pos": d["joint_pos"][:, ::-1]}, "the observation joint_pos"),
+        ("scale", lambda d: d | {"command": 1.1 * d["command"]}, "the joint target"),
+        ("network", lambda d: d | {"observation": d["observation"] + 0.3}, "the policy's action"),
+    ):
+        other = tmp_path / name
+        shutil.copytree(case, other)
+        for file in (other / "runs").glob("*.npz"):
+            np.savez(file, **change(dict(np.load(file))))
+        assert link in check(other).off
+
+
+def test_a_driver_that_reads_no_number_stops_the_robot_and_the_log_is_kept(tmp_path: Path) -> None:
+    terrain, _ = find_terrain("boxes:0.2:1")
+    robot = MujocoRobot(QUADRUPED, terrain)
+    read, count = robot.read, iter(range(100))
+
+    def broken():
+        reading = read()
+        if next(count) == 30:
+            reading.joint_vel[3] = np.nan
+        return reading
+
+    robot.read = broken
+    _, report = run(tmp_path / "case", robot)
+    assert (report.reason, report.steps, robot.stopped) == ("the robot's joint_vel is not a number", 30, True)
+    assert len(load_case(tmp_path / "case").runs[0].time) == 30
+    robot.read = lambda: (_ for _ in ()).throw(OSError("no link"))
+    with pytest.raises(OSError, match="no link"):
+        run(tmp_path / "case", robot)
+    assert robot.stopped
+
+
+def test_a_disk_without_room_refuses_before_the_robot_starts_and_a_lost_one_keeps_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as m:
+        m.setattr(logs.shutil, "disk_usage", lambda path: SimpleNamespace(free=1e6))
+        with pytest.raises(TrainerError, match="no room"):
+            run(tmp_path / "full")
+    assert not (tmp_path / "full").exists()
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(logs, "write_bytes", full)
+    with pytest.raises(TrainerError, match="could not be written") as error:
+        run(tmp_path / "lost")
+    kept = Path(str(error.value.hint).rpartition(" ")[2])
+    assert "observation" in np.load(kept)
+    kept.unlink()
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(TrainerError, match="something else"):
+        run(tmp_path)
+
+
+def test_close_stops_where_the_contract_is_broken_and_goes_on_where_it_was(case: Path, tmp_path: Path) -> None:
+    other, out = tmp_path / "case", tmp_path / "closed"
+    shutil.copytree(case, other)
+    for file in (other / "runs").glob("*.npz"):
+        data = dict(np.load(file))
+        np.savez(file, **data | {"command": data["command"][:, ::-1]})
+    for _ in range(2):  # the second time from what the first has left
+        said = close(other, TrainConfig(), base_of("quadruped"), "boxes:0.2:1", out)
+        assert said.data["contract"]["kept"] is False
+        assert said.data["diagnosis"] == said.data["training"] == {}
+        assert "joint target" in (out / "report.html").read_text()
+    with pytest.raises(TrainerError, match="another loop"):
+        close(other, TrainConfig(), base_of("quadruped"), "boxes:0.3:1", out)
+
+
+def test_close_fine_tunes_for_what_the_log_shows(case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The whole loop on the quadruped, with a diagnosis of weak motors that is given: one iteration, a few trials."""
+    import realsim as rs
+    from realsim.results import GapVerdict
+    from trainer.ppo.config import LoopConfig
+
+    cause = {
+        "effect": "motor_gain", "joints": [], "bodies": [],
+        "parameters": {"ratio": {"value": 0.9, "unit": "", "ci90": [0.88, 0.92]}},
+    }  # fmt: skip
+
+    def diagnosed(path: Path, out: Path, config: object, overwrite: bool) -> SimpleNamespace:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "diagnosis.json").write_text(json.dumps({"verdict": "identified", "causes": [cause], "equivalent": []}))
+        return SimpleNamespace(verdict=GapVerdict("identified"), sentence="weak motors", causes=("motors at 90 %",))
+
+    monkeypatch.setattr(rs, "diagnose", diagnosed)
+    loop = LoopConfig(iterations=1, evaluate_every=0, tensorboard=False)
+    config = TrainConfig(worlds=16, threads=1, device="cpu", loop=loop)
+    said = close(case, config, base_of("quadruped"), "boxes:0.2:1", tmp_path / "closed", final_trials=2)
+    assert said.data["training"]["verdict"]["delivered"] == "base"
+    assert "motors at 90 %" in (tmp_path / "closed" / "report.html").read_text()
+    assert "delivered" in said.text
