@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,9 +18,12 @@ from realsim.gap.answer.patch import make_patch, patched_xml
 from realsim.gap.case.health.conventions import log_conventions
 from realsim.gap.case.health.signals import saturation
 from realsim.gap.case.motion import estimate
+from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.evidence.inverse import _phase
 from realsim.gap.inference.likelihood.comparison import _torque_steps
 from realsim.gap.simulation.simulate import Setting, Simulator
+
+from .truth import PENDULUM, Truth, make_case
 
 MODEL = """
 <mujoco>
@@ -169,3 +173,20 @@ def test_commands_that_come_early_are_not_in_the_file(tmp_path: Path) -> None:
         ]
     assert "not in this file, see patch.wrappers in diagnosis.json: command_delay" in texts[0]
     assert "not in this file" not in texts[1]
+
+
+def test_a_limit_too_low_in_the_model_can_be_raised(tmp_path: Path) -> None:
+    """A servo whose model saturates: a robot with twice the torque follows steps that the model cannot."""
+    xml = PENDULUM.replace('forcerange="-18 18"', 'forcerange="-4 4"')
+    case = load_case(make_case(tmp_path / "case", PENDULUM, Truth(), runs=2, span=(2.2, 2.6)))
+    model = mujoco.MjModel.from_xml_string(xml)
+    weak = replace(case, xml=xml, spec=mujoco.MjSpec.from_string(xml), model=model)
+    with Simulator(weak, DiagnoseConfig(threads=1)) as simulator:
+        (limit,) = lookup("torque_limit").parameters(simulator.context, ("swing",))
+        assert limit.bounds[0] < 0
+        highest = simulator.edited([("torque_limit", ("swing",), {"limit": limit.bounds[0]})]).set_up(
+            case.runs[0].setup
+        )
+    np.testing.assert_allclose(highest.actuator("swing_servo").forcerange, [-12, 12], rtol=0.02)
+    with Simulator(case, DiagnoseConfig(threads=1)) as simulator:  # one that never saturates shows only lower limits
+        assert lookup("torque_limit").parameters(simulator.context, ("swing",))[0].bounds[0] == 0

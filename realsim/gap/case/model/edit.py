@@ -196,13 +196,16 @@ class Edit:
         actuator.gainprm, actuator.biasprm = actuator.gainprm * ratio, actuator.biasprm * ratio
         actuator.forcerange = np.asarray(actuator.forcerange) * ratio
 
-    def limit_drive(self, joint: str, most: float) -> None:
-        """Let a joint's actuator give at most this torque (N m at the joint) either way, within the model's range."""
+    def limit_drive(self, joint: str, most: float, beyond: bool = False) -> None:
+        """Let a joint's actuator give at most this torque (N m at the joint) either way, within the model's range, or
+        `beyond` it."""
         drive = self.context.actuator[joint]
         gear, model = abs(self.context.case.gear(joint)), self.context.case.model.actuator(drive)
         ends = most / max(gear, 1e-9) * np.array([-1.0, 1.0])
         actuator = self.spec.actuator(drive)
-        actuator.forcerange = np.clip(ends, *model.forcerange) if model.forcelimited[0] else ends
+        actuator.forcerange = np.clip(ends, *model.forcerange) if model.forcelimited[0] and not beyond else ends
+        if beyond:
+            self.spec.joint(self.motor_joint(joint)).actfrclimited = 0
         actuator.forcelimited = 1
 
     def add_actuator(self, name: str, joint: str, gain: float = 0.0) -> Any:
