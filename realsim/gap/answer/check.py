@@ -14,6 +14,7 @@ import numpy as np
 
 from realsim.core.errors import GapError
 from realsim.core.types import F64
+from realsim.gap import figures
 from realsim.gap.case.model.channels import unit_of
 from realsim.gap.inference.causes.leftover import is_gap
 from realsim.gap.inference.likelihood.comparison import Comparison
@@ -86,6 +87,12 @@ class Check:
         if self.beside90 is None or is_gap(np.array([self.beside])):
             return self.ci90[0] > 0
         return max(self.ci90[0], self.beside90[0]) > 0
+
+    @property
+    def follows(self) -> bool:
+        """Whether the patched simulator goes where the robot goes, in some signal at least."""
+        moved = [s["rms_after"] < figures.FOLLOWS * s["motion"] for s in self.signals.values()]
+        return any(moved) or not moved
 
     @property
     def fraction(self) -> float:

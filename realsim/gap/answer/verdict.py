@@ -70,6 +70,9 @@ def judge(
     if not checked.holds:
         doubt = f"the causes do not hold: of the check's squared error {checked.fraction:z.0%} goes, 90 % interval "
         return Judgement(GapVerdict.UNEXPLAINED, (came, f"{doubt}{low:z.0%} to {high:z.0%}"), ends)
+    if not checked.follows:
+        doubt = "what stays is as large as the motion: were these the commands that this robot was given?"
+        return Judgement(GapVerdict.UNEXPLAINED, (came, doubt), ends)
     if ends:
         doubt = f"{', '.join(ends)}: as far as the library goes, so it stands for something else"
         return Judgement(GapVerdict.UNEXPLAINED, (came, doubt), ends)

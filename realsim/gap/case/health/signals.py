@@ -38,6 +38,10 @@ SPIKE, SPIKE_OF_RANGE = 10.0, 0.05
 """How far a single sample is off for a spike, as a multiple of the range of the four around it, and as a share of the
 column's in all runs. Set on damaged files (benchmarks/robustness/fuzz.py, seed 0)."""
 
+NOISY, STILLEST, MOST_STILL = 1.5, 1e-4, 6
+"""Motion in units of a sample's noise, and in rad or m, below which a position does not move; notes of that at most.
+Noise alone has 1."""
+
 CHANGES = 0.7
 """Root mean square by which repetitions differ, as a share of their error against the simulator: with errors that have
 nothing to do with each other it is 1."""
@@ -186,7 +190,7 @@ def _end_stops(case: Case, joint: str, column: int) -> Said:
 def noise(simulator: Simulator, nominal: list[F64]) -> tuple[dict[str, Any], Said]:
     """By signal: noise of a sample from the log's high frequencies, and what runs that repeat a command differ by."""
     case, found = simulator.case, {}
-    said = []
+    said = _stillness(case)
     for signal in dict.fromkeys(c.signal for c in simulator.channels):
         if signal not in case.runs[0].signals:
             continue  # the base's orientation is compared as a rotation vector
@@ -209,6 +213,28 @@ def noise(simulator: Simulator, nominal: list[F64]) -> tuple[dict[str, Any], Sai
                     "simulator: the robot itself changes from run to run"
                 )
     return found, said
+
+
+def _stillness(case: Case) -> Said:
+    """A note on what has more noise than motion; refuses a log in which nothing else moves."""
+    still, moving = [], 0
+    for signal, names in (("joint_pos", case.joint_names), ("base_pos", tuple("xyz") if case.floating else ())):
+        for j, name in enumerate(names if case.has(signal) else ()):
+            columns = [r.signals[signal][:, j] for r in case.runs]
+            noise = 1.4826 * median_size(np.concatenate([third_differences(c) / np.sqrt(20) for c in columns]))
+            motion = float(np.sqrt(np.mean([np.nanvar(c) for c in columns])))
+            moving += motion > max(NOISY * noise, STILLEST)
+            if motion <= NOISY * noise:
+                still.append(f"{signal} of {name}: {motion:.2g} rms of motion, {noise:.2g} of noise")
+    if not moving:
+        raise GapError(
+            "the positions have more noise than motion" if still else "nothing in the log moves",
+            file=case.folder,
+            expected="motion that stands out of the sensors' noise",
+            found="; ".join(still[:3]) or "positions that do not change",
+            hint="do the drives give torque, are these the right columns, and are they in the unit that log.json says?",
+        )
+    return [f"more noise than motion: {text}" for text in still] if len(still) <= MOST_STILL else []
 
 
 def _tolerated(case: Case, signal: str) -> float:
