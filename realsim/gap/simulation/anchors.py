@@ -66,6 +66,7 @@ class _Replay:
 
     def __init__(self, simulator: Simulator, run: Run, start: Start, motion: Motion) -> None:
         self.simulator, self.run, self.motion, self.edit = simulator, run, motion, Edit(simulator.context)
+        self.flies = simulator.case.floating and not simulator.context.driven
         self.start, self.last = start, run.duration - LEAST
         self.model = self.edit.set_up(run.setup).compile()
         self.dt = float(self.model.opt.timestep)
@@ -94,12 +95,12 @@ class _Replay:
     def falls(self) -> bool:
         """Whether a small error of the state that the run begins in grows too much before its end. Of a robot in the
         air, whether the replay parts from the log at all: spinning away, it lets no small error grow."""
-        return self.bears(self.start, 0.0, near=self.simulator.case.floating) <= self.last
+        return self.bears(self.start, 0.0, near=self.flies) <= self.last
 
     def in_parts(self) -> Start:
         """The run's start with the states from which its replay goes on."""
         motion, reason = self.motion, "a small error would grow too fast in replay"
-        least = FLIGHT if self.simulator.case.floating else LEAST
+        least = FLIGHT if self.flies else LEAST
         begun = self.start if self.start.moving else Start("log", motion.qpos[0], motion.qvel[0])
         here, anchors, at = begun, list[Anchor](), 0.0
         if not self.falls():  # a replay that only drifts shows what is wrong the longer it is

@@ -104,6 +104,8 @@ def _moves(simulator: Simulator, run: Run, resting: F64) -> bool:
     case = simulator.case
     if case.floating and "base_pos" not in run.signals and run.init_qpos is None:
         return False  # nobody knows where the base is
+    if simulator.context.touches:
+        return False  # feet take up their load first: a logged height is not that of the model's contacts
     change = np.abs(run.command - run.command[0]) > STANDS * np.ptp(run.command, axis=0)
     changed = change.any(axis=1)
     until = min(float(run.time[np.argmax(changed)]) if changed.any() else np.inf, BEGINNING)
@@ -272,7 +274,7 @@ def first_fit(time: F64, values: F64, degree: int, rates: F64 | None = None) -> 
 
 def _still(time: F64, values: F64) -> Any:
     """(K,) whether (T, K) readings stand still at first: a late response must not become a first speed."""
-    k = max(int(np.searchsorted(time, AT_FIRST)), 1)
+    k = min(max(int(np.searchsorted(time, AT_FIRST)), 1), len(time) - 1)
     least = np.maximum(NOISES * np.sqrt(2) * _noise(values), AT_REST * time[k])
     return np.abs(values[k] - values[0]) < least
 
