@@ -8,9 +8,6 @@ A package of your own adds one with, in its pyproject.toml,
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
-
-from realsim.core.errors import UnknownNameError
 from trainer.trainers.base import Scene, TrainConfig, Trainer, TrainResult
 
 __all__ = ["BUILT_IN", "Scene", "TrainConfig", "TrainResult", "Trainer", "find"]
@@ -31,8 +28,4 @@ def find(name: str) -> Trainer:
     """
     from realsim.core.registry import Registry
 
-    installed = {point.name: point.value for point in entry_points(group="realsim.trainers")}
-    known = {**BUILT_IN, **installed}
-    if name not in known:
-        raise UnknownNameError("trainer", name, known)
-    return Registry("trainer", known)[name]
+    return Registry("trainer", BUILT_IN, group="realsim.trainers")[name]
