@@ -20,6 +20,8 @@ ROUNDING = 1e-5
 FAR = 100.0
 """Times the usual distance of a capture's cameras from their middle beyond which a camera was never there; 67 m of a
 corridor have 2. Poses in metres may besides be as far off as two cameras that see one place."""
+LEAP, LEAST_LEAP = 20.0, 0.1
+"""Times the usual step, and of that distance, by which a camera cannot be off between two frames that are together."""
 MENDABLE = 0.05
 """Deviation up to which a rotation is replaced by the nearest one, with a note; beyond it the pose is refused."""
 
@@ -135,14 +137,23 @@ def settle_poses(capture: FrameSet, reach: float) -> tuple[FrameSet, PoseReport]
 
 
 def _astray(frames: Sequence[Frame], reach: float) -> dict[int, str]:
-    """Index -> reason, of frames whose camera is so far from the middle of all that it sees nothing of theirs."""
+    """Index -> reason, of frames whose camera is so far from the middle of all that it sees nothing of theirs, or leaps
+    away from both of its neighbours, which stayed together."""
     if len(frames) < 3:
         return {}
     at = np.array([np.asarray(f.T_world_camera)[:3, 3] for f in frames])
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         away = np.linalg.norm(at - np.median(at, axis=0), axis=1)
-    limit = FAR * float(np.median(away)) + reach
-    return {
-        int(i): f"its pose is {away[i]:.3g} away from the others' middle, theirs usually {np.median(away):.3g}"
-        for i in np.flatnonzero(~(away <= limit))
+        steps = np.linalg.norm(np.diff(at, axis=0), axis=1)
+        over = np.linalg.norm(at[2:] - at[:-2], axis=1)
+    typical = float(np.median(away))
+    out = {
+        int(i): f"its pose is {away[i]:.3g} away from the others' middle, theirs usually {typical:.3g}"
+        for i in np.flatnonzero(~(away <= FAR * typical + reach))
     }
+    step = float(np.median(steps))
+    leap = np.minimum(steps[:-1], steps[1:])
+    for k in np.flatnonzero((leap > LEAP * step + LEAST_LEAP * reach) & (leap > 5 * over)):
+        i = int(k) + 1
+        out.setdefault(i, f"its pose leaps {leap[k]:.3g} away and back, where steps are usually {step:.3g}")
+    return out

@@ -58,7 +58,9 @@ def test_a_case_without_a_fault(case, shared):
     assert (found.frames["used"], found.wrong) == (4, ())
 
 
-@pytest.mark.parametrize("at", [np.full(3, 1e4), np.array([0, 0, -1e200]), np.array([300.0, 0, 0])])
+@pytest.mark.parametrize(
+    "at", [np.full(3, 1e4), np.array([0, 0, -1e200]), np.array([300.0, 0, 0]), np.array([4.0, 1, 1])]
+)
 def test_a_camera_that_flew_off_is_left_out_by_name(at, tmp_path):
     views = walk(8)
     write_sevenscenes(tmp_path, views)
