@@ -65,6 +65,8 @@ class Wrong:
     vector: Callable[[np.ndarray], np.ndarray] = lambda vector: vector
     steer: Callable[[np.ndarray], np.ndarray] = lambda told: told
     gains: np.ndarray = field(default_factory=lambda: np.ones(12))
+    faster: int = 1
+    """Times as often as it was trained at that the policy is asked; the robot is simulated at the trained rate."""
     every: int = 1
     """Simulated policy steps for which one target is held."""
     late: dict[str, int] = field(default_factory=dict)
@@ -372,6 +374,37 @@ NAMED = {k: {k} for k in KINDS} | {"scale_and_gains": {"action_scale", "gains"},
 """What must be named, and nothing else."""
 
 
+def report(name: str) -> Wrong:
+    """A public bug report, rebuilt from what it says."""
+    turned = np.array([np.cos(0.06), 0.0, np.sin(0.06), 0.0])
+    one = np.where(np.arange(12) == 4, 0.64, 1.0)
+    by_kind = [0, 3, 6, 9, 1, 4, 7, 10, 2, 5, 8, 11]
+
+    def scaled(gain: np.ndarray | float) -> Callable[[export.Deployment], export.Deployment]:
+        return lambda f: replace(f, action_scale=tuple(gain * np.asarray(f.action_scale)))
+
+    return {
+        "extreme-parkour 6": Wrong(faster=2),
+        "rl_sar 58": Wrong(gains=np.full(12, 0.8)),
+        "BFM-Zero 17": Wrong(facts=scaled(0.8), gains=np.full(12, 0.7)),
+        "unitree_rl_mjlab 32": Wrong(facts=scaled(one)),
+        "HOVER 29": Wrong(see=lambda r, q: replace(r, gravity=rotate(turned, r.gravity))),
+        "TienKung-Lab 26": Wrong(see=lambda r, q: replace(r, joint_vel=r.joint_vel[by_kind])),
+        "ros2_control 2529": Wrong(stale=lambda step: step % 4 == 0),
+        "furuta 27": Wrong(late={"ang_vel": 2, "gravity": 2}),
+        "IsaacLab 2447": Wrong(see=lambda r, q: replace(r, ang_vel=0.25 * r.ang_vel)),
+    }[name]
+
+
+REPORTS = {
+    "extreme-parkour 6": {"control_period"}, "rl_sar 58": {"gains"}, "BFM-Zero 17": {"action_scale", "gains"},
+    "unitree_rl_mjlab 32": {"action_scale"}, "HOVER 29": {"imu_rotation"}, "TienKung-Lab 26": {"joint_order"},
+    "ros2_control 2529": {"irregular_readings"}, "furuta 27": {"sensor_age"}, "IsaacLab 2447": {"observation_scale"},
+}  # fmt: skip
+"""Reports of contract errors in public trackers (repository and number), with what must be named."""
+NAMED |= REPORTS
+
+
 def applies(kind: str, policy: str) -> bool:
     """Histories need some; the policy that ships is commanded straight ahead."""
     return not (kind.startswith("history") and POLICIES[policy] == 1)
@@ -392,7 +425,8 @@ def record(path: Path, policy: str, facts: export.Deployment, wrong: Wrong, seed
         model.actuator_gainprm[:, 0] *= wrong.gains
         model.actuator_biasprm[:, 1:3] *= wrong.gains[:, None]
         held = rng.uniform(-1, 1, (40, 3)) * [0.8, 0.5, 0.8]
-        config = DeployConfig(seconds=SECONDS, realtime=False, max_tilt=math.pi, speed=0.4 + 0.4 * number, ramp=2.0)
+        config = DeployConfig(seconds=SECONDS, realtime=False, max_tilt=math.pi, max_step=1e3,
+                              speed=0.4 + 0.4 * number, ramp=2.0)  # fmt: skip
 
         def steer(_: float, robot: LoggedRobot = robot, held: np.ndarray = held) -> np.ndarray:
             robot.told = held[len(robot.past) // 15 % len(held)]
@@ -407,7 +441,7 @@ def record(path: Path, policy: str, facts: export.Deployment, wrong: Wrong, seed
             asked = 0.02 * np.arange(len(rows)) // wrong.every
             data["told"] = np.outer(config.speed * np.minimum(asked / config.ramp, 1.0), [1.0, 0.0, 0.0])
         # The torque that the servos give in a row is that of the row before, as a driver reports it.
-        stamps = 0.02 * np.arange(len(rows)) + rng.normal(0, 2e-4, len(rows))
+        stamps = (0.02 * np.arange(len(rows)) + rng.normal(0, 2e-4, len(rows))) / wrong.faster
         moved = np.concatenate([[True], (np.abs(np.diff(data["command"], axis=0)) > 1e-9).any(axis=1)])
         quat = data["quat"] / np.linalg.norm(data["quat"], axis=1, keepdims=True)
         runs.append(Run(f"run{number}", np.sort(stamps), data["command"], data["pos"], data["vel"], data["gyro"], quat,
@@ -415,7 +449,7 @@ def record(path: Path, policy: str, facts: export.Deployment, wrong: Wrong, seed
     if not runs:
         return Steps((), (), 0.02, 0.02)
     changes = float(np.median([np.median(np.diff(r.time[r.sent])) for r in runs]))
-    return Steps(tuple(base.joints), tuple(runs), 0.02, changes)
+    return Steps(tuple(base.joints), tuple(runs), 0.02 / wrong.faster, changes)
 
 
 def judge(policy: str, kind: str, seed: int) -> dict[str, Any] | None:
@@ -423,7 +457,8 @@ def judge(policy: str, kind: str, seed: int) -> dict[str, Any] | None:
     with tempfile.TemporaryDirectory() as folder:
         path, deploy_yaml, facts = write_policy(Path(folder), policy, seed)
         loop_path = path if policy != "mjlab" else Path(folder) / "policy.onnx"
-        wrong = mistakes(kind, np.random.default_rng(seed), POLICIES[policy])
+        rng = np.random.default_rng(seed)
+        wrong = report(kind) if kind in REPORTS else mistakes(kind, rng, POLICIES[policy])
         steps = record(loop_path, policy, facts, wrong, seed)
         if not steps.runs:
             return None
@@ -446,7 +481,7 @@ def main() -> None:
     parser.add_argument("--per-kind", type=int, default=1)
     parser.add_argument("--healthy", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1000)
-    parser.add_argument("--kinds", nargs="*", default=list(KINDS))
+    parser.add_argument("--kinds", nargs="*", default=[*REPORTS, *KINDS])
     parser.add_argument("--policies", nargs="*", default=list(POLICIES))
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
@@ -454,6 +489,9 @@ def main() -> None:
     plan = [(p, k) for k in options.kinds for p in options.policies if applies(k, p) for _ in range(options.per_kind)]
     plan += [(options.policies[i % len(options.policies)], "") for i in range(options.healthy)]
     rows, seed = [], options.seed
+    store = Store(options.out, ("policy", "kind", "seed")) if options.out else None
+    if store:
+        store.rows = []
     for policy, kind in plan:
         for _ in range(MOST_TRIES):  # a robot that falls at once leaves no log: another policy
             seed += 1
@@ -463,6 +501,8 @@ def main() -> None:
         else:
             raise SystemExit(f"{kind}: no policy stands")
         rows.append(row)
+        if store:
+            store.add(row)
         mark = "ok  " if row["right"] else "MISS" if kind else "FALSE"
         print(f"{mark} {policy:8} {kind or 'healthy':18} seed {seed} {row['cpu_s']} s {row['verdict']:11} "
               f"{row['sentence']} {row['beside']}", flush=True)  # fmt: skip
@@ -478,12 +518,9 @@ def main() -> None:
     for r in wrong:
         if not r["right"]:
             print(f"  {r['policy']} {r['kind']}: {r['verdict']} {r['named']} {r['beside']}")
-    if options.out:
-        store = Store(options.out, ("policy", "kind", "seed"))
-        store.rows = []
+    if store:
         store.facts = {"summary": summary}
-        for row in rows:
-            store.add(row)
+        store.save()
 
 
 if __name__ == "__main__":
