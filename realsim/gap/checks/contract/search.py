@@ -76,6 +76,8 @@ class Problem:
 
     def __init__(self, contract: Contract, steps: Steps) -> None:
         self.contract, self.steps = contract, steps
+        self.open = 0.0
+        """Share of the spread that inputs which are not logged leave open: a mistake has to stand out of it."""
         skip = contract.history
         self.skip = [min(skip, max(len(r.time) - 20, 0)) for r in steps.runs]
         self.commands = commands(contract, steps)
@@ -93,7 +95,7 @@ class Problem:
 
     def worth(self, before: F64, after: F64) -> bool:
         """Whether scales (J,) fell by what a mistake has to explain."""
-        floor = NOTICED * np.maximum(self.spread, LEAST_SPREAD)
+        floor = max(NOTICED, self.open) * np.maximum(self.spread, LEAST_SPREAD)
         one, other = np.hypot(before, floor), np.hypot(after, floor)
         return bool(np.max(np.log(one / other)) > PRICE and np.mean(np.log(after)) < np.mean(np.log(before)))
 
