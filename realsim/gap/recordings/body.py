@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.core.statistics import alike
+from realsim.gap.case.physics import factor, gravity_unit, nearest_unit
+from realsim.gap.case.units import ACCELERATION, TURNING
 from realsim.gap.recordings.evidence import Evidence
-from realsim.gap.recordings.joints import SPEEDS
 from realsim.gap.recordings.names import FEET
 from realsim.gap.recordings.proposal import Candidate
-from realsim.gap.recordings.signals import MOST, at, factor, turning, upward
+from realsim.gap.recordings.signals import MOST, at, turning, upward
 from realsim.gap.recordings.vocabulary import english
 
-G = 9.81
 LIFTED = 0.15
 """Share of a standing foot's force below which a foot is in the air. Set by hand, tried on simulated feet only."""
 APART = 0.2
@@ -98,9 +98,8 @@ def accelerometer(e: Evidence) -> None:
     values = field.values[:MOST, :3]
     size = float(np.nanmedian(np.linalg.norm(values, axis=1)))
     evidence = [f"by {source.why}"]
-    units = {"m/s^2": 1.0, "g": G, "mg": G / 1000}
-    unit = min(units, key=lambda u: abs(np.log(max(size, 1e-9) * units[u] / G)))
-    if not 0.7 < size * units[unit] / G < 1.4:
+    unit = gravity_unit(size)
+    if not unit:
         e.proposal.warnings.append(
             f"{source.label} is {size:.3g} long, which is no gravity in any unit: has gravity been removed? Not used"
         )
@@ -118,7 +117,7 @@ def accelerometer(e: Evidence) -> None:
                 evidence.append("negated: an accelerometer at rest reads +g up")
     if not _has_site(e, source):
         return
-    e.settle("imu_acc", source, (0, 1, 2), tuple("xyz"), evidence, scale=sign * units[unit], unit=unit)
+    e.settle("imu_acc", source, (0, 1, 2), tuple("xyz"), evidence, scale=sign * ACCELERATION[unit], unit=unit)
 
 
 def gyroscope(e: Evidence) -> None:
@@ -141,16 +140,16 @@ def gyroscope(e: Evidence) -> None:
         corr = alike(read[:, axis], rate[:, axis])
         if abs(corr) > 0.5:
             ratio = factor(read[:, axis], rate[:, axis])
-            unit = min(SPEEDS, key=lambda u: abs(np.log(abs(ratio) * SPEEDS[u])))
+            unit = nearest_unit(ratio, TURNING)
             sign = float(np.sign(ratio))
             evidence.append(
                 f"against the orientation's change: correlation {corr:.2f}, factor {ratio:.3g} -> {unit}"
                 + (", negated" if sign < 0 else "")
             )
-    largest = float(np.nanmax(np.abs(values))) * SPEEDS.get(unit, 1.0)
+    largest = float(np.nanmax(np.abs(values))) * TURNING.get(unit, 1.0)
     if largest > 60:
         evidence.append(f"up to {largest:.3g} rad/s, which is much: is it in deg/s?")
-    e.settle("imu_gyro", source, (0, 1, 2), tuple("xyz"), evidence, scale=sign * SPEEDS.get(unit, 1.0), unit=unit,
+    e.settle("imu_gyro", source, (0, 1, 2), tuple("xyz"), evidence, scale=sign * TURNING.get(unit, 1.0), unit=unit,
              doubtful=len(evidence) < 2)  # fmt: skip
 
 

@@ -9,9 +9,10 @@ import numpy as np
 
 from realsim.core.statistics import alike
 from realsim.core.types import F64
+from realsim.gap.case.units import ANGLE, TORQUE, TURNING
 from realsim.gap.recordings.evidence import Evidence
 from realsim.gap.recordings.guess import LEADS, leads
-from realsim.gap.recordings.joints import ANGLES, SPEEDS, TORQUES, columns_for, torque
+from realsim.gap.recordings.joints import columns_for, torque
 from realsim.gap.recordings.model import Target
 from realsim.gap.recordings.names import known_type, match_joints
 from realsim.gap.recordings.pairing import ALIKE, BETTER, PLAIN, agreement, pair
@@ -181,7 +182,7 @@ def _scale(
     """
     still = np.zeros(len(columns))
     if kind != "position":
-        sizes = SPEEDS if kind == "velocity" else TORQUES
+        sizes = TURNING if kind == "velocity" else TORQUE
         unit = source.unit if source.unit in sizes else next(iter(sizes))
         return np.full(len(columns), sizes[unit]), unit, still, [], False
     place = e.proposal.assignments["joint_pos"]
@@ -198,8 +199,8 @@ def _scale(
                 said += [text] if text not in said else []
                 doubtful = True
     factor = float(np.median(factors)) if factors else 1.0
-    declared = source.unit if source.unit in ANGLES and place.unit in ANGLES and source.unit != place.unit else ""
-    others = {u: ANGLES[u] / ANGLES.get(place.unit, 1.0) for u in ANGLES if place.unit in ANGLES and u != place.unit}
+    declared = source.unit if source.unit in ANGLE and place.unit in ANGLE and source.unit != place.unit else ""
+    others = {u: ANGLE[u] / ANGLE.get(place.unit, 1.0) for u in ANGLE if place.unit in ANGLE and u != place.unit}
     near = min(others, key=lambda u: abs(np.log(max(factor, 1e-9) / others[u])), default="")
     if not declared and near and max(factor, 1 / max(factor, 1e-9)) > OTHER_UNIT:
         if max(factor / others[near], others[near] / factor) < THE_UNIT:
@@ -209,7 +210,7 @@ def _scale(
             doubtful = True
             said.append(f"the joints do {factor:.3g} times as much as is commanded, which is no unit")
     if declared:
-        return np.sign(scale) * ANGLES[declared], declared, still, said, doubtful
+        return np.sign(scale) * ANGLE[declared], declared, still, said, doubtful
     return scale, place.unit, offset, said, doubtful
 
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from realsim.core.statistics import alike
 from realsim.core.types import F64
-from realsim.gap.recordings.signals import follows, travelled
+from realsim.gap.case.physics import travelled
+from realsim.gap.recordings.signals import follows
 
 SLOPE = 0.95
 """Correlation of what is travelled with an integral, from which one block of columns is the other's velocity."""

@@ -10,18 +10,17 @@ import numpy as np
 
 from realsim.core.statistics import alike
 from realsim.core.types import F64
+from realsim.gap.case.physics import NEAR, factor, nearest_unit, travelled
+from realsim.gap.case.units import ANGLE, TORQUE, TURNING
 from realsim.gap.recordings.evidence import Evidence, two_robots
 from realsim.gap.recordings.model import MODELS_ORDER, Target
 from realsim.gap.recordings.names import is_electric, known_type, match_joints, rawness
 from realsim.gap.recordings.proposal import Candidate
 from realsim.gap.recordings.recording import Field
-from realsim.gap.recordings.signals import at, factor, smooth_derivatives, travelled
+from realsim.gap.recordings.signals import at, smooth_derivatives
 
-ANGLES = {"rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi, "mrad": 1e-3}
 TICKS = 4096
 """Steps a turn of hobby servos' encoders (Dynamixel X, Feetech STS)."""
-SPEEDS = {"rad/s": 1.0, "deg/s": np.pi / 180, "rpm": np.pi / 30, "rev/s": 2 * np.pi, "mrad/s": 1e-3}
-TORQUES = {"N m": 1.0, "mN m": 1e-3, "N cm": 1e-2, "kgf cm": 0.0980665}
 MARGIN = 0.05
 """rad or m beyond its range at which a joint may still be read."""
 IN_TURNS = 0.99
@@ -30,8 +29,6 @@ IN_RANGE = 0.5
 """Share of the samples within the joints' ranges below which positions are in doubt."""
 CLEAR = 0.25
 """Difference of two hypotheses' agreement (0 to 1) from which one is preferred to what is declared."""
-NEAR = 0.15
-"""Relative difference up to which a measured factor is that of a known unit."""
 FEET_LEVEL = 0.02
 """m by which the feet of a standing robot may differ in height."""
 CONVENTION = 0.05
@@ -66,7 +63,7 @@ def position(e: Evidence) -> None:
         return
     values = field.values[:, columns]
     unit, offset, said = _unit(e.target, names, values, source.unit)
-    size = ANGLES.get(unit, 2 * np.pi / TICKS)
+    size = ANGLE.get(unit, 2 * np.pi / TICKS)
     values = (values - offset) * size
     turns = not source.unit and unit == "rad" and _share_within(e.target, names, 2 * np.pi * values) > IN_TURNS
     if turns and np.isfinite(e.target.ranges[[e.target.joints.index(n) for n in names]]).any():
@@ -161,7 +158,7 @@ def _order_score(e: Evidence, field: Field, order: Mapping[int, str], source: Ca
     columns, names = list(order), list(order.values())
     values = field.values[:, columns]
     unit, offset, _ = _unit(e.target, names, values, source.unit)
-    values = (values - offset) * ANGLES.get(unit, 2 * np.pi / TICKS)
+    values = (values - offset) * ANGLE.get(unit, 2 * np.pi / TICKS)
     parts = {"in range": _share_within(e.target, names, values)}
     level = _feet_level(e, names, values)
     if level is not None:
@@ -207,13 +204,13 @@ def _unit(target: Target, names: Sequence[str], values: F64, declared: str) -> t
     ranges = target.ranges[[target.joints.index(n) for n in names]]
     if np.isfinite(ranges).all(axis=1).sum() == 0:
         largest = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
-        if declared in ANGLES:
+        if declared in ANGLE:
             return declared, 0.0, f"in {declared}, as is declared"
         unit = "deg" if largest > 4 * np.pi else "rad"
         return unit, 0.0, f"largest value {largest:.3g}: taken as {unit} (the model's joints have no ranges to test)"
-    shares = {u: _share_within(target, names, values * f) for u, f in ANGLES.items() if u != "mrad"}
+    shares = {u: _share_within(target, names, values * f) for u, f in ANGLE.items() if u != "mrad"}
     # A unit that shrinks everything to nothing is in range too: of equal ones the one that fills the range wins.
-    filled = {u: _filling(target, names, values * f) for u, f in ANGLES.items() if u in shares}
+    filled = {u: _filling(target, names, values * f) for u, f in ANGLE.items() if u in shares}
     score = {u: shares[u] + 0.3 * filled[u] for u in shares}
     whole = np.isfinite(values)
     if (values[whole] == np.round(values[whole])).all() and np.nanmax(values) > 400:
@@ -317,7 +314,7 @@ def _velocity(e: Evidence, source: Candidate, columns: list[int], names: list[st
             corrs.append(alike(sums, moved))
     if not factors:
         e.settle("joint_vel", source, columns, names, [f"by {source.why}", how, "no joint moves: nothing tests it"],
-                 scale=SPEEDS.get(source.unit, 1.0), unit=source.unit or "rad/s", doubtful=True)  # fmt: skip
+                 scale=TURNING.get(source.unit, 1.0), unit=source.unit or "rad/s", doubtful=True)  # fmt: skip
         return True
     signs = np.sign(np.array(factors))
     ratio, corr = float(np.median(np.abs(factors))), float(np.median(np.abs(corrs)))
@@ -326,12 +323,12 @@ def _velocity(e: Evidence, source: Candidate, columns: list[int], names: list[st
             f"{source.label} is no velocity of the joints: correlation {corr:.2f} with what their positions travel"
         )
         return False
-    unit = min(SPEEDS, key=lambda u: abs(np.log(ratio * SPEEDS[u])))
+    unit = nearest_unit(ratio, TURNING)
     odd = [n for n, c in zip(names, corrs, strict=False) if abs(c) < 0.6] if len(corrs) == len(names) else []
-    close = abs(ratio * SPEEDS[unit] - 1) < NEAR and not odd
+    close = abs(ratio * TURNING[unit] - 1) < NEAR and not odd
     said = f"its integral against the positions: correlation {corr:.3f}, factor {ratio:.4g} -> {unit}"
     if not close:
-        usual = source.unit if source.unit in SPEEDS else "rad/s"
+        usual = source.unit if source.unit in TURNING else "rad/s"
         said = f"its integral against the positions: correlation {corr:.3f}, factor {ratio:.4g}, left in {usual}"
         unit = usual
     turned = signs < 0
@@ -341,7 +338,7 @@ def _velocity(e: Evidence, source: Candidate, columns: list[int], names: list[st
         said += ", and negated"
     if odd:
         said += f"; that of {', '.join(odd)} has nothing to do with its position: --use joint_vel=none leaves it out"
-    e.settle("joint_vel", source, columns, names, [f"by {source.why}", how, said], scale=SPEEDS[unit] * flips,
+    e.settle("joint_vel", source, columns, names, [f"by {source.why}", how, said], scale=TURNING[unit] * flips,
              unit=unit,             doubtful=not close)  # fmt: skip
     return True
 
@@ -380,7 +377,7 @@ def torque(e: Evidence) -> None:
             return
     unit = source.unit or "N m"
     e.settle("joint_torque", source, columns, names, [*evidence, "nothing here tests its size"],
-             scale=TORQUES.get(unit, 1.0), unit=unit, doubtful=True)  # fmt: skip
+             scale=TORQUE.get(unit, 1.0), unit=unit, doubtful=True)  # fmt: skip
     e.proposal.torque_kind = kind
 
 
@@ -390,13 +387,13 @@ def _torque_unit(ratio: float, corrs: F64, declared: str) -> tuple[float, str, s
     said = f"against the model's inverse dynamics: correlation {corr:.2f}, factor {ratio:.3g}"
     if corr < 0.5:
         unit = declared or "N m"
-        return TORQUES.get(unit, 1.0), unit, f"{said}: tells nothing; {unit} is assumed", True
+        return TORQUE.get(unit, 1.0), unit, f"{said}: tells nothing; {unit} is assumed", True
     sign = -1.0 if np.median(corrs) < -0.5 else 1.0
-    unit = min(TORQUES, key=lambda u: abs(np.log(abs(ratio) * TORQUES[u])))
-    if declared in TORQUES and 0.3 < abs(ratio) * TORQUES[declared] < 3:
+    unit = nearest_unit(ratio, TORQUE)
+    if declared in TORQUE and 0.3 < abs(ratio) * TORQUE[declared] < 3:
         unit = declared
-    fits = 0.4 < abs(ratio) * TORQUES[unit] < 2.5
-    return sign * TORQUES[unit], unit, f"{said} -> {unit}{', negated' if sign < 0 else ''}", not fits
+    fits = 0.4 < abs(ratio) * TORQUE[unit] < 2.5
+    return sign * TORQUE[unit], unit, f"{said} -> {unit}{', negated' if sign < 0 else ''}", not fits
 
 
 def _needed(e: Evidence, names: tuple[str, ...], place: F64, time: F64 | None = None) -> tuple[Any, F64] | None:

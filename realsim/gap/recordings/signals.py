@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from realsim.core.statistics import alike
 from realsim.core.types import F64
+from realsim.gap.case.physics import factor
 
 MOST = 20_000
 """Samples that are compared; longer logs are thinned."""
@@ -36,33 +37,6 @@ def held(times: F64, values: F64, wanted: F64) -> F64:
     out = values[np.clip(index, 0, None)].copy()
     out[index < 0] = np.nan
     return out
-
-
-def factor(a: F64, b: F64) -> float:
-    """f of least squares in a = f b, without means, both taken to be noisy (the ratio of spreads, with the sign)."""
-    good = np.isfinite(a) & np.isfinite(b)
-    if good.sum() < 20:
-        return np.nan
-    x, y = a[good] - a[good].mean(), b[good] - b[good].mean()
-    spread = float(np.std(y))
-    return float(np.sign(x @ y) * np.std(x) / spread) if spread > 1e-12 else np.nan
-
-
-def travelled(times: F64, position: F64, velocity: F64) -> tuple[F64, F64]:
-    """(differences of the position, integrals of the velocity) (T,) over the same short stretches of 0.1 s or more.
-
-    An integral does not mind noise as a derivative does, so what stays is the factor between them.
-    """
-    step = float(np.median(np.diff(times))) if len(times) > 2 else np.nan
-    if not np.isfinite(step):
-        return np.zeros(0), np.zeros(0)
-    lag = max(2, round(0.1 / max(step, 1e-6)))
-    good = np.isfinite(velocity)
-    filled = np.interp(np.arange(len(velocity)), np.flatnonzero(good), velocity[good]) if good.any() else velocity
-    total = np.concatenate([[0.0], np.cumsum(0.5 * (filled[1:] + filled[:-1]) * np.diff(times))])
-    if len(times) <= lag:
-        return np.zeros(0), np.zeros(0)
-    return position[lag:] - position[:-lag], total[lag:] - total[:-lag]
 
 
 def follows(times: F64, asked: F64, done: F64) -> tuple[float, float, float, float]:

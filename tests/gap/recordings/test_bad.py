@@ -14,8 +14,9 @@ from realsim.cli.command_line import main
 from realsim.core.bags import mcap_records
 from realsim.core.errors import GapError, RealsimError
 from realsim.gap import load_case
+from realsim.gap.case.physics import travelled
 from realsim.gap.recordings import Window, load_target, propose, read, write_case
-from realsim.gap.recordings.signals import follows, travelled
+from realsim.gap.recordings.signals import follows
 
 from . import writers
 from .robots import ARM, Log, save

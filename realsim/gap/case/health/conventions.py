@@ -14,6 +14,7 @@ from realsim.core.errors import GapError
 from realsim.core.statistics import alike
 from realsim.core.types import F64
 from realsim.gap.case.case import Case
+from realsim.gap.case.physics import gravity_unit, speed_factor, travelled
 from realsim.gap.case.units import TORQUE
 from realsim.gap.simulation.simulate import Simulator, rotation_from
 
@@ -39,10 +40,12 @@ def log_conventions(case: Case) -> list[str]:
         _refuse_unit(case, "joint_pos", joint, position[:, j], command, {"deg": DEG}, "the commands")
         _refuse_unit(case, "command", servo, command, position[:, j], {"deg": DEG}, "the positions")
     if case.has("joint_vel"):
-        velocity, slope = _all(case, "joint_vel"), _slopes(case)
-        scales = {"deg/s": DEG, "rpm": 30 / np.pi, "-1": -1.0}
         for j, joint in enumerate(case.joint_names):
-            _refuse_unit(case, "joint_vel", joint, velocity[:, j], slope[:, j], scales, "the positions' slope")
+            moved, sums = (np.concatenate(parts) for parts in zip(*_travelled(case, j), strict=True))
+            found = speed_factor(moved, sums)
+            wrong = "-1" if found.ratio < 0 and found.unit == "rad/s" else found.unit
+            if abs(found.corr) > LIKE and found.near and wrong != "rad/s":
+                _refuse(case, "joint_vel", joint, wrong, abs(found.ratio), "the positions' slope")
     return _runs_apart(case) + _base(case)
 
 
@@ -77,16 +80,20 @@ def _refuse_unit(
         return
     for unit, scale in scales.items():
         if disagreement(values / scale, like) < PLAIN:
-            turned = unit == "-1"
-            raise GapError(
-                f"{array} of {name} looks {'negated' if turned else f'like {unit}'}",
-                file=case.folder,
-                expected=f"agreement with {witness}, in the contract's units and signs",
-                found="the opposite sign agrees" if turned else f"values {abs(scale):.3g} times as large",
-                hint='fix the log, or give "sign": -1 for the column in columns.json (.csv)'
-                if turned
-                else f'write "units": {{"{array}": "{unit}"}} in log.json (.npz), or a unit in columns.json (.csv)',
-            )
+            _refuse(case, array, name, unit, abs(scale), witness)
+
+
+def _refuse(case: Case, array: str, name: str, unit: str, ratio: float, witness: str) -> None:
+    turned = unit == "-1"
+    raise GapError(
+        f"{array} of {name} looks {'negated' if turned else f'like {unit}'}",
+        file=case.folder,
+        expected=f"agreement with {witness}, in the contract's units and signs",
+        found="the opposite sign agrees" if turned else f"values {ratio:.3g} times as large",
+        hint='fix the log, or give "sign": -1 for the column in columns.json (.csv)'
+        if turned
+        else f'write "units": {{"{array}": "{unit}"}} in log.json (.npz), or a unit in columns.json (.csv)',
+    )
 
 
 def disagreement(values: F64, like: F64) -> float:
@@ -103,13 +110,13 @@ def _runs_apart(case: Case) -> list[str]:
     """Runs unlike the others: velocities that have nothing to do with their positions, commands of the other sign."""
     ends = np.cumsum([len(r.time) for r in case.runs])[:-1]
     names = [r.name for r in case.runs]
-    position, slope = np.split(_all(case, "joint_pos"), ends), np.split(_slopes(case), ends)
-    velocity = np.split(_all(case, "joint_vel"), ends) if case.has("joint_vel") else []
+    position = np.split(_all(case, "joint_pos"), ends)
     found = []
     for j, joint in enumerate(case.joint_names):
-        if velocity:
-            apart = np.array([disagreement(v[:, j], s[:, j]) for v, s in zip(velocity, slope, strict=True)])
-            moved = np.array([_spread(s[:, j]) for s in slope])
+        if case.has("joint_vel"):
+            ways = _travelled(case, j)
+            apart = np.array([disagreement(sums, moved) for moved, sums in ways])
+            moved = np.array([_spread(moved) for moved, _ in ways])
             odd = (apart > WRONG) & (moved > np.median(moved) / 2)  # slow motion drowns in noise
             if np.median(apart) < PLAIN:
                 text = f"joint_vel of {joint} is not the slope of its positions; in other runs it is"
@@ -271,8 +278,9 @@ def _imu(simulator: Simulator, nominal: list[F64]) -> list[str]:
     model = np.concatenate([y[r.time < 0.1][:, columns] for r, y in zip(case.runs, nominal, strict=True)])
     a, b = np.nanmedian(real, axis=0), np.nanmedian(model, axis=0)
     size = float(np.linalg.norm(a))
-    if 0.8 < size < 1.2:
-        _refuse_gravity(case, "imu_acc looks like g", f"{size:.2f} at rest", '"units": {"imu_acc": "g"} in log.json')
+    if (unit := gravity_unit(size)) not in ("", "m/s^2"):
+        hint = f'"units": {{"imu_acc": "{unit}"}} in log.json'
+        _refuse_gravity(case, f"imu_acc looks like {unit}", f"{size:.2f} at rest", hint)
     if size < 3:
         return [
             f"imu_acc is {size:.2g} m/s^2 at rest: gravity appears to have been removed; log the raw specific force"
@@ -335,14 +343,6 @@ def _all(case: Case, signal: str) -> F64:
     return np.concatenate([r.signals[signal] for r in case.runs])
 
 
-def _slopes(case: Case) -> F64:
-    """(T, J) central differences of the positions over about 20 ms: noise matters less than the shape."""
-    parts = []
-    for run in case.runs:
-        lag = max(1, round(0.01 / float(np.median(np.diff(run.time)))))
-        slope = np.full_like(run.signals["joint_pos"], np.nan)
-        position = run.signals["joint_pos"]
-        span = (run.time[2 * lag :] - run.time[: -2 * lag])[:, None]
-        slope[lag:-lag] = (position[2 * lag :] - position[: -2 * lag]) / span
-        parts.append(slope)
-    return np.concatenate(parts)
+def _travelled(case: Case, joint: int) -> list[tuple[F64, F64]]:
+    """(ways, integrals of the velocity) of a joint in each run (`realsim.gap.case.physics.travelled`)."""
+    return [travelled(r.time, r.signals["joint_pos"][:, joint], r.signals["joint_vel"][:, joint]) for r in case.runs]
