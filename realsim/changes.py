@@ -341,5 +341,5 @@ def _surface(folder: Path) -> Surface:
     try:
         mesh: Any = trimesh.load(io.BytesIO(read_bytes(path)), file_type="ply", process=False, force="mesh")
     except Exception as error:  # readers of broken files raise whatever comes up
-        raise RealsimError("the mesh cannot be read", file=path, found=str(error)) from error
+        raise RealsimError("the mesh cannot be read", file=path, expected="a PLY mesh", found=str(error)) from error
     return np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int32)

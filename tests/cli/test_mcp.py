@@ -56,6 +56,7 @@ def root(tmp_path: Path) -> Path:
     return tmp_path / "open"
 
 
+@pytest.mark.slow
 def test_a_scene_from_a_mesh_with_progress_and_its_report(root: Path) -> None:
     async def conversation(client: Any) -> None:
         tools = (await client.list_tools()).tools
@@ -88,6 +89,7 @@ def test_a_scene_from_a_mesh_with_progress_and_its_report(root: Path) -> None:
     talk([root], conversation)
 
 
+@pytest.mark.slow
 def test_a_diagnosis_and_a_check(root: Path) -> None:
     make_case(root / "case", ARM, Truth(), runs=3, seed=1, span=(1.0, 1.2))
 
@@ -147,6 +149,7 @@ def test_nothing_outside_the_folders_is_read_or_written(root: Path) -> None:
     assert not (root / "scene").exists()
 
 
+@pytest.mark.slow
 def test_a_call_that_is_given_up_ends_its_command(root: Path) -> None:
     assert main(["synth", "--out", str(root / "synth"), "--frames", "16", "--width", "320", "--with-poses"]) == 0
 

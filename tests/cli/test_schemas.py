@@ -60,6 +60,7 @@ def test_the_list_names_all(capsys: pytest.CaptureFixture[str]) -> None:
     assert set(said(capsys, "schema")["schemas"]) == set(commands())
 
 
+@pytest.mark.slow
 def test_scenes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("a", "b"):
         trimesh.creation.box((0.6, 0.4, 0.3)).export(tmp_path / f"{name}.stl")

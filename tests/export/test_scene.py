@@ -219,7 +219,9 @@ def compiled_nodes(heights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
     X, Y = np.meshgrid(x, y)
     vertices = np.stack([X, Y, heights], -1).reshape(-1, 3)
     grid = HeightGrid(np.array([x[0], y[0]]), np.array([0.1, 0.2]), heights)
-    import realsim.export.contact.hfield as module
+    from importlib import import_module
+
+    module = import_module("realsim.export.contact.hfield")
 
     patch = pytest.MonkeyPatch()
     patch.setattr(module, "height_grid", lambda vertices, triangles, resolution: grid)

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from realsim import robots
 from realsim.cli.commands import CommandResult, strict_exit, verdict_lines
 from realsim.cli.commands.many import run_each
 from realsim.core.errors import RealsimError
@@ -45,6 +46,8 @@ def contact(
     from realsim.report.contact_page import write_contact_page
 
     (mesh,) = meshes
+    if config.robot is not None:
+        robots.load(config.robot)  # before a minute of work
     with output_folder(out, overwrite=overwrite, source=mesh) as folder:
         files = contact_mesh(mesh, folder, config, unit=unit, up=up, ground_z=ground_z)
         write_contact_page(folder, files)
