@@ -11,7 +11,14 @@ from realsim.robots.base import Robot
 
 __all__ = ["ROBOTS", "Robot", "load"]
 
-ROBOTS = Registry("robot", {"g1": "realsim.robots.g1:g1", "quadruped": "realsim.robots.quadruped:quadruped"})
+ROBOTS = Registry(
+    "robot",
+    {
+        "g1": "realsim.robots.g1:g1",
+        "go2": "realsim.robots.go2:go2",
+        "quadruped": "realsim.robots.quadruped:quadruped",
+    },
+)
 
 
 def load(name: str) -> Robot:

@@ -10,6 +10,7 @@ import mujoco
 
 from realsim.core.geometry import quat_to_R
 from realsim.robots import ROBOTS as DESCRIBED
+from realsim.robots import Robot
 from trainer.robots import ROBOTS, TrainedRobot
 
 
@@ -90,3 +91,69 @@ def test_mirroring_twice_is_nothing_and_mirrors_the_feet(robot: TrainedRobot, mo
     ours, theirs = feet(q) * [1, -1, 1], feet(mirrored)
     for foot in ours:  # the left foot of one is the right foot of the other
         assert np.linalg.norm(theirs - foot, axis=1).min() < 1e-3
+
+
+DOG = """
+<mujoco><worldbody><body name="trunk" pos="0 0 0.3"><freejoint/>
+  <geom type="box" size="0.2 0.1 0.05" mass="6"/>
+  <geom type="box" size="0.4 0.4 0.4" contype="0" conaffinity="0" mass="0"/>
+  {legs}
+</body></worldbody><actuator>{motors}</actuator></mujoco>
+"""
+LEG = """<body name="{n}_hip" pos="{x} {y} 0"><joint name="{n}" axis="0 1 0" range="-1 1" armature="0.01"/>
+  <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.5"/>
+  <body name="{n}_foot" pos="0 0 -0.25"><geom type="sphere" size="0.03" mass="0.1" friction="1.5 0.005 0.0001"/></body>
+</body>"""
+
+
+def dog() -> TrainedRobot:
+    """A robot of one's own: mass on its geoms, a drawn shell that must not collide, feet with a friction of 1.5."""
+    names = {"FL": (0.2, 0.1), "FR": (0.2, -0.1), "RL": (-0.2, 0.1), "RR": (-0.2, -0.1)}
+    legs = "".join(LEG.format(n=n, x=x, y=y) for n, (x, y) in names.items())
+    motors = "".join(
+        f'<general name="{n}" joint="{n}" gainprm="60" biastype="affine" biasprm="0 -60 -2" forcerange="-30 30"/>'
+        for n in names
+    )
+    spec = mujoco.MjSpec.from_string(DOG.format(legs=legs, motors=motors))
+    joints, feet, one = tuple(names), tuple(f"{n}_foot" for n in names), np.ones(4)
+    return TrainedRobot(
+        Robot("dog", spec, "trunk", 0.28, {}), joints, 0 * one, 0.25 * one, 60 * one, 2 * one, 30 * one, 20 * one,
+        -one, one, "trunk", "trunk", feet, tuple(np.array([[0.0, 0.0, -0.03]]) for _ in feet), (0, 1, 2, 3), (), (),
+        {"legs": (0, 1, 2, 3)}, 0.28, None, ((1, 0, 3, 2), (1.0,) * 4),
+    )  # fmt: skip
+
+
+def test_a_robot_of_ones_own_keeps_its_masses_its_shell_and_its_friction() -> None:
+    """Masses on geoms, geoms that are only drawn and a friction that is not 1 were a crash, a collision and a wrong
+    coefficient."""
+    torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: train)")
+    from trainer import terrain
+    from trainer.physics import ENGINES, PhysicsConfig
+    from trainer.tasks.parkour.gap import _nominal_friction
+
+    robot = dog()
+    physics = ENGINES["mujoco"](robot, [terrain.flat()], 1, PhysicsConfig(threads=1))
+    for _ in range(50):
+        physics.step(torch.zeros(1, 4))
+    assert float(physics.state.base_pos[0, 2]) == pytest.approx(0.28, abs=0.02)
+    assert not physics.state.other_contact[0]  # the shell reaches below the ground
+    assert float(physics.state.foot_force.sum()) == pytest.approx(8.4 * 9.81, rel=0.05)
+    assert _nominal_friction(robot) == 1.5
+
+
+def test_installed_packages_add_robots(monkeypatch: pytest.MonkeyPatch) -> None:
+    import importlib
+    import importlib.metadata
+
+    from trainer import robots
+
+    point = importlib.metadata.EntryPoint("dog", "tests.trainer.test_robots:dog", "realsim.robots")
+    known = importlib.metadata.entry_points
+
+    def found(group: str):
+        return [point] if group == "realsim.robots" else known(group=group)
+
+    with monkeypatch.context() as m:
+        m.setattr(importlib.metadata, "entry_points", found)
+        assert importlib.reload(robots).named("dog").robot.name == "dog"
+    importlib.reload(robots)

@@ -80,8 +80,6 @@ class FrameReader:
         spec = robot.robot.spec.copy()
         for flag in ("CONTACT", "CONSTRAINT", "ACTUATION", "GRAVITY", "EULERDAMP", "AUTORESET"):
             spec.option.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}"))
-        for geom in list(spec.geoms):
-            spec.delete(geom)
         self._camera = robot.camera.body if robot.camera else robot.torso
         for body in (robot.torso, self._camera, *robot.feet):
             _frame(spec, "FRAMEPOS", body)

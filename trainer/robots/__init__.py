@@ -1,7 +1,16 @@
-"""Robots that can be trained. One small file a robot, one line here."""
+"""Robots that can be trained. One small file a robot; entry points in the group `realsim.robots`.
+
+A package of your own adds one with, in its pyproject.toml,
+
+    [project.entry-points."realsim.robots"]
+    mydog = "my_package.dog:mydog"
+
+where `mydog()` returns a `TrainedRobot`.
+"""
 
 from __future__ import annotations
 
+from importlib.metadata import entry_points
 from pathlib import Path
 
 from realsim.core.errors import UnknownNameError
@@ -10,7 +19,12 @@ from trainer.robots.base import DepthMount, TrainedRobot
 
 __all__ = ["ROBOTS", "DepthMount", "TrainedRobot", "named"]
 
-ROBOTS = Registry("robot", {"g1": "trainer.robots.g1:g1", "quadruped": "trainer.robots.quadruped:quadruped"})
+BUILT_IN = {
+    "g1": "trainer.robots.g1:g1",
+    "go2": "trainer.robots.go2:go2",
+    "quadruped": "trainer.robots.quadruped:quadruped",
+}
+ROBOTS = Registry("robot", {**BUILT_IN, **{p.name: p.value for p in entry_points(group="realsim.robots")}})
 """name -> `() -> TrainedRobot`."""
 
 

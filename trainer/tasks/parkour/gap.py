@@ -196,6 +196,10 @@ def _take(cause: dict[str, Any], robot: TrainedRobot, found: _Found, path: Path)
                     own[j] = _product(own[j], bounds) if j in own and key in ("kp", "kd") else bounds
     elif effect in _WHOLE and (effect not in ("payload", "com_offset") or _torsos(cause, robot)):
         found.ranges.update({k: v for k, v in _WHOLE[effect](interval).items() if v is not None})
+        if effect == "ground_friction" and "friction" in found.ranges:
+            low, high = found.ranges["friction"]
+            nominal = _nominal_friction(robot)
+            found.ranges["friction"] = (low * nominal, high * nominal)
     else:
         found.unused.append(effect)
         return
@@ -207,6 +211,12 @@ def _take(cause: dict[str, Any], robot: TrainedRobot, found: _Found, path: Path)
 def _torsos(cause: dict[str, Any], robot: TrainedRobot) -> bool:
     """Whether a cause acts on the bodies whose mass worlds can differ in, or on joints."""
     return all(b in (robot.torso, robot.base) for b in cause.get("bodies") or [robot.torso])
+
+
+def _nominal_friction(robot: TrainedRobot) -> float:
+    """Sliding friction of feet on terrain in the robot's model: MuJoCo takes the larger of the two; terrain has 1."""
+    spec = robot.robot.spec
+    return max(1.0, *(float(g.friction[0]) for foot in robot.feet for g in spec.body(foot).geoms))
 
 
 def _product(a: Range, b: Range) -> Range:
@@ -268,7 +278,6 @@ def _mount(interval: Interval) -> dict[str, Any]:
 _WHOLE: dict[str, Callable[[Interval], dict[str, Any]]] = {
     "command_delay": lambda interval: {"delay": interval("delay")},
     "camera_delay": lambda interval: {"depth_latency": interval("delay")},
-    # The nominal sliding friction of both robots' models is 1, so that a ratio on it is the coefficient itself.
     "ground_friction": lambda interval: {"friction": interval("ratio")},
     "payload": lambda interval: {"payload": interval("mass")},
     "com_offset": _com,
