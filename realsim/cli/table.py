@@ -52,6 +52,13 @@ COMMANDS: dict[str, Command] = {
             "meshes", "out", ("unit", "up", "ground_z", "overwrite"),
         ),
     ),
+    "lint": Command(
+        f"{_HERE}.lint:lint",
+        "what an MJCF of your own collides as: hulls, phantoms, what is missing, seams",
+        "realsim lint terrain.xml",
+        "Scenes",
+        "recon",
+    ),
     "export": Command(
         f"{_HERE}.export:export",
         "a scene in other formats: USD, URDF, SDF, GLB, height map, ...",

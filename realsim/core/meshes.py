@@ -125,7 +125,8 @@ def lost_precision(path: Path, points: NDArray[Any], scale: float = 1.0) -> str 
     if path.suffix.lower() not in BINARY or not len(finite):
         return None
     single = finite.astype(np.float32)
-    step = float(np.spacing(np.abs(np.percentile(single, [0.5, 99.5], axis=0)).max())) * scale
+    largest = np.abs(np.percentile(single, [0.5, 99.5], axis=0)).max()
+    step = float(np.spacing(np.float32(largest))) * scale
     if step <= COARSE or not (single == finite).all():
         return None
     return f"coordinates in steps of {step:.2g} m: single precision, far from the origin"

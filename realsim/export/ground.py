@@ -13,7 +13,7 @@ from realsim.core.types import TerrainMesh
 LEVEL = 0.01  # metres: one level
 SHARE = 0.05  # of all that is level: less is no floor
 AROUND = 0.25
-"""Share of the rim that lies at a floor's height; on rolling ground, every height has a few percent."""
+"""Share of the rim, and of all that is level, at a floor's height; on rolling ground, each height has a few percent."""
 SLAB = 0.25
 """Area of a slab's sides for each area of its top up to which it is a floor. Set on two slabs under stakes (3 x 2 m, 2
 and 10 cm thick: 0.03 and 0.17), a podium of two tiers (1.1) and a pyramid of four (0.36), which are no floors."""
@@ -46,8 +46,9 @@ def ground_level(mesh: TerrainMesh) -> GroundLevel:
     thickness, all around the mesh, with something on it.
     """
     lowest = float(mesh.vertices[mesh.triangles][..., 2].min())
-    level, area = _lowest_level(mesh)
+    level, area, share = _lowest_level(mesh)
     if level - lowest < LEVEL:
+        level = level if share > AROUND else lowest
         return GroundLevel(level, False, f"at z = {level:.3f} m, the mesh's lowest level")
     top, bottom, cell = _rim(mesh)
     at, below = np.abs(bottom - level) <= LEVEL, bottom < level - LEVEL
@@ -100,24 +101,24 @@ def hidden_cm2(mesh: TerrainMesh, scene_xml: Path, ground: GroundLevel) -> float
     return round(float((np.abs(clearance - BALL_RADIUS) > DEEP).sum()) * share * 1e4, 1)
 
 
-def _lowest_level(mesh: TerrainMesh) -> tuple[float, float]:
-    """(z, area in m^2) of the lowest level that holds SHARE of all that is level and faces up; the mesh's lowest point
-    if nothing is."""
+def _lowest_level(mesh: TerrainMesh) -> tuple[float, float, float]:
+    """(z, area in m^2, share of all that is level and faces up) of the lowest level that holds SHARE of that; the
+    mesh's lowest point if nothing does."""
     corners = mesh.vertices[mesh.triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(normal, axis=1) / 2
     level = normal[:, 2] > np.cos(np.radians(5)) * 2 * area
     if not level.any():
-        return float(corners[..., 2].min()), 0.0
+        return float(corners[..., 2].min()), 0.0, 0.0
     z = corners[level].mean(1)[:, 2]
     bins = np.floor((z - z.min()) / LEVEL).astype(int)
     sums = np.bincount(bins, area[level])
     wide = np.flatnonzero(sums > SHARE * sums.sum())
     if not len(wide):  # a slope or rolling ground has some of every height
-        return float(corners[..., 2].min()), 0.0
+        return float(corners[..., 2].min()), 0.0, 0.0
     first = int(wide[0])
     near = bins == first
-    return float(np.average(z[near], weights=area[level][near])), float(sums[first])
+    return float(np.average(z[near], weights=area[level][near])), float(sums[first]), float(sums[first] / sums.sum())
 
 
 def _rim(mesh: TerrainMesh) -> tuple[F64, F64, float]:

@@ -234,6 +234,10 @@ def _usable(vertices: F64, triangles: NDArray[Any], notes: list[str]) -> tuple[F
     if flat.all():
         raise ExportError("the mesh has no usable triangles", found=f"{len(flat)} triangles, all without area")
     kept, faces = compact(vertices, triangles[~flat].astype(np.int32))
+    if len(kept) == 3:  # MuJoCo draws no mesh of fewer than four vertices
+        kept = np.vstack([kept, (kept[faces[0, 0]] + kept[faces[0, 1]]) / 2])
+        a, b, c = faces[0]
+        faces = np.array([[a, 3, c], [3, b, c]], np.int32)
     return kept, faces, int(flat.sum())
 
 

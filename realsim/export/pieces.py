@@ -11,6 +11,8 @@ F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 DENT = 0.0005
 """Metres that a piece may be hollow and still be taken for convex: a fiftieth of what is felt."""
+ROUND = 0.003
+"""Metres, in the mean, by which the hull of fewer corners may lie inside a rounded piece."""
 MOST_CORNERS = 200
 """Of one convex part; what has more is rounded, and fitted by other means if its hull cannot be had with so few."""
 THIN = 0.002
@@ -92,7 +94,7 @@ def _convex(corners: F64, faces: NDArray[np.int64]) -> F64 | None:
     outer = points[hull.vertices] - middle
     if len(hull.vertices) > MOST_CORNERS:
         outer = _fewer(outer)
-        if ConvexHull(outer).volume < hull.volume - DENT * hull.area:
+        if ConvexHull(outer).volume < hull.volume - ROUND * hull.area:
             return None
     planes = np.unique(np.round(hull.equations, 9), axis=0)
     for some in np.array_split(points - middle, max(1, len(points) * len(planes) // 5_000_000)):

@@ -12,6 +12,8 @@ F64 = NDArray[np.float64]
 # their base at zero (benchmarks/contact/clean_meshes.py --up), and on two files of phones and Blender.
 AREA = 1.6
 """Most that the ratio of the areas facing up counts: a wall that stands is not laid down for its area alone."""
+EDGEWISE = np.log(1000)
+"""Of that ratio: a sheet has nothing to stand on when it is looked at along its edge."""
 FLOOR = 1.0
 """For a floor: level surface, facing up, in the lowest fifth of the height, over half of the plan."""
 BASE = 1.5
@@ -55,10 +57,12 @@ def find_up(vertices: F64, triangles: NDArray[np.int64], suffix: str) -> Up:
     if not len(corners):
         return Up(usual)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
-    if np.einsum("ij,ij->", corners[:, 0] - corners.reshape(-1, 3).mean(0), cross) < 0:  # inside out
-        cross = -cross
     z, y = (_facing_up(corners, cross, axis) for axis in (2, 1))
-    evidence = habit + float(np.clip(np.log((z.area + 1e-9) / (y.area + 1e-9)), -AREA, AREA))
+    volume = np.einsum("ij,ij->", corners[:, 0] - corners.reshape(-1, 3).mean(0), cross)
+    if volume < -1e-3 * np.linalg.norm(cross, axis=1).sum() ** 1.5 or z.area + y.area == 0:  # inside out
+        z, y = (_facing_up(corners, -cross, axis) for axis in (2, 1))
+    ratio = float(np.log((z.area + 1e-9) / (y.area + 1e-9)))
+    evidence = habit + (ratio if abs(ratio) > EDGEWISE else float(np.clip(ratio, -AREA, AREA)))
     evidence += FLOOR * (int(z.floor) - int(y.floor)) + BASE * (int(z.base) - int(y.base))
     axis = "z" if evidence > 0 else "y"
     areas = f"{z.area:.2g} m2 face up along z, {y.area:.2g} m2 along y"

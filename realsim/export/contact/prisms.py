@@ -62,7 +62,7 @@ def as_geom(name: str, prism: Prism, R: F64 | None = None, origin: F64 | None = 
         return Geom(name, "mesh", asset=name), Asset.of_points(name, prism.corners @ R.T + origin)
     x, y, z = (float(v) for v in R @ box.pos + origin)
     a, b, c, d = (float(v) for v in R_to_quat(R @ quat_to_R(box.quat)))
-    return replace(box, pos=(x, y, z), quat=(a, b, c, d)), None
+    return Polytope.of_box(replace(box, pos=(x, y, z), quat=(a, b, c, d))).part(name)
 
 
 def _as_box(name: str, prism: Prism, tolerance: float = 0.005) -> Geom | None:

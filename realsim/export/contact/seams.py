@@ -22,10 +22,14 @@ from realsim.export.contact.polytope import Face, Polytope
 F64 = NDArray[np.float64]
 REACH = 0.02
 """Metres by which one part reaches into the next."""
+FARTHER = 0.06
+"""Metres tried first where a whole face is covered: capsules sink deeper into boxes than into convex meshes."""
 GAP = 0.003
 """Metres between parts that still meet: outlines are simplified one by one."""
 STICKS_OUT = 0.003
 """Metres by which what is grown may stand out at a rim; planes are fitted no more closely to a surface."""
+FLUSH = 1e-5
+"""Metres below a neighbour's far side at which a part ends that goes through all of it."""
 NARROW = 0.004
 """Metres: a thinner strip of contact is no seam that anything gets into."""
 
@@ -37,8 +41,6 @@ def overlap(contact: ContactModel) -> ContactModel:
     seam, a part is added that spans it.
     """
     parts, others = parts_of(contact)
-    if len(parts) < 2:
-        return contact
     near = _Neighbours(parts)
     for i in range(len(parts)):
         for before in parts[i].faces:
@@ -58,6 +60,32 @@ def overlap(contact: ContactModel) -> ContactModel:
     return replace(
         contact, geoms=tuple(geoms), assets=tuple(assets), statistics=dict(contact.statistics) | {"seams": len(added)}
     )
+
+
+@dataclass(frozen=True)
+class Seam:
+    """Where two parts only meet."""
+
+    one: int
+    other: int
+    """Which of the parts."""
+    at: F64
+    """(3,) a place on the seam, metres."""
+
+
+def open_seams(parts: list[Polytope]) -> list[Seam]:
+    """Seams that no part spans, one for each pair of parts; slivers that nothing can stay in do not count."""
+    near = _Neighbours(parts)
+    found: dict[tuple[int, int], Seam] = {}
+    for i, part in enumerate(parts):
+        for face in part.faces:
+            for cover in _covers(parts, near, i, face):
+                pair = (min(i, cover.part), max(i, cover.part))
+                if pair in found or _spanned(parts, near, part, face, cover):
+                    continue
+                if _bridge(part, face, cover) is not None:
+                    found[pair] = Seam(*pair, face.lifted(cover.near).mean(0))
+    return list(found.values())
 
 
 def parts_of(contact: ContactModel) -> tuple[list[Polytope], list[Geom]]:
@@ -101,7 +129,9 @@ class _Cover:
     near: F64
     """(K, 2) outline just outside the face."""
     far: F64
-    """(K, 2) outline REACH outside it, as far as the face goes."""
+    """(K, 2) outline `reach` outside it, as far as the face goes."""
+    reach: float
+    """Metres: REACH, or as far as the neighbour goes."""
 
 
 def _covers(parts: list[Polytope], near: _Neighbours, i: int, face: Face) -> Iterator[_Cover]:
@@ -112,7 +142,13 @@ def _covers(parts: list[Polytope], near: _Neighbours, i: int, face: Face) -> Ite
     for j in near.of(low, high, but=i):
         close = clip(outline, parts[j].section(face, GAP))
         if _width(close) > NARROW:
-            yield _Cover(int(j), close, clip(outline, parts[j].section(face, REACH)))
+            reach = min(REACH, _thickness(parts[j], face) - FLUSH)
+            yield _Cover(int(j), close, clip(outline, parts[j].section(face, reach)), reach)
+
+
+def _thickness(part: Polytope, face: Face) -> float:
+    """Metres from a face outward to where a part ends."""
+    return float((part.points @ face.normal + face.offset).max())
 
 
 def _grown(parts: list[Polytope], near: _Neighbours, i: int, face: Face) -> Polytope | None:
@@ -124,35 +160,36 @@ def _grown(parts: list[Polytope], near: _Neighbours, i: int, face: Face) -> Poly
     if not open_:
         return None
     whole = CrossSection([convex(face.flat(face.corners))], FillRule.NonZero)
-    through = [clip(c.near, c.far) for c in covers]
-    filled = CrossSection()
-    for outline in through:
-        if len(outline) > 2:
-            filled += CrossSection([outline], FillRule.NonZero)
-    # What is left uncovered may be a thread along the rim.
-    bare = (whole - filled).offset(-STICKS_OUT / 2, JoinType.Miter)
-    if bare.area() <= 1e-9:
-        return _with_face_moved(parts[i], face)
+    thickness = min(_thickness(parts[c.part], face) for c in covers) - FLUSH
+    for reach in sorted({min(FARTHER, thickness), min(REACH, thickness)}, reverse=True):
+        filled = CrossSection()
+        for cover in covers:
+            outline = clip(cover.near, parts[cover.part].section(face, reach))
+            if len(outline) > 2:
+                filled += CrossSection([outline], FillRule.NonZero)
+        # What is left uncovered may be a thread along the rim.
+        if (whole - filled).offset(-STICKS_OUT / 2, JoinType.Miter).area() <= 1e-9:
+            return _with_face_moved(parts[i], face, reach)
     if parts[i].box is not None:
         return None
     # A neighbour whose own surface falls away from the seam (the other side of a ridge) is entered below that.
     for cover in open_:
         alone = (whole - CrossSection([cover.near], FillRule.NonZero)).offset(-STICKS_OUT / 2, JoinType.Miter)
         if alone.area() <= 1e-9 and _width(cover.far) > NARROW:
-            return Polytope(_hull(np.concatenate([parts[i].points, face.lifted(cover.far, REACH)])))
+            return Polytope(_hull(np.concatenate([parts[i].points, face.lifted(cover.far, cover.reach)])))
     return None
 
 
-def _with_face_moved(part: Polytope, face: Face) -> Polytope:
+def _with_face_moved(part: Polytope, face: Face, by: float) -> Polytope:
     if part.box is None:
-        return Polytope(_hull(np.concatenate([part.points, face.corners + REACH * face.normal])))
+        return Polytope(_hull(np.concatenate([part.points, face.corners + by * face.normal])))
     from realsim.core.geometry import quat_to_R
 
     axes = quat_to_R(part.box.quat).T
     k = int(np.abs(axes @ face.normal).argmax())
     size = np.array(part.box.size)
-    size[k] += REACH / 2
-    pos = np.array(part.box.pos) + REACH / 2 * face.normal
+    size[k] += by / 2
+    pos = np.array(part.box.pos) + by / 2 * face.normal
     return Polytope.of_box(replace(part.box, pos=tuple(pos.tolist()), size=tuple(size.tolist())))
 
 
@@ -173,11 +210,12 @@ def _bridges(parts: list[Polytope], near: _Neighbours) -> Iterator[Polytope]:
 
 def _bridge(part: Polytope, face: Face, cover: _Cover) -> Polytope | None:
     """The part that spans a seam: nowhere wider than the seam itself, so that it stays within both."""
-    inside = clip(cover.near, part.section(face, -REACH))
+    depth = min(REACH, -float((part.points @ face.normal + face.offset).min()) - FLUSH)
+    inside = clip(cover.near, part.section(face, -depth))
     outside = clip(cover.near, cover.far)
     if _width(inside) <= NARROW or _width(outside) <= NARROW:
         return None
-    rows = [face.lifted(inside, -REACH), face.lifted(cover.near), face.lifted(outside, REACH)]
+    rows = [face.lifted(inside, -depth), face.lifted(cover.near), face.lifted(outside, cover.reach)]
     return Polytope.of_points("", _hull(np.concatenate(rows)))
 
 
@@ -185,7 +223,8 @@ def _spanned(parts: list[Polytope], near: _Neighbours, part: Polytope, face: Fac
     """Whether one part holds the seam and most of REACH on both sides of it."""
     deep = 0.75 * REACH
     inside, outside = clip(cover.near, part.section(face, -deep)), clip(cover.near, cover.far)
-    points = [face.lifted(outline, by) for outline, by in ((inside, -deep), (cover.near, 0.0), (outside, deep))]
+    ahead = 0.75 * cover.reach
+    points = [face.lifted(outline, by) for outline, by in ((inside, -deep), (cover.near, 0.0), (outside, ahead))]
     core = np.concatenate(points)
     return any(parts[j].contains(core, GAP).all() for j in near.of(core.min(0) + GAP, core.max(0) - GAP))
 

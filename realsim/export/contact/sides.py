@@ -19,6 +19,7 @@ from realsim.export.contact.probe import (
 
 F64 = NDArray[np.float64]
 HEIGHTS = (0.1, 0.5, 1.0)  # metres above the ground: toes, knees, hips
+GRAZES = 0.003  # metres below those: a box of just 0.5 m would be hit or missed by rounding
 PLACES, WAYS = 40, 24  # places a height, directions a place
 REACH = 6.0  # metres
 AROUND = 0.5  # metres beside a mesh that stands on bare ground
@@ -33,9 +34,9 @@ def side_figures(
 ) -> dict:
     """Level rays from free places against what was seen, and balls pushed against it where they hit.
 
-    A place is free if straight below it is a seen face that faces up, and nothing seen within 5 cm. Rays that meet the
-    front of a seen side face within REACH count, unless they meet something invented before: the back of an obstacle
-    that no camera saw is not free air because a ray that ignores it sees what stands beyond.
+    A place is free if it is in no solid, straight below it is a seen face that faces up, and nothing was seen within
+    5 cm. Rays that meet the front of a seen side face within REACH count, unless they meet something invented before:
+    the back of an obstacle that no camera saw is not free air because a ray that ignores it sees what stands beyond.
 
     A ray that misses an edge by millimetres may be stopped at it: early is what stops it more than WITHIN from any
     seen surface. Through is what lets it go on for more than WITHIN.
@@ -76,10 +77,11 @@ def _rays(
     starts, ways, heights = [], [], []
     for h in HEIGHTS:
         xy = rng.uniform(lower, upper, (20 * PLACES, 2))
-        place = np.column_stack([xy, np.full(len(xy), ground_z + h)])
+        place = np.column_stack([xy, np.full(len(xy), ground_z + h - GRAZES)])
         fall, cosine, _ = surface.cast(place, np.broadcast_to([0.0, 0.0, -1.0], place.shape))
         place = place[(np.isfinite(fall) & (cosine < -UPRIGHT)) | (bare & np.isinf(fall))]
-        place = place[surface.distance(place) > 0.05][:PLACES]
+        # Solids that stand on a floor have it below them too: inside one is no free place.
+        place = place[(surface.distance(place) > 0.05) & ~surface.buried(place)][:PLACES]
         turn = 2 * np.pi * (np.arange(WAYS) + rng.random((len(place), 1))) / WAYS
         starts.append(np.repeat(place, WAYS, axis=0))
         ways.append(np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1).reshape(-1, 3))

@@ -1,0 +1,169 @@
+"""Meshes as strangers have them: the same scene as of the clean file, or a sentence that says why not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from realsim.core.errors import ExportError
+from realsim.export import contact_mesh
+from realsim.export.config import SceneConfig
+from realsim.export.ground import ground_level
+from realsim.export.mend import mend, read_mesh
+from realsim.export.pieces import convex_solids, without_twins
+
+STEPS = [((0.3 * k + 0.15, 0, 0.075 * (k + 1)), (0.3, 1.0, 0.15 * (k + 1))) for k in range(3)]
+FLOOR = ((0.5, 0, -0.05), (3.0, 2.0, 0.1))
+
+
+def put_together(*boxes: tuple) -> trimesh.Trimesh:
+    """Boxes (middle, size) as they are, in one mesh."""
+    parts = [trimesh.creation.box(size).apply_translation(middle) for middle, size in boxes]
+    return trimesh.util.concatenate(parts)
+
+
+def sheet(height, size: float = 4.0, cells: int = 40) -> trimesh.Trimesh:
+    """An open surface over a square."""
+    t = np.linspace(-size / 2, size / 2, cells + 1)
+    x, y = np.meshgrid(t, t)
+    n = cells + 1
+    a = (np.arange(cells)[:, None] * n + np.arange(cells)).ravel()
+    faces = np.concatenate([np.stack([a, a + 1, a + n], 1), np.stack([a + 1, a + n + 1, a + n], 1)])
+    return trimesh.Trimesh(np.column_stack([x.ravel(), y.ravel(), height(x, y).ravel()]), faces, process=False)
+
+
+def as_terrain(mesh: trimesh.Trimesh):
+    return mend(np.asarray(mesh.vertices, float), np.asarray(mesh.faces)).terrain
+
+
+@pytest.mark.parametrize(
+    "height",
+    [
+        lambda x, y: x * np.tan(np.radians(4)),
+        lambda x, y: 0.4 * x - 0.2 * y,
+        lambda x, y: 0.3 * np.sin(2 * x) * np.cos(1.7 * y),
+        lambda x, y: 0.1 * np.hypot(x, y),
+        lambda x, y: 0.02 * np.random.default_rng(0).normal(size=x.shape) + 0.1 * x,
+    ],
+    ids=["4 degrees", "two ways", "rolling", "cone", "rough"],
+)
+@pytest.mark.parametrize("lift", [0.0, -2.3])
+def test_ground_of_slopes_is_not_above_their_lowest_part(height, lift: float) -> None:
+    mesh = as_terrain(sheet(lambda x, y: height(x, y) + lift))
+    assert ground_level(mesh).z <= mesh.vertices[:, 2].min() + 1e-3
+
+
+def test_map_coordinates_give_the_scene_of_the_local_file(tmp_path: Path) -> None:
+    mesh = put_together(FLOOR, *STEPS)
+    found = []
+    for name, offset in (("local", np.zeros(3)), ("map", np.array([484213.37, 5457120.61, 312.48]))):
+        path = tmp_path / f"{name}.obj"
+        rows = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.vertices + offset]
+        path.write_text("\n".join([*rows, *(f"f {a + 1} {b + 1} {c + 1}" for a, b, c in mesh.faces)]))
+        out = tmp_path / name
+        out.mkdir()
+        found.append(contact_mesh(path, out, SceneConfig(contact_probes=200)).contact)
+    assert [c["geoms"] for c in found] == [{"plane": 1, "box": 3}] * 2
+    assert [c["verdict"]["level"] for c in found] == ["good"] * 2
+    assert found[1]["origin_m"] == [484212.0, 5457119.0, 312.0]
+    assert any("add (484212, 5457119, 312) m" in note for note in found[1]["mended"])
+
+
+def test_map_coordinates_in_single_precision_are_refused(tmp_path: Path) -> None:
+    mesh = put_together(*STEPS)
+    mesh.apply_translation([484213.37, 5457120.61, 312.48])
+    mesh.export(tmp_path / "a.stl")
+    with pytest.raises(ExportError, match=r"lost their precision[\s\S]*steps of 0\.5 m"):
+        read_mesh(tmp_path / "a.stl")
+
+
+def test_large_numbers_about_the_origin_are_another_unit(tmp_path: Path) -> None:
+    mesh = put_together(*STEPS)
+    mesh.apply_scale(1000)
+    mesh.export(tmp_path / "a.stl")
+    with pytest.raises(ExportError, match="--unit mm"):
+        read_mesh(tmp_path / "a.stl")
+
+
+@pytest.mark.parametrize("kind", ["again", "from behind", "a third again"])
+def test_triangles_that_are_there_twice(kind: str) -> None:
+    mesh = put_together(*STEPS)
+    faces = np.asarray(mesh.faces)
+    more = {"again": np.roll(faces, 1, 1), "from behind": faces[:, ::-1], "a third again": faces[::3]}[kind]
+    made = mend(np.asarray(mesh.vertices), np.concatenate([faces, more]))
+    assert any(f"{len(more)} triangles that were there twice" in note for note in made.notes)
+    assert len(made.solids) == 3
+    assert made.rest is None
+
+
+def test_solids_that_share_a_face_keep_it() -> None:
+    """The top of one is the underside of the other: without both, one of them would be open."""
+    mesh = put_together(((0, 0, 0.1), (0.4, 0.4, 0.2)), ((0, 0, 0.3), (0.4, 0.4, 0.2)))
+    _, lost = without_twins(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32))
+    assert lost == 0
+
+
+def test_convex_pieces_are_found_and_others_are_not() -> None:
+    ell = trimesh.boolean.union([trimesh.creation.box([1, 0.2, 0.2]), trimesh.creation.box([0.2, 1, 0.2])], "manifold")
+    ball = trimesh.creation.icosphere(4, 0.3).apply_translation([3, 0, 0.3])
+    parts = [*(trimesh.creation.box(size).apply_translation(middle) for middle, size in STEPS), ell, ball]
+    whole = trimesh.util.concatenate(parts)
+    solids, others = convex_solids(np.asarray(whole.vertices), np.asarray(whole.faces, np.int32))
+    assert sorted(len(s) for s in solids)[:3] == [8, 8, 8]
+    assert others.sum() == len(ell.faces)
+    radii = np.linalg.norm(solids[-1] - [3, 0, 0.3], axis=1)
+    assert len(solids) == 4
+    assert len(radii) <= 200
+    np.testing.assert_allclose(radii, 0.3, atol=1e-9)
+
+
+@pytest.mark.parametrize("suffix", ["obj", "stl", "ply"])
+def test_up_is_found_whatever_the_format(tmp_path: Path, suffix: str) -> None:
+    for k, mesh in enumerate((put_together(FLOOR, *STEPS), sheet(lambda x, y: 0.1 * x))):
+        for turned in (False, True):
+            points = np.asarray(mesh.vertices)
+            points = np.column_stack([points[:, 0], points[:, 2], -points[:, 1]]) if turned else points
+            path = tmp_path / f"{k}{turned}.{suffix}"
+            trimesh.Trimesh(points, mesh.faces, process=False).export(path)
+            made = read_mesh(path)
+            assert made.up.axis == ("y" if turned else "z")
+            assert made.up.question is None
+            assert turned == any("y of the file points up" in note for note in made.notes)
+            np.testing.assert_allclose(
+                np.ptp(made.terrain.vertices, 0), np.ptp(np.asarray(mesh.vertices), 0), atol=1e-5
+            )
+
+
+def test_where_both_axes_are_plausible_it_asks_and_is_not_good(tmp_path: Path) -> None:
+    path = tmp_path / "a.obj"
+    trimesh.creation.box([0.6, 0.5, 0.5]).apply_translation([0, 2.0, 3.0]).export(path)
+    (tmp_path / "out").mkdir()
+    contact = contact_mesh(path, tmp_path / "out", SceneConfig(contact_probes=200)).contact
+    assert contact["verdict"]["level"] == "look"
+    assert "--up z or --up y" in contact["verdict"]["reasons"][0]
+    (tmp_path / "told").mkdir()
+    assert contact_mesh(path, tmp_path / "told", SceneConfig(contact_probes=200), up="z").contact["question"] is None
+
+
+def test_unused_vertices_are_no_cut_off_file(tmp_path: Path) -> None:
+    mesh = put_together(*STEPS)
+    rows = []
+    for x, y, z in mesh.vertices:
+        rows += [f"v {x} {y} {z}", f"v {x} {y} {z + 0.01}"]
+    faces = [f"f {2 * a + 1} {2 * b + 1} {2 * c + 1}" for a, b, c in mesh.faces]
+    (tmp_path / "a.obj").write_text("\n".join(rows + faces))
+    notes = read_mesh(tmp_path / "a.obj").notes
+    assert any("50% of the vertices belong to no triangle and are not used" in note for note in notes)
+
+
+def test_one_triangle_and_crossing_sheets(tmp_path: Path) -> None:
+    one = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0.2]], [[0, 1, 2]], process=False)
+    (tmp_path / "one").mkdir()
+    one.export(tmp_path / "one.ply")
+    contact = contact_mesh(tmp_path / "one.ply", tmp_path / "one", SceneConfig(contact_probes=200)).contact
+    assert contact["p95_mm"] < 5
+    crossing = trimesh.util.concatenate([sheet(lambda x, y: 0.2 * x, 2, 10), sheet(lambda x, y: -0.2 * x, 2, 10)])
+    assert ground_level(as_terrain(crossing)).z <= -0.19
