@@ -65,6 +65,7 @@ INDEX = (
         "sides",
         "python -m benchmarks.contact.sides --real",
     ),
+    ("Contact of forty clean meshes", "clean_meshes", "python -m benchmarks.contact.clean_meshes"),
     ("Captures that real sensors and apps wrote", "real_captures", "python benchmarks/scenes/real_captures.py"),
     ("Clouds that do not say from where they were seen", "clouds", "python -m benchmarks.scenes.clouds"),
     ("Somebody who moves, and what moves with the camera", "movers", "python -m benchmarks.scenes.movers"),
