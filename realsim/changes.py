@@ -278,7 +278,7 @@ def _changes_of(raised: list[Bool], lowered: list[Bool], old: F64, new: F64, low
         else:
             out.append(_change("appeared", new, thing, low, cell, np.zeros(3)))
     out += [_change("went", old, thing, low, cell, np.zeros(3)) for thing in gone]
-    return [c for c in out if max(c.size[:2]) >= LEAST and max(abs(c.size[2]), abs(c.shift).max()) >= HEIGHT]
+    return [c for c in out if c.size[0] >= LEAST and c.size[1] >= LEAST / 2 and c.size[2] >= 0.8 * LEAST]
 
 
 def _thing(z: F64, piece: Bool) -> Bool:
@@ -301,7 +301,7 @@ def _ring(z: F64, piece: Bool, cell: float) -> float:
 
 
 def _height(z: F64, thing: Bool, cell: float) -> float:
-    return float(np.nanmedian(z[thing])) - _ring(z, thing, cell)
+    return float(np.nanpercentile(z[thing], 80)) - _ring(z, thing, cell)  # of a small thing half is its rounded edge
 
 
 def _middle(z: F64, thing: Bool, low: F64, cell: float) -> F64:
