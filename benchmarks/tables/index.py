@@ -76,7 +76,7 @@ INDEX = (
     ),
     ("The same frames as a folder and as a ROS bag", "bag_scene", "python benchmarks/scenes/bag_scene.py"),
     ("A depth camera that is late, turned, or right", "gap_depth", "python benchmarks/diagnosis/depth.py"),
-    ("Mistakes between a policy and its robot", "gap_contract", "python benchmarks/diagnosis/contract.py --seed 2000"),
+    ("Mistakes between a policy and its robot", "gap_contract", "python benchmarks/diagnosis/contract.py"),
     ("Damaged input: tracebacks, hangs, silent changes", "fuzz", "python benchmarks/robustness/fuzz.py"),
     (
         "Recordings as strangers write them, read without a hand",
@@ -124,7 +124,7 @@ KEYS = {
     "gap_blind": ("case",),
     "gap_depth": ("case", "seed", "crossings"),
     "gap_cmaes": ("case",),
-    "gap_contract": ("kind", "seed"),
+    "gap_contract": ("policy", "kind", "seed"),
     "gap_next": ("seed", "case", "engine"),
     "gap_real": ("case", "engine"),
     "gap_since": ("seed", "pair"),

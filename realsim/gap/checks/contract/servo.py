@@ -15,8 +15,9 @@ from realsim.gap.checks.contract.steps import LEAST, Run, Steps
 EXPLAINED = 0.5
 """Rms share of a torque that the servo's law may leave, with gains of its own, for those gains to be believed: a
 quarter of the variance."""
-SAME = 0.1
-"""Relative difference below which a gain is as it should be: rounding, and how well drives know their torque."""
+SAME = 0.15
+"""Relative difference below which a gain is as it should be: rounding, how well drives know their torque, and rows that
+miss what a stiff joint does between them (up to 0.11 at 50 Hz on the simulated quadruped)."""
 AGES = (0.0, 0.125, 0.25, 0.375, 0.5, 0.75, 1.0)
 """Rows by which the readings behind a torque are older than its row."""
 
