@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.errors import RealsimError
-from realsim.core.files import digest
+from realsim.core.files import digest, read_json
 
 
 @dataclass
@@ -363,9 +363,9 @@ def read_request(folder: Path) -> Reading:
 
     reading = Reading()
     try:
-        request = json.loads((folder / "request.json").read_text())
+        request = read_json(folder / "request.json")
         tool, arguments = str(request["tool"]), dict(request["arguments"])
-    except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
+    except (RealsimError, ValueError, LookupError, TypeError) as error:
         reading.refused.append(f"no request: {type(error).__name__}")  # the library's own affair
         return reading
     answer = asyncio.run(ask(tool, arguments))

@@ -140,7 +140,9 @@ def parse_yaml(text: str, path: Path) -> Any:
         if count <= MAX_YAML_VALUES:
             return yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise RealsimError("broken YAML", file=path, found=" ".join(str(error).split())) from error
+        raise RealsimError(
+            "broken YAML", file=path, expected="valid YAML", found=" ".join(str(error).split())
+        ) from error
     raise RealsimError(
         "YAML whose aliases expand without end",
         file=path,

@@ -32,7 +32,7 @@ class ManyConfig:
 
     def __post_init__(self) -> None:
         if self.jobs < 1:
-            raise RealsimError("--jobs must be at least 1", found=str(self.jobs))
+            raise RealsimError("--jobs must be at least 1", expected="1 or more", found=str(self.jobs))
 
     @property
     def place(self) -> str:
@@ -101,7 +101,9 @@ class Slurm:
         try:
             self.jobs = self.executor.map_array(carry_out, jobs, [self.folder] * len(jobs)) if jobs else []
         except (OSError, RuntimeError, ValueError) as error:
-            raise RealsimError("the jobs cannot be submitted to Slurm", found=str(error)) from error
+            raise RealsimError(
+                "the jobs cannot be submitted to Slurm", expected="a Slurm that takes --slurm", found=str(error)
+            ) from error
         return self.jobs
 
     def close(self) -> None:
