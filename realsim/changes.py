@@ -152,7 +152,7 @@ def lay_over(before: Surface, today: Surface) -> F64:
     """
     import open3d as o3d
 
-    registration = o3d.pipelines.registration
+    registration: Any = o3d.pipelines.registration  # its stubs lag behind the library
     rng = np.random.default_rng(0)
     clouds = [_cloud(surface, rng) for surface in (before, today)]
     coarse = [c.voxel_down_sample(0.05) for c in clouds]
@@ -251,7 +251,8 @@ def _pieces(mask: Bool, cell: float) -> list[Bool]:
 def _changes_of(raised: list[Bool], lowered: list[Bool], old: F64, new: F64, low: F64, cell: float) -> list[Change]:
     """The changes that the pieces are: those of one shape that are raised here and lowered there are one that moved."""
     out: list[Change] = []
-    gone, come = [], []
+    gone: list[Any] = []
+    come: list[Any] = []
     for pieces, here, there, kinds, rest in (
         (lowered, new, old, "sank", gone),
         (raised, old, new, "rose", come),

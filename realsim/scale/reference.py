@@ -206,7 +206,8 @@ def _edge_line(image: U8, a: F64, b: F64) -> F64 | None:
     steps = np.arange(-4, 4.01, 0.25)
     places = a + np.linspace(0.1, 0.9, 40)[:, None] * (b - a)
     at = places[:, None] + steps[:, None] * across
-    profile = cv2.remap(image.astype(np.float32), *np.moveaxis(at.astype(np.float32), 2, 0), cv2.INTER_LINEAR)
+    x, y = np.moveaxis(at.astype(np.float32), 2, 0)
+    profile = cv2.remap(image.astype(np.float32), x, y, cv2.INTER_LINEAR)
     slope = np.abs(np.diff(profile, axis=1))
     strength = slope.sum(1)
     if np.median(strength) < 15:

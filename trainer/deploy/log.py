@@ -100,7 +100,8 @@ class CaseLog:
         if not self.samples:
             return None
         buffer = io.BytesIO()
-        np.savez_compressed(buffer, **{name: np.array(values) for name, values in self.samples.items()})
+        arrays: dict[str, Any] = {name: np.array(values) for name, values in self.samples.items()}
+        np.savez_compressed(buffer, **arrays)
         name = f"run_{len(self.runs)}"
         try:
             self._write_head()
@@ -154,7 +155,7 @@ class CaseLog:
             "torque_kind": "measured" if "joint_torque" in self.samples else "none",
             "imu_site": IMU,
             "contact_bodies": list(self.body.feet) if "contact" in self.samples else [],
-            "notes": f"recorded by realsim deploy, policy {self.identity['policy'][:12]}",
+            "notes": f"recorded by realsim deploy, policy {str(self.identity['policy'])[:12]}",
         }
         if self.body.camera is not None and "depth" in self.samples:
             camera = self.body.camera
