@@ -114,8 +114,7 @@ def _doubts(screen: Screen, fit: Fit, sigmas: F64, dropped: Sequence[Cause], tri
     """What keeps the causes from being identified although they explain the runs."""
     if not fit.causes:
         return []
-    context = screen.simulator.context
-    found = implausible(context, fit.causes)
+    found = implausible(fit.causes)
     for cause, told in zip(fit.causes, _told_from_none(fit, sigmas), strict=True):
         if not told:
             found.append(f"{_name(cause)}: its 90 % interval holds zero")

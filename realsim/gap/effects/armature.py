@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import EXACT, JOINTS, Edit, Effect, Excitation, Law, Parameter, Place, Words
+from realsim.gap.effects.sizes import size_of_rotor
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
@@ -11,7 +12,11 @@ def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     inertia = min(context.inertia[j] for j in place)
     step = max(0.4 * nominal, 0.1 * inertia, 1e-6)
     bounds, price = (-nominal, 20 * max(nominal, inertia)), 0.03 * nominal + 1e-7
-    return (Parameter("armature", "kg m^2", bounds, step, nuisance=price, none_left=True),)
+    return (
+        Parameter(
+            "armature", "kg m^2", bounds, step, nuisance=price, none_left=True, plausible=size_of_rotor(context, place)
+        ),
+    )
 
 
 def _excited(context: Context, place: Place) -> Excitation:

@@ -57,6 +57,8 @@ class Parameter:
     """Whether at the lower bound nothing of its kind is left (no friction at all): a finding like any other."""
     like: tuple[str, str] | None = None
     """(effect, parameter) whose slope this one shares to first order, so that none is simulated for it."""
+    plausible: tuple[float, str] = (math.inf, "")
+    """Largest size of the coordinate that a robot like the model could have, and what that is (`effects.sizes`)."""
     label: str = ""
     """Its name in reports, if that is another."""
     note: str = ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import JOINTS, Edit, Effect, Excitation, Parameter, Place, Rivals, Suggestion, Words
+from realsim.gap.effects.sizes import size_of_dry_friction
 from realsim.gap.effects.stribeck_friction import higher_at_rest
 
 ONE_WAY = 0.2
@@ -16,7 +17,8 @@ def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     top = max(context.torque_range[j] for j in place)
     step = max(0.5 * nominal, 0.04 * scale, 1e-4)
     price = 0.05 * nominal + 0.002 * scale
-    return (Parameter("friction", "N m", (-nominal, top), step, nuisance=price, none_left=True),)
+    size = size_of_dry_friction(context, place)
+    return (Parameter("friction", "N m", (-nominal, top), step, nuisance=price, none_left=True, plausible=size),)
 
 
 def _excited(context: Context, place: Place) -> Excitation:

@@ -14,12 +14,17 @@ from realsim.gap.effects.base import (
     Rivals,
     Suggestion,
     Words,
-    fixed,
     joint_signals_only,
 )
+from realsim.gap.effects.sizes import size_of_delay
 
 LONGEST = 2.0
 """s: a queue or a lost clock, not a bus."""
+
+
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
+    size = size_of_delay(context, place)
+    return (Parameter("delay", "s", (-0.01, LONGEST), 0.01, nuisance=0.0012, plausible=size),)
 
 
 def delay(name: str, twin: str, words: Words) -> Effect:
@@ -34,7 +39,7 @@ def delay(name: str, twin: str, words: Words) -> Effect:
     return Effect(
         name=name,
         where=EVERYWHERE,
-        parameters=fixed(Parameter("delay", "s", (-0.01, LONGEST), 0.01, nuisance=0.0012)),
+        parameters=_parameters,
         apply=apply,
         words=words,
         patchable=False,

@@ -17,6 +17,7 @@ from realsim.gap.effects.base import (
     always,
     heavy_bodies,
 )
+from realsim.gap.effects.sizes import size_of_force
 
 FOREVER = 1e6
 PASSING = {
@@ -31,7 +32,8 @@ def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     # On a robot that walks, forces that are small beside its own weight imitate what contacts do.
     least = (0.5 if context.case.floating else 0.05) * context.total_mass
     weight = 9.81 * max(context.moved_mass(place[0]), least)
-    force = [Parameter(f"f{a}", "N", (-6 * weight, 6 * weight), 0.15 * weight) for a in "xyz"]
+    ends, size = (-6 * weight, 6 * weight), size_of_force(context, place)
+    force = [Parameter(f"f{a}", "N", ends, 0.15 * weight, plausible=size) for a in "xyz"]
     return (
         *force,
         Parameter("start", "s", (-1.0, 60.0), 0.1, default=-1.0),

@@ -2,7 +2,29 @@
 
 from __future__ import annotations
 
-from realsim.gap.effects.base import EXACT, Edit, Effect, Law, Place, Rivals, Words, always, heavy_bodies, relative
+from dataclasses import replace
+
+from realsim.gap.case.model.context import Context
+from realsim.gap.effects.base import (
+    EXACT,
+    Edit,
+    Effect,
+    Law,
+    Parameter,
+    Place,
+    Rivals,
+    Words,
+    always,
+    heavy_bodies,
+    relative,
+)
+from realsim.gap.effects.sizes import size_of_inertia
+
+_RATIO = relative((-0.85, 6.0), 0.6, 0.03)
+
+
+def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
+    return tuple(replace(p, plausible=size_of_inertia(context, place)) for p in _RATIO(context, place))
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
@@ -15,7 +37,7 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 EFFECT = Effect(
     name="link_inertia",
     where=heavy_bodies(0.015),
-    parameters=relative((-0.85, 6.0), 0.6, 0.03),
+    parameters=_parameters,
     apply=_apply,
     words=Words(
         title="link inertia",

@@ -20,6 +20,7 @@ from realsim.gap.effects.base import (
     Words,
     always,
 )
+from realsim.gap.effects.sizes import size_of_mass
 
 REACH = 0.2
 """A tool may hang so far from the body that carries it, m, however small that body is."""
@@ -45,7 +46,8 @@ def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
         )
         for axis, c in zip("xyz", body.ipos, strict=True)
     ]
-    return (Parameter("mass", "kg", (-0.7 * mass, most), step, nuisance=0.012 * mass), *where)
+    size = size_of_mass(context, place)
+    return (Parameter("mass", "kg", (-0.7 * mass, most), step, nuisance=0.012 * mass, plausible=size), *where)
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:

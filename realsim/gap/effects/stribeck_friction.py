@@ -6,6 +6,7 @@ import numpy as np
 
 from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import JOINTS, Edit, Effect, Excitation, Law, Parameter, Place, Rivals, Suggestion, Words
+from realsim.gap.effects.sizes import size_of_dry_friction
 
 WIDEST = 0.4
 """rad/s, well above what gears show: a friction that falls over a wider range of speeds imitates other things."""
@@ -25,7 +26,7 @@ def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     speed = max(context.speed[j] for j in place)
     widest = min(0.4 * speed, WIDEST)
     return (
-        Parameter("static_friction", "N m", (0.0, top), step),
+        Parameter("static_friction", "N m", (0.0, top), step, plausible=size_of_dry_friction(context, place)),
         Parameter("coulomb", "N m", (0.0, top), 0.5 * step, like=("coulomb_friction", "friction")),
         Parameter("stribeck_velocity", "rad/s", (0.02 * widest, widest), 0.12 * widest, default=0.3 * widest),
     )

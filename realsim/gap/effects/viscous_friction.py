@@ -20,6 +20,7 @@ from realsim.gap.effects.base import (
     Words,
     servo_damping,
 )
+from realsim.gap.effects.sizes import size_of_damping
 
 
 def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
@@ -28,7 +29,8 @@ def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     step = max(0.5 * nominal, 0.08 * scale, 1e-5)
     bounds = (-nominal, 20 * max(scale, nominal))
     price = 0.05 * nominal + 0.003 * scale
-    return (Parameter("damping", "N m s/rad", bounds, step, nuisance=price, none_left=True),)
+    size = size_of_damping(context, place)
+    return (Parameter("damping", "N m s/rad", bounds, step, nuisance=price, none_left=True, plausible=size),)
 
 
 def _excited(context: Context, place: Place) -> Excitation:
