@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt --editable
-EXTRAS := dev,docs,recon,viewer,colmap,phone,lidar,logs,usd,ray,slurm,mcp,train,warp,rsl-rl
+EXTRAS := dev,docs,recon,viewer,colmap,phone,lidar,logs,usd,ray,slurm,mcp,app,train,warp,rsl-rl
 # Directories whose tests take a second or less each: what `make check` runs beside the linters.
 QUICK := tests/core tests/cli tests/scale tests/align tests/robots tests/report tests/test_imports.py
 # MuJoCo renders without a display.
