@@ -8,7 +8,7 @@ from typing import Any
 from benchmarks.diagnosis import sweep as gap_sweep
 from benchmarks.diagnosis import unstable as gap_unstable
 from benchmarks.tables.stored import Row, stored
-from benchmarks.training import base_policy, parkour, pushes, ttt
+from benchmarks.training import base_policy, ladder, parkour, pushes, trials, ttt
 
 INDEX = (
     (
@@ -89,6 +89,12 @@ INDEX = (
     ("Pushes that a policy withstands", "pushes", "python benchmarks/training/pushes.py"),
     ("Fine-tuning on one test", "ttt", "python benchmarks/training/ttt.py run --minutes 5"),
     (
+        "Help on courses that the base hardly crosses, in equal minutes",
+        "ladder",
+        "python benchmarks/training/ladder.py --course beams:1 --method ladder --minutes 5",
+    ),
+    ("Trials by their command and contact model", "trials", "python benchmarks/training/trials.py"),
+    (
         "Fine-tuning on all tests, by number of worlds",
         "ttt_worlds",
         "python benchmarks/training/ttt.py run --methods ttt13f --minutes 8 --worlds 8192 --store FILE",
@@ -141,6 +147,8 @@ KEYS = {
     "trainer_cpu": ("case", "seed"),
     "trainer_speed": ("case",),
     "trainer_tune": ("start", "speed", "seed"),
+    "ladder": ladder.KEY,
+    "trials": trials.KEY,
     "ttt": ttt.KEY,
     "ttt_worlds": (*ttt.KEY, "worlds"),
     "loops": ("place",),

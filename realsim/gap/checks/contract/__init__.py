@@ -4,17 +4,18 @@
     found = check(load_policy("policy.onnx"), read_steps(case))
     print(found.sentence)
 
-policy.py    the contract and its network             formats.py    where contracts are written down
+policy.py    the contract                             formats.py    where contracts are written down
 steps.py     what the policy saw and sent             loop.py       observations -> actions -> targets, as parameters
 proposals.py what may differ, with its parameters     search.py     one score, a mistake after the other
-servo.py     gains, by the measured torque            check.py      rates, verdict, sentence
-settings.py  the setting behind a mistake, in the framework's words
+servo.py     gains, by the measured torque            answer.py     rates, verdict, sentence
+settings.py  the setting, in the framework's words     reading.py    a policy and its network
 """
 
 from __future__ import annotations
 
-from realsim.gap.checks.contract.check import Found, check
-from realsim.gap.checks.contract.policy import Contract, load_policy
+from realsim.gap.checks.contract.answer import Found, check
+from realsim.gap.checks.contract.policy import Contract
+from realsim.gap.checks.contract.reading import load_policy
 from realsim.gap.checks.contract.steps import Steps, read_steps
 
 __all__ = ["Contract", "Found", "Steps", "check", "load_policy", "read_steps"]
