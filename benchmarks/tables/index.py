@@ -147,6 +147,8 @@ KEYS = {
     "trainer_cpu": ("case", "seed"),
     "trainer_speed": ("case",),
     "trainer_tune": ("start", "speed", "seed"),
+    "clean_meshes": ("mesh",),
+    "recordings": ("part", "name"),
     "ladder": ladder.KEY,
     "trials": trials.KEY,
     "ttt": ttt.KEY,

@@ -51,6 +51,10 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "tests": policies.tests,
     "all tests at once": policies.all_at_once,
     "worlds": policies.by_worlds,
+    "help": policies.helped,
+    "trials": policies.trials_by_rule,
+    "clean meshes": scenes.clean_meshes,
+    "recordings": scenes.recordings,
     "strategies": policies.strategies,
 }
 MARKED = re.compile(r"(<!-- figures: ([a-z -]+) -->\n).*?(<!-- end -->)", re.DOTALL)

@@ -6,7 +6,7 @@ from pathlib import Path
 from statistics import mean
 
 from benchmarks.tables.stored import stored
-from benchmarks.training import base_policy, pushes, ttt
+from benchmarks.training import base_policy, ladder, pushes, trials, ttt
 
 TRAINING = Path(__file__).resolve().parents[2] / "training"
 SHIPS = "883606ff"
@@ -97,6 +97,16 @@ def _means(what: str, rows: list[ttt.Row]) -> list[str]:
 
 def _percent(rows: list[ttt.Row], key: str) -> float:
     return 100 * sum(r[key] for r in rows) / sum(r["trials"] for r in rows)
+
+
+def helped() -> list[str]:
+    """Fine-tuning on courses that the base hardly crosses: with wider tops, and on a raised floor."""
+    return ladder.table(stored("ladder")["rows"])
+
+
+def trials_by_rule() -> list[str]:
+    """The base on the thirteen tests, by how a trial ends and by the contact model."""
+    return trials.table(stored("trials")["rows"], "g1")
 
 
 def strategies() -> list[str]:

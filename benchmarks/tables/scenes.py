@@ -153,6 +153,28 @@ def contact() -> list[str]:
     return list(stored("contact")["summary"])
 
 
+def clean_meshes() -> list[str]:
+    """Clean meshes of many kinds: verdict, parts, and what stays stuck in a test with balls and capsules."""
+    lines = [
+        "| mesh | verdict | parts | leaks | 95 %, mm | cost | stuck of dropped |",
+        "|---|---|---:|---:|---:|---:|---|",
+    ]
+    for r in stored("clean_meshes")["rows"]:
+        figures = f"{r['parts']} | {r['leaks']} | {r['p95_mm']:.1f} | {r['step_cost']:.1f}"
+        verdict = VERDICTS.get(r["verdict"], r["verdict"])
+        lines.append(f"| {r['mesh']} | {verdict} | {figures} | {r['stuck']} of {r['dropped']} |")
+    return lines
+
+
+def recordings() -> list[str]:
+    """Recordings in many formats and with many headers, read without a hand."""
+    rows = stored("recordings")["rows"]
+    lines = ["| part | outcome | recordings |", "|---|---|---:|"]
+    for part, outcome in sorted({(r["part"], r["outcome"]) for r in rows}):
+        lines.append(f"| {part} | {outcome} | {sum((r['part'], r['outcome']) == (part, outcome) for r in rows)} |")
+    return lines
+
+
 def damaged() -> list[str]:
     """What came of damaged files, by what was read, all seeds together."""
     rows = [r for r in stored("fuzz")["rows"] if r["number"] is None]
