@@ -63,7 +63,7 @@ class ReconstructConfig:
     """Seed of everything random in every stage."""
     compare: bool = False
     """Also build the mesh from the other sources of points (onnx, onnx+depth, rgbd) and report how they differ."""
-    since: Annotated[Path | None, tyro.conf.arg(metavar="SCENE")] = None
+    since: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """An earlier scene of the same place: report what moved, appeared, sank or went since then."""
     cache: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Where finished stages are kept (default: REALSIM_CACHE or the user's cache folder)."""

@@ -22,7 +22,7 @@ class SceneConfig:
     """Largest concavity of a part of the convex decomposition, metres."""
     convex_columns: int = 6000
     """Largest number of 1 cm columns in a convex decomposition; its time grows faster than their number."""
-    robot: Annotated[str | None, tyro.conf.arg(metavar="{g1,quadruped,menagerie:NAME}")] = None
+    robot: Annotated[str | None, tyro.conf.arg(metavar="{g1,go2,quadruped,menagerie:NAME}")] = None
     """Robot to put on the start platform."""
 
     def __post_init__(self) -> None:

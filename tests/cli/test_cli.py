@@ -156,6 +156,7 @@ def test_every_option_that_is_spoken_of_exists() -> None:
         "--course",
     }  # of tools/export_onnx and benchmarks/training/closed_loop.py, by tyro
     others |= {"--logdir", "--nproc-per-node", "--nnodes", "--rdzv-endpoint"}  # of tensorboard and torchrun
+    others |= {"--upgrade"}  # of pip
     others |= {"--env"}  # of GNU parallel
     known = {name for c in commands().values() for option in options_of(c.load())[1] for name in option.names}
     known = {name.rstrip("0123456789") for name in known}

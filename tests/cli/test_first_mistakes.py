@@ -79,7 +79,7 @@ MISTAKES = {
     "footholds frames --out f": "realsim reconstruct frames",
     "model inspect robot.xml": "--init robot.xml",
     "view stairs.stl": "realsim contact stairs.stl",
-    "demo --robot go2 --out d": "menagerie:go2",
+    "demo --robot go1 --out d": "menagerie:go1",
     "diagnos case": "did you mean diagnose",
     "contact stairs.stl --tolerance 1": "did you mean --contact-tolerance",
 }

@@ -181,7 +181,7 @@ def test_an_effect_of_an_installed_package_is_found_where_it_was_injected(tmp_pa
     (cause,) = found["causes"]
     assert (cause["effect"], cause["joints"]) == ("return_spring", ["elbow"])
     assert cause["parameters"]["stiffness"]["value"] == pytest.approx(6, rel=0.1)
-    assert found["sentence"].startswith("elbow: return spring ")
+    assert found["sentence"].startswith("Your model lacks return spring of ")
 
 
 @pytest.mark.parametrize("source", ["EFFECT = 3", "", "import nothing_of_that_name"])

@@ -124,6 +124,7 @@ def test_an_accelerometer_is_read_before_the_command_acts_or_after(arm: Case) ->
         acc = [k for k, channel in enumerate(simulator.channels) if channel.signal == "imu_acc"]
         before, after = (simulator.simulate([("imu_phase", (), {"phase": p})])[0][:, acc] for p in (0.0, 1.0))
     steps = np.abs(np.diff(command[:, 0], prepend=command[0, 0])) > 0.1
+    steps &= time > 0.5  # a start in the state of this log, which jumps, still rings before
     jump = np.linalg.norm(after - before, axis=1)
     assert jump[steps].min() > 20 * np.median(jump[~steps])
     gravity = 9.81

@@ -168,7 +168,7 @@ def test_onnx_without_metadata_or_cut_off_is_refused(tmp_path: Path) -> None:
     export.export(path, policy, facts(policy))
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2])
-    with pytest.raises(RealsimError, match="cut off"):
+    with pytest.raises(RealsimError, match=r"cut off|not an ONNX file"):
         export.load(path)
     model = onnx.load_model_from_string(data)
     meta = json.loads(model.metadata_props[-1].value)

@@ -16,6 +16,8 @@ LANDS = [terrains.flat(), terrains.generate("wedges", 0.5, 0), terrains.generate
 def made(name: str):
     if name == "warp":
         pytest.importorskip("warp", reason="the warp caster needs warp-lang")
+    if name == "warp_host" and not torch.cuda.is_available():
+        pytest.skip("casts on a GPU")
     return caster(name, LANDS, "cpu")
 
 

@@ -38,7 +38,7 @@ def s(g1):
     nothing = torch.zeros(2, feet, points)
     return derive(
         state,
-        Command(torch.tensor([[0.8, 0.0]] * 2), torch.zeros(2), torch.full((2,), 3.0)),
+        Command(torch.tensor([[0.8, 0.0]] * 2), torch.zeros(2), torch.full((2,), 3.0), torch.full((2,), 0.8)),
         Footholds(floor, nothing.clone(), nothing.clone(), nothing.clone()),
         contact=torch.ones(2, feet, dtype=torch.bool),
         phase_time=torch.zeros(2, feet),

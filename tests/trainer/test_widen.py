@@ -51,7 +51,7 @@ def test_convex_parts_and_fields_of_a_reconstruction_grow() -> None:
 
     spec = mujoco.MjSpec()
     cube = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.2, 0.0)])
-    spec.add_mesh(name="cube", uservert=([*cube, 1.0, 0, 0]).ravel())
+    spec.add_mesh(name="cube", uservert=(cube + np.array([1.0, 0.0, 0.0])).ravel())
     world = spec.worldbody
     world.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="cube")
     world.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.1, 0.1], pos=[2.0, 0, -0.1])

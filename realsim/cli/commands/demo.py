@@ -23,7 +23,7 @@ def demo(
     terrain: Annotated[str, tyro.conf.arg(metavar="{stakes,beams,wedges,boxes,trapezoids,boston,mixed}")] = "stakes",
     frames: int = 60,
     poses: Annotated[bool, tyro.conf.arg(name="with-poses")] = False,
-    robot: Annotated[str | None, tyro.conf.arg(metavar="{g1,quadruped,menagerie:NAME}")] = "g1",
+    robot: Annotated[str | None, tyro.conf.arg(metavar="{g1,go2,quadruped,menagerie:NAME}")] = "g1",
     seed: int = 0,
     overwrite: bool = False,
 ) -> CommandResult:

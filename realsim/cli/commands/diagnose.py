@@ -36,7 +36,7 @@ def diagnose(
     scene: Annotated[Path | None, tyro.conf.arg(metavar="STR")] = None,
     policy: Path | None = None,
     deploy_yaml: Path | None = None,
-    since: Annotated[Path | None, tyro.conf.arg(metavar="CASE")] = None,
+    since: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None,
     strict: bool = False,
     many: ManyConfig = ManyConfig(),
 ) -> CommandResult:
