@@ -47,7 +47,7 @@ def readme() -> list[str]:
         (
             "Diagnosis: `identified` with exactly the true cause / with pairs",
             f"{of(found['one cause: `identified`, with exactly that cause'])} / {of(exact)}",
-            f"simulated logs of five robots, fresh seed {FRESH[0]}",
+            f"simulated logs, fresh seed {FRESH[0]}, engine of {FRESH[1]}",
         ),
         (
             "Diagnosis: cause named first / false alarms",
@@ -57,7 +57,7 @@ def readme() -> list[str]:
         (
             "Real robots: error named first / both of two / surely wrong",
             f"{of(real['single_first_right'])} / {of(real['double_both_right'])} / {of(real['confident_and_wrong'])}",
-            "known errors put into the models of two robots",
+            "known errors in two robots' models, same engine",
         ),
         (
             "Base policy of G1 on unseen courses, difficulty 0.5 / 0.8, mean and worst family",
@@ -67,7 +67,7 @@ def readme() -> list[str]:
         (
             "Fine-tuned for five minutes: terrains crossed in 97 % of trials",
             well_crossed(),
-            "simulation, no pushes, one GPU",
+            "simulation, no pushes, trials of 0.2",
         ),
     ]
     return ["| | figure | measured on |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]
