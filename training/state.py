@@ -2,6 +2,8 @@
 
     python training/state.py split base/policy.pt g1    training/g1/state.pt.xz, and the policy where it ships
     python training/state.py join base/policy.pt g1     the checkpoint from both, for `realsim pretrain --resume`
+    python training/state.py join base/policy.pt quadruped --robot-of go2   the same, to go on with another robot
+    python training/state.py curve base/history.jsonl go2  every tenth iteration into training/go2/curve.csv
 
 Of the optimiser's moments the second are kept, in bfloat16. The first forget within one iteration: without them the
 next update of G1 moved the policy by a KL divergence of 0.022 instead of 0.019; without both, by 0.151 (160 worlds, one
@@ -14,7 +16,7 @@ import hashlib
 import io
 import lzma
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -26,7 +28,9 @@ import tyro
 from trainer.errors import TrainerError
 from trainer.policies import base_of
 from trainer.ppo import checkpoint
+from trainer.ppo.loop import read_rows
 from trainer.ppo.policy import Policy
+from trainer.terrain import ALL
 
 HERE = Path(__file__).resolve().parent
 STATE = "state.pt.xz"
@@ -34,18 +38,24 @@ STATE = "state.pt.xz"
 
 @dataclass(frozen=True)
 class Options:
-    do: Annotated[Literal["split", "join"], tyro.conf.Positional]
+    do: Annotated[Literal["split", "join", "curve"], tyro.conf.Positional]
     file: Annotated[Path, tyro.conf.Positional]
-    """The whole checkpoint (.pt)."""
+    """The whole checkpoint (.pt); of `curve` a run's history.jsonl."""
     robot: Annotated[str, tyro.conf.Positional]
+    robot_of: str = ""
+    """The robot to go on with after `join`, if another: one with the same joints, feet and camera image."""
 
 
 def main(options: Options) -> None:
-    ships, state = base_of(options.robot), HERE / options.robot / STATE
+    state = HERE / options.robot / STATE
+    if options.do == "curve":
+        state.with_name("curve.csv").write_text("\n".join(curve(options.file.parent)) + "\n")
+        return
+    ships = base_of(options.robot)
     if options.do == "split":
         split(options.file, ships, state)
     else:
-        join(options.file, ships, state)
+        join(options.file, ships, state, options.robot_of)
 
 
 def split(whole: Path, ships: Path, state: Path) -> None:
@@ -66,7 +76,7 @@ def split(whole: Path, ships: Path, state: Path) -> None:
     state.write_bytes(lzma.compress(plain.getvalue()))
 
 
-def join(whole: Path, ships: Path, state: Path) -> None:
+def join(whole: Path, ships: Path, state: Path, robot: str = "") -> None:
     """Write the checkpoint from which training goes on.
 
     Raises:
@@ -80,7 +90,23 @@ def join(whole: Path, ships: Path, state: Path) -> None:
         raise TrainerError("the state belongs to another policy", file=state, expected=f"that of {ships}")
     for moments in _moments(kept["training"]):
         moments["exp_avg"] = torch.zeros_like(moments["exp_avg_sq"])
-    checkpoint.save(whole, policy, kept["training"])
+    checkpoint.save(whole, replace(policy, robot=robot or policy.robot), kept["training"])
+
+
+def curve(run: Path) -> list[str]:
+    """CSV lines of every tenth iteration of a run's folder: row (0 to 9) and success by family, noise, learning."""
+    rows = [r for r in read_rows(run) if "samples" in r]
+    named = {f"{f}_{key}": f"env/family/{f}/{key}" for f in ALL for key in ("row", "success")}
+    named |= {"success": "env/success", "std": "std", "explained_variance": "explained_variance"}
+    lines, seconds = [",".join(["iteration", "samples", "minutes", *named])], 0.0
+    for row in rows:
+        seconds += (row["collect_s"] or 0.0) + (row["update_s"] or 0.0)
+        if (int(row["iteration"] or 0) + 1) % 10 == 0:
+            figures = [f"{row[key]:.3f}" if row.get(key) is not None else "" for key in named.values()]
+            lines.append(
+                ",".join([f"{row['iteration']:.0f}", f"{row['samples']:.0f}", f"{seconds / 60:.2f}", *figures])
+            )
+    return lines
 
 
 def _moments(training: dict[str, Any]) -> list[dict[str, Any]]:

@@ -1,10 +1,10 @@
 """Help on courses that the base hardly crosses: wider tops against a raised floor and none, in equal minutes.
 
     python benchmarks/training/ladder.py --course beams:1 --method ladder --minutes 5
-    python benchmarks/training/ladder.py --do table
+    python benchmarks/training/ladder.py table
 
 Trials are those of `realsim finetune`: all randomisation, nobody pushed. Several processes can share a GPU; rows say
-how many did. Each keeps its rows in a file of its own (--out), which `--merge` adds to the store.
+how many did. Each keeps its rows in a file of its own (--out), which `merge FILE ...` adds to the store.
 """
 
 from __future__ import annotations
@@ -89,8 +89,9 @@ def measured(options: Options) -> dict[str, Any]:
         many = EvaluationConfig(options.trials, options.trials, options.seed + 7)
         return evaluate(policy.to(device).act, scene.terrains, many, setting_of(policy, file, device, config))
 
+    name = f"{options.course.replace(':', '_')}_{options.method}_{options.seed}"
     before, began = trials(base), time.perf_counter()
-    result = find("ppo")(lands, base, config, options.work / f"{options.course.replace(':', '_')}_{options.method}")
+    result = find("ppo")(lands, base, config, options.work / name)
     seconds = time.perf_counter() - began
     after = trials(result.policy)
     verdict = judge(before, after)

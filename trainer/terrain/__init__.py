@@ -15,7 +15,7 @@ from realsim.core.registry import Registry
 from trainer.errors import TrainerError
 from trainer.terrain.base import Box, Platform, Terrain
 
-__all__ = ["CURRICULUM", "FAMILIES", "TESTS", "Box", "Platform", "Terrain", "flat", "generate", "grid", "named"]
+__all__ = ["ALL", "CURRICULUM", "FAMILIES", "TESTS", "Box", "Platform", "Terrain", "flat", "generate", "grid", "named"]
 
 FAMILIES = Registry(
     "terrain family",
