@@ -1,6 +1,6 @@
 """Contract errors: a policy deployed wrongly on a simulated quadruped, and what `check` says.
 
-    python benchmarks/diagnosis/contract.py --out benchmarks/results/gap_contract.json
+    python benchmarks/diagnosis/contract.py --jobs 2 --out benchmarks/results/gap_contract.json
 
 Three kinds of policies: the one that ships, with a camera and a history of eight (`realsim`); one of one moment with
 mjlab's metadata (`mjlab`); one of four moments with scales, by deploy.yaml of unitree_rl_lab (`unitree`). The latter
@@ -22,7 +22,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field, replace
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -476,6 +478,16 @@ def judge(policy: str, kind: str, seed: int) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
+def stood(task: tuple[str, str, int]) -> dict[str, Any]:
+    """The row of the first of MOST_TRIES seeds whose robot leaves a log; one that falls at once leaves none."""
+    policy, kind, seed = task
+    torch.set_num_threads(1)
+    for tried in range(MOST_TRIES):
+        if (row := judge(policy, kind, seed + tried)) is not None:
+            return row
+    raise SystemExit(f"{kind}: no policy stands")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--per-kind", type=int, default=1)
@@ -483,44 +495,37 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1000)
     parser.add_argument("--kinds", nargs="*", default=[*REPORTS, *KINDS])
     parser.add_argument("--policies", nargs="*", default=list(POLICIES))
+    parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
-    torch.set_num_threads(1)
     plan = [(p, k) for k in options.kinds for p in options.policies if applies(k, p) for _ in range(options.per_kind)]
     plan += [(options.policies[i % len(options.policies)], "") for i in range(options.healthy)]
-    rows, seed = [], options.seed
+    tasks = [(p, k, options.seed + MOST_TRIES * i) for i, (p, k) in enumerate(plan)]
+    rows = []
     store = Store(options.out, ("policy", "kind", "seed")) if options.out else None
     if store:
         store.rows = []
-    for policy, kind in plan:
-        for _ in range(MOST_TRIES):  # a robot that falls at once leaves no log: another policy
-            seed += 1
-            row = judge(policy, kind, seed)
-            if row is not None:
-                break
-        else:
-            raise SystemExit(f"{kind}: no policy stands")
-        rows.append(row)
-        if store:
-            store.add(row)
-        mark = "ok  " if row["right"] else "MISS" if kind else "FALSE"
-        print(f"{mark} {policy:8} {kind or 'healthy':18} seed {seed} {row['cpu_s']} s {row['verdict']:11} "
-              f"{row['sentence']} {row['beside']}", flush=True)  # fmt: skip
+    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+        for done in as_completed([pool.submit(stood, task) for task in tasks]):
+            rows.append(row := done.result())
+            mark = "ok  " if row["right"] else "MISS" if row["kind"] else "FALSE"
+            print(f"{mark} {row['policy']:8} {row['kind'] or 'healthy':18} seed {row['seed']} {row['cpu_s']} s "
+                  f"{row['verdict']:11} {row['sentence']} {row['beside']}", flush=True)  # fmt: skip
+            if store:
+                store.facts = {"summary": summary(rows)}
+                store.add(row)
+    print(summary(rows))
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     wrong = [r for r in rows if r["kind"]]
-    summary = {
+    return {
         "named": sum(r["right"] for r in wrong), "alone": sum(r["right"] and not r["beside"] for r in wrong),
         "of": len(wrong), "wrong_and_sure": sum(r["wrong_and_sure"] for r in wrong),
         "false_alarms": sum(r["verdict"] != "kept" for r in rows if not r["kind"]),
         "healthy": len(rows) - len(wrong),
         "median_cpu_s": float(np.median([r["cpu_s"] for r in rows])),
     }  # fmt: skip
-    print(summary)
-    for r in wrong:
-        if not r["right"]:
-            print(f"  {r['policy']} {r['kind']}: {r['verdict']} {r['named']} {r['beside']}")
-    if store:
-        store.facts = {"summary": summary}
-        store.save()
 
 
 if __name__ == "__main__":

@@ -7,11 +7,13 @@ import importlib
 import json
 import os
 import shutil
+import signal
 import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from dataclasses import dataclass, field
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -29,6 +31,8 @@ class Job:
     without: str = ""
     """`module:function` of the engine that is taken out (it proposes nothing), or `module:FIGURE=value` that it has
     instead; several with commas between them."""
+    seconds: int = 0
+    """After so many it counts as crashed; 0: it may take as long as it takes."""
 
 
 def diagnose_all(jobs: Sequence[Job], processes: int, minutes: float = float("inf")) -> None:
@@ -111,6 +115,10 @@ def _answer(found: Any) -> dict[str, Any]:
     return data | {"baselines": data["statistics"].pop("baselines", {})}
 
 
+def _give_up(seconds: int, *_: Any) -> None:
+    raise TimeoutError(f"no answer in {seconds} s")
+
+
 def _diagnose(job: Job) -> str:
     """Write the answer; return a line of it."""
     from benchmarks.diagnosis.rules import first_choices
@@ -123,6 +131,8 @@ def _diagnose(job: Job) -> str:
     name = f"{job.out.parent.name}/{job.out.name}"
     for name_of_part in filter(None, job.without.split(",")):
         take_out(name_of_part)
+    signal.signal(signal.SIGALRM, partial(_give_up, job.seconds))
+    signal.alarm(job.seconds)
     try:
         config = DiagnoseConfig(threads=1, report=False, **job.settings)
         found = diagnose(load_case(job.case), config, look=first_choices)

@@ -1,0 +1,80 @@
+"""All benchmarks of the diagnosis that need no made cases from elsewhere, in one pool, the most wanted first.
+
+    python benchmarks/diagnosis/batch.py --jobs 14 --minutes 9 --out out/batch     # goes on where it was broken off
+
+The policies' contracts (contract.py), errors put into models of real robots (put_in.py), damaged drones (flights.py), a
+fresh made seed (sweep.py), real report logs (real.py): the answers lie in a folder each below --out, from where the
+scripts named here score them (`--work`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from benchmarks.diagnosis import flights, put_in, real
+from benchmarks.diagnosis.hardware.logs import LOGS
+from benchmarks.diagnosis.pool import Job, diagnose_all
+from realsim.gap.provenance import engine
+from tests.truths.diagnosis.cases import make_labelled, plan, read_labels
+
+HERE = Path(__file__).parent
+PARTS = ("contract", "put_in", "flights", "fresh", "real")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--shared", type=Path, default=Path(os.environ.get("REALSIM_SHARED", "../shared")))
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="of all together")
+    parser.add_argument("--seconds", type=int, default=300, help="of one case; then it counts as crashed")
+    parser.add_argument("--parts", nargs="*", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--seed", type=int, default=3001, help="of the fresh cases")
+    parser.add_argument("--cases", type=int, default=60, help="fresh ones")
+    parser.add_argument("--out", type=Path, default=Path("out/batch"))
+    args = parser.parse_args()
+    began, work = time.monotonic(), args.out
+    if "contract" in args.parts:
+        command = [str(HERE / "contract.py"), "--jobs", str(args.jobs), "--out", str(work / "contract.json")]
+        subprocess.run([sys.executable, *command], check=False)
+    jobs = []
+    if "put_in" in args.parts:
+        jobs += [Job(f, work / "put_in" / engine() / n) for n, (f, _) in put_in.labelled(args.shared).items()]
+    if "flights" in args.parts:
+        folder = work / "flights"
+        jobs += [Job(folder / "cases" / n, folder / engine() / n) for n in flights.make(args.shared, folder / "cases")]
+    if "fresh" in args.parts:
+        jobs += fresh(args, work / "fresh" / "as_drawn")
+    minutes = args.minutes - (time.monotonic() - began) / 60
+    diagnose_all([replace(job, seconds=args.seconds) for job in jobs], args.jobs, minutes)
+    minutes = args.minutes - (time.monotonic() - began) / 60
+    if "real" in args.parts and minutes > 1:
+        options = argparse.Namespace(work=work / "real", shared=args.shared, jobs=args.jobs, seed=1, cases=20)
+        names = [n for n, log in LOGS.items() if log.part == "report"]
+        real.make(options, names)
+        minutes = args.minutes - (time.monotonic() - began) / 60
+        diagnose_all([real.job(options.work, n) for n in real.read_labels(options.work, names)], args.jobs, minutes)
+    return 0
+
+
+def fresh(args: argparse.Namespace, folder: Path) -> list[Job]:
+    """Cases of a seed that nothing was developed on; those of walking robots, which take longest, first."""
+    draws = list(enumerate(plan(args.cases, args.seed)))
+    with ProcessPoolExecutor(args.jobs) as pool:
+        for line in pool.map(make_labelled, *zip(*draws, strict=True), [folder] * len(draws)):
+            print(line, flush=True)
+    labels = read_labels(folder)
+    order = sorted(labels, key=lambda n: labels[n]["robot"] not in ("g1", "quadruped"))
+    return [Job(folder / "cases" / n, folder / "out" / n) for n in order]
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,144 @@
+"""Real flights of two Crazyflies with known damage (CrazyPAD), a case a flight.
+
+    python benchmarks/diagnosis/flights.py --jobs 2          # needs the flights (shared/real_logs/crazypad)
+
+The model is the published one; of each drone, every other normal flight gives its mass and the place of its centre of
+mass, by the mean thrusts, so that what is left is what was done to the drone (and the battery, which falls by a few
+per cent from flight to flight). The other flights are diagnosed, in windows of two seconds; three without the yaw in
+their log (propeller cut by 3 mm, E8) are not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import sys
+from collections import Counter
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+import numpy as np
+
+from benchmarks.diagnosis.hardware.logs import write_case, write_windows
+from benchmarks.diagnosis.pool import Job, diagnose_all, read
+from benchmarks.diagnosis.put_in import sizes
+from benchmarks.diagnosis.real import NAMES
+from benchmarks.store import Row, Store
+from realsim.gap.provenance import engine
+from realsim.gap.recordings import read as read_recording
+
+ARM = 0.046 / np.sqrt(2)
+"""m: M1 front right, M2 back right, M3 back left, M4 front left, 46 mm from the centre."""
+PLACES = ARM * np.array([(1, -1), (-1, -1), (-1, 1), (1, 1)])
+DRAG = 5.964552e-3
+"""N m of torque about a rotor's axis for each newton of its thrust (Foerster, ETH 2015)."""
+GRAVITY, HEIGHT, WINDOW = 9.81, 0.3, 2.0
+"""m/s2; m above which it flies; seconds of a window."""
+KINDS = {
+    "normal_flight": "", "add_weight_W1_near_M4": "mass", "add_weight_W3_near_M3": "mass",
+    "weight_on_string_W2_near_M3": "mass", "cut_propeller_M3_2mm_2mm_43mm": "thrust", "cut_propeller_M3_3mm": "thrust",
+    "tape_on_propeller_M3": "thrust",
+}  # fmt: skip
+"""Condition -> what it is; the motor stands at the end of the name."""
+SORTS = {"payload": "mass", "link_inertia": "mass", "com_offset": "mass", "thrust_gain": "thrust"}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--shared", type=Path, default=Path(os.environ.get("REALSIM_SHARED", "../shared")))
+    parser.add_argument("--only", nargs="*", help="only flights whose name holds one of these")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="start no case after this many minutes")
+    parser.add_argument("--work", type=Path, default=Path("out/gap_flights"))
+    parser.add_argument("--store", type=Path, help="rows (default: rows.json in --work)")
+    args = parser.parse_args()
+    names = [n for n in make(args.shared, args.work / "cases") if not args.only or any(o in n for o in args.only)]
+    jobs = {n: Job(args.work / "cases" / n, args.work / engine() / n) for n in names}
+    diagnose_all(list(jobs.values()), args.jobs, args.minutes)
+    store = Store(args.store or args.work / "rows.json", ("case", "engine"))
+    rows = [store.add(judged(n, found)) for n, job in jobs.items() if (found := read(job)) is not None]
+    for r in rows:
+        print(f"{r['case']:<44} {r['verdict']:<17} {r['kind']:<8} {'; '.join(r['sizes'])}")
+    damaged, normal = [r for r in rows if r["truth"]], [r for r in rows if not r["truth"]]
+    print(f"kind right {sum(r['kind_right'] for r in rows)}/{len(rows)}; arm {sum(r['arm_right'] for r in damaged)}"
+          f"/{len(damaged)}; normal flights without a name {sum(r['kind_right'] for r in normal)}/{len(normal)}; "
+          f"verdicts {dict(Counter(r['verdict'] for r in rows))}")  # fmt: skip
+    return 0
+
+
+def make(shared: Path, folder: Path) -> list[str]:
+    """Write the cases that are not there yet; names of all."""
+    flights = sorted((shared / "real_logs" / "crazypad").glob("*/E*"))
+    names = []
+    for drone in ("E8", "E9"):
+        mine = [f for f in flights if f.name.startswith(drone)]
+        normal = [f for f in mine if f.parent.name == "normal_flight"]
+        model = xml_of([flight(f)["command"] for f in normal[::2]])
+        for file in mine:
+            if file in normal[::2] or not (arrays := flight(file)):
+                continue
+            names.append(f"{file.parent.name}__{file.name}")
+            if not (folder / names[-1] / "log.json").is_file():
+                shutil.rmtree(folder / names[-1], ignore_errors=True)
+                case = write_case(folder / names[-1], model, [], ["m1", "m2", "m3", "m4"], command_kind="torque",
+                                  base="floating")  # fmt: skip
+                write_windows(case, file.name, arrays, WINDOW)
+    return names
+
+
+def flight(file: Path) -> dict[str, np.ndarray]:
+    """What a case's run holds of a file, from the first to the last second in the air; {} without an attitude."""
+    (recording,) = read_recording(file)
+    (stream,) = recording.streams
+    if "base_quat" not in stream.fields:
+        return {}
+    names = {"command": "motor thrust command", "base_pos": "base_pos", "base_quat": "base_quat"}
+    arrays = {k: stream.fields[name].values for k, name in names.items()}
+    up = np.flatnonzero((arrays["base_pos"][:, 2] > HEIGHT) & (arrays["command"].sum(axis=1) > 0.15))
+    time = stream.clocks["header"][up[0] : up[-1]]
+    return {"time": time - time[0]} | {k: v[up[0] : up[-1]] for k, v in arrays.items()}
+
+
+def xml_of(commands: list[np.ndarray]) -> str:
+    """The published model with the mass and the centre of mass that the mean thrusts (T, 4) of some flights balance."""
+    mean = np.mean([c.mean(axis=0) for c in commands], axis=0)
+    x, y = mean @ PLACES / mean.sum()
+    sites = "".join(f'<site name="s{k}" pos="{p[0]:.6f} {p[1]:.6f} 0"/>' for k, p in enumerate(PLACES, 1))
+    motors = "".join(
+        f'<motor name="m{k}" site="s{k}" gear="0 0 1 0 0 {DRAG * (-1) ** k:.6f}"/>' for k in range(1, 5)
+    )  # fmt: skip
+    return f"""<mujoco model="crazyflie"><option timestep="0.005" integrator="implicitfast"/><worldbody>
+<body name="cf2" pos="0 0 0.5"><freejoint/>{sites}
+<inertial pos="{x:.6f} {y:.6f} 0" mass="{mean.sum() / GRAVITY:.5f}" diaginertia="2.3951e-5 2.3951e-5 3.2347e-5"/></body>
+</worldbody><actuator>{motors}</actuator></mujoco>"""
+
+
+def judged(name: str, found: Row) -> Row:
+    """The row of a flight."""
+    condition, _, log = name.partition("__")
+    named = found["causes"] if found["verdict"] in NAMES else []
+    kind = SORTS.get(named[0]["effect"], named[0]["effect"]) if named else ""
+    truth = KINDS[condition]
+    motor = next((p for p in condition.split("_") if p in ("M3", "M4")), "")
+    return {
+        "case": name, "engine": found["provenance"]["engine"], "drone": log[:2], "truth": truth, "kind": kind,
+        "verdict": found["verdict"], "sizes": sizes(found), "kind_right": kind == truth,
+        "arm_right": bool(named) and arm(named[0]) == motor, "seconds": found.get("seconds"),
+        "cpu_seconds": found.get("cpu_seconds"), "said": found.get("said") or found.get("sentence"),
+    }  # fmt: skip
+
+
+def arm(cause: Row) -> str:
+    """The motor that a cause is at: by its name, or the nearest to where a mass sits."""
+    for place in cause.get("joints") or []:
+        return str(place).upper()
+    at = [cause["parameters"].get(axis, {}).get("value") for axis in "xy"]
+    if None in at:
+        return ""
+    return f"M{1 + int(np.argmin(np.linalg.norm(PLACES - np.array(at), axis=1)))}"
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
