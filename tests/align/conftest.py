@@ -46,7 +46,7 @@ def cast(T: F64, boxes: list[Box], floor: bool) -> F64:
     return np.where(depth < 8, depth, 0).reshape(CAMERA.height, CAMERA.width)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def render() -> Callable[..., MetricScene]:
     """`render(boxes, poses, floor=True, noise=0.001, T_world_true=None, seed=0)` is the metric scene of a capture."""
 
@@ -97,13 +97,13 @@ WALL: Box = ((1.2, 3.0, 0.0), (6.0, 0.1, 2.5), 0.0)
 CLUTTER: Box = ((1.0, -2.2, 0.0), (0.4, 0.4, 0.5), 0.4)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def course() -> list[Box]:
     """Two platforms, two steps between them, a wall along one side and a box that does not belong to it."""
     return [START, GOAL, *STEPS, WALL, CLUTTER]
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def walk() -> Callable[..., list[F64]]:
     """`walk(count, roll)`: from behind the start, round one side, to behind the goal and back on the other side."""
 
@@ -116,7 +116,7 @@ def walk() -> Callable[..., list[F64]]:
     return make
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def askew() -> F64:
     """(4, 4) a world that lies anyhow: T_world_true."""
     return make_T(exp_so3([1.1, -0.7, 2.0]), [3.0, -1.0, 0.5])

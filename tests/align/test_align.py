@@ -31,8 +31,25 @@ def errors(aligned, T_world_true, T_sim_true):
     return tilt, abs(np.degrees(np.arctan2(E[1, 0], E[0, 0]))), 1000 * np.linalg.norm(E[:3, 3])
 
 
-def test_frame_of_a_course_in_a_world_askew(render, course, walk, askew):
-    aligned = align(render(course, walk(), T_world_true=askew), CONFIG)
+@pytest.fixture(scope="module")
+def scene(render, course, walk):
+    """The course as a walk round it sees it."""
+    return render(course, walk())
+
+
+@pytest.fixture(scope="module")
+def here(scene):
+    return align(scene, CONFIG)
+
+
+@pytest.fixture(scope="module")
+def there(render, course, walk, askew):
+    """The same in a world that lies askew."""
+    return align(render(course, walk(), T_world_true=askew), CONFIG)
+
+
+def test_frame_of_a_course_in_a_world_askew(there, askew):
+    aligned = there
     tilt, yaw, origin = errors(aligned, askew, truth())
     assert tilt < 0.1
     assert yaw < 0.3
@@ -49,21 +66,19 @@ def test_frame_of_a_course_in_a_world_askew(render, course, walk, askew):
     np.testing.assert_allclose(on_floor @ n + d, 0, atol=0.004)
 
 
-def test_the_result_does_not_depend_on_how_the_world_lies(render, course, walk, askew):
-    here = align(render(course, walk()), CONFIG)
-    there = align(render(course, walk(), T_world_true=askew), CONFIG)
+def test_the_result_does_not_depend_on_how_the_world_lies(here, there, askew):
     np.testing.assert_allclose(there.T_sim_world @ askew, here.T_sim_world, atol=1e-5)
     assert there.gravity.tilt_sigma_deg == pytest.approx(here.gravity.tilt_sigma_deg, rel=1e-3)
 
 
-def test_same_input_same_output(render, course, walk):
-    first, second = (align(render(course, walk()), CONFIG) for _ in range(2))
-    np.testing.assert_array_equal(first.T_sim_world, second.T_sim_world)
-    np.testing.assert_array_equal(first.bounds, second.bounds)
+def test_same_input_same_output(scene, here):
+    again = align(scene, CONFIG)
+    np.testing.assert_array_equal(again.T_sim_world, here.T_sim_world)
+    np.testing.assert_array_equal(again.bounds, here.bounds)
 
 
-def test_walls_and_clutter_are_cut_away_and_said(render, course, walk):
-    aligned = align(render(course, walk()), CONFIG)
+def test_walls_and_clutter_are_cut_away_and_said(here):
+    aligned = here
     low, high = aligned.bounds
     for corner in ([-0.4, -0.35, -0.3], [2.8, 0.65, 0.0]):
         inside = transform(truth(), np.add(corner, [0, 0, 0.3]))
@@ -155,19 +170,15 @@ def test_two_inclined_grounds_are_refused_unless_up_is_known(source):
     assert np.degrees(np.arccos(min(1, aligned.gravity.normal_world @ normals[0]))) < 0.5
 
 
-def test_start_and_goal_as_asked(render, course, walk):
-    scene = render(course, walk())
-    rule = align(scene, CONFIG)
-    goal = rule.platform("goal").centroid
+def test_start_and_goal_as_asked(scene, here):
+    goal = here.platform("goal").centroid
     turned = align(scene, AlignConfig(start=(float(goal[0]), float(goal[1]))))
-    np.testing.assert_allclose(transform(turned.T_sim_world @ invert_T(rule.T_sim_world), goal), 0, atol=1e-6)
+    np.testing.assert_allclose(transform(turned.T_sim_world @ invert_T(here.T_sim_world), goal), 0, atol=1e-6)
     assert turned.platform("goal").size[2] == pytest.approx(0.30, abs=0.005)
 
 
-def test_start_by_pixel(render, course, walk):
-    scene = render(course, walk())
-    rule = align(scene, CONFIG)
-    goal = transform(invert_T(rule.T_sim_world), rule.platform("goal").centroid)
+def test_start_by_pixel(scene, here):
+    goal = transform(invert_T(here.T_sim_world), here.platform("goal").centroid)
     p = transform(invert_T(scene.T_world_camera[6]), goal)
     camera = scene.frames[6].intrinsics
     pixel = ("0006", int(p[0] / p[2] * camera.fx + camera.cx), int(p[1] / p[2] * camera.fy + camera.cy))
@@ -300,8 +311,10 @@ def turned(T, V, F, up=None):
     return inside_out(*_sampled(transform(T, V), F, 0), up)
 
 
-@pytest.mark.parametrize("T", [np.eye(4), LYING, ASKEW])
-@pytest.mark.parametrize(("closed", "up_known"), [(False, False), (False, True), (True, True)])
+@pytest.mark.parametrize(
+    ("closed", "up_known", "T"),
+    [(False, False, LYING), (False, False, ASKEW), (False, True, ASKEW), (True, True, LYING)],
+)
 def test_a_mesh_wound_inside_out_gives_the_same_scene(course, source, closed, up_known, T):
     V, F = plinth(course[:4]) if closed else mesh_of(course[:4])
     scan = Scan(source, "mesh", transform(T, V), F, up_world=T[:3, 2] if up_known else None)
@@ -329,8 +342,10 @@ def test_what_lies_under_a_floor_that_faces_up_in_its_file_is_a_pit(course):
     assert not turned(HEAD_DOWN, V, F[:, ::-1])
 
 
-@pytest.mark.parametrize("thickness", [0.005, 0.02, 0.05, 0.3])
-@pytest.mark.parametrize("T", [np.eye(4), LYING, HEAD_DOWN, ASKEW])
+@pytest.mark.parametrize(
+    ("thickness", "T"),
+    [(0.005, LYING), (0.02, np.eye(4)), (0.02, ASKEW), (0.05, HEAD_DOWN), (0.3, LYING), (0.3, ASKEW)],
+)
 def test_of_a_slab_under_a_course_the_upper_face_is_the_ground(course, source, thickness, T):
     """Thinner or thicker than a voxel. Where no axis of the file points up, or the one that is believed points down
     (a low course hangs under its slab nearly as well as it stands on it), that is a warning and a question."""

@@ -62,7 +62,7 @@ def scene(made: SynthCapture, model: Path, tmp_path_factory: pytest.TempPathFact
     config = ReconstructConfig(
         points=PointsConfig(backend="onnx", onnx=OnnxConfig(model=model)),
         mesh=MeshConfig(resolution=0.03),
-        scene=SceneConfig(contact_probes=100),
+        scene=SceneConfig(contact="hfield", contact_probes=100),
         compare=True,
         cache=tmp_path_factory.mktemp("cache"),
     )

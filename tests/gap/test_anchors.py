@@ -157,7 +157,7 @@ def test_states_of_parts_explain_what_is_a_sum_of_their_slopes(arm: Case, scale:
 )
 def test_a_drone_is_diagnosed(tmp_path: Path, truth: dict[str, float], effect: str, name: str) -> None:
     """Open loop, the second tumbles within 0.2 s."""
-    found = diagnose(flights(tmp_path / "case", **truth), EFFECTS)
+    found = diagnose(flights(tmp_path / "case", runs=3, seconds=2.0, **truth), EFFECTS)
     assert found.verdict == "identified"
     (cause,) = found.causes
     assert cause["effect"] == effect
@@ -166,4 +166,4 @@ def test_a_drone_is_diagnosed(tmp_path: Path, truth: dict[str, float], effect: s
 
 @pytest.mark.slow
 def test_a_drone_as_modelled_has_no_gap(tmp_path: Path) -> None:
-    assert diagnose(flights(tmp_path / "case"), EFFECTS).verdict == "no_gap"
+    assert diagnose(flights(tmp_path / "case", runs=3, seconds=2.0), EFFECTS).verdict == "no_gap"
