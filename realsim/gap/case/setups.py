@@ -25,6 +25,8 @@ class Setup:
     """(body, kg, place in the body's frame, m) of masses that are fixed to it."""
     gains: tuple[tuple[str, str, float], ...] = ()
     """(actuator, `kp` or `kd`, its value in N m/rad or N m s/rad of the actuator)."""
+    later: bool = False
+    """Whether the run is of the later one of two logs that are compared."""
 
 
 def read_setups(said: Any, model: Any, file: Path) -> dict[str, Setup]:

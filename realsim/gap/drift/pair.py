@@ -71,7 +71,8 @@ def pair_of(today: Case, before: Case, config: DiagnoseConfig) -> Pair:
         notes.append("imu_site differs: the IMU is not compared")
         site = None
     earlier = tuple(replace(run, name=f"{BEFORE}{run.name}") for run in before.runs)
-    case = replace(today, runs=(*earlier, *today.runs), torque_kind=torque, imu_site=site, added=())
+    later = tuple(replace(run, setup=replace(run.setup, later=True)) for run in today.runs)
+    case = replace(today, runs=(*earlier, *later), torque_kind=torque, imu_site=site, added=())
     whole = replace(config, holdout=0)
     then, _ = split_runs(before, whole)
     now, _ = split_runs(today, whole)

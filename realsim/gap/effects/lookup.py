@@ -1,12 +1,44 @@
-"""Effects and nuisances by name."""
+"""Effects, nuisances, and changes of either between two logs of one robot, by name."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+from realsim.gap.case.model.context import Context
 from realsim.gap.effects import EFFECTS
-from realsim.gap.effects.base import Effect
+from realsim.gap.effects.base import Effect, Parameter, Place, Rivals, Suggestion
 from realsim.gap.effects.nuisances import NUISANCES
+
+SINCE = " since"
+"""Ends the name of an effect that acts in the later one of two logs only, on top of what acts in both."""
+DAILY = 0.5
+"""Standard deviation of what comes and goes from day to day, as a share of the everyday deviations between robots: a
+joint's friction differs by some percent between a cold and a warm morning. Not tuned."""
 
 
 def lookup(name: str) -> Effect:
-    """An effect of the library, or one of the nuisances."""
+    """An effect of the library, one of the nuisances, or a change of one."""
+    if name.endswith(SINCE):
+        return _change(name.removesuffix(SINCE))
     return NUISANCES[name] if name in NUISANCES else EFFECTS[name]
+
+
+@lru_cache
+def _change(name: str) -> Effect:
+    """The same law in the same coordinates, which count from what both logs share (`Simulator.edited`)."""
+    effect = lookup(name)
+    rivals = effect.rivals
+
+    def parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
+        return tuple(
+            replace(p, nuisance=DAILY * p.nuisance, usual=0.0, like=p.like and (p.like[0] + SINCE, p.like[1]))
+            for p in effect.parameters(context, place)
+        )
+
+    def suggest(context: Context, place: Place, values: dict[str, float]) -> Sequence[Suggestion]:
+        return [replace(s, effect=s.effect + SINCE) for s in rivals.suggest(context, place, values)]
+
+    others = Rivals(suggest, *(n and n + SINCE for n in (rivals.special_case, rivals.commoner)))
+    return replace(effect, name=name + SINCE, parameters=parameters, rivals=others)

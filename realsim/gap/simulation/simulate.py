@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import threading
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,7 +22,7 @@ from realsim.gap.case.model.edit import Edit
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects.base import Place
 from realsim.gap.effects.deviations_file import check_places, read_deviations
-from realsim.gap.effects.lookup import lookup
+from realsim.gap.effects.lookup import SINCE, lookup
 from realsim.gap.simulation.anchors import anchored
 from realsim.gap.simulation.control import controls, switched_off, tracks_of
 from realsim.gap.simulation.cores import Cores
@@ -75,6 +76,8 @@ class Simulator:
         """How each run begins."""
         self.onsets: dict[str, float] = {}
         """Run -> seconds at which something sudden begins there; see realsim.gap.inference.evidence.onsets."""
+        self.base: tuple[Setting, ...] = ()
+        """What every simulation contains."""
         self._raw = self.roll_out(Edit(self.context), None)
         self.rests = [r["pos"][round(float(r["settle"][0] / r["settle"][1]))] for r in self._raw]
         """(J,) a run: where the nominal simulator rests under the first command."""
@@ -116,8 +119,31 @@ class Simulator:
         assert self._raw is not None
         return self._raw
 
+    def begin_from(self, settings: Sequence[Setting]) -> None:
+        """Let every simulation contain these settings from now on; the nominal one, too."""
+        self.base = tuple(settings)
+        self._raw = self.roll_out(self.edited(()), None)
+
     def edited(self, settings: Sequence[Setting]) -> Edit:
-        """The changed simulator."""
+        """The changed simulator; effects that end in SINCE change the runs of the later log alone."""
+        always = [*self.base, *(s for s in settings if not s[0].endswith(SINCE))]
+        edit, changes = self._edited(always), [s for s in settings if s[0].endswith(SINCE)]
+        if changes:
+            edit.later = self._edited(self._on_top(always, changes))
+        return edit
+
+    def _on_top(self, settings: Sequence[Setting], changes: Sequence[Setting]) -> list[Setting]:
+        """The settings with the changes added, coordinate by coordinate."""
+        found = {(name, place): dict(values) for name, place, values in settings}
+        for name, place, values in changes:
+            here = found.setdefault((name.removesuffix(SINCE), place), {})
+            for p in lookup(name).parameters(self.context, place):
+                if p.name in values:
+                    moved = here.get(p.name, p.default) + values[p.name] - p.default
+                    here[p.name] = float(np.clip(moved, *p.bounds))
+        return [(name, place, values) for (name, place), values in found.items()]
+
+    def _edited(self, settings: Sequence[Setting]) -> Edit:
         edit = Edit(self.context)
         for name, place, values in settings:
             effect = lookup(name)
@@ -143,10 +169,20 @@ class Simulator:
     def moves(self, setting: Setting) -> bool:
         """Whether the robot moves otherwise, or is read at other times; if not, only what is read is shifted."""
         edit = self.edited([setting])
+        edit = edit.later or edit
         return bool(edit.touched or edit.signals.moves_the_robot() or edit.signals.observation_delay)
 
     def _raw_of(self, edit: Edit, chosen: list[int], coarse: int) -> list[dict[str, F64]]:
         """Signals on the simulator's own grid; what only reads them otherwise needs no simulation of its own."""
+        if edit.later is not None:
+            later, alone = edit.later, copy.copy(edit)
+            alone.later = None
+            parts = [
+                (e, [i for i in chosen if edit.of(self.case.runs[i].setup) is o])
+                for e, o in ((alone, edit), (later, later))
+            ]
+            found = {i: raw for e, of in parts if of for i, raw in zip(of, self._raw_of(e, of, coarse), strict=True)}
+            return [found[i] for i in chosen]
         moving = any(self.starts[i].reads_the_log for i in chosen)
         moves = edit.touched or edit.signals.moves_the_robot() or (moving and edit.signals.observation_delay)
         if coarse == 1 and not moves:
@@ -182,9 +218,9 @@ class Simulator:
         runs = [self.case.runs[i] for i in chosen] if chosen is not None else list(self.case.runs)
         found: list[dict[str, F64]] = [{} for _ in runs]
         for setup in dict.fromkeys(run.setup for run in runs):
-            members = [i for i, run in enumerate(runs) if run.setup == setup]
+            members, here = [i for i, run in enumerate(runs) if run.setup == setup], edit.of(setup)
             tracks = self._rolled_out(
-                edit, edit.set_up(setup), [runs[i] for i in members], coarse, [begun[i] for i in members], seconds
+                here, here.set_up(setup), [runs[i] for i in members], coarse, [begun[i] for i in members], seconds
             )
             for i, track in zip(members, tracks, strict=True):
                 found[i] = track
@@ -264,7 +300,7 @@ class Simulator:
 
     def read(self, run: Run, raw: dict[str, F64], edit: Edit) -> F64:
         """(T, C) at the time stamps of the run, through the wrappers."""
-        s = edit.signals
+        s = edit.of(run.setup).signals
         settle, dt = raw["settle"]
         now = (run.time + settle) / dt
         late = now - s.observation_delay / dt

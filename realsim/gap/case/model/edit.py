@@ -135,6 +135,8 @@ class Edit:
         self.signals = Signals()
         self.bodily: list[Any] = []
         """Settings of the effects that asked for the spec."""
+        self.later: Edit | None = None
+        """The simulator of the later one of two logs, where that differs."""
         self._spec: Any = None
         self._asked = 0
 
@@ -291,12 +293,16 @@ class Edit:
         body.inertia, body.explicitinertial = np.maximum(values, 1e-12), 1
         body.fullinertia = np.array([np.nan, 0, 0, 0, 0, 0])
 
+    def of(self, setup: Setup) -> Edit:
+        """The simulator of a run."""
+        return self if self.later is None or not setup.later else self.later
+
     def set_up(self, setup: Setup) -> Any:
         """The spec as it is in a run that is known to differ from model.xml; a copy where it does.
 
         Gains are taken as ratios on the model's, so that an effect's ratio counts on top of them.
         """
-        if setup == Setup():
+        if not (setup.payload or setup.gains):
             return self.spec
         here = Edit(self.context)
         here._spec = self.spec.copy()

@@ -20,7 +20,7 @@ from realsim.gap import figures
 from realsim.gap.case.model.groups import like_joints
 from realsim.gap.effects import EFFECTS, ON_REQUEST
 from realsim.gap.effects.base import Effect, Parameter, Place
-from realsim.gap.effects.lookup import lookup
+from realsim.gap.effects.lookup import SINCE, lookup
 from realsim.gap.effects.nuisances import NUISANCES
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.linear import Evidence, Spectrum, scaled
@@ -79,7 +79,9 @@ class Screen:
         runs: Sequence[int],
         effects: Sequence[str] = (),
         tick: Callable[[str, float], None] = lambda what, share: None,
+        since: bool = False,
     ) -> None:
+        """`since`: candidates are changes that the later one of two logs has; each may come and go in small, too."""
         self.simulator, self.comparison, self.runs = simulator, comparison, list(runs)
         self.skipped: dict[str, str] = {}
         self.gap = False
@@ -97,10 +99,13 @@ class Screen:
         self._weighted: list[F64] = []
         context = simulator.context
         chosen = [n for n in EFFECTS if (n in effects if effects else n not in ON_REQUEST)]
+        names = [*chosen, *NUISANCES]
+        names += [n + SINCE for n in names] if since else []
+        chosen = [n + SINCE for n in chosen] if since else chosen
         self.atoms: list[Atom] = []
         columns: list[list[F32]] = [[] for _ in self.runs]
         wanted: list[Atom] = []
-        for effect in [*(EFFECTS[n] for n in chosen), *NUISANCES.values()]:
+        for effect in map(lookup, names):
             places = effect.places(context)
             if not places:
                 self.skipped[effect.name] = (
@@ -321,7 +326,7 @@ class Screen:
         found = []
         context = self.simulator.context
         for name in chosen:
-            effect = EFFECTS[name]
+            effect = lookup(name)
             places = [p for p in effect.places(context) if any(a.effect == name and a.place == p for a in self.atoms)]
             groups: list[tuple[Place, ...]] = [(p,) for p in places]
             if effect.scope == "joint" and len(places) > 1:
