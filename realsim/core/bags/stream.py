@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,25 +27,33 @@ class Bag:
     """Topic -> message type, of all that were met."""
     failures: dict[str, str] = field(default_factory=dict)
     """Topic -> why its messages, or some of them, were not decoded."""
+    opened: Callable[[Any], None] = lambda bag: None
+    """Called with the open bag of rosbags, where it is none of MCAP, before its messages."""
+    start: float = 0.0
+    """s, time of reception of the first message of any topic."""
 
     def messages(self, wanted: Callable[[str, str], bool]) -> Iterator[tuple[str, str, Any, float]]:
         """(topic, type, message, time of reception in s) of the topics that `wanted(topic, type)` asks for."""
-        self.notes.clear()
-        files = mcap_files(self.path)
-        raw = self._of_mcap(files, wanted) if files else self._of_bag(wanted)
-        for topic, kind, decode, data, received in raw:
+        for topic, kind, decode, received in self.encoded(wanted):
             try:
-                message = decode(data)
+                message = decode()
             except Exception as error:  # decoders of damaged messages raise whatever the damage leads to
                 self.failures[topic] = f"{kind}: {type(error).__name__}: {error}"[:160]
                 continue
             yield topic, kind, message, received
 
+    def encoded(self, wanted: Callable[[str, str], bool]) -> Iterator[tuple[str, str, Callable[[], Any], float]]:
+        """The same with what decodes each message, so that what is not needed is not decoded."""
+        self.notes.clear()
+        files = mcap_files(self.path)
+        for topic, kind, decode, data, received in self._of_mcap(files, wanted) if files else self._of_bag(wanted):
+            yield topic, kind, partial(decode, data), received
+
     def _of_mcap(self, files: list[Path], wanted: Callable[[str, str], bool]) -> Iterator[tuple[Any, ...]]:
         extra("mcap", "logs", "reading .mcap")
         from mcap.records import Channel, Message, Schema
 
-        types = Types()
+        types, first = Types(), True
         for file in files:
             channels: dict[int, tuple[str, str, Any]] = {}
             schemas: dict[int, Any] = {}
@@ -54,6 +64,7 @@ class Bag:
                     channels[record.id] = self._channel(record, schemas.get(record.schema_id), types, wanted)
                 elif isinstance(record, Message) and record.channel_id in channels:
                     topic, kind, decode = channels[record.channel_id]
+                    self.start, first = 1e-9 * record.log_time if first else self.start, False
                     if decode is not None:
                         yield topic, kind, decode, record.data, 1e-9 * record.log_time
 
@@ -62,9 +73,14 @@ class Bag:
         self.topics[channel.topic] = kind
         if not wanted(channel.topic, kind):
             return channel.topic, kind, None
+        if channel.message_encoding == "json":
+            return channel.topic, kind, json.loads
         known = schema is not None and schema.encoding in ("ros2msg", "ros2idl", "ros1msg")
         if not known or channel.message_encoding not in ("cdr", "ros1"):
-            self.failures[channel.topic] = f"{kind}: {channel.message_encoding} messages are not read"
+            said = (
+                f"{channel.message_encoding or '?'} with {schema.encoding if schema is not None else 'no'} definition"
+            )
+            self.failures[channel.topic] = f"{kind or 'no type'}: {said} is not read"
             return channel.topic, kind, None
         decode, why = types.decoder(schema.name, schema.encoding, schema.data.decode("utf-8", "replace"))
         if decode is None:
@@ -80,6 +96,8 @@ class Bag:
         count = 0
         try:
             with highlevel.AnyReader([self.path], default_typestore=store) as bag:
+                self.start = 1e-9 * bag.start_time
+                self.opened(bag)
                 chosen = []
                 for connection in bag.connections:
                     self.topics[connection.topic] = connection.msgtype

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,6 @@ from realsim.gap.case.case import load_case
 from realsim.gap.checks.camera.recorded import depth_camera, read_frames
 from realsim.gap.checks.footholds.run import check_camera
 from realsim.gap.recordings import Window, load_target, propose, read, write_case
-from realsim.gap.recordings.readers.rosbag import _is_of_use
 from tests.truths.crossings import Truth, focal, make_case
 
 from . import writers
@@ -218,20 +216,6 @@ def test_a_camera_info_that_cannot_be_read_is_listed_with_the_reason(arm: Log, t
     (recording,) = read(writers.mcap_ros2(tmp_path / "run.mcap", sorted(messages, key=lambda m: m[3])))
     assert "cannot be decoded" in recording.skipped["/head/depth/camera_info"]
     assert "without camera_info" in recording.skipped["/head/depth/image_raw"]
-
-
-def test_a_topic_is_depth_by_its_first_picture_that_can_be_read() -> None:
-    class Damaged:
-        def messages(self, connections: list[Any]) -> list[tuple[Any, int, bytes]]:
-            return [(connections[0], k, bytes([k])) for k in range(3)]
-
-        def deserialize(self, data: bytes, kind: str) -> Any:
-            if data == bytes([0]):
-                raise ValueError("damaged")
-            return SimpleNamespace(encoding="16UC1")
-
-    connection = SimpleNamespace(msgtype="sensor_msgs/msg/Image", topic="/head/image_raw")
-    assert _is_of_use(Damaged(), connection)
 
 
 @pytest.mark.parametrize("version", [1, 2])

@@ -7,8 +7,8 @@ from realsim.core.registry import Registry
 READERS = Registry(
     "log reader",
     {
-        "mcap": "realsim.gap.recordings.readers.mcap:READER",
-        "rosbag": "realsim.gap.recordings.readers.rosbag:READER",
+        "mcap": "realsim.gap.recordings.readers.bags:MCAP",
+        "rosbag": "realsim.gap.recordings.readers.bags:ROSBAG",
         "lerobot": "realsim.gap.recordings.readers.lerobot:READER",
         "parquet": "realsim.gap.recordings.readers.parquet:READER",
         "ulog": "realsim.gap.recordings.readers.ulog:READER",
