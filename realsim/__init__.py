@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from realsim.capture.inspection import Inspection
     from realsim.export.config import SceneConfig
     from realsim.gap.case.case import Case
-    from realsim.gap.config import DiagnoseConfig
-    from realsim.gap.experiments.config import ExciteConfig
+    from realsim.gap.config import DiagnoseConfig, ExciteConfig
     from realsim.pipeline import ReconstructConfig
     from realsim.results import Cause, Diagnosis, GapVerdict, Interval, Scene, SceneVerdict
 
@@ -65,7 +64,7 @@ _HOME = {
     "Inspection": "realsim.capture.inspection",
     "SceneConfig": "realsim.export.config",
     "DiagnoseConfig": "realsim.gap.config",
-    "ExciteConfig": "realsim.gap.experiments.config",
+    "ExciteConfig": "realsim.gap.config",
     "Case": "realsim.gap.case.case",
     "ReconstructConfig": "realsim.pipeline",
 }

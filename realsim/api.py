@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from realsim.export import Exported
     from realsim.export.config import SceneConfig
     from realsim.gap import Case, DiagnoseConfig
-    from realsim.gap.experiments.config import ExciteConfig
+    from realsim.gap.config import ExciteConfig
     from realsim.pipeline import ReconstructConfig
     from realsim.results import Diagnosis, Scene
 

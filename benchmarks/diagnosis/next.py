@@ -36,8 +36,8 @@ from benchmarks.store import Store
 from realsim.core.errors import RealsimError
 from realsim.core.files import to_json, write_text
 from realsim.gap import DiagnoseConfig, diagnose, load_case
+from realsim.gap.config import ExciteConfig
 from realsim.gap.experiments.choose import random_experiment
-from realsim.gap.experiments.config import ExciteConfig
 from realsim.gap.experiments.excitations import EXCITATIONS
 from realsim.gap.experiments.plan import Experiment, Planned
 from realsim.gap.experiments.proposal import bench_of

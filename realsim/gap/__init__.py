@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from realsim.gap.case.case import Case, Run, load_case
     from realsim.gap.config import DiagnoseConfig
     from realsim.gap.effects import EFFECTS
-    from realsim.gap.explanation import explain
+    from realsim.gap.effects.lookup import explain
     from realsim.gap.pipeline import diagnose
     from realsim.gap.run import check_case, run_case
     from realsim.gap.scaffold import start_case
@@ -34,7 +34,7 @@ _HOME = {
     "apply_patch": "answer.patch",
     "check_case": "run",
     "diagnose": "pipeline",
-    "explain": "explanation",
+    "explain": "effects.lookup",
     "load_case": "case.case",
     "run_case": "run",
     "start_case": "scaffold",

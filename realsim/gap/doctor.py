@@ -13,9 +13,10 @@ from realsim.core.files import output_folder, to_json, write_text
 from realsim.gap.answer.brief import brief
 from realsim.gap.case.case import Case, load_case
 from realsim.gap.checks.contract import check, load_policy, read_steps
+from realsim.gap.checks.contract.settings import setting
 from realsim.gap.checks.footholds.run import check_camera, check_scene, terrain_of_case
 from realsim.gap.config import DiagnoseConfig
-from realsim.gap.doctor_words import FRAMEWORKS, setting_of
+from realsim.gap.effects import EFFECTS
 from realsim.gap.pipeline import Progress, diagnose
 from realsim.gap.verdicts import SAID, GapVerdict
 from realsim.report import page
@@ -172,3 +173,15 @@ def _page(found: Mapping[str, Any], parts: list[Part], case: str) -> str:
             )
         )
     return page.document(f"Doctor of {case}", f"policy {found['policy']}", "".join(body))
+
+
+FRAMEWORKS = {"mjlab": "mjlab", "Isaac Lab": "isaaclab", "Unitree": "unitree"}
+"""Name for a reader -> name in `contract.settings`."""
+
+
+def setting_of(kind: str, framework: str) -> str:
+    """What to change about a kind of contract error, or about an effect."""
+    if kind not in EFFECTS:
+        return setting(kind, FRAMEWORKS[framework])
+    own = EFFECTS[kind].words.settings
+    return own[list(FRAMEWORKS).index(framework)] if own else f"{kind}: as in the patched model.xml of realsim diagnose"

@@ -12,9 +12,8 @@ from realsim.core.errors import GapError
 from realsim.core.files import output_folder, read_json
 from realsim.gap.case.case import Case, load_case
 from realsim.gap.case.recordings import RECORDED
-from realsim.gap.config import DiagnoseConfig
+from realsim.gap.config import DiagnoseConfig, ExciteConfig
 from realsim.gap.experiments.choose import Looked, look
-from realsim.gap.experiments.config import ExciteConfig
 from realsim.gap.experiments.proposal import bench_of, described
 from realsim.gap.experiments.rivals import Rival, rivals_from
 from realsim.gap.experiments.write import write_experiment

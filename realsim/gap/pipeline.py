@@ -14,15 +14,14 @@ from realsim.core.errors import GapError
 from realsim.core.types import F64
 from realsim.gap.answer.arrays import collect
 from realsim.gap.answer.conclusion import Conclusion, conclude
-from realsim.gap.answer.diagnosis import Diagnosis, describe_set
+from realsim.gap.answer.diagnosis import Diagnosis, describe_set, ranked_effects
 from realsim.gap.answer.patch import empty_patch, make_patch
-from realsim.gap.answer.ranking import ranked_effects
 from realsim.gap.answer.sentence import advice, sentence
 from realsim.gap.answer.stays import what_stays
 from realsim.gap.case.case import Case
 from realsim.gap.case.health import examine
-from realsim.gap.case.repeats import replicates as replicates
 from realsim.gap.case.runs import LEAST_SAMPLES
+from realsim.gap.case.split import replicates as replicates
 from realsim.gap.case.split import split_runs
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects import EFFECTS

@@ -12,7 +12,7 @@ from realsim import __version__
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects.deviations_file import read_deviations
 
-NO_ANSWER = ("report", "explanation.py", "excite.py", "experiments", "drift", "recordings")
+NO_ANSWER = ("report", "excite.py", "experiments", "drift", "recordings")
 """Below realsim/gap: what makes a case, shows an answer, or asks for another recording, and cannot change verdict or
 causes."""
 NO_SETTING = ("threads", "report")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from realsim.gap import Case, DiagnoseConfig, load_case
-from realsim.gap.answer.ranking import ranked_effects
+from realsim.gap.answer.diagnosis import ranked_effects
 from realsim.gap.figures import CLEARLY, PRICE
 from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
 from realsim.gap.inference.causes.fitted import Trial

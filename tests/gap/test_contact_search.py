@@ -14,8 +14,7 @@ from realsim.gap import EFFECTS, Case, DiagnoseConfig
 from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
 from realsim.gap.inference.causes.leftover import deviations, is_gap, leftover
 from realsim.gap.inference.causes.proposals import by_simulation
-from realsim.gap.inference.causes.search import Search
-from realsim.gap.inference.causes.second_look import second_look
+from realsim.gap.inference.causes.search import Search, second_look
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.screen import Candidate, Screen
 from realsim.gap.simulation.simulate import Simulator

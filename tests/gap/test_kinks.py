@@ -11,7 +11,7 @@ import pytest
 
 from realsim.gap import Case, DiagnoseConfig, load_case
 from realsim.gap.case.health.signals import noise
-from realsim.gap.case.kinks import median_size, second_differences, third_differences
+from realsim.gap.case.motion import median_size, second_differences, third_differences
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.simulation.start import _noise

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from realsim.gap import EFFECTS, DiagnoseConfig, apply_patch, diagnose, figures, load_case, run_case
-from realsim.gap.case.model.groups import kind_of, like_joints
+from realsim.gap.case.model.context import kind_of, like_joints
 from realsim.gap.effects.payload import add_point_mass
 from realsim.gap.effects.terrain_tilt import quaternion, rotation
 from realsim.gap.inference.likelihood.comparison import Comparison

@@ -23,7 +23,7 @@ from realsim.gap.inference.causes.search import Search
 from realsim.gap.inference.causes.windows import _best_window
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.screen import Screen
-from realsim.gap.simulation.recent import Recent
+from realsim.gap.simulation.cores import Recent
 from realsim.gap.simulation.simulate import Setting, Simulator
 
 from .test_recovery import logged

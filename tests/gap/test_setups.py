@@ -10,7 +10,7 @@ import pytest
 
 from realsim.core.errors import GapError
 from realsim.gap import DiagnoseConfig, load_case
-from realsim.gap.case.repeats import replicates
+from realsim.gap.case.split import replicates
 from realsim.gap.simulation.simulate import Simulator
 
 from .truth import Truth

@@ -11,9 +11,8 @@ from realsim.cli.commands import CommandResult
 from realsim.cli.commands.diagnose import refuse_recording
 from realsim.core.errors import RealsimError
 from realsim.core.progress import steps
-from realsim.gap.config import DiagnoseConfig
+from realsim.gap.config import DiagnoseConfig, ExciteConfig
 from realsim.gap.excite import excite as choose
-from realsim.gap.experiments.config import ExciteConfig
 
 
 def excite(

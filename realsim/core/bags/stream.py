@@ -77,10 +77,8 @@ class Bag:
             return channel.topic, kind, json.loads
         known = schema is not None and schema.encoding in ("ros2msg", "ros2idl", "ros1msg")
         if not known or channel.message_encoding not in ("cdr", "ros1"):
-            said = (
-                f"{channel.message_encoding or '?'} with {schema.encoding if schema is not None else 'no'} definition"
-            )
-            self.failures[channel.topic] = f"{kind or 'no type'}: {said} is not read"
+            how = f"{channel.message_encoding or '?'} with {schema.encoding if schema is not None else 'no'}"
+            self.failures[channel.topic] = f"{kind or 'no type'}: {how} definition is not read"
             return channel.topic, kind, None
         decode, why = types.decoder(schema.name, schema.encoding, schema.data.decode("utf-8", "replace"))
         if decode is None:

@@ -23,9 +23,8 @@ from realsim.gap.answer.verdict import Fitted, Judgement, judge
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fit import Fitter
-from realsim.gap.inference.causes.fitted import Cause, Fit, Trial, at_an_end
+from realsim.gap.inference.causes.fitted import Cause, Fit, Trial, at_an_end, implausible
 from realsim.gap.inference.causes.leftover import is_gap, leftover, nuisance_settings
-from realsim.gap.inference.causes.plausible import implausible
 from realsim.gap.inference.causes.score import score
 from realsim.gap.inference.causes.select import Selection
 from realsim.gap.inference.causes.starts import contains, suggested

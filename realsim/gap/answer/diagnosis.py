@@ -12,8 +12,12 @@ from realsim.core.files import to_json, write_text
 from realsim.core.statistics import Z90
 from realsim.gap import figures
 from realsim.gap.answer.arrays import Arrays
+from realsim.gap.effects import EFFECTS
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fit import Cause, Fit
+from realsim.gap.inference.causes.fitted import Trial
+from realsim.gap.inference.causes.select import Selection
+from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.verdicts import GapVerdict
 
@@ -136,3 +140,46 @@ def describe_set(
     starts = np.cumsum([0, *(len(c.values) for c in fit.causes)])
     chosen = range(len(fit.causes)) if order is None else order
     return [describe_cause(simulator, fit.causes[i], sigmas[starts[i] : starts[i + 1]]) for i in chosen]
+
+
+def ranked_effects(selection: Selection, screen: Screen) -> list[dict[str, Any]]:
+    """One line an effect: its best place, and its gains stage by stage; effects that could not be tried, with why."""
+    of: dict[str, list[Trial]] = {}
+    for trial in selection.trials:
+        of.setdefault(trial.candidate.effect, []).append(trial)
+    rows = [_row(trials) for trials in of.values()]
+    rows.sort(key=lambda r: -(r["gain"] if r["gain"] is not None else min(r["linear_gain"], 0.0) - 1e6))
+    rows += [
+        {"effect": name, "outcome": f"not tried: {reason}"}
+        for name, reason in screen.skipped.items()
+        if name in EFFECTS and name not in of
+    ]
+    return rows
+
+
+def _row(trials: list[Trial]) -> dict[str, Any]:
+    best = max(trials, key=_merit)
+    stages = [max((t for t in trials if t.stage == s), key=_merit) for s in sorted({t.stage for t in trials})]
+    return {
+        "effect": best.candidate.effect,
+        **_said(best),
+        "stages": [_said(t) for t in stages],
+    }
+
+
+def _merit(trial: Trial) -> tuple[bool, bool, bool, float]:
+    """What was accepted goes first, then what was judged, what was only fitted, and what was only screened."""
+    gain = trial.linear_gain if trial.gain is None else trial.gain
+    return trial.outcome == "accepted", trial.held is not None, trial.gain is not None, gain
+
+
+def _said(trial: Trial) -> dict[str, Any]:
+    return {
+        "place": list(trial.candidate.place),
+        "linear_gain": trial.linear_gain,
+        "gain": trial.gain,
+        "heldout_gain": None if trial.held is None else trial.held[0],
+        "heldout_se": None if trial.held is None else trial.held[1],
+        "stage": trial.stage,
+        "outcome": trial.outcome,
+    }

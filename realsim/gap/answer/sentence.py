@@ -9,7 +9,7 @@ from realsim.gap.answer.check import Check
 from realsim.gap.answer.diagnosis import NOT_DETERMINED
 from realsim.gap.answer.verdict import Judgement
 from realsim.gap.case.case import Case
-from realsim.gap.case.repeats import replicates
+from realsim.gap.case.split import replicates
 from realsim.gap.effects import EFFECTS
 from realsim.gap.effects.base import When
 from realsim.gap.verdicts import GapVerdict

@@ -28,10 +28,16 @@ class Effects(Registry):
         return effect
 
 
+_SHARED = {
+    "command_delay": "delays:COMMAND",
+    "observation_delay": "delays:OBSERVATION",
+    **{name: f"camera:{name.upper()}" for name in ("camera_delay", "camera_mount", "depth_noise")},
+}
+"""Effects of one law, in one file."""
 EFFECTS = Effects(
     "effect",
     {
-        name: f"realsim.gap.effects.{name}:EFFECT"
+        name: f"realsim.gap.effects.{_SHARED.get(name, f'{name}:EFFECT')}"
         for name in (
             "command_delay",
             "motor_gain",

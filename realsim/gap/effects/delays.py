@@ -6,6 +6,7 @@ from realsim.gap.case.model.context import Context
 from realsim.gap.effects.base import (
     EVERYWHERE,
     EXACT,
+    Distinction,
     Edit,
     Effect,
     Law,
@@ -46,3 +47,41 @@ def delay(name: str, twin: str, words: Words) -> Effect:
         law=Law(form=EXACT),
         rivals=Rivals(suggest, compared=(twin,)),
     )
+
+
+COMMAND = delay(
+    "command_delay",
+    "observation_delay",
+    Words(
+        settings=(
+            "delay_min_lag, delay_max_lag of the actuator",
+            "DelayedPDActuatorCfg: min_delay, max_delay",
+            "the loop's period and the age of lowcmd",
+        ),
+        description="Every command acts a fixed time after it was logged (bus, queue, low-level control rate).",
+        signature="The same lag at all joints and speeds; error in proportion to the speed of the command; IMU and "
+        "base lag with the joints.",
+        excitation=("commands that change",),
+        told_by=(
+            Distinction("a delay of the joint readings", "an IMU or base pose", ("imu_gyro", "imu_acc", "base_pos")),
+        ),
+        changed_by="other software or another bus",
+    ),
+)
+OBSERVATION = delay(
+    "observation_delay",
+    "command_delay",
+    Words(
+        settings=(
+            "delay_min_lag, delay_max_lag of the observations",
+            "delayed observations (modifiers)",
+            "the age of lowstate when it is read",
+        ),
+        description="Joint positions, velocities and torques are logged a fixed time after they were true; the IMU is "
+        "not.",
+        signature="The same lag at all joints and speeds, while IMU and base pose are on time.",
+        excitation=("motion",),
+        told_by=(Distinction("a delay of the command", "an IMU or base pose", ("imu_gyro", "imu_acc", "base_pos")),),
+        changed_by="other software or another bus",
+    ),
+)

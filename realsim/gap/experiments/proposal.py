@@ -9,9 +9,8 @@ from realsim.core.errors import GapError
 from realsim.gap.answer.diagnosis import describe_set
 from realsim.gap.answer.sentence import phrase
 from realsim.gap.case.model.context import Context
-from realsim.gap.config import DiagnoseConfig
+from realsim.gap.config import DiagnoseConfig, ExciteConfig
 from realsim.gap.experiments.choose import FINALISTS, Looked, look
-from realsim.gap.experiments.config import ExciteConfig
 from realsim.gap.experiments.limits import limits_of
 from realsim.gap.experiments.plan import rig_of
 from realsim.gap.experiments.rivals import Rival, rival_of

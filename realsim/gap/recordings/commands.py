@@ -11,11 +11,10 @@ from realsim.core.statistics import alike
 from realsim.core.types import F64
 from realsim.gap.case.units import ANGLE, TORQUE, TURNING
 from realsim.gap.recordings.evidence import Evidence
-from realsim.gap.recordings.guess import LEADS, leads
 from realsim.gap.recordings.joints import columns_for, torque
 from realsim.gap.recordings.model import Target
 from realsim.gap.recordings.names import known_type, match_joints
-from realsim.gap.recordings.pairing import ALIKE, BETTER, PLAIN, agreement, pair
+from realsim.gap.recordings.pairing import ALIKE, BETTER, LEADS, PLAIN, agreement, leads, pair
 from realsim.gap.recordings.proposal import Candidate
 from realsim.gap.recordings.recording import Field
 from realsim.gap.recordings.signals import follows

@@ -17,9 +17,9 @@ from realsim.gap.recordings.arrays import run_arrays
 from realsim.gap.recordings.clocks import Clocked, clocked
 from realsim.gap.recordings.depth import choose, is_frames
 from realsim.gap.recordings.evidence import MOST_RUNS, Evidence
-from realsim.gap.recordings.guess import blocks
 from realsim.gap.recordings.model import Target
 from realsim.gap.recordings.names import meaning
+from realsim.gap.recordings.pairing import blocks
 from realsim.gap.recordings.proposal import Candidate, Proposal
 from realsim.gap.recordings.recording import Recording, Stream
 from realsim.gap.recordings.signals import follows

@@ -1,11 +1,11 @@
-"""Simulations on all cores: the runs of one, or several that do not wait for one another."""
+"""Simulations on all cores, and the last of them by what they were of."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 from realsim.gap.simulation.sampling import quiet_mujoco
 
@@ -41,3 +41,34 @@ class Cores:
         if self._workers is not None:
             self._workers.shutdown(cancel_futures=True)
             self._workers = None
+
+
+Made = TypeVar("Made")
+
+
+class Recent(Generic[Made]):
+    """The last few results of something that takes long; what was asked for last is forgotten last.
+
+    Two threads that ask for the same at once both make it: no thread waits for another one's simulation.
+    """
+
+    def __init__(self, most: int) -> None:
+        self.most = most
+        self.made = 0
+        """How many were made, not found."""
+        self._made: dict[Hashable, Made] = {}
+        self._lock = threading.Lock()
+
+    def get(self, key: Hashable, make: Callable[[], Made]) -> Made:
+        """The result for this key, made if it is not there."""
+        with self._lock:
+            if key in self._made:
+                self._made[key] = found = self._made.pop(key)
+                return found
+        found = make()
+        with self._lock:
+            self._made[key] = found
+            self.made += 1
+            if len(self._made) > self.most:
+                self._made.pop(next(iter(self._made)))
+        return found

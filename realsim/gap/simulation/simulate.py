@@ -25,8 +25,7 @@ from realsim.gap.effects.deviations_file import check_places, read_deviations
 from realsim.gap.effects.lookup import SINCE, lookup
 from realsim.gap.simulation.anchors import anchored
 from realsim.gap.simulation.control import controls, switched_off, tracks_of
-from realsim.gap.simulation.cores import Cores
-from realsim.gap.simulation.recent import Recent
+from realsim.gap.simulation.cores import Cores, Recent
 from realsim.gap.simulation.sampling import continuous_turn, either_side, nearest_turn
 from realsim.gap.simulation.sampling import quiet_mujoco as quiet_mujoco
 from realsim.gap.simulation.sampling import rotation_from as rotation_from

@@ -17,8 +17,7 @@ import numpy as np
 
 from realsim.core.types import F64
 from realsim.gap.case.case import Case, Run
-from realsim.gap.case.kinks import median_size, third_differences
-from realsim.gap.case.motion import estimate
+from realsim.gap.case.motion import estimate, median_size, third_differences
 from realsim.gap.simulation.state import AT_REST, Start
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ from realsim.cli.command_line import main
 from realsim.core.errors import GapError
 from realsim.gap import DiagnoseConfig, load_case
 from realsim.gap.drift.pair import BEFORE, pair_of
-from realsim.gap.drift.since import Since, changed_since
-from realsim.gap.drift.words import phrase
+from realsim.gap.drift.since import Since, changed_since, phrase
 
 from ..truth import PENDULUM, Truth, make_case
 

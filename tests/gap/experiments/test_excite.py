@@ -13,8 +13,8 @@ from realsim.cli.command_line import main
 from realsim.core.errors import GapError
 from realsim.gap import load_case
 from realsim.gap.case.split import split_runs
+from realsim.gap.config import ExciteConfig
 from realsim.gap.excite import excite
-from realsim.gap.experiments.config import ExciteConfig
 from realsim.gap.provenance import engine
 
 from ...pages import read

@@ -14,7 +14,7 @@ from realsim.gap.case.health.conventions import log_conventions, nominal_convent
 from realsim.gap.case.health.signals import clocks, initial_states, missing, noise, quanta, saturation, spikes
 from realsim.gap.case.model.channels import uncompared
 from realsim.gap.case.model.edit import Edit
-from realsim.gap.case.repeats import replicates
+from realsim.gap.case.split import replicates
 from realsim.gap.inference.evidence.inverse import torque_residual
 from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.simulation.state import initial_state

@@ -9,8 +9,8 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.core.types import F64
 from realsim.gap.case.case import Case, Run
-from realsim.gap.case.kinks import median_size, third_differences
-from realsim.gap.case.repeats import replicates, spread
+from realsim.gap.case.motion import median_size, third_differences
+from realsim.gap.case.split import replicates, spread
 from realsim.gap.inference.likelihood.comparison import DETAIL
 from realsim.gap.simulation.simulate import Simulator
 from realsim.gap.simulation.start import NOISES, first_fit, first_speed_spread

@@ -24,9 +24,9 @@ from realsim.gap.checks.camera.mixed import Fit
 from realsim.gap.checks.camera.rays import Correction, Mount, View
 from realsim.gap.checks.camera.recorded import DepthCamera, depth_camera, read_frames
 from realsim.gap.checks.camera.terrain import Terrain
-from realsim.gap.effects.camera_delay import EFFECT as DELAY
-from realsim.gap.effects.camera_mount import EFFECT as MOUNT
-from realsim.gap.effects.depth_noise import EFFECT as NOISE
+from realsim.gap.effects.camera import CAMERA_DELAY as DELAY
+from realsim.gap.effects.camera import CAMERA_MOUNT as MOUNT
+from realsim.gap.effects.camera import DEPTH_NOISE as NOISE
 
 FRAMES, PIXELS = 60, 800
 CLIP = 0.06

@@ -14,8 +14,8 @@ settings.py  the setting, in the framework's words     reading.py    a policy an
 from __future__ import annotations
 
 from realsim.gap.checks.contract.answer import Found, check
+from realsim.gap.checks.contract.formats import load_policy
 from realsim.gap.checks.contract.policy import Contract
-from realsim.gap.checks.contract.reading import load_policy
 from realsim.gap.checks.contract.steps import Steps, read_steps
 
 __all__ = ["Contract", "Found", "Steps", "check", "load_policy", "read_steps"]

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from realsim.gap.case.model.groups import kind_of
+from realsim.gap.case.model.context import kind_of
 from realsim.gap.experiments.excitations.motions import sines
 from realsim.gap.experiments.plan import Experiment, Rig
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from realsim.core.types import F64
+from realsim.gap import figures
 from realsim.gap.effects.base import Parameter, Place
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.likelihood.linear import Evidence
@@ -140,3 +141,23 @@ def at_an_end(cause: Cause) -> list[str]:
     """Strengths of a cause that lie at an end of their range."""
     rows = zip(cause.candidate.parameters, cause.values, strict=True)
     return [p.name for p, value in rows if p.strength and at_bound(p, value)]
+
+
+def implausible(causes: Sequence[Cause]) -> list[str]:
+    """One sentence for each value that is larger than the model's own figures make plausible."""
+    found = []
+    for cause in causes:
+        for p, value in zip(cause.candidate.parameters, cause.values, strict=True):
+            most, of_what = _most(p)
+            if abs(value) > most:
+                name = f"{cause.candidate.effect} {', '.join(cause.candidate.place)}".strip()
+                size = f"{p.name} {p.report(value):.3g} {p.unit}"
+                found.append(f"{name}: {size} is more than {of_what}, so it imitates something")
+    return found
+
+
+def _most(p: Parameter) -> tuple[float, str]:
+    """(largest plausible size of a parameter's coordinate, what that is in words); infinite where nothing says so."""
+    if p.logarithmic:
+        return float(np.log(figures.RATIO)), f"{figures.RATIO:g} times more or less than in the model"
+    return p.plausible

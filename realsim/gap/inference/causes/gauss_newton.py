@@ -15,7 +15,7 @@ from realsim.gap.effects.base import Parameter
 from realsim.gap.inference.causes.fitted import Cause, at, parameters_of, values_of
 from realsim.gap.inference.likelihood.linear import Evidence, bounded, posterior, scaled
 from realsim.gap.inference.likelihood.screen import Screen
-from realsim.gap.simulation.recent import Recent
+from realsim.gap.simulation.cores import Recent
 
 Causes = Sequence[Cause]
 Item = TypeVar("Item")

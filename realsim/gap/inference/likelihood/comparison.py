@@ -11,7 +11,7 @@ import numpy as np
 
 from realsim.core.types import F64
 from realsim.gap.case.case import Case, Run
-from realsim.gap.case.kinks import median_size, second_differences
+from realsim.gap.case.motion import median_size, second_differences
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.simulation.simulate import Channel, measured
 

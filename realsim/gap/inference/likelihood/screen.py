@@ -17,14 +17,14 @@ import numpy as np
 from realsim.core.errors import GapError
 from realsim.core.types import F32, F64
 from realsim.gap import figures
-from realsim.gap.case.model.groups import like_joints
+from realsim.gap.case.model.context import like_joints
 from realsim.gap.effects import EFFECTS, ON_REQUEST
 from realsim.gap.effects.base import Effect, Parameter, Place
 from realsim.gap.effects.lookup import SINCE, lookup
 from realsim.gap.effects.nuisances import NUISANCES
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.linear import Evidence, Spectrum, scaled
-from realsim.gap.simulation.recent import Recent
+from realsim.gap.simulation.cores import Recent
 from realsim.gap.simulation.simulate import Setting, Simulator
 
 

@@ -30,3 +30,23 @@ def unseen(name: str, description: str, signature: str, parameter: Parameter) ->
         ),
         patchable=False,
     )
+
+
+CAMERA_DELAY = unseen(
+    "camera_delay",
+    "Images are older than the log says.",
+    "The depth image belongs to an earlier moment. Joints, base and IMU are right.",
+    Parameter("delay", "s", (0.0, 0.3), 0.02),
+)
+CAMERA_MOUNT = unseen(
+    "camera_mount",
+    "The camera is mounted elsewhere than in the model.",
+    "Depth is seen from another pose: all distances shift with the view direction. Joints, base and IMU are right.",
+    Parameter("rotation", "rad", (0.0, 0.3), 0.02),
+)
+DEPTH_NOISE = unseen(
+    "depth_noise",
+    "Depth is noisier than the model says.",
+    "Depth scatters, with holes and edges, more than the model's. Joints, base and IMU are right.",
+    Parameter("sigma", "m", (0.0, 0.3), 0.02),
+)
