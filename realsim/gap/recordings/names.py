@@ -10,20 +10,9 @@ import numpy as np
 from realsim.core.types import F64
 from realsim.gap.recordings.vocabulary import SIGNALS, TIMES, english, plain, time_unit, unit_of
 
-ROLES = (
-    "command",
-    "enabled",
-    "joint_pos",
-    "joint_vel",
-    "joint_torque",
-    "base_pos",
-    "base_quat",
-    "imu_gyro",
-    "imu_acc",
-    "contact",
-)
-"""Arrays of a case."""
 JOINTS = ("joint_pos", "joint_vel", "joint_torque")
+ROLES = ("command", "enabled", *JOINTS, "base_pos", "base_quat", "imu_gyro", "imu_acc", "contact")
+"""Arrays of a case."""
 
 # Message type (last part) -> member -> (role, unit). `command.` roles say what is commanded.
 # Sources: the .msg files of common_interfaces, control_msgs, unitree_ros2 and px4_msgs.
@@ -60,36 +49,10 @@ TYPES: dict[str, dict[str, tuple[str, str]]] = {
     "sensor_combined": {"gyro_rad": ("imu_gyro", "rad/s"), "accelerometer_m_s2": ("imu_acc", "m/s^2")},
 }  # fmt: skip
 
-_NOT = {
-    "error",
-    "temperature",
-    "voltage",
-    "raw",
-    "ddq",
-    "qdd",
-    "kp",
-    "kd",
-    "ki",
-    "limit",
-    "limits",
-    "min",
-    "max",
-    "power",
-}
-_NOT |= {
-    "fric",
-    "friction",
-    "gravity",
-    "grav",
-    "comp",
-    "compensation",
-    "ff",
-    "feedforward",
-    "std",
-    "var",
-    "status",
-    "mode",
-}
+_NOT = set(
+    "error temperature voltage raw ddq qdd kp kd ki limit limits min max power "
+    "fric friction gravity grav comp compensation ff feedforward std var status mode".split()
+)
 """Words of what is no signal of a joint: bounds, settings, and parts of a command that a controller adds."""
 _WORDS: tuple[tuple[str, str], ...] = (
     ("enabled", r"(^|_)(torque_enabled?|torque_on|joint_enabled?|drives?_enabled?|enabled)(_|$)"),
