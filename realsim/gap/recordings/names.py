@@ -50,8 +50,34 @@ TYPES: dict[str, dict[str, tuple[str, str]]] = {
 }  # fmt: skip
 
 _NOT = set(
-    "error temperature voltage raw ddq qdd kp kd ki limit limits min max power "
-    "fric friction gravity grav comp compensation ff feedforward std var status mode".split()
+    [
+        "error",
+        "temperature",
+        "voltage",
+        "raw",
+        "ddq",
+        "qdd",
+        "kp",
+        "kd",
+        "ki",
+        "limit",
+        "limits",
+        "min",
+        "max",
+        "power",
+        "fric",
+        "friction",
+        "gravity",
+        "grav",
+        "comp",
+        "compensation",
+        "ff",
+        "feedforward",
+        "std",
+        "var",
+        "status",
+        "mode",
+    ]
 )
 """Words of what is no signal of a joint: bounds, settings, and parts of a command that a controller adds."""
 _WORDS: tuple[tuple[str, str], ...] = (

@@ -69,8 +69,33 @@ TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _CLOCKS = {"time", "timestamp", "t", "stamp", "tick", "ticks", "clock", "rectime", "elapsed", "uptime", "epoch"}
 _CLOCKS |= {text for text, unit in _UNIT_OF.items() if unit in TIMES and len(text) > 2}
 _BESIDE_CLOCKS = set(
-    "boot sample ros rosbag log header sim simulation unix system sys host "
-    "utc local receive recv received since start loop record s ms us ns".split()
+    [
+        "boot",
+        "sample",
+        "ros",
+        "rosbag",
+        "log",
+        "header",
+        "sim",
+        "simulation",
+        "unix",
+        "system",
+        "sys",
+        "host",
+        "utc",
+        "local",
+        "receive",
+        "recv",
+        "received",
+        "since",
+        "start",
+        "loop",
+        "record",
+        "s",
+        "ms",
+        "us",
+        "ns",
+    ]
 )
 """Words beside them in names of clocks."""
 _BARE = {t: u for t, u in _UNIT_OF.items() if len(t) > 1}

@@ -43,13 +43,13 @@ class Loop:
     skipped: int = 1
     """Policy steps between two moments of the history."""
     clip: float | None = None
-    gain: F64 | None = None
+    gain: F64 | float = 1.0
     """(J,) on the scaled actions."""
-    sent: F64 | None = None
+    sent: F64 | float = 0.0
     """(J,) rad added to the targets."""
     order: tuple[int, ...] | None = None
     """Whose target each joint is sent."""
-    bounds: tuple[F64, F64] | None = None
+    bounds: tuple[F64 | float, F64 | float] = (-np.inf, np.inf)
     """(J,) and (J,) rad at which targets end."""
     stale: tuple[F64, ...] | None = None
     """Of every run (K,) policy steps by which all sensors are older in a row."""
@@ -99,21 +99,16 @@ def _targets(contract: Contract, sent: F64, parts: Sequence[F64], depth: F64 | N
     limit = loop.clip if loop.clip is not None else contract.clip
     if limit is not None:
         action = np.clip(action, -limit, limit)
-    wanted = contract.scale * action
-    if loop.gain is not None:
-        wanted = wanted * loop.gain
-    wanted = contract.zero + wanted
-    if loop.sent is not None:
-        wanted = wanted + loop.sent
+    wanted = contract.zero + contract.scale * action * loop.gain + loop.sent
     if loop.order is not None:  # targets are handed to the wrong motors, default pose and all
         wanted = wanted[:, list(loop.order)]
-    return np.clip(wanted, *loop.bounds) if loop.bounds is not None else wanted
+    return np.clip(wanted, *loop.bounds)
 
 
 def _now(contract: Contract, run: Run, order: Sequence[int], sent: F64, loop: Loop) -> dict[str, F64]:
     """What a term shows of the moment itself."""
     source = loop.source
-    action = _action(contract, sent, loop)
+    action = actions(contract, sent if loop.order is None else sent[:, np.argsort(loop.order)], loop)
     if source.get("last_action") == "zero":
         action = np.zeros_like(action)
     elif source.get("last_action") == "target":
@@ -139,17 +134,10 @@ def _gravity(run: Run, source: str) -> F64:
     return turn(quat * [1, -1, -1, -1], down)
 
 
-def _action(contract: Contract, sent: F64, loop: Loop) -> F64:
-    """(K, J) the actions behind the targets that were sent."""
-    if loop.order is not None:
-        back = np.empty_like(sent)
-        back[:, list(loop.order)] = sent
-        sent = back
-    wanted = sent - contract.zero
-    if loop.sent is not None:
-        wanted = wanted - loop.sent
-    gain = contract.scale if loop.gain is None else contract.scale * loop.gain
-    return wanted / np.where(np.abs(gain) < 1e-9, np.inf, gain)
+def actions(contract: Contract, sent: F64, loop: Loop) -> F64:
+    """(K, J) the actions behind the targets that were sent, each to the joint that it was meant for."""
+    gain = contract.scale * loop.gain
+    return (sent - contract.zero - loop.sent) / np.where(np.abs(gain) < 1e-9, np.inf, gain)
 
 
 def _at(values: F64, rows: F64) -> F64:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations, product
+from itertools import combinations, permutations, product
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from scipy.optimize import linear_sum_assignment
 
 from realsim.core.geometry import exp_so3
 from realsim.core.types import F64
-from realsim.gap.checks.contract.loop import Loop, commands, merged, targets
+from realsim.gap.checks.contract.loop import Loop, actions, commands, merged, targets
 from realsim.gap.checks.contract.policy import Contract
 from realsim.gap.checks.contract.steps import Steps
 
@@ -69,7 +69,10 @@ def _orders(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
     for name, order in usual_orders(joints).items():
         for used in {tuple(order), tuple(int(i) for i in np.argsort(order))}:
             yield from _reordered(used, name)
-    for i, j in _pairs(joints):
+    kinds, near = ["_".join(j.split("_")[1:]) for j in joints], len(joints) <= ALL_PAIRS
+    for i, j in combinations(range(len(joints)), 2):
+        if not (near or j - i <= 2 or kinds[i] == kinds[j]):
+            continue
         used = tuple(j if k == i else i if k == j else k for k in range(len(joints)))
         yield from _reordered(used, f"{joints[i]} and {joints[j]} exchanged")
     sent, wanted = np.concatenate(commands(contract, steps)), np.concatenate(targets(contract, steps, loop))
@@ -91,13 +94,14 @@ def _reordered(used: tuple[int, ...], name: str) -> Iterator[Family]:
 
     both = ("joint_pos", "joint_vel")
     back = tuple(int(i) for i in np.argsort(used))
-    yield single("joint_order", f"joints are seen in another order: {name}", lambda loop: see(loop, *both))
-    yield single("joint_order", f"joints are sent in another order: {name}", _send, used)
-    yield single(
-        "joint_order", f"joints are seen and sent in another order: {name}", lambda loop: _send(see(loop, *both), back)
-    )
-    for kind, what in (("joint_pos", "positions"), ("joint_vel", "velocities")):
-        yield single("joint_order", f"joint {what} alone are seen in another order: {name}", see, kind)
+    for what, change in (
+        ("joints are seen", lambda loop: see(loop, *both)),
+        ("joints are sent", lambda loop: _send(loop, used)),
+        ("joints are seen and sent", lambda loop: _send(see(loop, *both), back)),
+        ("joint positions alone are seen", lambda loop: see(loop, "joint_pos")),
+        ("joint velocities alone are seen", lambda loop: see(loop, "joint_vel")),
+    ):
+        yield single("joint_order", f"{what} in another order: {name}", change)
 
 
 def _send(loop: Loop, used: tuple[int, ...]) -> Loop:
@@ -120,12 +124,9 @@ def usual_orders(joints: Sequence[str]) -> dict[str, tuple[int, ...]]:
 
     if len(set(limbs)) > 1 and all(kinds):
         of_limb, of_kind = list(dict.fromkeys(limbs)), list(dict.fromkeys(kinds))
-        found["by joint instead of by limb"] = tuple(
-            sorted(range(n), key=lambda i: (of_kind.index(kinds[i]), of_limb.index(limbs[i])))
-        )
-        found["by limb instead of by joint"] = tuple(
-            sorted(range(n), key=lambda i: (of_limb.index(limbs[i]), of_kind.index(kinds[i])))
-        )
+        at = [(of_limb.index(limb), of_kind.index(kind)) for limb, kind in zip(limbs, kinds, strict=True)]
+        found["by joint instead of by limb"] = tuple(sorted(range(n), key=lambda i: at[i][::-1]))
+        found["by limb instead of by joint"] = tuple(sorted(range(n), key=lambda i: at[i]))
         for a, b in product(of_limb, of_limb):
             if a < b:
                 exchange(f"{a} and {b} exchanged", {a: b, b: a})
@@ -135,13 +136,6 @@ def usual_orders(joints: Sequence[str]) -> dict[str, tuple[int, ...]]:
     found["alphabetical"] = tuple(sorted(range(n), key=lambda i: joints[i]))
     found["reversed"] = tuple(range(n))[::-1]
     return {k: v for k, v in found.items() if v != tuple(range(n))}
-
-
-def _pairs(joints: Sequence[str]) -> list[tuple[int, int]]:
-    n = len(joints)
-    kinds = ["_".join(j.split("_")[1:]) for j in joints]
-    near = n <= ALL_PAIRS
-    return [(i, j) for i in range(n) for j in range(i + 1, n) if near or j - i <= 2 or kinds[i] == kinds[j]]
 
 
 def _signs(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
@@ -168,11 +162,10 @@ def _signs(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
 
 
 def _flipped(loop: Loop, contract: Contract, sign: F64, seen: Sequence[str], sent: bool, middle: float) -> Loop:
-    for kind in seen:
-        loop = _mixed(loop, kind, np.diag(sign))
+    loop = _mixed(loop, seen, np.diag(sign))
     if seen and middle:
         loop = _shifted(loop, "joint_pos", middle * (1 - sign) * contract.default)
-    return _gained(contract, loop, sign) if sent else loop
+    return replace(loop, gain=loop.gain * sign) if sent else loop
 
 
 def _replaced(loop: Loop, field: str, value: Any) -> Loop:
@@ -183,20 +176,14 @@ def _sourced(loop: Loop, kind: str, value: str) -> Loop:
     return merged(loop, source={kind: value})
 
 
-def _mixed(loop: Loop, kind: str, W: F64) -> Loop:
-    """`W` on top of what a kind of term is mixed with already."""
-    old = loop.mix.get(kind, np.eye(len(W)))
-    loop = merged(loop, mix={kind: W @ old})
-    return merged(loop, shift={kind: W @ loop.shift[kind]}) if kind in loop.shift else loop
+def _mixed(loop: Loop, kinds: Sequence[str], W: F64) -> Loop:
+    """`W` on top of what kinds of terms are mixed with already."""
+    mix = {kind: W @ loop.mix.get(kind, np.eye(len(W))) for kind in kinds}
+    return merged(loop, mix=mix, shift={kind: W @ loop.shift[kind] for kind in kinds if kind in loop.shift})
 
 
 def _shifted(loop: Loop, kind: str, by: F64) -> Loop:
     return merged(loop, shift={kind: loop.shift.get(kind, 0.0) + by})
-
-
-def _gained(contract: Contract, loop: Loop, by: F64) -> Loop:
-    gain = np.ones(len(contract.joints)) if loop.gain is None else loop.gain
-    return replace(loop, gain=gain * by)
 
 
 def _offsets(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
@@ -207,7 +194,7 @@ def _offsets(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
         def change(loop: Loop, x: F64) -> Loop:
             if seen:
                 loop = _shifted(loop, "joint_pos", -x if sent else x)
-            return replace(loop, sent=(0.0 if loop.sent is None else loop.sent) + x) if sent else loop
+            return replace(loop, sent=loop.sent + x) if sent else loop
 
         def tell(x: F64) -> Told:
             most = int(np.argmax(np.abs(x)))
@@ -226,7 +213,7 @@ def _offsets(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
     )  # fmt: skip
     yield single(
         "default_pose", "targets are sent without the default pose added",
-        lambda loop: replace(loop, sent=(0.0 if loop.sent is None else loop.sent) - contract.zero),
+        lambda loop: replace(loop, sent=loop.sent - contract.zero),
     )  # fmt: skip
 
 
@@ -242,16 +229,15 @@ def listed(joints: Sequence[str], values: F64, neutral: float, form: str) -> str
 
 def _gains(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
     """The action scale: one factor, or one a joint."""
-    n = len(contract.joints)
     yield Family(
-        lambda loop, x: _gained(contract, loop, np.full(n, np.exp(x[0]))),
+        lambda loop, x: replace(loop, gain=loop.gain * np.exp(x[0])),
         lambda x: ("action_scale", f"actions are scaled by {np.exp(x[0]):.3g} of what they should be"),
         (np.zeros(1), *(np.array([np.log(f)]) for f in FACTORS if f)),
     )  # fmt: skip
     yield Family(
-        lambda loop, x: _gained(contract, loop, 1 + x),
+        lambda loop, x: replace(loop, gain=loop.gain * (1 + x)),
         lambda x: ("action_scale", f"the action's scale is off: {listed(contract.joints, 1 + x, 1.0, 'times {:.3g}')}"),
-        (np.zeros(n),),
+        (np.zeros(len(contract.joints)),),
     )  # fmt: skip
 
 
@@ -277,25 +263,19 @@ def _scales(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
 
         def change(loop: Loop, x: F64, kind: str = kind, width: int = width) -> Loop:
             by = np.broadcast_to(1 + x, (width,))
-            loop = _mixed(loop, kind, np.diag(by))
+            loop = _mixed(loop, (kind,), np.diag(by))
             if kind == "joint_pos":  # of what is relative to the default pose
                 loop = _shifted(loop, kind, (1 - by) * contract.default)
             return loop
 
         def tell(x: F64, kind: str = kind) -> Told:
-            what = (
-                "velocity_command"
-                if kind == "command"
-                else "last_action"
-                if kind == "last_action"
-                else "observation_scale"
-            )
-            seen = "do" if WORDS[kind].endswith("s") else "does"
+            what = {"command": "velocity_command", "last_action": "last_action"}.get(kind, "observation_scale")
+            does, is_ = ("do", "are") if WORDS[kind].endswith("s") else ("does", "is")
             if abs(1 + x[0]) < 0.02:
-                return what, f"{WORDS[kind]} {seen} not reach the policy"
+                return what, f"{WORDS[kind]} {does} not reach the policy"
             if abs(np.log(abs(1 + x[0]) / 57.29578)) < 0.05:
-                return what, f"{WORDS[kind]} {'are' if seen == 'do' else 'is'} seen in degrees"
-            return what, f"{WORDS[kind]} {'are' if seen == 'do' else 'is'} seen times {1 + x[0]:.3g}"
+                return what, f"{WORDS[kind]} {is_} seen in degrees"
+            return what, f"{WORDS[kind]} {is_} seen times {1 + x[0]:.3g}"
 
         yield Family(change, tell, (np.zeros(1), *(np.array([f - 1]) for f in FACTORS)))
         if kind in ("joint_pos", "joint_vel"):
@@ -332,9 +312,7 @@ def _imu(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
     for name, kinds in groups.items():
 
         def turned(loop: Loop, x: F64, kinds: Sequence[str] = kinds) -> Loop:
-            for kind in kinds:
-                loop = _mixed(loop, kind, exp_so3(x))
-            return loop
+            return _mixed(loop, kinds, exp_so3(x))
 
         def tell(x: F64, name: str = name) -> Told:
             axis = "xyz"[int(np.argmax(np.abs(x)))]
@@ -344,23 +322,13 @@ def _imu(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
             )
 
         yield Family(turned, tell, (np.zeros(3), *(np.pi / 2 * s * e for e in np.eye(3) for s in (1.0, -1.0))))
-        for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
-            W = np.eye(3)[list(order)] * np.array(signs)[:, None]
-            if np.array_equal(W, np.eye(3)):
-                continue
-            axes = ", ".join(f"{'-' if s < 0 else ''}{'xyz'[o]}" for o, s in zip(order, signs, strict=True))
+        for W, axes in _other_axes(tuple("xyz")):
             up = np.array_equal(W, -np.eye(3)) and kinds == ("gravity",)
             text = "gravity points up instead of down" if up else f"{name} seen with other axes: {axes} for x, y, z"
             yield single(
                 "gravity_frame" if kinds == ("gravity",) else "rate_frame" if kinds == ("ang_vel",) else "imu_rotation",
-                text, _all_mixed, kinds, W,
+                text, _mixed, kinds, W,
             )  # fmt: skip
-
-
-def _all_mixed(loop: Loop, kinds: Sequence[str], W: F64) -> Loop:
-    for kind in kinds:
-        loop = _mixed(loop, kind, W)
-    return loop
 
 
 def _commanded(steps: Steps) -> bool:
@@ -371,16 +339,17 @@ def _velocity_command(contract: Contract, steps: Steps, loop: Loop) -> Iterator[
     """Ahead, left and yaw with other signs, or in another order."""
     if not (_commanded(steps) and "command" in _kinds(contract)):
         return
+    for W, names in _other_axes(("ahead", "left", "yaw")):
+        text = f"the policy is commanded {names} for ahead, left, yaw"
+        yield single("velocity_command", text, _mixed, ("command",), W)
+
+
+def _other_axes(names: tuple[str, ...]) -> Iterator[tuple[F64, str]]:
+    """(matrix, what stands for the names) of all exchanges of three axes and their signs but none."""
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         W = np.eye(3)[list(order)] * np.array(signs)[:, None]
         if not np.array_equal(W, np.eye(3)):
-            names = ", ".join(
-                f"{'-' if s < 0 else ''}{('ahead', 'left', 'yaw')[o]}" for o, s in zip(order, signs, strict=True)
-            )
-            yield single(
-                "velocity_command", f"the policy is commanded {names} for ahead, left, yaw",
-                _mixed, "command", W,
-            )  # fmt: skip
+            yield W, ", ".join(f"{'-' if s < 0 else ''}{names[o]}" for o, s in zip(order, signs, strict=True))
 
 
 def _last_actions(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
@@ -444,15 +413,12 @@ def _ages(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
 def _limits(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
     """Actions, or targets, that end at a value which the contract does not have: at the largest that was sent."""
     sent = np.concatenate(commands(contract, steps))
-    gain = contract.scale if loop.gain is None else contract.scale * loop.gain
-    wanted = sent - contract.zero - (0.0 if loop.sent is None else loop.sent)
-    actions = np.abs(wanted / np.where(np.abs(gain) < 1e-9, np.inf, gain))
-    for limit in (float(actions.max()), *(0.5, 1.0, 2.0, 5.0)):
+    for limit in (float(np.abs(actions(contract, sent, loop)).max()), 0.5, 1.0, 2.0, 5.0):
         if limit > 1e-6 and (contract.clip is None or limit < contract.clip - 1e-6):
             yield single("clipped_action", f"actions are clipped at {limit:.3g}", _replaced, "clip", limit)
     low, high = sent.min(axis=0), sent.max(axis=0)
     often = ((sent <= low + 1e-6) | (sent >= high - 1e-6)).mean(axis=0) > 0.05
-    if often.any() and loop.bounds is None:
+    if often.any() and not np.isfinite(loop.bounds[0]).any() and not np.isfinite(loop.bounds[1]).any():
         bounds = np.where(often, low, -np.inf), np.where(often, high, np.inf)
         text = (
             f"targets end at limits that the contract does not have: {', '.join(np.array(contract.joints)[often][:3])}"

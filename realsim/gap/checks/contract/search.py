@@ -7,7 +7,7 @@ is taken is left out once, and stays out if it is no longer worth PRICE.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -194,7 +194,7 @@ def _fitted(problem: Problem, loop: Loop, family: Family, here: F64) -> Trial | 
     return Trial(family, x, family.change(loop, x), scales)
 
 
-def _sparse(x: F64, scales: F64, look: object, family: Family) -> tuple[F64, F64]:
+def _sparse(x: F64, scales: F64, look: Callable[[F64], tuple[F64, F64]], family: Family) -> tuple[F64, F64]:
     """Parameters that are small beside the largest become neutral where nothing is lost by it."""
     neutral = family.starts[0]
     off = np.abs(x - neutral)
@@ -202,7 +202,7 @@ def _sparse(x: F64, scales: F64, look: object, family: Family) -> tuple[F64, F64
         return x, scales
     for share in (0.5, 0.25, 0.1):
         fewer = np.where(off > share * off.max(), x, neutral)
-        there = look(fewer)[1]  # type: ignore[operator]
+        there = look(fewer)[1]
         if np.mean(np.log(there)) < np.mean(np.log(scales)) + PER_PARAMETER:
             return fewer, there
     return x, scales
