@@ -49,36 +49,14 @@ TYPES: dict[str, dict[str, tuple[str, str]]] = {
     "sensor_combined": {"gyro_rad": ("imu_gyro", "rad/s"), "accelerometer_m_s2": ("imu_acc", "m/s^2")},
 }  # fmt: skip
 
-_NOT = set(
-    [
-        "error",
-        "temperature",
-        "voltage",
-        "raw",
-        "ddq",
-        "qdd",
-        "kp",
-        "kd",
-        "ki",
-        "limit",
-        "limits",
-        "min",
-        "max",
-        "power",
-        "fric",
-        "friction",
-        "gravity",
-        "grav",
-        "comp",
-        "compensation",
-        "ff",
-        "feedforward",
-        "std",
-        "var",
-        "status",
-        "mode",
-    ]
-)
+_NOT = {
+    word
+    for words in (
+        "error temperature voltage raw ddq qdd kp kd ki limit limits min max power fric friction gravity",
+        "grav comp compensation ff feedforward std var status mode",
+    )
+    for word in words.split()
+}
 """Words of what is no signal of a joint: bounds, settings, and parts of a command that a controller adds."""
 _WORDS: tuple[tuple[str, str], ...] = (
     ("enabled", r"(^|_)(torque_enabled?|torque_on|joint_enabled?|drives?_enabled?|enabled)(_|$)"),

@@ -68,35 +68,14 @@ TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Seconds per unit of time."""
 _CLOCKS = {"time", "timestamp", "t", "stamp", "tick", "ticks", "clock", "rectime", "elapsed", "uptime", "epoch"}
 _CLOCKS |= {text for text, unit in _UNIT_OF.items() if unit in TIMES and len(text) > 2}
-_BESIDE_CLOCKS = set(
-    [
-        "boot",
-        "sample",
-        "ros",
-        "rosbag",
-        "log",
-        "header",
-        "sim",
-        "simulation",
-        "unix",
-        "system",
-        "sys",
-        "host",
-        "utc",
-        "local",
-        "receive",
-        "recv",
-        "received",
-        "since",
-        "start",
-        "loop",
-        "record",
-        "s",
-        "ms",
-        "us",
-        "ns",
-    ]
-)
+_BESIDE_CLOCKS = {
+    word
+    for words in (
+        "boot sample ros rosbag log header sim simulation unix system sys host utc local receive recv",
+        "received since start loop record s ms us ns",
+    )
+    for word in words.split()
+}
 """Words beside them in names of clocks."""
 _BARE = {t: u for t, u in _UNIT_OF.items() if len(t) > 1}
 """Units that need no bracket: `speed_rpm`; a single letter at the end of a name is a name."""
