@@ -34,7 +34,7 @@ def test_a_gain_may_be_a_hundred_times_off_either_way(name: str, arm: Simulator)
 def test_a_constant_torque_is_what_a_motor_with_that_bias_gives(arm: Simulator) -> None:
     """MuJoCo's own way to say it: another actuator on the joint, whose force is constant."""
     edit = arm.edited([])
-    motor = edit.add_actuator("bias", "elbow")
+    motor = edit.add_helper("bias", "elbow", 0.0)
     motor.biasprm = np.array([0.5, *np.zeros(len(motor.biasprm) - 1)])
     theirs = arm.roll_out(edit, None)[0]
     ours = arm.simulate([("position_torque", ("elbow",), {"constant": 0.5})])[0]

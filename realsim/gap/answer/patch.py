@@ -13,7 +13,7 @@ import numpy as np
 from realsim.core.errors import GapError, UnknownNameError
 from realsim.gap.case.case import Case
 from realsim.gap.case.model.context import Context, build_context
-from realsim.gap.case.model.edit import Edit, Signals
+from realsim.gap.case.model.edit import Edit, Signals, put
 from realsim.gap.case.resolve import resolve
 from realsim.gap.effects import EFFECTS
 from realsim.gap.inference.causes.fit import Fit
@@ -164,9 +164,8 @@ def _hold_forces(edit: Edit) -> None:
     for pulse in [p for p in edit.signals.pulses if p.always]:
         actuator = edit.spec.actuator(pulse.actuator)
         actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-        bias, gain = actuator.biasprm, actuator.gainprm
-        bias[0], gain[0] = 1.0, 0.0
-        actuator.biasprm, actuator.gainprm = bias, gain
+        put(actuator, "biasprm", 0, 1.0)
+        put(actuator, "gainprm", 0, 0.0)
         edit.signals.pulses.remove(pulse)
 
 
@@ -184,9 +183,8 @@ def patched_xml(simulator: Simulator, fit: Fit) -> str:
     if simulator.case.command_kind == "position":
         for joint, offset in signals.joint_offset.items():
             actuator = spec.actuator(context.actuator[joint])
-            bias = actuator.biasprm
-            bias[0] -= actuator.gainprm[0] * simulator.case.gear(joint) * offset
-            actuator.biasprm = bias
+            shift = actuator.gainprm[0] * simulator.case.gear(joint) * offset
+            put(actuator, "biasprm", 0, actuator.biasprm[0] - shift)
         signals.joint_offset = {}
     spec.compile()
     left = list(wrappers(signals))

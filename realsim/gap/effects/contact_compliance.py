@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+from realsim.gap.case.model.edit import put
 from realsim.gap.effects.base import GROUND, Edit, Effect, Law, Parameter, Place, Words, fixed, on_the_ground
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     for body in [edit.spec.worldbody, *(edit.spec.body(b) for b in edit.context.terrain)]:
         for geom in body.geoms:
-            solref = geom.solref
-            if solref[0] > 0:
-                solref[0] = max(solref[0] + values["time_constant"], 2 * edit.context.timestep)
-                geom.solref = solref
+            if geom.solref[0] > 0:
+                put(geom, "solref", 0, max(geom.solref[0] + values["time_constant"], 2 * edit.context.timestep))
 
 
 EFFECT = Effect(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from realsim.gap.case.model.context import Context
+from realsim.gap.case.model.edit import put
 from realsim.gap.effects.base import (
     EXACT,
     JOINTS,
@@ -32,11 +33,9 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     ratio = math.exp(values["ratio"])
     for joint in place:
         actuator = edit.spec.actuator(edit.context.actuator[joint])
-        gain, bias = actuator.gainprm, actuator.biasprm
         if edit.context.case.command_kind == "velocity":
-            gain[0] = gain[0] * ratio
-        bias[2] = bias[2] * ratio
-        actuator.gainprm, actuator.biasprm = gain, bias
+            put(actuator, "gainprm", 0, actuator.gainprm[0] * ratio)
+        put(actuator, "biasprm", 2, actuator.biasprm[2] * ratio)
 
 
 def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[Suggestion]:

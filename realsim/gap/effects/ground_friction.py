@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from realsim.gap.case.model.edit import put
 from realsim.gap.effects.base import GROUND, Edit, Effect, Law, Place, Words, on_the_ground, relative
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     for geom in edit.spec.geoms:
-        friction = geom.friction
-        friction[0] *= 1 + values["ratio"]
-        geom.friction = friction
+        put(geom, "friction", 0, geom.friction[0] * (1 + values["ratio"]))
 
 
 EFFECT = Effect(

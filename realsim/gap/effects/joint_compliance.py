@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from realsim.gap.case.model.context import Context
+from realsim.gap.case.model.edit import put
 from realsim.gap.effects.base import JOINTS, Edit, Effect, Excitation, Law, Parameter, Place, Words
 
 EVERYDAY = 0.1
@@ -41,13 +42,9 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     stiffness = 1 / max(values["stiffness"], _softest_step(edit.context, place))
     for joint in place:
         tendon = edit.split_rotor(joint)
-        spring = tendon.stiffness
-        spring[0] = stiffness
-        tendon.stiffness = spring
         tendon.springlength = [0.0, 0.0]
-        damping = tendon.damping
-        damping[0] = 0.04 * (stiffness * edit.context.inertia[joint]) ** 0.5
-        tendon.damping = damping
+        put(tendon, "stiffness", 0, stiffness)
+        put(tendon, "damping", 0, 0.04 * (stiffness * edit.context.inertia[joint]) ** 0.5)
 
 
 EFFECT = Effect(

@@ -43,21 +43,16 @@ def _torque_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
     return (Parameter("gain", "ratio", (-0.9, 3.0), 0.1, nuisance=size),)
 
 
-def _torque_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
-    for joint in place:
-        edit.signals.torque_gain[joint] = values["gain"]
+def _sets(field: str, name: str) -> Callable[[Edit, Place, dict[str, float]], None]:
+    """Writes a parameter's value to a field of the simulator's signals; of joints, to that of each."""
 
+    def apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
+        if place:
+            getattr(edit.signals, field).update(dict.fromkeys(place, values[name]))
+        else:
+            setattr(edit.signals, field, values[name])
 
-def _phase_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
-    edit.signals.torque_phase = values["phase"]
-
-
-def _imu_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
-    edit.signals.imu_delay = values["delay"]
-
-
-def _reading_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
-    edit.signals.imu_phase = values["phase"]
+    return apply
 
 
 def _solver_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
@@ -79,9 +74,9 @@ def _sticking_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
 
 def _step_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
     """The robot lives in continuous time: 1 is the limit of ever finer steps."""
-    if len(context.driven) >= MANY_JOINTS:
-        return (Parameter("finer", "ratio", (0.0, 0.5), 0.5, nuisance=1.0, fine=True),)
-    return (Parameter("finer", "ratio", (0.0, 0.5), 0.5, nuisance=NEARLY, usual=1.0, fine=True),)
+    many = len(context.driven) >= MANY_JOINTS
+    size, usual = (1.0, 0.0) if many else (NEARLY, 1.0)
+    return (Parameter("finer", "ratio", (0.0, 0.5), 0.5, nuisance=size, usual=usual, fine=True),)
 
 
 def _step_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
@@ -114,28 +109,28 @@ _ALL = (
         "torque_gain",
         Where("sensor", lambda context: [(j,) for j in context.driven] if context.case.has("joint_torque") else []),
         _torque_parameters,
-        _torque_apply,
+        _sets("torque_gain", "gain"),
         "Gain of the torque estimate.",
     ),
     _make(
         "torque_phase",
         _where(lambda context: context.case.has("joint_torque")),
         _PHASE,
-        _phase_apply,
+        _sets("torque_phase", "phase"),
         "When the torque is sampled, beside the command.",
     ),
     _make(
         "imu_delay",  # its own filter and bus make an IMU a little later than the encoders, or earlier
         _where(lambda context: bool(context.case.imu_site)),
         fixed(Parameter("delay", "s", (-0.02, 0.02), 0.002, nuisance=0.002)),
-        _imu_apply,
+        _sets("imu_delay", "delay"),
         "When the IMU is sampled.",
     ),
     _make(
         "imu_phase",
         _where(lambda context: bool(context.case.imu_site)),
         _PHASE,
-        _reading_apply,
+        _sets("imu_phase", "phase"),
         "When the acceleration is sampled, beside the command.",
     ),
     _make(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from realsim.gap.case.model.context import Context
+from realsim.gap.case.model.edit import put
 from realsim.gap.effects.base import EXACT, JOINTS, Edit, Effect, Excitation, Law, Place, Words, gain
 
 
@@ -17,9 +18,8 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     ratio = math.exp(values["ratio"])
     for joint in place:
         actuator = edit.spec.actuator(edit.context.actuator[joint])
-        gain, bias = actuator.gainprm, actuator.biasprm
-        gain[0], bias[1] = gain[0] * ratio, bias[1] * ratio
-        actuator.gainprm, actuator.biasprm = gain, bias
+        put(actuator, "gainprm", 0, actuator.gainprm[0] * ratio)
+        put(actuator, "biasprm", 1, actuator.biasprm[1] * ratio)
 
 
 EFFECT = Effect(

@@ -54,11 +54,7 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         finer = int(np.clip(np.ceil(wanted / stable), 1, FINEST))
         edit.spec.option.timestep = min(edit.spec.option.timestep, edit.context.timestep / finer)
         slope = min(wanted, finer * stable)
-        # With no gain, MuJoCo's compiler would take a positive velocity term for a damping ratio and turn it into none.
-        helper = edit.add_actuator(f"stribeck_{joint}", name, gain=1.0)
-        bias = np.zeros_like(helper.biasprm)
-        bias[2] = slope
-        helper.biasprm = bias
+        helper = edit.add_helper(f"stribeck_{joint}", name, slope)
         helper.forcerange, helper.forcelimited = np.array([-falling, falling]), 1
 
 

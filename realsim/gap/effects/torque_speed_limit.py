@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.gap.case.model.context import Context
+from realsim.gap.case.model.edit import put
 from realsim.gap.effects.base import JOINTS, Edit, Effect, Excitation, Law, Parameter, Place, Words
 
 
@@ -36,15 +37,10 @@ def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
             ends = np.clip(ends, *model.jnt_actfrcrange[i])
         if model.jnt_actfrclimited[i] or not model.actuator(edit.context.actuator[joint]).forcelimited[0]:
             edit.limit_drive(joint, limit)
-        helper = edit.add_actuator(f"back_emf_{joint}", name, gain=1.0)
-        bias = np.zeros_like(helper.biasprm)
-        bias[2] = slope
-        helper.biasprm = bias
+        edit.add_helper(f"back_emf_{joint}", name, slope)
         target = edit.spec.joint(name)
         target.actfrcrange, target.actfrclimited = ends, 1
-        damping = target.damping
-        damping[0] += slope
-        target.damping = damping
+        put(target, "damping", 0, target.damping[0] + slope)
         edit.signals.back_emf[joint] = slope
 
 

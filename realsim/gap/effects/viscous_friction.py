@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from realsim.gap.case.model.context import Context
+from realsim.gap.case.model.edit import put
 from realsim.gap.effects.base import (
     EXACT,
     JOINTS,
@@ -41,9 +42,7 @@ def _excited(context: Context, place: Place) -> Excitation:
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     for joint in place:
         target = edit.spec.joint(edit.motor_joint(joint))
-        damping = target.damping
-        damping[0] = max(damping[0] + values["damping"], 0.0)
-        target.damping = damping
+        put(target, "damping", 0, max(target.damping[0] + values["damping"], 0.0))
 
 
 def _suggests(context: Context, place: Place, values: dict[str, float]) -> list[Suggestion]:

@@ -210,15 +210,16 @@ class Edit:
             self.spec.joint(self.motor_joint(joint)).actfrclimited = 0
         actuator.forcelimited = 1
 
-    def add_actuator(self, name: str, joint: str, gain: float = 0.0) -> Any:
-        """A motor on a joint: force = gain * control + bias."""
+    def add_helper(self, name: str, joint: str, slope: float) -> Any:
+        """A motor on a joint that pushes along with its speed, N m s/rad."""
         import mujoco
 
         actuator = self.spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
-        values = np.zeros_like(actuator.gainprm)
-        values[0] = gain
-        actuator.gainprm = values
+        # With no gain, MuJoCo's compiler would take a positive velocity term for a damping ratio and turn it into none.
+        actuator.gainprm = np.eye(1, len(actuator.gainprm))[0]
+        actuator.biasprm = np.zeros_like(actuator.biasprm)
+        put(actuator, "biasprm", 2, slope)
         return actuator
 
     def add_friction(self, joint: str, amount: float) -> None:
@@ -260,9 +261,9 @@ class Edit:
     ) -> None:
         """A sprung joint at a body's origin."""
         joint = body.add_joint(name=name, type=kind, axis=axis)
-        spring, damper = np.zeros_like(np.atleast_1d(joint.stiffness)), np.zeros_like(np.atleast_1d(joint.damping))
-        spring[0], damper[0] = stiffness, damping
-        joint.stiffness, joint.damping, joint.limited = spring, damper, 0
+        put(joint, "stiffness", 0, stiffness)
+        put(joint, "damping", 0, damping)
+        joint.limited = 0
 
     def inertia_of(self, body: Any) -> tuple[float, F64, F64]:
         """(mass, com, 3x3 inertia about com), in the body's frame."""
@@ -311,13 +312,19 @@ class Edit:
             here.set_inertia(body, *add_point_mass(*here.inertia_of(body), mass, np.array(at)))
         for name, which, value in setup.gains:
             actuator, nominal = here.spec.actuator(name), self.context.case.model.actuator(name)
-            gains, biases = actuator.gainprm, actuator.biasprm
             column = 1 if which == "kp" else 2
             ratio = -value / float(nominal.biasprm[column])
-            gains[0] *= ratio if which == "kp" else 1.0
-            biases[column] *= ratio
-            actuator.gainprm, actuator.biasprm = gains, biases
+            if which == "kp":
+                put(actuator, "gainprm", 0, actuator.gainprm[0] * ratio)
+            put(actuator, "biasprm", column, actuator.biasprm[column] * ratio)
         return here.spec
+
+
+def put(part: Any, field: str, index: int, value: float) -> None:
+    """Write one number of an array of an MjSpec's element, which hands out copies of its arrays."""
+    values = getattr(part, field)
+    values[index] = value
+    setattr(part, field, values)
 
 
 def add_point_mass(mass: float, com: F64, inertia: F64, added: float, where: F64) -> tuple[float, F64, F64]:

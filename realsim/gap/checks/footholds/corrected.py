@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from realsim.core.files import check_size, inside, read_bytes, write_bytes, write_text
+from realsim.core.geometry import quat_to_R
 from realsim.gap.answer.patch import asset_files
+from realsim.gap.case.model.edit import put
 from realsim.gap.checks.camera.terrain import Terrain
 from realsim.gap.checks.footholds.footholds import Foothold, FootholdMap
 from realsim.gap.effects.terrain_tilt import multiply, quaternion
@@ -45,12 +47,11 @@ def _change(geom: Any, hold: Foothold, weight: float) -> list[str]:
         elif kind == "tilt":
             turn = quaternion(q["tilt_x"].value, q["tilt_y"].value)
             top = np.array(hold.place)
-            R = _matrix(turn)
+            R = quat_to_R(turn)
             geom.pos, geom.quat = top + R @ (np.asarray(geom.pos) - top), multiply(turn, np.asarray(geom.quat))
         elif kind == "slip" and "friction" in q:
-            friction = geom.friction
-            friction[0] = q["friction"].value
-            geom.friction, geom.priority = friction, 1
+            put(geom, "friction", 0, q["friction"].value)
+            geom.priority = 1
         elif kind == "give":
             # A contact of stiffness k (MuJoCo's negative solref) that sinks as far under the robot's weight.
             k = weight / max(q["give"].value, 1e-4)
@@ -59,9 +60,3 @@ def _change(geom: Any, hold: Foothold, weight: float) -> list[str]:
         else:
             left.append(f"{hold.name}: {kind} is not put into the corrected scene")
     return left
-
-
-def _matrix(quat: Any) -> Any:
-    from realsim.core.geometry import quat_to_R
-
-    return quat_to_R(quat)
