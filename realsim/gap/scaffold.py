@@ -8,6 +8,7 @@ from realsim.core.errors import GapError
 from realsim.core.files import inside, output_folder, read_bytes, to_json, write_bytes, write_text
 from realsim.gap.answer.patch import asset_files
 from realsim.gap.case.case import load_model
+from realsim.gap.recordings.model import load_target
 
 TO_DO = """# What is left to do
 
@@ -55,51 +56,37 @@ def start_case(model_xml: Path, out: Path, *, overwrite: bool = False) -> Path:
         whole = mujoco.MjSpec.from_file(str(model_xml))
         whole.compile()
         text = whole.to_xml()
-    unnamed = [
-        kind
-        for kind, names in (
-            ("joint", [model.joint(i).name for i in range(model.njnt)]),
-            ("actuator", [model.actuator(i).name for i in range(model.nu)]),
-        )
-        if not all(names)
-    ]
-    if unnamed:
-        raise GapError(
-            f"a {unnamed[0]} of the model has no name", file=model_xml, expected="names, by which a log refers to it"
-        )
-    drives = [i for i in range(model.nu) if model.actuator_trntype[i] == int(mujoco.mjtTrn.mjTRN_JOINT)]
-    kinds = [int(kind) for kind in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE)]
-    joints = [i for i in range(model.njnt) if model.jnt_type[i] in kinds]
-    if not drives or not joints:
+    target = load_target(Path(model_xml))
+    if not all(target.actuators):
+        expected = "names, by which a log refers to it"
+        raise GapError("an actuator of the model has no name", file=model_xml, expected=expected)
+    if not target.joints or not any(target.driven):
         raise GapError(
             "the model has no driven joint",
             file=model_xml,
             expected="hinge or slide joints with actuators",
             found=f"{model.njnt} joints, {model.nu} actuators",
         )
-    floating = bool((model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).any())
-    servo = bool((model.actuator_biastype[drives] == int(mujoco.mjtBias.mjBIAS_AFFINE)).all())
-    position = servo and bool((model.actuator_biasprm[drives, 1] != 0).all())
-    joint_names = [model.joint(i).name for i in joints]
-    actuator_names = [model.actuator(i).name for i in range(model.nu)]
     log = {
-        "joint_names": joint_names,
-        "actuator_names": actuator_names,
-        "command_kind": "position" if position else "velocity" if servo else "torque",
+        "joint_names": list(target.joints),
+        "actuator_names": list(target.actuators),
+        "command_kind": target.command_kind,
         "command_hold": "zoh",
-        "base": "floating" if floating else "fixed",
+        "base": "floating" if target.floating else "fixed",
         "torque_kind": "none",
-        "imu_site": next((model.site(i).name for i in range(model.nsite) if "imu" in model.site(i).name.lower()), None),
+        "imu_site": target.imu_site or None,
         "contact_bodies": [],
         "notes": f"made from {Path(model_xml).name}; see README.md",
     }
-    first = f"time,command_{actuator_names[0]},joint_pos_{joint_names[0]}"
+    first = f"time,command_{target.actuators[0]},joint_pos_{target.joints[0]}"
     with output_folder(out, overwrite=overwrite, source=Path(model_xml)) as folder:
         write_text(folder / "model.xml", text)
         for name in asset_files(spec):
             write_bytes(inside(folder, name), read_bytes(inside(Path(model_xml).parent, name)))
         write_text(folder / "log.json", to_json(log))
-        table = TO_DO.format(folder=out, nu=model.nu, nj=len(joints), base=BASE if floating else "", first=first)
+        table = TO_DO.format(
+            folder=out, nu=model.nu, nj=len(target.joints), base=BASE if target.floating else "", first=first
+        )
         write_text(folder / "README.md", table)
         (folder / "runs").mkdir()
     return Path(out)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.errors import GapError
+from realsim.core.statistics import interval90, resampled
 from realsim.core.types import F64
 from realsim.gap import figures
 from realsim.gap.case.model.channels import unit_of
@@ -144,10 +145,9 @@ def _gone(
     x: Sequence[F64], y: Sequence[F64], comparison: Comparison, runs: Sequence[int], resamples: int, seed: int
 ) -> tuple[float, float]:
     """90 percent interval of the share of x's squared error that is not in y, by a bootstrap over blocks."""
-    before, after = (_blocks(comparison, r, runs) for r in (x, y))
-    pick = np.random.default_rng(seed).integers(0, len(before), (resamples, len(before)))
-    fractions = 1 - after[pick].sum(axis=1) / np.maximum(before[pick].sum(axis=1), 1e-12)
-    return float(np.quantile(fractions, 0.05)), float(np.quantile(fractions, 0.95))
+    before, after = (resampled(_blocks(comparison, r, runs), resamples, seed).sum(axis=1) for r in (x, y))
+    low, high = interval90(1 - after / np.maximum(before, 1e-12))
+    return float(low), float(high)
 
 
 def _where_it_acts(comparison: Comparison, runs: Sequence[int], before: Sequence[F64], after: Sequence[F64]) -> float:

@@ -12,10 +12,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from realsim.core.errors import GapError
+from realsim.core.statistics import interval90, resampled
 from realsim.core.types import F64
 from realsim.gap.answer.check import Horizons
 from realsim.gap.answer.leaveout import LeftOut
-from realsim.gap.case.case import Case
 from realsim.gap.case.motion import rate_gain
 from realsim.gap.inference.causes.fitted import Fit, at
 from realsim.gap.inference.causes.leftover import is_gap
@@ -35,7 +35,7 @@ LEAST_WINDOWS = 12
 def over_horizons(screen: Screen, fit: Fit, left: LeftOut | None, held: Sequence[int], seed: int) -> Horizons | None:
     """None where the log has no whole states, or too few windows, or what is missing does not show over them."""
     simulator, comparison = screen.simulator, screen.comparison
-    if not _whole(simulator.case):
+    if not simulator.case.whole:
         return None
     before, after = list[F64](), list[F64]()
     for run, settings in _unseen(screen, fit, left, held):
@@ -61,17 +61,9 @@ def compared(before: Sequence[F64], after: Sequence[F64], seed: int) -> Horizons
     mean = float(total[0] / total[2])
     if not is_gap(np.array([mean])):
         return None
-    pick = np.random.default_rng(seed).integers(0, len(blocks), (400, len(blocks)))
-    sums = blocks[pick].sum(axis=1)
-    low, high = np.quantile(1 - sums[:, 1] / sums[:, 0], [0.05, 0.95])
+    sums = resampled(blocks, 400, seed).sum(axis=1)
+    low, high = interval90(1 - sums[:, 1] / sums[:, 0])
     return Horizons(int(total[2]), mean, float(1 - total[1] / total[0]), (float(low), float(high)))
-
-
-def _whole(case: Case) -> bool:
-    """Whether every run has the whole state: all joints and, where it floats, the base."""
-    base = {"base_pos", "base_quat"} if case.floating else set()
-    known = len(case.joint_names) + 6 * case.floating
-    return case.model.nv == known and case.model.na == 0 and all(base <= run.signals.keys() for run in case.runs)
 
 
 def _unseen(

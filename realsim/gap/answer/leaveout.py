@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from realsim.core.statistics import resampled
 from realsim.core.types import F64
 from realsim.gap.answer.check import BLOCK_SECONDS, errors, mean_square
 from realsim.gap.inference.causes.fit import Fitter
@@ -80,8 +81,7 @@ def better(
         row = np.nansum((b**2 - a**2) / (comparison.floor(run) + rest**2), axis=1) / CORRELATION
         sums.append(np.add.reduceat(row, np.arange(0, len(row), width)))
     values = np.concatenate(sums)
-    pick = np.random.default_rng(seed).integers(0, len(values), (400, len(values)))
-    return float(values.mean()), float(values[pick].mean(axis=1).std())
+    return float(values.mean()), float(resampled(values, 400, seed).mean(axis=1).std())
 
 
 def discrepancy(comparison: Comparison, runs: Sequence[int], residuals: Sequence[F64]) -> F64:

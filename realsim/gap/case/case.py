@@ -85,6 +85,13 @@ class Case:
         """Whether a gyroscope or an accelerometer is logged and has its place in the model."""
         return self.imu_site is not None and (self.has("imu_gyro") or self.has("imu_acc"))
 
+    @property
+    def whole(self) -> bool:
+        """Whether every run has the whole state: all joints and, where it floats, the base."""
+        base = {"base_pos", "base_quat"} if self.floating else set()
+        known = len(self.joint_names) + 6 * self.floating
+        return self.model.nv == known and self.model.na == 0 and all(base <= run.signals.keys() for run in self.runs)
+
     def has(self, signal: str) -> bool:
         """Whether every run logged this signal with at least some finite samples."""
         return all(signal in r.signals and np.isfinite(r.signals[signal]).any() for r in self.runs)

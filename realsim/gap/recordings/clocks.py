@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import theilslopes
 
 from realsim.core.errors import GapError
 from realsim.core.types import F64
@@ -137,17 +138,9 @@ def _least_delay(own: F64, delay: F64) -> tuple[float, float, float]:
     t, d = own[lowest] - own[0], delay[lowest]
     if len(lowest) < 3 or np.ptp(t) <= 0:
         return float(delay.min()), 0.0, float(np.std(d))
-    slope, base = _theil_sen(t, d)
+    slope, base = theilslopes(d, t, method="joint")[:2]  # late messages do not matter (Theil 1950, Sen 1968)
     rest = d - base - slope * t
-    return base + float(np.min(rest[rest > -JUMP])), slope, float(np.median(np.abs(rest)))
-
-
-def _theil_sen(t: F64, d: F64) -> tuple[float, float]:
-    """Slope and intercept by the median of all pairs' slopes (Theil 1950, Sen 1968): late messages do not matter."""
-    i, j = np.triu_indices(len(t), 1)
-    apart = np.abs(t[j] - t[i]) > 0
-    slope = float(np.median((d[j] - d[i])[apart] / (t[j] - t[i])[apart]))
-    return slope, float(np.median(d - slope * t))
+    return float(base + np.min(rest[rest > -JUMP])), float(slope), float(np.median(np.abs(rest)))
 
 
 def increasing(time: F64, values: F64, kind: str) -> tuple[F64, F64]:

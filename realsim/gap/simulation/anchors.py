@@ -16,7 +16,7 @@ import numpy as np
 
 from realsim.core.errors import GapError
 from realsim.core.types import F64
-from realsim.gap.case.case import Case, Run
+from realsim.gap.case.case import Run
 from realsim.gap.case.model.edit import Edit
 from realsim.gap.case.motion import Motion, estimate
 from realsim.gap.simulation.control import controls, switched_off, tracks_of
@@ -46,19 +46,12 @@ def anchored(simulator: Simulator) -> tuple[Start, ...]:
     one in which it keeps still, which no command of its own makes it do. Only runs in which it falls are in parts.
     """
     case, starts = simulator.case, simulator.starts
-    if not _all_logged(case):
+    if not case.whole:
         return starts
     replays = [_Replay.of(simulator, run, start) for run, start in zip(case.runs, starts, strict=True)]
     if not any(replay and replay.falls() for replay in replays):
         return starts
     return tuple(replay.in_parts() if replay else start for replay, start in zip(replays, starts, strict=True))
-
-
-def _all_logged(case: Case) -> bool:
-    """Whether the log has the whole state: every joint, and the base."""
-    base = {"base_pos", "base_quat"} if case.floating else set()
-    known = len(case.joint_names) + 6 * case.floating
-    return case.model.nv == known and case.model.na == 0 and all(base <= run.signals.keys() for run in case.runs)
 
 
 class _Replay:
