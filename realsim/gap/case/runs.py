@@ -139,7 +139,7 @@ def read_run(path: Path, want: Layout, warnings: list[str]) -> Run:
     """One .npz or .csv file. Raises GapError for what cannot be used; adds to `warnings` what was mended."""
     check_size(path)
     if path.suffix == ".csv":
-        data = read_csv(path, want.columns, want.names, want.command_kind)
+        data = read_csv(path, want.columns, want.names, want.command_kind, warnings)
     else:
         data = _read_npz(path)
         for name, unit in want.units.items():

@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.text_table import MAX_WIDTH
 from realsim.core.types import F64
 from realsim.gap.recordings.recording import Field, Stream, refuse_more
 from realsim.gap.recordings.vocabulary import is_clock
 
-MAX_WIDTH = 256
-"""Columns of one field; beyond, it is a picture, a cloud or a map."""
 NOT_SIGNALS = (
     "Image", "CompressedImage", "PointCloud2", "PointCloud", "LaserScan", "CameraInfo", "OccupancyGrid", "Log",
     "MarkerArray", "Marker", "TFMessage", "RobotDescription", "DiagnosticArray", "ParameterEvent", "HeightMap",

@@ -5,15 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from datetime import date
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from realsim.core.errors import GapError
+from realsim.core.text_table import MAX_WIDTH, cells, odd_cell
 from realsim.core.types import F64
-from realsim.gap.recordings.messages import MAX_WIDTH
 from realsim.gap.recordings.names import seconds_of
 from realsim.gap.recordings.recording import WHOLE, Field, Stream, Window, in_window
 from realsim.gap.recordings.vocabulary import KINDS, SIDES, SIGNALS, english, is_clock, plain, split_unit, time_unit
@@ -157,91 +156,6 @@ def _named(stem: str, unit: str) -> str:
     return f"{stem} [{unit}]".strip() if unit else stem
 
 
-def cells(path: Path, name: str, values: Sequence[Any]) -> F64 | None:
-    """A column of any cells as numbers: (T,) of numbers, (T, K) of lists (also written as text); None for text.
-
-    Raises:
-        GapError: lists of different lengths.
-    """
-    rows = [_cell(v) for v in values]
-    wide = next((len(r) for r in rows if isinstance(r, list)), 0)
-    if wide:
-        odd = next((i for i, r in enumerate(rows) if isinstance(r, list) and len(r) != wide), None)
-        if odd is not None:
-            raise GapError(
-                f"the lists in column {name!r} have different lengths", file=path, expected=f"{wide} numbers",
-                found=f"{len(rows[odd])} in row {odd + 1}",  # type: ignore[arg-type]
-            )  # fmt: skip
-        if wide > MAX_WIDTH:
-            return None
-        blank = [np.nan] * wide
-        return np.array([r if isinstance(r, list) else blank for r in rows], dtype=np.float64)
-    if sum(r is not None for r in rows) < 0.5 * len(rows):
-        return None
-    return np.array([np.nan if r is None else r for r in rows], dtype=np.float64)
-
-
-EMPTY = ("", "nan", "null", "none", "na", "n/a", "-")
-"""How a cell says that there is no number."""
-
-
-def odd_cell(values: Sequence[Any], column: F64) -> str | None:
-    """The first cell that is neither a number nor empty; None if there is none. `column` is what `cells` made."""
-    for k in np.flatnonzero(np.isnan(column.reshape(len(column), -1)).all(axis=1)).tolist():
-        text = "" if values[k] is None else str(values[k]).strip()
-        if text.strip("[]() ").split(",")[0].strip().lower() not in EMPTY:
-            return text[:40]
-    return None
-
-
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
-_MOMENT = re.compile(r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)(?:Z|[+-]\d\d:?\d\d)?")
-
-
-def is_number(text: str) -> bool:
-    """Whether a cell is a number, a list of numbers or a time of day."""
-    return _cell(text) is not None
-
-
-def _text(text: str) -> float | None:
-    """A number as written, also with a decimal comma; a date and time, or a time of day, as s; None for other text."""
-    try:
-        return float(text)
-    except ValueError:
-        pass
-    if _DECIMAL_COMMA.fullmatch(text):
-        return float(text.replace(",", "."))
-    if moment := _MOMENT.fullmatch(text):
-        day, hours, minutes, seconds = moment.groups()
-        try:
-            since = 86400.0 * date.fromisoformat(day).toordinal() if day else 0.0
-        except ValueError:  # a thirteenth month
-            return None
-        return since + 3600.0 * int(hours) + 60.0 * int(minutes) + float(seconds.replace(",", "."))
-    return {"true": 1.0, "false": 0.0, "nan": np.nan}.get(text.lower())
-
-
-def _cell(value: Any) -> float | list[float] | None:
-    """A number, a list of numbers, or None for what is neither (a text, an empty cell)."""
-    if isinstance(value, str):
-        text = value.strip()
-        if not text.startswith(("[", "(")):
-            return _text(text)
-        inner = text.strip("[]() ")
-        value = inner.replace(";", ",").split(",") if "," in inner or ";" in inner else inner.split()
-    if isinstance(value, (bool, int, float, np.number)):
-        try:
-            return float(value)
-        except OverflowError:  # a whole number of hundreds of digits
-            return None
-    if isinstance(value, (list, tuple, np.ndarray)):
-        try:
-            return [float(v) if v is not None else np.nan for v in np.ravel(np.asarray(value, dtype=object))]
-        except (TypeError, ValueError, OverflowError):
-            return None
-    return None
-
-
 def rows(path: Path, items: Sequence[Mapping[str, Any]], notes: list[str]) -> dict[str, F64]:
     """Records (JSON objects) as columns; nested objects get dotted names. What is no number is noted."""
     flat = [_flat(item) for item in items]
@@ -253,7 +167,7 @@ def rows(path: Path, items: Sequence[Mapping[str, Any]], notes: list[str]) -> di
         if column is not None:
             found[name] = column
             if (odd := odd_cell(values, column)) is not None:
-                notes.append(f"{path.name}: {name} has values that are no numbers, the first is {odd!r}")
+                notes.append(f"{path.name}: {name} has values that are no numbers, the first is {odd[0]!r}")
     return found
 
 

@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from realsim.core.errors import GapError
+from realsim.core.text_table import cells
 from realsim.gap.recordings import Window, load_target, propose, read
 from realsim.gap.recordings.arrays import run_arrays
 from realsim.gap.recordings.clocks import clocked
 from realsim.gap.recordings.names import clock_unit, match_joints, meaning
 from realsim.gap.recordings.recording import Field, Recording, Stream
-from realsim.gap.recordings.tables import cells
 from realsim.gap.recordings.vocabulary import is_clock
 
 from .robots import ARM, PLACES, QUADRUPED, Log, save

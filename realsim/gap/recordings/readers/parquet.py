@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from realsim.core.errors import GapError, extra
+from realsim.core.text_table import MAX_WIDTH
 from realsim.core.types import F64
-from realsim.gap.recordings.messages import MAX_WIDTH
 from realsim.gap.recordings.recording import Reader, Recording, Window, has_suffix, no_samples, refuse_more
 from realsim.gap.recordings.tables import table
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from realsim.core.errors import GapError, extra
+from realsim.core.text_table import MAX_WIDTH
 from realsim.core.types import F64
-from realsim.gap.recordings.messages import MAX_WIDTH
 from realsim.gap.recordings.recording import (
     Field,
     Reader,

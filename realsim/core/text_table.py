@@ -1,0 +1,284 @@
+"""Tables of text: `,` `;` tab or blanks between cells; cells may be empty, text, lists (`[0.1, 0.2]`) or times of day.
+
+Lines before the header, a line of units below it, and a header that is missing are told by where the numbers begin.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from datetime import date
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from realsim.core.errors import GapError
+from realsim.core.files import check_size
+from realsim.core.types import F64
+
+MAX_BYTES = 2 * 2**30
+MAX_WIDTH = 256
+"""Items of one cell; beyond, it is a picture, a cloud or a map."""
+BLOCK = 50_000
+"""Rows that are text at the same time."""
+PREAMBLE = 60
+"""Lines in which the numbers must begin."""
+ENCODINGS = ("utf-8-sig", "cp1252")
+EMPTY = ("", "nan", "null", "none", "na", "n/a", "-")
+"""How a cell says that there is no number."""
+_BLANKS = re.compile(r"(?:^#)?[ ]+")
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+_MOMENT = re.compile(r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)(?:Z|[+-]\d\d:?\d\d)?")
+
+
+@dataclass
+class TextTable:
+    """The numbers of a file of text."""
+
+    path: Path
+    header: bool = True
+    """Whether the file names its columns; else they are called column_1, column_2, ..."""
+    parts: dict[str, list[F64]] = field(default_factory=dict)
+    """Column -> its numbers, (T,) or of lists (T, K), in blocks of rows; a missing one is NaN."""
+    text: list[str] = field(default_factory=list)
+    """Columns that hold none."""
+    odd: dict[str, tuple[str, int]] = field(default_factory=dict)
+    """Column of numbers -> its first cell that is neither a number nor empty, and the row of that."""
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def columns(self) -> dict[str, F64]:
+        """Column -> its numbers; empty without a row."""
+        return {n: np.concatenate(p) for n, p in self.parts.items() if p}
+
+    def take(self, block: Sequence[tuple[int, list[str]]]) -> int:
+        """Add rows with their numbers; returns how many numbers they held."""
+        size = 0
+        for i, name in enumerate(self.parts):
+            if not name or name in self.text:  # a column without a name is a table's index
+                continue
+            cells_of, before = [row[i] for _, row in block], self.parts[name]
+            if all(not cell.strip() for cell in cells_of):
+                column: F64 | None = np.full((len(block), *(before[0].shape[1:] if before else ())), np.nan)
+            else:
+                column = cells(self.path, name, cells_of, [number for number, _ in block])
+            if column is None or (before and column.ndim != before[0].ndim):
+                self.text.append(name)
+                self.parts[name] = []
+                self.odd.pop(name, None)
+                continue
+            if name not in self.odd and (found := odd_cell(cells_of, column)) is not None:
+                self.odd[name] = found[0], block[found[1]][0]
+            before.append(column)
+            size += column.size
+        return size
+
+
+def read_text_table(
+    path: Path, unit: Callable[[str], str] = lambda cell: "", grown: Callable[[int], None] = lambda size: None
+) -> TextTable:
+    """The columns of numbers of a file.
+
+    Args:
+        unit: what a cell of a line of units says, or nothing; columns are then called `name [unit]`.
+        grown: called with the count of numbers read so far; may raise.
+
+    Raises:
+        GapError: not text, a header that names a column twice, a row or cell that does not end where it should.
+    """
+    check_size(path, MAX_BYTES)
+    for encoding in ENCODINGS:
+        try:
+            with path.open(encoding=_encoding(path) or encoding, newline="", errors="strict") as file:
+                return _read(path, file, unit, grown)
+        except UnicodeError as error:
+            if encoding == ENCODINGS[-1] or b"\0" in path.open("rb").read(4096):
+                raise GapError("not a text file", file=path, expected="UTF-8 text", found=str(error)) from error
+    raise AssertionError
+
+
+def first_lines(path: Path) -> list[str]:
+    """The first lines of a text file; none of a binary one."""
+    with path.open("rb") as file:
+        data = file.read(65536)
+    marked = _encoding(path)
+    if not marked and b"\0" in data:
+        return []
+    return data.decode(marked or "cp1252", errors="replace").splitlines()[:PREAMBLE]
+
+
+def begin(lines: Sequence[str]) -> tuple[str, int]:
+    """(what parts the cells, the first line of numbers); the number of lines where none is."""
+    for k, line in enumerate(lines):
+        for delimiter in (*sorted(",;\t", key=line.count, reverse=True), " "):
+            filled = [c for c in _split(line, delimiter) if c.strip()]
+            if len(filled) > 1 and sum(_cell(c) is not None for c in filled) >= max(2, 0.5 * len(filled)):
+                return delimiter, k
+    return max(",;\t", key=lines[0].count) if lines else ",", len(lines)
+
+
+def cells(path: Path, name: str, values: Sequence[Any], numbers: Sequence[int] = ()) -> F64 | None:
+    """A column of any cells as numbers: (T,) of numbers, (T, K) of lists (also written as text); None for text.
+
+    Args:
+        numbers: of the rows; counted from 1 if none are given.
+
+    Raises:
+        GapError: lists of different lengths.
+    """
+    rows = [_cell(v) for v in values]
+    wide = next((len(r) for r in rows if isinstance(r, list)), 0)
+    if wide:
+        odd = next((i for i, r in enumerate(rows) if isinstance(r, list) and len(r) != wide), None)
+        if odd is not None:
+            raise GapError(
+                f"the lists in column {name!r} have different lengths", file=path, expected=f"{wide} numbers",
+                found=f"{len(rows[odd])} in row {numbers[odd] if numbers else odd + 1}",  # type: ignore[arg-type]
+            )  # fmt: skip
+        if wide > MAX_WIDTH:
+            return None
+        blank = [np.nan] * wide
+        return np.array([r if isinstance(r, list) else blank for r in rows], dtype=np.float64)
+    numbers = sum(r is not None for r in rows)
+    if numbers == 0 or numbers < sum(r is None and not _empty(v) for r, v in zip(rows, values, strict=True)):
+        return None
+    return np.array([np.nan if r is None else r for r in rows], dtype=np.float64)
+
+
+def odd_cell(values: Sequence[Any], column: F64) -> tuple[str, int] | None:
+    """The first cell that is neither a number nor empty, and its place; None without one. `column`: of `cells`."""
+    for k in np.flatnonzero(np.isnan(column.reshape(len(column), -1)).all(axis=1)).tolist():
+        if not _empty(values[k]):
+            return str(values[k]).strip()[:40], k
+    return None
+
+
+def _empty(value: Any) -> bool:
+    return value is None or str(value).strip().strip("[]() ").split(",")[0].strip().lower() in EMPTY
+
+
+def _encoding(path: Path) -> str:
+    """UTF-16 by its mark, as Excel writes it; else nothing."""
+    with path.open("rb") as file:
+        return "utf-16" if file.read(2) in (b"\xff\xfe", b"\xfe\xff") else ""
+
+
+def _split(line: str, delimiter: str) -> list[str]:
+    return next(csv.reader([_BLANKS.sub(" ", line.strip()) if delimiter == " " else line], delimiter=delimiter), [])
+
+
+def _read(path: Path, lines: Iterator[str], unit: Callable[[str], str], grown: Callable[[int], None]) -> TextTable:
+    """In blocks of rows, so that no more than one block is text."""
+    head = [line for _, line in zip(range(PREAMBLE), lines, strict=False)]
+    delimiter, first = begin(head)
+    first = 1 if first == len(head) else first
+    lines = chain(head[first:], lines)
+    if delimiter == " ":
+        lines = (_BLANKS.sub(" ", line.strip()) for line in lines)
+    width = len(_split(head[first], delimiter)) if first < len(head) else 0
+    header = _header(path, head[:first], delimiter, width, unit)
+    found = TextTable(path, header is not None)
+    if header is None:
+        header = [f"column_{k + 1}" for k in range(width)]
+        found.notes.append(f"there is no header: the columns are called column_1 to column_{width}")
+    found.parts = {name: [] for name in header}
+    block: list[tuple[int, list[str]]] = []
+    size = 0
+    for number, row in _rows(path, lines, delimiter, first):
+        if not row or row == [""]:
+            continue
+        if len(row) < len(header) and next(lines, None) is None:
+            found.notes.append(f"{path.name}: the last row is cut off: it is left out")
+            break
+        if len(row) != len(header):
+            raise GapError(
+                "a row has the wrong number of cells", file=path, expected=f"{len(header)}, as in the header",
+                found=f"{len(row)} in row {number}",
+                hint="put lists in quotation marks; write decimal points where commas part the cells",
+            )  # fmt: skip
+        block.append((number, row))
+        if len(block) == BLOCK:
+            size += found.take(block)
+            grown(size)
+            block = []
+    if block:
+        grown(size + found.take(block))
+    return found
+
+
+def _rows(path: Path, lines: Iterator[str], delimiter: str, above: int) -> Iterator[tuple[int, list[str]]]:
+    """(number, cells) of each row below those `above`."""
+    reader, number = csv.reader(lines, delimiter=delimiter), above
+    try:
+        for row in reader:
+            if above + reader.line_num > number + 1:  # an open quotation mark turns all up to the next into one cell
+                raise csv.Error("the cell continues in the next row")
+            number += 1
+            yield number, row
+    except csv.Error as error:
+        raise GapError(
+            "a cell does not end in its row", file=path, expected="each quotation mark closed in its own row",
+            found=f"{error}, from row {number + 1} on",
+        ) from error  # fmt: skip
+
+
+def _header(
+    path: Path, above: Sequence[str], delimiter: str, width: int, unit: Callable[[str], str]
+) -> list[str] | None:
+    """Names of the columns from the lines above the numbers: the last of as many cells, with a line of units."""
+    rows = [_split(line.lstrip("# "), delimiter) for line in above]
+    rows = [[c.strip() for c in row] for row in rows if len(row) == width or not width]
+    if not rows:
+        return None
+    header = rows[-1]
+    units = [unit(c.strip("[]()")) for c in header]
+    if len(rows) > 1 and all(u or not c or c in ("-", "[-]") for u, c in zip(units, header, strict=True)):
+        header = [f"{name} [{u}]" if u else name for name, u in zip(rows[-2], units, strict=True)]
+    twice = sorted({h for h in header if h and header.count(h) > 1})
+    if twice:
+        raise GapError("the header names a column twice", file=path, found=", ".join(twice)[:200],
+                       hint="give each column a name of its own in the first line")  # fmt: skip
+    return header
+
+
+def _text(text: str) -> float | None:
+    """A number as written, also with a decimal comma; a date and time, or a time of day, as s; None for other text."""
+    try:
+        return float(text)
+    except ValueError:
+        pass
+    if _DECIMAL_COMMA.fullmatch(text):
+        return float(text.replace(",", "."))
+    if moment := _MOMENT.fullmatch(text):
+        day, hours, minutes, seconds = moment.groups()
+        try:
+            since = 86400.0 * date.fromisoformat(day).toordinal() if day else 0.0
+        except ValueError:  # a thirteenth month
+            return None
+        return since + 3600.0 * int(hours) + 60.0 * int(minutes) + float(seconds.replace(",", "."))
+    return {"true": 1.0, "false": 0.0, "nan": np.nan}.get(text.lower())
+
+
+def _cell(value: Any) -> float | list[float] | None:
+    """A number, a list of numbers, or None for what is neither (a text, an empty cell)."""
+    if isinstance(value, str):
+        text = value.strip()
+        if not text.startswith(("[", "(")):
+            return _text(text)
+        inner = text.strip("[]() ")
+        value = inner.replace(";", ",").split(",") if "," in inner or ";" in inner else inner.split()
+    if isinstance(value, (bool, int, float, np.number)):
+        try:
+            return float(value)
+        except OverflowError:  # a whole number of hundreds of digits
+            return None
+    if isinstance(value, (list, tuple, np.ndarray)):
+        try:
+            return [float(v) if v is not None else np.nan for v in np.ravel(np.asarray(value, dtype=object))]
+        except (TypeError, ValueError, OverflowError):
+            return None
+    return None
