@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from realsim.core.errors import GapError
+from realsim.core.mjcf import check_mjcf
 
 NEVER_INFINITE = ("body_", "dof_", "geom_", "jnt_pos", "jnt_axis", "site_", "qpos0", "key_", "actuator_gear", "mesh_")
 """Fields, by how their names begin, of which an infinite one is damage; limits and ranges may be infinite."""
@@ -34,9 +36,31 @@ def odd_number(model: Any) -> str | None:
     return None
 
 
-def not_compiled(path: Path, error: Exception) -> GapError:
-    """What to say of a model that MuJoCo refuses."""
-    found = str(error).splitlines()[0][:200]
-    missing = "opening file" in found
-    hint = "copy the robot's meshes to where the model looks for them, or take out the geoms that need them"
-    return GapError("the model does not compile", file=path, found=found, hint=hint if missing else None)
+def load_mjcf(
+    path: Path, root: Path | None = None, prepare: Callable[[Any], None] = lambda spec: None
+) -> tuple[Any, Any, str]:
+    """(MjSpec, MjModel, text) of an MJCF or URDF file that is safe to read and can be simulated.
+
+    Args:
+        root: see `check_mjcf`.
+        prepare: changes the spec before it is compiled.
+
+    Raises:
+        GapError: it is not safe, does not compile, or holds numbers that no robot has.
+    """
+    import mujoco
+
+    text = check_mjcf(path, root, GapError)
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        prepare(spec)
+        model = spec.copy().compile()
+    except Exception as error:  # MuJoCo raises ValueError and its own types
+        found = str(error).splitlines()[0][:200]
+        hint = "copy the robot's meshes to where the model looks for them, or take out the geoms that need them"
+        missing = "opening file" in found
+        raise GapError("the model does not compile", file=path, found=found, hint=hint if missing else None) from error
+    if (odd := odd_number(model)) is not None:
+        expected = "finite numbers of a robot's size"
+        raise GapError("the model cannot be simulated", file=path, expected=expected, found=odd)
+    return spec, model, text

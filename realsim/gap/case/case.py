@@ -13,8 +13,7 @@ import numpy as np
 
 from realsim.core.errors import GapError, RealsimError, did_you_mean
 from realsim.core.files import read_json
-from realsim.core.mjcf import check_mjcf
-from realsim.core.models import not_compiled, odd_number
+from realsim.core.models import load_mjcf
 from realsim.core.notebook import table, traces
 from realsim.gap.case.recordings import read_recordings
 from realsim.gap.case.resolve import resolve
@@ -270,25 +269,14 @@ def _columns(log: dict[str, Any], folder: Path) -> Any:
 
 def load_model(path: Path) -> tuple[Any, Any, str]:
     """(MjSpec resolved, MjModel, text) of an MJCF file that is safe to read. Raises GapError with the reason."""
-    import mujoco
-
-    text = check_mjcf(path, path.parent, GapError)
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        resolve(spec)
-        model = spec.copy().compile()
-    except Exception as error:  # MuJoCo raises ValueError and its own types
-        raise not_compiled(path, error) from error
-    if not LEAST_TIMESTEP <= model.opt.timestep <= 0.1:  # NaN too
+    spec, model, text = load_mjcf(path, path.parent, resolve)
+    if not LEAST_TIMESTEP <= model.opt.timestep <= 0.1:
         raise GapError(
             "the model's time step cannot be simulated",
             file=path,
             expected=f"timestep from {LEAST_TIMESTEP:g} to 0.1 s",
             found=f"{model.opt.timestep:g}",
         )
-    if (odd := odd_number(model)) is not None:
-        expected = "finite numbers of a robot's size"
-        raise GapError("the model cannot be simulated", file=path, expected=expected, found=odd)
     if model.ngeom > MOST_GEOMS or model.nbody > MOST_GEOMS:
         raise GapError(
             "the model is too large for a diagnosis",

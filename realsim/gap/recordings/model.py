@@ -11,8 +11,7 @@ import numpy as np
 
 from realsim.core.errors import GapError
 from realsim.core.files import check_size
-from realsim.core.mjcf import check_mjcf
-from realsim.core.models import not_compiled, odd_number
+from realsim.core.models import load_mjcf
 from realsim.core.types import F64
 from realsim.gap.recordings.vocabulary import english
 
@@ -197,15 +196,8 @@ def load_target(path: Path) -> Target:
 
     path = Path(path)
     check_size(path, MAX_MODEL_BYTES)
-    check_mjcf(path, problem=GapError)
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        model = spec.compile()
-    except Exception as error:  # MuJoCo raises ValueError and its own types
-        raise not_compiled(path, error) from error
-    if (odd := odd_number(model)) is not None:
-        expected = "finite numbers of a robot's size"
-        raise GapError("the model cannot be simulated", file=path, expected=expected, found=odd)
+    spec, model, _ = load_mjcf(path)
+    spec.compile()  # so that it can be written as XML
     joints = tuple(model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] in (2, 3))
     free = any(model.jnt_type == 0)
     if not all(joints) or not (joints or (free and model.nu)):

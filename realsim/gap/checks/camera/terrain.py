@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.errors import GapError
-from realsim.core.mjcf import check_mjcf
+from realsim.core.models import load_mjcf
 from realsim.core.types import F64
 
 CELL = 0.3
@@ -74,14 +74,7 @@ def load_terrain(path: Path) -> Terrain:
         path = path / "scene.xml"
     if not path.is_file():
         raise GapError("no such scene", file=path, expected="scene.xml, or the folder that holds it")
-    import mujoco
-
-    check_mjcf(path, path.parent, GapError)
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        model = spec.copy().compile()
-    except Exception as error:  # MuJoCo raises ValueError and its own types
-        raise GapError("the scene does not compile", file=path, found=str(error).splitlines()[0]) from error
+    spec, model, _ = load_mjcf(path, path.parent)
     return terrain_of(spec, model, path)
 
 
