@@ -24,7 +24,7 @@ from realsim.gap.inference.causes.windows import _best_window
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.cores import Recent
-from realsim.gap.simulation.simulate import Setting, Simulator
+from realsim.gap.simulation.simulate import Simulator
 
 from .test_recovery import logged
 from .truth import Truth
@@ -68,61 +68,15 @@ def _cause(fitter: Fitter, effect: str, value: float) -> Cause:
     return Cause(next(c for c in fitter.screen.candidates if c.effect == effect and len(c.places) == 1), (value,))
 
 
-def test_slopes_of_laws_that_need_the_fine_step_are_taken_at_it(fitter: Fitter, monkeypatch) -> None:
-    """At twice the step a spring in a light calf blows up, and would never be thought of."""
-    simulate, steps = fitter.screen.simulator.simulate, {}
-
-    def noted(settings=(), runs=None, coarse=1):
-        steps.update({effect: coarse for effect, _, _ in settings})
-        return simulate(settings, runs, coarse)
-
-    monkeypatch.setattr(fitter.screen.simulator, "simulate", noted)
-    fitter.screen.relinearise(_damped(fitter))
-    assert steps["backlash"] == 1
-    assert steps["motor_gain"] == 2
-    fitter.screen.relinearise([])
-
-
-def _damped(fitter: Fitter, damping: float = 0.01) -> list[Setting]:
-    return [("viscous_friction", (fitter.screen.simulator.context.driven[0],), {"damping": damping})]
-
-
-def test_slopes_are_taken_anew_only_beside_causes_that_move_the_robot_otherwise(fitter: Fitter, monkeypatch) -> None:
-    screen, looks = fitter.screen, []
-    column = screen._column
-    monkeypatch.setattr(screen, "_about", Recent(2))
-    monkeypatch.setattr(screen, "_column", lambda atom, *more: looks.append(atom) or column(atom, *more))
-    read = ("joint_offset", (screen.simulator.context.driven[0],), {"reading_offset": 0.02})
-    slower = [*_damped(fitter), ("armature", (screen.simulator.context.driven[0],), {"armature": 0.01})]
-    steps = [([], 0), ([read], 0), (_damped(fitter), 1), ([*_damped(fitter, 0.011), read], 0), (slower, 1)]
-    for causes, anew in [*steps, (_damped(fitter), 0), ([], 1)]:
-        looks.clear()
-        screen.relinearise(causes)
-        assert bool(looks) == bool(anew), causes
-
-
-def test_slopes_are_taken_anew_beside_causes_unless_a_law_is_stiff(fitter: Fitter, monkeypatch) -> None:
-    taken: list[float] = []
-    monkeypatch.setattr(fitter.screen, "relinearise", lambda settings: taken.extend(settings[0][2].values()))
-    for cause in (*(_cause(fitter, "motor_gain", value) for value in (-0.2, 0.2)), _cause(fitter, "backlash", 0.05)):
-        fit = fitter.looked_at(fitter.nominal(), [cause])
-        assert fit is not None
-        fitter.prepared(fit)
-    assert taken == [-0.2, 0.2]
-
-
-def test_what_only_reads_otherwise_is_not_simulated_again(fitter: Fitter, monkeypatch) -> None:
+def test_what_only_reads_otherwise_shifts_the_readings(fitter: Fitter) -> None:
     simulator = fitter.screen.simulator
-    rolls, roll_out = [], simulator.roll_out
-    monkeypatch.setattr(simulator, "roll_out", lambda *all_of: rolls.append(all_of) or roll_out(*all_of))
-    plain = simulator.simulate(_damped(fitter, 0.013))
-    read = ("joint_offset", (simulator.context.driven[0],), {"reading_offset": 0.02})
-    shifted = simulator.simulate([read, *_damped(fitter, 0.013)])
-    assert len(rolls) == 1
+    joint = simulator.context.driven[0]
+    damped = ("viscous_friction", (joint,), {"damping": 0.013})
+    plain, shifted = (
+        simulator.simulate(s)[0] for s in ([damped], [("joint_offset", (joint,), {"reading_offset": 0.02}), damped])
+    )
     column = next(i for i, c in enumerate(simulator.channels) if c.signal == "joint_pos" and c.index == 0)
-    np.testing.assert_allclose(shifted[0][:, column], plain[0][:, column] + 0.02, atol=1e-12)
-    simulator.simulate(_damped(fitter, 0.014))
-    assert len(rolls) == 2
+    np.testing.assert_allclose(shifted[:, column], plain[:, column] + 0.02, atol=1e-12)
 
 
 def test_the_last_results_are_kept_and_no_more() -> None:

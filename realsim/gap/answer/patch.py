@@ -123,8 +123,7 @@ def apply_patch(spec: Any, patch: dict[str, Any]) -> Signals:
     context = build_context(case)
     for name, values in patch["scales"].items():
         getattr(context, name).update(values)
-    edit = Edit(context)
-    edit._spec = spec  # in place: the caller's spec is what shall change
+    edit = Edit(context, spec)
     for item in patch["settings"]:
         effect = EFFECTS[item["effect"]]
         place = tuple(item["place"])

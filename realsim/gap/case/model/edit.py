@@ -130,14 +130,15 @@ class Signals:
 class Edit:
     """A simulator being changed. The spec is copied when it is first touched."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: Context, spec: Any = None) -> None:
+        """`spec`: what is changed in place; a copy of the context's if None."""
         self.context = context
         self.signals = Signals()
         self.bodily: list[Any] = []
         """Settings of the effects that asked for the spec."""
         self.later: Edit | None = None
         """The simulator of the later one of two logs, where that differs."""
-        self._spec: Any = None
+        self._spec = spec
         self._asked = 0
 
     @property
@@ -305,8 +306,7 @@ class Edit:
         """
         if not (setup.payload or setup.gains):
             return self.spec
-        here = Edit(self.context)
-        here._spec = self.spec.copy()
+        here = Edit(self.context, self.spec.copy())
         for name, mass, at in setup.payload:
             body = here.spec.body(name)
             here.set_inertia(body, *add_point_mass(*here.inertia_of(body), mass, np.array(at)))
