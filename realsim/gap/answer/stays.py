@@ -28,9 +28,8 @@ def what_stays(simulator: Simulator, comparison: Comparison, fit: Fit, runs: Seq
         predicted = simulator.simulate(fit.settings(), runs=runs)
     except GapError:
         return []
-    return _looked_at(
-        simulator, comparison, fit, runs, [comparison.residual(r, y) for r, y in zip(runs, predicted, strict=True)]
-    )
+    residuals = [comparison.residual(r, y) for r, y in zip(runs, predicted, strict=True)]
+    return _looked_at(simulator, comparison, fit, runs, residuals)
 
 
 def laws_left(screen: Screen, fit: Fit) -> list[dict[str, Any]]:
@@ -48,10 +47,7 @@ def _looked_at(
         with Simulator(replace(case, spec=spec, model=spec.compile()), simulator.config) as patched:
             tracks = [patched.nominal_tracks[r] for r in runs]
             return looks_like(comparison, runs, residuals, tracks, torque_residual(patched))
-    except (
-        GapError,
-        ValueError,
-    ):  # the patched model does not run on every run of the log: nothing is reported of its rest
+    except (GapError, ValueError):  # the patched model does not run on every run: nothing is reported of its rest
         return []
 
 
@@ -94,7 +90,9 @@ def looks_like(
             if t["what"] in _OF_TORQUE
         }
     elif comparison.case.command_kind == "position":
-        said = {j: w for j in size if (w := _of_position(comparison, runs, residuals, tracks, j)) is not None}
+        # Below twice the floor there is nothing to speak of.
+        looks = {j: _of_position(comparison, runs, residuals, tracks, j) for j in size if size[j] >= 2.0}
+        said = {j: look for j, look in looks.items() if look is not None}
     else:
         said = {}
     order = sorted(said, key=lambda j: -size.get(j, 0.0))[:MOST]
@@ -121,12 +119,9 @@ def _of_position(
     """(what, share explained) of the rest of a joint's position."""
     labels = [(c.signal, c.label) for c in comparison.channels]
     column, j = labels.index(("joint_pos", joint)), comparison.case.joint_names.index(joint)
-    if float(np.mean(_squares(comparison, runs, residuals, column))) < 2.0:  # twice the floor: nothing to speak of
-        return None
     y, features = [], []
     for run, r, track in zip(runs, residuals, tracks, strict=True):
-        settle, dt = (float(v) for v in track["settle"])
-        at = np.clip(((comparison.times[run] + settle) / dt).astype(int), 0, len(track["pos"]) - 1)
+        at = comparison.rows_at(run, track)
         speed, load = track["vel"][at, j], track["torque"][at, j]
         way = np.tanh(speed / (0.05 * np.nanmax(np.abs(track["vel"][:, j])) + 1e-9))
         features.append(np.column_stack([way, speed, np.abs(load) * way, load, np.ones(len(at))]))
@@ -139,9 +134,3 @@ def _of_position(
     shares = [float(values @ x) ** 2 / max(float(x @ x) * total, 1e-30) for x in X.T]
     best = int(np.argmax(shares))
     return (names[best], shares[best]) if shares[best] > LEAST_EXPLAINED else None
-
-
-def _squares(comparison: Comparison, runs: Sequence[int], residuals: Sequence[F64], column: int) -> F64:
-    found = [r[:, column] ** 2 / comparison.floor(i)[:, column] for i, r in zip(runs, residuals, strict=True)]
-    every = np.concatenate(found)
-    return every[np.isfinite(every)]

@@ -50,6 +50,15 @@ class Shots:
     def signals(self) -> list[str]:
         return list(dict.fromkeys(s for s, _ in self.names))
 
+    def growth(self) -> dict[str, dict[str, float | None]]:
+        """By signal and horizon: root mean square error; None where no window reaches."""
+        return {
+            signal: {
+                n: float(v) if np.isfinite(v) else None for n, v in zip(self.labels, self.rms(signal), strict=True)
+            }
+            for signal in self.signals()
+        }
+
 
 def shoot(simulator: Simulator, settings: Sequence[Setting] = (), runs: Sequence[int] | None = None) -> Shots:
     """Predict from estimated states with the nominal simulator, or with one that `settings` change.

@@ -150,9 +150,7 @@ def _by_motion(comparison: Comparison, c: int, joint: int, tracks: Sequence[dict
 
 def at_bins(comparison: Comparison, run: int, track: dict[str, F64], values: F64) -> F64:
     """A quantity of the simulator's own grid at the bins of a run."""
-    settle, dt = track["settle"]
-    index = np.clip(((comparison.times[run] + settle) / dt).astype(int), 0, len(values) - 1)
-    return np.nan_to_num(values[index])
+    return np.nan_to_num(values[comparison.rows_at(run, track)])
 
 
 def _by_touchdown(comparison: Comparison, c: int) -> list[Bin]:

@@ -24,8 +24,7 @@ PLAIN_SHARE, PLAIN_EXCESS = 0.1, 3.0
 
 def phases(comparison: Comparison, run: int, track: dict[str, F64], joint: int | None) -> F64:
     """(B,) index into PHASES, from the nominal simulator's velocity (of one joint, or the fastest)."""
-    settle, dt = track["settle"]
-    index = np.clip(((comparison.times[run] + settle) / dt).astype(int), 0, len(track["vel"]) - 1)
+    index = comparison.rows_at(run, track)
     speed = np.nan_to_num(track["vel"])
     peak = np.maximum(np.abs(speed).max(axis=0), 1e-6)
     scaled = speed / peak
@@ -111,29 +110,16 @@ def evidence(simulator: Simulator, comparison: Comparison, residuals: Sequence[F
 
 def by_horizon(shots: Sequence[Shots]) -> dict[str, dict[str, dict[str, float | None]]]:
     """By signal and horizon: error of predictions from estimated states, before and (where there are two) after."""
-    before, after = shots[0], shots[-1]
+    before, after = (shot.growth() for shot in (shots[0], shots[-1]))
     return {
-        signal: {
-            label: {"before": _finite(b), "after": _finite(a)}
-            for label, b, a in zip(before.labels, before.rms(signal), after.rms(signal), strict=True)
-        }
-        for signal in before.signals()
+        s: {at: {"before": v, "after": after.get(s, {}).get(at)} for at, v in row.items()} for s, row in before.items()
     }
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def horizons(shots: Shots, comparison: Comparison, residuals: Sequence[F64]) -> dict[str, dict[str, float | None]]:
     """By signal: root mean square error at each horizon from estimated states, and over the whole run from rest."""
-    found: dict[str, dict[str, float | None]] = {}
-    for signal in shots.signals():
+    found = shots.growth()
+    for signal, row in found.items():
         columns = [i for i, c in enumerate(comparison.channels) if c.signal == signal]
-        row: dict[str, float | None] = {
-            label: float(v) if np.isfinite(v) else None
-            for label, v in zip(shots.labels, shots.rms(signal), strict=True)
-        }
         row["whole run"] = float(np.sqrt(np.nanmean(np.concatenate([r[:, columns] for r in residuals]) ** 2)))
-        found[signal] = row
     return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -115,6 +115,11 @@ class Comparison:
     def residual(self, run: int, simulated: F64) -> F64:
         """(B, C) mean of measured - simulated in each bin; NaN where a bin has no sample or the simulator failed."""
         return np.where(self._counts[run] > 0, self._mean(run, self._values[run] - simulated), np.nan)
+
+    def rows_at(self, run: int, track: Mapping[str, F64]) -> Any:
+        """(B,) the row of a simulator's own grid at each bin."""
+        settle, dt = track["settle"]
+        return np.clip(((self.times[run] + settle) / dt).astype(int), 0, len(track["pos"]) - 1)
 
     def change(self, run: int, simulated: F64, base: F64) -> F64:
         """(B, C) mean change of the prediction in each bin; 0 where none of its samples count."""
