@@ -268,9 +268,9 @@ def test_what_all_alternatives_share_is_said_once() -> None:
 
 
 def test_no_minus_stands_before_a_zero() -> None:
-    from realsim.gap.answer.sentence import _number
+    from realsim.gap.answer.sentence import number
 
-    assert [_number(v) for v in (-0.0, 0.0, -0.5)] == ["0", "0", "−0.5"]
+    assert [number(v) for v in (-0.0, 0.0, -0.5)] == ["0", "0", "−0.5"]
 
 
 def test_what_no_run_determines_is_not_a_number() -> None:

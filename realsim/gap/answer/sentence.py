@@ -135,7 +135,7 @@ def amount(value: float, unit: str) -> str:
     small = {"rad": "mrad", "m": "mm", "rad/s": "mrad/s", "m/s": "mm/s"}
     if unit in small and abs(value) < 0.1:
         value, unit = 1000 * value, small[unit]
-    return f"{_number(float(f'{value:.2g}'))} {_SPELLED.get(unit, unit)}"
+    return f"{number(float(f'{value:.2g}'))} {_SPELLED.get(unit, unit)}"
 
 
 def advice(
@@ -242,7 +242,7 @@ def _share(value: float, digits: int) -> str:
 def _size(parameters: dict[str, dict[str, Any]], passing: Mapping[str, When], sign: int = 1) -> str:
     """1.9 N m [1.6, 2.2]; several parameters by name, of a vector those that matter; when, if not always."""
     times = "".join(
-        f" {when.text.format(_number(p['value']))} {p['unit']}"
+        f" {when.text.format(number(p['value']))} {p['unit']}"
         for n, when in passing.items()
         if when.text and (p := parameters.get(n)) and when.least <= p["value"] <= when.most
     )
@@ -277,7 +277,7 @@ def _at(parameters: dict[str, dict[str, Any]]) -> str:
     if not all(axis in parameters for axis in "xyz"):
         return ""
     known = [p["value"] if (p := parameters[axis]).get("note") != NOT_DETERMINED else None for axis in "xyz"]
-    return f" at ({', '.join(NOT_DETERMINED if v is None else _number(round(v, 3)) for v in known)}) m"
+    return f" at ({', '.join(NOT_DETERMINED if v is None else number(round(v, 3)) for v in known)}) m"
 
 
 def _interval(parameter: dict[str, Any], sign: int) -> str:
@@ -287,14 +287,15 @@ def _interval(parameter: dict[str, Any], sign: int) -> str:
     unit, factor = parameter["unit"], float(sign)
     if unit == "s" and abs(parameter["value"]) < 0.5:
         unit, factor = "ms", 1000.0 * sign
-    text = f"{_number(factor * parameter['value'])} {_SPELLED.get(unit, unit)}"
+    text = f"{number(factor * parameter['value'])} {_SPELLED.get(unit, unit)}"
     if "ci90" not in parameter:
         return text
     low, high = sorted(factor * v for v in parameter["ci90"])
-    return f"{text} [{_number(low)}, {_number(high)}]"
+    return f"{text} [{number(low)}, {number(high)}]"
 
 
-def _number(value: float) -> str:
+def number(value: float) -> str:
+    """Three digits, with a real minus."""
     value += 0.0  # no minus before a zero
     text = f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
     return text.replace("-", "−") if "e" not in text else text

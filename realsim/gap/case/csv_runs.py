@@ -21,7 +21,7 @@ import numpy as np
 from realsim.core.errors import GapError, did_you_mean
 from realsim.core.text_table import read_text_table
 from realsim.core.types import F64
-from realsim.gap.case.units import factor
+from realsim.gap.case.units import unit_factor
 
 _ENTRY = ("column", "unit", "sign")
 _SHARED = ("columns", "unit", "sign")
@@ -53,7 +53,7 @@ def read_csv(
         for entry in entries:
             scale = float(entry.get("sign", 1))
             if "unit" in entry:
-                scale *= factor(array, str(entry["unit"]), command_kind, path)
+                scale *= unit_factor(array, str(entry["unit"]), command_kind, path)
             parts.append(scale * _column(path, array, str(entry["column"]), table))
         found[array] = parts[0] if array == "time" else np.stack(parts, axis=1)
     return found

@@ -18,6 +18,7 @@ from realsim.core.statistics import Z90
 from realsim.core.types import F64
 from realsim.gap import figures
 from realsim.gap.answer.diagnosis import MODEL_ERROR
+from realsim.gap.answer.sentence import number
 from realsim.gap.case.case import Case
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.drift.pair import pair_of
@@ -226,7 +227,7 @@ def phrase(change: Change) -> str:
     names = ", ".join(change.get("joints") or change.get("bodies") or [])
     every, place = change["parameters"], ""
     if all(a in every and every[a]["change"] is None for a in "xyz"):  # where a mass sits that was not there
-        place = f" at ({', '.join(_number(round(every[a]['now'], 3)) for a in 'xyz')}) m"
+        place = f" at ({', '.join(number(round(every[a]['now'], 3)) for a in 'xyz')}) m"
         every = {n: p for n, p in every.items() if n not in ("x", "y", "z")}
     parts = [_amount(name, p, len(every) > 1) for name, p in every.items()]
     parts[-1] += place
@@ -238,15 +239,11 @@ def _amount(name: str, p: dict[str, Any], named: bool) -> str:
     unit = "" if p["unit"] == "ratio" else f" {p['unit']}"
     if p["change"] is None:
         low, high = p["now_ci90"]
-        return f"{label}is now {_number(p['now'])}{unit} [{_number(low)}, {_number(high)}]"
+        return f"{label}is now {number(p['now'])}{unit} [{number(low)}, {number(high)}]"
     low, high = p["ci90"]
     if p["unit"] == "ratio" and p["before"] > 0 and abs(p["change"] - p["now"] / p["before"]) < 1e-9:
-        return f"{label}is {_number(p['change'])} times [{_number(low)}, {_number(high)}] what it was"
+        return f"{label}is {number(p['change'])} times [{number(low)}, {number(high)}] what it was"
     grew, sign = ("grew", 1) if p["change"] >= 0 else ("fell", -1)
     low, high = sorted((sign * low, sign * high))
-    ends = f"from {_number(p['before'])} to {_number(p['now'])}"
-    return f"{label}{grew} by {_number(sign * p['change'])}{unit} [{_number(low)}, {_number(high)}], {ends}"
-
-
-def _number(value: float) -> str:
-    return f"{value:.3g}".replace("-", "−")
+    ends = f"from {number(p['before'])} to {number(p['now'])}"
+    return f"{label}{grew} by {number(sign * p['change'])}{unit} [{number(low)}, {number(high)}], {ends}"

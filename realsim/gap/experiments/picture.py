@@ -13,6 +13,7 @@ from realsim.gap.case.model.channels import unit_of
 from realsim.gap.experiments.choose import Looked
 from realsim.gap.experiments.rivals import Rival
 from realsim.gap.experiments.separation import Predicted
+from realsim.gap.report.overlays import differences
 from realsim.gap.report.words import signal_name
 from realsim.report import page, svg
 
@@ -89,18 +90,14 @@ def _pair(case: Case, predicted: Predicted, run: int, c: int, changes: Sequence[
     curves = [m[run][::fine, c] for m in predicted.motions]
     unit = unit_of(channel.signal, channel.label, case.model)
     every = svg.padded(np.concatenate(curves), 0.08)
-    top = svg.Axes(span, every, y_label=unit, width=400, height=170, left=52, bottom=8, x_ticks=[])
+    top = svg.Axes(span, every, y_label=unit, height=170, left=52, bottom=8, x_ticks=[])
     for i, y in enumerate(curves):
         dash = "6 3" if i else ""
         top.polyline(np.column_stack([planned.time[::fine], y]), svg.color(i), width=1.8, dash=dash)
-    t, two = comparison.times[run], 2 * float(np.median(floor[:, c]))
-    half = 1.1 * max(float(np.abs([d[:, c] for d in changes]).max()), 1.5 * two)
-    low = svg.Axes(span, (-half, half), x_label="time, s", y_label="difference", width=400, height=104, left=52, top=2)
-    low.span(-two, two, "var(--faint)")
-    for i, d in enumerate(changes):
-        low.polyline(np.column_stack([t, d[:, c]]), svg.color(i), width=1.5)
+    colored = [(d[:, c], svg.color(i)) for i, d in enumerate(changes)]
+    low = differences(comparison.times[run], colored, 2 * float(np.median(floor[:, c])), span, "difference")
     title = f"{channel.label}, {signal_name(channel.signal)}, {planned.name}"
-    return f"<div><h4>{page.esc(title)}</h4>{top.svg(title)}{low.svg('difference between the rivals')}</div>"
+    return f"<div><h4>{page.esc(title)}</h4>{top.svg(title)}{low}</div>"
 
 
 def _commands(case: Case, predicted: Predicted) -> str:

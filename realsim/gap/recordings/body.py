@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from realsim.core.statistics import alike
-from realsim.gap.case.physics import factor, gravity_unit, nearest_unit
-from realsim.gap.case.units import ACCELERATION, TURNING
+from realsim.gap.case.units import ACCELERATION, TURNING, factor, gravity_unit, nearest_unit
 from realsim.gap.recordings.evidence import Evidence
 from realsim.gap.recordings.names import FEET
 from realsim.gap.recordings.proposal import Candidate

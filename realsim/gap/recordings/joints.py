@@ -10,8 +10,7 @@ import numpy as np
 
 from realsim.core.statistics import alike
 from realsim.core.types import F64
-from realsim.gap.case.physics import NEAR, factor, nearest_unit, travelled
-from realsim.gap.case.units import ANGLE, TORQUE, TURNING
+from realsim.gap.case.units import ANGLE, NEAR, TORQUE, TURNING, factor, nearest_unit, travelled
 from realsim.gap.recordings.evidence import Evidence, two_robots
 from realsim.gap.recordings.model import MODELS_ORDER, Target
 from realsim.gap.recordings.names import is_electric, known_type, match_joints, rawness

@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from realsim.core.statistics import alike
 from realsim.core.types import F64
-from realsim.gap.case.physics import travelled
+from realsim.gap.case.units import travelled
 from realsim.gap.recordings.signals import follows
 
 BETTER = 0.1

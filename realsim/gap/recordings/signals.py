@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from realsim.core.statistics import alike
 from realsim.core.types import F64
-from realsim.gap.case.physics import factor
+from realsim.gap.case.units import factor
 
 MOST = 20_000
 """Samples that are compared; longer logs are thinned."""

@@ -66,21 +66,25 @@ def _overlay(kept: Arrays, k: int, channel: int, start: float, end: float) -> st
     for y, stroke in curves:
         axes.polyline(np.column_stack([t, y]), stroke, width=1.8, dash="6 3" if stroke == _NOMINAL else "")
     floor = 2 * float(np.hypot(kept.sensor[channel], kept.detail[channel]))
-    return f"<h4>{page.esc(title)}</h4>" + axes.svg(title) + _errors(t, [(real - y, s) for y, s in curves], floor, span)
+    return (
+        f"<h4>{page.esc(title)}</h4>"
+        + axes.svg(title)
+        + differences(t, [(real - y, s) for y, s in curves], floor, span, "error")
+    )
 
 
-def _errors(t: F64, curves: list[tuple[F64, str]], floor: float, span: tuple[float, float]) -> str:
-    """Measured minus simulated on an axis of its own; what lies in the stripe is as good as no error."""
+def differences(t: F64, curves: list[tuple[F64, str]], floor: float, span: tuple[float, float], label: str) -> str:
+    """What curves differ by on an axis of its own; what lies in the stripe is as good as nothing."""
     largest = max((float(np.nanmax(np.abs(e), initial=0.0)) for e, _ in curves), default=0.0)
     half = 1.1 * max(largest, 1.5 * floor)
     power = 10.0 ** np.floor(np.log10(0.8 * half))
     even = float(0.8 * half // power * power)  # one digit, so that the label is short
-    axes = svg.Axes(span, (-half, half), x_label="time, s", y_label="error", height=104, left=52, top=2,
+    axes = svg.Axes(span, (-half, half), x_label="time, s", y_label=label, height=104, left=52, top=2,
                     y_ticks=[(v, svg.number(v, 1)) for v in (-even, 0.0, even)])  # fmt: skip
     axes.span(-floor, floor, _PATCHED)
     for error, stroke in curves:
         axes.polyline(np.column_stack([t, error]), stroke, width=1.5)
-    return axes.svg("measured minus simulated")
+    return axes.svg(f"{label} over time")
 
 
 def path_card(found: Diagnosis) -> list[str]:

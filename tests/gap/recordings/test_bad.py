@@ -14,7 +14,7 @@ from realsim.cli.command_line import main
 from realsim.core.bags import mcap_records
 from realsim.core.errors import GapError, RealsimError
 from realsim.gap import load_case
-from realsim.gap.case.physics import travelled
+from realsim.gap.case.units import travelled
 from realsim.gap.recordings import Window, load_target, propose, read, write_case
 from realsim.gap.recordings.signals import follows
 

@@ -14,8 +14,7 @@ from realsim.core.errors import GapError
 from realsim.core.statistics import alike
 from realsim.core.types import F64
 from realsim.gap.case.case import Case
-from realsim.gap.case.physics import gravity_unit, speed_factor, travelled
-from realsim.gap.case.units import TORQUE
+from realsim.gap.case.units import TORQUE, gravity_unit, speed_factor, travelled
 from realsim.gap.simulation.simulate import Simulator, rotation_from
 
 PLAIN = 0.35
@@ -344,5 +343,5 @@ def _all(case: Case, signal: str) -> F64:
 
 
 def _travelled(case: Case, joint: int) -> list[tuple[F64, F64]]:
-    """(ways, integrals of the velocity) of a joint in each run (`realsim.gap.case.physics.travelled`)."""
+    """(ways, integrals of the velocity) of a joint in each run (`realsim.gap.case.units.travelled`)."""
     return [travelled(r.time, r.signals["joint_pos"][:, joint], r.signals["joint_vel"][:, joint]) for r in case.runs]
