@@ -143,8 +143,8 @@ def cells(path: Path, name: str, values: Sequence[Any], numbers: Sequence[int] =
             return None
         blank = [np.nan] * wide
         return np.array([r if isinstance(r, list) else blank for r in rows], dtype=np.float64)
-    numbers = sum(r is not None for r in rows)
-    if numbers == 0 or numbers < sum(r is None and not _empty(v) for r, v in zip(rows, values, strict=True)):
+    known = sum(r is not None for r in rows)
+    if known == 0 or known < sum(r is None and not _empty(v) for r, v in zip(rows, values, strict=True)):
         return None
     return np.array([np.nan if r is None else r for r in rows], dtype=np.float64)
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.core.errors import GapError, RealsimError, did_you_mean
+from realsim.core.errors import GapError, RealsimError, did_you_mean, refuse_unknown
 from realsim.core.files import read_json
 from realsim.core.models import load_mjcf
 from realsim.core.notebook import table, traces
@@ -201,14 +201,9 @@ def load_case(folder: Path, recordings: Sequence[Path] = ()) -> Case:
     said = log | {"command_kind": kind, "columns": _columns(log, folder)}
     want = layout(joints, actuators, contact, model, said, folder / "log.json")
     runs, dropped = _read_runs(folder / "runs", want, warnings)
-    unknown = sorted(set(want.setups) - {r.name for r in runs} - {d.partition(".")[0] for d in dropped})
-    if unknown:
-        raise GapError(
-            f"runs of log.json name {unknown[0]!r}, which is no run",
-            file=folder / "log.json",
-            expected=f"one of {', '.join(r.name for r in runs[:20])}",
-            hint=did_you_mean(unknown[0], [r.name for r in runs]),
-        )
+    for name in sorted(set(want.setups) - {d.partition(".")[0] for d in dropped}):
+        message = f"runs of log.json name {name!r}, which is no run"
+        refuse_unknown(name, [r.name for r in runs], message, folder / "log.json")
     added = read_recordings(recordings, want, model, [r.name for r in runs], warnings)
     runs += added
     if len(runs) == 1:
@@ -321,13 +316,7 @@ def _joints(log: dict[str, Any], model: Any, folder: Path) -> list[str]:
 
 def _match(names: list[str], known: list[str], kind: str, folder: Path) -> None:
     for name in names:
-        if name not in known:
-            raise GapError(
-                f"{kind} {name!r} is not in model.xml",
-                file=folder / "log.json",
-                expected=f"one of {', '.join(known[:40])}",
-                hint=did_you_mean(name, known),
-            )
+        refuse_unknown(name, known, f"{kind} {name!r} is not in model.xml", folder / "log.json")
 
 
 def _choice(log: dict[str, Any], key: str, allowed: tuple[str, ...], folder: Path, default: str | None = None) -> str:

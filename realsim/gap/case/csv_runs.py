@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.core.errors import GapError, did_you_mean
+from realsim.core.errors import GapError, did_you_mean, refuse_unknown
 from realsim.core.text_table import read_text_table
 from realsim.core.types import F64
 from realsim.gap.case.units import unit_factor
@@ -76,13 +76,7 @@ def _from_map(
         )
     result = {}
     for array, said in columns.items():
-        if array not in names:
-            raise GapError(
-                f"the column map names {array!r}, which is no array of a log",
-                file=path,
-                expected=f"one of {', '.join(names)}",
-                hint=did_you_mean(array, names),
-            )
+        refuse_unknown(array, names, f"the column map names {array!r}, which is no array of a log", path)
         entries = [item for entry in _entries(path, array, said) for item in _items(entry, header)]
         if len(entries) != len(names[array]):
             raise GapError(

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.core.errors import GapError, did_you_mean
+from realsim.core.errors import GapError, refuse_unknown
 from realsim.core.files import check_size, digest, read_npz
 from realsim.core.types import F64
 from realsim.gap.case.csv_runs import read_csv
@@ -124,13 +124,7 @@ def layout(
             found=repr(units)[:80],
         )
     for array in units:
-        if array not in names:
-            raise GapError(
-                f"units of log.json name {array!r}, which is no array of a log",
-                file=file,
-                expected=f"one of {', '.join(names)}",
-                hint=did_you_mean(array, names),
-            )
+        refuse_unknown(array, names, f"units of log.json name {array!r}, which is no array of a log", file)
     setups = read_setups(log.get("runs"), model, file)
     return Layout(names, model.nq, model.nv, str(log["command_kind"]), log.get("columns"), setups, units)
 

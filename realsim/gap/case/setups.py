@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.core.errors import GapError, did_you_mean
+from realsim.core.errors import GapError, refuse_unknown
 
 LIGHTEST, HEAVIEST, FARTHEST = 1e-6, 1000.0, 10.0
 """kg and metres: what no robot carries, so that the number is damaged or in another unit. The least is a milligram, set
@@ -75,13 +75,8 @@ def _setup(entry: Any, model: Any, file: Path) -> Setup:
 
 
 def _known(name: Any, known: list[str], kind: str, file: Path) -> str:
-    if name not in known:
-        raise GapError(
-            f"runs of log.json name the {kind} {name!r}, which is not in model.xml",
-            file=file,
-            expected=f"one of {', '.join(known[:40])}",
-            hint=did_you_mean(str(name), known),
-        )
+    message = f"runs of log.json name the {kind} {name!r}, which is not in model.xml"
+    refuse_unknown(name, known, message, file)
     return str(name)
 
 

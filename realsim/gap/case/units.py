@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from realsim.core.errors import GapError, did_you_mean
+from realsim.core.errors import GapError, refuse_unknown
 from realsim.core.statistics import alike
 from realsim.core.types import F64
 
@@ -44,13 +44,7 @@ def unit_factor(array: str, unit: str, command_kind: str, file: Path) -> float:
         raise GapError(
             f"a unit is given for {array!r}, which is no array of a log", file=file, expected=", ".join(UNITS)
         )
-    if unit not in known:
-        raise GapError(
-            f"unknown unit {unit!r} of {array}",
-            file=file,
-            expected=f"one of {', '.join(known)}",
-            hint=did_you_mean(unit, known),
-        )
+    refuse_unknown(unit, known, f"unknown unit {unit!r} of {array}", file)
     return known[unit]
 
 

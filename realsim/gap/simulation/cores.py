@@ -43,9 +43,6 @@ class Cores:
             self._workers = None
 
 
-Made = TypeVar("Made")
-
-
 class Recent(Generic[Made]):
     """The last few results of something that takes long; what was asked for last is forgotten last.
 
