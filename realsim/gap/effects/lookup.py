@@ -40,7 +40,8 @@ def _change(name: str) -> Effect:
     def suggest(context: Context, place: Place, values: dict[str, float]) -> Sequence[Suggestion]:
         return [replace(s, effect=s.effect + SINCE) for s in rivals.suggest(context, place, values)]
 
-    others = Rivals(suggest, *(n and n + SINCE for n in (rivals.special_case, rivals.commoner)))
+    special, commoner = (n and n + SINCE for n in (rivals.special_case, rivals.commoner))
+    others = Rivals(suggest, special_case=special, commoner=commoner)
     return replace(effect, name=name + SINCE, parameters=parameters, rivals=others)
 
 
