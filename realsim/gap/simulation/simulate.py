@@ -126,17 +126,19 @@ class Simulator:
     def edited(self, settings: Sequence[Setting]) -> Edit:
         """The changed simulator; effects that end in SINCE change the runs of the later log alone."""
         always = [*self.base, *(s for s in settings if not s[0].endswith(SINCE))]
-        edit, changes = self._edited(always), [s for s in settings if s[0].endswith(SINCE)]
+        changes = [s for s in settings if s[0].endswith(SINCE)]
+        edit = self._edited(self._summed(always) if self.base else always)
         if changes:
-            edit.later = self._edited(self._on_top(always, changes))
+            edit.later = self._edited(self._summed([*always, *changes]))
         return edit
 
-    def _on_top(self, settings: Sequence[Setting], changes: Sequence[Setting]) -> list[Setting]:
-        """The settings with the changes added, coordinate by coordinate."""
-        found = {(name, place): dict(values) for name, place, values in settings}
-        for name, place, values in changes:
-            here = found.setdefault((name.removesuffix(SINCE), place), {})
-            for p in lookup(name).parameters(self.context, place):
+    def _summed(self, settings: Sequence[Setting]) -> list[Setting]:
+        """Settings of one effect at one place added, coordinate by coordinate; changes to what they change."""
+        found: dict[tuple[str, Place], dict[str, float]] = {}
+        for name, place, values in settings:
+            own = name.removesuffix(SINCE)
+            here = found.setdefault((own, place), {})
+            for p in lookup(own).parameters(self.context, place):
                 if p.name in values:
                     moved = here.get(p.name, p.default) + values[p.name] - p.default
                     here[p.name] = float(np.clip(moved, *p.bounds))
@@ -174,13 +176,11 @@ class Simulator:
     def _raw_of(self, edit: Edit, chosen: list[int], coarse: int) -> list[dict[str, F64]]:
         """Signals on the simulator's own grid; what only reads them otherwise needs no simulation of its own."""
         if edit.later is not None:
-            later, alone = edit.later, copy.copy(edit)
+            alone, found = copy.copy(edit), {}
             alone.later = None
-            parts = [
-                (e, [i for i in chosen if edit.of(self.case.runs[i].setup) is o])
-                for e, o in ((alone, edit), (later, later))
-            ]
-            found = {i: raw for e, of in parts if of for i, raw in zip(of, self._raw_of(e, of, coarse), strict=True)}
+            for changed, here in ((False, alone), (True, edit.later)):
+                part = [i for i in chosen if self.case.runs[i].setup.later is changed]
+                found |= dict(zip(part, self._raw_of(here, part, coarse) if part else (), strict=True))
             return [found[i] for i in chosen]
         moving = any(self.starts[i].reads_the_log for i in chosen)
         moves = edit.touched or edit.signals.moves_the_robot() or (moving and edit.signals.observation_delay)

@@ -15,6 +15,7 @@ from realsim.core.errors import GapError
 from realsim.gap import DiagnoseConfig, load_case
 from realsim.gap.drift.pair import BEFORE, pair_of
 from realsim.gap.drift.since import Since, changed_since, phrase
+from realsim.gap.simulation.simulate import Simulator
 
 from ..truth import PENDULUM, Truth, make_case
 
@@ -97,6 +98,22 @@ def test_both_logs_are_in_the_pair(logs: Callable[..., Path]) -> None:
     names = [r.name for r in pair.case.runs]
     assert [names[i] for i in pair.before] == [f"{BEFORE}{names[i]}" for i in pair.now]
     assert pair.notes == ()
+
+
+def test_a_change_acts_in_the_later_log_alone_on_top_of_what_both_share(logs: Callable[..., Path]) -> None:
+    case = load_case(logs("before", LOADED))
+    pair, place = pair_of(case, case, SETTINGS), ("swing",)
+    with Simulator(pair.case, SETTINGS) as simulator:
+        simulator.begin_from([("viscous_friction", place, {"damping": 0.4})])
+        shared = simulator.simulate()
+        found = simulator.simulate([("viscous_friction since", place, {"damping": 0.2})])
+    with Simulator(pair.case, SETTINGS) as simulator:
+        more = simulator.simulate([("viscous_friction", place, {"damping": 0.6})])
+    for then in pair.before:
+        np.testing.assert_array_equal(found[then], shared[then])
+    for now in pair.now:
+        np.testing.assert_allclose(found[now], more[now], atol=1e-9)
+        assert np.abs(found[now] - shared[now]).max() > 1e-3
 
 
 @pytest.mark.parametrize(
