@@ -176,7 +176,8 @@ class Simulator:
     def _raw_of(self, edit: Edit, chosen: list[int], coarse: int) -> list[dict[str, F64]]:
         """Signals on the simulator's own grid; what only reads them otherwise needs no simulation of its own."""
         if edit.later is not None:
-            alone, found = copy.copy(edit), {}
+            found: dict[int, dict[str, F64]] = {}
+            alone = copy.copy(edit)
             alone.later = None
             for changed, here in ((False, alone), (True, edit.later)):
                 part = [i for i in chosen if self.case.runs[i].setup.later is changed]
