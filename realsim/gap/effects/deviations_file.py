@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from realsim.core.errors import GapError
 from realsim.core.files import read_json
 from realsim.gap.case.model.deviations import Deviations
 from realsim.gap.effects.lookup import lookup
+
+if TYPE_CHECKING:
+    from realsim.gap.case.model.context import Context
 
 
 def read_deviations(path: Path | None) -> Deviations:
@@ -37,7 +40,7 @@ def read_deviations(path: Path | None) -> Deviations:
     return Deviations(data, Path(path))
 
 
-def check_places(deviations: Deviations, known: Callable[[str], list[tuple[str, ...]]], context: Any) -> None:
+def check_places(deviations: Deviations, known: Callable[[str], list[tuple[str, ...]]], context: Context) -> None:
     """Refuse parameters and places that this robot has not.
 
     Args:

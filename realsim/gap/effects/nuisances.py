@@ -7,12 +7,17 @@ They have the form of effects so that the same code finds their sensitivities, b
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from realsim.gap.case.model.edit import Edit
 from realsim.gap.effects.base import Effect, Parameter, Place, Where, Words, fixed
+
+if TYPE_CHECKING:
+    from realsim.gap.case.model.context import Context
+
+    Parameters = Callable[[Context, Place], tuple[Parameter, ...]]
 
 MANY_JOINTS = 8
 """Driven joints from which on what the time step does to all of them at once can be told from their own deviations.
@@ -26,7 +31,7 @@ NEARLY = 0.3
 """Standard deviation about either on the others: a log comes from a robot or from a simulator of the same step."""
 
 
-def _base_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
+def _base_parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     shift = [Parameter(a, "m", (-0.05, 0.05), 0.01, nuisance=0.003) for a in "xyz"]
     turn = [Parameter(f"r{a}", "rad", (-0.1, 0.1), 0.01, nuisance=0.003) for a in "xyz"]
     return (*shift, *turn)
@@ -37,7 +42,7 @@ def _base_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
     edit.signals.base_turn = (values["rx"], values["ry"], values["rz"])
 
 
-def _torque_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
+def _torque_parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     """A current times a constant has an unknown gain; a measured torque is good to a few per cent."""
     size = 0.25 if context.case.torque_kind == "current_times_constant" else 0.02
     return (Parameter("gain", "ratio", (-0.9, 3.0), 0.1, nuisance=size),)
@@ -72,7 +77,7 @@ def _sticking_apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
         edit.stiffen_friction(joint, values["stick"])
 
 
-def _step_parameters(context: Any, place: Place) -> tuple[Parameter, ...]:
+def _step_parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     """The robot lives in continuous time: 1 is the limit of ever finer steps."""
     many = len(context.driven) >= MANY_JOINTS
     size, usual = (1.0, 0.0) if many else (NEARLY, 1.0)
@@ -88,12 +93,18 @@ _PHASE = fixed(Parameter("phase", "ratio", (-2.0, 2.0), 0.5, nuisance=0.5))
 """A robot reads its sensors before it commands, or after."""
 
 
-def _where(holds: Callable[[Any], bool]) -> Where:
+def _where(holds: Callable[[Context], bool]) -> Where:
     """The whole robot, if it has what the nuisance is about."""
     return Where("sensor", lambda context: [()] if holds(context) else [])
 
 
-def _make(name: str, where: Where, parameters: Any, apply: Any, description: str) -> Effect:
+def _make(
+    name: str,
+    where: Where,
+    parameters: Parameters,
+    apply: Callable[[Edit, Place, dict[str, float]], None],
+    description: str,
+) -> Effect:
     return Effect(name, where, parameters, apply, Words(description=description), patchable=False)
 
 

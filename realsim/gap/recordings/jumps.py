@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from realsim.core.errors import GapError
 from realsim.core.types import F64
@@ -142,7 +142,7 @@ def own_clocks(stream: Stream) -> dict[str, F64]:
     return dict(sorted(own.items(), key=lambda item: (item[0] != "header", bool(steps_back(item[1])))))
 
 
-def _stretch(order: Any, steps: Any) -> F64:
+def _stretch(order: NDArray[np.int64], steps: Sequence[int] | NDArray[np.int64]) -> F64:
     """(T,) the stretch of each sample by its place in an order; (0,) where it has none."""
     return np.searchsorted(steps, order, side="right").astype(float)
 
@@ -161,12 +161,11 @@ def _by_time(clock: F64, spans: Sequence[tuple[float, float]], by_order: F64) ->
     return found
 
 
-def _rows(stream: Stream, rows: Any, back: float) -> Stream:
+def _rows(stream: Stream, rows: NDArray[np.int64], back: float) -> Stream:
     """These samples, with the clock of reception set back, s."""
-    if len(rows) and rows[-1] - rows[0] + 1 == len(rows):
-        rows = slice(rows[0], rows[-1] + 1)  # a view: recordings may be as large as memory allows
-    clocks = {n: c[rows] - (back if n == "receive" else 0.0) for n, c in stream.clocks.items()}
-    fields = {n: replace(f, values=f.values[rows]) for n, f in stream.fields.items()}
-    return replace(
-        stream, clocks=clocks, fields=fields, order=stream.order[rows] if len(stream.order) else stream.order
-    )
+    joined = len(rows) > 0 and rows[-1] - rows[0] + 1 == len(rows)
+    taken = slice(rows[0], rows[-1] + 1) if joined else rows  # a view: recordings may be as large as memory allows
+    clocks = {n: c[taken] - (back if n == "receive" else 0.0) for n, c in stream.clocks.items()}
+    fields = {n: replace(f, values=f.values[taken]) for n, f in stream.fields.items()}
+    order = stream.order[taken] if len(stream.order) else stream.order
+    return replace(stream, clocks=clocks, fields=fields, order=order)

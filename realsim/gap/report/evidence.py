@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import unified_diff
 from typing import Any
 
@@ -34,7 +35,7 @@ def causes_card(found: Diagnosis) -> list[str]:
     return [page.card("Causes and their size", body, note)]
 
 
-def _cause_table(causes: Any) -> str:
+def _cause_table(causes: Sequence[Mapping[str, Any]]) -> str:
     rows = []
     for c in causes:
         named = c["parameters"].items()
@@ -49,7 +50,7 @@ def _parameter(name: str, parameter: dict[str, Any], count: int) -> str:
     return f"{text}, {parameter['note']}" if parameter.get("note") else text
 
 
-def _explained(causes: Any) -> str:
+def _explained(causes: Sequence[Mapping[str, Any]]) -> str:
     names = dict.fromkeys(c["effect"] for c in causes)
     rows = [[title_of(n), EFFECTS[n].words.description, EFFECTS[n].words.signature] for n in names if n in EFFECTS]
     return page.fold("What these effects look like", page.table(["", "what it is", "in a log"], rows)) if rows else ""
@@ -149,7 +150,7 @@ def _effects(count: int) -> str:
     return f"{count} effect{'s' * (count != 1)}"
 
 
-def _tops(rows: Any) -> dict[str, float]:
+def _tops(rows: Iterable[Mapping[str, Any]]) -> dict[str, float]:
     """The largest gain of each kind."""
     kinds = ("heldout_gain", "gain", "linear_gain")
     return {k: max([r[k] for r in rows if r.get(k) is not None and r[k] > 0], default=1.0) for k in kinds}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from realsim.gap.answer.diagnosis import Diagnosis
@@ -45,7 +46,7 @@ def since_card(found: Diagnosis) -> list[str]:
     ]
 
 
-def _rows(changes: Any) -> list[list[str]]:
+def _rows(changes: Iterable[Mapping[str, Any]]) -> list[list[str]]:
     rows = []
     for change in changes:
         places = ", ".join(change.get("joints") or change.get("bodies") or [])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from realsim.gap.answer.diagnosis import Diagnosis
@@ -45,7 +45,7 @@ def after(stage: int) -> str:
     return f"after {stage} cause{'s' * (stage != 1)}"
 
 
-def place_of(cause: dict[str, Any]) -> list[str]:
+def place_of(cause: Mapping[str, Any]) -> list[str]:
     """Joints or bodies of a cause in the contract's form."""
     return list(cause.get("joints") or cause.get("bodies") or [])
 

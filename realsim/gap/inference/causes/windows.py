@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from realsim.core.types import F64
 from realsim.gap import figures
@@ -111,7 +111,7 @@ def _best_window(
     total, tally = np.cumsum(np.concatenate([zero, info]), axis=0), np.cumsum(np.vstack([zero[:, 0], score]), axis=0)
     shortest, step = int(figures.BRIEF / width), max(int(figures.BRIEF / 2 / width), 1)
 
-    def best(starts: Any, ends: Any) -> tuple[float, int, int, F64]:
+    def best(starts: NDArray[np.int64], ends: NDArray[np.int64]) -> tuple[float, int, int, F64]:
         first, last = (a.ravel() for a in np.meshgrid(starts, ends, indexing="ij"))
         long = (last - first >= min(shortest, len(info))) & (first * width <= latest)
         first, last = first[long], last[long]

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from realsim.core.types import F64
+from realsim.core.types import F64, Bool
 from realsim.gap.case.case import Case, Run
 from realsim.gap.case.motion import median_size, second_differences
 from realsim.gap.config import DiagnoseConfig
@@ -68,7 +68,7 @@ class Comparison:
         self.case, self.channels, self.config = case, tuple(channels), config
         self._starts, self._counts, self._values, self.times = [], [], [], []
         self._valid, self._phase = [], []
-        self._free: dict[int, list[tuple[Any, F64, F64]]] = {}
+        self._free: dict[int, list[tuple[Bool, F64, F64]]] = {}
         for run in case.runs:
             bins = np.floor(run.time / config.bin_seconds).astype(int)
             starts = np.flatnonzero(np.diff(bins, prepend=bins[0] - 1))
@@ -116,7 +116,7 @@ class Comparison:
         """(B, C) mean of measured - simulated in each bin; NaN where a bin has no sample or the simulator failed."""
         return np.where(self._counts[run] > 0, self._mean(run, self._values[run] - simulated), np.nan)
 
-    def rows_at(self, run: int, track: Mapping[str, F64]) -> Any:
+    def rows_at(self, run: int, track: Mapping[str, F64]) -> NDArray[np.int64]:
         """(B,) the row of a simulator's own grid at each bin."""
         settle, dt = track["settle"]
         return np.clip(((self.times[run] + settle) / dt).astype(int), 0, len(track["pos"]) - 1)
@@ -130,7 +130,7 @@ class Comparison:
         total = np.add.reduceat(np.where(self._valid[run], values, 0.0), self._starts[run], axis=0)
         return self._beside_starts(run, total / np.maximum(self._counts[run], 1))
 
-    def free_starts(self, run: int, slopes: F64, parts: Any) -> None:
+    def free_starts(self, run: int, slopes: F64, parts: NDArray[np.int64]) -> None:
         """Let each part of a run begin where it fits best: what the state that it begins in can explain is no error.
 
         Args:
