@@ -60,6 +60,13 @@ COMMANDS = {
         "train",
         ("--policy", "--scene", "--out", "--effects", "--minutes", "--iterations", "--worlds", "--device"),
     ),
+    "robot": Command(
+        "",
+        "a robot of your own: `new` from its model, `check` before it is trained",
+        "realsim robot new mydog.xml",
+        _GROUP,
+        "train",
+    ),
     "training": Command(
         "",
         "`realsim training report RUN ...`: a page with the curves of training runs, over each other",

@@ -11,7 +11,7 @@ from realsim.cli.commands import CommandResult
 from realsim.core.files import refuse_file
 from realsim.core.progress import note
 from trainer.config import EvaluationConfig
-from trainer.robots import ROBOTS
+from trainer.robots import named
 from trainer.trainers import TrainConfig
 
 
@@ -55,7 +55,7 @@ def play(
     env = trial_env(terrain, trial + 1, EvaluationConfig(seed=seed, randomise=randomise), setting)
     check_layout(loaded.layout, env.layout, str(policy))
     recording = record(loaded.act, env, trial)
-    write(recording, ROBOTS[loaded.robot](), terrain, out)
+    write(recording, named(loaded.robot), terrain, out)
     seconds = len(recording.qpos) * recording.dt
     text = f"replay         {out}\noutcome        {recording.outcome} after {seconds:.1f} s"
     return CommandResult(text, {"replay": str(out), "outcome": recording.outcome, "seconds": seconds, "seed": seed})

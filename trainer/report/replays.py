@@ -17,7 +17,7 @@ from trainer.ppo.distributed import pick_device
 from trainer.ppo.policy import check_layout
 from trainer.replay import record, video
 from trainer.report.history import Run
-from trainer.robots import ROBOTS
+from trainer.robots import named
 from trainer.trainers import TrainConfig
 
 SIZE, FPS = (320, 180), 8.0
@@ -56,7 +56,7 @@ def replays(runs: Sequence[Run], scene: str, trials: int, task_file: Path | None
             env.load_state_dict(begin)
             recording = record(policy.act, env, trial)
             with tempfile.TemporaryDirectory() as folder:
-                path = video(recording, ROBOTS[policy.robot](), terrain, Path(folder) / "t.gif", size=SIZE, fps=FPS)
+                path = video(recording, named(policy.robot), terrain, Path(folder) / "t.gif", size=SIZE, fps=FPS)
                 data = base64.b64encode(path.read_bytes()).decode()
             seconds = len(recording.qpos) * recording.dt
             found.append(Replayed(run.name, trial, recording.outcome, seconds, f"data:image/gif;base64,{data}"))

@@ -5,7 +5,8 @@ A package of your own adds one with, in its pyproject.toml,
     [project.entry-points."realsim.robots"]
     mydog = "my_package.dog:mydog"
 
-where `mydog()` returns a `TrainedRobot`.
+where `mydog()` returns a `TrainedRobot`, as `trainer.robots.file.load(path)` does. A file of `realsim robot new` can be
+given in the place of a name too.
 """
 
 from __future__ import annotations
@@ -29,11 +30,16 @@ ROBOTS = Registry("robot", {**BUILT_IN, **{p.name: p.value for p in entry_points
 
 
 def named(name: str, file: Path | None = None) -> TrainedRobot:
-    """The robot of that name.
+    """The robot of that name, or of a file of `realsim robot new`.
 
     Raises:
         UnknownNameError: no such robot; the message lists those that are, and names the file that asked for it.
+        TrainerError: the file is none of a robot, or does not fit its model.
     """
+    if name.endswith(".toml"):
+        from trainer.robots.file import load
+
+        return load(Path(name))
     if name not in ROBOTS:
         raise UnknownNameError("robot", name, ROBOTS, file=file)
     return ROBOTS[name]()

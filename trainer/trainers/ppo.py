@@ -22,7 +22,7 @@ from trainer.ppo.distributed import Rank, ranks
 from trainer.ppo.policy import Policy
 from trainer.ppo.runner import Runner
 from trainer.ppo.symmetry import MirrorSamples, SymmetryLoss
-from trainer.robots import ROBOTS, named
+from trainer.robots import named
 from trainer.tasks.parkour import ParkourConfig, ParkourEnv, make
 from trainer.tasks.parkour.terminations import SUCCESS
 from trainer.trainers.base import Scene, TrainConfig, TrainResult
@@ -165,7 +165,7 @@ def trials(scene: Scene, plan: Plan) -> loop.Evaluate:
 def write_onnx(path: Path, policy: Policy, task: ParkourConfig, policy_dt: float) -> Path:
     """Export with everything that a robot must know; the file written."""
     depth = (task.depth.near, task.depth.far)
-    facts = export.deployment(policy, ROBOTS[policy.robot](), policy_dt, depth, task.action_limit)
+    facts = export.deployment(policy, named(policy.robot), policy_dt, depth, task.action_limit)
     export.export(path, policy, facts)
     return path
 
@@ -221,7 +221,7 @@ def _prior(plan: Plan, env: ParkourEnv) -> StylePrior | None:
         return None
     from trainer.ppo.motion import reference
 
-    features = reference(ROBOTS[plan.robot](), env.policy_dt).to(env.device)
+    features = reference(named(plan.robot), env.policy_dt).to(env.device)
     return StylePrior(features, settings, env.policy_dt)
 
 

@@ -13,7 +13,7 @@ from realsim.core.progress import note
 from trainer.errors import TrainerError
 from trainer.physics import ENGINES, PhysicsConfig
 from trainer.rays import caster as make_caster
-from trainer.robots import ROBOTS, TrainedRobot
+from trainer.robots import TrainedRobot, named
 from trainer.tasks.parkour.config import DepthConfig, ParkourConfig
 from trainer.tasks.parkour.env import ParkourEnv
 from trainer.tasks.parkour.gap import load as load_gap
@@ -60,7 +60,7 @@ def make(
         TrainerError: a terrain that cannot be a course, no such device, a diagnosis of another robot.
         UnknownNameError: no such robot, engine or caster.
     """
-    body = ROBOTS[robot]() if isinstance(robot, str) else robot
+    body = named(robot) if isinstance(robot, str) else robot
     settings = physics or PhysicsConfig(seed=seed)
     settings = replace(settings, self_collision=settings.self_collision or config.self_collision)
     check_device(settings.device)
