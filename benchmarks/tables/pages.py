@@ -46,6 +46,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "closing the loop": diagnosis.closing,
     "beside the paper": policies.beside_the_paper,
     "base policy": policies.base,
+    "base policy of go2": policies.go2_base,
     "base policy of the quadruped": policies.quadruped_base,
     "pushes": policies.pushed,
     "tests": policies.tests,
@@ -57,7 +58,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "recordings": scenes.recordings,
     "strategies": policies.strategies,
 }
-MARKED = re.compile(r"(<!-- figures: ([a-z -]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+MARKED = re.compile(r"(<!-- figures: ([a-z0-9 -]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def filled(text: str) -> str:

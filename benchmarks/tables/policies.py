@@ -37,6 +37,11 @@ def base() -> list[str]:
     return base_policy.table(stored("base_policy")["rows"])
 
 
+def go2_base() -> list[str]:
+    """The same of Go2's."""
+    return base_policy.table(stored("base_policy")["rows"], "go2")
+
+
 def quadruped_base() -> list[str]:
     """The same of the quadruped's."""
     return base_policy.table(stored("base_policy")["rows"], "quadruped")

@@ -7,7 +7,7 @@ import hashlib
 from benchmarks.tables import policies
 from benchmarks.tables.stored import stored
 from benchmarks.training import base_policy, ttt
-from trainer.policies import base_of
+from trainer.policies import BASES, base_of
 
 
 def test_a_base_stands_beside_the_one_before_it() -> None:
@@ -26,7 +26,7 @@ def test_a_base_stands_beside_the_one_before_it() -> None:
 
 def test_the_tables_are_of_the_bases_that_ship() -> None:
     assert base_policy.fingerprint(base_of("g1")) == policies.SHIPS
-    for robot in ("g1", "quadruped"):
+    for robot in BASES:
         bases = base_policy.bases(stored("base_policy")["rows"], robot)
         assert hashlib.sha256(base_of(robot).read_bytes()).hexdigest().startswith(bases[-1])
 

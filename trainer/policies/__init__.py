@@ -7,9 +7,13 @@ from pathlib import Path
 from trainer.errors import TrainerError
 
 FOLDER = Path(__file__).parent
-BASES = {"g1": "g1_parkour.pt", "quadruped": "quadruped_parkour.pt"}
+BASES = {robot: f"{robot}_parkour.pt" for robot in ("g1", "go2", "quadruped")}
 """Robot -> its base."""
-TASKS = {"g1": FOLDER / "g1_task.json", "quadruped": FOLDER / "quadruped_task.json"}
+TASKS = {
+    "g1": FOLDER / "g1_task.json",
+    "go2": FOLDER / "quadruped_task.json",
+    "quadruped": FOLDER / "quadruped_task.json",
+}
 """Robot -> what differs from the paper's task where its base is fine-tuned. It is the task that the base was trained in
 last, without a beginner's help (raised floor, starts along the course); G1 is pushed less hard, and as often."""
 
