@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from realsim.core.geometry import R_to_quat, exp_so3
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,40 @@ class Robot:
         for key in spec.keys:
             key.qpos = np.concatenate([np.asarray(key.qpos)[:3] + ground, np.asarray(key.qpos)[3:]])
         return replace(self, spec=spec)
+
+
+LOOK = np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]])
+"""Columns: right, up and back of a MuJoCo camera (it looks along -z with y up) that faces +x of its mount."""
+
+
+def add_servo(spec: Any, joint: str, kp: float, kd: float, effort: float) -> None:
+    """A position servo of the joint's name: ctrl is the target angle, rad.
+
+    Args:
+        kp: N m/rad.
+        kd: N m s/rad.
+        effort: N m, to which its torque is limited.
+    """
+    import mujoco
+
+    spec.add_actuator(
+        name=joint,
+        target=joint,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        gainprm=[kp] + [0] * 9,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        biasprm=[0, -kp, -kd] + [0] * 7,
+        forcerange=[-effort, effort],
+        forcelimited=True,
+        ctrllimited=False,
+    )
+
+
+def add_camera(body: Any, name: str, pos: Sequence[float], pitch_rad: float, fovy_deg: float) -> None:
+    """A camera that looks along +x of the body, pitched down; vertical opening in degrees."""
+    quat = R_to_quat(exp_so3([0, pitch_rad, 0]) @ LOOK)
+    body.add_camera(name=name, pos=pos, quat=quat, fovy=fovy_deg)
 
 
 def holding_ctrl(

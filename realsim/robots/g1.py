@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.core.geometry import R_to_quat, exp_so3
-from realsim.robots.base import Robot, holding_ctrl
+from realsim.robots.base import Robot, add_camera, add_servo, holding_ctrl
 
 NATURAL_FREQUENCY = 2 * pi * 10  # rad/s, of every servo with its reflected inertia
 DAMPING_RATIO = 2.0
@@ -83,14 +82,16 @@ def g1(keyframe: str = "HOME_KEYFRAME") -> Robot:
             limited=True,
             armature=motors[row["name"]]["armature_kgm2"],
         )
-        _add_servo(spec, row["name"], motors[row["name"]])
+        motor = motors[row["name"]]
+        add_servo(spec, row["name"], *pd_gains(motor["armature_kgm2"]), motor["effort_limit_Nm"])
     for row in figures["collision_geoms"]:
         _add_geom(bodies[row["body"]], row)
     for row in figures["sites"]:
         bodies[row["body"]].add_site(name=row["name"], pos=row["pos"], quat=row["quat"], size=[0.01, 0.01, 0.01])
     for a, b in OVERLAPPING:
         spec.add_exclude(bodyname1=a, bodyname2=b)
-    _add_camera(bodies, figures["camera"])
+    camera = figures["camera"]
+    add_camera(bodies[camera["body"]], camera["name"], camera["pos"], camera["pitch_rad"], 58.0)
     qpos = np.array([*pose["base_pos"], 1, 0, 0, 0, *(home.get(name, 0.0) for name in joints)])
     spec.add_key(name="home", qpos=qpos, ctrl=holding_ctrl(spec.compile(), qpos, ("left_foot", "right_foot")))
     return Robot("g1", spec, "pelvis", float(pose["base_pos"][2]), home)
@@ -120,25 +121,6 @@ def motors_by_joint(figures: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return found
 
 
-def _add_servo(spec: Any, joint: str, motor: dict[str, Any]) -> None:
-    import mujoco
-
-    kp, kd = pd_gains(motor["armature_kgm2"])
-    limit = motor["effort_limit_Nm"]
-    spec.add_actuator(
-        name=joint,
-        target=joint,
-        trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-        gainprm=[kp] + [0] * 9,
-        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-        biasprm=[0, -kp, -kd] + [0] * 7,
-        forcerange=[-limit, limit],
-        forcelimited=True,
-        ctrllimited=False,
-    )
-
-
 def _add_geom(body: Any, row: dict[str, Any]) -> None:
     import mujoco
 
@@ -153,10 +135,3 @@ def _add_geom(body: Any, row: dict[str, Any]) -> None:
         group=1,  # there are no visual meshes: the primitives are what one sees
         mass=0,
     )
-
-
-def _add_camera(bodies: dict[str, Any], row: dict[str, Any]) -> None:
-    """The depth camera. The mount looks along +x, pitched down; MuJoCo cameras look along -z with y up."""
-    look = np.array([[0, 0, -1], [-1, 0, 0], [0, 1, 0]], float)  # columns: right, up, back of a camera facing +x
-    quat = R_to_quat(exp_so3([0, row["pitch_rad"], 0]) @ look)
-    bodies[row["body"]].add_camera(name=row["name"], pos=row["pos"], quat=quat, fovy=58)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.geometry import R_to_quat, exp_so3, quat_to_R
-from realsim.robots.base import Robot, holding_ctrl
+from realsim.robots.base import Robot, add_camera, add_servo, holding_ctrl
 from realsim.robots.quadruped import Mount
 
 LEGS = ("FL", "FR", "RL", "RR")
@@ -63,9 +63,7 @@ def go2() -> Robot:
             body = body.add_body(name=f"{row['name']}_foot", pos=row["pos"], quat=level)
             body.add_site(name=f"{row['name']}_foot", pos=[0, 0, -row["radius"]], size=[0.005, 0.005, 0.005])
         _add_geom(body, row, figures["foot_friction"])
-    look = np.array([[0, 0, -1], [-1, 0, 0], [0, 1, 0]], float)  # columns: right, up, back of a camera facing +x
-    quat = R_to_quat(exp_so3([0, CAMERA.pitch_rad, 0]) @ look)
-    bodies["base"].add_camera(name=CAMERA.name, pos=CAMERA.pos, quat=quat, fovy=CAMERA.fovy_deg)
+    add_camera(bodies["base"], CAMERA.name, CAMERA.pos, CAMERA.pitch_rad, CAMERA.fovy_deg)
     angles = list(pose["each_leg"]) * len(LEGS)
     height = _height(spec.compile(), angles)
     bodies["base"].pos = [0, 0, height]
@@ -87,18 +85,7 @@ def _add_joint(spec: Any, body: Any, row: dict[str, Any], figures: dict[str, Any
         armature=figures["joint_armature"],
         frictionloss=figures["joint_frictionloss_of_the_simulation_model"],
     )
-    spec.add_actuator(
-        name=row["name"],
-        target=row["name"],
-        trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-        gainprm=[KP] + [0] * 9,
-        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-        biasprm=[0, -KP, -KD] + [0] * 7,
-        forcerange=[-effort, effort],
-        forcelimited=True,
-        ctrllimited=False,
-    )
+    add_servo(spec, row["name"], KP, KD, effort)
 
 
 _TURN_TO = ([0, np.pi / 2, 0], [-np.pi / 2, 0, 0], [0, 0, 0])
@@ -118,19 +105,11 @@ def _add_geom(body: Any, row: dict[str, Any], foot_friction: list[float]) -> Non
         radius = float(np.delete(row["half_size"], longest).mean())
         row = row | {"radius": radius, "half_length": row["half_size"][longest]}
         quat = R_to_quat(quat_to_R(quat) @ exp_so3(_TURN_TO[longest]))
-    size = {
-        "box": lambda: [row["radius"], max(row["half_length"] - row["radius"], 1e-3), 0],
-        "sphere": lambda: [row["radius"], 0, 0],
-        "cylinder": lambda: [row["radius"], max(row["half_length"] - row["radius"], 1e-3), 0],
-    }[kind]()
-    kinds = {
-        "box": mujoco.mjtGeom.mjGEOM_CAPSULE,
-        "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
-        "cylinder": mujoco.mjtGeom.mjGEOM_CAPSULE,
-    }
+    round_ = kind == "sphere"
+    size = [row["radius"], 0 if round_ else max(row["half_length"] - row["radius"], 1e-3), 0]
     foot = bool(row.get("foot"))
     geom = body.add_geom(
-        type=kinds[kind],
+        type=mujoco.mjtGeom.mjGEOM_SPHERE if round_ else mujoco.mjtGeom.mjGEOM_CAPSULE,
         size=size,
         pos=[0, 0, 0] if foot else row["pos"],
         quat=quat,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.geometry import R_to_quat, exp_so3
-from realsim.robots.base import Robot, holding_ctrl
+from realsim.robots.base import Robot, add_camera, add_servo, holding_ctrl
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def quadruped() -> Robot:
     for y in (-0.04, 0.04):
         _add_capsule(trunk, f"trunk_{'left' if y > 0 else 'right'}", 0.055, (-0.16, y, 0.0), (0.16, y, 0.0))
     trunk.add_geom(name="head", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.05, 0, 0], pos=[0.24, 0, 0.02], mass=0)
-    _add_camera(trunk)
+    add_camera(trunk, CAMERA.name, CAMERA.pos, CAMERA.pitch_rad, CAMERA.fovy_deg)
     for leg, signs in LEGS.items():
         _add_leg(spec, trunk, leg, *signs)
     qpos = np.array([0, 0, height, 1, 0, 0, 0, *list(HOME.values()) * len(LEGS)], float)
@@ -139,18 +139,7 @@ def _add_joint(spec: Any, body: Any, name: str, axis: tuple[int, int, int], moto
         limited=True,
         armature=motor.armature,
     )
-    spec.add_actuator(
-        name=name,
-        target=name,
-        trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-        gainprm=[motor.kp] + [0] * 9,
-        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-        biasprm=[0, -motor.kp, -motor.kd] + [0] * 7,
-        forcerange=[-motor.effort, motor.effort],
-        forcelimited=True,
-        ctrllimited=False,
-    )
+    add_servo(spec, name, motor.kp, motor.kd, motor.effort)
 
 
 def _add_capsule(body: Any, name: str, radius: float, a: tuple[float, ...], b: tuple[float, ...]) -> None:
@@ -165,10 +154,3 @@ def _add_capsule(body: Any, name: str, radius: float, a: tuple[float, ...], b: t
         group=1,
         mass=0,
     )
-
-
-def _add_camera(trunk: Any) -> None:
-    """MuJoCo cameras look along -z with y up; ours looks along +x of the trunk, pitched down."""
-    look = np.array([[0, 0, -1], [-1, 0, 0], [0, 1, 0]], float)  # columns: right, up, back of a camera facing +x
-    quat = R_to_quat(exp_so3([0, CAMERA.pitch_rad, 0]) @ look)
-    trunk.add_camera(name=CAMERA.name, pos=CAMERA.pos, quat=quat, fovy=CAMERA.fovy_deg)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -225,3 +227,28 @@ def test_the_task_says_whether_links_collide(asked: bool) -> None:
         task = ParkourConfig(self_collision=asked, depth=DepthConfig(use=False))
         env = make(task, [terrains.flat()], robot="quadruped", worlds=1, physics=physics)
         assert env.physics.config.self_collision == (asked or (physics is not None and physics.self_collision))
+
+
+def test_ground_that_gives_and_places_that_slip_change_the_model(quadruped: TrainedRobot) -> None:
+    """Softer contacts let the robot sink in; a slippery geom of a scene keeps its share of the drawn friction."""
+    contact = mujoco.MjSpec()
+    for name, x, mu in (("dry", 0.0, 1.0), ("wet", 2.0, 0.3)):
+        box = contact.worldbody.add_geom(
+            name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.9, 0.5, 0.1], pos=[x, 0, -0.1]
+        )
+        box.friction = [mu, 0.005, 0.0001]
+    land = replace(terrains.flat(), contact=contact, floor_z=-0.3)
+    physics = engine(quadruped, [land], 3)
+    place(physics)
+    params = WorldParams(friction=torch.tensor([0.8]), contact_time=torch.tensor([0.1]))
+    physics.set_params(torch.tensor([1]), params)
+    for _ in range(50):
+        state = physics.step(default(physics))
+    model = physics._model(1)
+    wet, dry = model.geom("scene0/wet").id, model.geom("scene0/dry").id
+    assert model.geom_friction[[dry, wet], 0] == pytest.approx([0.8, 0.24])
+    assert model.geom_priority[wet] == 1
+    assert model.geom_solref[dry, 0] == pytest.approx(0.12)
+    sunk = (state.base_pos[0, 2] - state.base_pos[1, 2]).item()
+    assert sunk > 0.005
+    assert torch.equal(state.base_pos[0], state.base_pos[2])

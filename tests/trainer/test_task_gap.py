@@ -4,6 +4,7 @@ import json
 import math
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -15,12 +16,14 @@ from tests.trainer.task_env import QUIET, env_of, still  # noqa: E402
 from trainer.errors import TrainerError  # noqa: E402
 from trainer.physics import PhysicsConfig  # noqa: E402
 from trainer.robots import ROBOTS  # noqa: E402
-from trainer.tasks.parkour import ParkourConfig, ParkourEnv  # noqa: E402
+from trainer.tasks.parkour import ParkourConfig, ParkourEnv, make  # noqa: E402
 from trainer.tasks.parkour.build import with_known  # noqa: E402
 from trainer.tasks.parkour.config import DepthConfig, RandomisationConfig  # noqa: E402
-from trainer.tasks.parkour.gap import load, patched  # noqa: E402
+from trainer.tasks.parkour.gap import alone, load, patched  # noqa: E402
 from trainer.tasks.parkour.randomise import Known, informed, limited  # noqa: E402
 from trainer.tasks.parkour.variants import sizes  # noqa: E402
+from trainer.terrain import generate  # noqa: E402
+from trainer.terrain.shift import shifted  # noqa: E402
 
 
 def cause(effect, joints=None, bodies=None, **parameters):
@@ -261,3 +264,48 @@ def test_what_is_no_diagnosis_is_refused(text, tmp_path):
     path.write_text(text)
     with pytest.raises(TrainerError, match="not a diagnosis"):
         load(path, quadruped())
+
+
+def test_ground_that_gives_and_is_higher_reaches_the_training(diagnosis):
+    """As randomisation of contacts, and as terrain whose pieces stand elsewhere; names that are not there are said."""
+    path = diagnosis(
+        cause("contact_compliance", time_constant=(0.03, 0.05)),
+        cause("terrain_height", bodies=["slot1"], height=(0.018, 0.022)),
+        cause("terrain_wobble", bodies=["slot1"], stiffness=(1e4, 2e4)),
+        cause("terrain_height", bodies=["stake_L4"], height=(0.01, 0.01)),
+    )
+    land = generate("boxes", 0.3, 0)
+    env = make(ParkourConfig(), [land], robot="quadruped", worlds=2, diagnosis=path, physics=PhysicsConfig(threads=1))
+    env.reset()
+    times = [float(env.physics._model(w).geom_solref[env.physics._model(w).geom("slot1").id, 0]) for w in range(2)]
+    assert all(0.05 <= t <= 0.07 for t in times)
+    raised = env.physics.terrains[2]  # five sizes, the third is the true one
+    assert raised.boxes[1].T[2, 3] - land.boxes[1].T[2, 3] == pytest.approx(0.02)
+    assert raised.boxes[0].T[2, 3] == pytest.approx(land.boxes[0].T[2, 3])
+    np.testing.assert_allclose(raised.vertices[8:16, 2] - land.vertices[8:16, 2], 0.02)
+    assert env.randomiser.known.unused == ("terrain_wobble", "terrain_height (no stake_L4 here)")
+
+
+def test_each_cause_alone_is_a_diagnosis(diagnosis):
+    settings = [{"effect": e, "place": [], "coordinates": {}} for e in ("command_delay", "payload")]
+    path = diagnosis(
+        cause("command_delay", delay=(0.01, 0.012)), cause("payload", mass=(1.0, 1.2)), patch={"settings": settings}
+    )
+    found = alone(path)
+    assert list(found) == ["command_delay", "payload"]
+    path.write_text(json.dumps(found["payload"]))
+    known = load(path, quadruped())
+    assert known.payload == (1.0, 1.2)
+    assert known.delay is None
+    assert found["payload"]["patch"]["settings"] == settings[1:]
+
+
+def test_a_moved_piece_of_a_scene_is_seen_and_felt():
+    contact = mujoco.MjSpec()
+    contact.worldbody.add_geom(name="stake", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.1, 0.1], pos=[1, 0, -0.1])
+    land = replace(course(), contact=contact, boxes=(), vertices=np.array([[1.0, 0, 0], [1.05, 0.05, 0], [2.0, 0, 0]]))
+    (moved,), missing = shifted([land], {"stake": (-0.03, -0.01), "other": (0.1, 0.1)})
+    assert missing == ("other",)
+    assert moved.contact.geom("stake").pos[2] == pytest.approx(-0.12)
+    np.testing.assert_allclose(moved.vertices[:, 2], [-0.02, -0.02, 0.0])
+    assert land.contact.geom("stake").pos[2] == pytest.approx(-0.1)

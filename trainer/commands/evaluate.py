@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any
 
 import tyro
 
 from realsim.cli.commands import CommandResult
-from realsim.core.files import refuse_file
+from realsim.core.files import refuse_file, to_json, write_text
 from trainer.config import EvaluationConfig
+from trainer.errors import TrainerError
 from trainer.trainers import TrainConfig
 
 
@@ -24,6 +27,7 @@ def evaluate(
     device: str = "auto",
     task_file: Path | None = None,
     diagnosis: Path | None = None,
+    each: bool = False,
 ) -> CommandResult:
     """Run trials of a policy on a scene with fixed seeds: success rate with Wilson's interval, causes, places.
 
@@ -38,6 +42,7 @@ def evaluate(
         device: cpu, cuda, or auto.
         task_file: JSON with differences from the paper's task; use that of the training.
         diagnosis: diagnosis.json of `realsim diagnose`, or its folder.
+        each: of the diagnosis, run the trials also with no cause and with each cause alone: what costs the success.
     """
     from trainer.commands import common
     from trainer.commands.task_file import load_task
@@ -45,6 +50,8 @@ def evaluate(
     from trainer.ppo.distributed import pick_device
 
     refuse_file(out, overwrite)
+    if each and diagnosis is None:
+        raise TrainerError("each cause alone is of a diagnosis", expected="--diagnosis DIAGNOSIS --each", found="none")
     loaded = common.load_policy(policy)
     place = pick_device(device, engine=engine)
     train = TrainConfig(engine=engine, seed=config.seed, task=load_task(task_file), diagnosis=diagnosis)
@@ -52,10 +59,26 @@ def evaluate(
     scene = common.find_scene(scenes)
     others = common.find_scene(finer).terrains if finer else ()
     found = run_trials(loaded.to(place).act, scene.terrains, config, setting, finer=others)
-    found.write(out)
+    data = found.as_dict()
     lines = [*common.trial_lines("success", found)]
+    for title, single in _singles(diagnosis).items() if each and diagnosis is not None else ():
+        with TemporaryDirectory() as folder:
+            file = None if single is None else Path(folder) / "diagnosis.json"
+            if file is not None:
+                write_text(file, to_json(single))
+            apart = run_trials(loaded.to(place).act, scene.terrains, config, replace(setting, diagnosis=file))
+        data.setdefault("each", {})[title] = apart.as_dict()
+        lines += [title, *common.trial_lines("  alone", apart)]
+    write_text(out, to_json(data))
     for r in found.results:
         for place_ in r.where:
             causes = ", ".join(f"{k} {v}" for k, v in place_.items() if k not in ("from_m", "to_m"))
             lines.append(f"{'  failed at':<14} {r.terrain} {place_['from_m']:.2f} to {place_['to_m']:.2f} m: {causes}")
-    return CommandResult("\n".join([*lines, f"figures        {out}"]), found.as_dict())
+    return CommandResult("\n".join([*lines, f"figures        {out}"]), data)
+
+
+def _singles(diagnosis: Path) -> dict[str, dict[str, Any] | None]:
+    """No cause, and each alone."""
+    from trainer.tasks.parkour.gap import alone
+
+    return {"no cause": None, **alone(diagnosis)}

@@ -119,7 +119,9 @@ class WorldParams:
     """Per-world changes against the nominal robot, for domain randomisation and gap patches. None leaves it alone."""
 
     friction: Tensor | None = None
-    """(N,) sliding friction of terrain and feet (absolute mu)."""
+    """(N,) sliding friction of terrain and feet (absolute mu); a scene's geoms have their own friction as a share."""
+    contact_time: Tensor | None = None
+    """(N,) s added to the time constant of contacts of the terrain (MuJoCo's solref; two physics steps at least)."""
     mass_scale: Tensor | None = None
     """(N,) ratio on the base/torso mass and inertia."""
     payload: Tensor | None = None

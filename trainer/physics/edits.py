@@ -38,7 +38,12 @@ def apply(model: Any, nominal: Any, robot: TrainedRobot, edit: Edit, data: Any) 
     torso, base = model.body(robot.torso).id, model.body(robot.base).id
     model.geom_friction[:] = nominal.geom_friction
     if "friction" in edit:
-        model.geom_friction[:, 0] = edit["friction"]
+        model.geom_friction[:, 0] = edit["friction"] * friction_share(nominal)
+    model.geom_solref[:] = nominal.geom_solref
+    if "contact_time" in edit:
+        soft = softened(nominal)
+        slower = nominal.geom_solref[soft, 0] + edit["contact_time"]
+        model.geom_solref[soft, 0] = np.maximum(slower, 2 * nominal.opt.timestep)
     for body in {torso, base}:
         model.body_mass[body] = nominal.body_mass[body] * scale("mass_scale")
         model.body_inertia[body] = nominal.body_inertia[body] * scale("mass_scale")
@@ -52,3 +57,13 @@ def apply(model: Any, nominal: Any, robot: TrainedRobot, edit: Edit, data: Any) 
     ground = model.geom(GROUND).id
     model.geom_pos[ground, 2] = edit.get("floor_z", nominal.geom_pos[ground, 2])
     mujoco.mj_setConst(model, data)
+
+
+def friction_share(nominal: Any) -> NDArray[np.float64]:
+    """(ngeom,) share of a world's friction that a geom has: slippery or rough places of a scene stay so."""
+    return np.where(nominal.geom_bodyid == 0, nominal.geom_friction[:, 0], 1.0)
+
+
+def softened(nominal: Any) -> NDArray[np.bool_]:
+    """(ngeom,) whether a geom is terrain whose contacts have a time constant."""
+    return (nominal.geom_bodyid == 0) & (nominal.geom_solref[:, 0] > 0)

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import torch
 import warp as wp
 from torch import Tensor
 
 from trainer.physics.base import WorldParams
+from trainer.physics.edits import friction_share, softened
 from trainer.robots import TrainedRobot
 
 TERRAIN_FIELDS = ("geom_size", "geom_rbound", "geom_aabb")
 PARAM_FIELDS = (
     "geom_friction",
+    "geom_solref",
     "body_mass",
     "body_inertia",
     "body_ipos",
@@ -40,12 +43,18 @@ class WorldFields:
         self._torso, self._base = host.body(robot.torso).id, host.body(robot.base).id
         self._above = {body: _mask(host, body, device) for body in {self._torso, self._base}}
         self._device = device
+        self._share = torch.as_tensor(friction_share(host), dtype=torch.float32, device=device)
+        self._soft = torch.as_tensor(np.flatnonzero(softened(host)), device=device)
+        self._fastest = 2 * float(host.opt.timestep)
 
     def set(self, ids: Tensor, params: WorldParams) -> None:
         """Fields that `params` names, of the worlds `ids` (K,); what is not named keeps its value."""
         view, nominal = self._view, self._nominal
         if params.friction is not None:
-            view["geom_friction"][ids, :, 0] = self._of(params.friction)[:, None]
+            view["geom_friction"][ids, :, 0] = self._of(params.friction)[:, None] * self._share
+        if params.contact_time is not None:
+            slower = nominal["geom_solref"][self._soft, 0] + self._of(params.contact_time)[:, None]
+            view["geom_solref"][ids[:, None], self._soft, 0] = slower.clamp_min(self._fastest)
         if params.mass_scale is not None or params.payload is not None:
             self._set_mass(ids, params)
         if params.com_offset is not None:

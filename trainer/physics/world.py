@@ -125,6 +125,8 @@ def _attach_contact(spec: Any, contact: Any, prefix: str) -> None:
         geom.name = geom.name or f"geom{k}"
     for geom in child.geoms:
         geom.contype, geom.conaffinity = TERRAIN_BIT, 0
+        if geom.friction[0] != 1.0:
+            geom.priority = 1  # its own friction acts, where MuJoCo would take the larger of two
     for key in list(child.keys):
         child.delete(key)
     # A scene's clipping planes are for its own viewer; attached, they would only be warned about.

@@ -10,14 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.geometry import R_to_quat, quat_to_R
-from realsim.robots import Robot
+from realsim.robots.base import LOOK, Robot
 from trainer.errors import TrainerError
 from trainer.robots.base import DepthMount, TrainedRobot
 from trainer.robots.soles import sole_points
 
 F64 = NDArray[np.float64]
-LOOK = np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]])
-"""Columns: right, up and back of a MuJoCo camera that faces +x of its mount."""
 _NEAR_M, _ALONG = 0.02, 0.9
 """Joints are each other's mirror image if they lie this near and their axes have at least this cosine."""
 

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.files import check_size, read_text
-from realsim.core.geometry import R_to_quat, exp_so3, quat_to_R
-from realsim.robots import Robot
+from realsim.core.geometry import R_to_quat, quat_to_R
+from realsim.robots.base import Robot, add_camera, add_servo
 from trainer.errors import TrainerError
 from trainer.robots.base import TrainedRobot
-from trainer.robots.derive import LOOK, derived
+from trainer.robots.derive import derived
 from trainer.robots.soles import collides, outline
 
 F64 = NDArray[np.float64]
@@ -149,9 +149,8 @@ def load(path: Path) -> TrainedRobot:
     home = {name: servo.default for name, servo in file.joints.items()}
     feet = split_feet(spec, file.feet, home, model)
     if file.camera is not None:
-        R = exp_so3([0, np.radians(file.camera.pitch_deg), 0]) @ LOOK
-        body = spec.body(file.camera.body)
-        body.add_camera(name="depth", pos=file.camera.pos, quat=R_to_quat(R), fovy=file.camera.fovy_deg)
+        mount = file.camera
+        add_camera(spec.body(mount.body), "depth", mount.pos, np.radians(mount.pitch_deg), mount.fovy_deg)
     height = standing_height(compiled(spec, model), home)
     spec.body(file.base).pos, spec.body(file.base).quat = [0, 0, height], [1, 0, 0, 0]
     return derived(
@@ -305,18 +304,7 @@ def _add_servo(spec: Any, name: str, servo: Servo) -> None:
     if not joint.range[0] < joint.range[1]:
         turn = 180.0 if spec.compiler.degree else np.pi
         joint.range, joint.limited = [-turn, turn], True
-    spec.add_actuator(
-        name=name,
-        target=name,
-        trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-        gainprm=[servo.kp] + [0] * 9,
-        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-        biasprm=[0, -servo.kp, -servo.kd] + [0] * 7,
-        forcerange=[-servo.effort, servo.effort],
-        forcelimited=True,
-        ctrllimited=False,
-    )
+    add_servo(spec, name, servo.kp, servo.kd, servo.effort)
 
 
 def _refuse_what_is_missing(spec: Any, file: RobotFile, path: Path) -> None:

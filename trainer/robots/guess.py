@@ -11,9 +11,10 @@ import mujoco
 import numpy as np
 
 from realsim.core.geometry import quat_to_R
+from realsim.robots.base import LOOK
 from realsim.robots.g1 import pd_gains
 from trainer.errors import TrainerError
-from trainer.robots.derive import LOOK, hip_joints, joints_above, leg_paths
+from trainer.robots.derive import hip_joints, joints_above, leg_paths
 from trainer.robots.file import (
     Mount,
     RobotFile,

@@ -21,6 +21,7 @@ from trainer.tasks.parkour.gap import patched
 from trainer.tasks.parkour.randomise import Known, hull, informed, limited
 from trainer.tasks.parkour.variants import scaled, sizes
 from trainer.terrain import Terrain
+from trainer.terrain.shift import shifted
 
 _LENGTH_M = (0.5, 60.0)
 """Metres between start and goal that are believable."""
@@ -70,6 +71,8 @@ def make(
         check(terrain)
     known = Known() if diagnosis is None else limited(load_gap(diagnosis, body), settings)
     body = patched(body, known)
+    terrains, missing = shifted(terrains, known.heights)
+    known = replace(known, unused=(*known.unused, *(f"terrain_height (no {place} here)" for place in missing)))
     for effect in known.unused:
         note(f"{diagnosis}: {effect} is not simulated by this task")
     config = with_known(config, known, settings)

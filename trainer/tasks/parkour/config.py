@@ -233,6 +233,8 @@ class RandomisationConfig:
     """Ratio on the width of all ranges below (about what is nominal) and on offsets and pushes."""
     friction: Range = (0.5, 1.25)
     """Sliding friction of soles on terrain."""
+    contact_time: Range = (0.0, 0.0)
+    """Seconds added to the time constant with which the terrain pushes back (0.02): above 0 it gives, as a mat does."""
     mass: Range = (0.9, 1.1)
     """Ratio on the torso's mass and inertia."""
     payload: Range = (-1.0, 2.0)
@@ -284,6 +286,7 @@ class RandomisationConfig:
             self,
             strength=1.0,
             friction=about(middle, self.friction),
+            contact_time=about(0.0, self.contact_time),
             mass=about(1.0, self.mass),
             payload=about(0.0, self.payload),
             com=about(0.0, self.com),

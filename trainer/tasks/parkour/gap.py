@@ -68,6 +68,28 @@ def load(path: str | Path, robot: TrainedRobot) -> Known:
     return first if len(alternatives) == 1 else replace(first, alternatives=alternatives)
 
 
+def alone(path: Path) -> dict[str, dict[str, Any]]:
+    """Title -> the diagnosis as if that cause were the only one; of a sure set of causes, or the first of several.
+
+    Raises:
+        TrainerError: not a diagnosis.
+    """
+    path = path / "diagnosis.json" if path.is_dir() else path
+    data = read_json(path)
+    if not isinstance(data, dict) or not isinstance(data.get("causes"), list):
+        raise TrainerError("not a diagnosis", file=path, expected="diagnosis.json of `realsim diagnose`")
+    patch, found = data.get("patch"), {}
+    for cause in data["causes"]:
+        effect, place = _name(cause)
+        mine = None
+        if isinstance(patch, dict):
+            settings = [s for s in patch.get("settings", ()) if (s["effect"], tuple(s["place"])) == (effect, place)]
+            mine = patch | {"settings": settings}
+        title = f"{effect} of {', '.join(place)}" if place else effect
+        found[title] = data | {"causes": [cause], "equivalent": [], "patch": mine}
+    return found
+
+
 def patched(robot: TrainedRobot, known: Known) -> TrainedRobot:
     """The robot with the part of the diagnosis that only a model can hold, and its camera where it was found."""
     if known.model is not None:
@@ -200,6 +222,8 @@ def _take(cause: dict[str, Any], robot: TrainedRobot, found: _Found, path: Path)
             low, high = found.ranges["friction"]
             nominal = _nominal_friction(robot)
             found.ranges["friction"] = (low * nominal, high * nominal)
+    elif effect == "terrain_height" and (height := interval("height")) is not None:
+        found.ranges.setdefault("heights", {}).update(dict.fromkeys(cause.get("bodies") or (), height))
     else:
         found.unused.append(effect)
         return
@@ -279,6 +303,7 @@ _WHOLE: dict[str, Callable[[Interval], dict[str, Any]]] = {
     "command_delay": lambda interval: {"delay": interval("delay")},
     "camera_delay": lambda interval: {"depth_latency": interval("delay")},
     "ground_friction": lambda interval: {"friction": interval("ratio")},
+    "contact_compliance": lambda interval: {"contact_time": interval("time_constant")},
     "payload": lambda interval: {"payload": interval("mass")},
     "com_offset": _com,
     "terrain_scale": lambda interval: {"terrain_scale": interval("ratio")},

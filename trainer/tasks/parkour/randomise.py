@@ -31,6 +31,9 @@ class Known:
     """Patch of the robot's model with what ranges cannot hold; the ranges are about the patched model."""
 
     friction: Range | None = None
+    contact_time: Range | None = None
+    heights: dict[str, Range] = field(default_factory=dict)
+    """Piece of terrain -> metres by which it is higher; of the first alternative."""
     payload: Range | None = None
     com: tuple[Range, Range, Range] | None = None
     delay: Range | None = None
@@ -75,6 +78,8 @@ class Randomiser:
         self.timestep = physics.config.timestep
         sets = self.known.alternatives or (self.known,)
         ranges = [self._ranges(known) for known in sets]
+        if all(r["contact_time"] == [(0.0, 0.0)] for r in ranges):
+            ranges = [r | {"contact_time": []} for r in ranges]  # nothing to draw, and nothing to write
         self._widths = [len(bounds) for bounds in ranges[0].values()]
         table = torch.tensor([[b for bounds in r.values() for b in bounds] for r in ranges], device=physics.device)
         self._low, self._span = table[..., 0], table[..., 1] - table[..., 0]
@@ -102,13 +107,14 @@ class Randomiser:
         if len(self._low) > 1:
             which = randint(0, len(self._low), len(ids), generator)
         drawn = self._low[which] + self._span[which] * share
-        friction, mass, payload, delay, com, gyro, kp, kd, armature, joint_friction, encoder = drawn.split(
+        friction, mass, payload, delay, com, gyro, kp, kd, armature, joint_friction, encoder, time = drawn.split(
             self._widths, -1
         )
         steps = (delay[:, 0] / self.timestep).round().clamp(0, self._steps()).long()
         late = self._late(steps)
         params = WorldParams(
             friction=friction[:, 0],
+            contact_time=time[:, 0] if time.shape[1] else None,
             mass_scale=mass[:, 0],
             payload=payload[:, 0],
             com_offset=com,
@@ -150,6 +156,7 @@ class Randomiser:
             "armature": each(c.armature, known.armature),
             "joint_friction": each(c.joint_friction, known.joint_friction),
             "encoder": each((-c.encoder, c.encoder), known.encoder),
+            "contact_time": [known.contact_time or c.contact_time],
         }
 
     def pushes(self, step: int | None = None) -> int:

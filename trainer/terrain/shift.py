@@ -1,0 +1,67 @@
+"""Pieces of terrain that stand higher or lower than in the scene, as a diagnosis found them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from realsim.core.geometry import make_T
+from trainer.physics.world import SLOT
+from trainer.terrain.base import Terrain
+from trainer.terrain.shapes import mesh
+
+_NEAR_M = 0.03
+"""Points of the scan this near to a piece's box belong to it."""
+
+
+def shifted(
+    terrains: Sequence[Terrain], heights: Mapping[str, tuple[float, float]]
+) -> tuple[list[Terrain], tuple[str, ...]]:
+    """The terrains with pieces moved up by the middle of their interval, and names that no terrain has.
+
+    Rays see the moved pieces too.
+
+    Args:
+        heights: `slotK` for box K of generated terrain, or the name of a geom of a scene -> (low, high) metres.
+    """
+    middles = {name: (low + high) / 2 for name, (low, high) in heights.items()}
+    found: set[str] = set()
+    moved = [_moved(terrain, middles, found) for terrain in terrains]
+    return moved, tuple(name for name in heights if name not in found)
+
+
+def _moved(terrain: Terrain, heights: Mapping[str, float], found: set[str]) -> Terrain:
+    if terrain.contact is not None:
+        return _moved_scene(terrain, heights, found)
+    named = {f"{SLOT}{k}" for k in range(len(terrain.boxes))} & heights.keys()
+    if not named:
+        return terrain
+    found |= named
+    boxes = tuple(
+        replace(box, T=make_T(box.T[:3, :3], np.add(box.T[:3, 3], [0, 0, heights.get(f"{SLOT}{k}", 0.0)])))
+        for k, box in enumerate(terrain.boxes)
+    )
+    vertices, triangles = mesh(boxes)
+    return replace(terrain, boxes=boxes, vertices=vertices, triangles=triangles)
+
+
+def _moved_scene(terrain: Terrain, heights: Mapping[str, float], found: set[str]) -> Terrain:
+    named = {g.name for g in terrain.contact.geoms} & heights.keys()
+    if not named:
+        return terrain
+    found |= named
+    contact, vertices = terrain.contact.copy(), terrain.vertices.copy()
+    model = contact.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    for name in named:
+        geom = model.geom(name).id
+        local = (terrain.vertices - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3)
+        centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        inside = np.all(abs(local - centre) < half + _NEAR_M, axis=1)
+        vertices[inside, 2] += heights[name]
+        contact.geom(name).pos = np.add(contact.geom(name).pos, [0, 0, heights[name]])
+    return replace(terrain, contact=contact, vertices=vertices)
