@@ -1,12 +1,15 @@
 # `make demo` and `make test` are all that a fresh machine needs; they make .venv/ first, with what each needs.
 PYTHON ?= python3
 BIN := .venv/bin
-PIP := $(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt --editable
+# Modules are compiled when they are first imported, not all 22,000 at once.
+PIP := $(BIN)/python -m pip install --disable-pip-version-check --no-compile --constraint constraints.txt --editable
 EXTRAS := dev,docs,recon,viewer,colmap,phone,lidar,logs,usd,ray,slurm,mcp,app,train,warp,rsl-rl
 # Directories whose tests take a second or less each: what `make check` runs beside the linters.
 QUICK := tests/core tests/cli tests/scale tests/align tests/robots tests/report tests/test_imports.py
 # MuJoCo renders without a display.
 export MUJOCO_GL ?= osmesa
+# What is compiled is kept, or each process of the tests compiles it again.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo check test lint format venv bench readme docs wheel clean
 

@@ -13,8 +13,9 @@ import pytest
 from hypothesis import settings
 
 # Tests run side by side: threads that spin while they wait for one another cost many times the work.
-# Read when torch is loaded.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
+# Read when torch and numpy are loaded.
+for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(threads, "1")
 
 # A shell that runs tests in the background has them ignore Ctrl-C, and their children too: interrupts are tested.
 with contextlib.suppress(ValueError):  # not the main thread

@@ -18,7 +18,7 @@ wheel=$(echo "$work"/realsim-*.whl)
   --find-links "$work" "realsim[recon]"
 
 "$python" -m venv "$work/core"
-"$work/core/bin/python" -m pip install --quiet --disable-pip-version-check --constraint constraints.txt "$wheel"
+"$work/core/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt "$wheel"
 cp -r examples "$work/examples"
 cd "$work"
 "$work/core/bin/python" -c 'import realsim; assert "site-packages" in realsim.__file__, realsim.__file__'

@@ -58,8 +58,7 @@ class Cropped:
         return cv2.resize(color[y : y + h, x : x + w], (width, height), interpolation=cv2.INTER_AREA)
 
 
-@pytest.mark.parametrize("share", [0.65, 0.8])
-@pytest.mark.parametrize("name", ["captures/stake_a/capture", "captures/narrow_a/capture"])
+@pytest.mark.parametrize(("name", "share"), [("captures/stake_a/capture", 0.65), ("captures/narrow_a/capture", 0.8)])
 def test_a_narrower_colour_camera_is_found(name, share, shared):
     capture = read(shared(name), CaptureConfig(max_frames=12))
     assert isinstance(capture, FrameSet)

@@ -82,7 +82,7 @@ def kinds(changes: Changes) -> list[str]:
     return sorted(change.kind for change in changes.objects)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_repeat_has_no_changes(seed):
     changes = compare(scan(room(seed), 2 * seed), scan(room(seed), 2 * seed + 1))
     assert changes.objects == ()
@@ -116,9 +116,9 @@ def altered(seed: int) -> tuple[Place, list[str]]:
 
 
 def test_what_changed_is_found():
-    """F1 over six rooms, a change counting only by its right name."""
+    """F1 over three rooms, a change counting only by its right name."""
     hits = false = missed = 0
-    for seed in range(6):
+    for seed in range(3):
         today, expected = altered(seed)
         found = kinds(compare(scan(room(seed), 100 + seed), scan(today, 200 + seed)))
         right = sum(min(found.count(kind), expected.count(kind)) for kind in set(expected))

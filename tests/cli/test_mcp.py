@@ -75,9 +75,6 @@ def test_a_scene_from_a_mesh_with_progress_and_its_report(root: Path) -> None:
         assert len(heard) > 2
         assert values == sorted(set(values)), "progress only grows"
         assert any("measuring boxes" in str(message) for _, message in heard)
-        again = await client.call_tool("contact", {"meshes": "box.stl", "out": "scene"})
-        assert again.is_error
-        assert "not empty" in text(again)
         report = good(await client.call_tool("report", {"folder": "scene"}))
         assert (report["kind"], report["verdict"]) == ("scene", "good")
         written = good(await client.call_tool("export", {"scenes": "scene", "to": "obj,mjcf"}))

@@ -61,7 +61,7 @@ def model(made: SynthCapture, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def scene(made: SynthCapture, model: Path, tmp_path_factory: pytest.TempPathFactory) -> Reconstruction:
     config = ReconstructConfig(
         points=PointsConfig(backend="onnx", onnx=OnnxConfig(model=model)),
-        mesh=MeshConfig(resolution=0.03),
+        mesh=MeshConfig(resolution=0.04),
         scene=SceneConfig(contact="hfield", contact_probes=100),
         compare=True,
         cache=tmp_path_factory.mktemp("cache"),

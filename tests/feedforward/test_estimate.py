@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import rooms
 
-from realsim import feedforward
+from realsim import capture, feedforward
+from realsim.capture.config import CaptureConfig
 from realsim.core.errors import CaptureError, PoseError, UnknownNameError
 from realsim.core.geometry import angle_deg, invert_T, make_T
 from realsim.core.types import Solution
@@ -47,10 +48,10 @@ def test_poses_are_found(solution: Solution) -> None:
     assert turn < 0.15
 
 
-def test_twice_the_same_bytes(frames: list, solution: Solution) -> None:
-    again = feedforward.solve(rooms.frame_set(frames), ESTIMATE)
-    assert again.T_world_camera.tobytes() == solution.T_world_camera.tobytes()
-    assert again.statistics == solution.statistics
+def test_twice_the_same_bytes(frames: list) -> None:
+    one, two = (feedforward.solve(rooms.frame_set(frames[:3]), ESTIMATE) for _ in range(2))
+    assert one.T_world_camera.tobytes() == two.T_world_camera.tobytes()
+    assert one.statistics == two.statistics
 
 
 def test_a_pair_far_apart(frames: list) -> None:
@@ -106,20 +107,20 @@ def test_no_two_frames_fit() -> None:
 
 
 def test_without_colour_shapes_are_registered() -> None:
-    plain = [rooms.frame(k, T, color=False) for k, T in enumerate(TRUTH[1:5])]
+    plain = [rooms.frame(k, T, color=False) for k, T in enumerate(TRUTH[1:4])]
     found = feedforward.solve(rooms.frame_set(plain), ESTIMATE)
-    assert found.used == (0, 1, 2, 3)
-    shift, turn = errors(found.T_world_camera, TRUTH[1:5])
+    assert found.used == (0, 1, 2)
+    shift, turn = errors(found.T_world_camera, TRUTH[1:4])
     assert shift < 0.02
     assert turn < 0.6
 
 
 def test_given_poses_stay_in_their_world() -> None:
-    posed = [rooms.frame(k, T, posed=True) for k, T in enumerate(TRUTH)]
+    posed = [rooms.frame(k, T, posed=True) for k, T in enumerate(TRUTH[:4])]
     found = feedforward.solve(rooms.frame_set(posed), PointsConfig())
     assert found.world_is_capture
-    assert found.used == tuple(range(7))
-    assert np.abs(found.T_world_camera - TRUTH).max() < 0.01
+    assert found.used == tuple(range(4))
+    assert np.abs(found.T_world_camera - TRUTH[:4]).max() < 0.01
 
 
 def test_one_frame_is_its_own_world(frames: list) -> None:
@@ -139,16 +140,9 @@ def test_what_is_asked_for_must_be_there(frames: list) -> None:
 
 @pytest.mark.slow
 def test_a_rendered_capture_without_its_poses(shared) -> None:  # type: ignore[no-untyped-def]
-    """Every third frame of a hand-held capture: absolute trajectory error after a similarity, and scale."""
-    pytest.importorskip("realsim.capture")
-    from realsim import capture
-
-    if not hasattr(capture, "read"):
-        pytest.skip("the capture reader is not there")
-    from realsim.capture.config import CaptureConfig
-
+    """Every third frame of a part of a hand-held capture: absolute trajectory error after a similarity, and scale."""
     whole = capture.read(shared("captures/stake_a/capture"), CaptureConfig())
-    some = replace(whole, frames=whole.frames[::3])
+    some = replace(whole, frames=whole.frames[:24:3])
     truth = np.stack([f.T_world_camera for f in some.frames])
     found = feedforward.solve(some, ESTIMATE)
     assert found.used == tuple(range(len(truth)))

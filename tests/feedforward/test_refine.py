@@ -110,9 +110,7 @@ def position_error(T: NDArray[np.float64]) -> float:
     return float(np.sqrt((np.linalg.norm(T[:, :3, 3] - truth()[0][:, :3, 3], axis=1) ** 2).mean()))
 
 
-@pytest.mark.parametrize(
-    ("bias", "meters", "degrees"), [(1.0, 0, 0), (1.009, 0, 0), (0.99, 0.002, 0.1), (1.009, 0.01, 0.5)]
-)
+@pytest.mark.parametrize(("bias", "meters", "degrees"), [(1.009, 0, 0), (0.99, 0.002, 0.1), (1.009, 0.01, 0.5)])
 def test_an_injected_gain_is_recovered_and_poses_get_better(bias: float, meters: float, degrees: float) -> None:
     frames, evidence = evidence_of(bias)
     T = perturbed(meters, degrees)

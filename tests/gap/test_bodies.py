@@ -19,6 +19,9 @@ FLYING = """<mujoco><option timestep="0.005"/><worldbody><body name="drone"><fre
 LOG = {"joint_names": [], "actuator_names": ["lift"], "command_kind": "torque", "base": "floating"}
 
 
+RIVALS = ("payload", "com_offset", "link_inertia", "command_delay")
+
+
 def case_in(folder: Path, xml: str = FLYING, **other: object) -> Path:
     """A body that hovers for two seconds; `other` replaces arrays of its run, None leaves one out."""
     time = np.arange(0, 2, 0.01)
@@ -54,7 +57,9 @@ def test_joints_of_the_model_are_not_left_out_silently(tmp_path: Path) -> None:
 @pytest.mark.skipif(not CRAZYFLIE.is_dir(), reason="needs the logs of REALSIM_SHARED")
 def test_a_weight_beside_a_rotor_is_named_with_its_place() -> None:
     """3.9 g beside motor 3, which sits at (-0.033, 0.033) m."""
-    found = diagnose(load_case(CRAZYFLIE), DiagnoseConfig(threads=1, report=False))
+    found = diagnose(
+        load_case(CRAZYFLIE), DiagnoseConfig(threads=1, report=False, bootstrap=50, max_seconds=5.0, effects=RIVALS)
+    )
     assert found.verdict != "identified"  # motors that answer late look like inertia
     weight = found.causes[0]
     assert weight["effect"] == "payload"

@@ -104,24 +104,24 @@ def test_a_late_command_beside_a_weak_damper_is_found_with_it(made) -> None:
     """Each alone swings otherwise than both, so that neither explains much of the gap by itself."""
     nominal = load_case(made("causes_pendulum", Truth(), xml=PENDULUM, runs=4))
     case = logged(nominal, [("damping_gain", ("swing",), {"ratio": -0.7}), ("command_delay", (), {"delay": 0.03})])
-    assert {"damping_gain", "command_delay"} in found(searched(case, [0, 1, 2]))
+    rivals = ("damping_gain", "command_delay", "observation_delay", "armature", "stiffness_gain", "coulomb_friction")
+    assert {"damping_gain", "command_delay"} in found(searched(case, [0, 1, 2], rivals))
 
 
-@pytest.mark.parametrize("shift", [0.02, 0.03])
-def test_nuisance_parameters_that_imitate_a_cause_do_not_make_it_smaller(made, shift: float) -> None:
+def test_nuisance_parameters_that_imitate_a_cause_do_not_make_it_smaller(made) -> None:
     nominal = load_case(made("causes_pendulum", Truth(), xml=PENDULUM, runs=4))
-    case = logged(nominal, [("com_offset", ("arm",), {"z": shift})])
+    case = logged(nominal, [("com_offset", ("arm",), {"z": 0.02})])
     best = searched(case, [0, 1, 2, 3], ("com_offset", "armature", "coulomb_friction")).fit
     (cause,) = best.causes
     assert cause.candidate.effect == "com_offset"
-    assert cause.named["z"] == pytest.approx(shift, rel=0.05)
+    assert cause.named["z"] == pytest.approx(0.02, rel=0.05)
 
 
 def test_a_run_that_is_not_fitted_changes_nothing(pair: Case) -> None:
     other = pair.runs[2]
     noise = {"joint_pos": other.signals["joint_pos"] + 0.5 * np.sin(40 * other.time)[:, None]}
     changed = pair.with_runs((*pair.runs[:2], replace(other, signals=other.signals | noise)))
-    one, two = (searched(case, [0, 1], PAIR).fit for case in (pair, changed))
+    one, two = (searched(case, [0, 1], PAIR[:2]).fit for case in (pair, changed))
     assert [c.candidate.key for c in one.causes] == [c.candidate.key for c in two.causes]
     assert one.misfit == pytest.approx(two.misfit, rel=1e-9)
     assert [c.values for c in one.causes] == [pytest.approx(c.values, rel=1e-9) for c in two.causes]

@@ -25,6 +25,7 @@ from .truth import Truth
 
 EFFECTS = ("coulomb_friction", "viscous_friction", "stribeck_friction", "load_friction", "stiffness_gain")
 CONFIG = DiagnoseConfig(threads=1, effects=EFFECTS, bootstrap=50, report=False)
+PLAIN = replace(CONFIG, effects=("coulomb_friction", "viscous_friction"))
 
 
 @pytest.fixture(scope="module")
@@ -65,11 +66,11 @@ def disturbed(case: Case, run: int, size: float) -> Case:
 
 @pytest.fixture(scope="module")
 def calm(sticky: Case) -> Diagnosis:
-    return diagnose(sticky, CONFIG)
+    return diagnose(sticky, PLAIN)
 
 
 def test_the_run_held_out_changes_the_check_and_nothing_else(sticky: Case, calm: Diagnosis) -> None:
-    loud = diagnose(disturbed(sticky, 3, 0.02), CONFIG)
+    loud = diagnose(disturbed(sticky, 3, 0.02), PLAIN)
     assert calm.shrinkage["runs"] == loud.shrinkage["runs"] == [sticky.runs[3].name]
     assert calm.shrinkage["kind"] == "validation"
     assert calm.causes == loud.causes
@@ -162,7 +163,7 @@ def test_of_what_is_not_explained_the_nearest_is_named_only_if_it_is_told_from_n
 ) -> None:
     monkeypatch.setattr("realsim.gap.answer.conclusion._told_from_none", lambda fit, sigmas: [told])
     monkeypatch.setattr("realsim.gap.answer.check.Check.holds", False)
-    found = diagnose(sticky, CONFIG)
+    found = diagnose(sticky, PLAIN)
     assert found.verdict == "unexplained"
     assert [c["effect"] for c in found.causes] == ["coulomb_friction"] * told
     assert any("not told from none" in note for note in found.statistics["notes"]) != told

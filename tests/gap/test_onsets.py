@@ -15,6 +15,7 @@ PUSHED = {"run_02": 1.9, "run_03": 1.2, "run_05": 2.3, "run_06": 2.3}
 SPAN = (3.0, 3.3)
 """Seconds of a run: the last push ends at 2.8."""
 WINDOWS = tuple((at, at + 0.5) if (at := PUSHED.get(f"run_{i:02d}")) else None for i in range(1, 7))
+RIVALS = ("external_force", "coulomb_friction", "payload", "motor_gain", "command_delay")
 
 
 def onsets_of(folder) -> dict[str, float]:
@@ -54,13 +55,13 @@ def test_a_push_beside_a_lasting_cause_is_found_once_that_is_known(made) -> None
     folder = made("bumped_and_stiff", truth, ARM.replace('timestep="0.002"', 'timestep="0.004"'), runs=6, span=SPAN)
     assert onsets_of(folder) == {}
     both = ("coulomb_friction", "external_force")
-    found = diagnose(load_case(folder), DiagnoseConfig(effects=both))
+    found = diagnose(load_case(folder), DiagnoseConfig(effects=both, bootstrap=50))
     assert {c["effect"] for c in found.causes} == set(both)
 
 
 @pytest.mark.slow
 def test_the_push_is_found_and_checked_on_a_run_that_no_fit_saw(bumped) -> None:
-    found = diagnose(load_case(bumped))
+    found = diagnose(load_case(bumped), DiagnoseConfig(effects=RIVALS))
     assert found.verdict in ("identified", "ambiguous")
     (cause,) = found.causes
     assert (cause["effect"], cause["bodies"]) == ("external_force", ["fore"])

@@ -33,7 +33,7 @@ UNSEEN = ("camera_delay", "camera_mount", "depth_noise")
 
 @pytest.fixture(scope="module")
 def arm(made) -> Case:
-    case = load_case(made("recovery", Truth(), runs=2))
+    case = load_case(made("recovery", Truth(), runs=2, span=(2.2, 2.6)))
     return case
 
 

@@ -60,7 +60,7 @@ def pendulum(made: Callable[..., Path]) -> Case:
 
 @pytest.fixture(scope="module")
 def arm(made: Callable[..., Path]) -> Case:
-    return load_case(made("rejection_arm", Truth(), runs=2))
+    return load_case(made("rejection_arm", Truth(), runs=2, span=(2.2, 2.6)))
 
 
 @pytest.fixture(scope="module")

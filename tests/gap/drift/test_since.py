@@ -19,7 +19,9 @@ from realsim.gap.simulation.simulate import Simulator
 
 from ..truth import PENDULUM, Truth, make_case
 
-SETTINGS = DiagnoseConfig(threads=1)
+SETTINGS = DiagnoseConfig(
+    threads=1, effects=("coulomb_friction", "viscous_friction", "stiffness_gain", "payload", "command_delay")
+)
 LOADED = Truth(viscous={"swing": 0.4})
 """What the robot has at both times."""
 

@@ -95,7 +95,7 @@ def _walk(run: Path, names: list[str], feet: list[str], fx: float) -> list[Any]:
 
 def test_a_late_camera_is_found_in_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """From MCAP with depth, base pose, feet and joints, by the command, without hand work."""
-    made = make_case(tmp_path, Truth(camera_delay=0.04), crossings=2, terrain_seed=20, seed=20, depth=True, cycles=2)
+    made = make_case(tmp_path, Truth(camera_delay=0.04), crossings=2, terrain_seed=20, seed=20, depth=True, cycles=1)
     case = load_case(made)
     said = json.loads((made / "log.json").read_text())
     bags = tmp_path / "bags"

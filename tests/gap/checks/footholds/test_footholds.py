@@ -26,9 +26,9 @@ XML = """<mujoco><worldbody><geom name="ground" type="plane" size="1 1 .1"/>
 
 @pytest.fixture(scope="module")
 def lowered(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Ten short crossings with a stake that is 2 cm lower than in scene.xml."""
+    """Six short crossings with a stake that is 2 cm lower than in scene.xml."""
     folder = tmp_path_factory.mktemp("lowered")
-    make_case(folder, Truth(height={"stake_L3": -0.02}), crossings=10, terrain_seed=7, seed=7, cycles=2)
+    make_case(folder, Truth(height={"stake_L3": -0.02}), crossings=6, terrain_seed=7, seed=7, cycles=2)
     return folder
 
 
@@ -52,7 +52,7 @@ def test_a_stake_lowered_by_2_cm_is_found_to_5_mm(lowered: Path, tmp_path: Path,
 
 
 def test_nothing_is_named_where_nothing_was_changed(tmp_path: Path) -> None:
-    case = make_case(tmp_path, Truth(), crossings=5, terrain_seed=8, seed=8, cycles=2)
+    case = make_case(tmp_path, Truth(), crossings=3, terrain_seed=8, seed=8, cycles=2)
     found = rs.footholds(str(case), tmp_path / "scene.xml")
     assert found["changed"] == []
     assert found["verdict"]["level"] == "good"
