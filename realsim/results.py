@@ -454,7 +454,7 @@ def _cause(data: Mapping[str, Any]) -> Cause:
     for name, p in data["parameters"].items():
         low, high = (_number(v) for v in p["ci90"])
         parameters[name] = Interval(_number(p["value"]), low, high, p["unit"])
-    places = (*data.get("joints", ()), *data.get("bodies", ()))
+    places = tuple(n for key in ("joints", "bodies", "actuators") for n in data.get(key) or ())
     return Cause(str(data["effect"]), places, parameters, data.get("probability"))
 
 

@@ -132,8 +132,8 @@ def judged(name: str, found: Row) -> Row:
 
 def arm(cause: Row) -> str:
     """The motor that a cause is at: by its name, or the nearest to where a mass sits."""
-    for place in cause.get("joints") or []:
-        return str(place).upper()
+    if named := cause.get("actuators"):
+        return str(named[0]).upper() if len(named) == 1 else ""
     at = [cause["parameters"].get(axis, {}).get("value") for axis in "xy"]
     if None in at:
         return ""

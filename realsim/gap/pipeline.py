@@ -20,7 +20,7 @@ from realsim.gap.answer.sentence import advice, sentence
 from realsim.gap.answer.stays import what_stays
 from realsim.gap.case.case import Case
 from realsim.gap.case.health import examine
-from realsim.gap.case.runs import LEAST_SAMPLES
+from realsim.gap.case.runs import LEAST_SAMPLES, Run
 from realsim.gap.case.split import replicates as replicates
 from realsim.gap.case.split import split_runs
 from realsim.gap.config import DiagnoseConfig
@@ -118,7 +118,13 @@ def limited(case: Case, config: DiagnoseConfig) -> Case:
     long = [r.name for r in runs if r.duration > config.max_seconds + 0.5]
     if long:
         notes.append(f"{len(long)} runs are longer than {config.max_seconds:g} s: their beginning is used")
-        cut = [r.where(r.time <= config.max_seconds) for r in runs]
+        cut, late = [], []
+        for run in runs:
+            begin = _stirs(run) if run.name in long else 0.0
+            late += [f"{run.name} from {begin:.1f} s"] if begin else []
+            cut.append(_part(run, begin, config.max_seconds))
+        if late:
+            notes.append(f"where their commands never change before, the part from then on: {', '.join(late)}")
         few = [r.name for r in cut if len(r.time) < LEAST_SAMPLES]
         notes += [f"left out: {name} has less than {LEAST_SAMPLES} samples until then" for name in few]
         runs = [r for r in cut if r.name not in few]
@@ -130,6 +136,18 @@ def limited(case: Case, config: DiagnoseConfig) -> Case:
             hint="raise max_seconds (--max-seconds)",
         )
     return case.with_runs(tuple(runs), *notes)
+
+
+def _stirs(run: Run) -> float:
+    """Seconds at which a run's commands first change, less one in which it shows how it rests."""
+    changed = (run.command != run.command[0]).any(axis=1)
+    return max(float(run.time[np.argmax(changed)]) - 1.0, 0.0)
+
+
+def _part(run: Run, begin: float, seconds: float) -> Run:
+    """So many seconds of a run, from `begin`; a given first state is that of its beginning only."""
+    part = run.where((run.time >= begin) & (run.time <= begin + seconds))
+    return replace(part, time=part.time - part.time[0], init_qpos=None, init_qvel=None) if begin else part
 
 
 def _assemble(

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 
 from benchmarks.diagnosis.unstable import DRONE, fly
 from realsim.gap import Case, DiagnoseConfig, diagnose, load_case
+from realsim.gap.answer.patch import apply_patch
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.free_starts import free_starts
 from realsim.gap.simulation.anchors import LEAST
@@ -28,15 +30,15 @@ EFFECTS = replace(CONFIG, effects=("payload", "com_offset", "external_force", "v
 
 
 def flights(
-    folder: Path, *, payload: float = 0.0, com: float = 0.0, thrust: float = 1.0, runs: int = 4, seconds: float = 3.0
+    folder: Path, *, payload: float = 0.0, com: float = 0.0, thrust: Any = 1.0, runs: int = 4, seconds: float = 3.0
 ) -> Case:
-    """Of a drone that is `payload` kg heavier than its model, its centre of mass `com` m in front, its thrust `thrust`
-    times as high."""
+    """Of a drone that is `payload` kg heavier than its model, its centre of mass `com` m in front, its thrust (or that
+    of each rotor) `thrust` times as high."""
     spec, rng = mujoco.MjSpec.from_string(DRONE), np.random.default_rng(0)
     spec.body("drone").mass += payload
     spec.body("drone").ipos = [com, 0.0, 0.0]
-    for rotor in spec.actuators:
-        rotor.gainprm = rotor.gainprm * thrust
+    for rotor, ratio in zip(spec.actuators, np.broadcast_to(thrust, 4), strict=True):
+        rotor.gainprm = rotor.gainprm * ratio
     (folder / "runs").mkdir(parents=True)
     (folder / "model.xml").write_text(DRONE)
     (folder / "log.json").write_text(json.dumps(LOG | {"base": "floating", "torque_kind": "none", "imu_site": "imu"}))
@@ -162,6 +164,17 @@ def test_a_drone_is_diagnosed(tmp_path: Path, truth: dict[str, float], effect: s
     (cause,) = found.causes
     assert cause["effect"] == effect
     assert cause["parameters"][name]["value"] == pytest.approx(next(iter(truth.values())), rel=0.1)
+
+
+def test_a_weak_rotor_is_told_from_the_others(tmp_path: Path) -> None:
+    case = flights(tmp_path / "case", thrust=(0.85, 1, 1, 1), runs=2, seconds=1.5)
+    found = diagnose(case, replace(CONFIG, effects=("thrust_gain",)))
+    (cause,) = found.causes
+    assert cause["actuators"] == ["rotor0"]
+    assert cause["parameters"]["ratio"]["value"] == pytest.approx(0.85, abs=0.005)
+    spec = mujoco.MjSpec.from_string(DRONE)
+    apply_patch(spec, found.patch)
+    np.testing.assert_allclose([a.gainprm[0] for a in spec.actuators], [0.85, 1, 1, 1], atol=0.005)
 
 
 @pytest.mark.slow

@@ -46,6 +46,13 @@ def test_it_needs_its_pose(tmp_path: Path) -> None:
         load_case(case_in(tmp_path / "case", base_quat=None))
 
 
+def test_a_drone_on_the_floor_is_refused(tmp_path: Path) -> None:
+    lying = np.random.default_rng(0).normal(0, 1e-4, (200, 3))
+    case = case_in(tmp_path / "case", command=np.zeros((200, 1)), base_pos=lying)
+    with pytest.raises(GapError, match=r"nothing|constant|more noise than motion"):
+        diagnose(load_case(case), DiagnoseConfig(threads=1, report=False))
+
+
 def test_joints_of_the_model_are_not_left_out_silently(tmp_path: Path) -> None:
     weight = '<inertial pos="0 0 0" mass="0.01" diaginertia="1e-6 1e-6 1e-6"/>'
     arm = f'<body name="arm"><joint name="tilt" axis="0 1 0"/>{weight}</body>'

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -13,7 +14,7 @@ import pytest
 
 from realsim.core.errors import GapError, RealsimError, UnknownNameError
 from realsim.gap import DiagnoseConfig, diagnose, explain, load_case
-from realsim.gap.pipeline import replicates
+from realsim.gap.pipeline import limited, replicates
 from realsim.gap.run import check_case, run_case
 
 from .truth import Truth
@@ -358,7 +359,7 @@ def test_long_runs_with_few_samples_at_first_are_left_out_and_said(case: Path) -
     def late(t):
         return t + 5.0 * (np.arange(len(t)) > 10)
 
-    change(case, "run_02", time=late)
+    change(case, "run_02", time=late, command=lambda c: c + 1e-4 * np.arange(len(c))[:, None])
     config = DiagnoseConfig(effects=("command_delay",), max_seconds=2.0, bootstrap=20)
     found = diagnose(load_case(case), config)
     assert "left out: run_02 has less than 20 samples until then" in found.health["warnings"]
@@ -366,6 +367,19 @@ def test_long_runs_with_few_samples_at_first_are_left_out_and_said(case: Path) -
         change(case, path.stem, time=lambda t: 30 * t)
     with pytest.raises(GapError, match=r"too short[\s\S]*max_seconds"):
         diagnose(load_case(case), config)
+
+
+def test_a_run_that_stands_for_minutes_is_used_from_where_it_moves(case: Path) -> None:
+    run = load_case(case).runs[0]
+    still = np.concatenate([np.zeros(3000, int), np.arange(len(run.time))])
+    time = np.concatenate([0.1 * np.arange(3000), 300 + run.time])
+    long = replace(run.where(still), time=time)
+    (cut,) = limited(load_case(case).with_runs((long,)), DiagnoseConfig(max_seconds=3.0)).runs
+    first = np.argmax((run.command != run.command[0]).any(axis=1))
+    assert cut.time[0] == 0
+    moved = np.argmax((cut.command != cut.command[0]).any(axis=1))
+    assert cut.time[moved] == pytest.approx(1.0, abs=0.11)
+    np.testing.assert_array_equal(cut.signals["joint_pos"][moved], run.signals["joint_pos"][first])
 
 
 @pytest.mark.parametrize("effect", ["camera_delay", "ground_friction"])

@@ -97,6 +97,20 @@ def test_plain_mistakes_are_refused(good: Case, change: Callable[[Run], Run], sa
         health(spoiled(good, change))
 
 
+def noise_about_rest(values: Any) -> Any:
+    return values[:1] + np.random.default_rng(0).normal(0, 0.05, values.shape)
+
+
+def test_positions_that_are_noise_are_refused(good: Case) -> None:
+    with pytest.raises(GapError, match="more noise than motion"):
+        health(spoiled(good, with_signal("joint_pos", noise_about_rest)))
+
+
+def test_a_joint_that_does_not_move_is_said(good: Case) -> None:
+    found = health(spoiled(good, with_signal("joint_pos", column(1, lambda p: noise_about_rest(p[:, None])[:, 0]))))
+    assert any("more noise than motion: joint_pos of elbow" in w for w in found["warnings"])
+
+
 def even(run: Run) -> Run:
     return replace(run, time=np.arange(len(run.time)) * 0.008)
 

@@ -13,7 +13,7 @@ from realsim.core.statistics import Z90
 from realsim.gap import figures
 from realsim.gap.answer.arrays import Arrays
 from realsim.gap.effects import EFFECTS
-from realsim.gap.effects.lookup import lookup
+from realsim.gap.effects.lookup import PLACES, lookup
 from realsim.gap.inference.causes.fit import Cause, Fit
 from realsim.gap.inference.causes.fitted import Trial
 from realsim.gap.inference.causes.select import Selection
@@ -121,14 +121,8 @@ def describe_cause(
         reported[p.label or name] = {"value": p.report(value), "unit": p.unit, "ci90": ends}
         if note:
             reported[p.label or name]["note"] = note
-    found: dict[str, Any] = {"effect": cause.candidate.effect}
-    if effect.scope == "joint":
-        found["joints"] = list(cause.candidate.place)
-    elif effect.scope in ("body", "terrain"):
-        found["bodies"] = list(cause.candidate.place)
-    found["parameters"] = reported
-    found["probability"] = probability
-    return found
+    places = {key: list(cause.candidate.place)} if (key := PLACES.get(effect.scope)) else {}
+    return {"effect": cause.candidate.effect, **places, "parameters": reported, "probability": probability}
 
 
 def describe_set(

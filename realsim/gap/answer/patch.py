@@ -144,13 +144,14 @@ def _belongs(model: Any, patch: dict[str, Any], joints: tuple[str, ...]) -> None
     known = {
         "joint": {model.joint(i).name for i in range(model.njnt)},
         "body": {model.body(i).name for i in range(model.nbody)},
+        "actuator": {model.actuator(i).name for i in range(model.nu)},
     }
     for joint in joints:
         if joint not in known["joint"]:
             raise GapError("the patch belongs to another model", found=f"no joint {joint!r}")
     for item in patch["settings"]:
         scope = EFFECTS[item["effect"]].scope
-        kind = "joint" if scope == "joint" else "body"
+        kind = scope if scope in known else "body"
         for name in item["place"] if scope != "global" else ():
             if name not in known[kind]:
                 raise UnknownNameError(f"{kind} of the patch", name, known[kind])

@@ -12,6 +12,7 @@ from realsim.gap.case.case import Case
 from realsim.gap.case.split import replicates
 from realsim.gap.effects import EFFECTS
 from realsim.gap.effects.base import When
+from realsim.gap.effects.lookup import places_of
 from realsim.gap.verdicts import GapVerdict
 
 Cause = dict[str, Any]
@@ -95,7 +96,7 @@ def clause(cause: Cause) -> str:
     """What the model lacks or has too much of, without intervals: `lacks 0.21 kg on forearm`."""
     effect, parameters = EFFECTS[cause["effect"]], cause["parameters"]
     words, passing = effect.words, effect.law.passing
-    names = ", ".join(_plain(n) for n in cause.get("joints") or cause.get("bodies") or [])
+    names = ", ".join(_plain(n) for n in places_of(cause))
     place = f" {'on' if cause.get('bodies') else 'at'} {names}" if names else ""
     if words.ratio_of:
         parameters = {n: _percent(p, words.ratio_of) for n, p in parameters.items()}
@@ -181,14 +182,14 @@ def _either(causes: Sequence[Cause], equivalent: Sequence[Sequence[Cause]]) -> s
 
 
 def _same(a: Cause, b: Cause) -> bool:
-    return all(a.get(key) == b.get(key) for key in ("effect", "joints", "bodies"))
+    return a["effect"] == b["effect"] and places_of(a) == places_of(b)
 
 
 def phrase(cause: Cause) -> str:
     """left knee: Coulomb friction 1.9 N m [1.6, 2.2] is missing."""
     effect, parameters = EFFECTS[cause["effect"]], cause["parameters"]
     words, passing = effect.words, effect.law.passing
-    names = ", ".join(_plain(n) for n in cause.get("joints") or cause.get("bodies") or [])
+    names = ", ".join(_plain(n) for n in places_of(cause))
     place = f"{names}: " if names else ""
     if words.ratio_of:
         parameters = {n: _percent(p, words.ratio_of) for n, p in parameters.items()}

@@ -24,7 +24,7 @@ from realsim.gap.config import DiagnoseConfig
 from realsim.gap.drift.pair import pair_of
 from realsim.gap.effects import EFFECTS
 from realsim.gap.effects.base import Parameter
-from realsim.gap.effects.lookup import SINCE, lookup
+from realsim.gap.effects.lookup import PLACES, SINCE, lookup, places_of
 from realsim.gap.inference.causes.fit import Fitter
 from realsim.gap.inference.causes.fitted import Cause, Fit
 from realsim.gap.inference.causes.leftover import is_gap, leftover
@@ -173,13 +173,8 @@ def _described(shared: Fit, found: Fit) -> list[dict[str, Any]]:
             start = known.get(p.name, p.default)
             before = start if p.strength or known else np.nan
             parameters[p.name] = _parameter(p, before, start, value - p.default, sigma)
-        entry: dict[str, Any] = {"effect": name}
-        scope = lookup(name).scope
-        if scope == "joint":
-            entry["joints"] = list(c.place)
-        elif scope in ("body", "terrain"):
-            entry["bodies"] = list(c.place)
-        listed.append(entry | {"parameters": parameters})
+        places = {key: list(c.place)} if (key := PLACES.get(lookup(name).scope)) else {}
+        listed.append({"effect": name, **places, "parameters": parameters})
     return listed
 
 
@@ -224,7 +219,7 @@ def sentence(verdict: str, changes: Sequence[Change], equivalent: Sequence[Seque
 def phrase(change: Change) -> str:
     """elbow: Coulomb friction grew by 0.31 N m [0.26, 0.36], from 0 to 0.31."""
     title = EFFECTS[change["effect"]].title
-    names = ", ".join(change.get("joints") or change.get("bodies") or [])
+    names = ", ".join(places_of(change))
     every, place = change["parameters"], ""
     if all(a in every and every[a]["change"] is None for a in "xyz"):  # where a mass sits that was not there
         place = f" at ({', '.join(number(round(every[a]['now'], 3)) for a in 'xyz')}) m"

@@ -79,8 +79,9 @@ class Parameter:
 class Where:
     """The places at which an effect can act."""
 
-    scope: Literal["joint", "body", "terrain", "global", "sensor"]
-    """What a place names: joints, bodies, static bodies that the robot touches, or nothing. `sensor`: of nuisances."""
+    scope: Literal["joint", "body", "actuator", "terrain", "global", "sensor"]
+    """What a place names: joints, bodies, actuators, static bodies that the robot touches, or nothing. `sensor`: of
+    nuisances."""
     find: Callable[[Context], list[Place]]
 
 

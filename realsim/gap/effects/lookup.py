@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 from realsim.gap.case.model.context import Context
 from realsim.gap.effects import EFFECTS
@@ -16,6 +17,8 @@ SINCE = " since"
 DAILY = 0.5
 """Standard deviation of what comes and goes from day to day, as a share of the everyday deviations between robots: a
 joint's friction differs by some percent between a cold and a warm morning. Not tuned."""
+PLACES = {"joint": "joints", "body": "bodies", "terrain": "bodies", "actuator": "actuators"}
+"""Scope of an effect -> key of the places in a cause of the contract's form; those of the other scopes have none."""
 
 
 def lookup(name: str) -> Effect:
@@ -45,7 +48,13 @@ def _change(name: str) -> Effect:
     return replace(effect, name=name + SINCE, parameters=parameters, rivals=others)
 
 
-_WHERE = {"joint": "on joints", "body": "on bodies", "terrain": "on pieces of terrain", "global": "everywhere"}
+_WHERE = {
+    "joint": "on joints",
+    "body": "on bodies",
+    "actuator": "on actuators",
+    "terrain": "on pieces of terrain",
+    "global": "everywhere",
+}
 
 
 def explain(effect: str) -> str:
@@ -67,3 +76,8 @@ def explain(effect: str) -> str:
             f"in a patch:  {how}",
         ]
     )
+
+
+def places_of(cause: Mapping[str, Any]) -> list[str]:
+    """Joints, bodies or actuators of a cause in the contract's form."""
+    return [name for key in ("joints", "bodies", "actuators") for name in cause.get(key) or ()]

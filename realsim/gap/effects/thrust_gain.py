@@ -18,20 +18,19 @@ def _thrusters(context: Context) -> list[str]:
 
 
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
-    ratio = math.exp(values["ratio"])
-    for name in _thrusters(edit.context):
-        edit.scale_drive(name, ratio)
+    for name in place or _thrusters(edit.context):  # patches of earlier versions name none
+        edit.scale_drive(name, math.exp(values["ratio"]))
 
 
 EFFECT = Effect(
     name="thrust_gain",
-    where=Where("global", lambda context: [()] if _thrusters(context) else []),
+    where=Where("actuator", lambda context: [(name,) for name in _thrusters(context)]),
     parameters=gain(0.1, 0.015),
     apply=_apply,
     words=Words(
         title="thrust",
-        description="All thrusters (actuators on a site or a body) push by a ratio: air density, battery, propellers.",
-        signature="Less lift like a mass that is not there, but the turning is slower, too.",
+        description="A thruster (an actuator on a site or a body), or all, push by a ratio: propeller, battery, air.",
+        signature="Less lift like a mass that is not there, but the turning is slower, too; of one rotor, a lean.",
         excitation=("climbing and turning",),
         changed_by="another battery or propeller, another altitude",
     ),

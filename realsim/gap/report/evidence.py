@@ -9,7 +9,8 @@ from typing import Any
 from realsim.gap.answer.arrays import Arrays
 from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.effects import EFFECTS
-from realsim.gap.report.words import after, interval, percent, place_of, places, title_of
+from realsim.gap.effects.lookup import places_of
+from realsim.gap.report.words import after, interval, percent, places, title_of
 from realsim.report import page, svg
 
 APPLY = """\
@@ -40,7 +41,7 @@ def _cause_table(causes: Sequence[Mapping[str, Any]]) -> str:
     for c in causes:
         named = c["parameters"].items()
         values = "".join(f"<div>{page.esc(_parameter(n, p, len(named)))}</div>" for n, p in named)
-        what = f"<b>{page.esc(title_of(c['effect']))}</b><small>{page.esc(places(place_of(c)))}</small>"
+        what = f"<b>{page.esc(title_of(c['effect']))}</b><small>{page.esc(places(places_of(c)))}</small>"
         rows.append([what, values])
     return page.table(["effect", "value [90 % interval]"], rows, raw=[0, 1])
 

@@ -10,8 +10,9 @@ from realsim.core.types import F64
 from realsim.gap.answer.arrays import Arrays
 from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.case.case import Case, Run
+from realsim.gap.effects.lookup import places_of
 from realsim.gap.report.series import place_shares
-from realsim.gap.report.words import HEAT, NOT_KEPT, place_of
+from realsim.gap.report.words import HEAT, NOT_KEPT
 from realsim.report import page, raster, svg
 from realsim.report.solids import Solid, extent, ring, rod, solids
 from realsim.report.viewer3d import Layer, viewer
@@ -45,7 +46,7 @@ def robot_card(found: Diagnosis) -> str:
 
 
 def _key(found: Diagnosis) -> str:
-    if not any(place_of(c) for c in found.causes):
+    if not any(places_of(c) for c in found.causes):
         return ""
     mark = f'<i style="background:rgb{_MARK}"></i>'
     return f'<div class="legend"><span>{mark}where the diagnosis puts the cause</span></div>'

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from realsim.gap.answer.diagnosis import Diagnosis
+from realsim.gap.effects.lookup import places_of
 from realsim.gap.report.words import title_of
 from realsim.report import page, svg
 
@@ -49,7 +50,7 @@ def since_card(found: Diagnosis) -> list[str]:
 def _rows(changes: Iterable[Mapping[str, Any]]) -> list[list[str]]:
     rows = []
     for change in changes:
-        places = ", ".join(change.get("joints") or change.get("bodies") or [])
+        places = ", ".join(places_of(change))
         for name, p in change["parameters"].items():
             ends = p["ci90"] or p.get("now_ci90") or []
             rows.append(

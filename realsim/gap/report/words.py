@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
 from realsim.gap.answer.diagnosis import Diagnosis
@@ -43,11 +43,6 @@ def places(names: Iterable[str], most: int = 4) -> str:
 def after(stage: int) -> str:
     """In which company an effect was fitted: beside how many causes that were found before."""
     return f"after {stage} cause{'s' * (stage != 1)}"
-
-
-def place_of(cause: Mapping[str, Any]) -> list[str]:
-    """Joints or bodies of a cause in the contract's form."""
-    return list(cause.get("joints") or cause.get("bodies") or [])
 
 
 def percent(share: float) -> str:
