@@ -35,7 +35,7 @@ def main() -> int:
     parser.add_argument("--shared", type=Path, default=Path(os.environ.get("REALSIM_SHARED", "../shared")))
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--minutes", type=float, default=float("inf"), help="of all together")
-    parser.add_argument("--seconds", type=int, default=300, help="of one case; then it counts as crashed")
+    parser.add_argument("--seconds", type=int, default=300, help="CPU time of a case; then it counts as crashed")
     parser.add_argument("--parts", nargs="*", choices=PARTS, default=list(PARTS))
     parser.add_argument("--seed", type=int, default=3001, help="of the fresh cases")
     parser.add_argument("--cases", type=int, default=60, help="fresh ones")

@@ -507,6 +507,9 @@ def main() -> None:
         store.rows = []
     with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
         for done in as_completed([pool.submit(stood, task) for task in tasks]):
+            if done.exception():
+                print(f"CRASHED: {done.exception()!r}", flush=True)
+                continue
             rows.append(row := done.result())
             mark = "ok  " if row["right"] else "MISS" if row["kind"] else "FALSE"
             print(f"{mark} {row['policy']:8} {row['kind'] or 'healthy':18} seed {row['seed']} {row['cpu_s']} s "

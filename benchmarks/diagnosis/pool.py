@@ -32,7 +32,7 @@ class Job:
     """`module:function` of the engine that is taken out (it proposes nothing), or `module:FIGURE=value` that it has
     instead; several with commas between them."""
     seconds: int = 0
-    """After so many it counts as crashed; 0: it may take as long as it takes."""
+    """CPU time after which it counts as crashed; 0: it may take as long as it takes."""
 
 
 def diagnose_all(jobs: Sequence[Job], processes: int, minutes: float = float("inf")) -> None:
@@ -116,7 +116,7 @@ def _answer(found: Any) -> dict[str, Any]:
 
 
 def _give_up(seconds: int, *_: Any) -> None:
-    raise TimeoutError(f"no answer in {seconds} s")
+    raise TimeoutError(f"no answer in {seconds} s of CPU time")
 
 
 def _diagnose(job: Job) -> str:
@@ -131,8 +131,8 @@ def _diagnose(job: Job) -> str:
     name = f"{job.out.parent.name}/{job.out.name}"
     for name_of_part in filter(None, job.without.split(",")):
         take_out(name_of_part)
-    signal.signal(signal.SIGALRM, partial(_give_up, job.seconds))
-    signal.alarm(job.seconds)
+    signal.signal(signal.SIGPROF, partial(_give_up, job.seconds))
+    signal.setitimer(signal.ITIMER_PROF, job.seconds)
     try:
         config = DiagnoseConfig(threads=1, report=False, **job.settings)
         found = diagnose(load_case(job.case), config, look=first_choices)

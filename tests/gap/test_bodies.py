@@ -11,6 +11,8 @@ import pytest
 
 from realsim.core.errors import GapError
 from realsim.gap import DiagnoseConfig, diagnose, load_case
+from realsim.gap.experiments.plan import Planned, planned_case, rig_of
+from realsim.gap.simulation.simulate import Simulator
 
 CRAZYFLIE = Path(os.environ.get("REALSIM_SHARED", "../shared")) / "cases" / "logs" / "cf_W3_M3"
 FLYING = """<mujoco><option timestep="0.005"/><worldbody><body name="drone"><freejoint/>
@@ -73,3 +75,13 @@ def test_a_weight_beside_a_rotor_is_named_with_its_place() -> None:
     low, high = weight["parameters"]["mass"]["ci90"]
     assert low < 0.0039 < high
     assert weight["parameters"]["x"]["value"] < 0 < weight["parameters"]["y"]["value"]
+
+
+def test_an_experiment_is_planned_without_joints(tmp_path: Path) -> None:
+    case = load_case(case_in(tmp_path / "case"))
+    with Simulator(case, DiagnoseConfig(threads=1)) as simulator:
+        rig = rig_of(simulator.context_of_all_runs(), 2.0, 0)
+    time = np.arange(0, 2, 0.01)
+    (run,) = planned_case(rig, [Planned("hover", time, np.full((len(time), 1), 0.3))]).runs
+    assert run.signals["joint_pos"].shape == (len(time), 0)
+    np.testing.assert_array_equal(run.signals["base_pos"], np.tile([0, 0, 1.0], (len(time), 1)))

@@ -24,15 +24,15 @@ class Caster:
 
     def cast(self, origins: Tensor, directions: Tensor, terrain_ids: Tensor, far: float) -> Tensor:
         """See `RayCaster.cast`."""
-        import open3d as o3d
-
         rays = torch.cat([origins, directions], dim=-1).to("cpu", torch.float32)
         terrain_ids = terrain_ids.cpu()
         hit = ground_distance(rays[..., :3], rays[..., 3:], self._floor[terrain_ids][:, None])
         flat, distance = rays.numpy(), hit.numpy()
         for index in np.unique(terrain_ids):
             scene = self._scene(int(index))
-            if scene is not None:
+            if scene is not None:  # bare ground needs no Open3D
+                import open3d as o3d
+
                 rows = np.flatnonzero(terrain_ids.numpy() == index)
                 found = scene.cast_rays(o3d.core.Tensor.from_numpy(np.ascontiguousarray(flat[rows])))["t_hit"].numpy()
                 distance[rows] = np.minimum(distance[rows], found)
@@ -40,12 +40,12 @@ class Caster:
 
     def _scene(self, index: int) -> Any:
         """Made when a world first asks for that terrain; None for bare ground."""
-        import open3d as o3d
-
         terrain = self.terrains[index]
         if not len(terrain.triangles):
             return None
         if index not in self._scenes:
+            import open3d as o3d
+
             scene = o3d.t.geometry.RaycastingScene()
             scene.add_triangles(
                 o3d.core.Tensor.from_numpy(np.ascontiguousarray(terrain.vertices, np.float32)),
