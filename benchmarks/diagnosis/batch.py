@@ -1,16 +1,18 @@
 """All benchmarks of the diagnosis that need no made cases from elsewhere, in one pool, the most wanted first.
 
     python benchmarks/diagnosis/batch.py --jobs 14 --minutes 9 --out out/batch     # goes on where it was broken off
+    python benchmarks/diagnosis/batch.py --score --out out/batch      # into benchmarks/results, as REALSIM_COMMIT's
 
 The policies' contracts (contract.py), errors put into models of real robots (put_in.py), damaged drones (flights.py), a
-fresh made seed (sweep.py), real report logs (real.py): the answers lie in a folder each below --out, from where the
-scripts named here score them (`--work`).
+fresh made seed, real report logs (real.py): the answers lie in a folder each below --out. The fresh seed and the real
+logs are scored by `withheld.py --score --work OUT/fresh/as_drawn` and `real.py score --work OUT/real --part report`.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -22,11 +24,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks.diagnosis import flights, put_in, real
 from benchmarks.diagnosis.hardware.logs import LOGS
-from benchmarks.diagnosis.pool import Job, diagnose_all
+from benchmarks.diagnosis.pool import Job, diagnose_all, read
+from benchmarks.store import Store
 from realsim.gap.provenance import engine
 from tests.truths.diagnosis.cases import make_labelled, plan, read_labels
 
 HERE = Path(__file__).parent
+RESULTS = HERE.parent / "results"
 PARTS = ("contract", "put_in", "flights", "fresh", "real")
 
 
@@ -40,7 +44,10 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=3001, help="of the fresh cases")
     parser.add_argument("--cases", type=int, default=60, help="fresh ones")
     parser.add_argument("--out", type=Path, default=Path("out/batch"))
+    parser.add_argument("--score", action="store_true", help="store what was answered, and run nothing")
     args = parser.parse_args()
+    if args.score:
+        return score(args)
     began, work = time.monotonic(), args.out
     if "contract" in args.parts:
         command = [str(HERE / "contract.py"), "--jobs", str(args.jobs), "--out", str(work / "contract.json")]
@@ -62,6 +69,23 @@ def main() -> int:
         real.make(options, names)
         minutes = args.minutes - (time.monotonic() - began) / 60
         diagnose_all([real.job(options.work, n) for n in real.read_labels(options.work, names)], args.jobs, minutes)
+    return 0
+
+
+def score(args: argparse.Namespace) -> int:
+    """Rows of the contracts, the unseen robots and the flights."""
+    if (args.out / "contract.json").is_file():
+        shutil.copy(args.out / "contract.json", RESULTS / "gap_contract.json")
+    for part, store in (("put_in", Store(RESULTS / "gap_put_in.json", ("case",))),
+                        ("flights", Store(RESULTS / "gap_flights.json", ("case",)))):  # fmt: skip
+        store.rows = []
+        labels = put_in.labelled(args.shared)
+        for folder in sorted(f for f in (args.out / part).glob("*/*") if f.parent.name != "cases"):
+            found, name = read(Job(folder, folder)), folder.name
+            if found is not None:
+                store.add(
+                    put_in.scored(name, labels[name][1], found) if part == "put_in" else flights.judged(name, found)
+                )
     return 0
 
 

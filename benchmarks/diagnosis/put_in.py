@@ -66,7 +66,7 @@ def main() -> int:
     rows = []
     for name, (_, label) in cases.items():
         if (answer := read(jobs[name])) is not None:
-            rows.append(store.add(row(name, label, answer) | {"judged": judged(label, answer), "sizes": sizes(answer)}))
+            rows.append(store.add(scored(name, label, answer)))
             print(line(rows[-1]))
     count = Counter(r["judged"] for r in rows if r["judged"] != "not visible")
     print(f"engine {engine()}, {len(rows)} cases: " + ", ".join(f"{n} {what}" for what, n in count.most_common()))
@@ -86,6 +86,11 @@ def labelled(shared: Path) -> dict[str, tuple[Path, Row]]:
             label = {"effects": effects, "alike": alike, "visibility": [], "cls": cls, "visible": True}
             found[name] = folder, label | {"log": name, "part": "logs"}
     return found
+
+
+def scored(name: str, label: Row, answer: Row) -> Row:
+    """The row of a case."""
+    return row(name, label, answer) | {"judged": judged(label, answer), "sizes": sizes(answer)}
 
 
 def judged(label: Row, answer: Row) -> str:

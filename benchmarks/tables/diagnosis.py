@@ -7,7 +7,7 @@ from statistics import median
 from benchmarks.diagnosis import real as gap_real
 from benchmarks.diagnosis import sweep as gap_sweep
 from benchmarks.diagnosis import unstable as gap_unstable
-from benchmarks.tables.stored import share, stored
+from benchmarks.tables.stored import Row, share, stored
 
 REAL = {
     "single_first_right": ("one error: right cause first under a verdict that names one", ""),
@@ -47,6 +47,40 @@ def real_logs() -> list[str]:
             f"| lenient, error changes the motion by {title} the baseline's rest | {share((sum(part), len(part)))} | |"
         )
     return lines
+
+
+def unseen() -> list[str]:
+    """Robots that development never had, drones with known damage, and policies that are run wrongly."""
+    rows = stored("gap_put_in")["rows"]
+    put_in = [r for r in rows if r["part"] == "put_in" and r["cls"] == "single" and r["judged"] != "not visible"]
+    none = [r for r in rows if r["cls"] == "none"]
+    once = [r for r in rows if r["part"] == "logs"]
+    flown, contract = stored("gap_flights")["rows"], stored("gap_contract")["rows"]
+    damaged, wrong = [r for r in flown if r["truth"]], [r for r in contract if r["kind"]]
+    normal, right = [r for r in flown if not r["truth"]], [r for r in contract if not r["kind"]]
+
+    def judged(of: list[Row], *words: str) -> str:
+        return share((sum(r["judged"] in words for r in of), len(of)))
+
+    def flagged(of: list[Row], name: str) -> str:
+        return share((sum(bool(r[name]) for r in of), len(of)))
+
+    alike = ("first right", "equivalent", "among the named")
+    lines = [
+        ("one visible error in a model: right cause named first", judged(put_in, "first right"), "11 of 13"),
+        ("the same, or what moves the robot alike", judged(put_in, *alike), ""),
+        ("`identified` with a wrong cause, of all these", judged(rows, "SURE AND WRONG"), "none"),
+        ("nothing put in, nothing named", judged(none, "nothing put in, not named"), ""),
+        ("logs that once got a wrong answer: right", judged(once, *alike), "all right or honest"),
+        ("the same: wrong under a verdict that names a cause", judged(once, "wrong"), ""),
+        ("damaged drones: mass or thrust, rightly", flagged(damaged, "kind_right"), "80 %"),
+        ("damaged drones: at the right arm", flagged(damaged, "arm_right"), "80 %"),
+        ("normal flights, nothing named", flagged(normal, "kind_right"), "all"),
+        ("policies run wrongly: all mistakes named, and no other", flagged(wrong, "right"), "95 %"),
+        ("policies run wrongly: a wrong answer that is sure", flagged(wrong, "wrong_and_sure"), "none"),
+        ("policies run rightly: no mistake named", flagged(right, "right"), "40 of 40"),
+    ]  # fmt: skip
+    return ["| measure | result | bar |", "|---|---|---|", *(f"| {' | '.join(line)} |" for line in lines)]
 
 
 def experiments() -> list[str]:

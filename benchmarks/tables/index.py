@@ -43,6 +43,12 @@ INDEX = (
         "python benchmarks/diagnosis/real.py score --part report",
     ),
     (
+        "Robots that development never had: errors put in, logs that once got a wrong answer",
+        "gap_put_in",
+        "python benchmarks/diagnosis/batch.py",
+    ),
+    ("Real flights of drones with known damage", "gap_flights", "python benchmarks/diagnosis/batch.py"),
+    (
         "Robots that only their controller holds up",
         "gap_unstable",
         "python benchmarks/diagnosis/unstable.py [--open-loop]",
@@ -133,6 +139,8 @@ KEYS = {
     "gap_contract": ("policy", "kind", "seed"),
     "gap_next": ("seed", "case", "engine"),
     "gap_real": ("case", "engine"),
+    "gap_put_in": ("case",),
+    "gap_flights": ("case",),
     "gap_since": ("seed", "pair"),
     "gap_sweep": gap_sweep.KEY,
     "gap_sysid": ("case",),

@@ -37,6 +37,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "fresh seed": fresh.fresh,
     "fresh seed by robot": fresh.by_robot,
     "real logs": diagnosis.real_logs,
+    "unseen robots": diagnosis.unseen,
     "unstable robots": diagnosis.unstable,
     "sweep": diagnosis.sweep,
     "times": diagnosis.times,
