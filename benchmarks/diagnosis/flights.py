@@ -121,10 +121,11 @@ def judged(name: str, found: Row) -> Row:
     named = found["causes"] if found["verdict"] in NAMES else []
     kind = SORTS.get(named[0]["effect"], named[0]["effect"]) if named else ""
     truth = KINDS[condition]
+    answered = found["verdict"] not in ("crashed", "refused")
     motor = next((p for p in condition.split("_") if p in ("M3", "M4")), "")
     return {
         "case": name, "engine": found["provenance"]["engine"], "drone": log[:2], "truth": truth, "kind": kind,
-        "verdict": found["verdict"], "sizes": sizes(found), "kind_right": kind == truth and found["verdict"] not in ("crashed", "refused"),
+        "verdict": found["verdict"], "sizes": sizes(found), "kind_right": answered and kind == truth,
         "arm_right": bool(named) and arm(named[0]) == motor, "seconds": found.get("seconds"),
         "cpu_seconds": found.get("cpu_seconds"), "said": found.get("said") or found.get("sentence"),
     }  # fmt: skip
