@@ -74,7 +74,7 @@ def conclude(
         nominal: (T, C) a run, of the nominal simulator, all runs of the case.
     """
     notes: list[str] = list(selection.notes)
-    fit, left, dropped = _lasting(screen, fitter, selection.fit, notes)
+    fit, left, dropped = _lasting(screen, fitter, selection, notes)
     if fit is selection.fit:
         given = [f for f in selection.equivalent if not _again(screen, f, fit)]
     else:  # the search compared other sets: what is as good as what lasts is looked for anew
@@ -142,30 +142,52 @@ def _lead(fitter: Fitter, trials: Sequence[Trial]) -> Fit | None:
 # ---------------------------------------------------------------- on the fitted runs
 
 
-def _lasting(screen: Screen, fitter: Fitter, fit: Fit, notes: list[str]) -> tuple[Fit, LeftOut | None, list[Cause]]:
+def _lasting(
+    screen: Screen, fitter: Fitter, selection: Selection, notes: list[str]
+) -> tuple[Fit, LeftOut | None, list[Cause]]:
     """(the causes without those that do not help the others to predict left-out runs, these runs, what was dropped).
 
     Of several that left-out runs do not need, the one goes that explains least: two that do much the same (dry and
-    viscous friction) are hardly needed beside each other, and the larger one is the cause."""
-    dropped: list[Cause] = []
+    viscous friction) are hardly needed beside each other, and the larger one is the cause. Where it is a law that holds
+    a plainer one as a special case, that one stays if it is needed."""
+    fit, dropped = selection.fit, list[Cause]()
     while fit.causes:
         left = leave_out(screen, fitter, fit)
         if len(screen.runs) < 2 or len(fit.causes) == 1:
             return fit, left, dropped
-        weakest: tuple[float, Fit, Cause] | None = None
+        weakest: tuple[float, Fit, LeftOut, Cause] | None = None
         for i, cause in enumerate(fit.causes):
             less = fitter.fit([c for j, c in enumerate(fit.causes) if j != i])
             if less is None:
                 continue
-            gain, error = left.gained_over(leave_out(screen, fitter, less))
-            if gain <= max(figures.HOLDS * error, figures.LEAST) and (weakest is None or less.misfit < weakest[0]):
-                weakest = (less.misfit, less, cause)
+            without = leave_out(screen, fitter, less)
+            if not _needed(left, without) and (weakest is None or less.misfit < weakest[0]):
+                weakest = (less.misfit, less, without, cause)
         if weakest is None:
             return fit, left, dropped
-        notes.append(f"{_name(weakest[2])} was taken out again: left-out runs do not need it")
-        dropped.append(weakest[2])
-        fit = weakest[1]
+        _, fit, without, cause = weakest
+        if plain := _plainer(selection.trials, cause):
+            other = fitter.fit([*fit.causes, plain])
+            if other is not None and _needed(leave_out(screen, fitter, other), without):
+                notes.append(f"{_name(plain)} takes the place of {_name(cause)}: left-out runs need no more")
+                fit = other
+                continue
+        notes.append(f"{_name(cause)} was taken out again: left-out runs do not need it")
+        dropped.append(cause)
     return fit, None, dropped
+
+
+def _needed(fit: LeftOut, less: LeftOut) -> bool:
+    """Whether left-out runs need what one set has and the other has not."""
+    gain, error = fit.gained_over(less)
+    return gain > max(figures.HOLDS * error, figures.LEAST)
+
+
+def _plainer(trials: Sequence[Trial], cause: Cause) -> Cause | None:
+    """The law that a cause holds as a special case, with the values that the search found for it there."""
+    found = [t for t in trials if t.values and contains(cause.candidate, t.candidate)]
+    best = max(found, key=lambda t: t.gain or 0.0, default=None)
+    return Cause(best.candidate, best.values) if best else None
 
 
 def _beside_imitations(
