@@ -121,7 +121,7 @@ def describe_cause(
         reported[p.label or name] = {"value": p.report(value), "unit": p.unit, "ci90": ends}
         if note:
             reported[p.label or name]["note"] = note
-    places = {key: list(cause.candidate.place)} if (key := PLACES.get(effect.scope)) else {}
+    places = {key: list(cause.candidate.place)} if (key := PLACES.get(effect.scope)) and cause.candidate.place else {}
     return {"effect": cause.candidate.effect, **places, "parameters": reported, "probability": probability}
 
 

@@ -17,14 +17,20 @@ def _thrusters(context: Context) -> list[str]:
     return [n for n in names if model.actuator_trntype[model.actuator(n).id] in [int(t) for t in pushing]]
 
 
+def _places(context: Context) -> list[Place]:
+    """All together (a battery, thin air), and each (a propeller)."""
+    names = _thrusters(context)
+    return [(), *((name,) for name in names)] if names else []
+
+
 def _apply(edit: Edit, place: Place, values: dict[str, float]) -> None:
-    for name in place or _thrusters(edit.context):  # patches of earlier versions name none
+    for name in place or _thrusters(edit.context):
         edit.scale_drive(name, math.exp(values["ratio"]))
 
 
 EFFECT = Effect(
     name="thrust_gain",
-    where=Where("actuator", lambda context: [(name,) for name in _thrusters(context)]),
+    where=Where("actuator", _places),
     parameters=gain(0.1, 0.015),
     apply=_apply,
     words=Words(

@@ -329,7 +329,7 @@ class Screen:
             effect = lookup(name)
             places = [p for p in effect.places(context) if any(a.effect == name and a.place == p for a in self.atoms)]
             groups: list[tuple[Place, ...]] = [(p,) for p in places]
-            if effect.scope in ("joint", "actuator") and len(places) > 1:
+            if effect.scope == "joint" and len(places) > 1:
                 groups += [tuple((j,) for j in g) for g in like_joints([p[0] for p in places])]
             elif effect.scope == "terrain" and len(places) > 1:
                 groups.append(tuple(places))
