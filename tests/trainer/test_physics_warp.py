@@ -92,6 +92,7 @@ def test_parameters_pushes_divergence_and_resets_are_the_same() -> None:
     some, joints = torch.tensor([1, 3]), 12
     params = WorldParams(
         friction=torch.tensor([0.4, 0.9]),
+        contact_time=torch.tensor([0.03, 0.0]),
         mass_scale=torch.tensor([1.1, 0.9]),
         payload=torch.tensor([1.0, 0.5]),
         com_offset=torch.tensor([[0.02, 0.0, 0.0], [0.0, 0.01, -0.01]]),
@@ -217,3 +218,28 @@ def test_nothing_is_freed_while_a_graph_is_captured(monkeypatch: pytest.MonkeyPa
     with pytest.raises(ZeroDivisionError):
         warp._captured(lambda: 1 / 0)
     assert gc.isenabled()
+
+
+def test_ground_that_gives_and_places_that_slip_change_the_model() -> None:
+    """As on the CPU (test_physics.py), in the fields that worlds have of their own."""
+    import mujoco_warp as mjw
+    import warp as wp
+
+    from trainer.physics.warp_params import BATCHED, WorldFields
+
+    contact = mujoco.MjSpec()
+    for name, mu in (("dry", 1.0), ("wet", 0.3)):
+        box = contact.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.4, 0.4, 0.1])
+        box.friction = [mu, 0.005, 0.0001]
+    robot = ROBOTS["quadruped"]()
+    host = world_spec(robot, replace(terrains.flat(), contact=contact), 0, PhysicsConfig(), [contact]).compile()
+    host.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    with wp.ScopedDevice("cpu"):
+        model = mjw.put_model(host, batch_sizes=dict.fromkeys(BATCHED, 3))
+        fields = WorldFields(model, host, robot, torch.device("cpu"))
+        params = WorldParams(friction=torch.tensor([0.8, 0.5]), contact_time=torch.tensor([0.1, -0.5]))
+        fields.set(torch.tensor([1, 2]), params)
+        geoms = [host.geom(name).id for name in ("scene0/dry", "scene0/wet", "FL_foot")]
+        friction, solref = wp.to_torch(model.geom_friction)[:, geoms, 0], wp.to_torch(model.geom_solref)[:, geoms, 0]
+    np.testing.assert_allclose(friction, [[1.0, 0.3, 1.0], [0.8, 0.24, 0.8], [0.5, 0.15, 0.5]], rtol=1e-6)
+    np.testing.assert_allclose(solref, [[0.02, 0.02, 0.02], [0.12, 0.12, 0.02], [0.01, 0.01, 0.02]], rtol=1e-6)
