@@ -42,7 +42,7 @@ def finetune(
         scenes: folders of `realsim reconstruct`; or names of terrains: a test (boxes, stake1, ...), flat, or
             FAMILY:DIFFICULTY:SEED.
         policy: the base policy (.pt) of `realsim pretrain` or of an earlier fine-tuning; if not given, the one
-            that ships with realsim for the robot (g1).
+            that ships with realsim for the robot (g1, go2, quadruped).
         from_scratch: train without a base.
         out: folder for the results.
         overwrite: replace the run in a folder that an earlier training wrote; --resume goes on with it.
