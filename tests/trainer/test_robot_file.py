@@ -183,3 +183,9 @@ def test_a_wrong_entry_is_named(tmp_path: Path, old: str, new: str, says: str) -
     with pytest.raises(RealsimError) as error:
         load(out)
     assert says in error.value.render()
+
+
+def test_a_file_that_is_not_there_is_named() -> None:
+    with pytest.raises(RealsimError, match="cannot be read") as error:
+        named("nowhere/dog.toml")
+    assert "dog.toml" in error.value.render()

@@ -10,10 +10,13 @@ torch = pytest.importorskip("torch", reason="the trainer needs torch (extra: tra
 
 from realsim.core.errors import UnknownNameError
 from trainer.errors import TrainerError
+from trainer.policies import base_of
+from trainer.ppo.distributed import Rank
 from trainer.ppo.motion import TROT, cycle, reference
 from trainer.robots import ROBOTS
 from trainer.tasks.parkour.amp import layout
-from trainer.trainers import BUILT_IN, Scene, find
+from trainer.trainers import BUILT_IN, Scene, TrainConfig, find
+from trainer.trainers.ppo import decide
 
 
 def test_trainers_are_found_by_name_and_unknown_ones_are_listed() -> None:
@@ -51,3 +54,10 @@ def test_standing_feet_move_back_as_fast_as_the_base_moves_ahead() -> None:
     assert np.allclose(velocity[standing, 2], 0.0, atol=0.02)
     assert feet[:, 0, 2].max() - feet[:, 0, 2].min() == pytest.approx(TROT.lift, abs=0.003)
     assert np.allclose(feet[0, 0, 2], feet[0, 3, 2], atol=1e-3)  # diagonal feet together
+
+
+def test_the_policy_of_another_robot_is_refused() -> None:
+    rank = Rank(0, 1, torch.device("cpu"))
+    with pytest.raises(TrainerError, match="for another robot") as error:
+        decide(TrainConfig(robot="go2"), base_of("quadruped"), rank)
+    assert "quadruped" in error.value.render()
