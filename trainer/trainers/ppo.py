@@ -103,27 +103,12 @@ def decide(config: TrainConfig, policy: Path | None, rank: Rank) -> Plan:
 def start(scene: Scene, file: Path | None, plan: Plan, rank: Rank) -> Runner:
     """Environment, policy and what is optional, ready to iterate."""
     config = plan.config
-    env = make(
-        plan.task,
-        scene.terrains,
-        robot=plan.robot,
-        worlds=plan.worlds,
-        engine=plan.engine,
-        physics=plan.physics,
-        rows=scene.rows,
-        diagnosis=config.diagnosis,
-        seed=config.seed,
-        graphs=config.graphs,
-    )
+    env = environment(scene, plan, graphs=config.graphs)
     if config.resume is not None:
         policy, _ = checkpoint.load(config.resume, latest=True)
         _refuse_another_strategy(policy, config)
-    elif file is not None:
-        base, _ = checkpoint.load(file)
-        policies.check_layout(base.layout, env.layout, str(file))
-        policy = policies.fine_tune(base, config.strategy or "full", config.tuning, config.seed)
     else:
-        policy = policies.new(env.layout, config.ppo.networks, plan.robot, config.seed)
+        policy = learner(file, plan, env)
     policies.check_layout(policy.layout, env.layout, str(config.resume or ""))
     losses, augment = _symmetry(config, env)
     return Runner(
@@ -137,6 +122,32 @@ def start(scene: Scene, file: Path | None, plan: Plan, rank: Rank) -> Runner:
         augment=augment,
         groups=named(plan.robot).groups,
     )
+
+
+def environment(scene: Scene, plan: Plan, graphs: bool = False) -> ParkourEnv:
+    """The worlds to train in."""
+    return make(
+        plan.task,
+        scene.terrains,
+        robot=plan.robot,
+        worlds=plan.worlds,
+        engine=plan.engine,
+        physics=plan.physics,
+        rows=scene.rows,
+        diagnosis=plan.config.diagnosis,
+        seed=plan.config.seed,
+        graphs=graphs,
+    )
+
+
+def learner(file: Path | None, plan: Plan, env: ParkourEnv) -> Policy:
+    """A new policy, or the base in `file` made ready for fine-tuning."""
+    config = plan.config
+    if file is None:
+        return policies.new(env.layout, config.ppo.networks, plan.robot, config.seed)
+    base, _ = checkpoint.load(file)
+    policies.check_layout(base.layout, env.layout, str(file))
+    return policies.fine_tune(base, config.strategy or "full", config.tuning, config.seed)
 
 
 def trials(scene: Scene, plan: Plan) -> loop.Evaluate:

@@ -20,16 +20,15 @@ from torch import Tensor, nn
 from realsim.core.errors import MissingExtraError
 from trainer.errors import TrainerError
 from trainer.ppo import checkpoint, gaussian
-from trainer.ppo import policy as policies
 from trainer.ppo.config import PPOConfig
 from trainer.ppo.distributed import Rank, pick_device
 from trainer.ppo.loop import Best, History
 from trainer.ppo.policy import Policy
 from trainer.ppo.symmetry import Mirror
 from trainer.tasks import Observation, VecEnv
-from trainer.tasks.parkour import make
 from trainer.trainers.base import Scene, TrainConfig, TrainResult
-from trainer.trainers.ppo import decide, trials, write_onnx
+from trainer.trainers.ppo import decide, environment, trials, write_onnx
+from trainer.trainers.ppo import learner as begun
 
 try:
     from rsl_rl.algorithms import PPO
@@ -48,16 +47,8 @@ def train(scene: Scene, policy: Path | None, config: TrainConfig, out: Path) -> 
     rank = Rank(0, 1, pick_device(config.device, engine=config.engine))
     plan = decide(config, policy, rank)
     settings = plan.config
-    env = make(
-        plan.task, scene.terrains, robot=plan.robot, worlds=plan.worlds, engine=plan.engine, physics=plan.physics,
-        rows=scene.rows, diagnosis=settings.diagnosis, seed=settings.seed,
-    )  # fmt: skip
-    if policy is None:
-        learner = policies.new(env.layout, settings.ppo.networks, plan.robot, settings.seed)
-    else:
-        base, _ = checkpoint.load(policy)
-        policies.check_layout(base.layout, env.layout, str(policy))
-        learner = policies.fine_tune(base, settings.strategy or "full", settings.tuning, settings.seed)
+    env = environment(scene, plan)
+    learner = begun(policy, plan, env)
     out.mkdir(parents=True, exist_ok=True)
     runner = build(env, learner.to(rank.device), settings.ppo, out / "events", settings.seed, env.mirror)
     history, best = History(), Best()
