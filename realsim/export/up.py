@@ -22,6 +22,8 @@ HABIT = 0.75
 """For z in STL, PLY, OBJ and OFF (most have it so, and phones and Blender write y); twice as much for y in GLB."""
 CLEAR = 0.9
 """What is less is a question."""
+CLOSED = 0.01
+"""Share of a surface's area that its vector area may be: that of a closed one is zero."""
 WALKABLE = np.cos(np.radians(35))
 
 
@@ -58,9 +60,14 @@ def find_up(vertices: F64, triangles: NDArray[np.int64], suffix: str) -> Up:
         return Up(usual)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
     z, y = (_facing_up(corners, cross, axis) for axis in (2, 1))
-    volume = np.einsum("ij,ij->", corners[:, 0] - corners.reshape(-1, 3).mean(0), cross)
-    if volume < -1e-3 * np.linalg.norm(cross, axis=1).sum() ** 1.5 or z.area + y.area == 0:  # inside out
-        z, y = (_facing_up(corners, -cross, axis) for axis in (2, 1))
+    turned_z, turned_y = (_facing_up(corners, -cross, axis) for axis in (2, 1))
+    area = float(np.linalg.norm(cross, axis=1).sum())
+    volume = float(np.einsum("ij,ij->", corners[:, 0] - corners.reshape(-1, 3).mean(0), cross))
+    closed = float(np.linalg.norm(cross.sum(0))) < CLOSED * area
+    # An open surface has no volume: it faces the way in which more of it can be walked on.
+    inside_out = volume < 0 if closed else turned_z.area + turned_y.area > z.area + y.area
+    if inside_out:
+        z, y = turned_z, turned_y
     ratio = float(np.log((z.area + 1e-9) / (y.area + 1e-9)))
     evidence = habit + (ratio if abs(ratio) > EDGEWISE else float(np.clip(ratio, -AREA, AREA)))
     evidence += FLOOR * (int(z.floor) - int(y.floor)) + BASE * (int(z.base) - int(y.base))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
+from manifold3d import Manifold, OpType
 
 from realsim.export.config import SceneConfig
 from realsim.export.contact.base import ContactModel, Geom, floor_plane
@@ -97,6 +98,22 @@ def test_a_seam_that_is_longer_on_both_sides_gets_a_part() -> None:
 @pytest.mark.parametrize("name", ["stairs", "stakes", "wedges"])
 def test_no_seam_is_left_on_generated_terrains(name: str) -> None:
     assert not open_seams(parts_of(boxes(Shape(terrain(name), 0.0), CONFIG))[0])
+
+
+def test_a_top_with_several_undersides_is_carried_by_one_part() -> None:
+    """No seam where feet stand: a table's top is one part over its legs, the deck of an arch one over what curves."""
+    hole = Manifold.cylinder(2, 0.3, 0.3, 32, True).rotate([90, 0, 0])
+    legs = [block(0.4 * a, 0.3 * b, 0.06, 0.06, 0.7) for a in (-1, 1) for b in (-1, 1)]
+    table = Manifold.batch_boolean([block(0, 0, 1.0, 0.7, 0.72, 0.68), *legs], OpType.Add)
+    for solid, top, parts in ((block(0, 0, 0.9, 0.5, 0.45) - hole, 0.45, None), (table, 0.72, 5)):
+        contact = boxes(Shape(with_floor(solid), 0.0), CONFIG)
+        made = parts_of(contact)[0]
+        assert sum(p.upper[2] > top - 0.005 for p in made) == 1
+        assert parts is None or len(made) == parts
+        xy = np.column_stack([np.linspace(-0.4, 0.4, 25), np.full(25, 0.05)])
+        for capsule in (False, True):
+            at = settled(contact, np.column_stack([xy, np.full(25, top)]), capsule)
+            np.testing.assert_allclose(at, top + 0.01, atol=1e-3)
 
 
 def test_a_mirror_image_has_as_many_parts() -> None:

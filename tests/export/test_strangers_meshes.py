@@ -137,6 +137,14 @@ def test_up_is_found_whatever_the_format(tmp_path: Path, suffix: str) -> None:
             )
 
 
+def test_an_open_sheet_has_no_inside_to_be_turned_out(tmp_path: Path) -> None:
+    """Its volume is that of nothing: a sheet with pits was taken to be inside out, and to stand on its edge."""
+    sheet(lambda x, y: np.where(np.hypot(x - 0.5, y) < 0.5, -0.5, 0.2 * (x < 0))).export(tmp_path / "pits.stl")
+    made = read_mesh(tmp_path / "pits.stl")
+    assert made.up.axis == "z"
+    assert not any("inside out" in note for note in made.notes)
+
+
 def test_where_both_axes_are_plausible_it_asks_and_is_not_good(tmp_path: Path) -> None:
     path = tmp_path / "a.obj"
     trimesh.creation.box([0.6, 0.5, 0.5]).apply_translation([0, 2.0, 3.0]).export(path)

@@ -1,21 +1,29 @@
-"""An island as prisms: a solid under every planar piece of its top."""
+"""An island as prisms: a solid under every planar piece of its top.
+
+A top with several undersides (the seat of a chair, the deck of an arch) is one solid as thick as its thinnest place,
+and what reaches farther down hangs below it. Cut into a solid for every underside it would have seams that feet land
+on, and a foot would touch several parts at once: on an arch, a step took seven times as long as on a plane.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from realsim.export.contact.islands import Island, Terrain, is_speck
 from realsim.export.contact.outline import convex_parts, outlines
-from realsim.export.contact.planes import SMALLEST, from_corner, heights, misfit, segment, spread
+from realsim.export.contact.planes import SMALLEST, Window, from_corner, heights, misfit, segment, spread
 from realsim.export.contact.prisms import Prism
 
 F64 = NDArray[np.float64]
 DEPTH = 0.05  # metres that solids reach into the ground
 THINNEST = 0.003  # metres
+THINNEST_DECK = 0.02  # metres
+COVER = 0.02  # metres below the top of a deck at which begins what carries it: out of reach of what lands on the deck
+LEDGE = 0.01  # metres that something reaches below a deck; less is the deck's own underside
 LOST = 0.02  # metres that a ledge lies off the plane beside it
 EDGE = 1.0  # cells by which outlines are simplified
 BULGE = 1.5  # cells by which convex parts may bulge over them
@@ -28,6 +36,32 @@ class PlanarIsland:
     prisms: tuple[Prism, ...]
     misfit: float
     """95th percentile of the distance between the island's top and its planes, metres; rounded edges do not count."""
+
+
+@dataclass(frozen=True)
+class _Region:
+    """Cells of an island under one plane, and over one or the ground."""
+
+    place: Window
+    here: NDArray[np.bool_]
+    """(rows, columns) of that window."""
+    top: F64
+    """(3,) a b c in cells of the island."""
+    bottom: F64 | None
+    """The same; None: down into the ground."""
+    cover: float = 0.0
+    """Metres below the surface at which it begins."""
+
+    def prisms(self, whole: Terrain, island: Island, z: F64, under: F64) -> list[Prism]:
+        """The convex prisms that it is made of."""
+        height = float(z[self.place][self.here].max()) - self.cover
+        if is_speck(height - whole.base, float(self.here.sum()) * whole.grid.cell**2):
+            return []
+        rise = min(float(np.hypot(*self.top[:2])) / 2, THINNEST)  # from a cell's centre to the region's edge
+        limits = height + rise, float(under[self.place][self.here].min()) - rise
+        corner = np.array([self.place[0].start, self.place[1].start])
+        parts = convex_parts(outlines(self.here, EDGE), BULGE)
+        return [_prism(whole, island, corner + part, self.top, self.bottom, limits) for part in parts]
 
 
 def planar(whole: Terrain, island: Island) -> PlanarIsland:
@@ -58,23 +92,42 @@ def planar(whole: Terrain, island: Island) -> PlanarIsland:
     inner = inner if inner.any() else inside
     out: list[Prism] = []
     off = np.zeros(0)
-    places = ndimage.find_objects(pairs + 1)
-    for pair in np.unique(pairs[pairs >= 0]):
-        t, b = divmod(int(pair), len(bottom_planes))
-        place = places[pair]
-        here, height = pairs[place] == pair, z[place]
-        if is_speck(float(height[here].max()) - base, float(here.sum()) * cell**2):
+    width = len(bottom_planes)
+    places = ndimage.find_objects(np.where(pairs >= 0, pairs // width, -1) + 1)
+    for t, place in enumerate(places):
+        if place is None:
             continue
-        rise = min(float(np.hypot(*top_planes[t][:2])) / 2, THINNEST)  # from a cell's centre to the region's edge
-        limits = float(height[here].max()) + rise, float(under[place][here].min()) - rise
-        corner = np.array([place[0].start, place[1].start])
-        for part in convex_parts(outlines(here, EDGE), BULGE):
-            part = corner + part
-            out.append(_prism(whole, island, part, top_planes[t], None if b == 0 else bottom_planes[b], limits))
+        pair, height, below = pairs[place], z[place], under[place]
+        of_top = (pair >= 0) & (pair // width == t)
+        level = heights(from_corner(top_planes[t], place), height.shape)
+        regions = [
+            _Region(place, pair == k, top_planes[t], bottom_planes[k % width] if k % width else None)
+            for k in np.unique(pair[of_top])
+        ]
+        if len(regions) > 1:
+            regions = _decked(regions, of_top, level - below)
+        for region in regions:
+            out += region.prisms(whole, island, z, under)
         steep = np.hypot(1, np.hypot(*top_planes[t][:2]) / cell)
-        local = heights(from_corner(top_planes[t], place), here.shape)
-        off = np.append(off, np.abs(height - local)[here & inner[place]] / steep)
+        off = np.append(off, np.abs(height - level)[of_top & inner[place]] / steep)
     return PlanarIsland(tuple(out), float(np.percentile(off, 95)) if len(off) else 0.0)
+
+
+def _decked(regions: list[_Region], of_top: NDArray[np.bool_], thick: F64) -> list[_Region]:
+    """The regions of one top as a deck and what hangs below it, where the top is thick enough everywhere.
+
+    Args:
+        of_top: (rows, columns) cells of all of them. thick: (rows, columns) metres from the top to the underside.
+    """
+    deck = float(np.percentile(thick[of_top], 1))
+    if deck < THINNEST_DECK:
+        return regions
+    first = regions[0]
+    down, cover = np.array([0.0, 0.0, 1.0]), min(COVER, deck / 2)
+    hanging = [r for r in regions if np.percentile(thick[r.here], 99) > deck + LEDGE]
+    return [_Region(first.place, of_top, first.top, first.top - deck * down)] + [
+        replace(r, top=r.top - cover * down, cover=cover) for r in hanging
+    ]
 
 
 def _with_ledges(z: F64, labels: NDArray[np.int64], planes: F64, off: F64) -> tuple[NDArray[np.int64], F64]:

@@ -17,9 +17,10 @@ ONE_PLANE = 1e-3
 SQUARE = 1e-4
 """Metres by which corners may be off those of a box that stands for them."""
 NARROW_BOX = 0.12
-"""Metres: a narrower box is written as a convex mesh. MuJoCo 3.11 finds the wrong way out of a box for a capsule whose
-axis is in it: capsules of 1 cm that land at 2 m/s fall through boxes of 4 to 12 cm (all that were tried), and through
-none of the same boxes as meshes, down to 1 cm."""
+"""Metres: a narrower box is written as a convex mesh. MuJoCo (3.11 to 3.17) gives a capsule whose axis is in a box
+one contact, at one of its ends: the other end sinks until a side is nearer than the top, and comes out there. Capsules
+of 1 cm that land at 2 m/s fall through boxes of 4 to 12 cm (all that were tried), and through none of the same boxes as
+meshes, down to 1 cm."""
 SIGNS = np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)], float)
 
 
