@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
+import importlib.util
 import json
+import runpy
 import shutil
+import sys
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -218,6 +223,47 @@ def test_terrain_stage_holds_the_same_mesh(exported: dict[str, list[Path]]) -> N
     np.testing.assert_allclose(points[faces], np.asarray(mesh.triangles), atol=2e-5)
 
 
+@dataclass
+class _SubTerrain:
+    """What mjlab 1.6 hands to a sub-terrain, where mjlab is not installed."""
+
+    size: tuple[float, float] = (10.0, 10.0)
+
+
+def _in_mjlab(module: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[mujoco.MjModel, np.ndarray]:
+    """(model, where robots begin) of one patch with its corner at the origin."""
+    if importlib.util.find_spec("mjlab") is None:
+        names = {"SubTerrainCfg": _SubTerrain, "TerrainGeometry": SimpleNamespace, "TerrainOutput": lambda *a: a}
+        for name in ("mjlab", "mjlab.terrains", "mjlab.terrains.terrain_generator"):
+            monkeypatch.setitem(sys.modules, name, SimpleNamespace(**names))
+    content = runpy.run_path(str(module))
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_body(name="terrain")
+    with pytest.raises(ValueError, match="size="):
+        content["ScannedTerrainCfg"](size=(0.5, 0.5)).function(0.0, spec, np.random.default_rng(0))
+    made = content["ScannedTerrainCfg"](size=content["SIZE"]).function(0.0, spec, np.random.default_rng(0))
+    return spec.compile(), made[0] if isinstance(made, tuple) else made.origin
+
+
+def test_a_sub_terrain_of_mjlab_has_the_same_heights(
+    folder: Path, exported: dict[str, list[Path]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = load_scene(folder)
+    model, origin = _in_mjlab(exported["mjlab"][0], monkeypatch)
+    moved = np.array([*(np.ptp(scene.bounds, axis=0)[:2] / 2 + 1.0 - scene.bounds.mean(0)[:2]), -GROUND])
+    for x, y, z in [(0.1, 0.3, 0.0), (2.1, 0.3, 0.05), (1.0, 0.1, -0.2), (1.0, -0.6, GROUND)]:
+        assert _height(model, x + moved[0], y + moved[1]) == pytest.approx(z - GROUND, abs=0.002)
+    np.testing.assert_allclose(origin, scene.sites["start"][0] + moved, atol=1e-4)
+
+
+def _height(model: mujoco.MjModel, x: float, y: float) -> float:
+    """Of what a ray down from 1 m meets."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    hit = np.zeros(1, np.int32)
+    return 1 - mujoco.mj_ray(model, data, np.array([x, y, 1.0]), np.array([0, 0, -1.0]), None, 1, -1, hit)
+
+
 def test_height_map_in_both_files(exported: dict[str, list[Path]]) -> None:
     import cv2
 
@@ -231,20 +277,20 @@ def test_height_map_in_both_files(exported: dict[str, list[Path]]) -> None:
     assert arrays["z"][i, j] == pytest.approx(0.05, abs=1e-4)  # the goal, at y = 0 and x = 2
 
 
-def test_a_height_field_is_exported_too(tmp_path: Path) -> None:
+def test_a_height_field_is_exported_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     aligned, mesh = two_platforms()
     (tmp_path / "scene").mkdir()
     config = SceneConfig(contact="hfield", contact_probes=200, hfield_resolution=0.05)
     write_scene(tmp_path / "scene", aligned, mesh, config)
-    names = ["warp", "usd", "urdf", "sdf"]
+    names = ["warp", "usd", "urdf", "sdf", "mjlab"]
     files = export_scene(tmp_path / "scene", names, tmp_path / "out")
     model = mujoco.MjModel.from_xml_path(str(files["warp"][0]))
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    hit = np.zeros(1, np.int32)
+    patch, _ = _in_mjlab(files["mjlab"][0], monkeypatch)
+    bounds = load_scene(tmp_path / "scene").bounds
+    dx, dy = np.ptp(bounds, axis=0)[:2] / 2 + 1.0 - bounds.mean(0)[:2]
     for x, y, z in [(0.1, 0.3, 0.0), (2.1, -0.2, 0.05), (1.05, 0.15, -0.2)]:
-        distance = mujoco.mj_ray(model, data, np.array([x, y, 1.0]), np.array([0, 0, -1.0]), None, 1, -1, hit)
-        assert 1 - distance == pytest.approx(z, abs=1e-3)
+        assert _height(model, x, y) == pytest.approx(z, abs=1e-3)
+        assert _height(patch, x + dx, y + dy) == pytest.approx(z - bounds[0, 2], abs=1e-3)
     solid = trimesh.load(export_scene(tmp_path / "scene", ["terrain"], tmp_path / "out")["terrain"][0], force="mesh")
     _, uses = np.unique(np.sort(solid.edges, axis=1), axis=0, return_counts=True)
     assert (uses % 2 == 0).all()  # closed; floor and field touch along some edges

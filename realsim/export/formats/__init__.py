@@ -31,6 +31,7 @@ EXPORTERS = Registry(
         "obj": "realsim.export.formats.meshes:obj",
         "stl": "realsim.export.formats.meshes:stl",
         "ply": "realsim.export.formats.meshes:ply",
+        "mjlab": "realsim.export.formats.mjlab:mjlab",
         "heightmap": "realsim.export.formats.heightmap:heightmap",
         "foxglove": "realsim.export.formats.foxglove:foxglove",
     },
