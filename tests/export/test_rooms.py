@@ -97,7 +97,7 @@ def test_the_choice_looks_at_the_sides() -> None:
     assert fitted.contact.representation == "sheets"
     assert fitted.summary["sides"]["stopped"] > 0.97
     by_name = {c["representation"]: c for c in fitted.summary["considered"]}
-    assert by_name["boxes"]["sides_stopped"] < 0.03
+    assert by_name["boxes"]["refused"] == "columns hold 0% of the side faces"
 
 
 def test_solids_that_were_seen_stay_solids() -> None:

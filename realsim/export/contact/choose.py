@@ -23,6 +23,11 @@ from realsim.export.contact.shape import Shape, Solids
 
 # Cheapest first. `convex` takes a minute to build and is better than none of these, `sdf` costs a hundred planes.
 CANDIDATES = ("boxes", "hybrid", "sheets", "hfield")
+OF_COLUMNS = ("boxes", "hybrid", "hfield")
+"""Those made of what is seen from above and below alone."""
+SIDES = 0.75
+"""Least share of the side faces in columns for these to be built: with more than a quarter passed through, the verdict
+is "do not use" whatever else they are (`core.contact_limits`)."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,11 @@ def fit_contact(
     names = CANDIDATES if config.contact == "auto" else (config.contact,)
     tried: list[tuple[ContactModel, Fidelity]] = []
     refused: list[dict[str, Any]] = []
+    if config.contact == "auto" and (carried := shape.sides_in_columns) < SIDES:
+        refused = [
+            {"representation": name, "refused": f"columns hold {carried:.0%} of the side faces"} for name in OF_COLUMNS
+        ]
+        names = tuple(name for name in names if name not in OF_COLUMNS)
     with steps() as tick:
         for name in names:
             tick(f"building {name}", 0.0)

@@ -90,7 +90,11 @@ class Polytope:
 
     def contains(self, points: F64, margin: float = 0.0) -> NDArray[np.bool_]:
         """(N,) whether points (N, 3) lie inside, or outside by at most `margin` metres."""
-        return np.asarray((points @ self.planes[:, :3].T + self.planes[:, 3]).max(1) <= margin)
+        return np.asarray(self.depth(points) >= -margin)
+
+    def depth(self, points: F64) -> F64:
+        """(N,) metres from points (N, 3) inside to the nearest face; negative outside, from the plane farthest off."""
+        return np.asarray(-(points @ self.planes[:, :3].T + self.planes[:, 3]).max(1))
 
     def section(self, face: Face, beyond: float) -> F64:
         """(K, 2) outline of this where the plane `beyond` metres outside another's face cuts it, in that face's plane;

@@ -13,6 +13,9 @@ from realsim.export.contact.islands import PIT, Terrain, terrain
 from realsim.export.contact.planar import PlanarIsland, planar
 
 COARSE = 0.01  # metres
+UPRIGHT = 0.5  # most |z| of a side face's normal
+SHOULDER = 1.1  # metres above the ground up to which a robot meets side faces; rays from the side go up to 1 m
+BEHIND = 1.5  # cells behind a side face at which its solid is looked for
 HIDDEN = 0.001  # metres above the ground: what is lower is the ground
 
 
@@ -56,12 +59,42 @@ class Shape:
     @cached_property
     def fine(self) -> Terrain:
         """Columns of 5 mm of what is not in `solids`: for planes and outlines."""
-        return self._rest(terrain(self._left, self.ground_z))
+        return self._rest(self._whole)
+
+    @cached_property
+    def _whole(self) -> Terrain:
+        return terrain(self._left, self.ground_z)
 
     @cached_property
     def coarse(self) -> Terrain:
         """Columns of 1 cm of the same: for closed solids."""
         return self._rest(terrain(self._left, self.ground_z, COARSE))
+
+    @cached_property
+    def sides_in_columns(self) -> float:
+        """Share of the measured side faces, up to SHOULDER above the ground, that have a solid column behind them.
+
+        A wall that was seen from one side has no top and no underside, so that no column knows it.
+        """
+        mesh = self._left
+        corners = mesh.vertices[mesh.seen]
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area = np.linalg.norm(cross, axis=1)
+        middle = corners.mean(1)
+        over = middle[:, 2] - self.ground_z
+        side = (np.abs(cross[:, 2]) < UPRIGHT * area) & (over > PIT) & (over < SHOULDER)
+        if not side.any():
+            return 1.0
+        cross, area, middle = cross[side], area[side], middle[side]
+        grid = self._whole.grid
+        inward = -cross[:, :2] / np.maximum(np.linalg.norm(cross[:, :2], axis=1, keepdims=True), 1e-15)
+        column, row = np.rint((middle[:, :2] + BEHIND * grid.cell * inward - grid.lower) / grid.cell).astype(int).T
+        rows, columns = grid.top.shape[1:]
+        known = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        row, column = np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)
+        z = middle[:, 2]
+        solid = known & ((grid.top[:, row, column] > z) & (grid.bottom[:, row, column] < z)).any(0)
+        return float(area[solid].sum() / area.sum())
 
     @property
     def _left(self) -> TerrainMesh:

@@ -8,25 +8,26 @@ of a seen face are left out, and what of the surface nothing is left to carry be
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from realsim.export.config import SceneConfig
-from realsim.export.contact.base import Asset, ContactModel, Geom
+from realsim.export.contact.base import ContactModel, Geom
 from realsim.export.contact.columns import SHEET
 from realsim.export.contact.outline import convex_parts, outlines
 from realsim.export.contact.patches import Patch, Samples, patches, sampled
-from realsim.export.contact.prisms import Prism, as_geom
+from realsim.export.contact.polytope import Polytope
+from realsim.export.contact.prisms import Prism, as_contact, as_geom
+from realsim.export.contact.probe import Reference
+from realsim.export.contact.seams import overlap
 from realsim.export.contact.shape import Shape
 
 F64 = NDArray[np.float64]
 # Set while looking at three real scans (Kinect stairs, a LiDAR room, a phone scan of a chair), FELT also at two more
 # (boxes on a floor, slambook). What `sheets` gains is measured scene by scene against the other representations.
 # FELT and THIN were 12 and 15 mm until the misses on five real captures were looked at. Those five are not fresh data.
-FELT = 0.006  # metres: surface that lies farther from every solid is not carried by it
+FELT = 0.006  # metres, and at least the planes' tolerance: surface farther from every solid is not carried by it
+ROUGH = 0.015  # metres: the most that a plane may be off a noisy surface, as much as the measure allows
 FRONT = 0.03  # metres before a seen face where there is air
 INSIDE = 0.01  # metres inside a solid: less is an edge that is off
 SEEN = 0.5  # share of a solid's outside
@@ -43,40 +44,38 @@ def sheets(shape: Shape, config: SceneConfig) -> ContactModel:
     """Boxes and prisms, without those that fill seen air, and sheets behind the surface that they do not carry."""
     whole, mesh = shape.fine, shape.mesh
     vertices, seen = mesh.vertices, mesh.carrying
-    area = float(np.linalg.norm(np.cross(*_sides(vertices, seen)), axis=1).sum()) / 2
-    spacing = max(0.01, float(np.sqrt(area / MOST)))
+    surface = Reference(vertices, seen)
+    corners = vertices[seen]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = float(np.linalg.norm(cross, axis=1).sum()) / 2
+    # Noise is no shape: at 9 mm, planes true to 7 would break a wall into hundreds of pieces.
+    tolerance = max(whole.tolerance, min(2 * (mesh.noise_m or 0.0), ROUGH))
+    finest = mesh.resolution / 2 if mesh.noise_m is not None else 0.0
+    spacing = max(0.01, finest, float(np.sqrt(area / MOST)))
     samples = sampled(vertices, seen, spacing)
     solids = [prism for island in shape.planar for prism in island.prisms]
     kept = [prism for prism in solids if _is_solid(prism, samples)]
-    lost = samples.where(~_felt(samples.points, kept, whole.floor))
-    caster = _Caster(vertices, seen)
-    geoms: list[Geom] = list(whole.floor)
-    assets: list[Asset] = []
+    lost = samples.where(~_felt(samples.points, kept, whole.floor, max(FELT, tolerance)))
+    solid = overlap(as_contact("sheets", kept, whole.floor, {}))
+    geoms, assets = list(solid.geoms), list(solid.assets)
     count = 0
-    for prism in kept:
-        _add(geoms, assets, as_geom(f"part_{len(geoms)}", prism))
-    for patch in patches(lost, whole.tolerance):
-        for slab in _slabs(patch, lost, caster, whole.tolerance):
-            _add(geoms, assets, as_geom(f"sheet_{len(geoms)}", *slab))
+    for patch in patches(lost, tolerance):
+        for slab in _slabs(patch, lost, surface, tolerance):
+            geom, asset = as_geom(f"sheet_{len(geoms)}", *slab)
+            geoms.append(geom)
+            assets += [asset] if asset is not None else []
             count += 1
-    statistics = whole.statistics | {
-        "solids": len(kept),
-        "solids_left_out": len(solids) - len(kept),
-        "sheets": count,
-        "parts": len(kept) + count,
-    }
+    statistics = (
+        whole.statistics
+        | dict(solid.statistics)
+        | {
+            "solids": len(kept),
+            "solids_left_out": len(solids) - len(kept),
+            "sheets": count,
+            "parts": len(geoms) - len(whole.floor),
+        }
+    )
     return ContactModel("sheets", tuple(geoms), tuple(assets), statistics)
-
-
-def _sides(vertices: F64, triangles: NDArray[np.int32]) -> tuple[F64, F64]:
-    corners = vertices[triangles]
-    return corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-
-
-def _add(geoms: list[Geom], assets: list[Asset], made: tuple[Geom, Asset | None]) -> None:
-    geoms.append(made[0])
-    if made[1] is not None:
-        assets.append(made[1])
 
 
 def _is_solid(prism: Prism, samples: Samples) -> bool:
@@ -87,22 +86,10 @@ def _is_solid(prism: Prism, samples: Samples) -> bool:
     outside = _outer_area(prism)
     low, high = prism.corners.min(0) - FELT, prism.corners.max(0) + FELT
     around = samples.where(((samples.points > low) & (samples.points < high)).all(1))
-    on = np.abs(_depth_in(prism, around.points)) < FELT
-    air = _depth_in(prism, around.points + FRONT * around.normals) > INSIDE
+    part = Polytope(prism.corners)
+    on = np.abs(part.depth(around.points)) < FELT
+    air = part.depth(around.points + FRONT * around.normals) > INSIDE
     return bool(around.area[on].sum() - around.area[air].sum() > SEEN * outside)
-
-
-def _depth_in(prism: Prism, points: F64) -> F64:
-    """(M,) metres from points inside a prism to its nearest face, negative outside (top and bottom along z)."""
-    A = np.column_stack([prism.outline, np.ones(len(prism.outline))])
-    top, bottom = (np.linalg.lstsq(A, z, rcond=None)[0] for z in (prism.top, prism.bottom))
-    side = np.roll(prism.outline, -1, axis=0) - prism.outline
-    inward = np.stack([-side[:, 1], side[:, 0]], 1) / np.maximum(np.linalg.norm(side, axis=1), 1e-12)[:, None]
-    beside = ((points[:, None, :2] - prism.outline) * inward).sum(2).min(1)
-    z = points[:, 2]
-    below = points[:, :2] @ top[:2] + top[2] - z
-    above = z - points[:, :2] @ bottom[:2] - bottom[2]
-    return np.minimum(beside, np.minimum(below, above))
 
 
 def _outer_area(prism: Prism) -> float:
@@ -114,78 +101,23 @@ def _outer_area(prism: Prism) -> float:
     return plan + float((length * (height + np.roll(height, -1)) / 2).sum())
 
 
-def _felt(points: F64, prisms: list[Prism], floor: tuple[Geom, ...]) -> NDArray[np.bool_]:
-    """(M,) points that lie at most FELT from a solid's surface, inside one, or on the floor or below it."""
+def _felt(points: F64, prisms: list[Prism], floor: tuple[Geom, ...], near: float) -> NDArray[np.bool_]:
+    """(M,) points that lie at most `near` metres from a solid's surface, inside one, or on the floor or below it."""
     felt = np.zeros(len(points), bool)
     for part in floor:
         size = np.array(part.size)
         top = part.pos[2] + (size[2] if part.type == "box" else 0.0)
         over = (np.abs(points[:, :2] - part.pos[:2]) < size[:2]).all(1) | (part.type == "plane")
-        felt |= over & (points[:, 2] < top + FELT)
-    if not prisms:
-        return felt
-    vertices, triangles, count = [], [], 0
+        felt |= over & (points[:, 2] < top + near)
     for prism in prisms:
-        n = len(prism.outline)
-        vertices.append(prism.corners)
-        triangles.append(_faces(n) + count)
-        count += 2 * n
-    caster = _Caster(np.concatenate(vertices), np.concatenate(triangles).astype(np.int32))
-    felt |= caster.distance(points) < FELT
-    for prism in prisms:
-        low, high = prism.corners.min(0), prism.corners.max(0)
-        near = np.flatnonzero(~felt & ((points > low) & (points < high)).all(1))
-        felt[near] |= _depth_in(prism, points[near]) > 0
+        low, high = prism.corners.min(0) - near, prism.corners.max(0) + near
+        around = np.flatnonzero(~felt & ((points > low) & (points < high)).all(1))
+        felt[around] |= Polytope(prism.corners).contains(points[around], near)
     return felt
 
 
-def _faces(n: int) -> NDArray[np.int64]:
-    """(4n - 4, 3) triangles of a prism whose first n corners are its top."""
-    k = np.arange(1, n - 1)
-    j = np.arange(n)
-    after = (j + 1) % n
-    caps = [np.column_stack([0 * k, k, k + 1]), np.column_stack([0 * k, k + 1, k]) + n]
-    return np.concatenate([*caps, np.column_stack([j, j + n, after]), np.column_stack([after, j + n, after + n])])
-
-
-@dataclass(frozen=True)
-class _Caster:
-    """A surface under rays and distances."""
-
-    vertices: F64
-    triangles: NDArray[np.int32]
-
-    def __post_init__(self) -> None:
-        import open3d
-
-        o3d: Any = open3d
-        scene = o3d.t.geometry.RaycastingScene()
-        centre = (self.vertices.min(0) + self.vertices.max(0)) / 2
-        scene.add_triangles(
-            o3d.core.Tensor((self.vertices - centre).astype(np.float32)),
-            o3d.core.Tensor(np.ascontiguousarray(self.triangles, np.uint32)),
-        )
-        normals = np.cross(*_sides(self.vertices, self.triangles))
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
-        for name, value in (("o3d", o3d), ("scene", scene), ("centre", centre), ("normals", normals)):
-            object.__setattr__(self, name, value)
-
-    def cast(self, origins: F64, direction: F64) -> tuple[F64, F64]:
-        """((M,) metres to the first hit, inf for none; (M,) cosine of the direction and the normal of what was hit)."""
-        rays = np.concatenate([origins - self.centre, np.broadcast_to(direction, origins.shape)], 1)  # type: ignore[attr-defined]
-        hit = self.scene.cast_rays(self.o3d.core.Tensor(rays.astype(np.float32)))  # type: ignore[attr-defined]
-        t = hit["t_hit"].numpy().astype(np.float64)
-        triangle = np.where(np.isfinite(t), hit["primitive_ids"].numpy().astype(np.int64), 0)
-        return t, (self.normals[triangle] * direction).sum(1)  # type: ignore[attr-defined]
-
-    def distance(self, points: F64) -> F64:
-        """(M,) metres to the surface."""
-        query = self.o3d.core.Tensor((points - self.centre).astype(np.float32))  # type: ignore[attr-defined]
-        return self.scene.compute_distance(query).numpy().astype(np.float64)  # type: ignore[attr-defined]
-
-
 def _slabs(
-    patch: Patch, samples: Samples, caster: _Caster, tolerance: float
+    patch: Patch, samples: Samples, surface: Reference, tolerance: float
 ) -> list[tuple[Prism, F64 | None, F64 | None]]:
     """Convex sheets behind a patch, and the frame that each is given in (rotation and place; None: the world's).
 
@@ -209,13 +141,13 @@ def _slabs(
     rows, columns = np.nonzero(near)
     at = patch.origin + (lower + cell * np.column_stack([columns, rows])) @ patch.axes[:2]
     normal = patch.axes[2]
-    t, cosine = caster.cast(at + 2 * tolerance * normal, -normal)
+    t, cosine, _ = surface.cast(at + 2 * tolerance * normal, np.broadcast_to(-normal, at.shape))
     mask[rows, columns] = (np.abs(t - 2 * tolerance) < 1.5 * tolerance) & (cosine < 0)
     facing = 0.0 if abs(normal[2]) < 0.5 else float(np.sign(normal[2]))
     behind = np.array([0.0, 0.0, -facing]) if facing else -normal
-    thick = _thickness(points, behind, caster, {-1.0: SHEET, 0.0: THIN, 1.0: THICK}[facing])
+    thick = _thickness(points, behind, surface, {-1.0: SHEET, 0.0: THIN, 1.0: THICK}[facing])
     out = []
-    for part in convex_parts(outlines(mask, min(EDGE, FELT / cell)), BULGE):
+    for part in convex_parts(outlines(mask, min(EDGE, max(FELT, tolerance) / cell)), BULGE):
         corners = np.column_stack([lower + cell * part[:, ::-1], np.zeros(len(part))])
         frame: tuple[F64 | None, F64 | None] = (None, None)
         if facing:
@@ -230,9 +162,9 @@ def _slabs(
     return [slab for slab in out if not slab[0].flat]
 
 
-def _thickness(points: F64, behind: F64, caster: _Caster, most: float) -> float:
+def _thickness(points: F64, behind: F64, surface: Reference, most: float) -> float:
     """Metres of a sheet: `most`, or less where another face behind it was seen."""
-    t, cosine = caster.cast(points + 0.003 * behind, behind)
+    t, cosine, _ = surface.cast(points + 0.003 * behind, np.broadcast_to(behind, points.shape))
     # A face that is left there was seen from behind: solid in between. One that is met from its front has air.
     room = np.where(cosine > 0, t + 0.003, t - FRONT)
     return float(np.clip(np.percentile(np.minimum(room, THICK), 10), THIN, most))
