@@ -66,7 +66,7 @@ def fit_contact(
         raise UnknownNameError("collision representation", config.contact, ["auto", *CONTACT])
     reference = Reference(mesh.vertices, mesh.triangles, mesh.invented)
     shape = Shape(mesh, ground_z, solids or Solids((), mesh))
-    names = CANDIDATES if config.contact == "auto" else (config.contact,)
+    names: tuple[str, ...] = CANDIDATES if config.contact == "auto" else (config.contact,)
     tried: list[tuple[ContactModel, Fidelity]] = []
     refused: list[dict[str, Any]] = []
     if config.contact == "auto" and (carried := shape.sides_in_columns) < SIDES:
