@@ -56,26 +56,18 @@ def sheets(shape: Shape, config: SceneConfig) -> ContactModel:
     solids = [prism for island in shape.planar for prism in island.prisms]
     kept = [prism for prism in solids if _is_solid(prism, samples)]
     lost = samples.where(~_felt(samples.points, kept, whole.floor, max(FELT, tolerance)))
-    solid = overlap(as_contact("sheets", kept, whole.floor, {}))
-    geoms, assets = list(solid.geoms), list(solid.assets)
-    count = 0
-    for patch in patches(lost, tolerance):
-        for slab in _slabs(patch, lost, surface, tolerance):
-            geom, asset = as_geom(f"sheet_{len(geoms)}", *slab)
-            geoms.append(geom)
-            assets += [asset] if asset is not None else []
-            count += 1
-    statistics = (
-        whole.statistics
-        | dict(solid.statistics)
-        | {
-            "solids": len(kept),
-            "solids_left_out": len(solids) - len(kept),
-            "sheets": count,
-            "parts": len(geoms) - len(whole.floor),
-        }
-    )
-    return ContactModel("sheets", tuple(geoms), tuple(assets), statistics)
+    slabs = [(patch, slab) for patch in patches(lost, tolerance) for slab in _slabs(patch, lost, surface, tolerance)]
+    # What things land on reaches into what is beside it.
+    carrying = [slab[0] for patch, slab in slabs if slab[1] is None and patch.axes[2, 2] > 0]
+    solid = overlap(as_contact("sheets", [*kept, *carrying], whole.floor, {}))
+    others = [slab for patch, slab in slabs if slab[1] is not None or patch.axes[2, 2] <= 0]
+    made = [as_geom(f"sheet_{k}", *slab) for k, slab in enumerate(others)]
+    geoms = (*solid.geoms, *(geom for geom, _ in made))
+    assets = (*solid.assets, *(asset for _, asset in made if asset is not None))
+    counts = {"solids": len(kept), "solids_left_out": len(solids) - len(kept), "sheets": len(slabs)}
+    counts |= {"seams": solid.statistics["seams"], "parts": len(geoms) - len(whole.floor)}
+    statistics = whole.statistics | counts
+    return ContactModel("sheets", geoms, assets, statistics)
 
 
 def _is_solid(prism: Prism, samples: Samples) -> bool:
