@@ -27,7 +27,7 @@ from tests.truths.solids import TERRAINS, block, terrain, with_floor
 def test_boxes_match_exact_terrains(name: str) -> None:
     """The project's bars, on solids whose surface is known."""
     mesh = terrain(name)
-    f = fidelity(boxes(Shape(mesh, 0.0), CONFIG), mesh, probes=900, feet=40)
+    f = fidelity(boxes(Shape(mesh, 0.0), CONFIG), mesh, probes=600, feet=30)
     assert f["median_mm"] <= 3
     assert f["p95_mm"] <= 10
     assert f["max_mm"] <= 15

@@ -123,7 +123,7 @@ def test_an_accelerometer_alone_has_a_bias(arm: Case) -> None:
 def test_a_rotor_and_the_link_that_it_turns_first_are_alike(arm: Case) -> None:
     """The rival's values are brought up to date before it is compared: they were found under other weights."""
     heavy = logged(arm, [("link_inertia", ("upper",), {"ratio": 2.0})])
-    found = diagnose(heavy, replace(CONFIG, effects=("link_inertia", "armature", "com_offset"), bootstrap=20))
+    found = diagnose(heavy, replace(CONFIG, effects=("link_inertia", "armature"), bootstrap=20))
     said = [found.causes, *found.equivalent]
     assert {c["effect"] for causes in said for c in causes} == {"link_inertia", "armature"}
 

@@ -94,10 +94,8 @@ ONE = np.array([1, 0.64, 1, 1, 1, 1])
     ("kinds", "mistake"),
     [
         ({"joint_order"}, {"send": lambda t: t[[3, 4, 5, 0, 1, 2]]}),
-        ({"joint_order"}, {"send": lambda t: t[[0, 3, 1, 4, 2, 5]]}),
         ({"joint_order"}, {"see_vel": lambda v: v[[0, 3, 1, 4, 2, 5]]}),
         ({"joint_sign"}, {"see": lambda q: SIGN * q, "see_vel": lambda v: SIGN * v}),
-        ({"zero_offset"}, {"send": lambda t: t + OFFSET}),
         ({"zero_offset"}, {"see": lambda q: q + OFFSET}),
         ({"default_pose"}, {"send": lambda t: t + 0.1 * np.array([1, -1, 1, 1, -1, 1])}),
         ({"action_scale"}, {"gain": 0.5}),
