@@ -1,0 +1,285 @@
+"""Damped, robust nonlinear least squares: one loop for vectors and for poses, dense and sparse.
+
+    cost(x) = sum_g rho(|r_g(x)|^2) + sum_k ((x_k - mean_k) / sigma_k)^2
+
+Levenberg-Marquardt with iterated weights (Triggs et al. 2000, sections 4.3 and 6). `scipy.optimize.least_squares` has
+the same optimum (tests/core/test_least_squares.py) but knows neither poses, whose steps do not add, nor a loss of
+several residuals together, nor exact solutions of sparse systems.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.core.types import F64
+
+State = TypeVar("State")
+Loss = Callable[[F64], tuple[float, F64]]
+"""Residuals (M,) -> cost and weights (M,)."""
+Model = Callable[[State], tuple[F64, Any] | None]
+"""A state -> residuals (M,) in standard deviations, NaN where one is unknown, and their Jacobian (M, P): an array, a
+scipy.sparse matrix, or a function that makes it when it is needed. None where the state is impossible."""
+
+TRIES = 6
+"""Times that damping is raised tenfold before a step is given up."""
+LEAST_DAMPING = 1e-9
+
+
+def squares(residual: F64) -> tuple[float, F64]:
+    """The loss of Gaussian noise."""
+    return float(residual @ residual), np.ones_like(residual)
+
+
+def cauchy(scale: float, groups: NDArray[np.int64] | None = None) -> Loss:
+    """Half the weight at `scale` standard deviations: rho(s) = scale^2 log(1 + s / scale^2).
+
+    Args:
+        groups: (M,) rows of the same number are an outlier together, or not at all; None: each by itself.
+    """
+
+    def loss(residual: F64) -> tuple[float, F64]:
+        s = residual**2 if groups is None else np.bincount(groups, residual**2).astype(float)
+        cost = scale**2 * float(np.log1p(s / scale**2).sum())
+        weight = 1 / (1 + s / scale**2)
+        return cost, weight if groups is None else weight[groups]
+
+    return loss
+
+
+@dataclass(frozen=True)
+class Minimum(Generic[State]):
+    """Where the search ended."""
+
+    state: State
+    residual: F64
+    """(M,) there."""
+    weight: F64
+    """(M,) of the loss there, 0 where a residual or its Jacobian is unknown."""
+    jacobian: Any
+    """(M, P) there."""
+    cost: float
+    iterations: int
+
+    @property
+    def information(self) -> Any:
+        """(P, P) J' W J there, without the prior."""
+        return self.jacobian.T @ _rows(self.jacobian, self.weight)
+
+
+class Normal:
+    """Symmetric positive equations A x = b, solved once and used often. Dense or sparse; of a sparse one the last
+    `eliminated` unknowns may be blocks of three that do not meet each other (points), which the Schur complement takes
+    out first."""
+
+    def __init__(self, A: Any, eliminated: int = 0) -> None:
+        from scipy.sparse import bsr_matrix, csc_matrix, issparse
+        from scipy.sparse.linalg import splu
+
+        self.kept = A.shape[0] - eliminated
+        self.inner_inverse: F64 = np.zeros((0, 3, 3))
+        """(eliminated / 3, 3, 3) inverses of the eliminated blocks."""
+        if not issparse(A):
+            self._solve: Callable[[F64], F64] = lambda b: np.asarray(np.linalg.solve(A, b))
+            return
+        A = A.tocsr()
+        S = A[: self.kept, : self.kept]
+        if eliminated:
+            count = eliminated // 3
+            self._across = A[: self.kept, self.kept :]
+            row, column = A[self.kept :, self.kept :].nonzero()
+            blocks = np.zeros((count, 3, 3))
+            blocks[row // 3, row % 3, column % 3] = np.asarray(A[self.kept + row, self.kept + column]).ravel()
+            self.inner_inverse = np.asarray(np.linalg.inv(blocks), float)
+            self._inner = bsr_matrix(
+                (self.inner_inverse, np.arange(count), np.arange(count + 1)), shape=(eliminated, eliminated)
+            )
+            S = S - self._across @ (self._inner @ self._across.T)
+        options = {"SymmetricMode": True}
+        self._solve = splu(csc_matrix(S), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve
+
+    def solve(self, b: F64) -> F64:
+        """x (P,) or (P, K) for b of the same shape."""
+        if not len(self.inner_inverse):
+            return self._solve(b)
+        top, low = b[: self.kept], b[self.kept :]
+        x = self._solve(top - self._across @ (self._inner @ low))
+        return np.concatenate([x, self._inner @ (low - self._across.T @ x)])
+
+
+def least_squares(
+    model: Model[State],
+    start: State,
+    *,
+    move: Callable[[State, F64], State] = np.add,  # type: ignore[assignment]
+    loss: Loss = squares,
+    prior: tuple[F64, F64] | None = None,
+    bounds: tuple[F64, F64] | None = None,
+    free: NDArray[np.bool_] | None = None,
+    eliminated: int = 0,
+    damping: float = 1e-4,
+    lengths: Sequence[float] = (1.0,),
+    iterations: int = 30,
+    tolerance: float = 1e-8,
+    least_gain: float = 1e-6,
+) -> Minimum[State] | None:
+    """The state near `start` that costs least; None where `start`, or without damping a later state, is impossible.
+
+    Args:
+        move: (state, step (P,)) -> state; the Jacobian is by this step. Sums are for vectors.
+        prior: (P,) how far the start is from the prior's mean, and (P,) its standard deviations (infinity: none).
+        bounds: (P,) each, of vectors.
+        free: (P,) which unknowns may move.
+        eliminated: last unknowns of a sparse model that are three a point (see `Normal`).
+        damping: of the first step, relative to the diagonal; 0: plain Gauss-Newton, every step is taken: for models
+            whose rows change on the way, so that costs are not comparable.
+        lengths: multiples of a step that are tried, the cheapest is taken: above 1 where noise shortens steps.
+        iterations: most of them.
+        tolerance: largest change of an unknown at which it is done.
+        least_gain: relative gain at which a damped search is done.
+    """
+    problem = _Problem(model, loss, prior, free, eliminated)
+    here = problem.at(start, 0.0)
+    done = 0
+    while here is not None and done < iterations:
+        done += 1
+        equations, before = problem.equations(here, bounds), here
+        for _ in range(TRIES):
+            step = equations(damping)
+            looks = [(k, problem.at(*_moved(before, k * step, move, bounds))) for k in lengths]
+            tries = [look for _, look in looks if look is not None]
+            here = min(tries, key=lambda look: look.cost, default=None)
+            if not damping or (here is not None and here.cost < before.cost):
+                break
+            damping *= 10
+        else:
+            here = before
+            break
+        if here is None:
+            break
+        small = np.abs(step).max(initial=0) < tolerance
+        if small or (damping and before.cost - here.cost <= least_gain * before.cost):
+            break
+        damping = max(damping / 10, LEAST_DAMPING) if damping else 0.0
+    if here is None:
+        return None
+    J, weight = problem.linear(here)
+    return Minimum(here.state, here.residual, weight, J, here.cost, done)
+
+
+@dataclass(frozen=True)
+class _Look(Generic[State]):
+    state: State
+    moved: F64 | float
+    """(P,) sum of the steps since the start."""
+    residual: F64
+    weight: F64
+    jacobian: Any
+    cost: float
+
+
+class _Problem(Generic[State]):
+    def __init__(
+        self,
+        model: Model[State],
+        loss: Loss,
+        prior: tuple[F64, F64] | None,
+        free: NDArray[np.bool_] | None,
+        eliminated: int,
+    ) -> None:
+        self.model, self.loss, self.free, self.eliminated = model, loss, free, eliminated
+        self.offset: F64 | float = 0.0 if prior is None else prior[0]
+        self.precision: F64 | None = None if prior is None else prior[1] ** -2.0
+
+    def at(self, state: State, moved: F64 | float) -> _Look[State] | None:
+        found = self.model(state)
+        if found is None:
+            return None
+        r, J = found
+        known = np.isfinite(r)
+        cost, weight = self.loss(np.where(known, r, 0))
+        # Rows that are unknown here may be known elsewhere: they cost what the others do on average.
+        cost *= len(r) / max(int(known.sum()), 1)
+        if self.precision is not None:
+            cost += float(np.sum(self.precision * np.square(moved + self.offset)))
+        return _Look(state, moved, np.where(known, r, 0), weight * known, J, cost)
+
+    def linear(self, look: _Look[State]) -> tuple[Any, F64]:
+        J = look.jacobian() if callable(look.jacobian) else look.jacobian
+        if not isinstance(J, np.ndarray):
+            return J, look.weight
+        known = np.atleast_1d(np.isfinite(J).all(axis=1))
+        return np.where(known[:, None], J, 0), look.weight * known
+
+    def equations(self, look: _Look[State], bounds: tuple[F64, F64] | None) -> Callable[[float], F64]:
+        """The step (P,) as a function of the damping."""
+        J, weight = self.linear(look)
+        JW = _rows(J, weight)
+        H, g = J.T @ JW, JW.T @ look.residual
+        if self.precision is not None:
+            H, g = _raised(H, self.precision), g + self.precision * (look.moved + self.offset)
+        free: Any = np.ones(len(g), bool) if self.free is None else self.free
+        if bounds is not None:
+            x: Any = look.state
+            free = free & ~(((x <= bounds[0]) & (g > 0)) | ((x >= bounds[1]) & (g < 0)))
+        which = np.flatnonzero(free)
+        H, g = (H[which][:, which], g[which]) if len(which) < len(free) else (H, g)
+        diagonal = H.diagonal()
+        # Far below every real constraint, so that an unknown which nothing speaks of cannot make it singular.
+        ridge = 1e-9 * float(diagonal.mean()) if len(which) else 0.0
+
+        def step(damping: float) -> F64:
+            out = np.zeros(len(free))
+            out[which] = -Normal(_raised(H, damping * diagonal + ridge), self.eliminated).solve(g)
+            return out
+
+        return step
+
+
+def _moved(
+    look: _Look[State], step: F64, move: Callable[[State, F64], State], bounds: tuple[F64, F64] | None
+) -> tuple[State, F64]:
+    state: Any = move(look.state, step)
+    if bounds is None:
+        return state, look.moved + step
+    inside: Any = np.clip(state, *bounds)
+    return inside, look.moved + (inside - look.state)
+
+
+def _rows(J: Any, weight: F64) -> Any:
+    """J with its rows times `weight`."""
+    return J * weight[:, None] if isinstance(J, np.ndarray) else J.multiply(weight[:, None]).tocsr()
+
+
+def _raised(H: Any, diagonal: F64) -> Any:
+    from scipy.sparse import diags_array
+
+    return H + (np.diag(diagonal) if isinstance(H, np.ndarray) else diags_array(diagonal))
+
+
+def differences(
+    residual: Callable[[F64], F64 | None], steps: F64
+) -> Callable[[F64], tuple[F64, Callable[[], F64]] | None]:
+    """The model of a residual without a Jacobian: central differences of these steps (P,), made when needed."""
+
+    def model(x: F64) -> tuple[F64, Callable[[], F64]] | None:
+        r = residual(x)
+        if r is None:
+            return None
+
+        def jacobian() -> F64:
+            columns = []
+            for k, h in enumerate(steps):
+                side = h * (np.arange(len(x)) == k)
+                up, down = residual(x + side), residual(x - side)
+                unknown = up is None or down is None
+                columns.append(np.full(len(r), np.nan) if unknown else (up - down) / (2 * h))  # type: ignore[operator]
+            return np.stack(columns, axis=1)
+
+        return r, jacobian
+
+    return model
