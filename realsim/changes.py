@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from realsim.core.errors import RealsimError
 from realsim.core.files import read_bytes
 from realsim.core.geometry import invert_T, transform
+from realsim.core.rays import Rays
 from realsim.core.types import F64, Bool
 
 CELL = 0.005
@@ -128,20 +129,9 @@ def compare(before: Surface, today: Surface) -> Changes:
 
 def heights(surface: Surface, low: F64, high: F64, cell: float) -> F64:
     """(rows, columns) of the highest surface over each cell between two corners (2,), NaN where there is none."""
-    import open3d
-
-    o3d: Any = open3d
-    V, F = surface
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(o3d.core.Tensor(V.astype(np.float32)), o3d.core.Tensor(F.astype(np.uint32)))
-    top = float(V[:, 2].max()) + 1.0
     xs, ys = (np.arange(a + cell / 2, b, cell) for a, b in zip(low, high, strict=True))
     grid = np.stack(np.meshgrid(xs, ys, indexing="xy"), -1).reshape(-1, 2)
-    rays = np.zeros((len(grid), 6), np.float32)
-    rays[:, :2], rays[:, 2], rays[:, 5] = grid, top, -1
-    t = scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy()
-    z = np.where(np.isfinite(t), top - t, np.nan)
-    return z.reshape(len(ys), len(xs)).astype(float)
+    return Rays(*surface).height(grid).reshape(len(ys), len(xs))
 
 
 def lay_over(before: Surface, today: Surface) -> F64:

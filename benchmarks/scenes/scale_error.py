@@ -115,14 +115,14 @@ def main(options: Options) -> None:
 
 def true_surface(capture: Any) -> Any:
     """Platforms, obstacles and floor as a surface with normals."""
-    from realsim.synth.render import raycaster
+    from realsim.core.rays import raycasting_scene
 
     solids = [s for s in capture.terrain.solids if s.role != "scenery"]
     offsets = np.cumsum([0] + [len(s.vertices) for s in solids])
     V = np.vstack([s.vertices for s in solids])
     F = np.vstack([s.triangles + o for s, o in zip(solids, offsets[:-1], strict=True)])
     low, high = capture.terrain.bounds + np.array([[-0.3], [0.3]])
-    return raycaster(V, F), np.vstack([s.normals() for s in solids]), (low, high)
+    return raycasting_scene(V, F), np.vstack([s.normals() for s in solids]), (low, high)
 
 
 def measure(found: Any, surface: Any) -> Row:

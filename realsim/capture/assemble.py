@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from realsim.capture.config import CaptureConfig
 from realsim.capture.images import ColorImage, DepthImage, common_size
 from realsim.capture.intrinsics import Camera
 from realsim.capture.listing import Pair
 from realsim.core.errors import CaptureError, RealsimError
-from realsim.core.types import F32, F64, Dropped, Frame, FrameSet, Intrinsics
+from realsim.core.types import F32, F64, U8, Dropped, Frame, FrameSet, Intrinsics
+
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
@@ -26,15 +29,57 @@ class DepthUnit:
     """Its origin, one sentence."""
 
 
-def depth_unit(default: float, why: str, config: CaptureConfig, camera: Camera | None = None) -> DepthUnit:
-    """The requested unit, otherwise that of the camera's file, otherwise the layout's convention."""
+def depth_unit(
+    default: float, why: str, config: CaptureConfig, camera: Camera | None = None, *, arrays: bool = False
+) -> DepthUnit:
+    """The requested unit, otherwise that of the camera's file, otherwise the layout's convention; `arrays`: which holds
+    for floating-point images too."""
     if config.depth_unit is not None:
         note = f"depth is in steps of {config.depth_unit:g} m, as asked for"
         return DepthUnit(config.depth_unit, config.depth_unit, note)
     if camera is not None and camera.depth_unit is not None:
         note = f"integer depth is in steps of {camera.depth_unit:g} m ({camera.source.name})"
         return DepthUnit(camera.depth_unit, 1.0, note)
+    if arrays:
+        return DepthUnit(default, default, f"depth is in steps of {default:g} m ({why}, for arrays too)")
     return DepthUnit(default, 1.0, f"integer depth is in steps of {default:g} m ({why})")
+
+
+def require_both(color: object, depth: object, where: Path, expected: str, hint: str | None = None) -> None:
+    """Refuse a capture that has no colour images, or no depth images: `color` and `depth` are what was found of each.
+
+    Raises:
+        CaptureError: one of them is empty.
+    """
+    if not color or not depth:
+        what = "colour without depth" if not depth else "depth without colour"
+        raise CaptureError(what, file=where, expected=expected, hint=hint)
+
+
+def size_of_depth(depth: Iterable[Path]) -> tuple[int, int]:
+    """(width, height) of most depth images.
+
+    Raises:
+        CaptureError: none can be read.
+    """
+    paths = list(depth)
+    found = common_size(DepthImage(p, 1.0) for p in paths)
+    if found is None:
+        raise _no_depth(paths)
+    return found
+
+
+def sizes_of(color: Iterable[Path], depth: Iterable[Path]) -> tuple[tuple[int, int], tuple[int, int]]:
+    """(width, height) of most colour images, and of most depth images.
+
+    Raises:
+        CaptureError: none of one kind can be read.
+    """
+    paths = list(color)
+    found = common_size(ColorImage(p) for p in paths)
+    if found is None:
+        raise CaptureError("no colour image can be read", file=paths[0].parent if paths else None)
+    return found, size_of_depth(depth)
 
 
 def _no_depth(depth: Sequence[Path]) -> CaptureError:
@@ -62,10 +107,8 @@ def cameras(
     Raises:
         CaptureError: no image can be read, or the camera fits neither.
     """
-    depth_size = common_size(DepthImage(p, 1.0) for p in depth)
+    depth_size = size_of_depth(depth)
     color_size = common_size(ColorImage(p) for p in color)
-    if depth_size is None:
-        raise _no_depth(depth)
     if color_size in (None, depth_size):
         return camera.sized(depth_size), None, ()
     named = (camera.width, camera.height)
@@ -102,6 +145,15 @@ class View:
     timestamp: float | None = None
     read_confidence: Callable[[], F32] | None = None
 
+    def frame(
+        self, name: str, depth: Callable[[], F32], color: Callable[[], U8] | None, files: tuple[Path, ...]
+    ) -> Frame:
+        """With its images."""
+        return Frame(
+            name, self.intrinsics, depth, color, self.color_intrinsics, self.read_confidence, self.T_world_camera,
+            self.timestamp, files,
+        )  # fmt: skip
+
 
 def on_two_grids(of_color: Intrinsics, depth_size: tuple[int, int]) -> tuple[Intrinsics, Intrinsics | None]:
     """(camera of the depth, camera of the colour or None if the same) where both show the same view, as phones do."""
@@ -137,33 +189,30 @@ def frames_with(
         view_of: may raise a RealsimError, which costs that frame only.
         with_color: whether this capture has colour, so that a frame without it is incomplete.
     """
+
+    def frame_of(pair: Pair) -> Frame:
+        if pair.depth is None:
+            raise CaptureError("colour without depth")
+        if pair.color is None and with_color:
+            raise CaptureError("depth without colour")
+        color = None if pair.color is None else ColorImage(pair.color)
+        files = tuple(p for p in (pair.color, pair.depth) if p is not None)
+        return view_of(pair).frame(pair.name, DepthImage(pair.depth, unit.integer, unit.floating), color, files)
+
+    return collect({pair.name: pair for pair in pairs}, frame_of)
+
+
+def collect(
+    items: Mapping[str, Item], frame_of: Callable[[Item], Frame]
+) -> tuple[tuple[Frame, ...], tuple[Dropped, ...]]:
+    """The frame of each named item; `frame_of` may raise a RealsimError, which costs that frame only."""
     frames: list[Frame] = []
     dropped: list[Dropped] = []
-    for pair in pairs:
-        if pair.depth is None:
-            dropped.append(Dropped(pair.name, "colour without depth"))
-            continue
-        if pair.color is None and with_color:
-            dropped.append(Dropped(pair.name, "depth without colour"))
-            continue
+    for name, item in items.items():
         try:
-            view = view_of(pair)
+            frames.append(frame_of(item))
         except RealsimError as error:
-            dropped.append(Dropped(pair.name, one_line(error)))
-            continue
-        frames.append(
-            Frame(
-                pair.name,
-                view.intrinsics,
-                DepthImage(pair.depth, unit.integer, unit.floating),
-                None if pair.color is None else ColorImage(pair.color),
-                view.color_intrinsics,
-                view.read_confidence,
-                view.T_world_camera,
-                view.timestamp,
-                files=tuple(p for p in (pair.color, pair.depth) if p is not None),
-            )
-        )
+            dropped.append(Dropped(name, one_line(error)))
     return tuple(frames), tuple(dropped)
 
 

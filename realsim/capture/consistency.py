@@ -142,11 +142,7 @@ def _differences(depth_i: F32, camera_i: Intrinsics, depth_j: F32, frame_j: Fram
     z = depth_i[::step, ::step]
     points = (camera_i.rays()[::step, ::step] * z[..., None])[z > 0].astype(np.float64)
     seen = points @ T_ji[:3, :3].T + T_ji[:3, 3]
-    seen = seen[seen[:, 2] > 0.05]
-    c = frame_j.intrinsics
-    u = np.rint(c.fx * seen[:, 0] / seen[:, 2] + c.cx).astype(int)
-    v = np.rint(c.fy * seen[:, 1] / seen[:, 2] + c.cy).astype(int)
-    inside = (u >= 0) & (u < c.width) & (v >= 0) & (v < c.height)
+    v, u, inside = frame_j.intrinsics.pixels(seen, near=0.05)
     found = depth_j[v[inside], u[inside]].astype(np.float64)
     expected = seen[inside, 2][found > 0]
     found = found[found > 0]

@@ -56,6 +56,11 @@ def pose_file(folder: Path, names: Sequence[str]) -> Path | None:
     return None
 
 
+def first_file(folder: Path, names: Sequence[str]) -> Path | None:
+    """The first of the names that is a file in the folder, or None."""
+    return next((folder / name for name in names if (folder / name).is_file()), None)
+
+
 def single_file(path: Path, suffixes: Sequence[str]) -> Path | None:
     """The path itself if it is a file with one of the suffixes, or the only such file of a folder; else None."""
     if path.is_file():

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from realsim.capture.numbers import table_of
 from realsim.core.errors import PoseError
 from realsim.core.files import read_text
 from realsim.core.geometry import nearest_rotation
@@ -54,6 +56,38 @@ def parse_matrix(text: str, path: Path) -> F64:
             "a pose of the wrong length", file=path, expected="16 numbers (4x4)", found=f"{len(values)} numbers"
         )
     return values.reshape(4, 4)
+
+
+def matrix_of(value: Any, what: str, path: Path) -> F64:
+    """(4, 4) from nested lists of numbers (3x4 or 4x4) or sixteen of them row by row, under the key `what` of a file.
+
+    Raises:
+        PoseError: anything else.
+    """
+    try:
+        T = table_of(value)
+    except (TypeError, ValueError) as error:
+        raise PoseError(f"{what} is not a matrix of numbers", file=path) from error
+    if T.shape == (3, 4):
+        T = np.vstack([T, [0.0, 0, 0, 1]])
+    if T.shape not in ((4, 4), (16,)):
+        raise PoseError(
+            "a pose of the wrong length", file=path, expected=f"4x4 numbers in {what}", found=f"shape {T.shape}"
+        )
+    return T.reshape(4, 4)
+
+
+def pose_in(files: Mapping[str, Path], name: str) -> F64 | None:
+    """The matrix in a frame's own file; None where no frame has any.
+
+    Raises:
+        PoseError: others have one, or it is no matrix.
+    """
+    if not files:
+        return None
+    if name not in files:
+        raise PoseError("there is no pose for this frame")
+    return read_matrix(files[name])
 
 
 def read_matrix(path: Path) -> F64:

@@ -19,9 +19,10 @@ def is_rotation(R: ArrayLike, tol: float = 1e-6) -> bool:
 
 
 def nearest_rotation(M: ArrayLike) -> Array:
-    """The rotation nearest to a 3x3 matrix in the Frobenius norm (orthogonal Procrustes; Schönemann 1966)."""
+    """The rotations nearest to matrices (..., 3, 3) in the Frobenius norm (orthogonal Procrustes; Schönemann 1966)."""
     U, _, Vt = np.linalg.svd(np.asarray(M, float))
-    return U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    U[..., 2] *= np.sign(np.linalg.det(U @ Vt))[..., None]
+    return U @ Vt
 
 
 def make_T(R: ArrayLike | None = None, t: ArrayLike | None = None) -> Array:

@@ -81,10 +81,11 @@ class Normal:
         from scipy.sparse.linalg import splu
 
         self.kept = A.shape[0] - eliminated
+        """Unknowns that are not eliminated; `solve_kept` solves for them with nothing on the others' right side."""
         self.inner_inverse: F64 = np.zeros((0, 3, 3))
         """(eliminated / 3, 3, 3) inverses of the eliminated blocks."""
         if not issparse(A):
-            self._solve: Callable[[F64], F64] = lambda b: np.asarray(np.linalg.solve(A, b))
+            self.solve_kept: Callable[[F64], F64] = lambda b: np.asarray(np.linalg.solve(A, b))
             return
         A = A.tocsr()
         S = A[: self.kept, : self.kept]
@@ -100,14 +101,14 @@ class Normal:
             )
             S = S - self._across @ (self._inner @ self._across.T)
         options = {"SymmetricMode": True}
-        self._solve = splu(csc_matrix(S), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve
+        self.solve_kept = splu(csc_matrix(S), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve
 
     def solve(self, b: F64) -> F64:
         """x (P,) or (P, K) for b of the same shape."""
         if not len(self.inner_inverse):
-            return self._solve(b)
+            return self.solve_kept(b)
         top, low = b[: self.kept], b[self.kept :]
-        x = self._solve(top - self._across @ (self._inner @ low))
+        x = self.solve_kept(top - self._across @ (self._inner @ low))
         return np.concatenate([x, self._inner @ (low - self._across.T @ x)])
 
 

@@ -50,6 +50,14 @@ class Intrinsics:
         """(H, W, 3) directions with z = 1 through the pixel centres, camera frame."""
         return pixel_rays(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
 
+    def pixels(self, points: F64, near: float = 0.0) -> tuple[NDArray[np.int64], NDArray[np.int64], Bool]:
+        """Row and column (M,) of the pixel nearest to where each point (M, 3), camera frame, projects, 0 outside the
+        image, and which are in it and more than `near` metres in front of the camera."""
+        z = np.where(points[:, 2] > near, points[:, 2], 1)
+        column, row = np.rint(points[:, 0] / z * self.fx + self.cx), np.rint(points[:, 1] / z * self.fy + self.cy)
+        inside = (points[:, 2] > near) & (column >= 0) & (row >= 0) & (column < self.width) & (row < self.height)
+        return np.where(inside, row, 0).astype(np.int64), np.where(inside, column, 0).astype(np.int64), inside
+
     def resized(self, width: int, height: int) -> Intrinsics:
         """The same camera sampled on another grid. The image borders, not the pixel centres, stay in place."""
         sx, sy = width / self.width, height / self.height

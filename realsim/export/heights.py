@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.errors import ExportError
+from realsim.core.rays import Rays
 
 MAX_NODES = 16_000_000
 
@@ -32,45 +32,11 @@ class HeightGrid:
         return self.lower + self.spacing * (columns - 1, rows - 1)
 
 
-class Surface:
-    """A mesh under rays. Open3D computes in float32, so everything is moved to the mesh's centre first."""
-
-    def __init__(self, vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> None:
-        import open3d
-
-        o3d: Any = open3d  # its stubs know neither numpy arrays nor keyword defaults
-        if len(triangles) == 0:
-            raise ExportError("the mesh has no triangles")
-        self._o3d = o3d
-        self.lower, self.upper = vertices.min(0), vertices.max(0)
-        self.centre = (self.lower + self.upper) / 2
-        self._scene = o3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(
-            o3d.core.Tensor((vertices - self.centre).astype(np.float32)),
-            o3d.core.Tensor(np.ascontiguousarray(triangles, np.uint32)),
-        )
-
-    def cast(
-        self, origins: NDArray[np.float64], directions: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """First hits of rays: ((M,) distance in units of the direction's length, inf for none; (M,) triangle or -1)."""
-        rays = np.concatenate([origins - self.centre, directions], 1).astype(np.float32)
-        hit = self._scene.cast_rays(self._o3d.core.Tensor(rays))
-        triangle = hit["primitive_ids"].numpy().astype(np.int64)
-        triangle[triangle == self._scene.INVALID_ID] = -1
-        return hit["t_hit"].numpy().astype(np.float64), triangle
-
-    def height(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(M,) highest z above each x y (M, 2), NaN where there is none."""
-        above = float(self.upper[2]) + 1.0
-        origins = np.column_stack([xy, np.full(len(xy), above)])
-        t, _ = self.cast(origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape))
-        return np.where(np.isfinite(t), above - t, np.nan)
-
-
 def height_grid(vertices: NDArray[np.float64], triangles: NDArray[np.int32], resolution: float) -> HeightGrid:
     """A mesh from above on a grid of at most `resolution` metres spacing that spans its bounding box exactly."""
-    surface = Surface(vertices, triangles)
+    if len(triangles) == 0:
+        raise ExportError("the mesh has no triangles")
+    surface = Rays(vertices, triangles)
     extent = (surface.upper - surface.lower)[:2]
     cells = np.maximum(np.ceil(extent / resolution - 1e-9).astype(int), 1)
     if np.prod(cells + 1.0) > MAX_NODES:

@@ -138,10 +138,8 @@ def _view(frame: Frame, xyz: np.ndarray) -> PointView:
     """Points (M, 3) put on the frame's depth grid, the nearest one where several meet."""
     camera = frame.intrinsics
     order = np.argsort(-xyz[:, 2], kind="stable")
-    xyz = xyz[order][xyz[order, 2] > 0]
-    c = np.round(xyz[:, 0] / xyz[:, 2] * camera.fx + camera.cx).astype(int)
-    r = np.round(xyz[:, 1] / xyz[:, 2] * camera.fy + camera.cy).astype(int)
-    inside = (c >= 0) & (r >= 0) & (c < camera.width) & (r < camera.height)
+    xyz = xyz[order]
+    r, c, inside = camera.pixels(xyz)
     points = np.zeros((camera.height, camera.width, 3), np.float32)
     points[r[inside], c[inside]] = xyz[inside]
     mask = points[..., 2] > 0

@@ -11,12 +11,10 @@ from realsim.meshing.surface import Surface
 def residuals(aligned: AlignedScene, surface: Surface, count: int, step: int = 4) -> tuple[ViewResidual, ...]:
     """Of `count` evenly spread views, those that see the mesh, each on every `step`-th pixel: measured minus mesh
     along the ray, metres."""
-    import open3d as o3d
-
     metric = aligned.metric
     if metric is None or count == 0 or len(surface.triangles) == 0:
         return ()
-    scene, origin = surface.raycaster()
+    rays = surface.rays()
     out = []
     for i in np.unique(np.linspace(0, len(metric) - 1, min(count, len(metric))).round().astype(int)):
         view = metric.load(int(i))
@@ -25,8 +23,7 @@ def residuals(aligned: AlignedScene, surface: Surface, count: int, step: int = 4
         mask = view.mask[step // 2 :: step, step // 2 :: step]
         length = np.linalg.norm(P, axis=-1)
         direction = np.divide(P, length[..., None], out=np.zeros_like(P), where=mask[..., None]) @ T[:3, :3].T
-        rays = np.concatenate([np.broadcast_to(T[:3, 3] - origin, P.shape), direction], -1).astype(np.float32)
-        hit = scene.cast_rays(o3d.core.Tensor.from_numpy(np.ascontiguousarray(rays)))["t_hit"].numpy()
+        hit, _ = rays.cast(np.broadcast_to(T[:3, 3], P.shape), direction)
         image = np.where(mask & np.isfinite(hit), length - hit, np.nan).astype(np.float32)
         known = np.abs(image[np.isfinite(image)])
         if known.size:

@@ -106,19 +106,13 @@ class Columns:
 
         Solid is what the nearest surface above covers from above, and what lies below the ground.
         """
-        import open3d as o3d
-
         x, y, z = self.axes
-        scene, origin = surface.raycaster()
         X, Y = np.meshgrid(x, y, indexing="ij")
         top = z[-1] + 1.0
-        rays = np.zeros((X.size, 6))
-        rays[:, 0], rays[:, 1], rays[:, 2], rays[:, 5] = X.ravel(), Y.ravel(), top, -1.0
-        rays[:, :3] -= origin
-        hits = scene.list_intersections(o3d.core.Tensor.from_numpy(rays.astype(np.float32)))
-        ray = hits["ray_ids"].numpy().astype(np.int64)
-        height = top - hits["t_hit"].numpy().astype(float)
-        up = surface.crosses()[hits["primitive_ids"].numpy().astype(np.int64), 2] > 0
+        above = np.column_stack([X.ravel(), Y.ravel(), np.full(X.size, top)])
+        ray, t, triangle = surface.rays().crossings(above, np.broadcast_to([0.0, 0.0, -1.0], above.shape))
+        height = top - t
+        up = surface.crosses()[triangle, 2] > 0
 
         # A hit changes what is below it; the lowest hit above a node decides. Later (lower) writes win.
         state = np.full((X.size, len(z)), -1, np.int8)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.rays import Rays
 from realsim.core.types import F64, U8, Bool
 
 I32 = NDArray[np.int32]
@@ -48,28 +48,13 @@ class Surface:
         """(K,) m^2."""
         return 0.5 * np.linalg.norm(self.crosses(), axis=1)
 
-    def raycaster(self) -> tuple[Any, F64]:
-        """An Open3D ray-casting scene and the origin that queries must be moved by (it calculates in float32)."""
-        import open3d as o3d
-
-        origin = self.vertices.mean(0) if len(self.vertices) else np.zeros(3)
-        scene = o3d.t.geometry.RaycastingScene()
-        scene.add_triangles(
-            o3d.core.Tensor.from_numpy((self.vertices - origin).astype(np.float32)),
-            o3d.core.Tensor.from_numpy(self.triangles.astype(np.uint32)),
-        )
-        return scene, origin
+    def rays(self) -> Rays:
+        """The surface under rays."""
+        return Rays(self.vertices, self.triangles, self.vertices.mean(0) if len(self.vertices) else None)
 
     def distance(self, points: F64) -> F64:
         """(M,) metres from points (M, 3) to the surface."""
-        import open3d as o3d
-
-        scene, origin = self.raycaster()
-        return (
-            scene.compute_distance(o3d.core.Tensor.from_numpy((points - origin).astype(np.float32)))
-            .numpy()
-            .astype(float)
-        )
+        return self.rays().distance(points)
 
     def sample(self, n: int, seed: int) -> F64:
         """(n, 3) points spread evenly over the area."""

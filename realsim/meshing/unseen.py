@@ -37,19 +37,16 @@ def unseen(aligned: AlignedScene, seen: Surface, invented: Surface, seed: int = 
 
 
 def _best_place(seen: Surface, centres: F64, weight: F64, ground_z: float, seed: int) -> dict[str, Any]:
-    import open3d as o3d
-
     rng = np.random.default_rng(seed)
     target = centres[rng.choice(len(centres), SAMPLES, p=weight / weight.sum())] + [0, 0, 0.02]
     middle = np.average(centres, axis=0, weights=weight)
     turn = 2 * np.pi * np.arange(ANGLES) / ANGLES
     around = np.column_stack([np.cos(turn), np.sin(turn)])
     places = np.concatenate([middle[:2] + r * around for r in RADII])
-    scene, origin = seen.raycaster()
+    rays = seen.rays()
     shares = []
     for place in places:
         way = np.array([*place, ground_z + EYE]) - target
-        rays = np.concatenate([target - origin, way], 1).astype(np.float32)  # the place is at 1 length of the ray
-        shares.append(float((scene.cast_rays(o3d.core.Tensor.from_numpy(rays))["t_hit"].numpy() > 1).mean()))
+        shares.append(float((rays.cast(target, way)[0] > 1).mean()))  # the place is at 1 length of the ray
     best = int(np.argmax(shares))
     return {"look_from": places[best].tolist(), "share": shares[best]}

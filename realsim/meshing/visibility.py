@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.geometry import invert_T, transform
-from realsim.core.types import F32, F64, Bool
+from realsim.core.types import F32, F64, Bool, Intrinsics
 
 UNIT = 0.0005
 """Metres a step of the stored depth; 16 bits then reach 32 m."""
@@ -24,10 +24,7 @@ class DepthMap:
     """(h, w) the nearest depth of each 2 x 2 pixels and their neighbours in steps of UNIT, 0 where none is known."""
     far: NDArray[np.uint16]
     """(h, w) the farthest."""
-    fx: float
-    fy: float
-    cx: float
-    cy: float
+    camera: Intrinsics
     T_camera_sim: F64
     """(4, 4)."""
 
@@ -51,7 +48,8 @@ def depth_map(depth: F32, fx: float, fy: float, cx: float, cy: float, T_sim_came
     def pack(z: NDArray[Any]) -> NDArray[np.uint16]:
         return np.where(known, np.clip(z / UNIT, 0, 65535), 0).astype(np.uint16)
 
-    return DepthMap(pack(near), pack(far), fx / 2, fy / 2, (cx - 0.5) / 2, (cy - 0.5) / 2, invert_T(T_sim_camera))
+    camera = Intrinsics(w // 2, h // 2, fx / 2, fy / 2, (cx - 0.5) / 2, (cy - 0.5) / 2)
+    return DepthMap(pack(near), pack(far), camera, invert_T(T_sim_camera))
 
 
 def votes(
@@ -72,12 +70,8 @@ def votes(
     for m in maps:
         P = transform(m.T_camera_sim, points)
         z = P[:, 2]
-        front = z > 0.05
-        safe = np.where(front, z, 1.0)
-        u = np.rint(m.fx * P[:, 0] / safe + m.cx).astype(np.int64)
-        v = np.rint(m.fy * P[:, 1] / safe + m.cy).astype(np.int64)
-        h, w = m.depth.shape
-        seen = np.flatnonzero(front & (u >= 0) & (v >= 0) & (u < w) & (v < h))
+        v, u, inside = m.camera.pixels(P, near=0.05)
+        seen = np.flatnonzero(inside)
         near = m.depth[v[seen], u[seen]] * UNIT
         far = m.far[v[seen], u[seen]] * UNIT
         known = near > 0

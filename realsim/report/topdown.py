@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.rays import Rays
 from realsim.core.types import F64, U8, AlignedScene, TerrainMesh
 from realsim.report import raster, svg
 from realsim.report.page import esc
@@ -20,21 +21,11 @@ _CELLS = 900
 
 def height_map(mesh: TerrainMesh, extent: Extent) -> F64:
     """(H, W) height of the highest seen surface on a grid over the extent, NaN where there is none; row 0 at y high."""
-    import open3d
-
-    o3d: Any = open3d
     step = max((extent[1] - extent[0]), (extent[3] - extent[2])) / _CELLS
     x = np.arange(extent[0] + step / 2, extent[1], step)
     y = np.arange(extent[2] + step / 2, extent[3], step)[::-1]
-    top = float(mesh.vertices[:, 2].max()) + 1.0
     X, Y = np.meshgrid(x, y)
-    rays = np.stack([X, Y, np.full_like(X, top), 0 * X, 0 * X, np.full_like(X, -1.0)], -1).astype(np.float32)
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        o3d.core.Tensor(mesh.vertices.astype(np.float32)), o3d.core.Tensor(np.ascontiguousarray(mesh.seen, np.uint32))
-    )
-    t = scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy()
-    return np.where(np.isfinite(t), top - t, np.nan)
+    return Rays(mesh.vertices, mesh.seen).height(np.column_stack([X.ravel(), Y.ravel()])).reshape(X.shape)
 
 
 def map_from_above(aligned: AlignedScene, mesh: TerrainMesh) -> str:

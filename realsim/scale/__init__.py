@@ -1,6 +1,6 @@
 """Metric scale: pointmaps up to scale, compared with what the depth sensor measured, become metres.
 
-An estimator answers one question for one frame: how many metres is a unit? It is one small file and one line in
+An estimator answers one question for one frame: how many metres is a unit? It is one function and one line in
 `ESTIMATORS`. What the frames together say (median, interval, disagreement) is the same for all estimators:
 `realsim.scale.metric`.
 """

@@ -18,9 +18,9 @@ from realsim.scale.reference import Reference, measure
 ESTIMATORS = Registry(
     "scale estimator",
     {
-        "median": "realsim.scale.median:ratio",
-        "least_squares": "realsim.scale.least_squares:ratio",
-        "ransac": "realsim.scale.ransac:ratio",
+        "median": "realsim.scale.estimators:median",
+        "least_squares": "realsim.scale.estimators:least_squares",
+        "ransac": "realsim.scale.estimators:ransac",
     },
 )
 """name -> f(sensor (M,), predicted (M,), confidence (M,), lower (M,) bool, rng) -> metres per unit, NaN if unknown."""

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from realsim.core.errors import RealsimError
 from realsim.core.geometry import exp_so3, make_T, transform
+from realsim.core.rays import raycasting_scene
 from realsim.core.types import F64
-from realsim.synth.render import raycaster
 from realsim.synth.truth import Samples, read_truth
 
 MARGIN = 0.3
@@ -28,7 +28,7 @@ class Surface:
 
     def __init__(self, vertices: F64, triangles: NDArray[Any]) -> None:
         self.vertices, self.triangles = np.asarray(vertices, float), np.asarray(triangles, np.int64)
-        self._scene = raycaster(self.vertices, self.triangles)
+        self._scene = raycasting_scene(self.vertices, self.triangles)
 
     def closest(self, points: F64) -> F64:
         """(M, 3) nearest points on the surface to (M, 3) points."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.geometry import invert_T
+from realsim.core.rays import raycasting_scene
 from realsim.core.types import F32, F64, U8, Intrinsics
 from realsim.synth.solids import Solid
 from realsim.synth.textures import tile, tile_size
@@ -17,16 +18,6 @@ from realsim.synth.textures import tile, tile_size
 # its middle: neighbouring samples see other places, so that shadows have soft borders.
 _SAMPLES = ((-0.25, -0.25), (0.25, 0.25))
 _LAMP = np.array([[-0.35, -0.2, 0], [0.35, -0.2, 0], [-0.35, 0.2, 0], [0.35, 0.2, 0]])
-
-
-def raycaster(vertices: F64, triangles: NDArray[Any]) -> Any:
-    """An Open3D `RaycastingScene` (Embree) of a triangle mesh."""
-    import open3d
-
-    o3d: Any = open3d
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(triangles.astype(np.uint32)))
-    return scene
 
 
 class Renderer:
@@ -47,7 +38,7 @@ class Renderer:
         counts = np.cumsum([0] + [len(s.vertices) for s in solids])
         V = np.vstack([s.vertices for s in solids])
         F = np.vstack([s.triangles + o for s, o in zip(solids, counts[:-1], strict=True)])
-        self._scene = raycaster(V, F)
+        self._scene = raycasting_scene(V, F)
         self._owner = np.repeat(np.arange(len(solids)), [len(s.triangles) for s in solids])
         self._normals = np.vstack([s.normals() for s in solids]).astype(np.float32)
         centre = V[F[self._owner == 0]].reshape(-1, 3).mean(0)

@@ -20,11 +20,11 @@ import trimesh
 from defusedxml import ElementTree
 
 from realsim.core.errors import ExportError, UnknownNameError
+from realsim.core.rays import Rays
 from realsim.export import EXPORTERS, export_scene, write_scene
 from realsim.export.config import SceneConfig
 from realsim.export.formats import load_scene
 from realsim.export.formats.scene import collision_triangles
-from realsim.export.heights import Surface
 
 from .terrain import GROUND, two_platforms
 
@@ -205,7 +205,7 @@ def test_terrain_mesh_is_closed_centred_and_flat_at_the_border(exported: dict[st
     about = json.loads(exported["terrain"][1].read_text())
     start = np.array(about["platforms"]["start"]["center"])
     assert start[2] == pytest.approx(-GROUND, abs=1e-3)
-    surface = Surface(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32))
+    surface = Rays(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32))
     assert surface.height(start[None, :2])[0] == pytest.approx(start[2], abs=0.002)
 
 
@@ -295,7 +295,7 @@ def test_a_height_field_is_exported_too(tmp_path: Path, monkeypatch: pytest.Monk
     _, uses = np.unique(np.sort(solid.edges, axis=1), axis=0, return_counts=True)
     assert (uses % 2 == 0).all()  # closed; floor and field touch along some edges
     assert solid.is_winding_consistent
-    surface = Surface(np.asarray(solid.vertices), np.asarray(solid.faces, np.int32))
+    surface = Rays(np.asarray(solid.vertices), np.asarray(solid.faces, np.int32))
     middle = (mesh.vertices.min(0) + mesh.vertices.max(0))[:2] / 2
     heights = surface.height(np.array([[0.1, 0.3], [2.1, -0.2], [10.0, 0.0]]) - middle)
     np.testing.assert_allclose(heights[:2] - heights[0], [0.0, 0.05], atol=1e-3)

@@ -9,6 +9,7 @@ import pytest
 
 from realsim.core.errors import MeshError, UnknownNameError
 from realsim.core.geometry import exp_so3, make_T
+from realsim.core.rays import raycasting_scene
 from realsim.core.types import AlignedScene, TerrainMesh
 from realsim.meshing import METHODS, MeshConfig, build, solid
 from realsim.meshing.quality import check
@@ -188,6 +189,5 @@ def test_errors_say_what_to_do() -> None:
 def _inside(surface: Surface, points: np.ndarray) -> np.ndarray:
     import open3d as o3d
 
-    caster, origin = surface.raycaster()
-    query = o3d.core.Tensor.from_numpy((points - origin).astype(np.float32))
-    return caster.compute_occupancy(query).numpy() > 0
+    query = o3d.core.Tensor.from_numpy(points.astype(np.float32))
+    return raycasting_scene(surface.vertices, surface.triangles).compute_occupancy(query).numpy() > 0

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from realsim.capture.arkit import BEST_CONFIDENCE
-from realsim.capture.assemble import View, capture, depth_unit, frames_with, on_two_grids
+from realsim.capture.assemble import View, capture, depth_unit, frames_with, on_two_grids, require_both, size_of_depth
 from realsim.capture.association import associate, interpolate_poses, nearest
 from realsim.capture.config import CaptureConfig
-from realsim.capture.images import ConfidenceImage, DepthImage, common_size
+from realsim.capture.images import ConfidenceImage
 from realsim.capture.intrinsics import Camera, no_intrinsics
 from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.listing import Pair, list_files, pose_file
@@ -57,14 +57,10 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     depth_times, depth = timed(root / DEPTH, ".png")
     camera_times, cameras = timed(root / CAMERAS, ".pincam")
     sure_times, sure = timed(root / CONFIDENCE, ".png")
-    if not depth or not color:
-        what = "colour without depth" if color else "depth without colour"
-        raise CaptureError(what, file=root, expected=f"{COLOR}/ and {DEPTH}/ with images")
+    require_both(color, depth, root, f"{COLOR}/ and {DEPTH}/ with images")
     if not cameras:
         raise no_intrinsics(root, (f"{CAMERAS}/*.pincam",), f"download the asset {CAMERAS} of this video")
-    depth_size = common_size(DepthImage(p, 1.0) for p in depth)
-    if depth_size is None:
-        raise CaptureError("no depth image can be read", file=root / DEPTH)
+    depth_size = size_of_depth(depth)
     unit = depth_unit(0.001, "ARKitScenes' convention", config)
     matches = associate(color_times, depth_times, config.max_time_difference)
     times = {color[i].stem: float(color_times[i]) for i, _ in matches}

@@ -15,14 +15,22 @@ from typing import Any
 import numpy as np
 
 from realsim.capture.arkit import AXES_NOTE, from_opengl
-from realsim.capture.assemble import DepthUnit, View, capture, frames_with, on_two_grids
+from realsim.capture.assemble import (
+    DepthUnit,
+    View,
+    capture,
+    depth_unit,
+    frames_with,
+    on_two_grids,
+    require_both,
+    sizes_of,
+)
 from realsim.capture.config import CaptureConfig
-from realsim.capture.images import ColorImage, DepthImage, common_size
 from realsim.capture.intrinsics import Camera, camera_from_mapping, no_intrinsics
 from realsim.capture.layout import Layout, Recognition
 from realsim.capture.listing import Pair, natural_key
-from realsim.capture.numbers import table_of
-from realsim.core.errors import CaptureError, PoseError, RealsimError
+from realsim.capture.poses import matrix_of
+from realsim.core.errors import CaptureError, RealsimError
 from realsim.core.files import inside, read_json, read_text
 from realsim.core.types import F64, FrameSet
 
@@ -56,11 +64,9 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     if not any("fl_x" in holder for holder in (data, *entries)):
         raise no_intrinsics(path, ("fl_x fl_y cx cy",), "write fl_x, fl_y, cx, cy, w and h at the top of the file")
     pairs, by_name = _pairs(folder, entries)
-    depth_size = common_size(DepthImage(p.depth, 1.0) for p in pairs if p.depth)
-    color_size = common_size(ColorImage(p.color) for p in pairs if p.color)
-    if depth_size is None or color_size is None:
-        what = "colour without depth" if depth_size is None else "depth without colour"
-        raise CaptureError(what, file=path, expected="file_path and depth_file_path of images that can be read")
+    color, depth = [p.color for p in pairs if p.color], [p.depth for p in pairs if p.depth]
+    require_both(color, depth, path, "file_path and depth_file_path of images")
+    color_size, depth_size = sizes_of(color, depth)
     unit = _depth_unit(data, config, path)
     scale = _positive(data.get("applied_scale", 1.0), "applied_scale", path)
     warnings: list[str] = []
@@ -126,26 +132,15 @@ def _camera(data: Mapping[str, Any], entry: Mapping[str, Any], path: Path) -> Ca
 
 
 def _pose(entry: Mapping[str, Any], scale: float, path: Path) -> F64:
-    try:
-        T = table_of(entry.get("transform_matrix"))
-    except (TypeError, ValueError) as error:
-        raise PoseError("transform_matrix is not a matrix of numbers", file=path) from error
-    if T.shape == (3, 4):
-        T = np.vstack([T, [0.0, 0, 0, 1]])
-    if T.shape != (4, 4):
-        raise PoseError("a pose of the wrong length", file=path, expected="4x4 numbers", found=f"shape {T.shape}")
+    T = matrix_of(entry.get("transform_matrix"), "transform_matrix", path)
     T[:3, 3] /= scale
     return from_opengl(T)
 
 
 def _depth_unit(data: Mapping[str, Any], config: CaptureConfig, path: Path) -> DepthUnit:
-    if config.depth_unit is not None:
-        note = f"depth is in steps of {config.depth_unit:g} m, as asked for"
-        return DepthUnit(config.depth_unit, config.depth_unit, note)
     key = next((key for key in UNIT_KEYS if key in data), None)
     unit = 0.001 if key is None else _positive(data[key], key, path)
-    why = "nerfstudio's convention, for arrays too" if key is None else f"{key} in {path.name}"
-    return DepthUnit(unit, unit, f"depth is in steps of {unit:g} m ({why})")
+    return depth_unit(unit, "nerfstudio's convention" if key is None else f"{key} in {path.name}", config, arrays=True)
 
 
 def _positive(value: Any, what: str, path: Path) -> float:

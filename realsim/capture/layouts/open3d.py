@@ -9,12 +9,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from realsim.capture.assemble import cameras, capture, depth_unit, frames_of
+from realsim.capture.assemble import cameras, capture, depth_unit, frames_of, require_both
 from realsim.capture.config import CaptureConfig
 from realsim.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
 from realsim.capture.intrinsics import Camera, no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
-from realsim.capture.listing import Pair, color_folder, depth_folder, last_number, list_files, pair_by_stem, pose_file
+from realsim.capture.listing import (
+    Pair,
+    color_folder,
+    depth_folder,
+    first_file,
+    last_number,
+    list_files,
+    pair_by_stem,
+    pose_file,
+)
 from realsim.capture.poses import parse_matrix
 from realsim.core.errors import CaptureError, PoseError
 from realsim.core.files import read_text
@@ -41,12 +50,12 @@ def intrinsics_file(folder: Path) -> Path | None:
 
 
 def trajectory_file(folder: Path) -> Path | None:
-    return next((folder / name for name in TRAJECTORIES if (folder / name).is_file()), None)
+    return first_file(folder, TRAJECTORIES)
 
 
 def default_camera(folder: Path) -> Camera | None:
     """Open3D's own default, for a folder of Open3D's without a camera; None for other folders."""
-    left = next((folder / name for name in LEFT if (folder / name).is_file()), None)
+    left = first_file(folder, LEFT)
     if left is None:
         return None
     text = (
@@ -77,10 +86,9 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     if camera is None:
         raise no_intrinsics(folder, (*INTRINSICS, CAM_PARAMS))
     color_in, depth_in = color_folder(folder), depth_folder(folder)
-    if color_in is None or depth_in is None:
-        what = "colour without depth" if depth_in is None else "depth without colour"
-        raise CaptureError(what, file=folder, expected="color/ and depth/ with images")
-    color, depth = list_files(color_in, COLOR_SUFFIXES), list_files(depth_in, DEPTH_SUFFIXES)
+    color = list_files(color_in, COLOR_SUFFIXES) if color_in else []
+    depth = list_files(depth_in, DEPTH_SUFFIXES) if depth_in else []
+    require_both(color, depth, folder, "color/ and depth/ with images")
     pairs, rule = pair_by_stem(color, depth)
     try:
         of_depth, of_color, assumed = cameras(camera, color, depth)

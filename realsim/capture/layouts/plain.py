@@ -9,7 +9,7 @@ from realsim.capture.config import CaptureConfig
 from realsim.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
 from realsim.capture.intrinsics import no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
-from realsim.capture.listing import color_folder, depth_folder, list_files, pair_by_stem
+from realsim.capture.listing import color_folder, depth_folder, first_file, list_files, pair_by_stem
 from realsim.core.errors import CaptureError
 from realsim.core.types import FrameSet
 
@@ -18,7 +18,7 @@ INTRINSICS = tuple(f"{stem}{suffix}" for stem in STEMS for suffix in (".json", "
 
 
 def intrinsics_file(folder: Path) -> Path | None:
-    return next((folder / name for name in INTRINSICS if (folder / name).is_file()), None)
+    return first_file(folder, INTRINSICS)
 
 
 def recognise(folder: Path) -> Recognition:

@@ -10,16 +10,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from realsim.capture.arkit import AXES_NOTE, GRIDS_NOTE, UP, WORLD_NOTE, from_opengl
-from realsim.capture.assemble import View, capture, depth_unit, frames_with, on_two_grids
+from realsim.capture.assemble import View, capture, depth_unit, frames_with, on_two_grids, size_of_depth
 from realsim.capture.config import CaptureConfig
-from realsim.capture.images import COLOR_SUFFIXES, ConfidenceImage, DepthImage, common_size
+from realsim.capture.images import COLOR_SUFFIXES, ConfidenceImage
 from realsim.capture.intrinsics import camera_from_mapping, no_intrinsics
 from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.listing import Pair, list_files, pair_by_stem
-from realsim.capture.numbers import table_of
+from realsim.capture.poses import matrix_of
 from realsim.core.errors import CaptureError, PoseError
 from realsim.core.files import read_json
 from realsim.core.types import F64, FrameSet
@@ -71,9 +69,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     images, cameras = FOLDERS[kind]
     color = list_files(root / images, COLOR_SUFFIXES)
     pairs, _ = pair_by_stem(color, depth)
-    depth_size = common_size(DepthImage(p, 1.0) for p in depth)
-    if depth_size is None:
-        raise CaptureError("no depth image can be read", file=root / "depth")
+    depth_size = size_of_depth(depth)
     unit = depth_unit(0.001, "Polycam's convention", config)
     sure = {p.stem: p for p in list_files(root / "confidence", (".png",))}
     unknown = [] if len(sure) else ["there are no confidence maps"]
@@ -103,11 +99,9 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
 
 
 def _matrix(data: Mapping[str, Any], source: Path) -> F64:
-    try:
-        rows = table_of([[data[key] for key in row] for row in MATRIX_KEYS])
-    except (KeyError, TypeError, ValueError) as error:
-        raise PoseError("no camera pose", file=source, expected="numbers t_00 to t_23", found=str(error)) from error
-    return np.array([*rows, [0.0, 0, 0, 1]])
+    if missing := [key for row in MATRIX_KEYS for key in row if key not in data]:
+        raise PoseError("no camera pose", file=source, expected="numbers t_00 to t_23", found=f"no {missing[0]}")
+    return matrix_of([[data[key] for key in row] for row in MATRIX_KEYS], "t_00 to t_23", source)
 
 
 LAYOUT = Layout(

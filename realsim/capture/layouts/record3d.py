@@ -18,7 +18,7 @@ import numpy as np
 from realsim.capture import lzfse
 from realsim.capture.archive import Member, names
 from realsim.capture.arkit import AXES_NOTE, BEST_CONFIDENCE, GRIDS_NOTE, OPENGL, UP, WORLD_NOTE, from_opengl, pose_xyzw
-from realsim.capture.assemble import capture, on_two_grids, one_line
+from realsim.capture.assemble import View, capture, collect, on_two_grids
 from realsim.capture.config import CaptureConfig
 from realsim.capture.images import MAX_IMAGE_BYTES, MAX_PIXELS, confidence, decode_color, metres
 from realsim.capture.intrinsics import camera_from_mapping, check
@@ -27,7 +27,7 @@ from realsim.capture.listing import single_file
 from realsim.capture.numbers import table_of
 from realsim.core.errors import CaptureError, PoseError, RealsimError
 from realsim.core.files import MAX_TEXT_BYTES, parse_json
-from realsim.core.types import F32, F64, U8, Dropped, Frame, FrameSet, Intrinsics
+from realsim.core.types import F32, F64, U8, Frame, FrameSet, Intrinsics
 
 MEMBER = re.compile(r"rgbd/(\d{1,9})\.(jpg|depth)")
 """A frame's colour or depth in the archive."""
@@ -139,12 +139,12 @@ def read(path: Path, config: CaptureConfig) -> FrameSet:
     if depth_size[0] * depth_size[1] > MAX_PIXELS:
         raise CaptureError("an impossible depth size", file=source, found=f"{depth_size[0]}x{depth_size[1]}")
 
-    def pictures(number: int) -> Pictures | str:
+    def pictures(number: int) -> Pictures:
         sure = Member(source, f"rgbd/{number}.conf", MAX_IMAGE_BYTES)
         if f"rgbd/{number}.jpg" not in members:
-            return "depth without colour"
+            raise CaptureError("depth without colour")
         if f"rgbd/{number}.depth" not in members:
-            return "colour without depth"
+            raise CaptureError("colour without depth")
         return Pictures(
             ZippedDepth(Member(source, f"rgbd/{number}.depth", MAX_IMAGE_BYTES), depth_size),
             ZippedColor(Member(source, f"rgbd/{number}.jpg", MAX_IMAGE_BYTES)),
@@ -171,39 +171,22 @@ def frame_set(
     numbers: Sequence[int],
     meta: Metadata,
     depth_size: tuple[int, int],
-    pictures: Callable[[int], Pictures | str],
+    pictures: Callable[[int], Pictures],
 ) -> FrameSet:
-    """The recording's frames; `pictures` of a number may also be the reason why there are none."""
-    frames: list[Frame] = []
-    dropped: list[Dropped] = []
-    for number, at in zip(numbers, rows(numbers, meta), strict=True):
-        name = f"{number:06d}"
+    """The recording's frames; `pictures` of a number may raise a RealsimError, which costs that frame."""
+
+    def frame_of(place: tuple[int, int]) -> Frame:
+        number, at = place
         found = pictures(number)
-        if isinstance(found, str):
-            dropped.append(Dropped(name, found))
-            continue
-        try:
-            of_depth, of_color = on_two_grids(meta.camera(at), depth_size)
-            pose = meta.pose(at)
-        except RealsimError as error:
-            dropped.append(Dropped(name, one_line(error)))
-            continue
-        frames.append(
-            Frame(
-                name,
-                of_depth,
-                found.depth,
-                found.color,
-                of_color,
-                found.confidence,
-                pose,
-                meta.time(at),
-                found.files,
-            )
-        )
+        of_depth, of_color = on_two_grids(meta.camera(at), depth_size)
+        view = View(of_depth, of_color, meta.pose(at), meta.time(at), found.confidence)
+        return view.frame(f"{number:06d}", found.depth, found.color, found.files)
+
+    places = zip(numbers, rows(numbers, meta), strict=True)
+    frames, dropped = collect({f"{place[0]:06d}": place for place in places}, frame_of)
     assumptions = ["depth is in metres (Record3D's convention)", GRIDS_NOTE, *pose_notes(meta)]
     up = UP if meta.relative is False else None
-    return capture(path, layout, tuple(frames), tuple(dropped), assumptions, up_world=up)
+    return capture(path, layout, frames, dropped, assumptions, up_world=up)
 
 
 def read_metadata(data: Any, source: Path, config: CaptureConfig) -> Metadata:

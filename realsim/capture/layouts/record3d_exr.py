@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from realsim.capture.assemble import require_both
 from realsim.capture.config import CaptureConfig
 from realsim.capture.images import COLOR_SUFFIXES, MAX_IMAGE_BYTES, MAX_PIXELS, ColorImage, common_size, metres
 from realsim.capture.intrinsics import no_intrinsics
@@ -75,12 +76,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     depth = {int(p.stem): p for p in list_files(root / "depth", (".exr",)) if p.stem.isdigit()}
     color = {int(p.stem): p for p in list_files(root / "rgb", COLOR_SUFFIXES) if p.stem.isdigit()}
     source = metadata_file(root)
-    if not depth or not color:
-        raise CaptureError(
-            "colour without depth" if color else "depth without colour",
-            file=root,
-            expected="rgb/0.jpg and depth/0.exr and so on",
-        )
+    require_both(color, depth, root, "rgb/0.jpg and depth/0.exr and so on")
     if source is None:
         raise no_intrinsics(root, ("metadata.json",), "export the recording again, with its metadata.json")
     extra("OpenEXR", "phone", "reading Record3D's EXR depth")
@@ -89,9 +85,9 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     if depth_size is None:
         raise CaptureError("no depth image can be read", file=root / "depth", expected="float EXR images")
 
-    def pictures(number: int) -> Pictures | str:
+    def pictures(number: int) -> Pictures:
         if number not in depth or number not in color:
-            return "depth without colour" if number in depth else "colour without depth"
+            raise CaptureError("depth without colour" if number in depth else "colour without depth")
         files = (color[number], depth[number])
         return Pictures(ExrDepth(depth[number]), ColorImage(color[number]), None, files)
 

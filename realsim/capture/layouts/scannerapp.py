@@ -10,16 +10,18 @@ from pathlib import Path
 from typing import Any
 
 from realsim.capture.arkit import AXES_NOTE, BEST_CONFIDENCE, GRIDS_NOTE, UP, WORLD_NOTE, from_opengl
-from realsim.capture.assemble import View, capture, depth_unit, frames_with, on_two_grids
+from realsim.capture.assemble import View, capture, depth_unit, frames_with, on_two_grids, require_both, sizes_of
 from realsim.capture.config import CaptureConfig
-from realsim.capture.images import COLOR_SUFFIXES, ColorImage, ConfidenceImage, DepthImage, common_size
+from realsim.capture.images import COLOR_SUFFIXES, ConfidenceImage
 from realsim.capture.intrinsics import camera_from_mapping, no_intrinsics
 from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.listing import Pair, list_files, natural_key
-from realsim.capture.numbers import table_of
-from realsim.core.errors import CaptureError, PoseError
+from realsim.capture.poses import matrix_of
+from realsim.core.errors import CaptureError
 from realsim.core.files import read_json
-from realsim.core.types import F64, FrameSet
+from realsim.core.types import FrameSet
+
+POSE = "cameraPoseARFrame"
 
 
 def numbered(folder: Path, prefix: str, suffixes: tuple[str, ...]) -> dict[str, Path]:
@@ -44,19 +46,10 @@ def recognise(folder: Path) -> Recognition:
 def read(folder: Path, config: CaptureConfig) -> FrameSet:
     color, depth = numbered(folder, "frame", COLOR_SUFFIXES), numbered(folder, "depth", (".png",))
     sure, facts = numbered(folder, "conf", (".png",)), numbered(folder, "frame", (".json",))
-    if not depth or not color:
-        raise CaptureError(
-            "colour without depth" if color else "depth without colour",
-            file=folder,
-            expected="depth_*.png and frame_*.jpg",
-            hint='export the scan as "All Data"',
-        )
+    require_both(color, depth, folder, "depth_*.png and frame_*.jpg", 'export the scan as "All Data"')
     if not facts:
         raise no_intrinsics(folder, ("frame_*.json",), 'export the scan as "All Data"')
-    depth_size = common_size(DepthImage(p, 1.0) for p in depth.values())
-    color_size = common_size(ColorImage(p) for p in color.values())
-    if depth_size is None or color_size is None:
-        raise CaptureError("no image can be read", file=folder)
+    color_size, depth_size = sizes_of(color.values(), depth.values())
     unit = depth_unit(0.001, "3D Scanner App's convention", config)
     pairs = [Pair(n, color[n], depth.get(n)) for n in sorted(color, key=natural_key)]
 
@@ -66,7 +59,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         source = facts[pair.name]
         data = read_json(source)
         of_depth, of_color = on_two_grids(camera_from_mapping(data, source).sized(color_size), depth_size)
-        pose = None if config.ignore_poses else from_opengl(_matrix(data, source))
+        pose = None if config.ignore_poses else from_opengl(matrix_of(data.get(POSE), POSE, source))
         confidence = ConfidenceImage(sure[pair.name], BEST_CONFIDENCE) if pair.name in sure else None
         return View(of_depth, of_color, pose, _time(data), confidence)
 
@@ -77,16 +70,6 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         assumptions.append(f"{colorless} depth images have no colour image (the app keeps a few) and are not used")
     assumptions += [] if config.ignore_poses else [AXES_NOTE, WORLD_NOTE]
     return capture(folder, LAYOUT.name, frames, dropped, assumptions, up_world=None if config.ignore_poses else UP)
-
-
-def _matrix(data: dict[str, Any], source: Path) -> F64:
-    try:
-        T = table_of(data.get("cameraPoseARFrame")).ravel()
-    except (TypeError, ValueError) as error:
-        raise PoseError("cameraPoseARFrame is not a matrix of numbers", file=source) from error
-    if T.size != 16:
-        raise PoseError("a pose of the wrong length", file=source, expected="16 numbers in cameraPoseARFrame")
-    return T.reshape(4, 4)
 
 
 def _time(data: dict[str, Any]) -> float | None:

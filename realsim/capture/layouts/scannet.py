@@ -10,15 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from realsim.capture.assemble import capture, depth_unit, frames_of
+from realsim.capture.assemble import capture, depth_unit, frames_of, require_both, sizes_of
 from realsim.capture.config import CaptureConfig
-from realsim.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES, ColorImage, DepthImage, common_size
+from realsim.capture.images import COLOR_SUFFIXES, DEPTH_SUFFIXES
 from realsim.capture.intrinsics import no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
-from realsim.capture.listing import Pair, color_folder, depth_folder, list_files, pair_by_stem
-from realsim.capture.poses import read_matrix
-from realsim.core.errors import CaptureError, PoseError
-from realsim.core.types import F64, FrameSet
+from realsim.capture.listing import color_folder, depth_folder, first_file, list_files, pair_by_stem
+from realsim.capture.poses import pose_in, read_matrix
+from realsim.core.types import FrameSet
 
 CAMERAS = {
     "depth": ("intrinsic/intrinsic_depth.txt", "intrinsics_depth.txt", "intrinsic_depth.txt"),
@@ -28,7 +27,7 @@ POSES = "pose"
 
 
 def camera_file(folder: Path, which: str) -> Path | None:
-    return next((folder / name for name in CAMERAS[which] if (folder / name).is_file()), None)
+    return first_file(folder, CAMERAS[which])
 
 
 def recognise(folder: Path) -> Recognition:
@@ -47,35 +46,23 @@ def recognise(folder: Path) -> Recognition:
 
 def read(folder: Path, config: CaptureConfig) -> FrameSet:
     color_in, depth_in = color_folder(folder), depth_folder(folder)
-    if color_in is None or depth_in is None:
-        what = "colour without depth" if depth_in is None else "depth without colour"
-        raise CaptureError(what, file=folder, expected="color/ and depth/ with images")
-    color, depth = list_files(color_in, COLOR_SUFFIXES), list_files(depth_in, DEPTH_SUFFIXES)
+    color = list_files(color_in, COLOR_SUFFIXES) if color_in else []
+    depth = list_files(depth_in, DEPTH_SUFFIXES) if depth_in else []
+    require_both(color, depth, folder, "color/ and depth/ with images")
     depth_source, color_source = camera_file(folder, "depth"), camera_file(folder, "color")
     if depth_source is None or color_source is None:
         raise no_intrinsics(folder, (CAMERAS["depth"][0], CAMERAS["color"][0]), "export the scan with its intrinsics")
-    depth_size = common_size(DepthImage(p, 1.0) for p in depth)
-    color_size = common_size(ColorImage(p) for p in color)
-    if depth_size is None or color_size is None:
-        raise CaptureError("no image can be read", file=depth_in if depth_size is None else color_in)
+    color_size, depth_size = sizes_of(color, depth)
     depth_camera, color_camera = read_camera(depth_source), read_camera(color_source)
     unit = depth_unit(0.001, "ScanNet's convention", config)
     pairs, rule = pair_by_stem(color, depth)
     pose_files = {} if config.ignore_poses else {p.stem: p for p in list_files(folder / POSES, (".txt",))}
-
-    def pose_of(pair: Pair) -> F64 | None:
-        if not pose_files:
-            return None
-        if pair.name not in pose_files:
-            raise PoseError("there is no pose for this frame")
-        return read_matrix(pose_files[pair.name])
-
     frames, dropped = frames_of(
         pairs,
         depth_camera.sized(depth_size),
         unit,
         color_intrinsics=color_camera.sized(color_size),
-        pose_of=pose_of,
+        pose_of=lambda pair: pose_in(pose_files, pair.name),
     )
     assumptions = [
         *depth_camera.notes,

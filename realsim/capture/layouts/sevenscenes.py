@@ -12,10 +12,10 @@ from realsim.capture.assemble import cameras, capture, depth_unit, frames_of
 from realsim.capture.config import CaptureConfig
 from realsim.capture.intrinsics import no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
-from realsim.capture.listing import Pair, natural_key
-from realsim.capture.poses import read_matrix
-from realsim.core.errors import CaptureError, PoseError
-from realsim.core.types import F64, FrameSet
+from realsim.capture.listing import Pair, first_file, natural_key
+from realsim.capture.poses import pose_in
+from realsim.core.errors import CaptureError
+from realsim.core.types import FrameSet
 
 INTRINSICS = ("camera-intrinsics.txt", "intrinsics.txt", "intrinsics.json", "intrinsics.yaml")
 
@@ -32,8 +32,7 @@ def frame_files(folder: Path) -> dict[str, dict[str, Path]]:
 
 def intrinsics_file(folder: Path) -> Path | None:
     """Beside the frames, or one folder up (the datasets keep one file for several sequences)."""
-    folders = (folder, folder.parent)
-    return next((at / name for at in folders for name in INTRINSICS if (at / name).is_file()), None)
+    return first_file(folder, INTRINSICS) or first_file(folder.parent, INTRINSICS)
 
 
 def recognise(folder: Path) -> Recognition:
@@ -63,16 +62,10 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         camera, [p.color for p in pairs if p.color], [p.depth for p in pairs if p.depth]
     )
     unit = depth_unit(0.001, "7-Scenes' convention", config, camera)
-    posed = not config.ignore_poses and any("pose" in f for f in files.values())
-
-    def pose_of(pair: Pair) -> F64 | None:
-        if not posed:
-            return None
-        if "pose" not in files[pair.name]:
-            raise PoseError("there is no pose for this frame")
-        return read_matrix(files[pair.name]["pose"])
-
-    frames, dropped = frames_of(pairs, of_depth, unit, color_intrinsics=of_color, pose_of=pose_of)
+    posed = {} if config.ignore_poses else {name: f["pose"] for name, f in files.items() if "pose" in f}
+    frames, dropped = frames_of(
+        pairs, of_depth, unit, color_intrinsics=of_color, pose_of=lambda pair: pose_in(posed, pair.name)
+    )
     assumptions = [
         *camera.notes,
         f"the camera is that of {source}",

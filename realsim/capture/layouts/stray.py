@@ -13,14 +13,23 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from realsim.capture.arkit import BEST_CONFIDENCE, GRIDS_NOTE, UP, WORLD_NOTE, pose_xyzw
-from realsim.capture.assemble import DepthUnit, capture, on_two_grids, one_line
+from realsim.capture.assemble import (
+    View,
+    capture,
+    collect,
+    depth_unit,
+    on_two_grids,
+    one_line,
+    require_both,
+    size_of_depth,
+)
 from realsim.capture.config import CaptureConfig
-from realsim.capture.images import ConfidenceImage, DepthImage, common_size
+from realsim.capture.images import ConfidenceImage, DepthImage
 from realsim.capture.intrinsics import Camera, no_intrinsics, read_camera
 from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.listing import last_number, list_files, pose_file
 from realsim.capture.video import VideoFrame, open_video
-from realsim.core.errors import CaptureError, PoseError, RealsimError
+from realsim.core.errors import CaptureError, PoseError
 from realsim.core.files import read_text
 from realsim.core.types import F64, Dropped, Frame, FrameSet, Intrinsics
 
@@ -72,19 +81,12 @@ def recognise(folder: Path) -> Recognition:
 
 def read(folder: Path, config: CaptureConfig) -> FrameSet:
     depth = {n: p for p in list_files(folder / "depth", (".png", ".npy")) if (n := last_number(p.stem)) is not None}
-    if not depth:
-        raise CaptureError("colour without depth", file=folder, expected="depth/000000.png and so on")
-    if not (folder / VIDEO).is_file():
-        raise CaptureError("depth without colour", file=folder, expected=VIDEO)
+    require_both((folder / VIDEO).is_file(), depth, folder, f"{VIDEO}, and depth/000000.png and so on")
     if not (folder / CAMERA).is_file():
         raise no_intrinsics(folder, (CAMERA,))
     video = open_video(folder / VIDEO)
-    depth_size = common_size(DepthImage(p, 1.0) for p in depth.values())
-    if depth_size is None:
-        raise CaptureError("no depth image can be read", file=folder / "depth")
-    unit = config.depth_unit or 0.001
-    why = "as asked for" if config.depth_unit else "Stray Scanner's convention, for arrays too"
-    steps = DepthUnit(unit, unit, f"depth is in steps of {unit:g} m ({why})")
+    depth_size = size_of_depth(depth.values())
+    unit = depth_unit(0.001, "Stray Scanner's convention", config, arrays=True)
     warnings: list[str] = []
     table: dict[int, Row] = {}
     try:
@@ -99,37 +101,22 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
     sure = {n: p for p in list_files(folder / "confidence", (".png",)) if (n := last_number(p.stem)) is not None}
     camera = read_camera(folder / CAMERA)
 
-    frames: list[Frame] = []
-    dropped: list[Dropped] = []
-    for number in sorted(depth):
-        name = f"{number:06d}"
+    def frame_of(number: int) -> Frame:
         row = table.get(number)
-        try:
-            if number >= video.count:
-                raise CaptureError(f"the video ends before this frame: it has {video.count}")
-            of_depth, of_color = on_two_grids(_camera(row, camera, video.size), depth_size)
-            pose = _pose(row) if posed else None
-            time = row.numbers(("timestamp",)) if row else None
-        except RealsimError as error:
-            dropped.append(Dropped(name, one_line(error)))
-            continue
-        frames.append(
-            Frame(
-                name,
-                of_depth,
-                DepthImage(depth[number], steps.integer, steps.floating),
-                VideoFrame(video.path, number),
-                of_color,
-                ConfidenceImage(sure[number], BEST_CONFIDENCE) if number in sure else None,
-                pose,
-                time[0] if time else None,
-                (video.path, depth[number]),
-            )
-        )
-    dropped += [Dropped(f"{n:06d}", "colour without depth") for n in sorted(table.keys() - depth.keys())]
+        if number >= video.count:
+            raise CaptureError(f"the video ends before this frame: it has {video.count}")
+        of_depth, of_color = on_two_grids(_camera(row, camera, video.size), depth_size)
+        time = row.numbers(("timestamp",)) if row else None
+        sure_of = ConfidenceImage(sure[number], BEST_CONFIDENCE) if number in sure else None
+        view = View(of_depth, of_color, _pose(row) if posed else None, time[0] if time else None, sure_of)
+        image = DepthImage(depth[number], unit.integer, unit.floating)
+        return view.frame(f"{number:06d}", image, VideoFrame(video.path, number), (video.path, depth[number]))
+
+    frames, dropped = collect({f"{number:06d}": number for number in sorted(depth)}, frame_of)
+    dropped += tuple(Dropped(f"{n:06d}", "colour without depth") for n in sorted(table.keys() - depth.keys()))
     own = any(row.has(OWN_CAMERA) for row in table.values())
     assumptions = [
-        steps.note,
+        unit.note,
         GRIDS_NOTE,
         f"every frame has intrinsics of its own, in {ODOMETRY}" if own else f"{CAMERA} is the camera of all frames",
         "the n-th image of the video belongs to depth image n",
@@ -142,7 +129,7 @@ def read(folder: Path, config: CaptureConfig) -> FrameSet:
         ]
     if table and video.count < len(table):
         warnings.append(f"{VIDEO} has {video.count} images for {len(table)} poses: the rest has no colour")
-    return capture(folder, LAYOUT.name, tuple(frames), tuple(dropped), assumptions, warnings, UP if posed else None)
+    return capture(folder, LAYOUT.name, frames, dropped, assumptions, warnings, UP if posed else None)
 
 
 def read_odometry(path: Path) -> dict[int, Row]:

@@ -16,7 +16,7 @@ from realsim.capture.association import associate, interpolate_poses
 from realsim.capture.config import CaptureConfig
 from realsim.capture.intrinsics import Camera, no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
-from realsim.capture.listing import Pair, pose_file
+from realsim.capture.listing import Pair, first_file, pose_file
 from realsim.core.errors import CaptureError, PoseError
 from realsim.core.files import inside, read_text
 from realsim.core.geometry import make_T, quat_to_R
@@ -58,7 +58,7 @@ def recognise(folder: Path) -> Recognition:
 
 
 def intrinsics_file(folder: Path) -> Path | None:
-    return next((folder / name for name in INTRINSICS if (folder / name).is_file()), None)
+    return first_file(folder, INTRINSICS)
 
 
 def read(folder: Path, config: CaptureConfig) -> FrameSet:

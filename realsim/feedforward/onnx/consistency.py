@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.core.types import F32, F64, Bool
+from realsim.core.types import F32, F64, Bool, Intrinsics
 
 SAMPLES = 400
 TOLERANCE = 0.1
@@ -34,11 +34,8 @@ def agreement(depth: F32, mask: Bool, K: F64, T: F64) -> F64:
 
 def _confirmed(p: F64, depth: F32, mask: Bool, K: F64) -> float:
     h, w = depth.shape
-    z = np.maximum(p[:, 2], 1e-9)
-    c, r = np.round(p[:, 0] / z * K[0, 0] + K[0, 2]), np.round(p[:, 1] / z * K[1, 1] + K[1, 2])
-    inside = (p[:, 2] > 0) & (c >= 0) & (r >= 0) & (c < w) & (r < h)
-    r, c, z = r[inside].astype(int), c[inside].astype(int), z[inside]
-    same = mask[r, c] & (np.abs(depth[r, c] - z) < TOLERANCE * z)
+    r, c, inside = Intrinsics(w, h, K[0, 0], K[1, 1], K[0, 2], K[1, 2]).pixels(p)
+    same = inside & mask[r, c] & (np.abs(depth[r, c] - p[:, 2]) < TOLERANCE * p[:, 2])
     return float(same.sum()) / len(p)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.core.geometry import make_T
+from realsim.core.geometry import make_T, nearest_rotation
 from realsim.core.types import F64, Frame, FrameSet
 from realsim.feedforward.rgbd.accept_refinement import two_metres
 
@@ -74,8 +74,7 @@ def _laid_on(T: F64, G: F64, rigid: bool = False) -> tuple[F64, float, np.ndarra
             np.concatenate([G[keep][:, :3, k] for k in range(3)]),
         )
         M = (b[keep] - cb).T @ (a[keep] - ca) + reach**2 / 3 * looks[1].T @ looks[0]
-        U, _, Vt = np.linalg.svd(M)
-        R = U @ np.diag([1, 1, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+        R = nearest_rotation(M)
         turned = (a - ca) @ R.T
         scale = 1.0 if rigid else float((turned[keep] * (b[keep] - cb)).sum() / max((turned[keep] ** 2).sum(), 1e-12))
         off = np.linalg.norm(scale * turned + cb - b, axis=1)

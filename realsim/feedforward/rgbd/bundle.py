@@ -12,7 +12,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
+from realsim.core.least_squares import Loss, cauchy, least_squares
 from realsim.core.types import F64
 from realsim.feedforward.rgbd.pose_graph import exp_se3, hat
 
@@ -51,35 +53,34 @@ def adjust(
     seen: Observations,
     *,
     iterations: int = 15,
-    cauchy: float = 2.0,
+    scale: float = 2.0,
     anchor: int = 0,
 ) -> Adjusted:
-    """Levenberg-Marquardt with Cauchy weights (scale `cauchy` standard deviations); camera `anchor` does not move."""
-    T, X = np.array(T_world_camera, float), np.array(points, float)
-    damping, done = 1e-4, 0
-    r, J_camera, J_point = linearise(T, X, seen)
-    cost = _cost(r, cauchy)
-    while done < iterations:
-        done += 1
-        w = weights(r, cauchy)
-        accepted = False
-        for _ in range(6):
-            dT, dX = _step(J_camera, J_point, r, w, seen, len(T), len(X), damping, anchor)
-            T1, X1 = T @ exp_se3(dT), X + dX
-            r1, *J1 = linearise(T1, X1, seen)
-            cost1 = _cost(r1, cauchy)
-            if cost1 < cost:
-                accepted = True
-                break
-            damping *= 10
-        if not accepted:
-            break
-        gain = (cost - cost1) / cost
-        T, X, r, cost, (J_camera, J_point) = T1, X1, r1, cost1, J1
-        damping = max(damping / 10, 1e-9)
-        if gain < 1e-6:
-            break
-    return Adjusted(T, X, r, cost, done)
+    """Levenberg-Marquardt with Cauchy weights (`scale` standard deviations); camera `anchor` does not move."""
+    n, p = len(T_world_camera), len(points)
+    columns = np.concatenate(
+        [6 * seen.camera[:, None] + np.arange(6), 6 * n + 3 * seen.point[:, None] + np.arange(3)], 1
+    )
+    columns = np.repeat(columns, 3, axis=0).ravel()
+    start = 9 * np.arange(3 * len(seen.camera) + 1)
+
+    def model(state: tuple[F64, F64]) -> tuple[F64, Any]:
+        r, J_camera, J_point = linearise(*state, seen)
+        J = np.concatenate([J_camera, J_point], 2)
+        return r.ravel(), csr_matrix((J.ravel(), columns, start), (r.size, 6 * n + 3 * p))
+
+    found = least_squares(
+        model,
+        (np.array(T_world_camera, float), np.array(points, float)),
+        move=lambda s, step: (s[0] @ exp_se3(step[: 6 * n].reshape(n, 6)), s[1] + step[6 * n :].reshape(p, 3)),
+        loss=loss(len(seen.camera), scale),
+        free=np.arange(6 * n + 3 * p) // 6 != anchor,
+        eliminated=3 * p,
+        iterations=iterations,
+    )
+    assert found is not None  # no state of this model is impossible
+    T, X = found.state
+    return Adjusted(T, X, found.residual.reshape(-1, 3), found.cost, found.iterations)
 
 
 def linearise(T: F64, X: F64, seen: Observations) -> tuple[F64, F64, F64]:
@@ -97,62 +98,7 @@ def linearise(T: F64, X: F64, seen: Observations) -> tuple[F64, F64, F64]:
     return (predicted - seen.measured) / seen.sigma, J_camera, J @ np.swapaxes(R, 1, 2)
 
 
-def _squares(r: F64) -> F64:
-    """(M, 2) squared residual of the image position and of the depth: they fail apart, at edges and in mismatches."""
-    return np.stack([r[:, 0] ** 2 + r[:, 1] ** 2, r[:, 2] ** 2], 1)
-
-
-def _cost(r: F64, c: float) -> float:
-    return float(c**2 * np.log1p(_squares(r) / c**2).sum())
-
-
-def weights(r: F64, c: float) -> F64:
-    """(M, 3) Cauchy weights of the residuals."""
-    w = 1 / (1 + _squares(r) / c**2)
-    return w[:, [0, 0, 1]]
-
-
-def _step(
-    Jc: F64, Jp: F64, r: F64, w: F64, seen: Observations, cameras: int, points: int, damping: float, anchor: int
-) -> tuple[F64, F64]:
-    """Damped normal equations, the points eliminated: ((N, 6), (P, 3))."""
-    from scipy.sparse import csc_matrix
-    from scipy.sparse.linalg import splu
-
-    Wc, Wp = np.swapaxes(Jc * w[..., None], 1, 2), np.swapaxes(Jp * w[..., None], 1, 2)
-    U = gather(Wc @ Jc, seen.camera, cameras)
-    V = gather(Wp @ Jp, seen.point, points)
-    gc = gather((Wc @ r[..., None])[..., 0], seen.camera, cameras)
-    gp = gather((Wp @ r[..., None])[..., 0], seen.point, points)
-    for D in (U, V):
-        k = np.arange(D.shape[1])
-        D[:, k, k] *= 1 + damping
-        D[:, k, k] += 1e-9
-    # V = L L'; with B = W L^-T the reduced matrix is U - B B', and B' is the only large sparse product.
-    L_inv = np.linalg.inv(np.linalg.cholesky(V))
-    B = _blocks(Wc @ Jp @ np.swapaxes(L_inv, 1, 2)[seen.point], seen.camera, seen.point, (cameras, points))
-    y = (L_inv @ gp[..., None])[..., 0]
-    S = _blocks(U, np.arange(cameras), np.arange(cameras), (cameras, cameras)) - B @ B.T
-    free = np.flatnonzero(np.arange(6 * cameras) // 6 != anchor)
-    dc = np.zeros(6 * cameras)
-    dc[free] = -splu(csc_matrix(S)[free][:, free]).solve((gc.ravel() - B @ y.ravel())[free])
-    dp = -(np.swapaxes(L_inv, 1, 2) @ (y + (B.T @ dc).reshape(points, 3))[..., None])[..., 0]
-    return dc.reshape(cameras, 6), dp
-
-
-def gather(values: F64, index: NDArray[np.int64], count: int) -> F64:
-    """Sums of `values` (M, ...) that share an index, (count, ...)."""
-    from scipy.sparse import csr_matrix
-
-    select = csr_matrix((np.ones(len(index)), (index, np.arange(len(index)))), (count, len(index)))
-    return (select @ values.reshape(len(index), -1)).reshape(count, *values.shape[1:])
-
-
-def _blocks(values: F64, row: NDArray[np.int64], col: NDArray[np.int64], shape: tuple[int, int]) -> Any:
-    """Sparse matrix of the dense blocks `values` (M, a, b) at block positions (row, col)."""
-    from scipy.sparse import csr_matrix
-
-    m, a, b = values.shape
-    rows = np.broadcast_to((a * row[:, None, None] + np.arange(a)[:, None]), (m, a, b))
-    cols = np.broadcast_to((b * col[:, None, None] + np.arange(b)), (m, a, b))
-    return csr_matrix((values.ravel(), (rows.ravel(), cols.ravel())), (a * shape[0], b * shape[1]))
+def loss(observations: int, scale: float) -> Loss:
+    """Cauchy's, of the image position and the depth of an observation each: they fail apart, at edges and in
+    mismatches."""
+    return cauchy(scale, (2 * np.arange(observations)[:, None] + (0, 0, 1)).ravel())

@@ -167,10 +167,9 @@ def _looked_through(depth: Any, near: Any, cameras: Any, T: F64) -> tuple[Any, A
             if i == j:
                 continue
             P = transform(invert_T(T[j]), points)
-            z = np.maximum(P[:, 2], 1e-6)
-            u = np.rint(cameras[j].fx * P[:, 0] / z + cameras[j].cx).astype(np.int64)
-            v = np.rint(cameras[j].fy * P[:, 1] / z + cameras[j].cy).astype(np.int64)
-            seen = np.flatnonzero((P[:, 2] > 0.1) & (u >= 0) & (v >= 0) & (u < w) & (v < h) & (depth[i].ravel() > 0))
+            z = P[:, 2]
+            v, u, inside = cameras[j].pixels(P, near=0.1)
+            seen = np.flatnonzero(inside & (depth[i].ravel() > 0))
             there, limit = near[j][v[seen], u[seen]], CLEAR * np.maximum(z[seen], 1)
             known = there > 0
             through[i, seen] += known & (there > z[seen] + limit)

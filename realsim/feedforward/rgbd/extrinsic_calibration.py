@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from realsim.core.geometry import invert_T
+from realsim.core.geometry import invert_T, nearest_rotation
+from realsim.core.least_squares import cauchy, differences, least_squares
 from realsim.core.types import F64, Frame, Intrinsics
 from realsim.feedforward.rgbd.features import Match, View
 
@@ -124,36 +125,37 @@ def calibrate(views: Sequence[View], matches: Sequence[Match], T: F64 | None = N
     """
     far = [_thinned(m) for m in matches if len(m.a) >= 20]
     far = [far[k] for k in np.unique(np.linspace(0, len(far) - 1, PAIRS).astype(int))] if far else []
-    held, used = far[::4], [m for k, m in enumerate(far) if k % 4]
-    if sum(len(m.a) for m in used) < LEAST or not held:
+    held_out, used = far[::4], [m for k, m in enumerate(far) if k % 4]
+    if sum(len(m.a) for m in used) < LEAST or not held_out:
         return None
-    theta = np.zeros(5)
     known = None if T is None else (T, gain)
-    for _ in range(STEPS):
-        r, J, group = _linearised(views, used, theta, known)
-        w = 1 / (1 + (r / SCALE) ** 2) / SCALE**2
-        H = (J * w[:, None]).T @ J + np.diag(PRIOR**-2.0)
-        step = -np.linalg.solve(H, (J * w[:, None]).T @ r + theta / PRIOR**2)
-        # Noise in the slopes of depth makes steps too short: the best of some multiples is taken.
-        tries = [theta + k * step for k in (1, 3, 6, 10)]
-        theta = min(tries, key=lambda t: _cost(views, used, t, known))
-        if np.abs(step / PRIOR).max() < 0.01:
-            break
+
+    def residual(theta: F64) -> F64:
+        return np.concatenate([_residual(views, m, theta, known).ravel() for m in used]) / SCALE
+
+    # Noise in the slopes of depth makes steps too short: the best of some multiples is taken.
+    fit = least_squares(
+        differences(residual, DELTA),
+        np.zeros(5),
+        loss=cauchy(1.0),
+        prior=(np.zeros(5), PRIOR),
+        damping=0,
+        lengths=(1, 3, 6, 10),
+        iterations=STEPS,
+        tolerance=0.01 * float(PRIOR.min()),
+    )
+    assert fit is not None  # no state of this model is impossible
     scores = np.zeros((len(used), 5))
-    np.add.at(scores, group, J * (w * r)[:, None])
-    inverse = np.linalg.inv(H)
+    pair = np.repeat(np.arange(len(used)), [3 * len(m.a) for m in used])
+    np.add.at(scores, pair, fit.jacobian * (fit.weight * fit.residual)[:, None])
+    inverse = np.linalg.inv(fit.information + np.diag(PRIOR**-2.0))
     sigma = np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse))
-    before, after = (float(np.median(_lengths(views, held, t, known))) for t in (np.zeros(5), theta))
-    return Found(Registration.of(theta), sigma, before, after, sum(len(m.a) for m in used))
+    before, after = (float(np.median(_lengths(views, held_out, t, known))) for t in (np.zeros(5), fit.state))
+    return Found(Registration.of(fit.state), sigma, before, after, sum(len(m.a) for m in used))
 
 
 Known = tuple[F64, float] | None
-"""Poses and gain, as `seek` has them."""
-
-
-def _cost(views: Sequence[View], matches: Sequence[Match], theta: F64, known: Known) -> float:
-    length = _lengths(views, matches, theta, known)
-    return float(np.log1p((length / SCALE) ** 2).mean() + 1e-3 * ((theta / PRIOR) ** 2).sum())
+"""Poses and gain, as `calibrate` has them."""
 
 
 def _thinned(m: Match) -> Match:
@@ -164,22 +166,6 @@ def _thinned(m: Match) -> Match:
 def _lengths(views: Sequence[View], matches: Sequence[Match], theta: F64, known: Known) -> F64:
     length = np.concatenate([np.linalg.norm(_residual(views, m, theta, known), axis=1) for m in matches])
     return length[np.isfinite(length)]
-
-
-def _linearised(
-    views: Sequence[View], matches: Sequence[Match], theta: F64, known: Known
-) -> tuple[F64, F64, np.ndarray]:
-    """Residuals (K,), their derivatives by the five figures (K, 5), and the pair of each (K,)."""
-    rs, Js, groups = [], [], []
-    for pair, m in enumerate(matches):
-        around = [_residual(views, m, theta + d, known) for d in (np.zeros(5), *np.diag(DELTA), *np.diag(-DELTA))]
-        # A point that falls off a surface at any of these is not a derivative but a loss.
-        on = np.isfinite(around).all((0, 2))
-        J = np.stack([(around[1 + k] - around[6 + k])[on].ravel() / (2 * DELTA[k]) for k in range(5)], 1)
-        rs.append(around[0][on].ravel())
-        Js.append(J)
-        groups.append(np.full(len(J), pair))
-    return np.concatenate(rs), np.concatenate(Js), np.concatenate(groups)
 
 
 def _residual(views: Sequence[View], m: Match, theta: F64, known: Known) -> F64:
@@ -198,8 +184,7 @@ def _residual(views: Sequence[View], m: Match, theta: F64, known: Known) -> F64:
     w = 1 / z**2
     for _ in range(3 if known is None else 0):
         pc, qc = (w[:, None] * p).sum(0) / w.sum(), (w[:, None] * q).sum(0) / w.sum()
-        U, _, Vt = np.linalg.svd((w[:, None] * (p - pc)).T @ (q - qc))
-        R = U @ np.diag([1, 1, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+        R = nearest_rotation((w[:, None] * (p - pc)).T @ (q - qc))
         r = (p - pc - (q - qc) @ R.T) / z[:, None]
         w = 1 / z**2 / (1 + (r**2).sum(1) / SCALE**2)
     # Rays that are wider by the zoom have wider errors too; without this the best fit would be a world of no width.

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.core.geometry import make_T, transform
+from realsim.core.geometry import make_T, nearest_rotation, transform
 from realsim.core.ordered import in_order
 from realsim.core.progress import track
 from realsim.core.types import F32, F64, Bool, Frame, Intrinsics
@@ -274,9 +274,7 @@ def rigid_ransac(P: F64, Q: F64, rng: np.random.Generator, trials: int = 200) ->
 def _kabsch(P: F64, Q: F64) -> tuple[F64, F64]:
     """Batched least-squares rotations (T, 3, 3) and translations (T, 3) with P = R Q + t (Kabsch 1976)."""
     p, q = P.mean(1, keepdims=True), Q.mean(1, keepdims=True)
-    U, _, Vt = np.linalg.svd(np.swapaxes(P - p, 1, 2) @ (Q - q))
-    U[..., 2] *= np.sign(np.linalg.det(U @ Vt))[:, None]
-    R = U @ Vt
+    R = nearest_rotation(np.swapaxes(P - p, 1, 2) @ (Q - q))
     return R, p[:, 0] - (R @ q[:, 0, :, None])[..., 0]
 
 

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 from realsim.core.geometry import invert_T
+from realsim.core.least_squares import least_squares
 from realsim.core.progress import track
 from realsim.core.types import F64
-from realsim.feedforward.rgbd.bundle import Observations, gather, linearise, weights
+from realsim.feedforward.rgbd.bundle import Observations, linearise, loss
 from realsim.feedforward.rgbd.features import Tracks, View
 from realsim.feedforward.rgbd.matching import guided
 from realsim.feedforward.rgbd.pose_graph import exp_se3
@@ -60,19 +63,28 @@ def localize(
     residual = np.full(len(views), np.nan)
     seen, points = _sightings(views, T, landmarks)
     enough = np.bincount(seen.camera, minlength=len(views)) >= LEAST
-    own = np.zeros((6, 6)) if prior is None else np.diag([prior[0] ** -2.0] * 3 + [prior[1] ** -2.0] * 3)
-    moved = np.zeros((len(views), 6))
-    for _ in range(ITERATIONS):
+    n, rows = len(views), 3 * len(points)
+    columns = np.repeat(6 * seen.camera[:, None] + np.arange(6), 3, axis=0).ravel()
+
+    def model(T: F64) -> tuple[F64, Any]:
         r, J, _ = linearise(T, points, seen)
-        JT = np.swapaxes(J * weights(r, CAUCHY)[..., None], 1, 2)
-        H = gather(JT @ J, seen.camera, len(views)) + own + 1e-6 * np.eye(6)
+        return r.ravel(), csr_matrix((J.ravel(), columns, 6 * np.arange(rows + 1)), (rows, 6 * n))
+
+    known = (np.inf, np.inf) if prior is None else prior
+    found = least_squares(
+        model,
+        T,
+        move=lambda T, step: T @ exp_se3(step.reshape(n, 6)),
+        loss=loss(len(points), CAUCHY),
         # The prior's error is the way moved so far: steps are small enough to add up.
-        g = gather((JT @ r[..., None])[..., 0], seen.camera, len(views)) + moved @ own
-        step = np.where(enough[:, None], -np.linalg.solve(H, g[..., None])[..., 0], 0)
-        T, moved = T @ exp_se3(step), moved + step
-        if np.abs(step).max(initial=0) < 1e-6:
-            break
-    r, _, _ = linearise(T, points, seen)
+        prior=(np.zeros(6 * n), np.tile(np.repeat(known, 3), n)),
+        free=np.repeat(enough, 6),
+        damping=0,
+        iterations=ITERATIONS,
+        tolerance=1e-6,
+    )
+    assert found is not None  # no state of this model is impossible
+    T, r = found.state, found.residual.reshape(-1, 3)
     metres = np.abs(r[:, 2]) * seen.sigma[:, 2] / seen.measured[:, 2] ** 2 / landmarks.gain
     for k in np.flatnonzero(enough):
         residual[k] = 1.4826 * np.median(metres[seen.camera == k])

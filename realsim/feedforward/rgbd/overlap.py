@@ -57,17 +57,10 @@ def land(A: View, B: View, T_a_b: F64, stride: int = 1) -> Landing:
     valid = z > 0
     source = rays[valid] * z[valid][:, None]
     points = transform(T_a_b, source)
-    front = points[:, 2] > 0.05
-    z_safe = np.where(front, points[:, 2], 1)
-    c = np.round(points[:, 0] / z_safe * A.camera.fx + A.camera.cx)
-    r = np.round(points[:, 1] / z_safe * A.camera.fy + A.camera.cy)
-    h, w = A.depth.shape
-    inside = front & (c >= 0) & (r >= 0) & (c < w) & (r < h)
-    r, c = r[inside].astype(int), c[inside].astype(int)
+    r, c, inside = A.camera.pixels(points, near=0.05)
     depth = A.depth[r, c].astype(float)
-    hit = depth > 0
-    keep = np.flatnonzero(inside)[hit]
-    return Landing(source[keep], points[keep], depth[hit], (r[hit], c[hit]), index[valid][keep], int(valid.sum()))
+    keep = np.flatnonzero(inside & (depth > 0))
+    return Landing(source[keep], points[keep], depth[keep], (r[keep], c[keep]), index[valid][keep], int(valid.sum()))
 
 
 def overlap(A: View, B: View, T_a_b: F64, stride: int = 2) -> Overlap:

@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 from realsim.core.geometry import invert_T
+from realsim.core.least_squares import cauchy, least_squares
 from realsim.core.types import F64
 
 ITERATIONS = 50
@@ -77,53 +79,36 @@ def spanning_poses(count: int, edges: Sequence[Edge], root: int = 0) -> F64:
 def optimise(T_world_camera: F64, edges: Sequence[Edge], anchor: int = 0) -> tuple[F64, F64]:
     """Robust pose graph: ((N, 4, 4) poses, (E,) edge residuals in standard deviations). `anchor` stays where it is.
 
-    Gauss-Newton with Cauchy weights on the residual log(T_i_j^-1 T_i^-1 T_j), rotation and translation apart, its
-    Jacobian to first order (exact where edges agree).
+    Gauss-Newton with Cauchy weights on the residual log(T_i_j^-1 T_i^-1 T_j) of an edge, its Jacobian to first order
+    (exact where edges agree).
     """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.linalg import spsolve
-
-    T = np.array(T_world_camera, float)
-    n = len(T)
-    i, j = np.array([e.i for e in edges], int), np.array([e.j for e in edges], int)
-    if n < 2 or not len(i):
-        return T, np.zeros(len(i))
+    n, m = len(T_world_camera), len(edges)
+    if n < 2 or not m:
+        return np.array(T_world_camera, float), np.zeros(m)
+    i, j = np.array([(e.i, e.j) for e in edges]).T
     Z_inv = invert_T(np.stack([e.T_i_j for e in edges]))
     root = np.stack([e.root for e in edges])
-    free = np.flatnonzero(np.arange(6 * n) // 6 != anchor)
-    chi = np.zeros(len(i))
-    for _ in range(ITERATIONS):
-        E = Z_inv @ invert_T(T[i]) @ T[j]
-        r = (root @ log_se3(E)[..., None])[..., 0]
-        chi = np.linalg.norm(r, axis=1)
-        w = 1 / (1 + (chi / CAUCHY) ** 2)
+    row = 6 * np.arange(m)[:, None, None] + np.arange(6)[:, None]
+    rows = np.broadcast_to(row, (m, 6, 12)).ravel()
+    columns = np.concatenate([6 * k[:, None, None] + np.arange(6) + np.zeros((6, 1), int) for k in (i, j)], 2).ravel()
+
+    def model(T: F64) -> tuple[F64, Any]:
+        r = (root @ log_se3(Z_inv @ invert_T(T[i]) @ T[j])[..., None])[..., 0]
         # d log(E) is +d_j, and -Ad(T_j^-1 T_i) d_i.
-        Ji, Jj = -root @ adjoint(invert_T(T[j]) @ T[i]), root
-        g = np.zeros((n, 6))
-        rows, cols, vals = [], [], []
-        for a, Ja in ((i, Ji), (j, Jj)):
-            JaT = np.swapaxes(Ja, 1, 2) * w[:, None, None]
-            np.add.at(g, a, (JaT @ r[..., None])[..., 0])
-            for b, Jb in ((i, Ji), (j, Jj)):
-                rows.append((6 * a[:, None, None] + np.arange(6)[:, None] + np.zeros(6, int)).ravel())
-                cols.append((6 * b[:, None, None] + np.arange(6) + np.zeros((6, 1), int)).ravel())
-                vals.append((JaT @ Jb).ravel())
-        H = coo_matrix((np.concatenate(vals), (np.concatenate(rows), np.concatenate(cols))), (6 * n, 6 * n)).tocsc()[
-            free
-        ][:, free]
-        step = np.zeros(6 * n)
-        step[free] = -spsolve(H + _ridge(H), g.ravel()[free])
-        T = T @ exp_se3(step.reshape(n, 6))
-        if np.abs(step).max() < 1e-8:
-            break
-    return T, chi
+        J = np.concatenate([-root @ adjoint(invert_T(T[j]) @ T[i]), root], 2)
+        return r.ravel(), csr_matrix((J.ravel(), (rows, columns)), (6 * m, 6 * n))
 
-
-def _ridge(H: Any) -> Any:
-    """A damping far below every real constraint, so that a weightless corner of the graph cannot make H singular."""
-    from scipy.sparse import identity
-
-    return 1e-9 * float(H.diagonal().mean()) * identity(H.shape[0], format="csc")
+    found = least_squares(
+        model,
+        np.array(T_world_camera, float),
+        move=lambda T, step: T @ exp_se3(step.reshape(n, 6)),
+        loss=cauchy(CAUCHY, np.arange(6 * m) // 6),
+        free=np.arange(6 * n) // 6 != anchor,
+        damping=0,
+        iterations=ITERATIONS,
+    )
+    assert found is not None  # no state of this model is impossible
+    return found.state, np.linalg.norm(found.residual.reshape(m, 6), axis=1)
 
 
 # ---------------------------------------------------------------- SE(3), stacked

@@ -10,7 +10,7 @@ Four kinds of residuals, each divided by a standard deviation that is itself fou
 Depth and surface residuals are in the sensor's units on purpose: in corrected metres they would shrink together with
 the gain, and with their own standard deviations free the best fit would be a world of no size.
 
-Points are eliminated (Schur complement), so a step solves a sparse system in six unknowns a frame and one gain.
+Points are eliminated, so a step solves a sparse system in six unknowns a frame and one gain.
 Robustness is a Student t distribution with 4 degrees of freedom by iterated weights; the standard deviations are
 Helmert's variance components, sum of weighted squares over redundancy. Conventions of the update: R <- exp(w) R,
 c <- c + t, both in world axes.
@@ -19,13 +19,12 @@ c <- c + t, both in world axes.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from scipy.sparse import bsr_matrix, csr_matrix, diags_array, identity
-from scipy.sparse.linalg import splu
+from scipy.sparse import csr_matrix, diags_array, vstack
 from scipy.spatial.transform import Rotation
 
+from realsim.core.least_squares import Normal
 from realsim.core.types import F64
 from realsim.feedforward.rgbd.features import Tracks
 from realsim.feedforward.rgbd.pose_graph import hat
@@ -130,11 +129,11 @@ def solve_step(
     seed: int,
 ) -> Step:
     """One Gauss-Newton step, then the variance components at the linearised solution."""
-    n, width = len(state.R), 6 * len(state.R) + 1
-    Jc_t, Jp, r_t = _track_rows(state, tracks, width)
-    Jc_s, r_s = _surface_rows(state, surface, width)
+    n, M = len(state.R), len(tracks.z)
+    width = 6 * n + 1
+    J_t, r_t = _track_rows(state, tracks, width)
+    J_s, r_s = _surface_rows(state, surface, width, J_t.shape[1])
     r_p = _prior_residual(state, given)
-    M = len(tracks.z)
     sigma_t = np.tile([sigmas.image, sigmas.image, sigmas.depth], M)
     # The two image coordinates and the depth of one observation are outliers separately: a feature may be right where
     # its depth is not.
@@ -142,65 +141,52 @@ def solve_step(
     image_w = 5.0 / (4.0 + 0.5 * (e2[:, 0] ** 2 + e2[:, 1] ** 2))
     w_t = np.column_stack([image_w, image_w, student(e2[:, 2], 1.0)]).ravel()
     w_s = student(r_s, sigmas.surface)
-    wt, ws = w_t / sigma_t**2, w_s / sigmas.surface**2 / SURFACE_CORRELATION
-    wp = np.tile([sigmas.position] * 3 + [sigmas.angle] * 3, n) ** -2.0
-    gain_weight = GAIN_PRIOR**-2.0 if estimate_gain else 1e14
-    prior = np.append(wp, gain_weight)
-    prior_r = np.append(r_p, state.log_gain if estimate_gain else 0.0)
+    J, r = vstack([J_t, J_s], format="csr"), np.concatenate([r_t, r_s])
+    weight = np.concatenate([w_t / sigma_t**2, w_s / sigmas.surface**2 / SURFACE_CORRELATION])
+    prior, prior_r = np.zeros((2, J.shape[1]))
+    prior[: width - 1] = np.tile([sigmas.position] * 3 + [sigmas.angle] * 3, n) ** -2.0
+    prior[width - 1] = GAIN_PRIOR**-2.0 if estimate_gain else 1e14
+    prior_r[:width] = np.append(r_p, state.log_gain if estimate_gain else 0.0)
+    JW = J.multiply(weight[:, None]).tocsr()
+    ridge = np.where(np.arange(len(prior)) < width, 1e-9, 0)
+    normal = Normal(J.T @ JW + diags_array(prior + ridge), 3 * tracks.count)
+    x = normal.solve(-(JW.T @ r + prior * prior_r))
 
-    Jc_tw, Jc_sw = Jc_t.multiply(wt[:, None]).tocsr(), Jc_s.multiply(ws[:, None]).tocsr()
-    H = (Jc_t.T @ Jc_tw + Jc_s.T @ Jc_sw + diags_array(prior)).tocsr()
-    b = -(Jc_tw.T @ r_t + Jc_sw.T @ r_s + prior * prior_r)
-    blocks = Jp.data.reshape(M, 3, 3)
-    V = np.zeros((tracks.count, 3, 3))
-    np.add.at(V, tracks.point, np.einsum("mka,mk,mkb->mab", blocks, wt.reshape(M, 3), blocks))
-    V_inv = np.linalg.inv(V) if tracks.count else V
-    P = bsr_matrix((V_inv, np.arange(tracks.count), np.arange(tracks.count + 1)), shape=(3 * tracks.count,) * 2)
-    W = (Jc_tw.T @ Jp).tocsr()
-    bp = -(Jp.T @ (wt * r_t))
-    S = (H - W @ (P @ W.T)).tocsc()
-    S = (S + 1e-9 * identity(width, format="csc")).tocsc()
-    lu = splu(S, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    x = lu.solve(b - W @ (P @ bp))
-    y = P @ (bp - W.T @ x)
-    after = _apply(state, x, y)
+    # What a residual does to the gain: row of the inverse that belongs to the gain.
+    u = normal.solve(np.eye(1, len(x), width - 1)[0])
+    influence = np.concatenate([-(J @ u) * weight * r, -(u * prior * prior_r)[: width - 1]])
 
-    # What a residual does to the gain: row of the inverse that belongs to the gain, through the eliminated points.
-    unit = np.zeros(width)
-    unit[-1] = 1
-    u = lu.solve(unit)
-    influence_t = -(Jc_t @ u - Jp @ (P @ (W.T @ u))) * wt * r_t
-    influence_s = -(Jc_s @ u) * ws * r_s
-    influence_p = -(u * prior * prior_r)[:-1]
-
-    r_t1 = r_t + Jc_t @ x + Jp @ y
-    r_s1 = r_s + Jc_s @ x
-    leverage = np.einsum("mka,mab,mkb->mk", blocks, V_inv[tracks.point], blocks) * wt.reshape(M, 3)
-    new = _components(sigmas, r_t1.reshape(M, 3), w_t.reshape(M, 3), leverage, r_s1, w_s)
+    after = r + J @ x
+    r_t1, r_s1 = after[: 3 * M].reshape(M, 3), after[3 * M :]
+    blocks = J_t[:, width:].tobsr((3, 3)).data if M else np.zeros((0, 3, 3))
+    inverse = normal.inner_inverse[tracks.point]
+    leverage = np.einsum("mka,mab,mkb->mk", blocks, inverse, blocks) * weight[: 3 * M].reshape(M, 3)
+    new = _components(sigmas, r_t1, w_t.reshape(M, 3), leverage, r_s1, w_s)
     if fit_prior:
-        new = _prior_components(new, sigmas, r_p + x[:-1], lu, width, seed)
-    frames_s = surface.i
+        new = _prior_components(new, sigmas, r_p + x[: width - 1], normal, seed)
     return Step(
-        after,
+        _apply(state, x),
         new,
-        float(np.abs(x[:-1].reshape(n, 6)[:, :3]).max(initial=0)),
-        float(np.sqrt(max(u[-1], 0))),
-        np.concatenate([influence_t, influence_s, influence_p]),
-        np.concatenate([np.repeat(tracks.view, 3), frames_s, np.repeat(np.arange(n), 6)]),
+        float(np.abs(x[: width - 1].reshape(n, 6)[:, :3]).max(initial=0)),
+        float(np.sqrt(max(u[width - 1], 0))),
+        influence,
+        np.concatenate([np.repeat(tracks.view, 3), surface.i, np.repeat(np.arange(n), 6)]),
         np.concatenate([np.tile([0, 0, 1], M), np.full(len(r_s), 2), np.full(6 * n, 3)]),
-        r_t1.reshape(M, 3),
+        r_t1,
         r_s1,
     )
 
 
-def _apply(state: State, x: F64, y: F64) -> State:
-    step = x[:-1].reshape(-1, 6)
+def _apply(state: State, x: F64) -> State:
+    width = 6 * len(state.R) + 1
+    step = x[: width - 1].reshape(-1, 6)
     R = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ state.R
-    return replace(state, R=R, c=state.c + step[:, :3], log_gain=state.log_gain + x[-1], X=state.X + y.reshape(-1, 3))
+    X = state.X + x[width:].reshape(-1, 3)
+    return replace(state, R=R, c=state.c + step[:, :3], log_gain=state.log_gain + x[width - 1], X=X)
 
 
-def _track_rows(state: State, t: Tracks, width: int) -> tuple[csr_matrix, Any, F64]:
-    """Jacobians (3M, width) and (3M, 3P, as 3x3 blocks) and residuals (3M,)."""
+def _track_rows(state: State, t: Tracks, width: int) -> tuple[csr_matrix, F64]:
+    """Jacobian (3M, width + 3P) and residuals (3M,)."""
     M = len(t.z)
     Rt = np.swapaxes(state.R[t.view], 1, 2)
     arm = state.X[t.point] - state.c[t.view]
@@ -220,16 +206,15 @@ def _track_rows(state: State, t: Tracks, width: int) -> tuple[csr_matrix, Any, F
     A = D @ Rt
     gain = np.zeros((M, 3, 1))
     gain[:, 2, 0] = -y[:, 2] / state.gain / t.z**2
-    data = np.concatenate([-A, A @ hat(arm), gain], 2)
-    cols = np.concatenate([t.view[:, None] * 6 + np.arange(6), np.full((M, 1), width - 1)], 1)
-    cols = np.repeat(cols, 3, axis=0)
-    Jc = csr_matrix((data.ravel(), cols.ravel(), np.arange(0, 21 * M + 1, 7)), shape=(3 * M, width))
-    Jp = bsr_matrix((A, t.point, np.arange(M + 1)), shape=(3 * M, 3 * t.count))
-    return Jc, Jp, r.ravel()
+    data = np.concatenate([-A, A @ hat(arm), gain, A], 2)
+    poses, points = 6 * t.view[:, None] + np.arange(6), width + 3 * t.point[:, None] + np.arange(3)
+    cols = np.repeat(np.concatenate([poses, np.full((M, 1), width - 1), points], 1), 3, axis=0)
+    shape = (3 * M, width + 3 * t.count)
+    return csr_matrix((data.ravel(), cols.ravel(), np.arange(0, 30 * M + 1, 10)), shape), r.ravel()
 
 
-def _surface_rows(state: State, s: Surface, width: int) -> tuple[csr_matrix, F64]:
-    """Jacobian (K, width) and residuals (K,), 1/m."""
+def _surface_rows(state: State, s: Surface, width: int, unknowns: int) -> tuple[csr_matrix, F64]:
+    """Jacobian (K, unknowns) and residuals (K,), 1/m."""
     K = len(s.i)
     n = np.einsum("kab,kb->ka", state.R[s.j], s.n)
     a = np.einsum("kab,kb->ka", state.R[s.i], s.p)
@@ -242,7 +227,7 @@ def _surface_rows(state: State, s: Surface, width: int) -> tuple[csr_matrix, F64
     data = np.column_stack([along, np.cross(a, n), -along, -np.cross(a + shift, n), -np.einsum("ka,ka->k", n, shift)])
     cols = np.column_stack([s.i[:, None] * 6 + np.arange(6), s.j[:, None] * 6 + np.arange(6), np.full(K, width - 1)])
     data = data * scale[:, None]
-    return csr_matrix((data.ravel(), cols.ravel(), np.arange(0, 13 * K + 1, 13)), shape=(K, width)), r
+    return csr_matrix((data.ravel(), cols.ravel(), np.arange(0, 13 * K + 1, 13)), shape=(K, unknowns)), r
 
 
 def _prior_residual(state: State, given: State) -> F64:
@@ -268,20 +253,20 @@ def _components(sigmas: Sigmas, r_t: F64, w_t: F64, leverage: F64, r_s: F64, w_s
     )
 
 
-def _prior_components(new: Sigmas, old: Sigmas, r_p: F64, lu: Any, width: int, seed: int) -> Sigmas:
+def _prior_components(new: Sigmas, old: Sigmas, r_p: F64, normal: Normal, seed: int) -> Sigmas:
     """How far the given poses are off, from how far the data moves them against how far it could.
 
     sigma^2 = sum of squares / (count - trace(C) / sigma_old^2), with C the posterior covariance (MacKay 1992,
     eq. 4.9); the trace by Hutchinson's random signs, so that the cost stays linear in the frames.
     """
-    n = (width - 1) // 6
+    n = len(r_p) // 6
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (n, 3, 24))
     values = []
     for part, sigma, floor in ((0, old.position, FLOOR_T), (1, old.angle, FLOOR_R)):
         probe = np.zeros((n, 2, 3, 24))
         probe[:, part] = signs
         probe = np.vstack([probe.reshape(6 * n, 24), np.zeros((1, 24))])
-        trace = float((probe * lu.solve(probe)).sum() / 24)
+        trace = float((probe * normal.solve_kept(probe)).sum() / 24)
         told = np.clip(3 * n - trace / sigma**2, 0.02 * n, 3 * n)
         square = float((r_p.reshape(n, 2, 3)[:, part] ** 2).sum())
         values.append(max(np.sqrt(square / told), floor))

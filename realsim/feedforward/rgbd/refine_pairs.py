@@ -135,11 +135,7 @@ def associate(
 def look_up(view: View, y: F64) -> tuple[F64, F64, NDArray[np.bool_]]:
     """What view has where points y (M, 3) of its own camera frame project: points, normals, whether there is one."""
     cam = view.camera
-    z = np.maximum(y[:, 2], 1e-6)
-    c = np.round(y[:, 0] / z * cam.fx + cam.cx)
-    r = np.round(y[:, 1] / z * cam.fy + cam.cy)
-    ok = (y[:, 2] > 0.1) & (c >= 0) & (r >= 0) & (c < cam.width) & (r < cam.height)
-    c, r = np.where(ok, c, 0).astype(int), np.where(ok, r, 0).astype(int)
+    r, c, ok = cam.pixels(y, near=0.1)
     d = view.depth[r, c].astype(float)
     n = view.normal[r, c].astype(float)
     q = np.column_stack([(c - cam.cx) / cam.fx * d, (r - cam.cy) / cam.fy * d, d])

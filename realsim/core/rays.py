@@ -1,0 +1,66 @@
+"""Rays against a triangle mesh, by Open3D's ray caster (Embree), which calculates in float32."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realsim.core.types import F64
+
+
+def raycasting_scene(vertices: F64, triangles: NDArray[Any]) -> Any:
+    """An Open3D `RaycastingScene` of a mesh, in the mesh's own coordinates."""
+    import open3d
+
+    o3d: Any = open3d  # its stubs know neither numpy arrays nor keyword defaults
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        o3d.core.Tensor(np.ascontiguousarray(vertices, np.float32)),
+        o3d.core.Tensor(np.ascontiguousarray(triangles, np.uint32)),
+    )
+    return scene
+
+
+class Rays:
+    """A mesh under rays: vertices (V, 3) metres, triangles (K, 3). Single precision is kept by moving all to a centre
+    (3,) first: the middle of the mesh's box, if none is given."""
+
+    def __init__(self, vertices: F64, triangles: NDArray[Any], centre: F64 | None = None) -> None:
+        self.lower, self.upper = (vertices.min(0), vertices.max(0)) if len(vertices) else (np.zeros(3), np.zeros(3))
+        self.centre = (self.lower + self.upper) / 2 if centre is None else centre
+        self._scene = raycasting_scene(vertices - self.centre, triangles)
+
+    def _tensor(self, origins: F64, directions: F64) -> Any:
+        from open3d.core import Tensor
+
+        return Tensor.from_numpy(np.concatenate([origins - self.centre, directions], -1).astype(np.float32))
+
+    def cast(self, origins: F64, directions: F64) -> tuple[F64, NDArray[np.int64]]:
+        """First hits of rays (..., 3): (...) distance in units of the direction's length, infinity for none, and the
+        triangle, -1 for none."""
+        hit = self._scene.cast_rays(self._tensor(origins, directions))
+        triangle = hit["primitive_ids"].numpy().astype(np.int64)
+        triangle[triangle == self._scene.INVALID_ID] = -1
+        return hit["t_hit"].numpy().astype(np.float64), triangle
+
+    def crossings(self, origins: F64, directions: F64) -> tuple[NDArray[np.int64], F64, NDArray[np.int64]]:
+        """All hits of rays (N, 3), in no order: ray, distance and triangle, (M,) each."""
+        hits = self._scene.list_intersections(self._tensor(origins, directions))
+        ray, triangle = (hits[name].numpy().astype(np.int64) for name in ("ray_ids", "primitive_ids"))
+        return ray, hits["t_hit"].numpy().astype(np.float64), triangle
+
+    def height(self, xy: F64) -> F64:
+        """(M,) highest z above each x y (M, 2), NaN where there is none."""
+        above = float(self.upper[2]) + 1.0
+        origins = np.column_stack([xy, np.full(len(xy), above)])
+        t, _ = self.cast(origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape))
+        return np.where(np.isfinite(t), above - t, np.nan)
+
+    def distance(self, points: F64) -> F64:
+        """(M,) metres from points (M, 3) to the mesh."""
+        from open3d.core import Tensor
+
+        near = Tensor.from_numpy((points - self.centre).astype(np.float32))
+        return np.asarray(self._scene.compute_distance(near).numpy(), float)
