@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from realsim.align.winding import inside_out, is_closed, main_direction
 from realsim.core.errors import AlignError
+from realsim.core.meshes import sum_by_key
 from realsim.core.ordered import in_order
 from realsim.core.progress import track
 from realsim.core.types import F32, F64, Bool, MetricScene, Scan
@@ -99,7 +100,7 @@ def from_views(scene: MetricScene, voxel: float = VOXEL) -> Cloud:
         rows[:, 1:4] = w[:, None] * world
         rows[:, 4:7] = w[:, None] * T[:3, 3]
         rows[:, 7] = 0
-        keys, rows = _reduced(_keys(world - anchor, voxel), rows)
+        keys, rows = sum_by_key(_keys(world - anchor, voxel), rows)
         rows[:, 7] = 1  # this frame saw the voxel, however many of its pixels fell into it
         return keys, rows
 
@@ -155,7 +156,7 @@ def from_scan(scan: Scan, seed: int, voxel: float | None = None) -> Cloud:
         keys = _keys(points[part] - anchor, voxel)
         if side is not None and normals is not None:
             keys = np.where(normals[part] @ side < 0, ~keys, keys)
-        gathered = [_merged([*gathered, _reduced(keys, rows)])]
+        gathered = [_merged([*gathered, sum_by_key(keys, rows)])]
     keys, rows = gathered[0]
     if len(rows) < 100:
         raise AlignError(
@@ -205,18 +206,8 @@ def _keys(offsets: F64, voxel: float) -> NDArray[np.int64]:
     return (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
 
 
-def _reduced(keys: NDArray[np.int64], rows: F64) -> tuple[NDArray[np.int64], F64]:
-    """Rows of equal keys summed, in the order of the keys."""
-    if not len(keys):
-        return keys, rows
-    order = np.argsort(keys, kind="stable")
-    keys = keys[order]
-    first = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
-    return keys[first], np.add.reduceat(rows[order], first, axis=0)
-
-
 def _merged(parts: list[tuple[NDArray[np.int64], F64]]) -> tuple[NDArray[np.int64], F64]:
-    return _reduced(np.concatenate([k for k, _ in parts]), np.concatenate([r for _, r in parts]))
+    return sum_by_key(np.concatenate([k for k, _ in parts]), np.concatenate([r for _, r in parts]))
 
 
 def _voxel_for(points: F64) -> float:

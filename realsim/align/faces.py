@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.meshes import linked
 from realsim.core.types import F64
 
 LEAST_SIDE, LEAST_AREA = 0.30, 0.15
@@ -28,9 +29,6 @@ def plane_of(points: F64) -> tuple[F64, float]:
 
 def smooth_regions(points: F64, cell: float, least: float) -> list[NDArray[np.intp]]:
     """Groups of points whose cells are neighbours and differ by less than `STEP` in height, larger than `least` m²."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     if not len(points):
         return []
     cells, shape = cells_of(points[:, :2], cell)
@@ -48,9 +46,8 @@ def smooth_regions(points: F64, cell: float, least: float) -> list[NDArray[np.in
         here = here[np.abs(height[here] - height[other[here]]) < STEP]
         pairs.append(np.column_stack([here, other[here]]))
     edges = np.concatenate(pairs)
-    graph = coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(used), len(used)))
-    count, component = connected_components(graph, directed=False)
-    sizes = np.bincount(component, minlength=count)
+    component = linked(edges[:, 0], edges[:, 1], len(used))
+    sizes = np.bincount(component)
     member = component[index]
     return [np.flatnonzero(member == k) for k in np.flatnonzero(sizes * cell**2 > least)]
 

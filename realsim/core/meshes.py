@@ -23,13 +23,30 @@ def connected(faces: NDArray[Any]) -> NDArray[np.int64]:
     return linked(ends[:, 0], ends[:, 1], int(faces.max(initial=-1)) + 1)[faces[:, 0]]
 
 
-def linked(one: NDArray[Any], other: NDArray[Any], count: int) -> NDArray[np.int64]:
-    """(count,) number of the component of each node of a graph with edges from `one` to `other`."""
+def linked(one: ArrayLike, other: ArrayLike, count: int) -> NDArray[np.int64]:
+    """(count,) number of the component of each node of a graph with edges from `one` to `other`, (E,) each."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
-    graph = coo_matrix((np.ones(len(one), bool), (one, other)), (count, count))
+    ends = np.asarray(one, np.int64), np.asarray(other, np.int64)
+    graph = coo_matrix((np.ones(len(ends[0]), bool), ends), (count, count))
     return np.asarray(connected_components(graph, directed=False)[1], np.int64)
+
+
+def members(label: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Nodes of each component, the largest first; of equally large ones the one with the lowest node."""
+    parts = [np.flatnonzero(label == k) for k in range(int(label.max(initial=-1)) + 1)]
+    return sorted(parts, key=lambda p: (-len(p), p[0]))
+
+
+def sum_by_key(keys: NDArray[np.int64], rows: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Keys (M,) in order, each once, and the sums of their rows (M, C), in a fixed order of summation."""
+    if not len(keys):
+        return keys, rows
+    order = np.argsort(keys, kind="stable")
+    keys = keys[order]
+    first = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
+    return keys[first], np.add.reduceat(rows[order], first, axis=0)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from realsim.core.meshes import sum_by_key
 from realsim.core.types import F64, U8, Bool
 from realsim.meshing.views import Samples
 
@@ -74,7 +75,7 @@ class Grid:
         if s.colors is not None:
             rows[:, 7:10] = w[:, None] * s.colors
         rows[:, 10] = 1
-        keys, rows = _sum_by_key(key, rows)
+        keys, rows = sum_by_key(key, rows)
         rows[:, 11] = 1
         return keys, rows
 
@@ -86,7 +87,7 @@ class Grid:
 
     def _merge(self) -> None:
         parts = [(self._keys, self._rows), *self._pending]
-        self._keys, self._rows = _sum_by_key(
+        self._keys, self._rows = sum_by_key(
             np.concatenate([k for k, _ in parts]), np.concatenate([r for _, r in parts])
         )
         self._pending = []
@@ -102,16 +103,6 @@ class Grid:
         rows, w = rows[ok], w[ok]
         colors = np.clip(np.rint(rows[:, 7:10] / w), 0, 255).astype(np.uint8) if has_color else None
         return Points(rows[:, 1:4] / w, mean_normal[ok] / length[ok, None], w[:, 0], rows[:, 11], colors)
-
-
-def _sum_by_key(keys: np.ndarray, rows: Rows) -> tuple[np.ndarray, Rows]:
-    """Sorted unique keys and the sums of their rows, in a fixed order of summation."""
-    if len(keys) == 0:
-        return keys, rows
-    order = np.argsort(keys, kind="stable")
-    keys, rows = keys[order], rows[order]
-    first = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
-    return keys[first], np.add.reduceat(rows, first, axis=0)
 
 
 def project(points: Points, radius: float, iterations: int = 2, neighbours: int = 24) -> tuple[Points, float]:
@@ -180,7 +171,7 @@ def thin(points: Points, cell: float) -> Points:
     upper = points.points.max(0) if len(points) else np.zeros(3)
     grid = Grid(np.stack([lower, upper]), cell)
     keys, rows = grid.rows_of(Samples(points.points, points.normals, points.weights, points.colors))
-    views = _sum_by_key(grid.keys_of(points.points, points.normals), points.views[:, None])[1][:, 0]
+    views = sum_by_key(grid.keys_of(points.points, points.normals), points.views[:, None])[1][:, 0]
     rows[:, 11] = views / rows[:, 10]
     grid.add(keys, rows)
     return grid.points(has_color=points.colors is not None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.core.meshes import linked
 from realsim.core.types import Bool, MeshQuality
 from realsim.meshing.surface import Surface, components, edges_of, first_of_each
 
@@ -22,8 +23,6 @@ def corner_fans(triangles: np.ndarray) -> np.ndarray:
 
     A vertex with more than one fan is one where sheets merely touch.
     """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
 
     t = triangles.astype(np.int64)
     after = np.roll(np.arange(t.size).reshape(-1, 3), -1, axis=1).ravel()
@@ -35,8 +34,7 @@ def corner_fans(triangles: np.ndarray) -> np.ndarray:
     ends_h, ends_g = np.stack([h, after[h]], -1), np.stack([g, after[g]], -1)
     same = t.ravel()[ends_h[:, 0]] == t.ravel()[ends_g[:, 0]]
     ends_g = np.where(same[:, None], ends_g, ends_g[:, ::-1])
-    links = coo_matrix((np.ones(ends_h.size, np.int8), (ends_h.ravel(), ends_g.ravel())), shape=(t.size, t.size))
-    return connected_components(links, directed=False)[1].astype(np.int64)
+    return linked(ends_h.ravel(), ends_g.ravel(), t.size)
 
 
 def passes(triangles: np.ndarray, of_half: np.ndarray, edges: int) -> np.ndarray:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.meshes import linked
 from realsim.core.rays import Rays
 from realsim.core.types import F64, U8, Bool
 
@@ -97,17 +98,12 @@ def first_of_each(rows: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def components(triangles: I32) -> tuple[int, NDArray[np.int64]]:
     """Number of pieces connected through shared edges, and the piece of each triangle (K,)."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     k = len(triangles)
     if k == 0:
         return 0, np.zeros(0, np.int64)
     edges, _, of_half = edges_of(triangles)
     face = np.arange(3 * k) // 3
-    graph = coo_matrix((np.ones(3 * k, np.int8), (face, k + of_half)), shape=(k + len(edges), k + len(edges)))
-    _, label = connected_components(graph, directed=False)
-    _, label = np.unique(label[:k], return_inverse=True)
+    _, label = np.unique(linked(face, k + of_half, k + len(edges))[:k], return_inverse=True)
     return int(label.max()) + 1, label.ravel().astype(np.int64)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from realsim.core.meshes import linked, members
 from realsim.core.types import F32, F64, Bool, Intrinsics
 
 SAMPLES = 400
@@ -41,9 +42,4 @@ def _confirmed(p: F64, depth: F32, mask: Bool, K: F64) -> float:
 
 def connected(share: F64) -> list[np.ndarray]:
     """Groups of views that hang together by overlap, the largest first; of equal ones that with the lower index."""
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    _, label = connected_components(csr_matrix(np.maximum(share, share.T) > OVERLAP), directed=False)
-    groups = [np.flatnonzero(label == k) for k in range(label.max() + 1)]
-    return sorted(groups, key=lambda g: (-len(g), g[0]))
+    return members(linked(*np.nonzero(share > OVERLAP), len(share)))

@@ -18,6 +18,7 @@ import numpy as np
 
 from realsim.core.errors import PoseError
 from realsim.core.geometry import invert_T, transform
+from realsim.core.meshes import linked
 from realsim.core.types import F64, Dropped, Frame
 from realsim.feedforward.rgbd.depth_colour_sync import has_own_depth
 from realsim.feedforward.rgbd.features import Evidence, View
@@ -409,11 +410,8 @@ def _per_frame(pair: np.ndarray, weight: F64, error: F64, limit: float, n: int) 
 
 def _pieces(agreeing: np.ndarray, bad: np.ndarray, n: int) -> list[list[int]]:
     """Frames that pairs (M, 2) which agree join with one another, two or more, the largest first."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     links = agreeing[~bad[agreeing].any(axis=1)]
-    _, piece = connected_components(coo_matrix((np.ones(len(links)), links.T), shape=(n, n)), directed=False)
+    piece = linked(links[:, 0], links[:, 1], n)
     found = [np.flatnonzero((piece == k) & ~bad).tolist() for k in np.unique(piece[~bad])]
     return sorted((p for p in found if len(p) > 1), key=len, reverse=True)
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.geometry import make_T, nearest_rotation, transform
+from realsim.core.meshes import linked
 from realsim.core.ordered import in_order
 from realsim.core.progress import track
 from realsim.core.types import F32, F64, Bool, Frame, Intrinsics
@@ -310,15 +311,12 @@ class Tracks:
 
 def build_tracks(views: Sequence[View], matches: Sequence[Match]) -> Tracks:
     """Join matches into tracks. A track that meets one view twice is contradictory and left out."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     start = np.cumsum([0] + [len(v.z) for v in views])
     total = int(start[-1])
     empty: Any = np.zeros(0, int)
     a = np.concatenate([start[m.i] + m.a for m in matches]) if matches else empty
     b = np.concatenate([start[m.j] + m.b for m in matches]) if matches else empty
-    label = connected_components(coo_matrix((np.ones(len(a)), (a, b)), (total, total)), directed=False)[1]
+    label = linked(a, b, total)
     feature = np.unique(np.concatenate([a, b]))
     owner = np.searchsorted(start, feature, side="right") - 1
     key = np.stack([label[feature], owner], 1)

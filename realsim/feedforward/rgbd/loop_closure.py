@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from realsim.core.errors import PoseError
 from realsim.core.geometry import angle_deg, invert_T, transform
+from realsim.core.meshes import linked
 from realsim.core.types import F64
 from realsim.feedforward.rgbd.features import Evidence, Match, View
 from realsim.feedforward.rgbd.matching import MIN_AGREEMENT, MIN_OVERLAP, WINDOW, as_edge
@@ -324,9 +325,6 @@ def _chained(n: int, edges: list[Edge]) -> Chains:
 
 def _loops(chains: Chains, links: Sequence[Edge]) -> list[Loop]:
     """Links of the same two pieces that agree with each other, the best supported first."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     groups = defaultdict(list)
     for e in links:
         a, b = int(chains.piece[e.i]), int(chains.piece[e.j])
@@ -334,9 +332,7 @@ def _loops(chains: Chains, links: Sequence[Edge]) -> list[Loop]:
     out = []
     for group in groups.values():
         pairs = [(x, y) for x in range(len(group)) for y in range(x) if _agree(chains, group[x], group[y])]
-        rows, cols = (np.array(c, int) for c in (zip(*pairs, strict=True) if pairs else ((), ())))
-        graph = coo_matrix((np.ones(len(rows)), (rows, cols)), (len(group), len(group)))
-        label = connected_components(graph, directed=False)[1]
+        label = linked([x for x, _ in pairs], [y for _, y in pairs], len(group))
         out += [Loop([group[k] for k in np.flatnonzero(label == m)]) for m in range(label.max() + 1)]
     return sorted(out, key=lambda loop: loop.rank, reverse=True)
 

@@ -15,6 +15,7 @@ from scipy.sparse import csr_matrix
 
 from realsim.core.geometry import invert_T
 from realsim.core.least_squares import cauchy, least_squares
+from realsim.core.meshes import linked, members
 from realsim.core.types import F64
 
 ITERATIONS = 50
@@ -43,13 +44,7 @@ def whitening(sigma_m: float, sigma_rad: float) -> F64:
 
 def components(count: int, edges: Sequence[Edge]) -> list[NDArray[np.int64]]:
     """Connected sets of nodes, the largest first; of two equally large ones the one with the lower index."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    i, j = [e.i for e in edges], [e.j for e in edges]
-    label = connected_components(coo_matrix((np.ones(len(i)), (i, j)), (count, count)), directed=False)[1]
-    parts = [np.flatnonzero(label == k) for k in range(label.max() + 1)]
-    return sorted(parts, key=lambda p: (-len(p), p[0]))
+    return members(linked([e.i for e in edges], [e.j for e in edges], count))
 
 
 def spanning_poses(count: int, edges: Sequence[Edge], root: int = 0) -> F64:
