@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -93,6 +93,36 @@ def pose_in(files: Mapping[str, Path], name: str) -> F64 | None:
 def read_matrix(path: Path) -> F64:
     """`parse_matrix` of a file."""
     return parse_matrix(read_text(path, 2**20), path)
+
+
+def read_rows(path: Path, columns: str) -> Iterator[F64]:
+    """The numbers of every line that is no comment; `columns` names them, separated by spaces. NaN is left in.
+
+    Raises:
+        PoseError: a line of another length, or something that is not a number.
+    """
+    count = len(columns.split())
+    for number, line in enumerate(read_text(path).splitlines(), 1):
+        words = line.replace(",", " ").split()
+        if not words or line.startswith("#"):
+            continue
+        if len(words) != count:
+            expected = f"{count} numbers: {columns}"
+            raise PoseError(f"line {number} has the wrong length", file=path, expected=expected, found=f"{len(words)}")
+        try:
+            yield np.array([float(word) for word in words])
+        except ValueError as error:
+            raise PoseError(
+                f"line {number} holds something that is not a number", file=path, found=line[:80]
+            ) from error
+
+
+def no_common_time(path: Path, images: F64, poses: F64) -> PoseError:
+    """The error of a trajectory whose times (N,) are none of the images' (M,), seconds."""
+    span = [f"poses between {t.min():.3f} and {t.max():.3f} s" for t in (images, poses)]
+    hint = "fix the timestamps, or pass --ignore-poses to have the poses estimated"
+    what = "the timestamps of poses and images do not overlap"
+    return PoseError(what, file=path, expected=span[0], found=span[1], hint=hint)
 
 
 def rigid(T: ArrayLike) -> tuple[F64, float] | str:

@@ -12,7 +12,7 @@ from realsim.core.types import F64, AlignedScene, Scan
 from realsim.meshing.clean import weld
 from realsim.meshing.config import MeshConfig
 from realsim.meshing.fuse import Points, thin
-from realsim.meshing.poisson import reconstruct
+from realsim.meshing.methods import screened_poisson
 from realsim.meshing.quality import degenerate
 from realsim.meshing.surface import Surface, colored_from, edges_of
 from realsim.meshing.trim import supported
@@ -134,7 +134,7 @@ def _surface_of_cloud(
     if guessed:
         # Of a side face about half of the points faced in: once turned, a cell's two means are one again.
         fused = thin(replace(fused, normals=outward(fused.points, fused.normals, 3 * resolution)), 0.75 * resolution)
-    surface = reconstruct(fused, resolution)
+    surface = screened_poisson(fused, resolution)
     surface = surface.where(supported(surface, fused, max(resolution, spacing)))
     return colored_from(surface, points, colors), resolution, noise, "poisson"
 

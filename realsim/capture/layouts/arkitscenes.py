@@ -20,6 +20,7 @@ from realsim.capture.images import ConfidenceImage
 from realsim.capture.intrinsics import Camera, no_intrinsics
 from realsim.capture.layout import PHONE, Layout, Recognition
 from realsim.capture.listing import Pair, list_files, pose_file
+from realsim.capture.poses import no_common_time, read_rows
 from realsim.core.errors import CaptureError, PoseError
 from realsim.core.files import read_text
 from realsim.core.geometry import exp_so3, invert_T, make_T
@@ -122,13 +123,7 @@ def poses_at(path: Path, times: Mapping[str, float], config: CaptureConfig) -> d
         for (name, t), k, T in zip(times.items(), closest, between, strict=True)
     }
     if all(T is None for T in found.values()):
-        raise PoseError(
-            "the timestamps of poses and images do not overlap",
-            file=path,
-            expected=f"poses between {at.min():.3f} and {at.max():.3f}",
-            found=f"poses between {stamps[0]:.3f} and {stamps[-1]:.3f}",
-            hint="fix the timestamps, or pass --ignore-poses to have the poses estimated",
-        )
+        raise no_common_time(path, at, stamps)
     return found
 
 
@@ -139,20 +134,7 @@ def read_trajectory(path: Path) -> tuple[F64, F64]:
         PoseError: a row of the wrong length or with something that is not a number, or no usable row.
     """
     samples: dict[float, F64] = {}
-    for number, line in enumerate(read_text(path).splitlines(), 1):
-        if not line.strip():
-            continue
-        try:
-            row = np.array([float(word) for word in line.split()])
-        except ValueError as error:
-            raise PoseError(f"line {number} is not made of numbers", file=path, found=str(error)) from error
-        if len(row) != 7:
-            raise PoseError(
-                f"line {number} has the wrong length",
-                file=path,
-                expected="7 numbers: timestamp, rotation vector, translation",
-                found=f"{len(row)}",
-            )
+    for row in read_rows(path, "timestamp rx ry rz tx ty tz"):
         if np.isfinite(row).all() and np.abs(row[1:4]).max() < 100:
             samples.setdefault(float(row[0]), invert_T(make_T(exp_so3(row[1:4]), row[4:])))
     if not samples:

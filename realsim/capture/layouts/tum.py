@@ -17,6 +17,7 @@ from realsim.capture.config import CaptureConfig
 from realsim.capture.intrinsics import Camera, no_intrinsics, read_camera
 from realsim.capture.layout import Layout, Recognition
 from realsim.capture.listing import Pair, first_file, pose_file
+from realsim.capture.poses import no_common_time, read_rows
 from realsim.core.errors import CaptureError, PoseError
 from realsim.core.files import inside, read_text
 from realsim.core.geometry import make_T, quat_to_R
@@ -125,10 +126,15 @@ def read_list(folder: Path, name: str) -> tuple[F64, list[Path], list[str]]:
     """Timestamps, strictly increasing, and image paths of `rgb.txt` or `depth.txt`; what had to be mended, in words."""
     path = folder / name
     rows = []
-    for number, words in _rows(path):
-        if len(words) != 2:
-            raise CaptureError(f"line {number} is not `timestamp filename`", file=path, found=" ".join(words)[:80])
-        rows.append((number, _float(words[0], path, number), inside(folder, words[1])))
+    for number, line in enumerate(read_text(path).splitlines(), 1):
+        words = line.replace(",", " ").split()
+        if not words or line.startswith("#"):
+            continue
+        try:
+            stamp, image = words
+            rows.append((number, float(stamp), inside(folder, image)))
+        except ValueError as error:
+            raise CaptureError(f"line {number} is not `timestamp filename`", file=path, found=line[:80]) from error
     if not rows:
         raise CaptureError("the list of images is empty", file=path)
     stamps = np.array([t for _, t, _ in rows])
@@ -175,13 +181,7 @@ def poses_at(
     reason = f"no pose in {path.name} within {config.max_pose_gap:g} s"
     late = tuple(Dropped(n, reason) for n in names if n not in by_name)
     if not by_name:
-        raise PoseError(
-            "the timestamps of poses and images do not overlap",
-            file=path,
-            expected=f"poses {_span(np.array(sorted(times.values())))}",
-            found=f"poses {_span(stamps)}",
-            hint="fix the timestamps, or pass --ignore-poses to have the poses estimated",
-        )
+        raise no_common_time(path, np.array(list(times.values())), stamps)
     notes = [
         "poses are camera to world in metres, OpenCV camera axes, written as tx ty tz qx qy qz qw",
         f"poses are interpolated at the colour image's time between samples at most {config.max_pose_gap:g} s apart",
@@ -196,15 +196,7 @@ def read_trajectory(path: Path) -> tuple[F64, F64, list[str]]:
         PoseError: a row of the wrong length, or no usable row.
     """
     rows, broken = [], 0
-    for number, words in _rows(path):
-        if len(words) != 8:
-            raise PoseError(
-                f"line {number} has the wrong length",
-                file=path,
-                expected="8 numbers: timestamp tx ty tz qx qy qz qw",
-                found=f"{len(words)}",
-            )
-        row = np.array([_float(word, path, number) for word in words])
+    for row in read_rows(path, "timestamp tx ty tz qx qy qz qw"):
         if np.isfinite(row).all() and abs(np.linalg.norm(row[4:]) - 1) < 0.05:
             rows.append(row)
         else:
@@ -222,19 +214,6 @@ def read_trajectory(path: Path) -> tuple[F64, F64, list[str]]:
 
 def _span(times: F64) -> str:
     return f"between {times[0]:.3f} and {times[-1]:.3f} s"
-
-
-def _rows(path: Path) -> list[tuple[int, list[str]]]:
-    """(line number, words) of the lines that are not comments."""
-    lines = enumerate(read_text(path).splitlines(), 1)
-    return [(n, line.replace(",", " ").split()) for n, line in lines if line.strip() and not line.startswith("#")]
-
-
-def _float(word: str, path: Path, line: int) -> float:
-    try:
-        return float(word)
-    except ValueError as error:
-        raise CaptureError(f"line {line} holds something that is not a number", file=path, found=word) from error
 
 
 LAYOUT = Layout(

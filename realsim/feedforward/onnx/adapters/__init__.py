@@ -1,4 +1,4 @@
-"""Interpretation of a model's outputs. Each kind is one file and one line here, in the order of guessing."""
+"""Interpretation of a model's outputs. Each kind is one function and one line here, in the order of guessing."""
 
 from realsim.core.registry import Registry
 from realsim.feedforward.onnx.adapters.base import Adapter, Call, Prediction
@@ -7,9 +7,9 @@ ADAPTERS = Registry(
     "kind of model",
     {
         "pair": "realsim.feedforward.onnx.adapters.pair:ADAPTER",
-        "pointmap": "realsim.feedforward.onnx.adapters.pointmap:ADAPTER",
-        "depth": "realsim.feedforward.onnx.adapters.depth:ADAPTER",
-        "world": "realsim.feedforward.onnx.adapters.world:ADAPTER",
+        "pointmap": "realsim.feedforward.onnx.adapters.posed:POINTMAP",
+        "depth": "realsim.feedforward.onnx.adapters.posed:DEPTH",
+        "world": "realsim.feedforward.onnx.adapters.posed:WORLD",
         "mono": "realsim.feedforward.onnx.adapters.mono:ADAPTER",
     },
 )
