@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from realsim import feedforward
 from realsim.core.types import Frame
 from realsim.feedforward.config import PointsConfig
-from realsim.feedforward.rgbd.ego_mask import describe_ego_mask, find_ego_mask, mask_out, still
+from realsim.feedforward.rgbd.ego_mask import describe_ego_mask, find_ego_mask, find_still_cells, mask_out
 from realsim.feedforward.rgbd.features import prepare
 
 POSES = rooms.path(16)
@@ -61,10 +61,10 @@ def test_what_moves_by_itself_is_not_carried(plain: list[Frame]) -> None:
 
 
 def test_features_that_stay_while_the_rest_moves_need_no_poses(plain: list[Frame]) -> None:
-    assert still(prepare(plain)) is None
-    assert still(prepare([plain[0]] * 8)) is None  # a camera that stands still
-    assert still(prepare(plain[:2])) is None
-    cells = still(prepare([holding(f) for f in plain]))
+    assert find_still_cells(prepare(plain)) is None
+    assert find_still_cells(prepare([plain[0]] * 8)) is None  # a camera that stands still
+    assert find_still_cells(prepare(plain[:2])) is None
+    cells = find_still_cells(prepare([holding(f) for f in plain]))
     assert cells is not None
     full = cells[np.arange(240)[:, None] * len(cells) // 240, np.arange(320) * cells.shape[1] // 320]
     assert full[HAND].mean() > 0.6

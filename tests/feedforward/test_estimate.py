@@ -15,7 +15,7 @@ from realsim.core.geometry import angle_deg, invert_T, make_T
 from realsim.core.types import Solution
 from realsim.feedforward.config import PointsConfig
 from realsim.feedforward.rgbd.features import prepare
-from realsim.feedforward.rgbd.matching import by_features, guided
+from realsim.feedforward.rgbd.matching import match_by_features, match_guided
 from realsim.feedforward.rgbd.overlap import overlap, register
 
 TRUTH = rooms.path(7)
@@ -56,7 +56,7 @@ def test_twice_the_same_bytes(frames: list) -> None:
 
 def test_a_pair_far_apart(frames: list) -> None:
     views = prepare(frames)
-    found = by_features(views, 0, 5, 0)
+    found = match_by_features(views, 0, 5, 0)
     assert found is not None
     E = invert_T(invert_T(TRUTH[0]) @ TRUTH[5]) @ found[0].T_i_j
     assert np.linalg.norm(E[:3, 3]) < 0.03
@@ -66,7 +66,7 @@ def test_a_pair_far_apart(frames: list) -> None:
 def test_guided_matching_finds_the_same_points(frames: list) -> None:
     views = prepare(frames[:3])
     T = invert_T(TRUTH[0]) @ TRUTH[2]
-    found = guided(views, 0, 2, T)
+    found = match_guided(views, 0, 2, T)
     assert found is not None
     off = views[0].points[found.a] - (views[2].points[found.b] @ T[:3, :3].T + T[:3, 3])
     assert len(found.a) > 40

@@ -15,8 +15,8 @@ from realsim.core.geometry import exp_so3, invert_T, make_T
 from realsim.core.types import F64, Intrinsics
 from realsim.feedforward.rgbd import icp_links
 from realsim.feedforward.rgbd.features import Evidence, Match, View, prepare
-from realsim.feedforward.rgbd.loop_closure import join, plausible
-from realsim.feedforward.rgbd.matching import ambiguous, by_shape
+from realsim.feedforward.rgbd.loop_closure import join, keep_plausible
+from realsim.feedforward.rgbd.matching import is_ambiguous, register_by_shape
 from realsim.feedforward.rgbd.pose_graph import Edge, whitening
 
 CAMERA = Intrinsics(8, 6, 7.0, 7.0, 3.5, 2.5)
@@ -127,7 +127,7 @@ def test_likeness_that_the_chain_rules_out_is_no_evidence_against_poses() -> Non
     true = [*chain(T), *(edge(T, i, 39 - i) for i in range(10))]
     false = [edge(T, i, i + 6, 2.5) for i in range(20)]
     evidence = Said(40, true + false)
-    kept = plausible(evidence, list(evidence._matches), T)
+    kept = keep_plausible(evidence, list(evidence._matches), T)
     assert {(m.i, m.j) for m in kept} == {(e.i, e.j) for e in true}
 
 
@@ -135,7 +135,7 @@ def test_without_order_no_likeness_is_ruled_out() -> None:
     T = there_and_back(40)
     false = [edge(T, i, i + 6, 2.5) for i in range(20)]
     evidence = Said(40, false)
-    assert len(plausible(evidence, list(evidence._matches), T)) == 20
+    assert len(keep_plausible(evidence, list(evidence._matches), T)) == 20
 
 
 def test_likeness_cannot_contradict_poses_that_a_chain_of_matches_agrees_with() -> None:
@@ -143,11 +143,11 @@ def test_likeness_cannot_contradict_poses_that_a_chain_of_matches_agrees_with() 
     T = there_and_back(40)
     true, false = chain(T), [edge(T, i, i + k, 2.5) for k in (2, 3, 4) for i in range(40 - k)]
     evidence = Said(40, true + false)
-    assert len(plausible(evidence, list(evidence._matches), T)) == 39
+    assert len(keep_plausible(evidence, list(evidence._matches), T)) == 39
     other = T.copy()
     other[:, :3, 3] *= 1.1  # another unit: nothing is exact, and far matches are off by no more than steps add up to
     evidence = Said(40, [*chain(T), *(edge(T, i, i + k) for k in (2, 3, 4, 8) for i in range(40 - k))])
-    assert len(plausible(evidence, list(evidence._matches), other)) == len(evidence._matches)
+    assert len(keep_plausible(evidence, list(evidence._matches), other)) == len(evidence._matches)
 
 
 @given(st.integers(1, 38), st.floats(0.3, 3.0), st.floats(-1.5, 1.5))
@@ -157,7 +157,7 @@ def test_matches_that_a_wrong_pose_contradicts_all_stay(wrong: int, off: float, 
     evidence = Said(40, [edge(T, i, i + k) for k in (1, 2, 3) for i in range(40 - k)])
     other = T.copy()
     other[wrong] = other[wrong] @ make_T(exp_so3([0, turn, 0]), [off, 0, 0])
-    kept = {(m.i, m.j) for m in plausible(evidence, list(evidence._matches), other)}
+    kept = {(m.i, m.j) for m in keep_plausible(evidence, list(evidence._matches), other)}
     against = {pair for pair in evidence._matches if wrong in pair}
     assert against & kept
     assert kept >= set(evidence._matches) - against
@@ -179,14 +179,14 @@ def test_stairs_fit_a_step_further_as_well_a_room_does_not(monkeypatch: pytest.M
     def registered(shift: float) -> tuple[list[View], Edge]:
         poses = [make_T(exp_so3([-0.45, 0, 0]), at) for at in ([0, -1.3, 0], [0.05, -1.3, 0.1])]
         views = prepare([rooms.frame(k, T, color=False) for k, T in enumerate(poses)])
-        found = by_shape(views, 0, 1, [make_T(None, [0, 0, shift])])
+        found = register_by_shape(views, 0, 1, [make_T(None, [0, 0, shift])])
         assert found is not None
         return views, found
 
-    assert not ambiguous(*registered(0.1))
+    assert not is_ambiguous(*registered(0.1))
     steps = [[[-4, -0.17 * (k + 1), 0.6 + 0.3 * k], [4, 0, 0.9 + 0.3 * k]] for k in range(20)]
     monkeypatch.setattr(rooms, "BOXES", np.array(steps))
-    assert ambiguous(*registered(0.1))
+    assert is_ambiguous(*registered(0.1))
 
 
 def test_a_registration_that_puts_surfaces_into_free_space_joins_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

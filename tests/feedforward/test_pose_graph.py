@@ -12,11 +12,11 @@ from realsim.feedforward.rgbd.bundle import Observations, adjust
 from realsim.feedforward.rgbd.pose_graph import (
     Edge,
     adjoint,
+    chain_poses,
     components,
     exp_se3,
     log_se3,
     optimise,
-    spanning_poses,
     whitening,
 )
 
@@ -55,7 +55,7 @@ def test_exact_edges_give_exact_poses_in_any_order(seed: int) -> None:
     T = random_poses(8, seed)
     edges = ring(T)
     np.random.default_rng(seed).shuffle(edges)
-    found = spanning_poses(8, edges)
+    found = chain_poses(8, edges)
     assert np.allclose(found, invert_T(T[0]) @ T, atol=1e-8)
     found, chi = optimise(found, edges)
     assert np.allclose(found, invert_T(T[0]) @ T, atol=1e-7)
@@ -65,7 +65,7 @@ def test_exact_edges_give_exact_poses_in_any_order(seed: int) -> None:
 def test_the_gauge_does_not_matter() -> None:
     T = random_poses(10, 1)
     edges = ring(T, noise=0.01)
-    start = spanning_poses(10, edges)
+    start = chain_poses(10, edges)
     G = random_poses(1, 9)[0]
     here, chi_here = optimise(start, edges)
     there, chi_there = optimise(G @ start, edges)
@@ -77,7 +77,7 @@ def test_closing_the_loop_beats_the_tree() -> None:
     T = random_poses(20, 2)
     edges = ring(T, noise=0.01, reach=3)
     truth = invert_T(T[0]) @ T
-    tree = spanning_poses(20, edges)
+    tree = chain_poses(20, edges)
     found, _ = optimise(tree, edges)
 
     def rms(X: np.ndarray) -> float:
@@ -90,7 +90,7 @@ def test_a_false_edge_is_seen_and_does_no_harm() -> None:
     T = random_poses(12, 3)
     edges = ring(T, noise=0.001, reach=3)
     edges.append(Edge(0, 6, random_poses(1, 5)[0], 0.1, ROOT))
-    found, chi = optimise(spanning_poses(12, edges), edges)
+    found, chi = optimise(chain_poses(12, edges), edges)
     assert chi.argmax() == len(edges) - 1
     assert chi[-1] > 20 * np.median(chi)
     assert np.abs(found - invert_T(T[0]) @ T).max() < 0.03
@@ -100,7 +100,7 @@ def test_components_are_ordered_by_size() -> None:
     eye = np.eye(4)
     edges = [Edge(0, 1, eye, 1, ROOT), Edge(3, 4, eye, 1, ROOT), Edge(4, 5, eye, 1, ROOT)]
     assert [p.tolist() for p in components(7, edges)] == [[3, 4, 5], [0, 1], [2], [6]]
-    assert np.isnan(spanning_poses(7, edges)[3]).all()
+    assert np.isnan(chain_poses(7, edges)[3]).all()
 
 
 # ---------------------------------------------------------------- bundle adjustment

@@ -13,7 +13,7 @@ from realsim.core.errors import PoseError
 from realsim.core.geometry import angle_deg, exp_so3, invert_T, make_T, transform
 from realsim.core.types import Frame, Intrinsics
 from realsim.feedforward.rgbd.bias import grouped_error
-from realsim.feedforward.rgbd.check_poses import check_poses, scale_by_depth
+from realsim.feedforward.rgbd.check_poses import check_poses, measure_scale
 from realsim.feedforward.rgbd.features import Evidence, build_tracks, rigid_ransac
 from realsim.feedforward.rgbd.hypotheses import BODY, FLIP, MIRROR, shift_poses
 from realsim.feedforward.rgbd.refine import refine
@@ -261,7 +261,7 @@ def test_poses_up_to_scale_get_it_from_the_depth(units: float) -> None:
     _, evidence = evidence_of()
     T = truth()[0].copy()
     T[:, :3, 3] *= units
-    factor, error = scale_by_depth(evidence, T)
+    factor, error = measure_scale(evidence, T)
     assert factor * units == pytest.approx(1, abs=max(3 * error, 0.01))
     assert error < 0.01
 
@@ -269,7 +269,7 @@ def test_poses_up_to_scale_get_it_from_the_depth(units: float) -> None:
 def test_poses_up_to_scale_without_features_are_refused() -> None:
     _, evidence = evidence_of(1.0, color=False)
     with pytest.raises(PoseError, match="scale of the given poses"):
-        scale_by_depth(evidence, truth()[0])
+        measure_scale(evidence, truth()[0])
 
 
 def test_millimetres_are_recognised_without_colour() -> None:

@@ -193,7 +193,7 @@ def _refined(frames: list[Frame], T: F64, seed: int) -> tuple[Solution, list[int
         The solution, the indices of the frames kept, and index -> why of the others.
     """
     from realsim.feedforward.rgbd.check_poses import check_poses
-    from realsim.feedforward.rgbd.estimate import bundle_again
+    from realsim.feedforward.rgbd.estimate import match_and_adjust
     from realsim.feedforward.rgbd.refine import refine
 
     if len(frames) == 1:
@@ -202,7 +202,7 @@ def _refined(frames: list[Frame], T: F64, seed: int) -> tuple[Solution, list[int
     nearby = _Nearby(evidence, T)
     found = refine(frames, T, estimate_gain=False, trust="estimated", seed=seed, evidence=nearby)
     # Now that a feature's place is known to a pixel or two, matching under guidance finds more, and drift goes.
-    landmarks, adjusted = bundle_again(evidence.views, found.T_world_camera)
+    landmarks, adjusted = match_and_adjust(evidence.views, found.T_world_camera)
     poses = found.T_world_camera if landmarks is None else landmarks.T_world_camera
     try:
         check = check_poses(frames, poses, evidence=nearby, seed=seed)

@@ -15,7 +15,7 @@ import numpy as np
 from realsim.core.types import F64, Frame
 from realsim.feedforward.rgbd.features import Evidence
 from realsim.feedforward.rgbd.heldout import compare
-from realsim.feedforward.rgbd.keyframes import by_poses
+from realsim.feedforward.rgbd.keyframes import choose_by_poses
 from realsim.feedforward.rgbd.localize import localize
 from realsim.feedforward.rgbd.refine import RefineResult, refine
 
@@ -56,7 +56,7 @@ class Refined:
 
 def refine_all(frames: Sequence[Frame], T: F64, evidence: Evidence, **options: Any) -> Refined:
     """`refine` for any number of frames: of a dense capture keyframes are refined together, the others follow them."""
-    keys, followers = by_poses(evidence.views, T)
+    keys, followers = choose_by_poses(evidence.views, T)
     result = refine([frames[k] for k in keys], T[keys], evidence=evidence.subset(keys), **options)
     poses, residual = T.copy(), np.full(len(T), np.nan)
     poses[keys], residual[keys] = result.T_world_camera, result.per_frame_residual_m
@@ -88,7 +88,7 @@ def refine_or_keep(
         tried.append({"proposal": name, **asdict(judged)})
         if not judged.grew:
             fields = found.fields(frames)
-            fields["warnings"] = (*said, *two_metres(fields["depth_gain"]), *fields["warnings"])
+            fields["warnings"] = (*said, *warn_of_scale(fields["depth_gain"]), *fields["warnings"])
             fields["statistics"] |= {"poses": f"given, {name}", "held_out": tried}
             return fields
         said.append(
@@ -104,7 +104,7 @@ def refine_or_keep(
     }
 
 
-def two_metres(gain: float) -> tuple[str, ...]:
+def warn_of_scale(gain: float) -> tuple[str, ...]:
     """Warnings if poses and depth differ in scale."""
     if abs(gain - 1) < WORTH_TELLING:
         return ()

@@ -14,7 +14,7 @@ import numpy as np
 
 from realsim.core.geometry import make_T, nearest_rotation
 from realsim.core.types import F64, Frame, FrameSet
-from realsim.feedforward.rgbd.accept_refinement import two_metres
+from realsim.feedforward.rgbd.accept_refinement import warn_of_scale
 
 AGREE = (0.05, 0.02)
 """A frame agrees if its position differs by less than this many metres, or this share of the path's extent."""
@@ -57,7 +57,7 @@ def align_to_given(found: dict[str, Any], used: Sequence[Frame], capture: FrameS
         "world_is_capture": True,
         "depth_gain": scale,
         "depth_gain_sigma": float(sigma) if apply else None,
-        "warnings": (*found["warnings"], *two_metres(scale)),
+        "warnings": (*found["warnings"], *warn_of_scale(scale)),
     }
 
 

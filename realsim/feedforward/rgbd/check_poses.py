@@ -23,7 +23,7 @@ from realsim.core.types import F64, Dropped, Frame
 from realsim.feedforward.rgbd.depth_colour_sync import has_own_depth
 from realsim.feedforward.rgbd.features import Evidence, View
 from realsim.feedforward.rgbd.hypotheses import Hypothesis, best_of, of_depth_images, of_poses
-from realsim.feedforward.rgbd.loop_closure import LINKS, plausible
+from realsim.feedforward.rgbd.loop_closure import LINKS, keep_plausible
 from realsim.feedforward.rgbd.refine_pairs import choose_pairs, look_up, sample_surface, share_in_image
 
 TOLERANCE = (0.05, 0.12)
@@ -45,7 +45,7 @@ MANY = 0.3
 
 
 @dataclass(frozen=True)
-class Edge:
+class ComparedPair:
     """Points (M, 3) of two frames, each in its own camera and sensor depth."""
 
     i: int
@@ -117,7 +117,7 @@ class Comparison:
     evidence: Evidence
     T: F64
     seed: int
-    edges: Sequence[Edge]
+    edges: Sequence[ComparedPair]
     typical: float
     """Metres by which the points that features share are misplaced, the median."""
     contradicting: float
@@ -288,7 +288,7 @@ def _warnings(c: Comparison) -> Iterator[str]:
         )
 
 
-def scale_by_depth(evidence: Evidence, T_world_camera: F64) -> tuple[float, float]:
+def measure_scale(evidence: Evidence, T_world_camera: F64) -> tuple[float, float]:
     """What positions that are right up to scale must be multiplied by to be in the depth's metres, and the relative
     standard error of it: baselines of neighbouring frames by features with depth, against those of the poses.
 
@@ -298,7 +298,7 @@ def scale_by_depth(evidence: Evidence, T_world_camera: F64) -> tuple[float, floa
     n = len(T_world_camera)
     matched = evidence.matches([(i, i + step) for step in (1, 2, 3) for i in range(n - step)])
     none = np.zeros((0, 3))
-    scale, error = _scale([Edge(m.i, m.j, none, none, m.T_i_j[:3, 3]) for m in matched], T_world_camera)
+    scale, error = _scale([ComparedPair(m.i, m.j, none, none, m.T_i_j[:3, 3]) for m in matched], T_world_camera)
     if scale is None:
         raise PoseError(
             "the scale of the given poses cannot be determined",
@@ -309,9 +309,9 @@ def scale_by_depth(evidence: Evidence, T_world_camera: F64) -> tuple[float, floa
     return scale, error / scale
 
 
-def _edges(evidence: Evidence, T: F64, seed: int) -> list[Edge]:
+def _edges(evidence: Evidence, T: F64, seed: int) -> list[ComparedPair]:
     pairs = choose_pairs(evidence.views, T)
-    matched = {(m.i, m.j): m for m in plausible(evidence, pairs, T)}
+    matched = {(m.i, m.j): m for m in keep_plausible(evidence, pairs, T)}
     rng = np.random.default_rng(seed)
     samples = [sample_surface(view, rng, 100)[0] for view in evidence.views]
     out = []
@@ -320,13 +320,13 @@ def _edges(evidence: Evidence, T: F64, seed: int) -> list[Edge]:
         if m is not None:
             some = np.unique(np.linspace(0, len(m.a) - 1, 60).astype(int))
             p, q = evidence.views[i].points[m.a[some]], evidence.views[j].points[m.b[some]]
-            out.append(Edge(i, j, p, q, m.T_i_j[:3, 3]))
+            out.append(ComparedPair(i, j, p, q, m.T_i_j[:3, 3]))
         else:
-            out.append(Edge(i, j, samples[i], samples[j], None))
+            out.append(ComparedPair(i, j, samples[i], samples[j], None))
     return out
 
 
-def _errors(edges: Sequence[Edge], evidence: Evidence, T: F64, share: float = 0.5) -> F64:
+def _errors(edges: Sequence[ComparedPair], evidence: Evidence, T: F64, share: float = 0.5) -> F64:
     """Median misplacement of each edge's points under poses T, metres; by depth the one that a `share` of them is
     within. NaN where too little is seen to tell."""
     out = np.full(len(edges), np.nan)
@@ -350,12 +350,12 @@ def _off(view: View, y: F64) -> F64:
     return behind[behind < TOLERANCE[1]]
 
 
-def _by_depth_alone(edges: Sequence[Edge], evidence: Evidence, T: F64) -> float:
+def _by_depth_alone(edges: Sequence[ComparedPair], evidence: Evidence, T: F64) -> float:
     """Median misplacement by depth of the pairs that features speak of; infinite where it cannot be told."""
     rng = np.random.default_rng(0)
     matched = [e for e in edges if e.t is not None]
     seen = [[sample_surface(evidence.views[k], rng, 100)[0] for k in (e.i, e.j)] for e in matched]
-    bare = [Edge(e.i, e.j, p, q, None) for e, (p, q) in zip(matched, seen, strict=True)]
+    bare = [ComparedPair(e.i, e.j, p, q, None) for e, (p, q) in zip(matched, seen, strict=True)]
     error = _errors(bare, evidence, T)
     return float(np.nanmedian(error)) if np.isfinite(error).sum() >= 4 else float("inf")
 
@@ -433,7 +433,7 @@ def _nowhere(evidence: Evidence, T: F64, agreement: F64) -> np.ndarray:
     return bad
 
 
-def _scale(edges: Sequence[Edge], T: F64) -> tuple[float | None, float]:
+def _scale(edges: Sequence[ComparedPair], T: F64) -> tuple[float | None, float]:
     """Metres by depth for a metre by poses (median over edges with a baseline), and its standard error."""
     known = [e for e in edges if e.t is not None]
     given = np.array([(invert_T(T[e.i]) @ T[e.j])[:3, 3] for e in known]).reshape(-1, 3)
@@ -448,7 +448,7 @@ def _scale(edges: Sequence[Edge], T: F64) -> tuple[float | None, float]:
 
 
 def _explain(
-    edges: Sequence[Edge], evidence: Evidence, T: F64, typical: float, scale: float | None
+    edges: Sequence[ComparedPair], evidence: Evidence, T: F64, typical: float, scale: float | None
 ) -> tuple[Hypothesis, float] | None:
     """The reading of the poses that agrees best and the median misplacement it leaves, if it clearly beats none."""
     certain = [e for e in edges if e.t is not None]

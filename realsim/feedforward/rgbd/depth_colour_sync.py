@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from realsim.core.errors import PoseError
 from realsim.core.types import F64
-from realsim.feedforward.rgbd.extrinsic_calibration import inverse_depth
-from realsim.feedforward.rgbd.features import View, alike, rigid_ransac
+from realsim.feedforward.rgbd.extrinsic_calibration import look_up_inverse_depth
+from realsim.feedforward.rgbd.features import View, match_descriptors, rigid_ransac
 
 Index = NDArray[np.int64]
 
@@ -68,7 +68,7 @@ def check_together(views: Sequence[View], source: Path | None, seed: int = 0) ->
     Raises:
         PoseError: depth of another time, or colour and depth that are flipped against each other.
     """
-    found = shares(views, seed)
+    found = measure_shares(views, seed)
     if found is None:
         return
     read = found.pop(Reading())
@@ -89,7 +89,7 @@ def check_together(views: Sequence[View], source: Path | None, seed: int = 0) ->
 def has_own_depth(views: Sequence[View], seed: int = 0) -> bool:
     """Whether features fit the depth of their own frame clearly better than that of any other reading: colour of
     another capture does not."""
-    found = shares(views, seed)
+    found = measure_shares(views, seed)
     if found is None:
         return False
     read = found.pop(Reading())
@@ -100,13 +100,13 @@ def _clear(gain: F64) -> bool:
     return bool(gain.mean() > CLEAR * gain.std(ddof=1) / np.sqrt(len(gain)))
 
 
-def shares(views: Sequence[View], seed: int) -> dict[Reading, F64] | None:
+def measure_shares(views: Sequence[View], seed: int) -> dict[Reading, F64] | None:
     """Reading -> (M,) share of the features that are alike in each of M pairs of near frames which one rigid motion
     explains; None where too few are alike to tell."""
     n = len(views)
     inside = range(LATE, n - LATE) if n > 4 * LATE else range(n)
     firsts = [(inside[k], step) for step in STEPS for k in _spread(len(inside) - step)]
-    found = [(i, i + step, *alike(views[i], views[i + step])) for i, step in firsts]
+    found = [(i, i + step, *match_descriptors(views[i], views[i + step])) for i, step in firsts]
     found = [m for m in found if len(m[2]) >= LEAST]
     if len(found) < PAIRS // 2:
         return None
@@ -135,4 +135,4 @@ def _points(views: Sequence[View], i: int, features: Index, reading: Reading) ->
     # Mirrored about the middle of the image, which need not be the principal point.
     middle = np.array([((c.width - 1) / 2 - c.cx) / c.fx, ((c.height - 1) / 2 - c.cy) / c.fy])
     at = middle + np.asarray(reading.flip) * (xy - middle)
-    return np.column_stack([xy, np.ones(len(xy))]) / inverse_depth(source, at)[:, None]
+    return np.column_stack([xy, np.ones(len(xy))]) / look_up_inverse_depth(source, at)[:, None]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from realsim.core.geometry import invert_T, transform
 from realsim.core.types import F64, Bool, Frame
-from realsim.feedforward.rgbd.features import View, alike, rigid_ransac
+from realsim.feedforward.rgbd.features import View, match_descriptors, rigid_ransac
 
 # Each of CLEAR, STEADY, RARELY, LEAST and COLUMNS halved or doubled, MOST halved or 0.7, and twice as many JUDGED find
 # the same with true poses in 29 rendered captures: all of ten carried things and nothing else. Only a STEADY twice as
@@ -82,7 +82,7 @@ def find_ego_mask(frames: Sequence[Frame], T_world_camera: F64) -> Bool | None:
     return _wider(found)
 
 
-def still(views: Sequence[View], seed: int = 0) -> Bool | None:
+def find_still_cells(views: Sequence[View], seed: int = 0) -> Bool | None:
     """Cells (h, w) of the picture in which features keep their place while the rest moves, or None; no poses are asked.
 
     Such features hold the camera where it is: in pairs in which they are more than what the place shows, they win.
@@ -109,7 +109,7 @@ def still(views: Sequence[View], seed: int = 0) -> Bool | None:
 def _staying(A: View, B: View, rng: np.random.Generator) -> F64 | None:
     """(M, 2) on the plane z = 1: features of A that lie where they are in B, though the motion of the others would
     carry them FAR away. None where the others do not tell a motion."""
-    a, b = alike(A, B)
+    a, b = match_descriptors(A, B)
     stays = (np.linalg.norm(A.xy[a] - B.xy[b], axis=1) * A.focal < NEAR) & (np.abs(A.z[a] / B.z[b] - 1) < STEADY)
     found = rigid_ransac(A.points[a[~stays]], B.points[b[~stays]], rng) if (~stays).sum() >= 12 else None
     if found is None:

@@ -13,19 +13,19 @@ from realsim.core.progress import track
 from realsim.core.types import F64
 from realsim.feedforward.rgbd.bundle import Adjusted, Observations, adjust
 from realsim.feedforward.rgbd.features import Match, Tracks, View, build_tracks
-from realsim.feedforward.rgbd.icp_links import links
-from realsim.feedforward.rgbd.keyframes import by_matching
+from realsim.feedforward.rgbd.icp_links import link_by_shape
+from realsim.feedforward.rgbd.keyframes import choose_by_matching
 from realsim.feedforward.rgbd.learned import join_pieces
 from realsim.feedforward.rgbd.localize import SIGMA_INVERSE, SIGMA_PX, Landmarks, localize
 from realsim.feedforward.rgbd.loop_closure import Joined, join
 from realsim.feedforward.rgbd.matching import (
     MIN_AGREEMENT,
-    as_edge,
-    believable,
-    by_features,
-    by_shape,
-    candidates,
-    guided,
+    is_believable,
+    make_edge,
+    match_by_features,
+    match_guided,
+    propose_pairs,
+    register_by_shape,
 )
 from realsim.feedforward.rgbd.overlap import FINE, overlap
 from realsim.feedforward.rgbd.pose_graph import Edge, optimise
@@ -52,7 +52,7 @@ class Estimate:
     """Index -> why it is not used."""
     statistics: dict[str, Any]
     warnings: tuple[str, ...] = ()
-    links: tuple[Edge, ...] = ()
+    link_by_shape: tuple[Edge, ...] = ()
     """Pairs that were believed, indices of the views that were given."""
 
 
@@ -65,7 +65,7 @@ def estimate(views: Sequence[View], seed: int, learned: bool = True) -> Estimate
     Raises:
         PoseError: fewer than two views hang together.
     """
-    keys, followers = by_matching(views, seed)
+    keys, followers = choose_by_matching(views, seed)
     found, landmarks = _estimate_together([views[k] for k in keys], seed, learned)
     T = {keys[i]: pose for i, pose in zip(found.used, found.T_world_camera, strict=True)}
     lost = {keys[i]: why for i, why in found.lost.items()}
@@ -79,8 +79,8 @@ def estimate(views: Sequence[View], seed: int, learned: bool = True) -> Estimate
     used = sorted(T)
     poses = np.stack([T[k] for k in used])
     statistics = found.statistics | ({"keyframes": len(keys)} if followers else {})
-    links = tuple(replace(e, i=keys[e.i], j=keys[e.j]) for e in found.links)
-    return Estimate(tuple(used), invert_T(poses[0]) @ poses, lost, statistics, found.warnings, links)
+    link_by_shape = tuple(replace(e, i=keys[e.i], j=keys[e.j]) for e in found.links)
+    return Estimate(tuple(used), invert_T(poses[0]) @ poses, lost, statistics, found.warnings, link_by_shape)
 
 
 def _estimate_together(views: Sequence[View], seed: int, learned: bool) -> tuple[Estimate, Landmarks | None]:
@@ -99,8 +99,10 @@ def _estimate_together(views: Sequence[View], seed: int, learned: bool) -> tuple
     landmarks = None
     if net.matches:
         if first:
-            T = bundle(chosen, T, build_tracks(chosen, first)).T_world_camera
-        landmarks, more = bundle_again(chosen, T, [m for m in first if (int(used[m.i]), int(used[m.j])) in net.learned])
+            T = adjust_tracks(chosen, T, build_tracks(chosen, first)).T_world_camera
+        landmarks, more = match_and_adjust(
+            chosen, T, [m for m in first if (int(used[m.i]), int(used[m.j])) in net.learned]
+        )
         if landmarks is not None:
             T = landmarks.T_world_camera
         statistics |= more
@@ -135,13 +137,13 @@ class Net:
 def connect(views: Sequence[View], seed: int, learned: bool = True) -> Net:
     """Every believable pair, by features; by learned ones and by shape where these leave the sequence in pieces."""
     net = Net([], [], {}, list(views), set(), [], {})
-    for i, j in track(candidates(views, seed), "pairs"):
-        found = by_features(views, i, j, seed)
+    for i, j in track(propose_pairs(views, seed), "pairs"):
+        found = match_by_features(views, i, j, seed)
         if found is None:
             continue
         matched, fit = found
-        if believable(fit):
-            net.edges.append(as_edge(matched))
+        if is_believable(fit):
+            net.edges.append(make_edge(matched))
             net.matches.append(matched)
         elif len(matched.a) >= SUSPICIOUS:
             net.doubts[i, j] = (
@@ -159,7 +161,7 @@ def _connect_by_learning(net: Net, seed: int) -> None:
     found = join_pieces(net.views, net.edges, seed)
     net.views[:] = found.views
     net.matches.extend(found.matches)
-    net.edges.extend(map(as_edge, found.matches))
+    net.edges.extend(map(make_edge, found.matches))
     net.learned.update((m.i, m.j) for m in found.matches)
     net.said.extend(found.said())
     if found.asked:
@@ -168,7 +170,7 @@ def _connect_by_learning(net: Net, seed: int) -> None:
 
 def _connect_by_shape(net: Net, seed: int) -> None:
     """Add pairs by shape that a third frame confirms."""
-    believed, refused = links(net.views, net.edges, seed)
+    believed, refused = link_by_shape(net.views, net.edges, seed)
     net.edges.extend(believed)
     for e in refused:
         net.doubts.setdefault((e.i, e.j), "by shape alone it fits {}, which no third frame confirms")
@@ -178,8 +180,8 @@ def close_loops(views: Sequence[View], T: F64, edges: list[Edge]) -> tuple[F64, 
     """Register all overlapping pairs by shape, starting from poses that are nearly right, and optimise; twice."""
     for _ in range(2):
         known = {(e.i, e.j): e for e in edges}
-        for i, j in track(neighbours(views, T, SHAPE_NEIGHBOURS), "loops"):
-            edge = by_shape(views, i, j, [invert_T(T[i]) @ T[j]], FINE)
+        for i, j in track(choose_overlapping(views, T, SHAPE_NEIGHBOURS), "loops"):
+            edge = register_by_shape(views, i, j, [invert_T(T[i]) @ T[j]], FINE)
             if edge is not None and ((i, j) not in known or edge.weight >= known[i, j].weight):
                 known[i, j] = edge
         edges = list(known.values())
@@ -224,7 +226,7 @@ def _said(views: Sequence[View], joined: Joined) -> tuple[str, ...]:
 # ---------------------------------------------------------------- adjustment over all frames
 
 
-def bundle(views: Sequence[View], T: F64, tracks: Tracks) -> Adjusted:
+def adjust_tracks(views: Sequence[View], T: F64, tracks: Tracks) -> Adjusted:
     """Adjust poses and tracks twice, without the observations that the first time did not fit."""
     seen, points = _observations(tracks, T)
     first = adjust(T, points, seen, iterations=8)
@@ -235,18 +237,24 @@ def bundle(views: Sequence[View], T: F64, tracks: Tracks) -> Adjusted:
     return adjust(first.T_world_camera, first.points, Observations(seen.camera, seen.point, seen.measured, sigma))
 
 
-def bundle_again(views: Sequence[View], T: F64, kept: Sequence[Match] = ()) -> tuple[Landmarks | None, dict[str, Any]]:
+def match_and_adjust(
+    views: Sequence[View], T: F64, kept: Sequence[Match] = ()
+) -> tuple[Landmarks | None, dict[str, Any]]:
     """Match all overlapping pairs anew under guidance of the poses, which closes loops, and adjust.
 
     Args:
         kept: matches of features that have no descriptor; they stay as they are.
     """
-    matches = [m for i, j in neighbours(views, T) if (m := guided(views, i, j, invert_T(T[i]) @ T[j])) is not None]
+    matches = [
+        m
+        for i, j in choose_overlapping(views, T)
+        if (m := match_guided(views, i, j, invert_T(T[i]) @ T[j])) is not None
+    ]
     matches += kept
     if not matches:
         return None, {}
     tracks = build_tracks(views, matches)
-    result = bundle(views, T, tracks)
+    result = adjust_tracks(views, T, tracks)
     r = result.residual
     return Landmarks(views, result.T_world_camera, tracks, result.points), {
         "matched_pairs": len(matches),
@@ -257,7 +265,7 @@ def bundle_again(views: Sequence[View], T: F64, kept: Sequence[Match] = ()) -> t
     }
 
 
-def neighbours(views: Sequence[View], T: F64, count: int = NEIGHBOURS) -> list[tuple[int, int]]:
+def choose_overlapping(views: Sequence[View], T: F64, count: int = NEIGHBOURS) -> list[tuple[int, int]]:
     """Pairs i < j that share surface at the given poses: for every view `count` of those with the largest overlap.
 
     Near centres and like directions come first, so that the cost stays linear in the number of views.

@@ -110,7 +110,7 @@ class Found:
         }
 
 
-def nearby_pairs(count: int) -> list[tuple[int, int]]:
+def choose_nearby(count: int) -> list[tuple[int, int]]:
     """Pairs i < j near in the sequence, at most about twice as many as take part."""
     every = max(1, 2 * count // PAIRS)
     return [(i, i + step) for step in (1, 3) for i in range(0, count - step, every)]
@@ -198,13 +198,13 @@ def _points(view: View, index: np.ndarray, theta: F64) -> F64:
     rays, z = view.xy[index], view.z[index]
     for _ in range(3):
         xy = (1 + theta[0]) * rays + theta[1:3] + theta[3:] / z[:, None]
-        found = inverse_depth(view, xy)
+        found = look_up_inverse_depth(view, xy)
         z = np.where(np.isfinite(found), 1 / found, z)
     z = 1 / found
     return np.column_stack([xy, np.ones(len(xy))]) * z[:, None]
 
 
-def inverse_depth(view: View, xy: F64) -> F64:
+def look_up_inverse_depth(view: View, xy: F64) -> F64:
     """(M,) bilinear inverse depth of the thinned grid, NaN at borders and holes."""
     c = view.camera
     u, v = xy[:, 0] * c.fx + c.cx, xy[:, 1] * c.fy + c.cy

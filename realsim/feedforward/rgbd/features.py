@@ -1,4 +1,4 @@
-"""What frames have to say about each other: features with depth, verified matches between frames, tracks.
+"""Evidence of frames about each other: features with depth, verified matches between frames, tracks.
 
 A `View` is a frame boiled down to what refinement needs (about 0.7 MB), so that images are read once.
 Nothing here looks at given poses: matches that are verified by depth alone can therefore contradict them.
@@ -225,7 +225,7 @@ def _surface(inverse: F32, camera: Intrinsics) -> tuple[Intrinsics, F32, F32]:
 def match(views: Sequence[View], i: int, j: int, seed: int = 0) -> Match | None:
     """Verified matches of two views, or None if fewer than 12 points share one rigid motion."""
     A, B = views[i], views[j]
-    a, b = alike(A, B)
+    a, b = match_descriptors(A, B)
     if len(a) < 12:
         return None
     rng = np.random.default_rng((seed, i, j))
@@ -236,7 +236,7 @@ def match(views: Sequence[View], i: int, j: int, seed: int = 0) -> Match | None:
     return Match(i, j, a[inlier], b[inlier], T)
 
 
-def alike(A: View, B: View) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def match_descriptors(A: View, B: View) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Features (M,) of two views that are each other's most alike by far. Their depth has no say."""
     if min(len(A.z), len(B.z)) < 12:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)

@@ -18,8 +18,8 @@ from realsim.core.geometry import angle_deg, invert_T
 from realsim.core.progress import track
 from realsim.core.types import F64
 from realsim.feedforward.rgbd.features import View
-from realsim.feedforward.rgbd.loop_closure import drift, in_order
-from realsim.feedforward.rgbd.matching import WINDOW, ambiguous, by_shape, shape_features, shape_starts
+from realsim.feedforward.rgbd.loop_closure import drift, is_in_order
+from realsim.feedforward.rgbd.matching import WINDOW, describe_shape, is_ambiguous, propose_starts, register_by_shape
 from realsim.feedforward.rgbd.overlap import FINE, overlap
 from realsim.feedforward.rgbd.pose_graph import Edge, components
 
@@ -33,24 +33,24 @@ frame (true: 0 to 0.024, false: 0.026 and more), and on an iPhone's LiDAR (quart
 of the 18 because no third frame overlaps."""
 
 
-def links(views: Sequence[View], edges: Sequence[Edge], seed: int) -> tuple[list[Edge], list[Edge]]:
+def link_by_shape(views: Sequence[View], edges: Sequence[Edge], seed: int) -> tuple[list[Edge], list[Edge]]:
     """Links by shape between near frames that `edges` leave in different parts: believed ones, and ones that nothing
     confirms.
 
     Of a sequence in order the parts are those that neighbours hold: what only looks alike connects nothing.
     """
     n = len(views)
-    near = [e for e in edges if e.j - e.i <= WINDOW] if in_order(n, edges) else list(edges)
+    near = [e for e in edges if e.j - e.i <= WINDOW] if is_in_order(n, edges) else list(edges)
     label = np.zeros(n, int)
     for k, part in enumerate(components(n, near)):
         label[part] = k
     loose = [(i, j) for i in range(n) for j in range(i + 1, min(i + 1 + STEPS, n)) if label[i] != label[j]]
-    features = {k: shape_features(views[k]) for k in sorted({k for pair in loose for k in pair})}
+    features = {k: describe_shape(views[k]) for k in sorted({k for pair in loose for k in pair})}
     claims = []
     for i, j in track(loose, "shapes"):
-        starts = shape_starts(features[i], features[j], np.random.default_rng((seed, i, j)))
-        edge = by_shape(views, i, j, starts)
-        if edge is not None and not ambiguous(views, edge):
+        starts = propose_starts(features[i], features[j], np.random.default_rng((seed, i, j)))
+        edge = register_by_shape(views, i, j, starts)
+        if edge is not None and not is_ambiguous(views, edge):
             claims.append(edge)
     known = [*near, *claims]
     violation = [_violation(views, e.i, e.j, e.T_i_j) for e in known] if claims else [0.0]
@@ -91,5 +91,5 @@ def _holds(views: Sequence[View], k: int, b: int, way: Sequence[F64], most: floa
     """Whether the surfaces of two frames stay where a way puts them, and leave free space free."""
     if _violation(views, k, b, way[0] @ way[1]) > most:
         return False
-    edge = by_shape(views, k, b, [way[0] @ way[1]], FINE)
+    edge = register_by_shape(views, k, b, [way[0] @ way[1]], FINE)
     return edge is not None and _same(edge.T_i_j, way)

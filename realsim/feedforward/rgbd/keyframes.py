@@ -15,7 +15,7 @@ from realsim.core.geometry import invert_T
 from realsim.core.progress import track
 from realsim.core.types import F64
 from realsim.feedforward.rgbd.features import View
-from realsim.feedforward.rgbd.matching import believable, by_features
+from realsim.feedforward.rgbd.matching import is_believable, match_by_features
 
 DENSE = 100
 """Up to this many views all are adjusted together."""
@@ -26,17 +26,17 @@ Followers = dict[int, tuple[int, F64]]
 """Index of a view -> (index of its keyframe, (4, 4) points of the view into the keyframe's camera)."""
 
 
-def by_poses(views: Sequence[View], T_world_camera: F64) -> tuple[list[int], Followers]:
+def choose_by_poses(views: Sequence[View], T_world_camera: F64) -> tuple[list[int], Followers]:
     """Keyframes and followers where poses (N, 4, 4) are given."""
     return _swept(views, lambda key, k: invert_T(T_world_camera[key]) @ T_world_camera[k])
 
 
-def by_matching(views: Sequence[View], seed: int) -> tuple[list[int], Followers]:
+def choose_by_matching(views: Sequence[View], seed: int) -> tuple[list[int], Followers]:
     """The same from features alone: one pair per view. What cannot be matched to its keyframe is one itself."""
 
     def motion(key: int, k: int) -> F64 | None:
-        found = by_features(views, key, k, seed)
-        return found[0].T_i_j if found is not None and believable(found[1]) else None
+        found = match_by_features(views, key, k, seed)
+        return found[0].T_i_j if found is not None and is_believable(found[1]) else None
 
     return _swept(views, motion)
 

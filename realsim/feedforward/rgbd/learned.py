@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from realsim.core.progress import track
 from realsim.feedforward import matcher
 from realsim.feedforward.rgbd.features import Match, View, points_of, rigid_ransac
-from realsim.feedforward.rgbd.matching import ALL_PAIRS, WINDOW, as_edge, believable, tightened
+from realsim.feedforward.rgbd.matching import ALL_PAIRS, WINDOW, is_believable, make_edge, tighten
 from realsim.feedforward.rgbd.overlap import overlap
 from realsim.feedforward.rgbd.pose_graph import Edge, components
 
@@ -81,7 +81,7 @@ def join_pieces(views: Sequence[View], edges: Sequence[Edge], seed: int) -> Lear
     asked = 0
     for i, j in track(sorted(pairs, key=lambda p: (p[1] - p[0], p)), "hard matches"):
         if j - i > NEAR:
-            now = _pieces(n, [*edges, *map(as_edge, matches)])
+            now = _pieces(n, [*edges, *map(make_edge, matches)])
             if now[i] == now[j]:
                 continue
         for k in {i, j} - keypoints.keys():
@@ -142,8 +142,8 @@ def _match(
     T, inlier = motion
     first, second = proposed[inlier].T
     # Its points are rough and often close together: surfaces hold the far end of the picture.
-    match = tightened(shown, Match(i, j, first, second, T))
-    good = match is not None and len(match.a) >= LEAST and believable(overlap(shown[i], shown[j], match.T_i_j))
+    match = tighten(shown, Match(i, j, first, second, T))
+    good = match is not None and len(match.a) >= LEAST and is_believable(overlap(shown[i], shown[j], match.T_i_j))
     return match if good else None
 
 

@@ -16,7 +16,7 @@ from realsim.core.progress import track
 from realsim.core.types import F64
 from realsim.feedforward.rgbd.bundle import Observations, linearise, loss
 from realsim.feedforward.rgbd.features import Tracks, View
-from realsim.feedforward.rgbd.matching import guided
+from realsim.feedforward.rgbd.matching import match_guided
 from realsim.feedforward.rgbd.pose_graph import exp_se3
 
 NEAREST = 4
@@ -108,7 +108,7 @@ def _sightings(views: Sequence[View], T: F64, landmarks: Landmarks) -> tuple[Obs
             # The sensor's own metres on both sides: the motion has to be in them as well.
             motion = invert_T(centres[j]) @ T[k]
             motion[:3, 3] /= landmarks.gain
-            found = guided([known[j], views[k]], 0, 1, motion)
+            found = match_guided([known[j], views[k]], 0, 1, motion)
             if found is None:
                 continue
             p = point_of[start[j] + found.a]

@@ -22,9 +22,9 @@ from realsim.core.geometry import angle_deg, invert_T, transform
 from realsim.core.meshes import linked
 from realsim.core.types import F64
 from realsim.feedforward.rgbd.features import Evidence, Match, View
-from realsim.feedforward.rgbd.matching import MIN_AGREEMENT, MIN_OVERLAP, WINDOW, as_edge
+from realsim.feedforward.rgbd.matching import MIN_AGREEMENT, MIN_OVERLAP, WINDOW, make_edge
 from realsim.feedforward.rgbd.overlap import overlap
-from realsim.feedforward.rgbd.pose_graph import Edge, components, optimise, spanning_poses
+from realsim.feedforward.rgbd.pose_graph import Edge, chain_poses, components, optimise
 
 EDGE_LIMIT = 6.0
 """Standard deviations beyond which a pair contradicts the graph and is left out."""
@@ -121,7 +121,7 @@ def join(views: Sequence[View], edges: Sequence[Edge]) -> Joined:
         PoseError: fewer than two views hang together.
     """
     n = len(views)
-    ordered = in_order(n, edges)
+    ordered = is_in_order(n, edges)
     chains, kept = _chains(n, edges, steady=False)
     pace = _pace(kept) if ordered and not _proven(chains, edges, np.inf, ordered) else np.inf
     if np.isfinite(pace) and _doubtful(chains, edges, pace):
@@ -152,7 +152,7 @@ def join(views: Sequence[View], edges: Sequence[Edge]) -> Joined:
     return _placed(n, kept + believed, refused)
 
 
-def plausible(evidence: Evidence, pairs: Sequence[tuple[int, int]], T: F64) -> list[Match]:
+def keep_plausible(evidence: Evidence, pairs: Sequence[tuple[int, int]], T: F64) -> list[Match]:
     """Verified matches of pairs i < j, without those that other matches rule out: one door looks like the next.
 
     Two chains can: that of neighbours, whatever the poses T (N, 4, 4) are, so that what is left may judge them (where
@@ -160,12 +160,12 @@ def plausible(evidence: Evidence, pairs: Sequence[tuple[int, int]], T: F64) -> l
     agree with T. Poses that are wrong do not agree with many independent matches by chance.
     """
     found = evidence.matches(pairs)
-    edges = [as_edge(m) for m in found]
+    edges = [make_edge(m) for m in found]
     n = len(evidence.views)
     chains, kept = _chains(n, edges, steady=False)
     near = [e for e in edges if 1 < e.j - e.i <= WINDOW]
     agree = sum(e.j - e.i > 1 for e in kept)
-    if in_order(n, edges) and agree >= HONEST * len(near):
+    if is_in_order(n, edges) and agree >= HONEST * len(near):
         apart = [chains.piece[e.i] != chains.piece[e.j] for e in edges]
         found = [m for m, e, open_ in zip(found, edges, apart, strict=True) if open_ or _drifted(chains, e)]
     return _borne_out(evidence, found, T)
@@ -194,7 +194,7 @@ def _misplaced(evidence: Evidence, m: Match, T: F64) -> float:
     return float(np.median(np.linalg.norm(moved, axis=1)))
 
 
-def in_order(n: int, edges: Sequence[Edge]) -> bool:
+def is_in_order(n: int, edges: Sequence[Edge]) -> bool:
     """Whether the sequence is a way through the place: most frames match the next."""
     return 2 * sum(e.j - e.i == 1 for e in edges) > n - 1
 
@@ -233,7 +233,7 @@ def _solved(used: NDArray[np.int64], edges: Sequence[Edge]) -> tuple[list[Edge],
     local = {int(v): k for k, v in enumerate(used)}
     inner = [e for e in edges if e.i in local]
     here = [Edge(local[e.i], local[e.j], e.T_i_j, e.weight, e.root) for e in inner]
-    T, chi = optimise(spanning_poses(len(used), here), here)
+    T, chi = optimise(chain_poses(len(used), here), here)
     return inner, T, chi > max(EDGE_LIMIT, 4 * float(np.median(chi))) if len(chi) else np.zeros(0, bool)
 
 

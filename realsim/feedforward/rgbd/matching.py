@@ -37,7 +37,7 @@ and no contradiction; a room with three boxes contradicts a shift by 0.07."""
 Pair = tuple[int, int]
 
 
-def candidates(views: Sequence[View], seed: int) -> list[Pair]:
+def propose_pairs(views: Sequence[View], seed: int) -> list[Pair]:
     """Pairs i < j worth a comparison: neighbours in the sequence and look-alikes. Linear in the number of views."""
     n = len(views)
     if n <= ALL_PAIRS:
@@ -71,35 +71,35 @@ def _lookalikes(views: Sequence[View], seed: int) -> Iterable[Pair]:
                 yield min(i, int(j)), max(i, int(j))
 
 
-def by_features(views: Sequence[View], i: int, j: int, seed: int) -> tuple[Match, Overlap] | None:
-    """The motion that most features of a pair agree on, and what the depth images say to it. None: too few features.
+def match_by_features(views: Sequence[View], i: int, j: int, seed: int) -> tuple[Match, Overlap] | None:
+    """The motion that most features of a pair agree on, and how the depth images fit at it. None: too few features.
 
-    The depth images are the judge: `believable`. Features may all lie on something that was moved between the frames.
+    The depth images are the judge (`is_believable`): features may all lie on something that moved between the frames.
     """
     found = match(views, i, j, seed)
     if found is None:
         return None
     fit = overlap(views[i], views[j], found.T_i_j)
-    if not believable(fit):
+    if not is_believable(fit):
         # Few matches close together leave the far end of the picture loose; surfaces can hold it, if it is true.
-        found = tightened(views, found) or found
+        found = tighten(views, found) or found
         fit = overlap(views[i], views[j], found.T_i_j)
     return found, fit
 
 
-def believable(fit: Overlap) -> bool:
+def is_believable(fit: Overlap) -> bool:
     """Whether two depth images fit together well enough to rely on it."""
     return fit.fraction > MIN_OVERLAP and fit.agreement > MIN_AGREEMENT
 
 
-def as_edge(found: Match) -> Edge:
+def make_edge(found: Match) -> Edge:
     """A pair's motion for the pose graph."""
     # A match is off by a centimetre or so, and matches of one pair err together: hence no better than a tenth.
     spread = max(1 / np.sqrt(len(found.a)), 0.1)
     return Edge(found.i, found.j, found.T_i_j, float(len(found.a)), whitening(0.02 * spread, 0.01 * spread))
 
 
-def tightened(views: Sequence[View], found: Match) -> Match | None:
+def tighten(views: Sequence[View], found: Match) -> Match | None:
     """The same matches with the motion that they and the surfaces agree on; None if most matches must give way."""
     A, B = views[found.i], views[found.j]
     P, Q = A.points[found.a], B.points[found.b]
@@ -110,7 +110,7 @@ def tightened(views: Sequence[View], found: Match) -> Match | None:
     return Match(found.i, found.j, found.a[keep], found.b[keep], T)
 
 
-def guided(views: Sequence[View], i: int, j: int, T_i_j: F64, radius_px: float = 3.0) -> Match | None:
+def match_guided(views: Sequence[View], i: int, j: int, T_i_j: F64, radius_px: float = 3.0) -> Match | None:
     """Matches of a pair whose motion is nearly known: the most alike within `radius_px` of where a feature must be.
 
     Finds more than blind matching, and repeated texture cannot mislead it beyond the radius. A wider radius joins
@@ -147,7 +147,7 @@ def guided(views: Sequence[View], i: int, j: int, T_i_j: F64, radius_px: float =
 # ---------------------------------------------------------------- by shape
 
 
-def by_shape(
+def register_by_shape(
     views: Sequence[View], i: int, j: int, starts: Sequence[F64], reach: tuple[float, ...] = COARSE
 ) -> Edge | None:
     """The motion that brings two depth images together, the best from any of `starts`.
@@ -170,7 +170,7 @@ def by_shape(
     return best
 
 
-def ambiguous(views: Sequence[View], edge: Edge) -> bool:
+def is_ambiguous(views: Sequence[View], edge: Edge) -> bool:
     """Whether two depth images fit in another place about as well: a step further on stairs, a stake further in a row.
 
     Registration starts anew from six shifted positions; one that ends elsewhere and fits is a rival.
@@ -187,8 +187,8 @@ def ambiguous(views: Sequence[View], edge: Edge) -> bool:
     return False
 
 
-def shape_starts(a: tuple[F64, F64], b: tuple[F64, F64], rng: np.random.Generator) -> list[F64]:
-    """Motions to start from: rest, and that of matched `shape_features` if enough of them agree."""
+def propose_starts(a: tuple[F64, F64], b: tuple[F64, F64], rng: np.random.Generator) -> list[F64]:
+    """Motions to start from: rest, and that of matched `describe_shape` if enough of them agree."""
     from scipy.spatial import cKDTree
 
     (P, f), (Q, g) = a, b
@@ -203,7 +203,7 @@ def shape_starts(a: tuple[F64, F64], b: tuple[F64, F64], rng: np.random.Generato
     return rest if found is None else [*rest, found[0]]
 
 
-def shape_features(view: View, cell: float = 0.06) -> tuple[F64, F64]:
+def describe_shape(view: View, cell: float = 0.06) -> tuple[F64, F64]:
     """(M, 3) points about `cell` metres apart and their (M, 33) FPFH descriptors; flat surroundings are left out."""
     import open3d as o3d
 

@@ -49,7 +49,7 @@ class Landing:
     """Points of B altogether."""
 
 
-def land(A: View, B: View, T_a_b: F64, stride: int = 1) -> Landing:
+def project_view(A: View, B: View, T_a_b: F64, stride: int = 1) -> Landing:
     """Project the thinned depth of B into A at the motion T_a_b (points of B into A)."""
     z = B.depth[::stride, ::stride].astype(float)
     rays = B.camera.rays()[::stride, ::stride]
@@ -67,7 +67,7 @@ def overlap(A: View, B: View, T_a_b: F64, stride: int = 2) -> Overlap:
     """How well the two depth images fit at the motion T_a_b (points of B into A)."""
     asked = agree = against = 0
     for X, Y, T in ((A, B, T_a_b), (B, A, invert_T(T_a_b))):
-        landing = land(X, Y, T, stride)
+        landing = project_view(X, Y, T, stride)
         difference = 1 / landing.points[:, 2] - 1 / landing.depth
         asked += landing.asked
         agree += int((np.abs(difference) < TOLERANCE).sum())
@@ -116,7 +116,7 @@ def _planes(A: View, B: View, T: F64, limit: float, stride: int) -> tuple[F64, F
     """Jacobian (M, 6) by B's twist, distances (M,) and their standard deviations (M,), metres."""
     J, r, sigma = [], [], []
     for X, Y, T_x_y, own in ((A, B, T, True), (B, A, invert_T(T), False)):
-        land_ = land(X, Y, T_x_y, stride)
+        land_ = project_view(X, Y, T_x_y, stride)
         n = X.normal[land_.pixel].astype(float)
         m = Y.normal.reshape(-1, 3)[land_.source_index] @ T_x_y[:3, :3].T
         rays = X.camera.rays()[land_.pixel]

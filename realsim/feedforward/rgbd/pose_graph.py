@@ -47,7 +47,7 @@ def components(count: int, edges: Sequence[Edge]) -> list[NDArray[np.int64]]:
     return members(linked([e.i for e in edges], [e.j for e in edges], count))
 
 
-def spanning_poses(count: int, edges: Sequence[Edge], root: int = 0) -> F64:
+def chain_poses(count: int, edges: Sequence[Edge], root: int = 0) -> F64:
     """(N, 4, 4) poses along the maximum spanning tree of weights, `root` at the identity; NaN where unreachable."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree

@@ -23,7 +23,7 @@ from realsim.feedforward.rgbd.bias import GainEstimate, judge_gain
 from realsim.feedforward.rgbd.features import Evidence, Match, Tracks, View, build_tracks
 from realsim.feedforward.rgbd.heldout import hold_out
 from realsim.feedforward.rgbd.localize import Landmarks
-from realsim.feedforward.rgbd.loop_closure import plausible
+from realsim.feedforward.rgbd.loop_closure import keep_plausible
 from realsim.feedforward.rgbd.refine_adjust import Sigmas, State, Step, initial_state, solve_step
 from realsim.feedforward.rgbd.refine_pairs import Surface, associate, choose_pairs, sample_surface
 
@@ -89,7 +89,7 @@ def refine(
     evidence = evidence or Evidence.of(frames, seed)
     views = evidence.views
     pairs, held_out = hold_out(choose_pairs(views, T))
-    matches = plausible(evidence, pairs, T)
+    matches = keep_plausible(evidence, pairs, T)
     tracks = build_tracks(views, matches)
     step, surface, given = _solve(views, T, pairs, tracks, estimate_gain, trust, seed)
     per_frame = _per_frame(step, tracks, surface, len(views))
