@@ -52,7 +52,7 @@ class Estimate:
     """Index -> why it is not used."""
     statistics: dict[str, Any]
     warnings: tuple[str, ...] = ()
-    link_by_shape: tuple[Edge, ...] = ()
+    links: tuple[Edge, ...] = ()
     """Pairs that were believed, indices of the views that were given."""
 
 
@@ -79,8 +79,8 @@ def estimate(views: Sequence[View], seed: int, learned: bool = True) -> Estimate
     used = sorted(T)
     poses = np.stack([T[k] for k in used])
     statistics = found.statistics | ({"keyframes": len(keys)} if followers else {})
-    link_by_shape = tuple(replace(e, i=keys[e.i], j=keys[e.j]) for e in found.links)
-    return Estimate(tuple(used), invert_T(poses[0]) @ poses, lost, statistics, found.warnings, link_by_shape)
+    links = tuple(replace(e, i=keys[e.i], j=keys[e.j]) for e in found.links)
+    return Estimate(tuple(used), invert_T(poses[0]) @ poses, lost, statistics, found.warnings, links)
 
 
 def _estimate_together(views: Sequence[View], seed: int, learned: bool) -> tuple[Estimate, Landmarks | None]:
