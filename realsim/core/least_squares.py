@@ -10,7 +10,7 @@ several residuals together, nor exact solutions of sparse systems.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -53,21 +53,23 @@ def cauchy(scale: float, groups: NDArray[np.int64] | None = None) -> Loss:
 
 @dataclass(frozen=True)
 class Minimum(Generic[State]):
-    """Where the search ended."""
+    """A state, and the model there."""
 
     state: State
+    moved: F64 | float
+    """(P,) sum of the steps since the start."""
     residual: F64
-    """(M,) there."""
+    """(M,), 0 where unknown."""
     weight: F64
-    """(M,) of the loss there, 0 where a residual or its Jacobian is unknown."""
+    """(M,) of the loss, 0 where a residual or its Jacobian is unknown."""
     jacobian: Any
-    """(M, P) there."""
+    """(M, P)."""
     cost: float
-    iterations: int
+    iterations: int = 0
 
     @property
     def information(self) -> Any:
-        """(P, P) J' W J there, without the prior."""
+        """(P, P) J' W J, without the prior."""
         return self.jacobian.T @ _rows(self.jacobian, self.weight)
 
 
@@ -143,112 +145,77 @@ def least_squares(
         tolerance: largest change of an unknown at which it is done.
         least_gain: relative gain at which a damped search is done.
     """
-    problem = _Problem(model, loss, prior, free, eliminated)
-    here = problem.at(start, 0.0)
-    done = 0
+    precision = None if prior is None else prior[1] ** -2.0
+
+    def look(state: State, moved: F64 | float) -> Minimum[State] | None:
+        if (found := model(state)) is None:
+            return None
+        known = np.isfinite(found[0])
+        r = np.where(known, found[0], 0)
+        cost, weight = loss(r)
+        # Rows that are unknown here may be known elsewhere: they cost what the others do on average.
+        cost *= len(r) / max(int(known.sum()), 1)
+        if prior is not None:
+            cost += float(np.sum(np.square((moved + prior[0]) / prior[1])))
+        return Minimum(state, moved, r, weight * known, found[1], cost)
+
+    def stepped(at: Minimum[State], step: F64) -> Minimum[State] | None:
+        state: Any = move(at.state, step)
+        if bounds is None:
+            return look(state, at.moved + step)
+        inside: Any = np.clip(state, *bounds)
+        return look(inside, at.moved + (inside - at.state))
+
+    def equations(at: Minimum[State]) -> Callable[[float], F64]:
+        JW = _rows(at.jacobian, at.weight)
+        H, g = at.jacobian.T @ JW, JW.T @ at.residual
+        if prior is not None:
+            H, g = _raised(H, precision), g + precision * (at.moved + prior[0])
+        may: Any = np.ones(len(g), bool) if free is None else free
+        if bounds is not None:
+            x: Any = at.state
+            may = may & ~(((x <= bounds[0]) & (g > 0)) | ((x >= bounds[1]) & (g < 0)))
+        which = np.flatnonzero(may)
+        H, g = (H[which][:, which], g[which]) if len(which) < len(may) else (H, g)
+        diagonal = H.diagonal()
+        # Far below every real constraint, so that an unknown which nothing speaks of cannot make it singular.
+        ridge = 1e-9 * float(diagonal.mean()) if len(which) else 0.0
+
+        def step(damping: float) -> F64:
+            out = np.zeros(len(may))
+            out[which] = -Normal(_raised(H, damping * diagonal + ridge), eliminated).solve(g)
+            return out
+
+        return step
+
+    here, done = look(start, 0.0), 0
     while here is not None and done < iterations:
-        done += 1
-        equations, before = problem.equations(here, bounds), here
-        for _ in range(TRIES):
-            step = equations(damping)
-            looks = [(k, problem.at(*_moved(before, k * step, move, bounds))) for k in lengths]
-            tries = [look for _, look in looks if look is not None]
-            here = min(tries, key=lambda look: look.cost, default=None)
+        done, before = done + 1, _linearised(here)
+        solve = equations(before)
+        for _ in range(TRIES if damping else 1):
+            step = solve(damping)
+            tries = [there for k in lengths if (there := stepped(before, k * step)) is not None]
+            here = min(tries, key=lambda there: there.cost, default=None)
             if not damping or (here is not None and here.cost < before.cost):
                 break
             damping *= 10
         else:
             here = before
             break
-        if here is None:
-            break
         small = np.abs(step).max(initial=0) < tolerance
-        if small or (damping and before.cost - here.cost <= least_gain * before.cost):
+        if small or (damping and here is not None and before.cost - here.cost <= least_gain * before.cost):
             break
         damping = max(damping / 10, LEAST_DAMPING) if damping else 0.0
-    if here is None:
-        return None
-    J, weight = problem.linear(here)
-    return Minimum(here.state, here.residual, weight, J, here.cost, done)
+    return None if here is None else replace(_linearised(here), iterations=done)
 
 
-@dataclass(frozen=True)
-class _Look(Generic[State]):
-    state: State
-    moved: F64 | float
-    """(P,) sum of the steps since the start."""
-    residual: F64
-    weight: F64
-    jacobian: Any
-    cost: float
-
-
-class _Problem(Generic[State]):
-    def __init__(
-        self,
-        model: Model[State],
-        loss: Loss,
-        prior: tuple[F64, F64] | None,
-        free: NDArray[np.bool_] | None,
-        eliminated: int,
-    ) -> None:
-        self.model, self.loss, self.free, self.eliminated = model, loss, free, eliminated
-        self.offset: F64 | float = 0.0 if prior is None else prior[0]
-        self.precision: F64 | None = None if prior is None else prior[1] ** -2.0
-
-    def at(self, state: State, moved: F64 | float) -> _Look[State] | None:
-        found = self.model(state)
-        if found is None:
-            return None
-        r, J = found
-        known = np.isfinite(r)
-        cost, weight = self.loss(np.where(known, r, 0))
-        # Rows that are unknown here may be known elsewhere: they cost what the others do on average.
-        cost *= len(r) / max(int(known.sum()), 1)
-        if self.precision is not None:
-            cost += float(np.sum(self.precision * np.square(moved + self.offset)))
-        return _Look(state, moved, np.where(known, r, 0), weight * known, J, cost)
-
-    def linear(self, look: _Look[State]) -> tuple[Any, F64]:
-        J = look.jacobian() if callable(look.jacobian) else look.jacobian
-        if not isinstance(J, np.ndarray):
-            return J, look.weight
-        known = np.atleast_1d(np.isfinite(J).all(axis=1))
-        return np.where(known[:, None], J, 0), look.weight * known
-
-    def equations(self, look: _Look[State], bounds: tuple[F64, F64] | None) -> Callable[[float], F64]:
-        """The step (P,) as a function of the damping."""
-        J, weight = self.linear(look)
-        JW = _rows(J, weight)
-        H, g = J.T @ JW, JW.T @ look.residual
-        if self.precision is not None:
-            H, g = _raised(H, self.precision), g + self.precision * (look.moved + self.offset)
-        free: Any = np.ones(len(g), bool) if self.free is None else self.free
-        if bounds is not None:
-            x: Any = look.state
-            free = free & ~(((x <= bounds[0]) & (g > 0)) | ((x >= bounds[1]) & (g < 0)))
-        which = np.flatnonzero(free)
-        H, g = (H[which][:, which], g[which]) if len(which) < len(free) else (H, g)
-        diagonal = H.diagonal()
-        # Far below every real constraint, so that an unknown which nothing speaks of cannot make it singular.
-        ridge = 1e-9 * float(diagonal.mean()) if len(which) else 0.0
-
-        def step(damping: float) -> F64:
-            out = np.zeros(len(free))
-            out[which] = -Normal(_raised(H, damping * diagonal + ridge), self.eliminated).solve(g)
-            return out
-
-        return step
-
-
-def _moved(
-    look: _Look[State], step: F64, move: Callable[[State, F64], State], bounds: tuple[F64, F64] | None
-) -> tuple[State, F64]:
-    state: Any = move(look.state, step)
-    if bounds is None:
-        return state, look.moved + step
-    inside: Any = np.clip(state, *bounds)
-    return inside, look.moved + (inside - look.state)
+def _linearised(at: Minimum[State]) -> Minimum[State]:
+    """With its Jacobian made, and without weight where that is unknown."""
+    J = at.jacobian() if callable(at.jacobian) else at.jacobian
+    if not isinstance(J, np.ndarray):
+        return replace(at, jacobian=J)
+    known = np.atleast_1d(np.isfinite(J).all(axis=1))
+    return replace(at, jacobian=np.where(known[:, None], J, 0), weight=at.weight * known)
 
 
 def _rows(J: Any, weight: F64) -> Any:
