@@ -28,7 +28,9 @@ class Rays:
     (3,) first: the middle of the mesh's box, if none is given."""
 
     def __init__(self, vertices: F64, triangles: NDArray[Any], centre: F64 | None = None) -> None:
-        self.lower, self.upper = (vertices.min(0), vertices.max(0)) if len(vertices) else (np.zeros(3), np.zeros(3))
+        some = vertices if len(vertices) else np.zeros((1, 3))
+        self.lower: F64 = some.min(0)
+        self.upper: F64 = some.max(0)
         self.centre = (self.lower + self.upper) / 2 if centre is None else centre
         self._scene = raycasting_scene(vertices - self.centre, triangles)
 

@@ -42,4 +42,5 @@ def _confirmed(p: F64, depth: F32, mask: Bool, K: F64) -> float:
 
 def connected(share: F64) -> list[np.ndarray]:
     """Groups of views that hang together by overlap, the largest first; of equal ones that with the lower index."""
-    return members(linked(*np.nonzero(share > OVERLAP), len(share)))
+    one, other = np.nonzero(share > OVERLAP)
+    return members(linked(one, other, len(share)))
