@@ -145,7 +145,7 @@ def least_squares(
         tolerance: largest change of an unknown at which it is done.
         least_gain: relative gain at which a damped search is done.
     """
-    precision = None if prior is None else prior[1] ** -2.0
+    precision: Any = None if prior is None else prior[1] ** -2.0
 
     def look(state: State, moved: F64 | float) -> Minimum[State] | None:
         if (found := model(state)) is None:
