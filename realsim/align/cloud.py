@@ -5,7 +5,7 @@ Views are read once, one in memory at a time; the cloud's size depends on the sc
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,18 +62,8 @@ class Cloud:
 
     def take(self, keep: Bool | NDArray[np.intp]) -> Cloud:
         """The cloud of some of its points."""
-        return Cloud(
-            self.points[keep],
-            self.normals[keep],
-            self.weights[keep],
-            self.frames[keep],
-            self.oriented,
-            self.cameras,
-            self.held,
-            self.voxel,
-            self.turned,
-            self.closed,
-        )
+        kept = {name: getattr(self, name)[keep] for name in ("points", "normals", "weights", "frames")}
+        return replace(self, **kept)
 
 
 def from_views(scene: MetricScene, voxel: float = VOXEL) -> Cloud:

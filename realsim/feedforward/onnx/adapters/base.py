@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.errors import ModelError
-from realsim.core.geometry import nearest_rotation, quat_to_R
+from realsim.core.geometry import invert_T, nearest_rotation, quat_to_R
 from realsim.core.types import F32, F64, Bool
 
 ROTATION_TOLERANCE = 0.1
@@ -122,20 +122,13 @@ def as_rows(name: str, array: NDArray, call: Call, *shapes: tuple[int, ...]) -> 
 def read_poses(array: NDArray, call: Call) -> F64:
     """(n, 4, 4) camera to world of any way in which models write poses; see the contract in docs/models.md."""
     if call.pose == "pose_enc9":
-        return invert(_from_encoding(as_rows("pose", array, call, (9,))))
+        return invert_T(_from_encoding(as_rows("pose", array, call, (9,))))
     if call.pose == "raw9":
         rows = as_rows("pose", array, call, (12,))
         return _rigid(rows[:, :9].reshape(-1, 3, 3), rows[:, 9:], loose=True)
     M = as_rows("pose", array, call, (4, 4), (3, 4))
     T = _rigid(M[:, :3, :3], M[:, :3, 3])
-    return invert(T) if call.pose == "w2c" else T
-
-
-def invert(T: F64) -> F64:
-    """Inverse of rigid (n, 4, 4); NaN stays NaN."""
-    from realsim.core.geometry import invert_T
-
-    return invert_T(T)
+    return invert_T(T) if call.pose == "w2c" else T
 
 
 def _from_encoding(rows: F64) -> F64:

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.geometry import invert_T
 from realsim.feedforward.onnx.adapters.base import (
     CONF_NAMES,
     MASK,
@@ -19,7 +20,6 @@ from realsim.feedforward.onnx.adapters.base import (
     as_maps,
     as_rows,
     encoded_intrinsics,
-    invert,
     posed,
     read_poses,
     unproject,
@@ -57,7 +57,7 @@ def from_world(found: Mapping[str, NDArray], call: Call) -> Prediction:
     """World points, taken back into their cameras."""
     world = as_maps("world_points", found["world_points"], call, 3)
     T = read_poses(found["pose"], call)
-    back = invert(T)
+    back = invert_T(T)
     points = (np.einsum("nab,nhwb->nhwa", back[:, :3, :3], world) + back[:, None, None, :3, 3]).astype(np.float32)
     return posed(points, T, found, call)
 
