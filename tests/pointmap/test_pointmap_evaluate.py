@@ -11,10 +11,9 @@ import pytest
 torch = pytest.importorskip("torch", reason="the network is torch's (extra train)")
 
 from realsim.core.errors import CaptureError  # noqa: E402
-from training.pointmap import evaluate, sheet  # noqa: E402
-from training.pointmap.layouts import LAYOUTS, library  # noqa: E402
+from training.pointmap import evaluate  # noqa: E402
+from training.pointmap.layouts import LAYOUTS  # noqa: E402
 from training.pointmap.network import TINY, PointmapNet  # noqa: E402
-from training.pointmap.scenes import Generator  # noqa: E402
 
 
 def test_generated_scenes_of_every_kind_are_measured_with_and_without_depth() -> None:
@@ -55,8 +54,3 @@ def test_what_is_no_capture_with_truth_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("open3d")
     with pytest.raises(CaptureError, match="truth"):
         evaluate.read(tmp_path)
-
-
-def test_a_contact_sheet_shows_every_view() -> None:
-    batch = Generator(library(2, 1), 1, samples=1).batch(0, 2, 2, (32, 48))
-    assert sheet.sheet(batch).shape == (64, 4 * 48, 3)
