@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 from realsim.core.errors import CaptureError
@@ -41,8 +40,21 @@ def pointmaps(frames: FrameSet, solution: Solution, config: PointsConfig) -> Poi
 
     `solution` must be of the same frames and backend.
     """
-    found = BACKENDS[config.backend].pointmaps(frames, solution, config)
-    return replace(found, load=Kept(found.load, len(found.frames)))
+    used, load = BACKENDS[config.backend].load_views(tuple(frames.frames[i] for i in solution.used), solution)
+    return Pointmaps(
+        frames=used,
+        T_world_camera=solution.T_world_camera,
+        load=Kept(load, len(used)),
+        backend=config.backend,
+        world_is_capture=solution.world_is_capture,
+        metric_claim=solution.metric_claim,
+        depth_gain=solution.depth_gain,
+        depth_gain_sigma=solution.depth_gain_sigma,
+        pose_sigma_m=solution.pose_sigma_m,
+        dropped=solution.dropped,
+        warnings=solution.warnings,
+        statistics=solution.statistics,
+    )
 
 
 def inputs(config: PointsConfig) -> tuple[Path, ...]:

@@ -1,4 +1,4 @@
-"""Interface of backends: two functions."""
+"""Interface of backends: two functions, and the files that they read."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from realsim.core.types import FrameSet, Pointmaps, Solution
+from realsim.core.types import Frame, FrameSet, PointView, Solution
 from realsim.feedforward.config import PointsConfig
 
 
@@ -16,7 +16,7 @@ class Backend:
 
     solve: Callable[[FrameSet, PointsConfig], Solution]
     """Everything slow. Its result is plain arrays and may be kept on disk."""
-    pointmaps: Callable[[FrameSet, Solution, PointsConfig], Pointmaps]
-    """Cheap: views are made when they are asked for."""
+    load_views: Callable[[tuple[Frame, ...], Solution], tuple[tuple[Frame, ...], Callable[[int], PointView]]]
+    """(N used frames, solution) -> these frames as corrected, and what makes view i when it is needed. Cheap."""
     inputs: Callable[[PointsConfig], tuple[Path, ...]] = lambda config: ()
     """Files besides the capture that a solution depends on (a model's)."""

@@ -6,6 +6,7 @@ mask therefore holds a few hundred pixels, not a surface. Needs the extra `colma
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 
 from realsim.core.errors import CaptureError, PoseError, extra
 from realsim.core.geometry import invert_T
-from realsim.core.types import F64, Dropped, Frame, FrameSet, Intrinsics, Pointmaps, PointView, Solution
+from realsim.core.types import F64, Dropped, Frame, FrameSet, Intrinsics, PointView, Solution
 from realsim.feedforward.backend import Backend
 from realsim.feedforward.config import PointsConfig
 
@@ -50,20 +51,10 @@ def solve(frames: FrameSet, config: PointsConfig) -> Solution:
     return _solution(frames, max(models, key=lambda m: (m.num_reg_images(), m.num_points3D())))
 
 
-def pointmaps(frames: FrameSet, solution: Solution, config: PointsConfig) -> Pointmaps:
+def load_views(used: tuple[Frame, ...], solution: Solution) -> tuple[tuple[Frame, ...], Callable[[int], PointView]]:
     """Views whose masks hold the pixels of triangulated points."""
-    used = tuple(frames.frames[i] for i in solution.used)
     xyz, owner = solution.arrays["point_xyz"], solution.arrays["point_view"]
-    return Pointmaps(
-        frames=used,
-        T_world_camera=solution.T_world_camera,
-        load=lambda i: _view(used[i], xyz[owner == i]),
-        backend="colmap",
-        world_is_capture=False,
-        dropped=solution.dropped,
-        warnings=solution.warnings,
-        statistics=solution.statistics,
-    )
+    return used, lambda i: _view(used[i], xyz[owner == i])
 
 
 def _reconstruct(frames: FrameSet, folder: Path, seed: int) -> list[Any]:
@@ -146,4 +137,4 @@ def _view(frame: Frame, xyz: np.ndarray) -> PointView:
     return PointView(points, mask.astype(np.float32), mask)
 
 
-BACKEND = Backend(solve, pointmaps)
+BACKEND = Backend(solve, load_views)

@@ -5,12 +5,13 @@ Any model that fits the contract (docs/models.md) runs through the same code; to
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from realsim.core.errors import ModelError
-from realsim.core.types import Dropped, FrameSet, Pointmaps, Solution
+from realsim.core.types import Dropped, Frame, FrameSet, PointView, Solution
 from realsim.feedforward.backend import Backend
 from realsim.feedforward.config import PointsConfig
 
@@ -29,38 +30,25 @@ def solve(frames: FrameSet, config: PointsConfig) -> Solution:
     from realsim.feedforward.onnx.views import pack
 
     model = open_model(model_file(config), config.onnx.provider)
-    views = predict(
-        frames.frames, model, config.onnx, with_depth=False, poses=True, kept_in=config.onnx.kept_in
-    )  # fmt: skip
-    T = views.T_world_camera if np.isfinite(views.T_world_camera).all() else np.eye(4)[None]
+    found = predict(frames.frames, model, config.onnx, with_depth=False, poses=True, kept_in=config.onnx.kept_in)
+    T = found.T_world_camera if np.isfinite(found.T_world_camera).all() else np.eye(4)[None]
     return Solution(
-        used=views.used,
+        used=found.used,
         T_world_camera=np.linalg.inv(T[0]) @ T,
         world_is_capture=False,
-        metric_claim=views.metric_claim,
-        dropped=tuple(Dropped(frames.frames[i].name, why) for i, why in sorted(views.lost.items())),
-        warnings=views.warnings,
-        statistics={"poses": "by the model", **views.statistics},
-        arrays=pack(views),
+        metric_claim=found.metric_claim,
+        dropped=tuple(Dropped(frames.frames[i].name, why) for i, why in sorted(found.lost.items())),
+        warnings=found.warnings,
+        statistics={"poses": "by the model", **found.statistics},
+        arrays=pack(found),
     )
 
 
-def pointmaps(frames: FrameSet, solution: Solution, config: PointsConfig) -> Pointmaps:
+def load_views(used: tuple[Frame, ...], solution: Solution) -> tuple[tuple[Frame, ...], Callable[[int], PointView]]:
     """Views on the frames' depth grids: the model's depth along the capture's own rays, camera frame, up to scale."""
     from realsim.feedforward.onnx.views import predicted_view
 
-    used = tuple(frames.frames[i] for i in solution.used)
-    return Pointmaps(
-        frames=used,
-        T_world_camera=solution.T_world_camera,
-        load=lambda i: predicted_view(used[i], solution.arrays, i),
-        backend="onnx",
-        world_is_capture=False,
-        metric_claim=solution.metric_claim,
-        dropped=solution.dropped,
-        warnings=solution.warnings,
-        statistics=solution.statistics,
-    )
+    return used, lambda i: predicted_view(used[i], solution.arrays, i)
 
 
 SHIPPED = Path(__file__).with_name("realsim_pointmap.onnx")
@@ -98,4 +86,4 @@ def model_files(config: PointsConfig) -> tuple[Path, ...]:
     return (*read_envelope(path).files, *((beside,) if beside.is_file() else ()))
 
 
-BACKEND = Backend(solve, pointmaps, model_files)
+BACKEND = Backend(solve, load_views, model_files)

@@ -7,13 +7,13 @@ around the hole, and only where the two agree there.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from realsim.core.errors import PoseError, ScaleError
-from realsim.core.types import F32, F64, Bool, Dropped, Frame, FrameSet, Pointmaps, PointView, Solution
+from realsim.core.types import F32, F64, Bool, Dropped, Frame, FrameSet, PointView, Solution
 from realsim.feedforward import rgbd
 from realsim.feedforward.backend import Backend
 from realsim.feedforward.config import PointsConfig
@@ -75,15 +75,10 @@ def solve(frames: FrameSet, config: PointsConfig) -> Solution:
     )
 
 
-def pointmaps(frames: FrameSet, solution: Solution, config: PointsConfig) -> Pointmaps:
+def load_views(used: tuple[Frame, ...], solution: Solution) -> tuple[tuple[Frame, ...], Callable[[int], PointView]]:
     """Views from corrected sensor depth, completed by the model; camera frame, metres."""
-    used = tuple(frames.frames[i] for i in solution.used)
-    base = rgbd.pointmaps(frames, solution, config)
-    return replace(
-        base,
-        load=lambda i: completed(base.load(i), used[i], solution.depth_gain, solution.arrays, i),
-        backend="onnx+depth",
-    )
+    frames, load = rgbd.load_views(used, solution)
+    return frames, lambda i: completed(load(i), used[i], solution.depth_gain, solution.arrays, i)
 
 
 def completed(view: PointView, frame: Frame, gain: float, arrays: Mapping[str, np.ndarray], i: int) -> PointView:
@@ -234,4 +229,4 @@ def _moved(before: F64, after: F64) -> dict[str, float]:
     }
 
 
-BACKEND = Backend(solve, pointmaps, model_files)
+BACKEND = Backend(solve, load_views, model_files)

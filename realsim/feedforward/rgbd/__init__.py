@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from realsim.core.errors import PoseError
-from realsim.core.types import F64, Dropped, Frame, FrameSet, Pointmaps, Solution
+from realsim.core.types import F64, Dropped, Frame, FrameSet, PointView, Solution
 from realsim.feedforward.backend import Backend
 from realsim.feedforward.config import PointsConfig
 
@@ -48,31 +48,17 @@ def solve(frames: FrameSet, config: PointsConfig) -> Solution:
     return replace(solution, arrays={**solution.arrays, "carried": cells}, statistics=statistics)
 
 
-def pointmaps(frames: FrameSet, solution: Solution, config: PointsConfig) -> Pointmaps:
+def load_views(used: tuple[Frame, ...], solution: Solution) -> tuple[tuple[Frame, ...], Callable[[int], PointView]]:
     """Views from corrected sensor depth (`solution.depth_gain` times the sensor's), camera frame, metres."""
     from realsim.feedforward.rgbd.ego_mask import mask_out
     from realsim.feedforward.rgbd.extrinsic_calibration import Registration
     from realsim.feedforward.rgbd.views import point_view
 
-    used = tuple(frames.frames[i] for i in solution.used)
     if (cells := solution.arrays.get("carried")) is not None:
         used = tuple(mask_out(f, cells) for f in used)
     for row in solution.arrays.get("registration", ()):
         used = tuple(Registration.of(row).applied(f) for f in used)
-    return Pointmaps(
-        frames=used,
-        T_world_camera=solution.T_world_camera,
-        load=lambda i: point_view(used[i], solution.depth_gain),
-        backend="rgbd",
-        world_is_capture=solution.world_is_capture,
-        metric_claim=solution.metric_claim,
-        depth_gain=solution.depth_gain,
-        depth_gain_sigma=solution.depth_gain_sigma,
-        pose_sigma_m=solution.pose_sigma_m,
-        dropped=solution.dropped,
-        warnings=solution.warnings,
-        statistics=solution.statistics,
-    )
+    return used, lambda i: point_view(used[i], solution.depth_gain)
 
 
 def _solve_once(frames: FrameSet, given: list[int] | None, config: PointsConfig) -> Solution:
@@ -243,4 +229,4 @@ def _inputs(config: PointsConfig) -> tuple[Path, ...]:
     return matcher.FILES if config.learned_matches else ()
 
 
-BACKEND = Backend(solve, pointmaps, _inputs)
+BACKEND = Backend(solve, load_views, _inputs)
