@@ -64,4 +64,4 @@ def test_a_view_starts_a_centimetre_off_and_comes_back(frames: list) -> None:
 
 def test_without_features_all_views_are_keyframes(frames: list) -> None:
     views = Evidence.of([rooms.frame(k, T, color=False) for k, T in enumerate(TRUTH[:7])]).views
-    assert keyframes.by_poses(views, TRUTH[:7]) == (list(range(7)), {})
+    assert keyframes.choose_by_poses(views, TRUTH[:7]) == (list(range(7)), {})
