@@ -193,7 +193,9 @@ def test_a_registration_that_puts_surfaces_into_free_space_joins_nothing(monkeyp
     """The first frame's surfaces fit the others' 1.2 m off, in the same wrong place twice: mostly floor on floor."""
     monkeypatch.setattr(icp_links, "is_ambiguous", lambda *_: False)
     T = [make_T(exp_so3([-0.6, 0, 0]), [x, -1.1, 0.0]) for x in (-1.4, -0.7, -0.6, -0.5)]
-    believed, refused = icp_links.link_by_shape(prepare([rooms.frame(k, pose, color=False) for k, pose in enumerate(T)]), [], 0)
+    believed, refused = icp_links.link_by_shape(
+        prepare([rooms.frame(k, pose, color=False) for k, pose in enumerate(T)]), [], 0
+    )
     off = [np.linalg.norm((invert_T(e.T_i_j) @ invert_T(T[e.i]) @ T[e.j])[:3, 3]) for e in [*believed, *refused]]
     assert {(e.i, e.j) for e in refused} == {(0, 1), (0, 2)}
     assert min(off[len(believed) :]) > 1
