@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from realsim.core.errors import RealsimError
 from realsim.core.files import read_bytes
 from realsim.core.geometry import invert_T, transform
-from realsim.core.rays import Rays
+from realsim.core.meshes import across, areas, sampled
+from realsim.core.rays import heights
 from realsim.core.types import F64, Bool
 
 CELL = 0.005
@@ -111,7 +112,7 @@ def compare(before: Surface, today: Surface) -> Changes:
     T = lay_over(before, today)
     low, high = today[0][:, :2].min(0), today[0][:, :2].max(0)
     cell = max(CELL, float(np.sqrt(np.prod(high - low) / MOST_CELLS)))
-    old, new = (heights(s, low, high, cell) for s in ((transform(T, before[0]), before[1]), today))
+    old, new = (heights(*s, low, high, cell) for s in ((transform(T, before[0]), before[1]), today))
     both = np.isfinite(old) & np.isfinite(new)
     if not both.any():
         raise RealsimError("the two scans have no ground in common", hint="is it the same place?")
@@ -125,13 +126,6 @@ def compare(before: Surface, today: Surface) -> Changes:
     pieces = {kind: _pieces(mask, cell) for kind, mask in (("raised", raised), ("lowered", lowered))}
     found = _changes_of(pieces["raised"], pieces["lowered"], old, new, low, cell)
     return Changes(tuple(found), T, float(both.sum() * cell**2), noise)
-
-
-def heights(surface: Surface, low: F64, high: F64, cell: float) -> F64:
-    """(rows, columns) of the highest surface over each cell between two corners (2,), NaN where there is none."""
-    xs, ys = (np.arange(a + cell / 2, b, cell) for a, b in zip(low, high, strict=True))
-    grid = np.stack(np.meshgrid(xs, ys, indexing="xy"), -1).reshape(-1, 2)
-    return Rays(*surface).height(grid).reshape(len(ys), len(xs))
 
 
 def lay_over(before: Surface, today: Surface) -> F64:
@@ -193,18 +187,11 @@ def _cloud(surface: Surface, rng: np.random.Generator, spacing: float = 0.02) ->
     """Points with normals, even over the surface."""
     import open3d as o3d
 
-    V, F = surface
-    corners = V[F]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(across, axis=1) / 2
-    count = int(np.clip(area.sum() / spacing**2, 2000, 200_000))
-    pick = rng.choice(len(F), count, p=area / area.sum())
-    a, b = rng.random((2, count))
-    a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
-    c = corners[pick]
-    points = c[:, 0] + a[:, None] * (c[:, 1] - c[:, 0]) + b[:, None] * (c[:, 2] - c[:, 0])
+    count = int(np.clip(areas(*surface).sum() / spacing**2, 2000, 200_000))
+    points, face = sampled(*surface, count, rng)
+    normals = across(surface[0], surface[1][face])
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
-    cloud.normals = o3d.utility.Vector3dVector(across[pick] / (2 * area[pick, None]))
+    cloud.normals = o3d.utility.Vector3dVector(normals / np.linalg.norm(normals, axis=1, keepdims=True))
     return cloud
 
 

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from realsim.core.errors import RealsimError
 from realsim.core.files import edited_files, read_json
@@ -253,7 +252,8 @@ def _site(data: Mapping[str, Any] | None) -> Site | None:
 
 
 def _height_picture(mesh_ply: Path, cells: int = 360) -> str:
-    """The surface from above as an <img>, coloured by height; a sentence where the mesh cannot be read."""
+    """The surface from above as an <img>, coloured by height; a sentence where it cannot be drawn."""
+    from realsim.core.rays import heights
     from realsim.report import raster
 
     if not mesh_ply.is_file():
@@ -262,44 +262,20 @@ def _height_picture(mesh_ply: Path, cells: int = 360) -> str:
 
     try:
         mesh: Any = trimesh.load(mesh_ply, process=False, force="mesh")
-        corners: NDArray[np.float64] = np.asarray(mesh.vertices, float)[np.asarray(mesh.faces)]
+        V, F = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
     except Exception as error:  # readers of broken files raise whatever comes up; a notebook shows the rest
         return f"<p>mesh.ply cannot be read: {escape(f'{type(error).__name__}: {error}')}</p>"
-    corners = corners[np.isfinite(corners).all((1, 2))]
-    if not len(corners):
+    F = F[np.isfinite(V[F]).all((1, 2))]
+    if not len(F):
         return "<p>mesh.ply holds no surface</p>"
-    heights = height_grid(corners, cells)
-    low, high = (float(v) for v in np.nanpercentile(heights, [0.5, 99.5]))
-    uri = raster.png_uri(raster.colorize(heights[::-1], low, high))
-    return f'<img src="{uri}" alt="height from above, {low:.2f} to {high:.2f} m" style="max-width:540px;width:100%">'
-
-
-def height_grid(corners: NDArray[np.float64], cells: int) -> NDArray[np.float64]:
-    """Highest point of a surface on a grid, by sampling its triangles evenly.
-
-    Args:
-        corners: (K, 3, 3) corners of the triangles, metres.
-        cells: along the longer side.
-
-    Returns:
-        (H, W) heights, row 0 at the lowest y, NaN where there is no surface.
-    """
-    low, high = corners.min((0, 1))[:2], corners.max((0, 1))[:2]
-    step = max(float((high - low).max()) / cells, 1e-9)
-    width, height = (int(n) for n in np.floor((high - low) / step) + 1)
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    # Eight samples a cell leave one cell in 3000 empty by chance.
-    many = np.minimum(np.ceil(8 * area / step**2), 100_000).astype(int)
-    triangle = np.repeat(np.arange(len(corners)), many)
-    u, v = np.random.default_rng(0).random((2, len(triangle)))
-    flip = u + v > 1
-    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
-    a, b, c = (corners[triangle, i] for i in range(3))
-    points = a + u[:, None] * (b - a) + v[:, None] * (c - a)
-    column, row = (((points[:, :2] - low) / step).astype(int)).T
-    grid = np.full((height, width), -np.inf)
-    np.maximum.at(grid, (row.clip(0, height - 1), column.clip(0, width - 1)), points[:, 2])
-    return np.where(np.isfinite(grid), grid, np.nan)
+    low, high = V[F].min((0, 1))[:2], V[F].max((0, 1))[:2]
+    try:
+        grid = heights(V, F, low, high, max(float((high - low).max()) / cells, 1e-9))
+    except ImportError:
+        return '<p>The picture needs the package open3d: pip install "realsim[recon]"</p>'
+    bottom, top = (float(v) for v in np.nanpercentile(grid, [0.5, 99.5]))
+    uri = raster.png_uri(raster.colorize(grid[::-1], bottom, top))
+    return f'<img src="{uri}" alt="height from above, {bottom:.2f} to {top:.2f} m" style="max-width:540px;width:100%">'
 
 
 # ---------------------------------------------------------------- diagnoses

@@ -15,7 +15,7 @@ import pytest
 import trimesh
 
 import realsim as rs
-from realsim.results import height_grid
+from realsim.core.rays import heights
 from tests.gap.truth import ARM, Truth, make_case
 from tests.truths.solids import terrain
 
@@ -126,10 +126,9 @@ def test_what_is_no_scene_says_so(tmp_path: Path) -> None:
 
 def test_heights_from_above_are_those_of_the_surface() -> None:
     roof = np.array([[[0, 0, 0], [2, 0, 0], [2, 1, 1]], [[0, 0, 0], [2, 1, 1], [0, 1, 1]]], float)
-    grid = height_grid(roof, 100)
-    y = (np.arange(grid.shape[0]) + 0.5) * 0.02
-    np.testing.assert_allclose(np.nanmedian(grid[:50], 1), y[:50], atol=0.02)
-    assert np.isnan(grid[:50, :100]).mean() < 0.01
+    grid = heights(roof.reshape(-1, 3), np.arange(6).reshape(2, 3), (0, 0), (2, 1), 0.02)
+    assert grid.shape == (50, 100)
+    np.testing.assert_allclose(grid, np.repeat((np.arange(50)[:, None] + 0.5) * 0.02, 100, axis=1), atol=1e-5)
 
 
 def test_export_takes_a_scene_or_a_folder_and_keeps_what_is_there(scene: rs.Scene, tmp_path: Path) -> None:

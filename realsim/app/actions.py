@@ -54,6 +54,19 @@ ACTIONS = {
         ),
     )
 }  # fmt: skip
+WAYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "capture": (("inspect",), ("reconstruct",)),
+    "scan": (("inspect",), ("reconstruct", "contact")),
+    "mesh": (("inspect",), ("contact", "reconstruct")),
+    "bag": (("log",), ("log", "reconstruct")),
+    "recording": (("log",), ("log",)),
+    "checkpoint": (("log",), ("log",)),
+    "case": (("diagnose", "--check"), ("diagnose",)),
+    "network": (("model", "inspect"), ()),
+    "scene": ((), ("finetune",)),
+}
+"""Kind of `realsim.core.recognise` -> the command that says what is recognised, less the path at its end, and the
+actions that fit. Of other kinds the page says what can be done with them."""
 FORMATS = ("mjcf", "usd", "urdf", "sdf", "glb", "obj", "heightmap")
 """Of `realsim export`, as buttons."""
 

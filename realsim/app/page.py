@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import shlex
 import time
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from realsim.app.actions import ACTIONS, FORMATS, Action, arguments_of, free_folder
-from realsim.app.content import Content, content_of
+from realsim.app.actions import ACTIONS, FORMATS, WAYS, Action, arguments_of, free_folder
 from realsim.app.gallery import Result, results_below
 from realsim.app.preview import Preview, preview
-from realsim.app.work import Work, command_line
+from realsim.app.work import Work
 from realsim.cli.roots import Roots
 from realsim.core.errors import RealsimError
+from realsim.core.recognise import KINDS, Kind, recognise
 
 UPLOADS = "dropped"
 """Folder for files that are dropped on the page."""
@@ -30,7 +31,7 @@ class Desk:
     def __init__(self, roots: Roots) -> None:
         self.roots = roots
         self.opened: Path | None = None
-        self.content: Content | None = None
+        self.kind: Kind | None = None
         self.look: Work | None = None
         self.preview = Preview()
         self.works: list[Work] = []
@@ -50,11 +51,14 @@ class Desk:
             RealsimError: no such path below the folder.
         """
         path = self.roots.source(text)
-        self.opened, self.content, self.preview, self.look = path, content_of(path), Preview(), None
-        if self.content.look:
-            self.look = Work("look", self.content.look)
+        # What nothing tells is looked at as a capture, whose reader says what is missing.
+        self.opened, self.preview, self.look = path, Preview(), None
+        self.kind = recognise(path) or KINDS["capture"]
+        command, _ = WAYS.get(self.kind.name, ((), ()))
+        if command:
+            self.look = Work("look", (*command, str(path)))
             await self.look.run()
-        if self.content.kind in ("capture", "mesh", "scan") and self.look is not None and self.look.state == "done":
+        if self.kind.name in ("capture", "mesh", "scan") and self.look is not None and self.look.state == "done":
             self.preview = await asyncio.to_thread(preview, path)
 
     def start(self, title: str, arguments: tuple[str, ...], out: Path | None) -> Work:
@@ -193,10 +197,10 @@ def _chooser(desk: Desk, path: Any, opened: Callable[[str], Any]) -> None:
 def _recognised(desk: Desk, refreshed: Callable[[], None]) -> None:
     from nicegui import ui
 
-    if desk.opened is None or desk.content is None:
+    if desk.opened is None or desk.kind is None:
         return
     with ui.card().classes("w-full"):
-        _title(f"{desk.opened.name}: {desk.content.words}")
+        _title(f"{desk.opened.name}: {desk.kind.what}")
         if desk.look is not None:
             _looked(desk.look)
         if desk.preview.pictures:
@@ -211,12 +215,13 @@ def _recognised(desk: Desk, refreshed: Callable[[], None]) -> None:
                 scene.point_cloud(desk.preview.points.tolist(), desk.preview.colors.tolist(), size)
                 away = desk.preview.reach
                 scene.move_camera(0, -1.3 * away, away, 0, 0, 0, duration=0)
-        for name in desk.content.actions:
-            if name in ACTIONS:
-                _starter(desk, ACTIONS[name], desk.opened, refreshed)
+        for name in WAYS.get(desk.kind.name, ((), ()))[1]:
+            _starter(desk, ACTIONS[name], desk.opened, refreshed)
         found = next((r for r in results_below(desk.opened) if r.folder == desk.opened), None)
         if found is not None:
             _result(desk, found, refreshed)
+        elif desk.kind.name not in WAYS:
+            ui.label(f"Next: {desk.kind.way_out(desk.opened)}").classes("text-sm break-all")
 
 
 def _looked(look: Work) -> None:
@@ -283,7 +288,7 @@ def _running(desk: Desk, refreshed: Callable[[], None]) -> None:
                         bar.props("indeterminate")
                 elif work.state == "failed":
                     _failure(work.result)
-                ui.label(command_line(work.arguments)).classes("text-xs font-mono opacity-70 break-all")
+                ui.label(shlex.join(["realsim", *work.arguments])).classes("text-xs font-mono opacity-70 break-all")
                 if work.state == "done" and work.out is not None:
                     found = next(iter(results_below(work.out)), None)
                     if found is not None:

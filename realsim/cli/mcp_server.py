@@ -9,23 +9,20 @@ import asyncio
 import contextlib
 import inspect
 import json
-import os
-import sys
 import time
-from collections.abc import AsyncIterator, Iterable, Iterator, Mapping, Sequence
-from contextlib import asynccontextmanager
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 from realsim import __version__, results
-from realsim.cli.child import PARENT, PROGRESS
 from realsim.cli.command import Command, Tool
 from realsim.cli.help import is_installed
 from realsim.cli.options import options_of
 from realsim.cli.roots import LONGEST, Roots
+from realsim.cli.started import answer_of, started
 from realsim.cli.table import COMMANDS, commands
-from realsim.core.errors import RealsimError, printable
+from realsim.core.errors import RealsimError
 from realsim.core.files import read_json, to_json
 
 INSTRUCTIONS = """\
@@ -36,16 +33,17 @@ the server was started with; paths outside its folders are refused. An output fo
 overwrite is true."""
 EVERY = 0.2
 """Seconds between two notifications about progress."""
-GRACE = 20.0
-"""Seconds that a cancelled command gets to clean up."""
+LIMIT = 3600.0
+"""Seconds that a call may take."""
 
 
-def build(roots: Roots, jobs: int = 1) -> Any:
+def build(roots: Roots, jobs: int = 1, limit: float = LIMIT) -> Any:
     """The server (`mcp.server.mcpserver.MCPServer`), not yet running.
 
     Args:
         roots: folders that may be used.
         jobs: commands that run at a time; further calls wait.
+        limit: seconds after which a command is ended.
     """
     from mcp.server.mcpserver import Context, MCPServer
     from mcp_types import ToolAnnotations
@@ -57,10 +55,10 @@ def build(roots: Roots, jobs: int = 1) -> Any:
 
     def add(name: str, command: Command, tool: Tool) -> None:
         async def call(ctx: Context, **given: Any) -> dict[str, Any]:
-            with _explained():
-                arguments, target = _arguments(tool, given, roots)
+            with _explained():  # a large folder takes its time, in which other calls are answered
+                arguments, target = await asyncio.to_thread(_arguments, tool, given, roots)
             async with free:
-                found = await _run([name, *arguments], ctx, roots.folders[0])
+                found = await _run([name, *arguments], ctx, roots.folders[0], limit)
             picked = _picked(found, tool.answers)
             return picked if target is None else picked | {"folder": str(target)}
 
@@ -82,8 +80,7 @@ def build(roots: Roots, jobs: int = 1) -> Any:
     async def report(folder: str) -> dict[str, Any]:
         """What is known of a finished scene or diagnosis: verdict, reasons, figures, and where its page is."""
         with _explained():
-            source = roots.source(folder)
-            return await asyncio.to_thread(_report, source)
+            return await asyncio.to_thread(lambda: _report(roots.source(folder)))
 
     return server
 
@@ -181,72 +178,36 @@ def _explained() -> Iterator[None]:
         raise ToolError(error.render()) from error
 
 
-async def _run(arguments: Sequence[str], ctx: Any, place: Path) -> dict[str, Any]:
+async def _run(arguments: Sequence[str], ctx: Any, place: Path, limit: float) -> dict[str, Any]:
     """What a command prints with --json; its progress goes on to the client."""
     from mcp.server.mcpserver.exceptions import ToolError
 
-    async with _command([*arguments, "--json"], place) as (process, pipe), asyncio.TaskGroup() as tasks:
-        listening = tasks.create_task(_forward(pipe, ctx))
-        out, err = await process.communicate()
-        listening.cancel()
     try:
-        data = json.loads(out)
-    except ValueError:
-        end = printable(err[-2000:].decode(errors="replace"))
-        raise ToolError(f"the command ended without a result (exit code {process.returncode})\n{end}") from None
+        async with asyncio.timeout(limit), started(arguments, _Forward(ctx), place) as process:
+            out, err = await process.communicate()
+    except TimeoutError:
+        raise ToolError(
+            f"the command was ended after {limit / 60:g} minutes\n"
+            "do: give fewer frames or runs, or start the server with a larger --minutes"
+        ) from None
+    data = answer_of(out, err, process.returncode)
     if "error" in data:
         facts = [f"{k}: {data[k]}" for k in ("file", "expected", "found", "hint") if data.get(k)]
         raise ToolError("\n".join([str(data["message"]), *facts]))
-    return dict(data)
+    return data
 
 
-@asynccontextmanager
-async def _command(
-    arguments: Sequence[str], place: Path
-) -> AsyncIterator[tuple[asyncio.subprocess.Process, asyncio.StreamReader]]:
-    """A running command in the folder `place` and the pipe with its progress; however it is left, it has ended then.
-
-    -P: a module that lies in the folder must not be imported.
-    """
-    reading, writing = os.pipe()
-    environment = dict(os.environ) | {PARENT: str(os.getpid()), PROGRESS: str(writing)}
-    try:
-        process = await asyncio.create_subprocess_exec(
-            sys.executable, "-P", "-m", "realsim.cli.child", *arguments,
-            stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
-            pass_fds=(writing,), env=environment, cwd=place,
-        )  # fmt: skip
-    finally:
-        os.close(writing)
-    pipe = asyncio.StreamReader()
-    loop = asyncio.get_running_loop()
-    transport, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(pipe), os.fdopen(reading, "rb"))
-    try:
-        yield process, pipe
-    finally:
-        transport.close()
-        if process.returncode is None:
-            process.terminate()
-            try:
-                await asyncio.wait_for(process.wait(), GRACE)
-            except TimeoutError:
-                process.kill()
-                await process.wait()
-
-
-async def _forward(pipe: asyncio.StreamReader, ctx: Any) -> None:
+class _Forward:
     """Progress of a command as notifications: steps that were begun, the share of the last one, and its name."""
-    count = Steps()
-    last = -EVERY
-    while line := await pipe.readline():
-        try:
-            said = json.loads(line)
-            value, message = count(str(said["what"]), said["share"])
-        except (ValueError, KeyError, TypeError):
-            continue
-        if time.monotonic() - last > EVERY or said["share"] is None:
-            last = time.monotonic()
-            await ctx.report_progress(value, None, message)
+
+    def __init__(self, ctx: Any) -> None:
+        self.ctx, self.count, self.last = ctx, Steps(), -EVERY
+
+    async def __call__(self, line: dict[str, Any]) -> None:
+        value, message = self.count(str(line["what"]), line["share"])
+        if time.monotonic() - self.last > EVERY or line["share"] is None:
+            self.last = time.monotonic()
+            await self.ctx.report_progress(value, None, message)
 
 
 class Steps:

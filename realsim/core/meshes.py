@@ -2,12 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+
+def across(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.float64]:
+    """(K, 3) cross products of two sides of each triangle: along its normal, as long as twice its area."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    return np.asarray(np.cross(b - a, c - a), np.float64)
+
+
+def areas(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.float64]:
+    """(K,) areas of triangles (K, 3)."""
+    return np.asarray(np.linalg.norm(across(vertices, triangles), axis=1) / 2)
+
+
+def sampled(
+    vertices: NDArray[Any], triangles: NDArray[Any], count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """(points (count, 3), their triangles (count,)): spread over a surface by area."""
+    area = areas(vertices, triangles)
+    face = rng.choice(len(area), count, p=area / area.sum())
+    u = rng.random((2, count, 1))
+    u = np.where(u.sum(0) > 1, 1 - u, u)
+    a, b, c = (vertices[triangles[face, k]] for k in range(3))
+    return a + u[0] * (b - a) + u[1] * (c - a), face
+
+
+def merged(
+    parts: Sequence[tuple[NDArray[Any], NDArray[Any]]],
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Several meshes, each (V, 3) and (K, 3), as one."""
+    if not parts:
+        return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    offsets = np.cumsum([0, *(len(V) for V, _ in parts)])
+    return np.vstack([V for V, _ in parts]), np.vstack([F + o for (_, F), o in zip(parts, offsets[:-1], strict=True)])
 
 
 def faces_by_place(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.int64]:
@@ -185,3 +219,23 @@ def simplify(
     points = np.asarray(points, float)
     rgb = None if colors is None else np.asarray(colors, np.uint8)[cKDTree(V).query(points, workers=-1)[1]]
     return points, np.asarray(faces, np.int32), rgb
+
+
+def ply_bytes(
+    vertices: NDArray[np.float64], triangles: NDArray[Any], colors: NDArray[np.uint8] | None = None
+) -> bytes:
+    """A triangle mesh as PLY: (V, 3) metres as float32, (K, 3) indices, (V, 3) RGB; simulation frame, z up."""
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
+    header += [f"property float {axis}" for axis in "xyz"]
+    fields: list[tuple[str, str, tuple[int, ...]]] = [("xyz", "<f4", (3,))]
+    if colors is not None:
+        header += [f"property uchar {c}" for c in ("red", "green", "blue")]
+        fields.append(("rgb", "u1", (3,)))
+    header += [f"element face {len(triangles)}", "property list uchar int vertex_indices", "end_header", ""]
+    rows = np.zeros(len(vertices), fields)
+    rows["xyz"] = vertices
+    if colors is not None:
+        rows["rgb"] = colors
+    faces = np.zeros(len(triangles), [("n", "u1"), ("v", "<i4", (3,))])
+    faces["n"], faces["v"] = 3, triangles
+    return "\n".join(header).encode("ascii") + rows.tobytes() + faces.tobytes()

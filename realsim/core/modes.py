@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from realsim.core.types import F64, AlignedScene, Mode, Pointmaps, TerrainMesh
+from realsim.core.meshes import across, areas, sampled
+from realsim.core.types import AlignedScene, Mode, Pointmaps, TerrainMesh
 
 MODES = ("onnx", "onnx+depth", "rgbd")
 SAMPLES = 20_000
@@ -33,36 +34,20 @@ def figures(
         dropped=len(points.dropped),
         pose_sigma_m=points.pose_sigma_m,
         depth_to_mesh_m=float(np.median(residuals)) if residuals else None,
-        seen_m2=float(_areas(mesh).sum()),
+        seen_m2=float(areas(mesh.vertices, mesh.seen).sum()),
         start_to_goal_m=far,
         apart_m=None if delivered is None else _apart(mesh, delivered),
         seconds=seconds,
     )
 
 
-def _areas(mesh: TerrainMesh) -> F64:
-    t = mesh.vertices[mesh.seen]
-    return np.linalg.norm(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]), axis=1) / 2
-
-
-def _sampled(mesh: TerrainMesh) -> F64:
-    """(SAMPLES, 3) points spread evenly over the seen surface."""
-    area = _areas(mesh)
-    rng = np.random.default_rng(0)
-    t = mesh.vertices[mesh.seen[rng.choice(len(area), SAMPLES, p=area / area.sum())]]
-    u = rng.random((2, SAMPLES, 1))
-    u = np.where(u.sum(0) > 1, 1 - u, u)
-    return t[:, 0] + u[0] * (t[:, 1] - t[:, 0]) + u[1] * (t[:, 2] - t[:, 0])
-
-
 def _apart(mesh: TerrainMesh, delivered: TerrainMesh) -> float:
     """Median distance of points on one seen surface from the plane of the nearest triangle of the other."""
     from scipy.spatial import cKDTree
 
-    target = delivered.vertices[delivered.seen]
-    centres = target.mean(1)
-    normals = np.cross(target[:, 1] - target[:, 0], target[:, 2] - target[:, 0])
+    centres = delivered.vertices[delivered.seen].mean(1)
+    normals = across(delivered.vertices, delivered.seen)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
-    points = _sampled(mesh)
+    points, _ = sampled(mesh.vertices, mesh.seen, SAMPLES, np.random.default_rng(0))
     _, near = cKDTree(centres).query(points)
     return float(np.median(np.abs(((points - centres[near]) * normals[near]).sum(1))))

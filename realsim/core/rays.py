@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from realsim.core.types import F64
 
@@ -66,3 +66,14 @@ class Rays:
 
         near = Tensor.from_numpy((points - self.centre).astype(np.float32))
         return np.asarray(self._scene.compute_distance(near).numpy(), float)
+
+
+def heights(vertices: F64, triangles: NDArray[Any], low: ArrayLike, high: ArrayLike, cell: float) -> F64:
+    """(rows, columns) z of the highest surface over the middle of each cell, row 0 at the lowest y; NaN without any.
+
+    Args:
+        low, high: (2,) corners of the grid; cell: metres.
+    """
+    xs, ys = (np.arange(a + cell / 2, b, cell) for a, b in zip(np.asarray(low), np.asarray(high), strict=True))
+    grid = np.stack(np.meshgrid(xs, ys), -1).reshape(-1, 2)
+    return Rays(vertices, triangles).height(grid).reshape(len(ys), len(xs))

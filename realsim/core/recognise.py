@@ -109,7 +109,7 @@ PARTS = ("scene.xml", "report.html", *(name for name in MARKS if "/" not in name
 """Files that stand for the folder that they are in."""
 ENDINGS = {
     "bag": ".mcap .bag .db3",
-    "recording": ".csv .parquet .ulg .rrd .jsonl .npz .tsv .log",
+    "recording": ".csv .parquet .ulg .ulog .rrd .jsonl .npz .tsv .log",
     "scan": ".ply .pcd .las .laz .xyz .pts",
     "mesh": ".stl .obj .glb .gltf .off",
     "capture": ".r3d",

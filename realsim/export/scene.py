@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from realsim import robots
 from realsim.core.files import write_bytes, write_text
-from realsim.core.meshes import compact, simplify
+from realsim.core.meshes import compact, ply_bytes, simplify
 from realsim.core.types import F64, AlignedScene, Platform, SceneFiles, TerrainMesh
 from realsim.export.check import check_scene
 from realsim.export.config import SceneConfig
@@ -17,7 +17,6 @@ from realsim.export.contact.choose import fit_contact
 from realsim.export.contact.shape import Solids
 from realsim.export.glb import glb_bytes
 from realsim.export.mjcf import scene_xml
-from realsim.export.ply import ply_bytes
 from realsim.export.visual import bake, obj_bytes, vertex_normals
 
 DRAWN_TRIANGLES = 80_000

@@ -6,10 +6,8 @@ FOLDER/NAME-KEY/result.json    what became of it
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -21,17 +19,12 @@ from typing import IO, Any
 from realsim import __version__
 from realsim.cli.child import PARENT
 from realsim.cli.commands import DO_NOT_USE
+from realsim.cli.started import GRACE, MOST_OUTPUT, answer_of, command_line
 from realsim.core.errors import RealsimError
 from realsim.core.files import digest, explain_write_errors, read_json, refuse_existing, to_json, write_text
 
 POLL = 0.3
 """Seconds between two looks at a running command."""
-GRACE = 20.0
-"""Seconds that a command gets to stop and clean up before it is killed."""
-MOST_OUTPUT = 64 * 2**20
-"""Bytes that a command may print as its result."""
-TAIL = 2000
-"""Bytes at the end of a log that a crash is reported with."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +57,7 @@ class Job:
     @property
     def command_line(self) -> list[str]:
         """What is run."""
-        return [sys.executable, "-m", "realsim.cli.child", self.command, *self.arguments, "--json"]
+        return command_line([self.command, *self.arguments])
 
 
 @dataclass(frozen=True)
@@ -210,13 +203,4 @@ def _run(job: Job, out: IO[bytes], log: IO[bytes], threads: int | None, stop: th
 def _read_result(out: IO[bytes], code: int, log: Path) -> dict[str, Any]:
     """What a command printed with `--json`, or that it printed nothing of the kind."""
     out.seek(0)
-    text = out.read(MOST_OUTPUT + 1)
-    try:
-        result = json.loads(text) if len(text) <= MOST_OUTPUT else None
-    except ValueError:
-        result = None
-    if isinstance(result, dict):
-        return result
-    what = f"killed by signal {-code}" if code < 0 else "ended without a result"
-    end = log.read_bytes()[-TAIL:].decode(errors="replace").strip()
-    return {"error": "Crash", "message": f"the process {what}", "found": end}
+    return answer_of(out.read(MOST_OUTPUT + 1), log.read_bytes(), code)

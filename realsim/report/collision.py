@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from realsim.core.meshes import across, merged
 from realsim.core.types import F64
 from realsim.report.solids import Solid, box, mesh, solids
 
@@ -55,18 +56,9 @@ def load(scene_xml: Path) -> tuple[Any, Any]:
     return model, data
 
 
-def merged(parts: list[Solid]) -> Solid:
-    """Several solids as one."""
-    if not parts:
-        return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
-    offsets = np.cumsum([0] + [len(V) for V, _ in parts])
-    return np.vstack([V for V, _ in parts]), np.vstack([F + o for (_, F), o in zip(parts, offsets[:-1], strict=True)])
-
-
 def sharp_edges(V: F64, F: Any, degrees: float = 20.0) -> Any:
     """(E, 2) edges between faces that meet at more than this angle, and edges of one face only."""
-    corners = V[F]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = across(V, F)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-18)
     edges = np.sort(F[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     face = np.repeat(np.arange(len(F)), 3)

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from realsim.core.meshes import compact, simplify
+from realsim.core.meshes import compact, merged, simplify
 from realsim.core.types import AlignedScene, Reconstruction, TerrainMesh
 from realsim.report import raster
-from realsim.report.collision import collision_parts, load, merged, robot_triangles, sharp_edges
+from realsim.report.collision import collision_parts, load, robot_triangles, sharp_edges
 from realsim.report.solids import Solid
 from realsim.report.viewer3d import Layer, camera_frustums, viewer
 

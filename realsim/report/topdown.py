@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.core.rays import Rays
+from realsim.core.rays import heights
 from realsim.core.types import F64, U8, AlignedScene, TerrainMesh
 from realsim.report import raster, svg
 from realsim.report.page import esc
@@ -19,15 +19,6 @@ _CELLS = 900
 """Cells along the longer side of the height map at most."""
 
 
-def height_map(mesh: TerrainMesh, extent: Extent) -> F64:
-    """(H, W) height of the highest seen surface on a grid over the extent, NaN where there is none; row 0 at y high."""
-    step = max((extent[1] - extent[0]), (extent[3] - extent[2])) / _CELLS
-    x = np.arange(extent[0] + step / 2, extent[1], step)
-    y = np.arange(extent[2] + step / 2, extent[3], step)[::-1]
-    X, Y = np.meshgrid(x, y)
-    return Rays(mesh.vertices, mesh.seen).height(np.column_stack([X.ravel(), Y.ravel()])).reshape(X.shape)
-
-
 def map_from_above(aligned: AlignedScene, mesh: TerrainMesh) -> str:
     """The map as SVG, once for a wide page and once for a phone (style.css shows one), with its legend."""
     seen = mesh.vertices[np.unique(mesh.seen)]
@@ -35,9 +26,10 @@ def map_from_above(aligned: AlignedScene, mesh: TerrainMesh) -> str:
     inside = np.vstack([seen[:, :2], eyes[:, :2]]) if len(eyes) else seen[:, :2]
     (x0, y0), (x1, y1) = inside.min(0) - 0.08, inside.max(0) + 0.08
     extent = (float(x0), float(x1), float(y0), float(y1))
-    heights = height_map(mesh, extent)
-    low, high = (float(v) for v in np.nanpercentile(heights, [0.5, 99.8]))
-    picture = shaded(raster.colorize(heights, low, high), heights, (extent[1] - extent[0]) / heights.shape[1])
+    step = max(x1 - x0, y1 - y0) / _CELLS
+    grid = heights(mesh.vertices, mesh.seen, (x0, y0), (x1, y1), step)[::-1]
+    low, high = (float(v) for v in np.nanpercentile(grid, [0.5, 99.8]))
+    picture = shaded(raster.colorize(grid, low, high), grid, (x1 - x0) / grid.shape[1])
     # At most as tall as a screen: a terrain that is not long is drawn narrower than the page.
     broad = min(980.0, max(360.0, 620 * (extent[1] - extent[0]) / (extent[3] - extent[2])))
     wide = _map(aligned, eyes, extent, picture, width=broad)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.contact_limits import shares
+from realsim.core.meshes import across
 from realsim.core.types import F64, Dropped, Reconstruction, ScaleEstimate
 from realsim.report.page import Level
 
@@ -289,8 +290,7 @@ def _contact(result: Reconstruction) -> Iterator[Check]:
 
 def _upward(result: Reconstruction) -> F64:
     """(K,) area of every triangle as seen from above, m²; 0 where it faces down."""
-    t = result.mesh.vertices[result.mesh.triangles]
-    return np.maximum(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])[:, 2] / 2, 0)
+    return np.maximum(across(result.mesh.vertices, result.mesh.triangles)[:, 2] / 2, 0)
 
 
 def _physics(result: Reconstruction) -> Iterator[Check]:

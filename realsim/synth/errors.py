@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from realsim.core.errors import RealsimError
 from realsim.core.geometry import exp_so3, make_T, transform
+from realsim.core.meshes import sampled
 from realsim.core.rays import raycasting_scene
 from realsim.core.types import F64
 from realsim.synth.truth import Samples, read_truth
@@ -42,14 +43,7 @@ class Surface:
 
     def sample(self, count: int) -> F64:
         """(count, 3) points evenly spread over the surface."""
-        rng = np.random.default_rng(0)
-        t = self.vertices[self.triangles]
-        area = np.linalg.norm(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]), axis=1)
-        face = rng.choice(len(area), count, p=area / area.sum())
-        u = rng.random((2, count))
-        u[:, u.sum(0) > 1] = 1 - u[:, u.sum(0) > 1]
-        a, b, c = t[face, 0], t[face, 1], t[face, 2]
-        return a + u[0][:, None] * (b - a) + u[1][:, None] * (c - a)
+        return sampled(self.vertices, self.triangles, count, np.random.default_rng(0))[0]
 
     def moved(self, T: F64) -> Surface:
         """The surface under a similarity (4, 4)."""

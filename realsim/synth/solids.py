@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from realsim.core.geometry import exp_so3
+from realsim.core.meshes import across
 
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
@@ -38,8 +39,7 @@ class Solid:
 
     def normals(self) -> F64:
         """(K, 3) unit normals of the triangles."""
-        t = self.vertices[self.triangles]
-        n = np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])
+        n = across(self.vertices, self.triangles)
         return n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-15)
 
     def moved(self, R: F64, t: ArrayLike) -> Solid:

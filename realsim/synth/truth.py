@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from realsim.core.errors import RealsimError
 from realsim.core.files import read_json, read_npz, to_json, write_bytes, write_text
 from realsim.core.geometry import invert_T
+from realsim.core.meshes import areas, merged, ply_bytes, sampled
 from realsim.core.types import F64
 from realsim.synth.render import Renderer
 from realsim.synth.solids import Solid
@@ -57,14 +58,9 @@ def sample_truth(terrain: Terrain, renderer: Renderer, poses: F64) -> Samples:
 
 
 def _on_solid(solid: Solid, rng: np.random.Generator) -> tuple[F64, F64]:
-    t = solid.vertices[solid.triangles]
-    area = np.linalg.norm(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]), axis=1) / 2
-    count = int(area.sum() / SPACING**2)
-    face = rng.choice(len(area), count, p=area / area.sum())
-    u = rng.random((2, count))
-    u[:, u.sum(0) > 1] = 1 - u[:, u.sum(0) > 1]
-    a, b, c = t[face, 0], t[face, 1], t[face, 2]
-    return a + u[0][:, None] * (b - a) + u[1][:, None] * (c - a), solid.normals()[face]
+    count = int(areas(solid.vertices, solid.triangles).sum() / SPACING**2)
+    points, face = sampled(solid.vertices, solid.triangles, count, rng)
+    return points, solid.normals()[face]
 
 
 def _on_floor(terrain: Terrain) -> tuple[F64, F64]:
@@ -94,7 +90,7 @@ def write_truth(
         "solids": solids,
     }
     write_text(folder / "truth.json", to_json(data))
-    write_bytes(folder / "mesh.ply", _ply(measured, terrain))
+    write_bytes(folder / "mesh.ply", ply_bytes(*_mesh(measured, terrain)))
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer,
@@ -116,21 +112,10 @@ def read_truth(folder: Path) -> tuple[dict[str, Any], Samples]:
     return read_json(folder / "truth.json"), samples
 
 
-def _ply(solids: list[Solid], terrain: Terrain) -> bytes:
-    """Binary PLY of the solids and a rectangle of floor."""
+def _mesh(solids: list[Solid], terrain: Terrain) -> tuple[F64, NDArray[np.int64]]:
+    """The solids and a rectangle of floor as one mesh."""
     low, high = terrain.bounds[0, :2] - FLOOR_MARGIN, terrain.bounds[1, :2] + FLOOR_MARGIN
     ring = [[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]
-    floor = np.column_stack([ring, np.full(4, terrain.floor_z)])
-    offsets = np.cumsum([0] + [len(s.vertices) for s in solids])
-    V = np.vstack([*(s.vertices for s in solids), floor]).astype("<f4")
-    F = np.vstack(
-        [s.triangles + o for s, o in zip(solids, offsets[:-1], strict=True)]
-        + [np.array([[0, 1, 2], [0, 2, 3]]) + offsets[-1]]
-    )
-    rows = np.empty(len(F), np.dtype([("n", "u1"), ("i", "<i4", 3)]))
-    rows["n"], rows["i"] = 3, F
-    head = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(V)}\nproperty float x\nproperty float y\n"
-        f"property float z\nelement face {len(F)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    return head.encode() + V.tobytes() + rows.tobytes()
+    parts = [(s.vertices, s.triangles) for s in solids]
+    parts.append((np.column_stack([ring, np.full(4, terrain.floor_z)]), np.array([[0, 1, 2], [0, 2, 3]])))
+    return merged(parts)

@@ -11,28 +11,26 @@ import numpy as np
 import pytest
 import trimesh
 
-from realsim.app.actions import ACTIONS, arguments_of, free_folder
-from realsim.app.content import content_of
+from realsim.app.actions import ACTIONS, WAYS, arguments_of, free_folder
 from realsim.app.gallery import results_below
 from realsim.app.page import Desk
 from realsim.app.work import Work
 from realsim.cli.roots import Roots
+from realsim.cli.table import COMMANDS
 from realsim.core.errors import RealsimError
+from realsim.core.recognise import KINDS
 
 
-@pytest.mark.parametrize(
-    ("name", "kind"),
-    [
-        ("a.onnx", "policy"), ("a.mcap", "recording"), ("a.CSV", "recording"), ("a.laz", "scan"), ("a.obj", "mesh"),
-        ("a.zip", "capture"), ("case/log.json", "case"), ("scene/scene.xml scene/report.json", "scene"),
-        ("found/diagnosis.json", "diagnosis"), ("runs/1.csv runs/2.csv", "recording"), ("frames/0.png", "capture"),
-    ],
-)  # fmt: skip
-def test_kinds(tmp_path: Path, name: str, kind: str) -> None:
-    for part in name.split():
-        (tmp_path / part).parent.mkdir(exist_ok=True)
-        (tmp_path / part).write_text("{}")
-    assert content_of(tmp_path / name.split()[0].partition("/")[0]).kind == kind
+def test_what_is_recognised_has_commands_that_exist(tmp_path: Path) -> None:
+    assert set(WAYS) <= set(KINDS)
+    for look, actions in WAYS.values():
+        assert set(look[:1]) <= set(COMMANDS)
+        assert set(actions) <= set(ACTIONS)
+    (tmp_path / "walk.mp4").write_bytes(b"\0\0\0 ftyp")
+    desk = Desk(Roots([tmp_path]))
+    asyncio.run(desk.open("walk.mp4"))
+    assert desk.kind is KINDS["video"]
+    assert desk.look is None
 
 
 def test_a_command_is_made_of_what_was_entered(tmp_path: Path) -> None:

@@ -178,8 +178,36 @@ def test_a_call_that_is_given_up_ends_its_command(root: Path) -> None:
     talk([root], conversation)
 
 
+def test_a_call_ends_at_its_limit_and_a_folder_of_everything_is_refused(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from realsim.cli import roots
+    from realsim.cli.mcp_server import build
+
+    os.mkfifo(root / "pipe.stl")  # what never ends when it is read
+
+    async def go() -> None:
+        async with mcp.Client(build(Roots([root]), limit=0.05)) as client:
+            late = await client.call_tool("contact", {"meshes": "box.stl", "out": "scene"})
+            assert late.is_error
+            assert "--minutes" in text(late)
+        async with mcp.Client(build(Roots([root]))) as client:
+            assert "not a plain file" in text(await client.call_tool("inspect", {"frames": "pipe.stl"}))
+            monkeypatch.setattr(roots, "MOST_ENTRIES", 1)
+            assert "too many files" in text(await client.call_tool("inspect", {"frames": "."}))
+
+    asyncio.run(go())
+    assert not (root / "scene").exists()
+    assert not list(root.glob(".scene*"))
+
+
 def test_folders_that_are_none_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for arguments in ([], ["--root", str(tmp_path / "none")], ["--root", str(tmp_path), "--jobs", "0"]):
+    for arguments in (
+        [],
+        ["--root", str(tmp_path / "none")],
+        ["--root", str(tmp_path), "--jobs", "0"],
+        ["--root", str(tmp_path), "--minutes", "0"],
+    ):
         assert main(["mcp", *arguments, "--json"]) == 2
         assert json.loads(capsys.readouterr().out)["error"] == "RealsimError"
 

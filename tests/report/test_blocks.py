@@ -50,13 +50,14 @@ def test_plots_are_xml_and_escape_names() -> None:
     x = np.arange(5.0)
     y = np.array([0, 1, np.nan, 3, 4])
     pictures = [
-        svg.line(
-            [svg.Series("a <b>", x, y), svg.Series("c", x, -x, low=-x - 1, high=-x + 1)], x_label="t", y_label="q"
-        ),
-        svg.bars([svg.Bar("delay & more", 0.4, 0.2, 0.6), svg.Bar("b", -0.1)], x_label="share"),
-        svg.scatter(np.column_stack([x, x]), x_label="a", y_label="b", diagonal=True),
+        svg.line([svg.Series("a <b>", x, y), svg.Series("c", x, -x)], x_label="t", y_label="q"),
         svg.stacked([("one", 1.0), ("two", 2.5)], unit="s"),
-        svg.heat(np.eye(4), (0, 1, 0, 1), low=0, high=1).svg("map"),
+        svg.Axes((0, 1), (0, 2))
+        .bar(1, 0.4)
+        .whisker(1, 0.2, 0.6)
+        .span(0, 1, vertical=True)
+        .rule(1, text="<")
+        .svg("map"),
     ]
     for picture in pictures:
         ElementTree.fromstring(f"<div>{picture}</div>")

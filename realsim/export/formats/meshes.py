@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from realsim.core.files import write_bytes
+from realsim.core.meshes import ply_bytes
 from realsim.export.formats.scene import SceneOnDisk
 from realsim.export.glb import glb_bytes
-from realsim.export.ply import ply_bytes
 from realsim.export.visual import bake, obj_bytes, vertex_normals
 
 

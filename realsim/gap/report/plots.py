@@ -182,7 +182,7 @@ def _labelled_bars(
         if math.isfinite(value):
             axes.bar(y - 0.2, min(value, x[1]), fill, thickness=0.3, title=f"{name}: {text}")
             if high > low:
-                axes.whisker(y - 0.2, max(low, x[0]), min(high, room), "var(--ink)", horizontal=True)
+                axes.whisker(y - 0.2, max(low, x[0]), min(high, room), "var(--ink)")
             end = min(max(value, high, 0.0), room)
         beyond = max(value, high) > room  # the bar takes the whole width: its figure stands on the line above
         place = (x[1], y, "end", -3, -6) if beyond else (end, y - 0.2, "start", 6, 4)
