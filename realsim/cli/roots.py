@@ -20,10 +20,14 @@ class Roots:
     def __init__(self, folders: Sequence[Path]) -> None:
         """Raises RealsimError where none is given, or one is no folder."""
         if not folders:
-            raise RealsimError("no folder given", expected="--root FOLDER, one or more")
+            raise RealsimError(
+                "no folder given", expected="--root FOLDER, one or more", hint="realsim mcp --root FOLDER"
+            )
         for folder in folders:
             if not folder.is_dir():
-                raise RealsimError("not a folder", file=folder, expected="--root FOLDER, one or more that exist")
+                raise RealsimError(
+                    "not a folder", file=folder, expected="--root FOLDER that exists", hint="check the path"
+                )
         self.folders = tuple(folder.resolve() for folder in folders)
 
     def path(self, text: str) -> Path:

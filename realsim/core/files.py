@@ -291,7 +291,9 @@ def output_folder(path: Path, *, overwrite: bool = False, source: Path | None = 
     """
     path = path.absolute()
     if path.is_file():
-        raise RealsimError("the output is a file", file=path, expected="a folder that does not exist yet")
+        raise RealsimError(
+            "the output is a file", file=path, expected="a folder that does not exist yet", hint="choose another --out"
+        )
     if source is not None:
         refuse_within(path, source)
     refuse_existing(path, overwrite)

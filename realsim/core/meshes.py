@@ -221,9 +221,7 @@ def simplify(
     return points, np.asarray(faces, np.int32), rgb
 
 
-def ply_bytes(
-    vertices: NDArray[np.float64], triangles: NDArray[Any], colors: NDArray[np.uint8] | None = None
-) -> bytes:
+def ply_bytes(vertices: NDArray[np.float64], triangles: NDArray[Any], colors: NDArray[np.uint8] | None = None) -> bytes:
     """A triangle mesh as PLY: (V, 3) metres as float32, (K, 3) indices, (V, 3) RGB; simulation frame, z up."""
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
     header += [f"property float {axis}" for axis in "xyz"]

@@ -79,7 +79,11 @@ KINDS = {
             "realsim deploy {path} or realsim diagnose CASE --policy {path} for a policy, realsim model inspect {path} "
             "for one that makes depth",
         ),
-        Kind("checkpoint", "a policy as it was trained", "realsim evaluate SCENE --policy {path}"),
+        Kind(
+            "checkpoint",
+            "a policy as it was trained",
+            "realsim evaluate SCENE --policy {path}; realsim deploy takes the policy.onnx beside it",
+        ),
         Kind(
             "video", "a video, which has no depth", "record with an app or camera that stores depth (docs/captures.md)"
         ),
@@ -199,6 +203,9 @@ def explain(error: RealsimError, path: Path, takes: Collection[str]) -> bool:
             error.hint = did_you_mean(path.name, near, cutoff=0.6) or error.hint
         return False
     kind = recognise(path)
+    if kind is not None and kind.name == "mesh" and path.is_dir() and takes == TAKES["meshes"]:
+        error.found, error.hint = "a folder of meshes", f"name its files: {shlex.quote(str(path))}/*"
+        return True
     if kind is None or kind.name in takes:
         return False
     error.file = error.file or str(path)
@@ -245,7 +252,7 @@ def explain_inputs(function: Callable[P, T], takes: Mapping[str, Collection[str]
             for name, value in inspect.signature(function).bind_partial(*args, **kwargs).arguments.items():
                 paths = value if isinstance(value, tuple) else (value,)
                 for path in paths if name in takes else ():
-                    if isinstance(path, str | os.PathLike) and explain(error, Path(path), takes[name]):
+                    if isinstance(path, str | os.PathLike) and str(path) and explain(error, Path(path), takes[name]):
                         raise
             raise
 

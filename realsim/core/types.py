@@ -8,7 +8,7 @@ Images are read when they are asked for, so a thousand frames cost no more memor
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -304,6 +304,15 @@ class Platform:
     """`start`, `goal` or `platform`."""
     inferred: bool = False
     """Whether its top was not seen, or only in part: a tread of which only the front edge was."""
+
+
+def platform_names(platforms: Iterable[Platform]) -> list[str]:
+    """`start`, `goal`, and `platform_0`, `platform_1`, ... for the others, in their order."""
+    names, others = [], 0
+    for platform in platforms:
+        names.append(platform.role if platform.role in ("start", "goal") else f"platform_{others}")
+        others += platform.role not in ("start", "goal")
+    return names
 
 
 @dataclass(frozen=True)

@@ -119,11 +119,7 @@ def contact_verdict(contact: Mapping[str, Any], tolerance: tuple[float, float]) 
     if off or len(look) > bool(contact.get("question")):
         todo.append("look at contact.png, and try another --contact or a finer --hfield-resolution")
     level = "bad" if bad else "look" if look else "good"
-    return {"level": level, "headline": HEADLINES[level], "reasons": bad + look, "next": todo}
+    return {"level": level, "headline": (*bad, *look, GOOD)[0], "reasons": bad + look, "next": todo}
 
 
-HEADLINES = {
-    "good": "The contact geometry meets every limit.",
-    "look": "The contact geometry misses a limit: check it before use.",
-    "bad": "Do not train or test on this contact geometry.",
-}
+GOOD = "The contact geometry meets every limit."

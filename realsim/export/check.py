@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from realsim.core.errors import ExportError
-from realsim.core.types import Platform
-from realsim.export.mjcf import platform_names
+from realsim.core.types import Platform, platform_names
 
 SETTLE, REST = 1.0, 0.2  # seconds of falling and coming to rest, and of being at rest
 KINDS = ("sphere", "box")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from realsim.core.errors import ExportError, require
 from realsim.core.files import check_size
 from realsim.core.progress import note
-from realsim.export.any_mesh import HEADLINES, contact_verdict
+from realsim.export.any_mesh import GOOD, contact_verdict
 from realsim.export.config import SceneConfig
 from realsim.export.contact.fidelity import EDGE, measure
 from realsim.export.contact.polytope import Polytope
@@ -99,7 +99,7 @@ def _with_parts(verdict: dict[str, Any], hulls: list[dict[str, Any]], seams: lis
         todo.append("let neighbouring parts reach 2 cm into each other, or use one convex part")
     level = verdict["level"] if verdict["level"] != "good" or not reasons else "look"
     mine = [step for step in verdict["next"] if "--contact" not in step]
-    return {"level": level, "headline": HEADLINES[level], "reasons": reasons, "next": todo + mine}
+    return {"level": level, "headline": (*reasons, GOOD)[0], "reasons": reasons, "next": todo + mine}
 
 
 def _described(seam: Seam, names: list[str]) -> dict[str, Any]:

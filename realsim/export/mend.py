@@ -32,6 +32,7 @@ from realsim.export.winding import turn_closed, turn_stray
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 UP = ("auto", "z", "y")
 FORMATS = (".ply", ".obj", ".stl", ".glb", ".off")
+AGAIN = "export it again from the program that made it; realsim inspect FILE shows what is read"
 MAX_TRIANGLES = 5_000_000
 RAYS = 96  # a side of the grid of rays that look at a mesh from above
 VAST = 50.0  # metres: larger than what a robot is taken across, so that the unit has to be given
@@ -78,7 +79,9 @@ def read_mesh(path: Path, unit: str | None = None, up: str = "auto") -> MeshFile
     if up not in UP:
         raise ExportError(f"unknown axis {up!r}", expected=f"one of {', '.join(UP)}")
     if path.suffix.lower() not in FORMATS:
-        raise ExportError("not a mesh file", file=path, expected=f"one of {' '.join(FORMATS)}", found=path.suffix)
+        raise ExportError(
+            "not a mesh file", file=path, expected=f"one of {' '.join(FORMATS)}", found=path.suffix, hint=AGAIN
+        )
     vertices, triangles, notes = _read(path)
     notes += [note for note in (loose_vertices(len(vertices), triangles), lonely_vertex(vertices)) if note]
     scale = UNITS[unit or "m"]
@@ -142,9 +145,9 @@ def _read(path: Path) -> tuple[F64, NDArray[np.int64], list[str]]:
         vertices, triangles = np.asarray(loaded.vertices, float), np.asarray(loaded.faces, np.int64)
     except Exception as error:  # readers of broken files raise whatever comes up
         found = f"a file that is cut off or damaged ({type(error).__name__}: {error})"
-        raise ExportError("the mesh cannot be read", file=path, found=found) from error
+        raise ExportError("the mesh cannot be read", file=path, found=found, hint=AGAIN) from error
     if suffix == ".stl" and not len(triangles):
-        raise ExportError("the mesh cannot be read", file=path, found="no triangle: cut off, or no STL")
+        raise ExportError("the mesh cannot be read", file=path, found="no triangle: cut off, or no STL", hint=AGAIN)
     return vertices, triangles, []
 
 

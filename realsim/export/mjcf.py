@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.core.types import Platform
+from realsim.core.types import Platform, platform_names
 from realsim.export.contact.base import ContactModel, Geom
 
 VISUAL_GROUP, COLLISION_GROUP = 2, 3
@@ -78,15 +78,6 @@ def contact_elements(contact: ContactModel) -> str:
         if geom.visible and geom.type == "plane":
             ET.SubElement(world, "geom", _drawn_floor(geom))
     return ET.tostring(root, "unicode")
-
-
-def platform_names(platforms: Iterable[Platform]) -> list[str]:
-    """`start`, `goal`, and `platform_0`, `platform_1`, ... for the others, in their order."""
-    names, others = [], 0
-    for platform in platforms:
-        names.append(platform.role if platform.role in ("start", "goal") else f"platform_{others}")
-        others += platform.role not in ("start", "goal")
-    return names
 
 
 def numbers(values: Iterable[float]) -> str:

@@ -9,7 +9,8 @@ import numpy as np
 
 from realsim.core.types import F64, Platform, Reconstruction, SceneFiles
 from realsim.report import page, raster, svg
-from realsim.report.topdown import ROLE_INK
+from realsim.report.marks import leaks_of
+from realsim.report.topdown import ROLE_INK, mark
 
 _RANGE = 0.015  # metres at which the colour is full
 
@@ -24,18 +25,19 @@ def contact_card(result: Reconstruction) -> list[str]:
 
 def map_card(scene: SceneFiles, platforms: Sequence[Platform], table: Sequence[tuple[str, str]] = ()) -> list[str]:
     """The map of the error with the platforms' outlines, and a table below it."""
-    assert scene.contact_map is not None
     bar = svg.color_bar(-1e3 * _RANGE, 1e3 * _RANGE, "mm", raster.SIGNED, "error")
     note = (
         "A ball of 1 cm was lowered onto the collision geometry everywhere: height of the first touch minus the "
         "surface. Red: contact with no surface there (phantom). Blue: surface without contact (missing)."
     )
-    body = _map(scene.contact_map, platforms) + bar + (page.table(("figure", "value"), table) if table else "")
+    body = _map(scene, platforms) + bar + (page.table(("figure", "value"), table) if table else "")
     return [page.card("Contact against the surface", body, note)]
 
 
-def _map(contact_map: F64, platforms: Sequence[Platform]) -> str:
-    """The error from above, in the simulation frame, with the platforms' outlines."""
+def _map(scene: SceneFiles, platforms: Sequence[Platform]) -> str:
+    """The error from above, in the simulation frame, with the platforms' outlines and where balls fell through."""
+    contact_map, leaks = scene.contact_map, leaks_of(scene.contact)
+    assert contact_map is not None
     (x0, y0), (x1, y1) = contact_map[:, :2].min(0), contact_map[:, :2].max(0)
     extent = (float(x0), float(x1), float(y0), float(y1))
     picture = raster.colorize(error_grid(contact_map), -_RANGE, _RANGE, raster.SIGNED)
@@ -44,6 +46,7 @@ def _map(contact_map: F64, platforms: Sequence[Platform]) -> str:
     axes.image(raster.png_uri(picture.repeat(scale, 0).repeat(scale, 1)), extent)
     for p in platforms:
         axes.polyline(p.outline, ROLE_INK.get(p.role, "var(--ink)"), width=1.6, closed=True, title=p.role)
+    mark(axes, leaks)
     return axes.svg("map of the contact error")
 
 

@@ -15,11 +15,13 @@ from realsim.report.collision import load
 from realsim.report.contact import map_card, rows
 from realsim.report.document import use_card
 from realsim.report.layers import MESH_TRIANGLES, axes_layer, collision_layers, robot_layers
+from realsim.report.marks import leaks_of, marks_layer
+from realsim.report.summary import Made
 from realsim.report.viewer3d import Layer, viewer
 
 
 def write_contact_page(folder: Path, files: SceneFiles) -> None:
-    """Write `folder/report.html`, the same bytes for the same scene but for the costs of a step.
+    """Write `folder/report.html`, the same bytes for the same scene but for the date and the costs of a step.
 
     Args:
         folder: holds the exported scene.
@@ -49,7 +51,9 @@ def write_contact_page(folder: Path, files: SceneFiles) -> None:
         page.folded("All figures", page.table(("figure", "value"), rows(c))),
     ]
     subtitle = f"ground {c['ground']}, collision geometry {c['representation']}"
-    html = page.document(f"Contact of {c['mesh']}", subtitle, "".join(body), scripts=[viewer3d.script()])
+    html = page.document(
+        f"Contact of {c['mesh']}", subtitle, "".join(body), scripts=[viewer3d.script()], date=Made.now().date
+    )
     write_text(folder / "report.html", html)
 
 
@@ -65,6 +69,7 @@ def _view(folder: Path, files: SceneFiles) -> str:
         colors = np.asarray(mesh.visual.vertex_colors)[:, :3]
     V, F, C = simplify(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32), colors, limit=MESH_TRIANGLES)
     layers = [Layer("mesh", V, F, C), *collision_layers(model), *robot_layers(model, data), axes_layer()]
+    layers += marks_layer(leaks_of(files.contact))
     return viewer(layers, label="the mesh and its collision geometry in 3D", azimuth=float(model.vis.global_.azimuth))
 
 

@@ -10,6 +10,7 @@ from realsim.core.types import U8, Reconstruction
 from realsim.report import page, raster, svg, viewer3d
 from realsim.report.contact import contact_card
 from realsim.report.layers import scene_view
+from realsim.report.marks import marks_of
 from realsim.report.modes import modes_card
 from realsim.report.summary import Made, versions
 from realsim.report.topdown import map_from_above
@@ -34,20 +35,23 @@ def reconstruction_page(
     backend = metric.backend if metric is not None else "scan"
     views = f"{len(metric)} views" if metric is not None else "a scan"
     drag = "Drag to turn, two fingers or the right button to move, pinch or wheel to zoom."
-    view = scene_view(folder, result)
+    marks, unseen = marks_of(result, judgement), any(c.shown == "unseen" for c in judgement.failed)
+    view = scene_view(folder, result, marks, unseen=unseen)
+    # What is not to be used does not begin with how it is used.
+    first, second = [use_card(folder)], [_checks_card(judgement)]
+    if judgement.level == "bad":
+        first, second = second, first
     body = [
         page.verdict(judgement.level, judgement.headline, judgement.reasons, judgement.next_steps),
         page.facts(_facts(result)),
-        page.columns(_picture_card(picture), [use_card(folder)])
-        if picture is not None
-        else page.grid(use_card(folder)),
+        page.columns(_picture_card(picture), first) if picture is not None else page.grid(*first),
         page.grid(
             page.card("The scene and its collision geometry (orange)", view, drag, wide=True),
-            page.card("From above", map_from_above(result.aligned, result.mesh), wide=True),
+            page.card("From above", map_from_above(result.aligned, result.mesh, marks, unseen=unseen), wide=True),
         ),
         page.grid(*_changes_card(result)),
         page.columns(
-            [_checks_card(judgement), *contact_card(result)],
+            [*second, *contact_card(result)],
             [_notes_card(result), *_scale_card(result), _platform_card(result), _dropped_card(result)],
         ),
         page.grid(*modes_card(result), *_residual_card(result), *_thumbnail_card(result)),
@@ -55,7 +59,7 @@ def reconstruction_page(
     ]
     title = f"Reconstruction of {'/'.join(result.source.source.parts[-2:])}"
     subtitle = f"{views}, layout {result.source.layout}, backend {backend}, surface by {result.mesh.method}"
-    return page.document(title, subtitle, "".join(body), scripts=[viewer3d.script()])
+    return page.document(title, subtitle, "".join(body), scripts=[viewer3d.script()], date=made.date)
 
 
 def _picture_card(picture: U8 | str) -> list[str]:
@@ -73,7 +77,7 @@ def _facts(result: Reconstruction) -> list[tuple[str, str, str]]:
     if scale is not None:
         half = (scale.ci90[1] - scale.ci90[0]) / 2
         out.append(("Scale", f"{scale.value:.4f}", f"± {half:.4f} (90 %), {scale.method}"))
-    out.append(("Level", f"± {aligned.gravity.tilt_sigma_deg:.2f}°", "one sigma of the tilt"))
+    out.append(("Level", f"± {aligned.gravity.tilt_sigma_deg:.2f}°", "standard error of the tilt"))
     if aligned.metric is not None:
         dropped = len(dropped_frames(result))
         out.append(("Frames", f"{len(aligned.metric)} used", f"{dropped} dropped"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,30 +12,37 @@ from realsim.core.meshes import compact, merged, simplify
 from realsim.core.types import AlignedScene, Reconstruction, TerrainMesh
 from realsim.report import raster
 from realsim.report.collision import collision_parts, load, robot_triangles, sharp_edges
+from realsim.report.marks import Mark, marks_layer
 from realsim.report.solids import Solid
+from realsim.report.topdown import INVENTED
 from realsim.report.viewer3d import Layer, camera_frustums, viewer
 
 MESH_TRIANGLES, COLLISION_TRIANGLES = 60_000, 20_000
-INVENTED, COLLISION, COLLISION_EDGES, ROBOT = (172, 112, 214), (236, 148, 62), (196, 92, 14), (96, 108, 128)
+COLLISION, COLLISION_EDGES, ROBOT = (236, 148, 62), (196, 92, 14), (96, 108, 128)
 PLATFORMS, CAMERAS = (226, 70, 120), (72, 132, 236)
 
 
-def scene_view(folder: Path, result: Reconstruction) -> str:
-    """The 3D view of a reconstruction whose scene lies in `folder`; it opens from where MuJoCo's viewer does."""
+def scene_view(folder: Path, result: Reconstruction, marks: Sequence[Mark] = (), *, unseen: bool = False) -> str:
+    """The 3D view of a reconstruction whose scene lies in `folder`; it opens from where MuJoCo's viewer does.
+
+    Args:
+        marks: places to mark; unseen: whether what no camera saw is shown from the start.
+    """
     model, data = load(folder / result.scene.scene_xml.name)
     layers = [
-        *mesh_layers(result.mesh),
+        *mesh_layers(result.mesh, unseen=unseen),
         *collision_layers(model),
         *robot_layers(model, data),
         *camera_layers(result.aligned),
         platform_layer(result.aligned),
         axes_layer(),
+        *marks_layer(marks),
     ]
     return viewer(layers, label="the reconstructed scene in 3D", azimuth=float(model.vis.global_.azimuth))
 
 
-def mesh_layers(mesh: TerrainMesh) -> list[Layer]:
-    """Seen surface in its own colours (or by height), and invented surface in violet."""
+def mesh_layers(mesh: TerrainMesh, *, unseen: bool = False) -> list[Layer]:
+    """Seen surface in its own colours (or by height), and invented surface in violet, visible at first if `unseen`."""
     colors = mesh.colors
     if colors is None:
         z = mesh.vertices[:, 2]
@@ -44,9 +52,9 @@ def mesh_layers(mesh: TerrainMesh) -> list[Layer]:
     seen = Layer("mesh", V, F, C)
     if not mesh.invented.any():
         return [seen]
-    unseen = compact(mesh.vertices, mesh.triangles[mesh.invented])
-    V, F, _ = simplify(unseen[0], unseen[1], None, COLLISION_TRIANGLES)
-    return [seen, Layer("invented", V, F, INVENTED, visible=False)]
+    hidden = compact(mesh.vertices, mesh.triangles[mesh.invented])
+    V, F, _ = simplify(hidden[0], hidden[1], None, COLLISION_TRIANGLES)
+    return [seen, Layer("invented", V, F, INVENTED, visible=unseen)]
 
 
 def collision_layers(model: Any) -> list[Layer]:

@@ -11,6 +11,8 @@ from html import escape
 from importlib.resources import files
 from typing import Any, Literal
 
+from realsim import __version__
+
 Level = Literal["good", "look", "bad"]
 WORDS: dict[Level, str] = {"good": "Good", "look": "Check first", "bad": "Do not use"}
 
@@ -31,12 +33,12 @@ def badge(level: Level, text: str = "") -> str:
 
 
 def verdict(level: Level, headline: str, reasons: Sequence[str], steps: Sequence[str] = ()) -> str:
-    """The banner at the top: the verdict, its reasons, one sentence each, and what to do next."""
-    rows = "".join(f"<li>{esc(r)}</li>" for r in reasons)
-    todo = "".join(f"<li>{esc(s)}</li>" for s in steps)
+    """The banner at the top: the verdict, its reasons, one sentence each, less the headline, and what to do next."""
+    rest = [r for r in reasons if r != headline]
     return (
         f'<section class="verdict {level}"><div class="word">{WORDS[level]}</div><div><h2>{esc(headline)}</h2>'
-        f"{f'<ul>{rows}</ul>' if rows else ''}{f'<h4>Next</h4><ul>{todo}</ul>' if todo else ''}</div></section>"
+        f"{folded_bullets(rest, 'more', 5) if rest else ''}{f'<h4>Next</h4>{bullets(steps)}' if steps else ''}"
+        "</div></section>"
     )
 
 
@@ -125,7 +127,7 @@ def fold(summary: str, body: str) -> str:
     return f"<details><summary>{esc(summary)}</summary>{body}</details>"
 
 
-def document(title: str, subtitle: str, body: str, *, scripts: Sequence[str] = ()) -> str:
+def document(title: str, subtitle: str, body: str, *, scripts: Sequence[str] = (), date: str = "") -> str:
     """The whole page.
 
     Args:
@@ -133,12 +135,14 @@ def document(title: str, subtitle: str, body: str, *, scripts: Sequence[str] = (
         subtitle: one line below it (source, backend).
         body: pieces from this module.
         scripts: JavaScript texts to run after the body (`viewer3d.script()` where there is a 3D view).
+        date: when it was made.
     """
     tags = "".join(f"<script>{s}</script>" for s in scripts)
+    footer = f"<footer>{esc(', '.join(filter(None, (f'realsim {__version__}', date))))}</footer>"
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width,initial-scale=1"><meta name="color-scheme" '
         f'content="light dark"><title>{esc(title)}</title><link rel="icon" href="data:,">'
         f"<style>{asset('style.css')}</style></head><body><main>"
-        f"<header><h1>{esc(title)}</h1><p>{esc(subtitle)}</p></header>{body}</main>{tags}</body></html>\n"
+        f"<header><h1>{esc(title)}</h1><p>{esc(subtitle)}</p></header>{body}{footer}</main>{tags}</body></html>\n"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,52 +10,71 @@ import numpy as np
 from realsim.core.rays import heights
 from realsim.core.types import F64, U8, AlignedScene, TerrainMesh
 from realsim.report import raster, svg
+from realsim.report.marks import Mark
 from realsim.report.page import esc
 
 Extent = tuple[float, float, float, float]
 """x low, x high, y low, y high in metres."""
+INVENTED = (172, 112, 214)
+"""Colour of what no camera saw."""
 ROLE_INK = {"start": "var(--c1)", "goal": "var(--c5)"}
 """Colours of the platforms' outlines."""
 _CELLS = 900
 """Cells along the longer side of the height map at most."""
 
 
-def map_from_above(aligned: AlignedScene, mesh: TerrainMesh) -> str:
-    """The map as SVG, once for a wide page and once for a phone (style.css shows one), with its legend."""
+def map_from_above(
+    aligned: AlignedScene, mesh: TerrainMesh, marks: Sequence[Mark] = (), *, unseen: bool = False
+) -> str:
+    """The map as SVG, once for a wide page and once for a phone (style.css shows one), with its legend.
+
+    Args:
+        marks: places to mark; unseen: whether what no camera saw is painted.
+    """
     seen = mesh.vertices[np.unique(mesh.seen)]
     eyes = camera_positions(aligned)
-    inside = np.vstack([seen[:, :2], eyes[:, :2]]) if len(eyes) else seen[:, :2]
+    inside = np.vstack([seen[:, :2], eyes[:, :2], *(m.at[None, :2] for m in marks)])
     (x0, y0), (x1, y1) = inside.min(0) - 0.08, inside.max(0) + 0.08
     extent = (float(x0), float(x1), float(y0), float(y1))
     step = max(x1 - x0, y1 - y0) / _CELLS
     grid = heights(mesh.vertices, mesh.seen, (x0, y0), (x1, y1), step)[::-1]
     low, high = (float(v) for v in np.nanpercentile(grid, [0.5, 99.8]))
     picture = shaded(raster.colorize(grid, low, high), grid, (x1 - x0) / grid.shape[1])
+    if unseen and mesh.invented.any():
+        hidden = heights(mesh.vertices, mesh.triangles[mesh.invented], (x0, y0), (x1, y1), step)[::-1]
+        picture[np.isnan(grid) & np.isfinite(hidden)] = (*INVENTED, 255)
     # At most as tall as a screen: a terrain that is not long is drawn narrower than the page.
     broad = min(980.0, max(360.0, 620 * (extent[1] - extent[0]) / (extent[3] - extent[2])))
-    wide = _map(aligned, eyes, extent, picture, width=broad)
+    wide = _map(aligned, eyes, extent, picture, marks, width=broad)
     long = extent[1] - extent[0] > 1.3 * (extent[3] - extent[2])
-    narrow = _map(aligned, eyes, extent, picture[::2, ::2], width=360, x_up=long)
+    narrow = _map(aligned, eyes, extent, picture[::2, ::2], marks, width=360, x_up=long)
     style = f' style="max-width:{broad:.0f}px;margin:0 auto"' if broad < 980 else ""
-    bar = svg.color_bar(low, high, "m", label="height")
-    return f'<div class="broad"{style}>{wide}</div><div class="narrow">{narrow}</div>{bar}{_legend(aligned)}'
+    bar, legend = svg.color_bar(low, high, "m", label="height"), _legend(aligned, marks, unseen)
+    return f'<div class="broad"{style}>{wide}</div><div class="narrow">{narrow}</div>{bar}{legend}'
 
 
-def _legend(aligned: AlignedScene) -> str:
-    """What the outlines and the path are."""
+def _legend(aligned: AlignedScene, marks: Sequence[Mark], unseen: bool) -> str:
+    """What the outlines, the path and the marks are."""
     roles = dict.fromkeys(p.role for p in aligned.platforms)
     items = [
         (f"{role} platform" if role in ROLE_INK else "other level top", ROLE_INK.get(role, "#ffffff")) for role in roles
     ]
     if aligned.metric is not None:
         items.append(("camera positions, with viewing directions", "#1b2030"))
+    if unseen:
+        items.append(("no camera saw this", f"rgb{INVENTED}"))
+    if marks:
+        items.append(("what decides the verdict", "var(--bad)"))
     rows = "".join(
         f'<span><i style="background:{ink};outline:1px solid var(--line)"></i>{esc(t)}</span>' for t, ink in items
     )
     return f'<div class="legend">{rows}</div>' if rows else ""
 
 
-def _map(aligned: AlignedScene, eyes: F64, extent: Extent, picture: U8, *, width: float, x_up: bool = False) -> str:
+def _map(
+    aligned: AlignedScene, eyes: F64, extent: Extent, picture: U8, marks: Sequence[Mark], *, width: float,
+    x_up: bool = False,
+) -> str:  # fmt: skip
     """The map `width` units wide; texts keep their size, so that a small one is readable too. x points right, or up."""
     # What is drawn at (x, y) is data @ turn.
     turn = np.array([[0.0, 1.0], [-1.0, 0.0]]) if x_up else np.eye(2)
@@ -86,7 +106,17 @@ def _map(aligned: AlignedScene, eyes: F64, extent: Extent, picture: U8, *, width
             x, y = p.centroid[:2] @ turn
             below = 0.16 if p.role == "start" else 0.0  # the axes stand on the start platform
             axes.text(x, y - below, p.role, dy=5, fill="var(--ink)", halo=True)
+    mark(axes, marks, turn)
     return axes.svg("height map from above")
+
+
+def mark(axes: svg.Axes, marks: Sequence[Mark], turn: F64 | None = None) -> None:
+    """Draw marks, each text once."""
+    for k, m in enumerate(marks):
+        x, y = m.at[:2] if turn is None else m.at[:2] @ turn
+        axes.dots([(x, y)], "var(--bad)", radius=4.5, titles=[m.text])
+        if m.text not in {before.text for before in marks[:k]}:
+            axes.text(x, y, m.text, dy=-8, fill="var(--bad)", halo=True)
 
 
 def shaded(picture: U8, heights: F64, cell: float) -> U8:

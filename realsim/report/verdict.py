@@ -29,28 +29,40 @@ class Check:
     """One sentence for the banner if the level is not good."""
     advice: str = ""
     """What to do if the level is not good."""
+    shown: str = ""
+    """What of the map and the 3D view shows it: `unseen` surface, or the worst of the objects that were `dropped`."""
 
 
 @dataclass(frozen=True)
 class Judgement:
     """The verdict and how it came about."""
 
-    level: Level
-    headline: str
     checks: tuple[Check, ...]
 
     @property
+    def failed(self) -> list[Check]:
+        """The checks that are not good, the worst first."""
+        return [c for level in ("bad", "look") for c in self.checks if c.level == level]
+
+    @property
+    def level(self) -> Level:
+        """That of the worst check."""
+        return self.failed[0].level if self.failed else "good"
+
+    @property
+    def headline(self) -> str:
+        """What most stands against the scene."""
+        return (*self.reasons, "Every check passed: the scene can be used as it is.")[0]
+
+    @property
     def reasons(self) -> tuple[str, ...]:
-        """Why it is not better: the reasons of the worst checks first."""
-        order = {"bad": 0, "look": 1}
-        return tuple(c.reason for c in sorted(self.checks, key=lambda c: order.get(c.level, 2)) if c.level != "good")
+        """Why it is not better, the worst first."""
+        return tuple(c.reason for c in self.failed)
 
     @property
     def next_steps(self) -> tuple[str, ...]:
         """What to do about the reasons, in their order, each once: what another says too and more of is left out."""
-        order = {"bad": 0, "look": 1}
-        failed = sorted((c for c in self.checks if c.level != "good"), key=lambda c: order[c.level])
-        steps = tuple(dict.fromkeys(c.advice for c in failed if c.advice))
+        steps = tuple(dict.fromkeys(c.advice for c in self.failed if c.advice))
         return tuple(s for s in steps if not any(other.startswith(f"{s}; ") for other in steps))
 
     def as_dict(self) -> dict[str, Any]:
@@ -65,18 +77,9 @@ class Judgement:
         }
 
 
-_HEADLINES: dict[Level, str] = {
-    "good": "Every check passed: the scene can be used as it is.",
-    "look": "Usable once a person has checked what follows.",
-    "bad": "Do not train or test on this scene.",
-}
-
-
 def judge(result: Reconstruction) -> Judgement:
     """Run all checks that apply to this result."""
-    checks = tuple(c for check in _CHECKS for c in check(result))
-    worst: Level = next((level for level in ("bad", "look") if any(c.level == level for c in checks)), "good")
-    return Judgement(worst, _HEADLINES[worst], checks)
+    return Judgement(tuple(c for check in _CHECKS for c in check(result)))
 
 
 def graded(
@@ -88,6 +91,7 @@ def graded(
     *,
     low_is_bad: bool = False,
     advice: str = "",
+    shown: str = "",
 ) -> Check:
     """A check of a number against two limits; what is not finite is bad."""
     sign = -1 if low_is_bad else 1
@@ -100,9 +104,8 @@ def graded(
     limits = f"check {word} {show(look)}" + (f", reject {word} {show(bad)}" if math.isfinite(bad) else "")
     limit = bad if level == "bad" else look
     where = f"just {word}" if show(value) == show(limit) else word
-    return Check(
-        name, show(value), limits, level, f"{name}: {show(value)}, {where} the limit of {show(limit)}.", advice
-    )
+    reason = f"{name}: {show(value)}, {where} the limit of {show(limit)}."
+    return Check(name, show(value), limits, level, reason, advice, shown)
 
 
 _SCALE = "record more frames with depth between 0.3 and 3 m, or give metric camera poses"
@@ -208,7 +211,7 @@ def _platforms(result: Reconstruction) -> Iterator[Check]:
         )
         return
     found = f"{len(result.aligned.platforms)} found" + (f", no {' and no '.join(missing)}" if missing else "")
-    reason = f"No {' and no '.join(missing)} platform was found: the frame rests on assumptions, listed below."
+    reason = f"No {' and no '.join(missing)} platform was found: origin and axes rest on assumptions."
     level: Level = "look" if missing else "good"
     yield Check("Start and goal platforms", found, "check if one is missing", level, reason, _ROLES)
 
@@ -246,12 +249,14 @@ def _coverage(result: Reconstruction) -> Iterator[Check]:
     if found.get("way_area_m2", 0) > 0:
         on_way = found["way_unseen_m2"] / found["way_area_m2"]
         name = "Ground and tops on the way from start to goal that no camera saw"
-        yield graded(name, on_way, 0.15, 0.5, percent, advice=advice)
+        yield graded(name, on_way, 0.15, 0.5, percent, advice=advice, shown="unseen")
         beyond = found["area_m2"] - found["way_area_m2"]
         share = (found["unseen_m2"] - found["way_unseen_m2"]) / beyond if beyond > 0.01 else 0.0
-        yield graded("Ground and tops beside the way that no camera saw", share, 0.5, math.inf, percent, advice=advice)
+        name = "Ground and tops beside the way that no camera saw"
+        yield graded(name, share, 0.5, math.inf, percent, advice=advice, shown="unseen")
     else:
-        yield graded("Ground and tops that no camera saw", share, 0.15, math.inf, percent, advice=advice)
+        name = "Ground and tops that no camera saw"
+        yield graded(name, share, 0.15, math.inf, percent, advice=advice, shown="unseen")
 
 
 def _look_from(result: Reconstruction) -> str:
@@ -299,13 +304,14 @@ def _physics(result: Reconstruction) -> Iterator[Check]:
         worst = max(drops, key=lambda d: abs(d["error_m"]))
         name = "Resting height of dropped objects (worst error)"
         advice = f"{_TOUCH}; the {worst['object']} on {worst['platform']} is the worst"
-        yield graded(name, abs(worst["error_m"]), 0.008, 0.03, millimetres, advice=advice)
+        yield graded(name, abs(worst["error_m"]), 0.008, 0.03, millimetres, advice=advice, shown="dropped")
 
 
 def _warnings(result: Reconstruction) -> Iterator[Check]:
-    count = len(result.warnings)
-    reason = f"{count} warning{'s' if count != 1 else ''}, listed below."
-    yield Check("Warnings", str(count), "check if there is one", "look" if count else "good", reason)
+    for warning in result.warnings:
+        yield Check("Warning", warning, "check if there is one", "look", f"{warning[:1].upper()}{warning[1:]}.")
+    if not result.warnings:
+        yield Check("Warnings", "none", "check if there is one", "good", "")
 
 
 _CHECKS = (_scale, _metres, _gravity, _frames, _platforms, _surface, _contact, _physics, _warnings)

@@ -23,7 +23,8 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with one of everything, and the shell in it."""
     monkeypatch.chdir(tmp_path)
     table = "time,shoulder,elbow\n" + "".join(f"{i / 100},{i},{-i}\n" for i in range(50))
-    for name in ("logs", "case/runs", "frames/depth", "frames/color", "stairs_contact", "scene", "tuned", "nothing"):
+    folders = "logs case/runs frames/depth frames/color stairs_contact scene tuned nothing many"
+    for name in folders.split():
         (tmp_path / name).mkdir(parents=True)
     (tmp_path / "logs" / "run_1.csv").write_text(table)
     (tmp_path / "run.csv").write_text(table)
@@ -37,6 +38,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     box = trimesh.creation.box((1, 1, 1))
     box.export(tmp_path / "stairs.stl")
     box.export(tmp_path / "scan.ply")
+    box.export(tmp_path / "many" / "a.stl")
     for folder, mark in (("stairs_contact", "contact.json"), ("scene", "report.json")):
         (tmp_path / folder / "scene.xml").write_text("<mujoco/>")
         (tmp_path / folder / mark).write_text("{}")
@@ -71,6 +73,11 @@ MISTAKES = {
     "inspect frame": "did you mean frames",
     "contact frames --out c": "realsim reconstruct frames",
     "contact stairs.step --out c": ".glb, .obj or .stl",
+    "contact many --out c": "many/*",
+    "contact stairs.stl --out run.csv": "choose another --out",
+    "deploy tuned/policy.pt": "policy.onnx beside it",
+    "training report": "realsim finetune",
+    "mcp": "realsim mcp --root",
     "contact robot.xml --out c": "realsim diagnose --init robot.xml",
     "contact stairs.stl --robot unitree_go2 --out c": "menagerie:unitree_go2",
     "export stairs.stl --to usd": "realsim contact stairs.stl",
@@ -119,7 +126,7 @@ def test_the_same_from_python(place: Path) -> None:
 def test_kinds_of_everything(place: Path) -> None:
     kinds = {p.name: kind.name for p in sorted(place.iterdir()) if (kind := recognise(p)) is not None}
     assert kinds == {
-        "case": "case", "frames": "capture", "logs": "recording", "nothing": "empty folder", "policy.onnx": "network",
+        "case": "case", "frames": "capture", "logs": "recording", "many": "mesh", "nothing": "empty folder", "policy.onnx": "network",
         "robot.urdf": "model", "robot.xml": "model", "run.csv": "recording", "run.mcap": "bag", "scan.ply": "scan",
         "scan.zip": "archive", "scene": "scene", "stairs.step": "CAD file", "stairs.stl": "mesh",
         "stairs_contact": "contact scene", "tuned": "training run", "walk.mp4": "video",

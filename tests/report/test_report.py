@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import pytest
 
+import realsim as rs
 from realsim.core.errors import RealsimError
 from realsim.core.types import AlignedScene, Dropped, Mode, Reconstruction
 from realsim.report import write_report
@@ -60,7 +61,7 @@ def test_same_result_same_bytes_whatever_it_cost(tmp_path: Path) -> None:
         stages = tuple(replace(s, seconds=seconds) for s in result.stages)
         write_report(tmp_path, replace(result, stages=stages, scene=scene, modes=modes), picture=False)
         page = (tmp_path / "report.html").read_text()
-        page = re.sub(r'<section class="card"><h3>This run.*?</section>', "", page)
+        page = re.sub(r'<section class="card"><h3>This run.*?</section>|<footer>.*?</footer>', "", page)
         page = re.sub(rf"<tr><td[^>]*>({'|'.join(k.replace('_', ' ') for k in CLOCKED)})</td>.*?</tr>", "", page)
         pages.append(re.sub(rf"<td[^>]*>{seconds:.1f} s</td>", "", page))
         report = json.loads((tmp_path / "report.json").read_text())
@@ -119,7 +120,7 @@ def test_the_picture_is_of_the_scene_or_its_lack_is_explained(tmp_path: Path, mo
 
 def test_a_step_is_said_once_where_it_says_most() -> None:
     checks = tuple(Check("", "", "", "look", "", advice) for advice in ("do it", "do it; here", ""))
-    assert Judgement("look", "", checks).next_steps == ("do it; here",)
+    assert Judgement(checks).next_steps == ("do it; here",)
 
 
 def test_advice_names_the_frames_and_the_place(tmp_path: Path) -> None:
@@ -217,8 +218,30 @@ def test_walls_that_are_not_there_are_rejected(tmp_path: Path, through: float, o
     assert judge(replace(result, scene=replace(result.scene, contact=contact))).level == level
 
 
-def test_a_warning_asks_for_a_look(tmp_path: Path) -> None:
-    assert judge(reconstruction(tmp_path, warnings=("two grounds",))).level == "look"
+def test_a_warning_asks_for_a_look_and_is_the_reason(tmp_path: Path) -> None:
+    found = judge(reconstruction(tmp_path, warnings=("two grounds", "dim light")))
+    assert found.level == "look"
+    assert found.reasons == ("Two grounds.", "Dim light.")
+    assert found.headline == "Two grounds."
+
+
+def test_what_decides_is_marked_and_what_is_not_to_be_used_does_not_begin_with_its_use(tmp_path: Path) -> None:
+    result = reconstruction(tmp_path)
+    areas = {"area_m2": 10.0, "way_area_m2": 4.0, "unseen_m2": 3.0, "way_unseen_m2": 3.0, "look_from": [1.5, 1.2]}
+    result = _unseen(result, **areas, share=0.8)
+    drops = [{"platform": "goal", "object": "box", "error_m": -0.05}]
+    contact = {**result.scene.contact, "leak_places": [[1.0, 0.2, -0.3]]}
+    result = replace(result, scene=replace(result.scene, contact=contact, checks={"drops": drops}))
+    write_report(tmp_path, result, picture=False)
+    text = read((tmp_path / "report.html").read_text())
+    for words in ("fell through", "box: -50 mm", "look from here", "what decides the verdict", "no camera saw this"):
+        assert words in text
+    assert text.index("What the verdict rests on") < text.index("Use the scene")
+    write_report(tmp_path, reconstruction(tmp_path), picture=False)
+    text = read((tmp_path / "report.html").read_text())
+    assert "what decides the verdict" not in text
+    assert text.index("What the verdict rests on") > text.index("Use the scene")
+    assert rs.__version__ in text
 
 
 @pytest.mark.parametrize(("lost", "level"), [(False, "good"), (True, "bad")])

@@ -51,6 +51,7 @@ COMMANDS = {
         "realsim deploy tuned/policy.onnx --scene scene",
         _GROUP,
         "recon",
+        takes={"policy": ("network",)},
     ),
     "close": Command(
         "",

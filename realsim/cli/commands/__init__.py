@@ -60,7 +60,7 @@ def verdict_lines(verdict: Mapping[str, Any]) -> list[str]:
     """A verdict (`level`, `headline`, `reasons`, `next`) as the first lines of a command's output."""
     return [
         f"{WORDS[verdict['level']]}: {verdict['headline']}",
-        *(f"  because  {reason}" for reason in verdict["reasons"]),
+        *(f"  because  {reason}" for reason in verdict["reasons"] if reason != verdict["headline"]),
         *(f"  next     {step}" for step in verdict["next"]),
     ]
 

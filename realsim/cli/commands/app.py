@@ -27,7 +27,7 @@ def app(
     """
     require("app", "realsim app")
     if not folder.is_dir():
-        raise RealsimError("not a folder", file=folder, expected="the folder that the page works in")
+        raise RealsimError("not a folder", file=folder, expected="the folder to work in", hint="check the path")
     from realsim.app.server import serve
 
     serve(folder, port, open_browser=open)

@@ -1,0 +1,45 @@
+"""The notebooks run, cell by cell, and end with the truth that they made."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+NOTEBOOKS = Path(__file__).resolve().parents[1] / "examples" / "notebooks"
+
+
+def run(name: str, place: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What is known after the last cell of a notebook that ran in a folder of its own."""
+    notebook = json.loads((NOTEBOOKS / f"{name}.ipynb").read_text())
+    assert all(not cell["outputs"] for cell in notebook["cells"] if cell["cell_type"] == "code")
+    monkeypatch.chdir(place)
+    known: dict[str, Any] = {}
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            exec(compile("".join(cell["source"]), f"{name}.ipynb", "exec"), known)
+    return known
+
+
+def test_contact(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    known = run("contact", tmp_path, monkeypatch)
+    assert known["scene"].verdict == "good"
+    assert "<table>" in known["scene"]._repr_html_()
+    assert list((tmp_path / "other").rglob("*.obj"))
+
+
+def test_diagnose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    known = run("diagnose", tmp_path, monkeypatch)
+    assert known["found"].causes[0].effect == "coulomb_friction"
+    assert known["mended"].compile().dof_frictionloss[0] == pytest.approx(0.3, rel=0.15)
+    assert "<table>" in known["found"]._repr_html_()
+
+
+@pytest.mark.slow
+def test_reconstruct(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("REALSIM_CACHE", str(tmp_path / "cache"))
+    known = run("reconstruct", tmp_path, monkeypatch)
+    assert known["scene"].verdict.usable
+    assert abs(known["off"]) < 15
