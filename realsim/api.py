@@ -59,7 +59,12 @@ def inspect(capture: StrPath, config: CaptureConfig | None = None) -> Inspection
 
 @explain_inputs
 def reconstruct(
-    capture: StrPath, out: StrPath = "scene", config: ReconstructConfig | None = None, *, overwrite: bool = False
+    capture: StrPath,
+    out: StrPath = "scene",
+    config: ReconstructConfig | None = None,
+    *,
+    progress: Progress | None = None,
+    overwrite: bool = False,
 ) -> Scene:
     """Turn a capture or scan into a metric, level, collidable MuJoCo scene, checked.
 
@@ -69,6 +74,7 @@ def reconstruct(
         capture: a folder of frames in any of the layouts, or a scan file.
         out: the scene's folder; it appears only when everything in it is complete.
         config: what to do otherwise than by default.
+        progress: called with what is being done and its share, now and then; a terminal shows bars without it.
         overwrite: replace a scene that is there already.
 
     Returns:
@@ -82,11 +88,13 @@ def reconstruct(
 
     require("recon", "reconstructing a scene")
     from realsim import pipeline
+    from realsim.core.progress import heard_by
 
     config = config or pipeline.ReconstructConfig()
     if overwrite:
         config = replace(config, overwrite=True)
-    result = pipeline.reconstruct(Path(capture), Path(out), config)
+    with heard_by(progress):
+        result = pipeline.reconstruct(Path(capture), Path(out), config)
     return Scene.read(result.scene.folder, details=result)
 
 
@@ -99,6 +107,7 @@ def contact(
     unit: Literal["m", "cm", "mm", "inch"] | None = None,
     up: Literal["auto", "z", "y"] = "auto",
     ground_z: float | None = None,
+    progress: Progress | None = None,
     overwrite: bool = False,
 ) -> Scene:
     """Give a mesh collision geometry for MuJoCo, chosen by measured error and cost.
@@ -110,6 +119,7 @@ def contact(
         unit: of the file; metres if None.
         up: axis of the file that points up.
         ground_z: height of the ground, metres; found from the mesh if None.
+        progress: called with what is being done and its share, now and then.
         overwrite: replace a folder that realsim wrote before.
 
     Raises:
@@ -120,11 +130,12 @@ def contact(
 
     require("recon", "measured contact geometry")
     from realsim.core.files import output_folder
+    from realsim.core.progress import heard_by
     from realsim.export import contact_mesh
     from realsim.export.config import SceneConfig
     from realsim.report.contact_page import write_contact_page
 
-    with output_folder(Path(out), overwrite=overwrite, source=Path(mesh)) as folder:
+    with heard_by(progress), output_folder(Path(out), overwrite=overwrite, source=Path(mesh)) as folder:
         files = contact_mesh(Path(mesh), folder, config or SceneConfig(), unit=unit, up=up, ground_z=ground_z)
         write_contact_page(folder, files)
     return Scene.read(Path(out))

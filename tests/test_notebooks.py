@@ -23,6 +23,7 @@ def run(name: str, place: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, An
     return known
 
 
+@pytest.mark.slow
 def test_contact(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     known = run("contact", tmp_path, monkeypatch)
     assert known["scene"].verdict == "good"

@@ -7,6 +7,7 @@ import shlex
 import time
 from collections.abc import Callable
 from datetime import datetime
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -128,11 +129,13 @@ def _opening(desk: Desk, refreshed: Callable[[], None]) -> None:
     from nicegui import events, ui
 
     async def opened(text: str) -> None:
+        note = ui.notification("looking", spinner=True, timeout=None)
         try:
-            with _busy("looking"):
-                await desk.open(text or ".")
+            await desk.open(text or ".")
         except RealsimError as error:
             _complain(error)
+        finally:
+            note.dismiss()
         refreshed()
 
     async def dropped(event: events.UploadEventArguments) -> None:
@@ -234,7 +237,7 @@ def _looked(look: Work) -> None:
         for line in look.result.get(key) or ():
             ui.label(f"⚠ {line}").classes("text-sm")
     with ui.expansion("everything that was recognised").classes("w-full"):
-        ui.html(f"<pre>{_escaped(_plain(look.result))}</pre>", sanitize=False)
+        ui.html(f"<pre>{escape(_plain(look.result))}</pre>", sanitize=False)
 
 
 def _starter(desk: Desk, action: Action, source: Path, refreshed: Callable[[], None]) -> None:
@@ -400,7 +403,7 @@ def _failure(result: dict[str, Any]) -> None:
     ui.label(str(result.get("message", "it failed"))).classes("text-negative font-medium")
     for key, word in (("file", "file"), ("expected", "expected"), ("found", "found"), ("hint", "do")):
         if result.get(key):
-            ui.html(f"<pre>{word:<9} {_escaped(str(result[key]))}</pre>", sanitize=False)
+            ui.html(f"<pre>{word:<9} {escape(str(result[key]))}</pre>", sanitize=False)
 
 
 def _complain(error: RealsimError) -> None:
@@ -409,32 +412,10 @@ def _complain(error: RealsimError) -> None:
     ui.notify(error.render(), type="negative", multi_line=True, close_button="Close", timeout=0)
 
 
-def _busy(what: str) -> Any:
-    from contextlib import contextmanager
-
-    from nicegui import ui
-
-    @contextmanager
-    def shown() -> Any:
-        note = ui.notification(what, spinner=True, timeout=None)
-        try:
-            yield
-        finally:
-            note.dismiss()
-
-    return shown()
-
-
 def _title(text: str) -> None:
     from nicegui import ui
 
     ui.label(text).classes("text-lg font-medium break-all").props('role="heading" aria-level="2"')
-
-
-def _escaped(text: str) -> str:
-    from html import escape
-
-    return escape(text)
 
 
 def _plain(data: Any, indent: int = 0) -> str:

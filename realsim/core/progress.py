@@ -30,6 +30,7 @@ T = TypeVar("T")
 console = Console(stderr=True)
 _quiet = False
 _pipe: IO[str] | None = None
+_listener: Callable[[str, float], None] | None = None
 _last = ("", 0.0)
 BETWEEN = 0.1
 """Seconds between two lines to a pipe about the same thing."""
@@ -42,8 +43,21 @@ def report_to(pipe: IO[str] | None) -> None:
     _pipe = pipe
 
 
+@contextmanager
+def heard_by(listener: Callable[[str, float], None] | None) -> Iterator[None]:
+    """Progress goes to a function, with what is being done and the share of it that is done, instead of a terminal."""
+    global _listener
+    before, _listener = _listener, listener or _listener
+    try:
+        yield
+    finally:
+        _listener = before
+
+
 def _report(what: str, share: float | None, left: float | None = None) -> None:
     global _last
+    if _listener is not None:
+        _listener(what, share or 0.0)
     if _pipe is None or (share is not None and _last[0] == what and time.monotonic() - _last[1] < BETWEEN):
         return
     _last = (what, time.monotonic())
@@ -61,7 +75,7 @@ def set_quiet(quiet: bool) -> None:
 
 def visible() -> bool:
     """Whether progress is shown: a terminal, and not asked to be quiet."""
-    return not _quiet and console.is_terminal
+    return not _quiet and _listener is None and console.is_terminal
 
 
 def note(text: str) -> None:

@@ -6,6 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from trimesh import creation
+from trimesh.geometry import align_vectors
+from trimesh.transformations import transform_points
 
 from realsim.core.meshes import simplify
 from realsim.core.types import F64
@@ -67,57 +70,41 @@ def _skeleton(model: Any, data: Any, body: int, radius: float) -> list[Solid]:
 
 def rod(a: F64, b: F64, radius: float) -> Solid:
     """A capsule between two points."""
-    V, F = _capsule(radius, float(np.linalg.norm(b - a)) / 2)
-    return V @ _turned(b - a) + (a + b) / 2, F
-
-
-def _turned(z: F64) -> F64:
-    """(3, 3) rows are the axes of a frame whose third axis lies along z: V @ R turns V there."""
-    z = z / max(float(np.linalg.norm(z)), 1e-9)
-    x = np.cross(z, [0.0, 0.0, 1.0] if abs(z[2]) < 0.9 else [1.0, 0.0, 0.0])
-    x /= max(float(np.linalg.norm(x)), 1e-9)
-    return np.stack([x, np.cross(z, x), z])
+    return _placed(_capsule(radius, float(np.linalg.norm(b - a)) / 2), b - a, (a + b) / 2)
 
 
 def ring(centre: F64, axis: F64, radius: float, thickness: float) -> Solid:
     """A torus about an axis."""
-    turn = np.linspace(0, 2 * np.pi, 9)
-    V, F = _surface(np.column_stack([radius + thickness * np.cos(turn), thickness * np.sin(turn)]), 40)
-    return V @ _turned(axis) + centre, F
+    torus = creation.torus(radius, thickness, major_sections=40, minor_sections=8)
+    return _placed((torus.vertices, torus.faces), axis, centre)
 
 
-def _surface(rings: F64, sides: int = 18) -> Solid:
-    """A surface of revolution: (M, 2) radius and height, bottom to top."""
-    turn = 2 * np.pi * np.arange(sides) / sides
-    r, z = rings[:, 0, None], rings[:, 1, None]
-    V = np.stack([r * np.cos(turn), r * np.sin(turn), z + 0 * turn], axis=-1).reshape(-1, 3)
-    i, k = np.meshgrid(np.arange(len(rings) - 1), np.arange(sides), indexing="ij")
-    a, b = (i * sides + k).ravel(), (i * sides + (k + 1) % sides).ravel()
-    return V, np.vstack([np.column_stack([a, b, b + sides]), np.column_stack([a, b + sides, a + sides])])
+def _placed(solid: Solid, axis: F64, centre: F64) -> Solid:
+    """A solid whose third axis is turned to point along `axis`."""
+    V, F = solid
+    return transform_points(V, align_vectors([0, 0, 1], axis)) + centre, F
 
 
 def _capsule(radius: float, half: float) -> Solid:
-    angle = np.linspace(-np.pi / 2, np.pi / 2, 12)
-    side = np.repeat([-half, half], 6)
-    return _surface(np.column_stack([radius * np.cos(angle), radius * np.sin(angle) + side]))
+    made = creation.capsule(2 * half, radius, count=[12, 18])
+    return made.vertices, made.faces
 
 
 def _ball(size: F64) -> Solid:
-    angle = np.linspace(-np.pi / 2, np.pi / 2, 11)
-    V, F = _surface(np.column_stack([np.cos(angle), np.sin(angle)]))
-    return V * size, F
+    made = creation.uv_sphere(count=[11, 18])
+    return made.vertices * size, made.faces
 
 
 def _cylinder(model: Any, g: int) -> Solid:
-    r, h, _ = model.geom_size[g]
-    return _surface(np.array([[0, -h], [r, -h], [r, h], [0, h]]), 24)
+    radius, half, _ = model.geom_size[g]
+    made = creation.cylinder(radius, 2 * half, sections=24)
+    return made.vertices, made.faces
 
 
 def box(model: Any, g: int) -> Solid:
     """A box geom, geom frame."""
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float) * model.geom_size[g]
-    quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
-    return corners, np.vstack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    made = creation.box(2 * model.geom_size[g])
+    return made.vertices, made.faces
 
 
 def mesh(model: Any, g: int) -> Solid:

@@ -126,7 +126,8 @@ def test_the_same_from_python(place: Path) -> None:
 def test_kinds_of_everything(place: Path) -> None:
     kinds = {p.name: kind.name for p in sorted(place.iterdir()) if (kind := recognise(p)) is not None}
     assert kinds == {
-        "case": "case", "frames": "capture", "logs": "recording", "many": "mesh", "nothing": "empty folder", "policy.onnx": "network",
+        "case": "case", "frames": "capture", "logs": "recording", "many": "mesh", "nothing": "empty folder",
+        "policy.onnx": "network",
         "robot.urdf": "model", "robot.xml": "model", "run.csv": "recording", "run.mcap": "bag", "scan.ply": "scan",
         "scan.zip": "archive", "scene": "scene", "stairs.step": "CAD file", "stairs.stl": "mesh",
         "stairs_contact": "contact scene", "tuned": "training run", "walk.mp4": "video",

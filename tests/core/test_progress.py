@@ -84,3 +84,15 @@ def test_bars_of_stages_come_and_go_below_that_of_the_job(monkeypatch: pytest.Mo
     assert "left: a" in shown
     assert "part of c" in shown
     assert "deeper" in shown
+
+
+def test_progress_goes_to_a_function_as_long_as_it_listens() -> None:
+    heard: list[tuple[str, float]] = []
+    with progress.heard_by(lambda what, share: heard.append((what, share))):
+        progress.note("begun")
+        with progress.heard_by(None), whole("all", {"a": 1.0}) as left, steps() as tick:
+            left.begin("a")
+            tick("b", 0.5)
+        assert list(track([1, 2], "c")) == [1, 2]
+    progress.note("nobody listens")
+    assert heard == [("begun", 0.0), ("a", 0.0), ("b", 0.5), ("c", 0.0), ("c", 0.5)]

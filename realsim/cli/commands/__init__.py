@@ -65,6 +65,13 @@ def verdict_lines(verdict: Mapping[str, Any]) -> list[str]:
     ]
 
 
+def sides_said(sides: Mapping[str, Any]) -> str:
+    """How collision geometry stops rays from the side, in words."""
+    if sides["stopped"] is None:
+        return "too few side faces to measure"
+    return f"{sides['stopped']:.1%} of rays from the side stop within 3 cm, {sides['through']:.1%} go through"
+
+
 def strict_exit(verdict: Mapping[str, Any], strict: bool) -> int:
     """The exit code of a verdict."""
     return DO_NOT_USE if strict and verdict["level"] == "bad" else 0

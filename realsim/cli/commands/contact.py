@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from realsim import robots
-from realsim.cli.commands import CommandResult, strict_exit, verdict_lines
+from realsim.cli.commands import CommandResult, sides_said, strict_exit, verdict_lines
 from realsim.cli.commands.many import run_each
 from realsim.core.errors import RealsimError
 from realsim.core.files import output_folder
@@ -52,10 +52,7 @@ def contact(
         files = contact_mesh(mesh, folder, config, unit=unit, up=up, ground_z=ground_z)
         write_contact_page(folder, files)
     c = dict(files.contact)
-    sides, drop = c["sides"], c["drop"]
-    beside = "too few side faces to measure"
-    if sides["stopped"] is not None:
-        beside = f"{sides['stopped']:.1%} of rays from the side stop within 3 cm, {sides['through']:.1%} go through"
+    drop = c["drop"]
     lines = [
         *verdict_lines(c["verdict"]),
         f"scene          {out / 'scene.xml'}",
@@ -66,7 +63,7 @@ def contact(
         f"phantom        {c['phantom_area_cm2']:.0f} cm2, missing {c['missing_area_cm2']:.0f} cm2, "
         f"{c['leaks']} leak{'s' * (c['leaks'] != 1)}",
         f"heights        {drop['phantom_share'] + drop['missing_share']:.1%} off by more than 2 cm",
-        f"sides          {beside}",
+        f"sides          {sides_said(c['sides'])}",
         f"step cost      {c['step_cost_vs_plane']:.2f} times a plane's",
         *(f"mended         {note}" for note in c["mended"]),
         *(f"note           {warning}" for warning in files.warnings),

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from realsim.cli.commands import CommandResult, strict_exit, verdict_lines
+from realsim.cli.commands import CommandResult, sides_said, strict_exit, verdict_lines
 from realsim.core.errors import require
 
 
@@ -22,16 +22,12 @@ def lint(mjcf: Annotated[Path, tyro.conf.Positional], strict: bool = False) -> C
     from realsim.export.lint import lint_mjcf
 
     found = lint_mjcf(mjcf)
-    sides = found["sides"]
-    beside = "too few side faces to measure"
-    if sides["stopped"] is not None:
-        beside = f"{sides['stopped']:.1%} of rays from the side stop within 3 cm, {sides['through']:.1%} go through"
     lines = [
         *verdict_lines(found["verdict"]),
         f"geoms    {found['geoms']}, {len(found['hulls'])} of them hulls that are off their mesh",
         f"error    {found['median_mm']:.1f} mm median, {found['p95_mm']:.1f} mm at the 95th percentile",
         f"phantom  {found['phantom_area_cm2']:.0f} cm2, missing {found['missing_area_cm2']:.0f} cm2",
-        f"sides    {beside}",
+        f"sides    {sides_said(found['sides'])}",
         f"seams    {len(found['seams'])} where parts only meet",
         f"leaks    {found['leaks']} of {found['leak_objects']} balls",
         *(f"hull     {hull['geom']}: off by {hull['off_mm']:.0f} mm" for hull in found["hulls"]),
