@@ -76,7 +76,7 @@ MISTAKES = {
     "contact many --out c": "many/*",
     "contact stairs.stl --out run.csv": "choose another --out",
     "deploy tuned/policy.pt": "policy.onnx beside it",
-    "training report": "realsim finetune",
+    "training report": "realsim help finetune",
     "mcp": "realsim mcp --root",
     "contact robot.xml --out c": "realsim diagnose --init robot.xml",
     "contact stairs.stl --robot unitree_go2 --out c": "menagerie:unitree_go2",
