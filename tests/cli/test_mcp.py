@@ -192,7 +192,7 @@ def test_a_call_ends_at_its_limit_and_a_folder_of_everything_is_refused(
             assert late.is_error
             assert "--minutes" in text(late)
         async with mcp.Client(build(Roots([root]))) as client:
-            assert "not a plain file" in text(await client.call_tool("inspect", {"frames": "pipe.stl"}))
+            assert "neither a file nor a folder" in text(await client.call_tool("inspect", {"frames": "pipe.stl"}))
             monkeypatch.setattr(roots, "MOST_ENTRIES", 1)
             assert "too many files" in text(await client.call_tool("inspect", {"frames": "."}))
 
