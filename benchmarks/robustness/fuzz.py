@@ -260,7 +260,8 @@ def store_rows(rows: list[dict[str, Any]], seed: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", nargs="*", default=list(TARGETS), choices=list(TARGETS))
-    parser.add_argument("--trials", type=int, help="fewer or more of each kind; nothing is stored then")
+    parser.add_argument("--trials", type=int, help="fewer or more of each kind; stored with --store only")
+    parser.add_argument("--store", action="store_true", help="store the counts of --trials too")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--again", action="store_true", help="repeat the trials that failed or were silent")
     parser.add_argument("--show", nargs=2, metavar=("KIND", "NUMBER"), help="run one trial in this process")
@@ -274,7 +275,7 @@ def main() -> None:
         return
     rows = run(arguments.only, arguments.seed, arguments.trials, arguments.work, arguments.again)
     report(rows)
-    if arguments.trials is None:
+    if arguments.trials is None or arguments.store:
         store_rows(rows, arguments.seed)
     if any(row["outcome"] in ("traceback", "hang") for row in rows):
         raise SystemExit(1)
