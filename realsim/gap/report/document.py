@@ -85,7 +85,7 @@ def _banner(found: Diagnosis) -> str:
     todo = f"<p><b>Next:</b> {page.esc(found.advice)}.</p>" if found.advice else ""
     return (
         f'<section class="verdict {said.level}"><div class="word">{said.word}</div>'
-        f"<div><h2>{page.esc(said.headline[:1].upper() + said.headline[1:])}.</h2>"
+        f"<div><h2>{page.esc(found.sentence)}</h2>"
         f"<div {_PARTS}>{''.join(cells)}</div>{todo}</div></section>"
     )
 
