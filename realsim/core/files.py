@@ -112,7 +112,7 @@ def read_json(path: Path) -> Any:
 def parse_json(text: str | bytes, path: Path) -> Any:
     """Parsed JSON; `path` is where it is from, for the error."""
     try:
-        return json.loads(text, parse_int=_whole)
+        return json.loads(text, parse_int=_whole, parse_float=_real)
     except json.JSONDecodeError as error:
         raise RealsimError(
             "broken JSON",
@@ -128,6 +128,13 @@ def _whole(digits: str) -> int:
     if len(digits) > MAX_DIGITS:
         raise ValueError(f"a whole number of {len(digits)} digits")
     return int(digits)
+
+
+def _real(digits: str) -> float:
+    value = float(digits)
+    if value in (float("inf"), -float("inf")):
+        raise ValueError(f"a number beyond 1.8e308: {digits[:30]}")
+    return value
 
 
 def parse_yaml(text: str, path: Path) -> Any:
