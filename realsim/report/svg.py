@@ -292,6 +292,39 @@ def line(series: Sequence[Series], *, x_label: str, y_label: str, height: float 
     return axes.svg()
 
 
+@dataclass(frozen=True)
+class Bar:
+    """A horizontal bar with its name, and an interval if it has one."""
+
+    name: str
+    value: float
+    low: float | None = None
+    high: float | None = None
+    fill: str = color(0)
+    text: str = ""
+    """What stands beside it; the value if empty."""
+
+
+def bars(items: Sequence[Bar], *, x_label: str, x: Range | None = None, row: float = 26) -> str:
+    """Horizontal bars, the first on top, with the name on the left and the value beside the bar."""
+    ends = [v for b in items for v in (b.value, b.low, b.high) if v is not None and math.isfinite(v)]
+    if x is None:
+        low, high = min([0.0, *ends]), max([0.0, *ends])
+        x = (low * 1.12, high * 1.22 if high > 0 else 0.1 * abs(low) or 1.0)
+    n = len(items)
+    left = min(150, 14 + 6.4 * max(len(b.name) for b in items))
+    names = [(n - 1 - i, b.name) for i, b in enumerate(items)]
+    axes = Axes(x, (-0.5, n - 0.5), height=row * n + 46, x_label=x_label, left=left, y_ticks=names)
+    for i, b in enumerate(items):
+        y = n - 1 - i
+        axes.bar(y, b.value, b.fill, title=f"{b.name}: {number(b.value)}")
+        if b.low is not None and b.high is not None:
+            axes.whisker(y, b.low, b.high, "var(--ink)")
+        end = max(v for v in (b.value, b.high, 0.0) if v is not None)
+        axes.text(end, y, b.text or number(b.value), anchor="start", dx=5, dy=4)
+    return axes.svg()
+
+
 def stacked(parts: Sequence[tuple[str, float]], *, unit: str) -> str:
     """One bar cut into named shares (time by stage), with a legend that gives each figure."""
     total = sum(v for _, v in parts) or 1.0
