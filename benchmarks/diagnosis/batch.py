@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import shutil
 import subprocess
 import sys
 import time
@@ -75,7 +74,11 @@ def main() -> int:
 def score(args: argparse.Namespace) -> int:
     """Rows of the contracts, the unseen robots and the flights."""
     if (args.out / "contract.json").is_file():
-        shutil.copy(args.out / "contract.json", RESULTS / "gap_contract.json")
+        contracts = Store(args.out / "contract.json", ("policy", "kind", "seed"))
+        for row in contracts.rows:  # small: what was said of right answers is known
+            row.pop("sentence" if row["right"] else "", None)
+        contracts.path = RESULTS / "gap_contract.json"
+        contracts.save()
     for part, store in (("put_in", Store(RESULTS / "gap_put_in.json", ("case",))),
                         ("flights", Store(RESULTS / "gap_flights.json", ("case",)))):  # fmt: skip
         store.rows = []
@@ -83,9 +86,8 @@ def score(args: argparse.Namespace) -> int:
         for folder in sorted(f for f in (args.out / part).glob("*/*") if f.parent.name != "cases"):
             found, name = read(Job(folder, folder)), folder.name
             if found is not None:
-                store.add(
-                    put_in.scored(name, labels[name][1], found) if part == "put_in" else flights.judged(name, found)
-                )
+                row = put_in.scored(name, labels[name][1], found) if part == "put_in" else flights.judged(name, found)
+                store.add({k: v for k, v in row.items() if k not in ("settings", "said", "alike", "equivalent")})
     return 0
 
 
