@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
+from importlib import import_module
+from pkgutil import iter_modules
 
 import numpy as np
 import pytest
 
-from realsim.gap import EFFECTS, Case, DiagnoseConfig, load_case
+from realsim.gap import EFFECTS, Case, DiagnoseConfig, effects, load_case
+from realsim.gap.effects.base import Effect
 from realsim.gap.inference.causes.fit import Cause, Fitter
 from realsim.gap.inference.causes.leftover import deviations, is_gap, leftover
 from realsim.gap.inference.causes.proposals import by_simulation
@@ -205,6 +207,6 @@ def test_nothing_is_found_where_nothing_is(arm: Case) -> None:
         assert not is_gap(leftover(screen, Fitter(screen).nominal()))
 
 
-def test_the_folder_of_the_library_holds_every_effect() -> None:
-    files = {p.stem for p in (Path(__file__).parents[2] / "realsim" / "gap" / "effects").glob("*.py")}
-    assert set(EFFECTS) <= files
+def test_the_library_names_every_effect_that_its_files_define() -> None:
+    files = [import_module(f"{effects.__name__}.{m.name}") for m in iter_modules(effects.__path__)]
+    assert {e.name for file in files for e in vars(file).values() if isinstance(e, Effect)} == set(EFFECTS)

@@ -1,4 +1,4 @@
-"""The library of effects: one file an effect, one line here; a package of your own adds more (`realsim.effects`)."""
+"""The library of effects: a file a law, one line here an effect; your own packages add more (`realsim.effects`)."""
 
 from __future__ import annotations
 
