@@ -440,7 +440,7 @@ def record(path: Path, policy: str, facts: export.Deployment, wrong: Wrong, seed
             continue
         data = {k: np.array([r[k] for r in rows]) for k in rows[0]}
         if policy == "realsim":  # told straight ahead, faster over the first two seconds
-            asked = 0.02 * np.arange(len(rows)) // wrong.every
+            asked = 0.02 * (np.arange(len(rows)) // wrong.every)
             data["told"] = np.outer(config.speed * np.minimum(asked / config.ramp, 1.0), [1.0, 0.0, 0.0])
         # The torque that the servos give in a row is that of the row before, as a driver reports it.
         stamps = (0.02 * np.arange(len(rows)) + rng.normal(0, 2e-4, len(rows))) / wrong.faster

@@ -104,7 +104,7 @@ def _rates(contract: Contract, steps: Steps, rows: int, notes: list[str]) -> Ite
     short = {r.name for r in steps.runs} - {r.name for s in long for r in s.runs}
     if short:
         notes.append(f"runs too short for the policy's history are left out: {', '.join(sorted(short)[:3])}")
-    half = max(rows // 2, least)
+    half = max(rows // 2 + contract.memory - contract.history, least)  # images from before are no rows to judge
     return (Problem(contract, liveliest(s, 2 * half, half)) for s in long if s.runs)
 
 

@@ -84,3 +84,9 @@ class Contract:
     def history(self) -> int:
         """Moments of the longest term."""
         return max(t.history for t in self.terms)
+
+    @property
+    def memory(self) -> int:
+        """Policy steps that one observation covers, depth images included."""
+        images = 0 if self.camera is None else (self.camera.shape[0] - 1) * self.camera.stride + 1
+        return max(self.history, images)

@@ -78,7 +78,7 @@ class Problem:
         self.contract, self.steps = contract, steps
         self.open = 0.0
         """Share of the spread that inputs which are not logged leave open: a mistake has to stand out of it."""
-        skip = contract.history
+        skip = contract.memory
         self.skip = [min(skip, max(len(r.time) - 20, 0)) for r in steps.runs]
         self.commands = commands(contract, steps)
         sent = np.concatenate([c[k:] for c, k in zip(self.commands, self.skip, strict=True)])

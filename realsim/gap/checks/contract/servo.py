@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from realsim.core.types import F64
 from realsim.gap.checks.contract.policy import Contract
@@ -13,8 +14,8 @@ from realsim.gap.checks.contract.search import FLOOR, PRICE
 from realsim.gap.checks.contract.steps import LEAST, Run, Steps
 
 EXPLAINED = 0.5
-"""Rms share of a torque that the servo's law may leave, with gains of its own, for those gains to be believed: a
-quarter of the variance."""
+"""Rms share of a torque that the servo's law may leave, with gains of its own, and of a joint's way from row to row
+that its velocities may leave, for those gains to be believed: a quarter of the variance."""
 SAME = 0.15
 """Relative difference below which a gain is as it should be: rounding, how well drives know their torque, and rows that
 miss what a stiff joint does between them (up to 0.11 at 50 Hz on the simulated quadruped)."""
@@ -34,13 +35,16 @@ def check_gains(contract: Contract, steps: Steps) -> str | None:
     order = [steps.joints.index(j) for j in contract.joints]
     n = len(order)
     # A drive reports the torque of a moment between two rows: the one that explains all joints best.
-    rows = min((_rows(contract, runs, order, late, age) for late in (0, 1) for age in AGES), key=_left)
+    moments = [_rows(contract, runs, order, late, age) for late in (0, 1) for age in AGES]
+    rows = min(moments, key=_left)
     kp, kd, off, believed = np.ones(n), np.ones(n), np.zeros(n, bool), np.zeros(n, bool)
     for i, (x, y) in enumerate(rows):
         floor = max(FLOOR * float(np.std(y)), 1e-9)
-        found = np.linalg.lstsq(x, y, rcond=None)[0]
-        after, before = (float(np.sqrt(np.mean((y - g) ** 2) + floor**2)) for g in (x @ found, x.sum(axis=1)))
-        believed[i] = after < EXPLAINED * max(float(np.std(y)), 1e-9)
+        found = _gains(x, y, floor)
+        after = _scale(y - x @ found, floor)
+        # A damping that readings of another moment explain as well is none: kp times the way of a part of a row.
+        before = min(_scale(m[i][1] - m[i][0].sum(axis=1), floor) for m in moments)
+        believed[i] = after < EXPLAINED * max(float(np.std(y)), 1e-9) and _resolved(runs, order[i])
         off[i] = believed[i] and np.log(before / after) > PRICE
         # No difference: an interval of three sigma that includes 1, or less than the share that the law leaves.
         least = np.maximum(
@@ -59,6 +63,24 @@ def check_gains(contract: Contract, steps: Steps) -> str | None:
         return None
     both = bool(np.all(np.abs(kp - kd)[off] < SAME))
     return " and ".join(words) + (" (or torques are reported by that factor)" if both else "")
+
+
+def _resolved(runs: Sequence[Run], j: int) -> bool:
+    """Whether the rows show the motion: a joint that turns back between them has no damping in them."""
+    way = np.concatenate([np.diff(r.pos[:, j]) for r in runs])
+    of_velocity = np.concatenate([(r.vel[1:, j] + r.vel[:-1, j]) / 2 * np.diff(r.time) for r in runs])
+    return bool(np.sum((way - of_velocity) ** 2) < EXPLAINED**2 * np.sum(way**2))
+
+
+def _gains(x: F64, y: F64, floor: float) -> F64:
+    """(2,) ratios to the contract's gains, from the contract's, under a Cauchy loss: a limit or a blow is no gain."""
+    scale = _scale(y - x.sum(axis=1), floor)
+    return np.asarray(least_squares(lambda g: y - x @ g, np.ones(2), jac=lambda g: -x, loss="cauchy", f_scale=scale).x)
+
+
+def _scale(rest: F64, floor: float) -> float:
+    """The standard deviation that a normal distribution of the same median size has, and the floor's."""
+    return float(np.hypot(1.4826 * np.median(np.abs(rest)), floor))
 
 
 Rows = list[tuple[F64, F64]]
