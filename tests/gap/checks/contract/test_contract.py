@@ -51,7 +51,9 @@ def loop(
     count = 240
     t = 0.02 * np.arange(count)[:, None]
     waves = lambda n, size: size * np.sin(2 * np.pi * rng.uniform(0.3, 2, n) * t + rng.uniform(0, 6, n))  # noqa: E731
-    pos, vel, gyro = contract.default + waves(6, 0.3), waves(6, 2.0), waves(3, 0.8)
+    rate, phase = 2 * np.pi * rng.uniform(0.3, 2, 6), rng.uniform(0, 6, 6)
+    pos, vel = contract.default + 0.3 * np.sin(rate * t + phase), 0.3 * rate * np.cos(rate * t + phase)
+    gyro = waves(3, 0.8)
     tilt = waves(3, 0.2)
     quat = np.concatenate([np.ones((count, 1)), tilt], axis=1)
     quat /= np.linalg.norm(quat, axis=1, keepdims=True)
