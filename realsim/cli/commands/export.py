@@ -15,8 +15,8 @@ from realsim.export import ALL, EXPORTERS, export_scene
 from realsim.jobs import ManyConfig
 from realsim.results import said_of_edited
 
-FORMATS = "all|mjcf,warp,usd,urdf,sdf,terrain,glb,obj,stl,ply,heightmap,foxglove"
-"""What --help shows; a test holds it to EXPORTERS."""
+FORMATS = f"{ALL}|{','.join(EXPORTERS)}"
+"""What --help shows."""
 
 
 def export(
