@@ -85,7 +85,7 @@ def test_help_lists_the_choices_there_are() -> None:
         "synth": {"terrain": [*TERRAINS, *PLACES]},
         "demo": {"terrain": TERRAINS, "robot": [*OWN_ROBOTS, "menagerie:NAME"]},
         "export": {"to": EXPORTERS},
-        "finetune": {"strategy": STRATEGIES, "engine": ENGINES, "trainer": BUILT_IN, "robot": ROBOTS},
+        "finetune": {"strategy": STRATEGIES, "engine": ENGINES, "trainer": BUILT_IN, "robot": [*ROBOTS, "FILE.toml"]},
         "evaluate": {"engine": ENGINES},
         "contact": {"executor": EXECUTORS},
     }

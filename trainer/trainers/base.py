@@ -40,8 +40,8 @@ class Scene:
 class TrainConfig:
     """Options of training; every trainer supports it, or names the options that it does not."""
 
-    robot: Annotated[str, tyro.conf.arg(metavar="{g1,go2,quadruped}")] = ""
-    """Robot of a new policy (g1, quadruped, ...); a given policy brings its own."""
+    robot: Annotated[str, tyro.conf.arg(metavar="{g1,go2,quadruped,FILE.toml}")] = ""
+    """Robot of a new policy: a name, or a file of `realsim robot new`; a given policy brings its own."""
     strategy: Annotated[str, tyro.conf.arg(metavar="{full,adapter,residual,last_layer}")] = ""
     """What fine-tuning changes: full (if not given), adapter, residual, last_layer."""
     worlds: int = 0
