@@ -50,6 +50,7 @@ class Registry(Mapping[str, Any]):
                 f"the {self.kind} {name!r} of an installed package cannot be loaded",
                 expected=f"{self._entries[name]} (entry point of the group {self.group})",
                 found=str(error),
+                hint="mend that package and install it again, or uninstall it",
             ) from error
 
     def joined(self, more: Mapping[str, str]) -> Registry:
