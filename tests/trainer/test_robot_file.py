@@ -130,6 +130,14 @@ def test_limits_of_a_urdf_are_taken(tmp_path: Path) -> None:
     np.testing.assert_allclose(robot.lower[1::2], -2.5)
 
 
+def test_legs_that_are_bent_for_the_default_pose_are_not_called_straight(tmp_path: Path) -> None:
+    for text, name, says in ((urdf(), "dog.urdf", "mid-range"), (mjcf(), "dog.xml", "key frame 'home'")):
+        (tmp_path / name).write_text(text)
+        found, reasons = guess(tmp_path / name, tmp_path / "dog.toml")
+        assert any(joint.default for joint in found.joints.values())
+        assert says in reasons["joints"]
+
+
 def test_flat_feet_have_a_sole(tmp_path: Path) -> None:
     robot = made(tmp_path, biped())
     assert robot.torso == "torso"
