@@ -75,7 +75,9 @@ def guess(path: Path, out: Path) -> tuple[RobotFile, dict[str, str]]:
     if not keyed.nkey and len(feet) > 2:  # two feet are flat, and stand as they are
         home = _feet_below_hips(model, home, feet)
         if any(home.values()):
-            reasons["joints"] = "default: no key frame, so zero, or mid-range where limits exclude zero; feet below hips"
+            reasons["joints"] = (
+                "default: no key frame, so zero, or mid-range where limits exclude zero; feet below hips"
+            )
     data = in_pose(model, home)
     servos, limits = {}, _urdf_limits(path)
     load = float(model.body_subtreemass[0]) * 9.81 * standing_height(model, home) / 2
