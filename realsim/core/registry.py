@@ -39,7 +39,8 @@ class Registry(Mapping[str, Any]):
 
     def __getitem__(self, name: str) -> Any:
         if name not in self._entries:
-            raise UnknownNameError(self.kind, name, self._entries)
+            hint = f"install the package that adds it (entry point of the group {self.group})" if self.group else None
+            raise UnknownNameError(self.kind, name, self._entries, hint=hint)
         module, _, attribute = self._entries[name].partition(":")
         if name in self.own:
             return getattr(import_module(module), attribute)
