@@ -20,7 +20,7 @@ from realsim.cli.table import commands, find
 from realsim.core.engine import check_mujoco
 from realsim.core.errors import RealsimError, explain_missing_packages, require
 from realsim.core.files import to_json
-from realsim.core.progress import console, set_quiet
+from realsim.core.progress import console, forget_interrupt, interrupt, set_quiet
 from realsim.core.recognise import TAKES, explain_inputs
 
 
@@ -33,8 +33,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     set_quiet(_take(arguments, "--quiet") or as_json or not sys.stderr.isatty())
     # Telemetry of a dependency stays off whatever the command.
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
-    with contextlib.suppress(ValueError):
-        signal.signal(signal.SIGTERM, _interrupt)
+    forget_interrupt()
+    with contextlib.suppress(ValueError):  # not the main thread
+        signal.signal(signal.SIGTERM, interrupt)
+        if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
+            signal.signal(signal.SIGINT, interrupt)
     try:
         text, code = _answered(arguments, as_json)
         return code if _write(sys.stdout, text) else 2
@@ -169,7 +172,3 @@ def _take_value(arguments: list[str], flag: str) -> str | None:
             del arguments[i : i + 2]
             return taken[0]
     return None
-
-
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt

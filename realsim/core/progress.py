@@ -32,6 +32,7 @@ _quiet = False
 _pipe: IO[str] | None = None
 _listener: Callable[[str, float], None] | None = None
 _last = ("", 0.0)
+_interrupted = False
 BETWEEN = 0.1
 """Seconds between two lines to a pipe about the same thing."""
 
@@ -54,8 +55,29 @@ def heard_by(listener: Callable[[str, float], None] | None) -> Iterator[None]:
         _listener = before
 
 
+def interrupt(*_: object) -> None:
+    """Handler of a signal: ends what runs by KeyboardInterrupt, at the next progress if a package swallows it, as some
+    do while they are imported."""
+    global _interrupted
+    _interrupted = True
+    raise KeyboardInterrupt
+
+
+def forget_interrupt() -> None:
+    """A command begins."""
+    global _interrupted
+    _interrupted = False
+
+
+def _end_if_interrupted() -> None:
+    if _interrupted:
+        forget_interrupt()
+        raise KeyboardInterrupt
+
+
 def _report(what: str, share: float | None, left: float | None = None) -> None:
     global _last
+    _end_if_interrupted()
     if _listener is not None:
         _listener(what, share or 0.0)
     if _pipe is None or (share is not None and _last[0] == what and time.monotonic() - _last[1] < BETWEEN):
@@ -104,6 +126,7 @@ def track(items: Iterable[T], what: str, total: int | None = None) -> Iterator[T
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(what, total=total)
         for item in items:
+            _end_if_interrupted()
             yield item
             bar.advance(task)
 
@@ -129,6 +152,7 @@ def steps() -> Iterator[Callable[[str, float], None]]:
         tasks: dict[str, TaskID] = {}
 
         def tick(what: str, share: float) -> None:
+            _end_if_interrupted()
             for name, task in tasks.items():
                 if name != what:
                     bar.update(task, completed=1.0)

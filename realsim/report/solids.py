@@ -6,9 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from trimesh import creation
-from trimesh.geometry import align_vectors
-from trimesh.transformations import transform_points
 
 from realsim.core.meshes import simplify
 from realsim.core.types import F64
@@ -75,36 +72,41 @@ def rod(a: F64, b: F64, radius: float) -> Solid:
 
 def ring(centre: F64, axis: F64, radius: float, thickness: float) -> Solid:
     """A torus about an axis."""
-    torus = creation.torus(radius, thickness, major_sections=40, minor_sections=8)
-    return _placed((torus.vertices, torus.faces), axis, centre)
+    return _placed(_made("torus", radius, thickness, major_sections=40, minor_sections=8), axis, centre)
+
+
+def _made(kind: str, *sizes: Any, **counts: Any) -> Solid:
+    from trimesh import creation  # here, because --help does not wait for it
+
+    found = getattr(creation, kind)(*sizes, **counts)
+    return found.vertices, found.faces
 
 
 def _placed(solid: Solid, axis: F64, centre: F64) -> Solid:
     """A solid whose third axis is turned to point along `axis`."""
+    from trimesh.geometry import align_vectors
+
     V, F = solid
-    return transform_points(V, align_vectors([0, 0, 1], axis)) + centre, F
+    return V @ align_vectors([0, 0, 1], axis)[:3, :3].T + centre, F
 
 
 def _capsule(radius: float, half: float) -> Solid:
-    made = creation.capsule(2 * half, radius, count=[12, 18])
-    return made.vertices, made.faces
+    return _made("capsule", 2 * half, radius, count=[12, 18])
 
 
 def _ball(size: F64) -> Solid:
-    made = creation.uv_sphere(count=[11, 18])
-    return made.vertices * size, made.faces
+    V, F = _made("uv_sphere", count=[11, 18])
+    return V * size, F
 
 
 def _cylinder(model: Any, g: int) -> Solid:
     radius, half, _ = model.geom_size[g]
-    made = creation.cylinder(radius, 2 * half, sections=24)
-    return made.vertices, made.faces
+    return _made("cylinder", radius, 2 * half, sections=24)
 
 
 def box(model: Any, g: int) -> Solid:
     """A box geom, geom frame."""
-    made = creation.box(2 * model.geom_size[g])
-    return made.vertices, made.faces
+    return _made("box", 2 * model.geom_size[g])
 
 
 def mesh(model: Any, g: int) -> Solid:

@@ -13,9 +13,10 @@ from realsim.gap import Case, DiagnoseConfig, diagnose, figures, load_case
 from realsim.gap.answer.conclusion import _again, _beside_imitations, _fitted, _lasting, _told_from_none
 from realsim.gap.answer.diagnosis import Diagnosis
 from realsim.gap.answer.leaveout import better, discrepancy, leave_out
-from realsim.gap.inference.causes.fit import Cause, Fitter
+from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
 from realsim.gap.inference.causes.leftover import leftover
 from realsim.gap.inference.causes.score import asked
+from realsim.gap.inference.causes.select import Selection
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.screen import Screen
 from realsim.gap.simulation.simulate import Simulator
@@ -124,12 +125,16 @@ def test_a_model_that_stays_wrong_widens_its_intervals(arm: Case, sticky: Case) 
     assert sigmas[1] > 1.4 * sigmas[0]
 
 
+def chosen(fitter: Fitter, fit: Fit) -> Selection:
+    return Selection(fit, fitter.nominal(), [], [], {}, [])
+
+
 def test_a_cause_that_left_out_runs_do_not_need_is_taken_out(fitter: Fitter) -> None:
     """A third cause of 0.3 N for 1.4 s stood beside two right ones on a real log."""
     both = fitter.fit([cause(fitter, "coulomb_friction", 3.0), cause(fitter, "viscous_friction", 0.001)], iterations=1)
     assert both is not None
     notes: list[str] = []
-    fit, left, _ = _lasting(fitter.screen, fitter, both, notes)
+    fit, left, _ = _lasting(fitter.screen, fitter, chosen(fitter, both), notes)
     assert [c.candidate.effect for c in fit.causes] == ["coulomb_friction"]
     assert left is not None
     assert "left-out runs do not need it" in notes[0]
@@ -140,7 +145,7 @@ def test_a_single_cause_is_left_to_the_check(fitter: Fitter) -> None:
     wrong = fitter.looked_at(fitter.nominal(), [cause(fitter, "stiffness_gain", -1.5)])
     assert wrong is not None
     notes: list[str] = []
-    fit, left, _ = _lasting(fitter.screen, fitter, wrong, notes)
+    fit, left, _ = _lasting(fitter.screen, fitter, chosen(fitter, wrong), notes)
     assert fit is wrong
     assert left is not None
     assert not notes

@@ -226,7 +226,8 @@ def test_randomised_parameters_lie_in_their_ranges():
         assert drawn.max() <= high
         assert drawn.std() > 0
     assert set(params.delay_steps.tolist()) == {0, 1, 2, 3, 4}
-    assert all(getattr(params, f.name) is not None for f in fields(params))
+    # Softer ground is an option: nobody asked for it.
+    assert [f.name for f in fields(params) if getattr(params, f.name) is None] == ["contact_time"]
 
 
 def test_every_world_is_pushed_once_in_a_period():
