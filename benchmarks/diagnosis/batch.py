@@ -75,7 +75,7 @@ def score(args: argparse.Namespace) -> int:
     """Rows of the contracts, the unseen robots and the flights."""
     if (args.out / "contract.json").is_file():
         contracts = Store(args.out / "contract.json", ("policy", "kind", "seed"))
-        for row in contracts.rows:  # small: what was said of right answers is known
+        for row in contracts.rows:  # the sentences of right answers would double the file
             row.pop("sentence" if row["right"] else "", None)
         contracts.path = RESULTS / "gap_contract.json"
         contracts.save()

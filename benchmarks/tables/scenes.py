@@ -154,7 +154,7 @@ def contact() -> list[str]:
 
 
 def clean_meshes() -> list[str]:
-    """Clean meshes of many kinds: verdict, parts, and what stays stuck in a test with balls and capsules."""
+    """Clean meshes of many kinds: verdict, parts, and what gets stuck in a test with balls and capsules."""
     lines = [
         "| mesh | verdict | parts | leaks | 95 %, mm | cost | stuck of dropped |",
         "|---|---|---:|---:|---:|---:|---|",

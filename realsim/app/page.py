@@ -52,7 +52,7 @@ class Desk:
             RealsimError: no such path below the folder.
         """
         path = self.roots.source(text)
-        # What nothing tells is looked at as a capture, whose reader says what is missing.
+        # An input of no known kind is read as a capture, whose reader says what is missing.
         self.opened, self.preview, self.look = path, Preview(), None
         self.kind = recognise(path) or KINDS["capture"]
         command, _ = WAYS.get(self.kind.name, ((), ()))

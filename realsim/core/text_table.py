@@ -1,6 +1,7 @@
 """Tables of text: `,` `;` tab or blanks between cells; cells may be empty, text, lists (`[0.1, 0.2]`) or times of day.
 
-Lines before the header, a line of units below it, and a header that is missing are told by where the numbers begin.
+Lines before the header, a line of units below it, and a header that is missing are recognised by where the numbers
+begin.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from realsim.core.files import check_size
 from realsim.core.types import F64
 
 MAX_BYTES = 2 * 2**30
+"""A budget: larger files are refused before they are read."""
 MAX_WIDTH = 256
 """Items of one cell; beyond, it is a picture, a cloud or a map."""
 BLOCK = 50_000
@@ -28,6 +30,7 @@ BLOCK = 50_000
 PREAMBLE = 60
 """Lines in which the numbers must begin."""
 ENCODINGS = ("utf-8-sig", "cp1252")
+"""In the order in which they are tried; cp1252 is what spreadsheets on Windows write."""
 EMPTY = ("", "nan", "null", "none", "na", "n/a", "-")
 """How a cell says that there is no number."""
 _BLANKS = re.compile(r"(?:^#)?[ ]+")

@@ -27,7 +27,7 @@ from realsim.feedforward.onnx.adapters.base import (
 
 
 def from_pointmap(found: Mapping[str, NDArray], call: Call) -> Prediction:
-    """Where the model has a second head for world points, how far the two disagree is told, and nothing else."""
+    """Where the model has a second head for world points, only how far the two disagree is reported."""
     points = as_maps("local_points", found["local_points"], call, 3)
     T = read_poses(found["pose"], call)
     prediction = posed(points, T, found, call)
