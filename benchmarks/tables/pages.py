@@ -52,6 +52,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "pushes": policies.pushed,
     "tests": policies.tests,
     "all tests at once": policies.all_at_once,
+    "in a minute": policies.in_a_minute,
     "worlds": policies.by_worlds,
     "help": policies.helped,
     "trials": policies.trials_by_rule,
