@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property, wraps
+from typing import TYPE_CHECKING, Any
 
-from realsim.core.errors import GapError
+from realsim.core.errors import GapError, RealsimError
 from realsim.core.registry import Registry
 
 if TYPE_CHECKING:
@@ -14,7 +17,13 @@ if TYPE_CHECKING:
 class Effects(Registry):
     """Effects by name; those of installed packages are checked when they are first used."""
 
+    @cached_property
+    def _foreign(self) -> dict[str, Effect]:
+        return {}
+
     def __getitem__(self, name: str) -> Effect:
+        if name in self._foreign:
+            return self._foreign[name]
         effect = super().__getitem__(name)
         if name not in self.own:
             from realsim.gap.effects.base import Effect
@@ -25,7 +34,39 @@ class Effects(Registry):
                     expected=f"a realsim.gap.effects.base.Effect with the name {name!r}",
                     found=f"an effect {effect.name!r}" if isinstance(effect, Effect) else repr(effect)[:80],
                 )
+            effect = self._foreign[name] = _guarded(effect, self._entries[name])
         return effect
+
+
+def _guarded(effect: Effect, home: str) -> Effect:
+    """A package's effect whose failures name the effect and the package; no GapError, after which a search goes on
+    without the effect."""
+
+    def guarded(what: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(function)
+        def call(*args: Any) -> Any:
+            try:
+                return function(*args)
+            except RealsimError:
+                raise
+            except Exception as error:
+                raise RealsimError(
+                    f"{what} of the effect {effect.name!r} fails",
+                    expected="no exception, but GapError where its values make no model",
+                    found=f"{type(error).__name__}: {error}, in {home} (entry point of the group realsim.effects)",
+                    hint="mend that package and install it again, or uninstall it; --effects names those to consider",
+                ) from error
+
+        return call
+
+    return replace(
+        effect,
+        where=replace(effect.where, find=guarded("`where`", effect.where.find)),
+        parameters=guarded("`parameters`", effect.parameters),
+        apply=guarded("`apply`", effect.apply),
+        excited_by=guarded("`excited_by`", effect.excited_by),
+        rivals=replace(effect.rivals, suggest=guarded("`rivals.suggest`", effect.rivals.suggest)),
+    )
 
 
 _SHARED = {

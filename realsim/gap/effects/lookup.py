@@ -64,18 +64,11 @@ def explain(effect: str) -> str:
         return "\n".join(f"{name:{width}}  {EFFECTS[name].words.description}" for name in EFFECTS)
     e = EFFECTS[effect]
     how = "in the model (model.xml, apply_patch)" if e.patchable else "a wrapper around the simulator (see the patch)"
-    return "\n".join(
-        [
-            f"{e.name}: {e.title}, acts {_WHERE[e.scope]}",
-            "",
-            e.words.description,
-            "",
-            f"looks like:  {e.words.signature}",
-            f"excited by:  {'; '.join(e.words.excitation)}",
-            *(f"told by:     {d.record}, from {d.rival}" for d in e.words.told_by),
-            f"in a patch:  {how}",
-        ]
-    )
+    rows = [("looks like", e.words.signature), ("excited by", "; ".join(e.words.excitation))]
+    rows += [("told by", f"{d.record}, from {d.rival}") for d in e.words.told_by]
+    parts = [f"{e.name}: {e.title}, acts {_WHERE.get(e.scope, f'on a {e.scope}')}", e.words.description]
+    parts.append("\n".join(f"{label + ':':<12} {text}" for label, text in [*rows, ("in a patch", how)] if text))
+    return "\n\n".join(filter(None, parts))
 
 
 def places_of(cause: Mapping[str, Any]) -> list[str]:
