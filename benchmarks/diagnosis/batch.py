@@ -55,19 +55,17 @@ def main() -> int:
     if "put_in" in args.parts:
         jobs += [Job(f, work / "put_in" / engine() / n) for n, (f, _) in put_in.labelled(args.shared).items()]
     if "flights" in args.parts:
-        folder = work / "flights"
-        jobs += [Job(folder / "cases" / n, folder / engine() / n) for n in flights.make(args.shared, folder / "cases")]
-    if "fresh" in args.parts:
-        jobs += fresh(args, work / "fresh" / "as_drawn")
-    minutes = args.minutes - (time.monotonic() - began) / 60
-    diagnose_all([replace(job, seconds=args.seconds) for job in jobs], args.jobs, minutes)
-    minutes = args.minutes - (time.monotonic() - began) / 60
-    if "real" in args.parts and minutes > 1:
+        jobs += flights.jobs(args.shared, work / "flights").values()
+    drawn = fresh(args, work / "fresh" / "as_drawn") if "fresh" in args.parts else []
+    jobs += [job for job, walks in drawn if not walks]
+    if "real" in args.parts:
         options = argparse.Namespace(work=work / "real", shared=args.shared, jobs=args.jobs, seed=1, cases=20)
         names = [n for n, log in LOGS.items() if log.part == "report"]
         real.make(options, names)
-        minutes = args.minutes - (time.monotonic() - began) / 60
-        diagnose_all([real.job(options.work, n) for n in real.read_labels(options.work, names)], args.jobs, minutes)
+        jobs += [real.job(options.work, n) for n in real.read_labels(options.work, names)]
+    jobs += [job for job, walks in drawn if walks]  # the longest last
+    minutes = args.minutes - (time.monotonic() - began) / 60
+    diagnose_all([replace(job, seconds=args.seconds) for job in jobs], args.jobs, minutes)
     return 0
 
 
@@ -91,15 +89,14 @@ def score(args: argparse.Namespace) -> int:
     return 0
 
 
-def fresh(args: argparse.Namespace, folder: Path) -> list[Job]:
-    """Cases of a seed that nothing was developed on; those of walking robots, which take longest, first."""
+def fresh(args: argparse.Namespace, folder: Path) -> list[tuple[Job, bool]]:
+    """Cases of a seed that nothing was developed on, and whether their robots walk."""
     draws = list(enumerate(plan(args.cases, args.seed)))
     with ProcessPoolExecutor(args.jobs) as pool:
         for line in pool.map(make_labelled, *zip(*draws, strict=True), [folder] * len(draws)):
             print(line, flush=True)
     labels = read_labels(folder)
-    order = sorted(labels, key=lambda n: labels[n]["robot"] not in ("g1", "quadruped"))
-    return [Job(folder / "cases" / n, folder / "out" / n) for n in order]
+    return [(Job(folder / "cases" / n, folder / "out" / n), labels[n]["robot"] in ("g1", "quadruped")) for n in labels]
 
 
 if __name__ == "__main__":

@@ -2,10 +2,10 @@
 
     python benchmarks/diagnosis/flights.py --jobs 2          # needs the flights (shared/real_logs/crazypad)
 
-The model is the published one; of each drone, every other normal flight gives its mass and the place of its centre of
-mass, by the mean thrusts, so that what is left is what was done to the drone (and the battery, which falls by a few
-per cent from flight to flight). The other flights are diagnosed, in windows of two seconds; three without the yaw in
-their log (propeller cut by 3 mm, E8) are not.
+The model is the published one; of each drone, every other normal flight gives its mass, the place of its centre of mass
+and how its propellers' drags differ, by the mean thrusts in the air, so that what is left is what was done to the drone
+(and the battery, which falls by a few per cent from flight to flight). The other flights are diagnosed, in windows of
+two seconds in the air; three without the yaw in their log (propeller cut by 3 mm, E8) are not.
 """
 
 from __future__ import annotations
@@ -54,18 +54,32 @@ def main() -> int:
     parser.add_argument("--work", type=Path, default=Path("out/gap_flights"))
     parser.add_argument("--store", type=Path, help="rows (default: rows.json in --work)")
     args = parser.parse_args()
-    names = [n for n in make(args.shared, args.work / "cases") if not args.only or any(o in n for o in args.only)]
-    jobs = {n: Job(args.work / "cases" / n, args.work / engine() / n) for n in names}
-    diagnose_all(list(jobs.values()), args.jobs, args.minutes)
+    wanted = jobs(args.shared, args.work)
+    wanted = {n: job for n, job in wanted.items() if not args.only or any(o in n for o in args.only)}
+    diagnose_all(list(wanted.values()), args.jobs, args.minutes)
     store = Store(args.store or args.work / "rows.json", ("case", "engine"))
-    rows = [store.add(judged(n, found)) for n, job in jobs.items() if (found := read(job)) is not None]
+    rows = [store.add(judged(n, found)) for n, job in wanted.items() if (found := read(job)) is not None]
     for r in rows:
-        print(f"{r['case']:<44} {r['verdict']:<17} {r['kind']:<8} {'; '.join(r['sizes'])}")
+        print(f"{r['case']:<44} {r['verdict']:<17} {r['kind']:<8} {'; '.join(r['sizes'])}\n"
+              f"{'':<44} since a normal flight: {r['since']}, {'; '.join(r['changes'])}")  # fmt: skip
     damaged, normal = [r for r in rows if r["truth"]], [r for r in rows if not r["truth"]]
-    print(f"kind right {sum(r['kind_right'] for r in rows)}/{len(rows)}; arm {sum(r['arm_right'] for r in damaged)}"
-          f"/{len(damaged)}; normal flights without a name {sum(r['kind_right'] for r in normal)}/{len(normal)}; "
-          f"verdicts {dict(Counter(r['verdict'] for r in rows))}")  # fmt: skip
+    for what, right, place in (("named", "kind_right", "arm_right"), ("changed", "change_right", "change_arm_right")):
+        rightly = [f"{sum(r[flag] for r in damaged)}/{len(damaged)}" for flag in (right, place)]
+        silent = f"{sum(r[right] for r in normal)}/{len(normal)}"
+        print(f"{what}: kind right {rightly[0]}; arm {rightly[1]}; normal flights without a name {silent}")
+    print(f"verdicts {dict(Counter(r['verdict'] for r in rows))}")
     return 0
+
+
+def jobs(shared: Path, work: Path) -> dict[str, Job]:
+    """Flight -> its diagnosis, and what changed since a normal flight of the same drone."""
+    names = make(shared, work / "cases")
+    earlier = {name[-8:-6]: name for name in reversed(names) if name.startswith("normal")}
+    return {
+        n: Job(work / "cases" / n, work / engine() / n, since=work / "cases" / first if n != first else None)
+        for n in names
+        for first in [earlier[n[-8:-6]]]
+    }
 
 
 def make(shared: Path, folder: Path) -> list[str]:
@@ -75,39 +89,44 @@ def make(shared: Path, folder: Path) -> list[str]:
     for drone in ("E8", "E9"):
         mine = [f for f in flights if f.name.startswith(drone)]
         normal = [f for f in mine if f.parent.name == "normal_flight"]
-        model = xml_of([flight(f)["command"] for f in normal[::2]])
+        model = xml_of([part["command"] for f in normal[::2] for part in flight(f)])
         for file in mine:
-            if file in normal[::2] or not (arrays := flight(file)):
+            if file in normal[::2] or not (parts := flight(file)):
                 continue
             names.append(f"{file.parent.name}__{file.name}")
             if not (folder / names[-1] / "log.json").is_file():
                 shutil.rmtree(folder / names[-1], ignore_errors=True)
                 case = write_case(folder / names[-1], model, [], ["m1", "m2", "m3", "m4"], command_kind="torque",
                                   base="floating")  # fmt: skip
-                write_windows(case, file.name, arrays, WINDOW)
+                for k, part in enumerate(parts):
+                    write_windows(case, f"{file.name}_{k}", part, WINDOW)
     return names
 
 
-def flight(file: Path) -> dict[str, np.ndarray]:
-    """What a case's run holds of a file, from the first to the last second in the air; {} without an attitude."""
+def flight(file: Path) -> list[dict[str, np.ndarray]]:
+    """What a case's runs hold of a file: each stretch in the air, as it lands on the way; none without an attitude."""
     (recording,) = read_recording(file)
     (stream,) = recording.streams
     if "base_quat" not in stream.fields:
-        return {}
+        return []
     names = {"command": "motor thrust command", "base_pos": "base_pos", "base_quat": "base_quat"}
-    arrays = {k: stream.fields[name].values for k, name in names.items()}
-    up = np.flatnonzero((arrays["base_pos"][:, 2] > HEIGHT) & (arrays["command"].sum(axis=1) > 0.15))
-    time = stream.clocks["header"][up[0] : up[-1]]
-    return {"time": time - time[0]} | {k: v[up[0] : up[-1]] for k, v in arrays.items()}
+    arrays = {k: stream.fields[name].values for k, name in names.items()} | {"time": stream.clocks["header"]}
+    up = (arrays["base_pos"][:, 2] > HEIGHT) & (arrays["command"].sum(axis=1) > 0.15)
+    edges = np.flatnonzero(np.diff(up, prepend=False, append=False))
+    parts = [{k: v[begin:end] for k, v in arrays.items()} for begin, end in edges.reshape(-1, 2)]
+    parts = [part for part in parts if np.ptp(part["time"]) > WINDOW / 2]
+    return [part | {"time": part["time"] - part["time"][0]} for part in parts]
 
 
 def xml_of(commands: list[np.ndarray]) -> str:
-    """The published model with the mass and the centre of mass that the mean thrusts (T, 4) of some flights balance."""
-    mean = np.mean([c.mean(axis=0) for c in commands], axis=0)
+    """The published model with the mass, the centre of mass and the ratio of the two kinds of propellers' drag that the
+    mean thrusts (T, 4) of some flights balance."""
+    mean = np.concatenate(commands).mean(axis=0)
+    drag = DRAG * np.sqrt((mean[[1, 3]].sum() / mean[[0, 2]].sum()) ** np.array([1, -1, 1, -1]))
     x, y = mean @ PLACES / mean.sum()
     sites = "".join(f'<site name="s{k}" pos="{p[0]:.6f} {p[1]:.6f} 0"/>' for k, p in enumerate(PLACES, 1))
     motors = "".join(
-        f'<motor name="m{k}" site="s{k}" gear="0 0 1 0 0 {DRAG * (-1) ** k:.6f}"/>' for k in range(1, 5)
+        f'<motor name="m{k}" site="s{k}" gear="0 0 1 0 0 {drag[k - 1] * (-1) ** k:.6f}"/>' for k in range(1, 5)
     )  # fmt: skip
     return f"""<mujoco model="crazyflie"><option timestep="0.005" integrator="implicitfast"/><worldbody>
 <body name="cf2" pos="0 0 0.5"><freejoint/>{sites}
@@ -119,23 +138,31 @@ def judged(name: str, found: Row) -> Row:
     """The row of a flight."""
     condition, _, log = name.partition("__")
     named = found["causes"] if found["verdict"] in NAMES else []
-    kind = SORTS.get(named[0]["effect"], named[0]["effect"]) if named else ""
+    since = found.get("since") or {"verdict": "not compared", "changes": []}
     truth = KINDS[condition]
     answered = found["verdict"] not in ("crashed", "refused")
     motor = next((p for p in condition.split("_") if p in ("M3", "M4")), "")
     return {
-        "case": name, "engine": found["provenance"]["engine"], "drone": log[:2], "truth": truth, "kind": kind,
-        "verdict": found["verdict"], "sizes": sizes(found), "kind_right": answered and kind == truth,
-        "arm_right": bool(named) and arm(named[0]) == motor, "seconds": found.get("seconds"),
-        "cpu_seconds": found.get("cpu_seconds"), "said": found.get("said") or found.get("sentence"),
+        "case": name, "engine": found["provenance"]["engine"], "drone": log[:2], "truth": truth, "kind": kind(named),
+        "verdict": found["verdict"], "sizes": sizes(found), "kind_right": answered and kind(named) == truth,
+        "arm_right": bool(named) and arm(named[0]) == motor, "since": since["verdict"],
+        "changes": sizes({"causes": since["changes"]}), "change_right": kind(since["changes"]) == truth,
+        "change_arm_right": bool(since["changes"]) and arm(since["changes"][0]) == motor,
+        "seconds": found.get("seconds"), "cpu_seconds": found.get("cpu_seconds"),
+        "said": found.get("said") or found.get("sentence"),
     }  # fmt: skip
+
+
+def kind(causes: list[Row]) -> str:
+    """Mass, thrust, or the effect's own name; empty where nothing is named."""
+    return SORTS.get(causes[0]["effect"], causes[0]["effect"]) if causes else ""
 
 
 def arm(cause: Row) -> str:
     """The motor that a cause is at: by its name, or the nearest to where a mass sits."""
     if named := cause.get("actuators"):
         return str(named[0]).upper() if len(named) == 1 else ""
-    at = [cause["parameters"].get(axis, {}).get("value") for axis in "xy"]
+    at = [(p := cause["parameters"].get(axis, {})).get("value", p.get("now")) for axis in "xy"]
     if None in at:
         return ""
     return f"M{1 + int(np.argmin(np.linalg.norm(PLACES - np.array(at), axis=1)))}"

@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -33,6 +33,8 @@ class Job:
     instead; several with commas between them."""
     seconds: int = 0
     """CPU time after which it counts as crashed; 0: it may take as long as it takes."""
+    since: Path | None = None
+    """Case of an earlier log: what changed since then goes into the answer, too."""
 
 
 def diagnose_all(jobs: Sequence[Job], processes: int, minutes: float = float("inf")) -> None:
@@ -125,6 +127,8 @@ def _diagnose(job: Job) -> str:
     from realsim.core.errors import RealsimError
     from realsim.core.files import to_json, write_text
     from realsim.gap import DiagnoseConfig, diagnose, load_case
+    from realsim.gap.drift.since import changed_since
+    from realsim.gap.pipeline import limited
 
     shutil.rmtree(job.out, ignore_errors=True)
     job.out.mkdir(parents=True)
@@ -135,7 +139,11 @@ def _diagnose(job: Job) -> str:
     signal.setitimer(signal.ITIMER_PROF, job.seconds)
     try:
         config = DiagnoseConfig(threads=1, report=False, **job.settings)
-        found = diagnose(load_case(job.case), config, look=first_choices)
+        case = load_case(job.case)
+        found = diagnose(case, config, look=first_choices)
+        if job.since is not None:
+            both = [limited(c, config) for c in (case, load_case(job.since))]
+            found = replace(found, since=changed_since(*both, config).as_dict())
     except RealsimError as error:
         refusal = {"verdict": "refused", "causes": [], "equivalent": [], "said": str(error)}
         write_text(job.out / "refused.json", to_json(refusal | {"provenance": _provenance(job)}))

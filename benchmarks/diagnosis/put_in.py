@@ -117,7 +117,7 @@ def sizes(answer: Row) -> list[str]:
     found = []
     for c in answer["causes"]:
         values = " ".join(
-            f"{n}={p['value']:.3g}" + (f"[{p['ci90'][0]:.3g},{p['ci90'][1]:.3g}]" if p.get("ci90") else "")
+            f"{n}={p.get('value', p.get('now')):.3g}" + ("[{:.3g},{:.3g}]".format(*p["ci90"]) if p.get("ci90") else "")
             for n, p in c["parameters"].items()
         )
         found.append(f"{c['effect']}@{'+'.join(c.get('joints') or c.get('bodies') or [])} {values}")

@@ -70,7 +70,6 @@ def main() -> int:
         labels = {n: labels[n] for n in found}
     made = {"seconds": seconds, "cases": len(labels), "seed": args.seed, "note": args.note, "run": described_run()}
     figures = score(labels, found) | made
-    figures["baselines"] |= sysid_baseline(args.work, sorted(found))
     print("\n".join(case_line(name, kept_row(labels[name], found[name])) for name in sorted(found)), end="\n\n")
     print(table(figures))
     if args.developed_on:
@@ -162,12 +161,6 @@ def kept_row(label: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:
         "seconds": (found.get("statistics") or {}).get("seconds"),
         "cpu_seconds": found.get("cpu_seconds"),
     }
-
-
-def sysid_baseline(work: Path, names: list[str]) -> dict[str, list[int]]:
-    """[hits, of] of `mujoco.sysid`, where sysid.py has been run on some of the cases."""
-    rows = [json.loads(f.read_text()) for n in names if (f := work / "sysid" / f"{n}.json").is_file()]
-    return {"mujoco.sysid, all parameters": [sum(r["sysid"]["top1"] for r in rows), len(rows)]} if rows else {}
 
 
 def read_found(work: Path, names: list[str]) -> dict[str, dict[str, Any]]:

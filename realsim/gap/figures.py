@@ -55,6 +55,10 @@ together, and in the check. Above it a cause is not wrong, but something else is
 FOLLOWS = 0.5
 """Error that may stay, as a share of a signal's motion, for causes to be named. Beside right causes of real robots
 0.01 to 0.34 stayed, beside wrong ones 0.64 (a wheel a second late) and 1.1 (commands of another robot)."""
+IMITATION = 0.5
+"""Share of its gain that counts, against other causes, for one that is larger than plausible or at an end of its range:
+it is bent to whatever is wrong. Set on one flight of a Crazyflie with 3.9 g at an arm, where a body of seven times the
+inertia came before the right rotor by 26 of 225 nats."""
 LAWFUL = 6.0
 """Mean square in units of the floor beside causes and deviations above which a rest that looks like a law of the
 library keeps causes from being identified. Twice GATE_MEAN; of two real servos' identified causes 1.9 stays, of an arm
@@ -75,6 +79,8 @@ PROBED, SIZES = 12, (2.0, 0.7, -0.7, -2.0)
 """Candidates of an effect that are simulated where no slope foretells it (a quadruped has twelve joints), and the sizes
 at which they are, in steps of the parameter. Budget."""
 
+LONGEST, WALKED = 10.0, 3.0
+"""Seconds of a run that are simulated, and of a robot on legs: its replay, which feet steer, drifts. Budget."""
 APART = 4
 """Joints that share a value and may have one each. Budget."""
 

@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from realsim.core.errors import GapError
 from realsim.core.types import F64
+from realsim.gap import figures
 from realsim.gap.answer.arrays import collect
 from realsim.gap.answer.conclusion import Conclusion, conclude
 from realsim.gap.answer.diagnosis import Diagnosis, describe_set, ranked_effects
@@ -106,7 +107,8 @@ def diagnose(
 
 def limited(case: Case, config: DiagnoseConfig) -> Case:
     """At most max_runs runs of at most max_seconds each; what is left out is noted."""
-    notes = []
+    usual = figures.WALKED if case.floating and case.joint_names else figures.LONGEST
+    notes, seconds = [], usual if config.max_seconds is None else config.max_seconds
     runs = list(case.runs)
     if len(runs) > config.max_runs:
         added = [r for r in runs if r.name in case.added]
@@ -115,14 +117,14 @@ def limited(case: Case, config: DiagnoseConfig) -> Case:
         keep = sorted({round(i) for i in np.linspace(0, len(others) - 1, room)}) if others else []
         notes.append(f"{len(runs)} runs: {len(keep) + len(added)} of them, evenly spread, are used")
         runs = [*(others[i] for i in keep), *added]
-    long = [r.name for r in runs if r.duration > config.max_seconds + 0.5]
+    long = [r.name for r in runs if r.duration > seconds + 0.5]
     if long:
-        notes.append(f"{len(long)} runs are longer than {config.max_seconds:g} s: their beginning is used")
+        notes.append(f"{len(long)} runs are longer than {seconds:g} s: their beginning is used")
         cut, late = [], []
         for run in runs:
             begin = _stirs(run) if run.name in long else 0.0
             late += [f"{run.name} from {begin:.1f} s"] if begin else []
-            cut.append(_part(run, begin, config.max_seconds))
+            cut.append(_part(run, begin, seconds))
         if late:
             notes.append(f"where their commands never change before, the part from then on: {', '.join(late)}")
         few = [r.name for r in cut if len(r.time) < LEAST_SAMPLES]
@@ -132,7 +134,7 @@ def limited(case: Case, config: DiagnoseConfig) -> Case:
         raise GapError(
             "the runs are too short",
             file=case.folder,
-            expected=f"at least {LEAST_SAMPLES} samples in the first {config.max_seconds:g} s",
+            expected=f"at least {LEAST_SAMPLES} samples in the first {seconds:g} s",
             hint="raise max_seconds (--max-seconds)",
         )
     return case.with_runs(tuple(runs), *notes)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.diagnosis.score import MixedEnginesError, score
-from benchmarks.diagnosis.withheld import KEPT, keep, read_found, sysid_baseline
+from benchmarks.diagnosis.withheld import KEPT, keep, read_found
 from tests.truths.diagnosis.cases import STRATA, VISIBLE, Draw, Sensors, make_case, plan, same_log, site_of
 from tests.truths.diagnosis.motions import sample_times
 from tests.truths.diagnosis.plant import Plant
@@ -122,14 +122,6 @@ def test_diagnoses_of_several_engines_are_not_pooled() -> None:
         found = {"case_000": said | {"provenance": one}, "case_001": said | {"provenance": second}}
         with pytest.raises(MixedEnginesError, match="case_001"):
             score(labels, found)
-
-
-def test_a_baseline_that_was_run_on_some_cases_stands_in_the_table(tmp_path: Path) -> None:
-    assert sysid_baseline(tmp_path, ["case_000"]) == {}
-    (tmp_path / "sysid").mkdir()
-    for name, right in (("case_000", True), ("case_001", False), ("case_009", True)):
-        (tmp_path / "sysid" / f"{name}.json").write_text(json.dumps({"sysid": {"top1": right}}))
-    assert sysid_baseline(tmp_path, ["case_000", "case_001"]) == {"mujoco.sysid, all parameters": [1, 2]}
 
 
 def test_a_case_that_is_refused_counts_as_one_without_an_answer(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from realsim.gap.answer.verdict import Fitted, Judgement, judge
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fit import Fitter
-from realsim.gap.inference.causes.fitted import Cause, Fit, Trial, at_an_end, implausible
+from realsim.gap.inference.causes.fitted import Cause, Fit, Trial, at_an_end, imitates, implausible
 from realsim.gap.inference.causes.leftover import is_gap, leftover, nuisance_settings
 from realsim.gap.inference.causes.score import score
 from realsim.gap.inference.causes.select import Selection
@@ -99,8 +99,14 @@ def conclude(
     if judgement.verdict is GapVerdict.PARTLY_EXPLAINED and left is not None:
         others = _as_good(screen, fitter, selection.trials, fit, left)
         judgement = judged()
-    if judgement.verdict is GapVerdict.UNEXPLAINED and fit.causes and not any(_told_from_none(fit, sigmas)):
-        notes.append(f"{', '.join(map(_name, fit.causes))}: not told from none, so it is not named as the nearest")
+    only_imitates = imitates(fit) and not is_gap(leftover(screen, selection.nominal))
+    if (
+        judgement.verdict is GapVerdict.UNEXPLAINED
+        and fit.causes
+        and (only_imitates or not any(_told_from_none(fit, sigmas)))
+    ):
+        why = "larger than plausible beside no gap" if only_imitates else "not told from none"
+        notes.append(f"{', '.join(map(_name, fit.causes))}: {why}, so it is not named as the nearest")
         without = replace(selection, fit=selection.nominal, equivalent=[], notes=notes)
         return conclude(config, screen, fitter, without, held, nominal)
     lead = None if fit.causes else _lead(fitter, selection.trials)
@@ -136,7 +142,7 @@ def _lead(fitter: Fitter, trials: Sequence[Trial]) -> Fit | None:
         return None
     best = max(first, key=lambda t: t.gain or 0.0)
     found = fitter.fit([Cause(best.candidate, best.values)])
-    return fitter.spread(found) if found is not None else None
+    return fitter.spread(found) if found is not None and not imitates(found) else None
 
 
 # ---------------------------------------------------------------- on the fitted runs
@@ -227,9 +233,9 @@ def _simplest(
     whose sizes the runs determine goes before one that could be none."""
     others = _as_good(screen, fitter, trials, fit, left) if left is not None else []
 
-    def order(one: Fit) -> tuple[bool, float]:
+    def order(one: Fit) -> tuple[bool, bool, float]:
         sigmas = np.sqrt(np.maximum(np.diag(fitter.spread(one).covariance), 0.0))
-        return not all(_told_from_none(one, sigmas)), score(screen, one)
+        return imitates(one), not all(_told_from_none(one, sigmas)), score(screen, one)
 
     best, *rest = sorted([fit, *others], key=order)
     return (fit, left, others) if best is fit else (fitter.spread(best), leave_out(screen, fitter, best), rest)

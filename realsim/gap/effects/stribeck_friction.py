@@ -14,6 +14,9 @@ WIDEST = 0.4
 HIGHER_AT_REST = 1.05
 """Ratio of friction at rest to friction in motion from which on it is no Coulomb friction."""
 
+DRY = ("coulomb_friction", "friction")
+"""To first order it is dry friction, whose slopes cost an eighth; the search goes on from there."""
+
 FINEST = 4
 """A falling friction drives a light joint unstable at a coarse time step, which is divided by up to this."""
 
@@ -26,8 +29,8 @@ def _parameters(context: Context, place: Place) -> tuple[Parameter, ...]:
     speed = max(context.speed[j] for j in place)
     widest = min(0.4 * speed, WIDEST)
     return (
-        Parameter("static_friction", "N m", (0.0, top), step, plausible=size_of_dry_friction(context, place)),
-        Parameter("coulomb", "N m", (0.0, top), 0.5 * step, like=("coulomb_friction", "friction")),
+        Parameter("static_friction", "N m", (0.0, top), step, like=DRY, plausible=size_of_dry_friction(context, place)),
+        Parameter("coulomb", "N m", (0.0, top), 0.5 * step, like=DRY),
         Parameter("stribeck_velocity", "rad/s", (0.02 * widest, widest), 0.12 * widest, default=0.3 * widest),
     )
 
@@ -89,7 +92,6 @@ EFFECT = Effect(
         changed_by="wear or lack of grease",
     ),
     excited_by=_excited,
-    variants=(("static_friction", "stribeck_velocity"), ("static_friction", "coulomb", "stribeck_velocity")),
     law=Law(stiff=True),
     rivals=Rivals(suggest=_suggests, special_case="coulomb_friction"),
 )

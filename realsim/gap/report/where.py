@@ -15,7 +15,6 @@ from realsim.report import page, svg
 
 _POINTS = 500
 """At most this many points of a scatter plot."""
-_BY = {"direction": "moving", "speed": "speed:", "load": "load:", "touchdown": "touchdown:", "place": "at"}
 _READING = {
     "one sample": "Half of it is there after one sample, as with readings and their delays.",
     "20 ms": "Half of it is there within 20 ms, as with drives (gains, delays, limits) or a wrong pose on the ground.",
@@ -27,28 +26,7 @@ _READING = {
 def evidence_cards(found: Diagnosis) -> list[str]:
     """The cards that this log can fill."""
     growth = [] if found.evidence is None else _growth_card(found.evidence)
-    return [*_standout_card(found), *growth, *_torque_card(found), *_wrench_card(found)]
-
-
-def _standout_card(found: Diagnosis) -> list[str]:
-    entries = found.statistics.get("stands_out")
-    if entries is None or found.verdict == "no_gap":
-        return []
-    rows = [
-        [
-            f"{short(e.get('joint') or ' '.join([e['body'], e['axis']]), 24)}, {signal_name(e['signal'])}",
-            f"{_BY.get(e['by'], e['by'])} {e['bin']}",
-            f"{svg.number(e['ratio'], 2)} ×",
-            percent(e["share"]),
-        ]
-        for e in entries
-    ]
-    note = (
-        "Bins of motion, load, touchdown and place whose error is larger than their signal's mean, beyond scatter; at "
-        "most a tenth of these names is expected to be false."
-    )
-    body = page.table(["signal", "where", "error / mean", "share of gap"], rows) if rows else ""
-    return [page.card("What stands out", body or page.bullets([], "No bin stands out: the error is even."), note)]
+    return [*growth, *_torque_card(found), *_wrench_card(found)]
 
 
 def _growth_card(kept: Arrays) -> list[str]:

@@ -156,6 +156,13 @@ def implausible(causes: Sequence[Cause]) -> list[str]:
     return found
 
 
+def imitates(fit: Fit) -> bool:
+    """Whether a cause is larger than plausible, or at an end of its range, its place on a body too."""
+    values = [(p, v) for c in fit.causes for p, v in zip(c.candidate.parameters, c.values, strict=True)]
+    ends = any((p.strength or p.shape) and at_bound(p, value) for p, value in values)
+    return ends or any(abs(value) > _most(p)[0] for p, value in values)
+
+
 def _most(p: Parameter) -> tuple[float, str]:
     """(largest plausible size of a parameter's coordinate, what that is in words); infinite where nothing says so."""
     if p.logarithmic:

@@ -133,9 +133,10 @@ def ranked(screen: Screen, here: Fit) -> list[Scored]:
     taken = {(c.candidate.effect, p) for c in here.causes for p in c.candidate.places}
     found = []
     for candidate in screen.candidates:
-        laws = (candidate.effect, lookup(candidate.effect).rivals.special_case)
-        if any((law, p) in taken for law in laws for p in candidate.places):
-            continue  # a law that contains one of the causes takes its place: see `by_effect`
+        if any((candidate.effect, p) in taken for p in candidate.places):
+            continue
+        if lookup(candidate.effect).rivals.special_case in screen.effects:
+            continue  # it takes the plainer law's place, where that one is a cause: see `by_effect`
         scored = [(*log_evidence(A, b, candidate.directions, slab(candidate)), behind) for A, b, behind in about]
         gain, estimate = max(((gain - behind, estimate) for gain, estimate, behind in scored), key=lambda g: g[0])
         found.append((gain, candidate, estimate))

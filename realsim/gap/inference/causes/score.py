@@ -11,6 +11,7 @@ from realsim.core.types import F64
 from realsim.gap import figures
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
+from realsim.gap.inference.causes.fitted import imitates
 from realsim.gap.inference.causes.leftover import leftover
 from realsim.gap.inference.causes.starts import twins
 from realsim.gap.inference.likelihood.screen import Screen
@@ -42,6 +43,11 @@ def score(screen: Screen, fit: Fit) -> float:
     return total + figures.PRICE * sum(lookup(c.candidate.effect).rivals.commoner is not None for c in fit.causes)
 
 
+def bent(before: Fit, fit: Fit) -> float:
+    """Nats that a set counts less, beside others, where one of its causes imitates something."""
+    return figures.IMITATION * max(before.misfit - fit.misfit, 0.0) if imitates(fit) else 0.0
+
+
 def determined(fit: Estimated) -> float:
     """How many parameters the data determine: a force across a planar arm is none."""
     sizes = np.array([2 * p.step for c in fit.causes for p in c.candidate.parameters])
@@ -64,6 +70,8 @@ def doubts(fitter: Fitter, before: Fit, after: Fit) -> tuple[list[str], Held | N
     """(what speaks against the further cause of `after`: it gains too little, or not on runs that are left out; its
     gain on those)."""
     found = []
+    if before.causes and imitates(after) and not imitates(before):  # it would spoil the values of the others, too
+        return ["larger than plausible: it imitates what is left"], None
     gain, least = score(fitter.screen, before) - score(fitter.screen, after), asked(fitter.screen, before)
     if gain < least:
         found.append(f"gains {gain:.1f} nats, must gain {least:.1f}")

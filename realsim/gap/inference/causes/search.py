@@ -18,7 +18,7 @@ from realsim.gap.inference.causes.fit import Fit, Fitter
 from realsim.gap.inference.causes.fitted import Trial, exchanged
 from realsim.gap.inference.causes.leftover import is_gap, leftover
 from realsim.gap.inference.causes.proposals import ADD, EXCHANGE, Proposal, Propose, ranked
-from realsim.gap.inference.causes.score import asked, doubts, near, score, searched
+from realsim.gap.inference.causes.score import asked, bent, doubts, near, score, searched
 
 Tick = Callable[[str, float], None]
 
@@ -119,9 +119,9 @@ class Search:
     def _better(self, before: Fit, fits: Sequence[Fit]) -> bool:
         """Whether one of the fits takes the place of the best set."""
         least = figures.CLEARLY if before.causes else asked(self.fitter.screen, before)
-        for fit in fits:
+        for fit in sorted(fits, key=lambda f: self._score(f) + bent(before, f)):
             if self._score(before) - self._score(fit) < least:
-                break
+                continue
             said, held = doubts(self.fitter, before, fit) if len(fit.causes) > len(before.causes) else ([], None)
             for trial in [t for t in self.trials if t.candidate.key == fit.causes[-1].candidate.key][-1:]:
                 trial.outcome, trial.held = "; ".join(said) or "accepted", held

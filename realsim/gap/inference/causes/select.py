@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from realsim.gap import figures
 from realsim.gap.config import DiagnoseConfig
 from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
-from realsim.gap.inference.causes.fitted import Trial
+from realsim.gap.inference.causes.fitted import Trial, imitates
 from realsim.gap.inference.causes.score import alike, determined, left_out, near, score
 from realsim.gap.inference.causes.search import Search, Tick
 from realsim.gap.inference.causes.starts import contains
@@ -96,10 +96,10 @@ def _alike(search: Search, nominal: Fit) -> tuple[Fit, list[Fit]]:
 
 
 def _in_order(screen: Screen, same: Sequence[Fit]) -> list[Fit]:
-    """The lowest score first, without laws that hold another one with a lower score as a special case: they always fit
-    as well."""
+    """The lowest score first, those that imitate last; without laws that hold another one with a lower score as a
+    special case: they always fit as well."""
     kept: list[Fit] = []
-    for fit in sorted(same, key=lambda f: score(screen, f)):
+    for fit in sorted(same, key=lambda f: (imitates(f), score(screen, f))):
         if not any(_richer(fit, better) for better in kept):
             kept.append(fit)
     return kept

@@ -10,8 +10,8 @@ import numpy as np
 from realsim.core.types import F64
 from realsim.gap.case.model.channels import named_place
 from realsim.gap.inference.evidence.inverse import base_wrench, torque_residual
+from realsim.gap.inference.evidence.scatter import excesses, significant, tail
 from realsim.gap.inference.evidence.shooting import Shots, shoot
-from realsim.gap.inference.evidence.standout import excesses, significant, standouts, tail
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.simulation.simulate import Simulator
 
@@ -87,11 +87,8 @@ def by_signal(comparison: Comparison, shares: F64) -> dict[str, float]:
 
 
 def evidence(simulator: Simulator, comparison: Comparison, residuals: Sequence[F64], seed: int = 0) -> dict[str, Any]:
-    """What else says where the gap lies, as plain data for `statistics`: horizons, bins that stand out, residuals."""
-    found: dict[str, Any] = {
-        "error_by_horizon": horizons(shoot(simulator), comparison, residuals),
-        "stands_out": standouts(comparison, residuals, simulator.nominal_tracks, seed),
-    }
+    """What else says where the gap lies, as plain data for `statistics`: horizons, residuals."""
+    found: dict[str, Any] = {"error_by_horizon": horizons(shoot(simulator), comparison, residuals)}
     torque = torque_residual(simulator)
     if torque is not None:
         found["torque_residual"] = {

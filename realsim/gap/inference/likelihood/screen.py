@@ -105,6 +105,8 @@ class Screen:
         self.atoms: list[Atom] = []
         columns: list[list[F32]] = [[] for _ in self.runs]
         wanted: list[Atom] = []
+        borrowed: set[tuple[str, Place]] = set()
+        """Of effects whose slopes are all those of others."""
         for effect in map(lookup, names):
             places = effect.places(context)
             if not places:
@@ -117,8 +119,13 @@ class Screen:
                     self.skipped.setdefault(effect.name, excitation.reason)
                     continue
                 # Shape parameters (a Stribeck velocity, where a payload sits) do nothing on their own.
-                slopes = [p for p in effect.parameters(context, place) if p.strength and p.like is None]
-                wanted += [Atom(effect.name, place, p) for p in slopes]
+                slopes = [
+                    Atom(effect.name, place, p)
+                    for p in effect.parameters(context, place)
+                    if p.strength and not (p.like and p.like[0] in names)
+                ]
+                borrowed |= set() if slopes else {(effect.name, place)}
+                wanted += slopes
         self.nominal = simulator.simulate(runs=self.runs)
         # Slopes of a large robot bear a coarser step: it halves the time, and both ends of the difference share it.
         self.coarse = 2 if simulator.case.model.nv >= 5 and context.timestep <= 0.0025 else 1
@@ -150,7 +157,8 @@ class Screen:
         slow = [lookup(a.effect).law.stepwise or a.parameter.fine for a in self.atoms]
         self.simulable = ~(self.stiff | slow)
         """(p,) False for atoms that cost steps one by one, or many of them: as nuisances they stay linear."""
-        self.candidates = self._candidates(chosen)
+        self.candidates = self._candidates(chosen, borrowed)
+        self.effects = {c.effect for c in self.candidates}
 
     def _varied(self, count: int = 3) -> tuple[int, ...] | None:
         """Positions of a few screened runs from calm to lively, for the searches of rivals on robots with feet, which
@@ -322,12 +330,12 @@ class Screen:
 
     # ------------------------------------------------------------ candidates
 
-    def _candidates(self, chosen: Sequence[str]) -> list[Candidate]:
-        found = []
+    def _candidates(self, chosen: Sequence[str], borrowed: set[tuple[str, Place]]) -> list[Candidate]:
+        found, felt = [], {(a.effect, a.place) for a in self.atoms} | borrowed
         context = self.simulator.context
         for name in chosen:
             effect = lookup(name)
-            places = [p for p in effect.places(context) if any(a.effect == name and a.place == p for a in self.atoms)]
+            places = [p for p in effect.places(context) if (name, p) in felt]
             groups: list[tuple[Place, ...]] = [(p,) for p in places]
             if effect.scope == "joint" and len(places) > 1:
                 groups += [tuple((j,) for j in g) for g in like_joints([p[0] for p in places])]
