@@ -111,10 +111,11 @@ class Context:
         return self.travels[joint]
 
     def reach(self, body: str) -> float:
-        """Size of a body: distance to its farthest child or geom end, m."""
+        """Size of a body: distance to its farthest child, site or geom end, m."""
         model = self.case.model
         i = model.body(body).id
         far = [float(np.linalg.norm(model.body_pos[c])) for c in range(model.nbody) if model.body_parentid[c] == i]
+        far += [float(np.linalg.norm(model.site_pos[s])) for s in range(model.nsite) if model.site_bodyid[s] == i]
         far += [
             float(np.linalg.norm(model.geom_pos[g]) + model.geom_rbound[g])
             for g in range(model.ngeom)

@@ -21,6 +21,10 @@ WINDOW = 10
 """Policy steps (a fifth of a second) for which an input that is not logged is taken to be constant."""
 
 
+REPLAYS, AT_LIMIT = 4, 1e-6
+"""Rounds in which last actions that limits cut off are replayed, each a call of the policy; and nearness to a limit."""
+
+
 @dataclass(frozen=True)
 class Loop:
     """How a loop really runs. Matrices act from the left on columns in the policy's order of joints."""
@@ -51,6 +55,8 @@ class Loop:
     """Whose target each joint is sent."""
     bounds: tuple[F64 | float, F64 | float] = (-np.inf, np.inf)
     """(J,) and (J,) rad at which targets end."""
+    unaware: bool = False
+    """Whether the policy is shown its own last actions, of which such limits leave less in the log."""
     stale: tuple[F64, ...] | None = None
     """Of every run (K,) policy steps by which all sensors are older in a row."""
     blank: float = 1.0
@@ -72,7 +78,30 @@ def _of_run(contract: Contract, steps: Steps, which: int, loop: Loop) -> F64:
     run = steps.runs[which]
     order = [steps.joints.index(j) for j in contract.joints]
     sent = run.command[:, order]
-    now = _now(contract, run, order, sent, loop)
+    action = actions(contract, sent if loop.order is None else sent[:, np.argsort(loop.order)], loop)
+    depth = None if contract.camera is None else _images(contract.camera, run, loop)
+    for _ in range(REPLAYS if loop.unaware else 0):  # each carries what was cut off one step on
+        own = contract.run(_vector(_parts(contract, steps, which, loop, action), loop), depth)
+        action = np.where(_cut(contract, sent, action, loop), own, action)
+    parts = _parts(contract, steps, which, loop, action)
+    if run.told is None and any(t.kind == "command" for t in contract.terms):
+        return _with_unknown(contract, sent, parts, depth, loop, "command")
+    return _targets(contract, sent, parts, depth, loop)
+
+
+def _cut(contract: Contract, sent: F64, action: F64, loop: Loop) -> F64:
+    """(K, J) bool, where a target or an action is at a limit of the loop."""
+    low, high = loop.bounds
+    ends = (sent <= low + AT_LIMIT) | (sent >= high - AT_LIMIT)
+    return ends if loop.clip is None else ends | (np.abs(action) >= loop.clip - AT_LIMIT)
+
+
+def _parts(contract: Contract, steps: Steps, which: int, loop: Loop, action: F64) -> list[F64]:
+    """(K, length, W) a term, of what the policy was shown in a run beside its (K, J) last `action`."""
+    run = steps.runs[which]
+    order = [steps.joints.index(j) for j in contract.joints]
+    sent = run.command[:, order]
+    now = _now(contract, run, order, sent, loop, action)
     rows = np.arange(len(sent), dtype=float)
     stale = loop.stale[which] if loop.stale is not None else np.zeros(len(sent))
     parts = []
@@ -88,10 +117,7 @@ def _of_run(contract: Contract, steps: Steps, which: int, loop: Loop) -> F64:
         if term.kind == "joint_pos":
             values = values - contract.default
         parts.append(_history(values * term.scale, term, loop))
-    depth = None if contract.camera is None else _images(contract.camera, run, loop)
-    if run.told is None and any(t.kind == "command" for t in contract.terms):
-        return _with_unknown(contract, sent, parts, depth, loop, "command")
-    return _targets(contract, sent, parts, depth, loop)
+    return parts
 
 
 def _targets(contract: Contract, sent: F64, parts: Sequence[F64], depth: F64 | None, loop: Loop) -> F64:
@@ -105,10 +131,9 @@ def _targets(contract: Contract, sent: F64, parts: Sequence[F64], depth: F64 | N
     return np.clip(wanted, *loop.bounds)
 
 
-def _now(contract: Contract, run: Run, order: Sequence[int], sent: F64, loop: Loop) -> dict[str, F64]:
+def _now(contract: Contract, run: Run, order: Sequence[int], sent: F64, loop: Loop, action: F64) -> dict[str, F64]:
     """What a term shows of the moment itself."""
     source = loop.source
-    action = actions(contract, sent if loop.order is None else sent[:, np.argsort(loop.order)], loop)
     if source.get("last_action") == "zero":
         action = np.zeros_like(action)
     elif source.get("last_action") == "target":

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations, permutations, product
 from typing import Any
 
@@ -415,7 +416,9 @@ def _limits(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
     sent = np.concatenate(commands(contract, steps))
     for limit in (float(np.abs(actions(contract, sent, loop)).max()), 0.5, 1.0, 2.0, 5.0):
         if limit > 1e-6 and (contract.clip is None or limit < contract.clip - 1e-6):
-            yield single("clipped_action", f"actions are clipped at {limit:.3g}", _replaced, "clip", limit)
+            for unaware in (False, True):
+                change = partial(_ending, clip=limit, unaware=unaware)
+                yield single("clipped_action", f"actions are clipped at {limit:.3g}", change)
     low, high = sent.min(axis=0), sent.max(axis=0)
     often = ((sent <= low + 1e-6) | (sent >= high - 1e-6)).mean(axis=0) > 0.05
     if often.any() and not np.isfinite(loop.bounds[0]).any() and not np.isfinite(loop.bounds[1]).any():
@@ -423,7 +426,12 @@ def _limits(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
         text = (
             f"targets end at limits that the contract does not have: {', '.join(np.array(contract.joints)[often][:3])}"
         )
-        yield single("clipped_target", text, lambda loop: replace(loop, bounds=bounds))
+        for unaware in (False, True):
+            yield single("clipped_target", text, partial(_ending, bounds=bounds, unaware=unaware))
+
+
+def _ending(loop: Loop, **limits: Any) -> Loop:
+    return replace(loop, **limits)
 
 
 def _term_orders(contract: Contract, steps: Steps, loop: Loop) -> Iterator[Family]:
