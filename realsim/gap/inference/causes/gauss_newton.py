@@ -57,7 +57,7 @@ class GaussNewton:
 
     def _best_start(self, causes: Causes, starts: Sequence[Sequence[float]], few: Few) -> Causes | None:
         begun = [at(causes, clip(np.array(start, float), parameters_of(causes))) for start in starts]
-        misfits = self.each(lambda causes: self._misfit(causes, few), begun)
+        misfits = self.each(lambda causes: self.misfit(causes, few), begun)
         run = [(misfit, k) for k, misfit in enumerate(misfits) if misfit is not None]
         return begun[min(run)[1]] if run else None
 
@@ -65,7 +65,7 @@ class GaussNewton:
         self, causes: Causes, few: Few, iterations: int, target: float = np.inf
     ) -> tuple[Causes, float, list[F64] | None]:
         """(causes, misfit, the last slopes) after some damped steps."""
-        misfit, slopes, damping = self._misfit(causes, few), None, 1e-3
+        misfit, slopes, damping = self.misfit(causes, few), None, 1e-3
         assert misfit is not None
         parameters = parameters_of(causes)
         for k in range(iterations):
@@ -77,7 +77,7 @@ class GaussNewton:
             steps = self._steps(causes, base, slopes, damping, few)
             for shrink in (1.0, 0.4, 0.1):
                 there = [at(causes, clip(z + shrink * step, parameters)) for step in steps]
-                looks = list(self.each(lambda moved: np.inf if (m := self._misfit(moved, few)) is None else m, there))
+                looks = list(self.each(lambda moved: np.inf if (m := self.misfit(moved, few)) is None else m, there))
                 new, moved = min(zip(looks, there, strict=True), key=lambda look: look[0])
                 if new < misfit - 1e-3:
                     causes, misfit, damping = moved, new, max(damping / 5, 1e-6)
@@ -104,7 +104,8 @@ class GaussNewton:
 
         return self._recent.get((_key(causes), few, self.about.tobytes()), made)
 
-    def _misfit(self, causes: Causes, few: Few = None) -> float | None:
+    def misfit(self, causes: Causes, few: Few = None) -> float | None:
+        """Of causes at their very values, on the runs that are looked at; None if the robot falls."""
         predicted = self._predict(causes, few)
         if predicted is None:
             return None

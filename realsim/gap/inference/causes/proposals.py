@@ -12,6 +12,7 @@ from realsim.gap import figures
 from realsim.gap.effects.lookup import lookup
 from realsim.gap.inference.causes.fit import Cause, Fit, Fitter
 from realsim.gap.inference.causes.leftover import is_gap, leftover
+from realsim.gap.inference.causes.score import searched
 from realsim.gap.inference.causes.starts import Guess, nested, starts, suggested
 from realsim.gap.inference.causes.windows import window_candidates
 from realsim.gap.inference.likelihood.linear import Spectrum, log_evidence, marginal
@@ -94,6 +95,8 @@ def _sized(fitter: Fitter, here: Fit, candidate: Candidate, estimate: F64) -> tu
         zip(candidate.linear, estimate / size if size > 1e-3 else steps * (np.arange(len(steps)) == 0), strict=True)
     )
 
+    before = searched(fitter.screen, here)
+
     def cause(factor: float) -> Cause:
         return Cause(candidate, tuple(p.default + factor * float(unit.get(p.name, 0.0)) for p in candidate.parameters))
 
@@ -101,8 +104,8 @@ def _sized(fitter: Fitter, here: Fit, candidate: Candidate, estimate: F64) -> tu
         there = cause(factor)
         if any(not p.bounds[0] <= v <= p.bounds[1] for p, v in zip(candidate.parameters, there.values, strict=True)):
             return -np.inf
-        moved = fitter.looked_at(here, (*here.causes, there))  # a foot may meet the ground in one run only
-        return here.misfit - moved.misfit if moved else -np.inf
+        moved = fitter.misfit((*here.causes, there), fitter.screen.varied)
+        return before - moved if moved is not None else -np.inf
 
     most, best = max((gain(factor), factor) for factor in figures.SIZES)
     for further in (2.0, 0.75):
@@ -122,8 +125,14 @@ def by_effect(fitter: Fitter, here: Fit) -> Iterator[Proposal]:
 
 
 def ranked(screen: Screen, here: Fit) -> list[Scored]:
-    """All candidates by the linear evidence that they add to a set, with all runs or the better half; best first."""
+    """All candidates by the linear evidence that they add to a set, with all runs or the better half; best first.
+
+    The set's own values go along: fitted alone, they have taken over what they can of what is missing beside them.
+    """
     about, prior = [], here.prior / here.scale
+    for c in here.causes:
+        for i in screen.atoms_of(c.candidate):
+            prior[i] = 2.0 * abs(screen.atoms[i].parameter.step)
     for look in here.evidence.looks():
         spectrum = Spectrum.of(np.sum(look.A, axis=0), prior)
         sides = [(e, s) for e in screen.centred(look) for s in figures.SCALES]

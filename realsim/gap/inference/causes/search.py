@@ -53,7 +53,9 @@ class Search:
             if self._hopeless(leftover(self.fitter.screen, self.fitter.remeasure(self.best))):
                 break
             # A poor law, or a cause that was chosen while another one was missing, is exchanged before one is added.
-            better = (new and (self._dropped() or self._moved(EXCHANGE))) or self._moved(ADD)
+            better = (new and (self._dropped() or self._moved(EXCHANGE))) or (
+                self._calls_for_more() and self._moved(ADD)
+            )
         self.best = self.fitter.prepared(self.best)
         if self.best.causes:  # what was found on some of the runs, on all of them
             self.best = self.fitter.fit(self.best.causes) or self.best
@@ -67,6 +69,14 @@ class Search:
             return False
         stays = (left.mean() - 1) / self.gap if self.gap else 0.0
         return bool(max(stays, 0.0) ** (self.most / len(self.best.causes)) > 1 - figures.NAMED_SHARE)
+
+    def _calls_for_more(self) -> bool:
+        """Whether a further cause is looked for: on legs only where those so far leave a gap. Beside none, as many wrong
+        causes were found as right ones (one each), in the time of the first search."""
+        if not (self.best.causes and self.fitter.screen.simulator.context.touches):
+            return True
+        self.best = self.fitter.prepared(self.best)
+        return is_gap(leftover(self.fitter.screen, self.best))
 
     def _dropped(self) -> bool:
         """Whether a cause is superfluous beside the others; the one that brings least is looked at first."""
