@@ -181,6 +181,39 @@ def test_an_effect_of_an_installed_package_is_found_where_it_was_injected(tmp_pa
     assert found["sentence"].startswith("Your model lacks return spring of ")
 
 
+BROKEN = """
+from realsim.gap.effects.base import JOINTS, Effect, Parameter, fixed
+
+EFFECT = Effect(
+    name="return_spring",
+    where=JOINTS,
+    parameters=fixed(Parameter("stiffness", "N m/rad", (0.0, 50.0), 1.0)),
+    apply=lambda edit, place, values: {}["nothing"],
+)
+"""
+
+
+def test_an_installed_effect_that_fails_is_named_with_its_package(tmp_path: Path) -> None:
+    """Neither a traceback nor a candidate that is left out without a word."""
+    install(tmp_path, BROKEN)
+    folder = make_case(tmp_path / "case", COARSE, Truth(), runs=2, seed=3, span=SHORT)
+    paths = os.pathsep.join(filter(None, (str(tmp_path), os.environ.get("PYTHONPATH"))))
+
+    def realsim(*options: str | Path) -> subprocess.CompletedProcess[str]:
+        env = os.environ | {"PYTHONPATH": paths}
+        return subprocess.run([sys.executable, "-m", "realsim", *options], env=env, capture_output=True, text=True)
+
+    run = realsim("diagnose", folder, "--out", tmp_path / "out", "--effects", "return_spring", *RIVALS)
+    assert run.returncode == 2
+    for text in ("`apply` of the effect 'return_spring'", "KeyError: 'nothing'", "my_robot.spring:EFFECT"):
+        assert text in " ".join(run.stderr.split())
+    assert not (tmp_path / "out").exists()
+    explained = realsim("diagnose", "--explain", "return_spring")
+    assert explained.returncode == 0
+    assert "\n\n\n" not in explained.stdout
+    assert "looks like" not in explained.stdout  # it has no words for that
+
+
 @pytest.mark.parametrize("source", ["EFFECT = 3", "", "import nothing_of_that_name"])
 def test_an_installed_package_without_an_effect_is_refused(
     source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

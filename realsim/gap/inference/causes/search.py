@@ -71,8 +71,8 @@ class Search:
         return bool(max(stays, 0.0) ** (self.most / len(self.best.causes)) > 1 - figures.NAMED_SHARE)
 
     def _calls_for_more(self) -> bool:
-        """Whether a further cause is looked for: on legs only where those so far leave a gap. Beside none, as many wrong
-        causes were found as right ones (one each), in the time of the first search."""
+        """Whether a further cause is looked for: on legs only where those so far leave a gap. Beside none, as many
+        wrong causes were found as right ones (one each), in the time of the first search."""
         if not (self.best.causes and self.fitter.screen.simulator.context.touches):
             return True
         self.best = self.fitter.prepared(self.best)

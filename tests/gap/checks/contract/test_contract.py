@@ -90,6 +90,7 @@ def test_a_policy_that_is_run_rightly_is_no_error() -> None:
 SIGN = np.array([1, 1, 1, 1, -1, 1.0])
 OFFSET = np.array([0, 0, 0.15, 0, 0, 0])
 ONE = np.array([1, 0.64, 1, 1, 1, 1])
+DEFAULT = np.tile([0.1, 0.8, -1.5], 2)
 
 
 @pytest.mark.parametrize(
@@ -106,6 +107,7 @@ ONE = np.array([1, 0.64, 1, 1, 1, 1])
         ({"gravity_frame"}, {"gravity": -1.0}),
         ({"history_order"}, {"newest_first": True}),
         ({"sensor_delay"}, {"late": 2}),
+        ({"clipped_target"}, {"send": lambda t: np.clip(t, DEFAULT - 0.02, DEFAULT + 0.04)}),
         ({"action_scale", "observation_scale"}, {"gain": 0.8, "see_vel": lambda v: 0.05 * v}),
         ({"gravity_frame", "joint_sign"}, {"gravity": -1.0, "see": lambda q: SIGN * q, "see_vel": lambda v: SIGN * v}),
     ],
