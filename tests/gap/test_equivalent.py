@@ -12,7 +12,7 @@ from realsim.gap.effects import EFFECTS
 from realsim.gap.inference.causes.fit import Cause, Fitter
 from realsim.gap.inference.causes.fitted import values_of
 from realsim.gap.inference.causes.proposals import by_effect
-from realsim.gap.inference.causes.score import alike, score
+from realsim.gap.inference.causes.score import alike, bent, score
 from realsim.gap.inference.causes.select import _in_order, _richer
 from realsim.gap.inference.likelihood.comparison import Comparison
 from realsim.gap.inference.likelihood.screen import Screen
@@ -145,3 +145,22 @@ def test_twins_are_alike_whatever_the_steps_of_the_simulator_make_of_them(arm: C
         simulator.starts = tuple(replace(s, qpos=np.zeros(arm.model.nq)) for s in simulator.starts)
     rival = replace(rival, misfit=best.misfit + 1e4)
     assert alike(fitter, best, rival, removed=1e3) is not moving
+
+
+def test_a_size_that_no_such_robot_has_comes_after_one_that_it_may_have(arm: Case) -> None:
+    """However well it fits: it can be bent to whatever is wrong."""
+    with Simulator(arm, CONFIG) as simulator:
+        comparison = Comparison(arm, simulator.channels, simulator.simulate(), CONFIG)
+        fitter = Fitter(Screen(simulator, comparison, range(3), ("coulomb_friction", "armature")))
+    rotor, friction = (
+        next(c for c in fitter.screen.candidates if c.effect == n) for n in ("armature", "coulomb_friction")
+    )
+    nominal, most = fitter.nominal(), rotor.parameters[0].plausible[0]
+    huge, usual = (
+        replace(nominal, causes=(Cause(rotor, (size * most,)),), covariance=np.eye(1), misfit=nominal.misfit - 30)
+        for size in (1.5, 0.2)
+    )
+    plain = replace(nominal, causes=(Cause(friction, (0.2,)),), covariance=np.eye(1), misfit=nominal.misfit - 20)
+    assert [f is plain for f in _in_order(fitter.screen, [huge, plain])] == [True, False]
+    assert [f is plain for f in _in_order(fitter.screen, [usual, plain])] == [False, True]
+    assert bent(nominal, huge) > 0 == bent(nominal, usual)

@@ -26,7 +26,7 @@ from realsim.gap.effects import EFFECTS
 from realsim.gap.effects.base import Parameter
 from realsim.gap.effects.lookup import PLACES, SINCE, lookup, places_of
 from realsim.gap.inference.causes.fit import Fitter
-from realsim.gap.inference.causes.fitted import Cause, Fit
+from realsim.gap.inference.causes.fitted import Cause, Fit, imitates
 from realsim.gap.inference.causes.leftover import is_gap, leftover
 from realsim.gap.inference.causes.select import select
 from realsim.gap.inference.likelihood.comparison import Comparison
@@ -84,7 +84,8 @@ def changed_since(
         comparison = Comparison(pair.case, simulator.channels, simulator.simulate(), config, fitted)
         free_starts(simulator, comparison)
         earlier = Screen(simulator, comparison, pair.before, config.effects, tick)
-        shared = select(earlier, Fitter(earlier), config, tick).fit
+        common = select(earlier, Fitter(earlier), config, tick)
+        shared = common.nominal if imitates(common.fit) else common.fit  # what imitates would hide a change
         simulator.begin_from(shared.settings())
         screen = Screen(simulator, comparison, fitted, config.effects, tick, since=True)
         _loosen(screen, shared)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from realsim.core.types import F64
+from realsim.core.types import F64, Bool
 from realsim.gap.checks.contract.policy import Camera, Contract, Term
 from realsim.gap.checks.contract.steps import Run, Steps, turn
 
@@ -80,16 +80,17 @@ def _of_run(contract: Contract, steps: Steps, which: int, loop: Loop) -> F64:
     sent = run.command[:, order]
     action = actions(contract, sent if loop.order is None else sent[:, np.argsort(loop.order)], loop)
     depth = None if contract.camera is None else _images(contract.camera, run, loop)
+    cut = _cut(sent, action, loop)
     for _ in range(REPLAYS if loop.unaware else 0):  # each carries what was cut off one step on
         own = contract.run(_vector(_parts(contract, steps, which, loop, action), loop), depth)
-        action = np.where(_cut(contract, sent, action, loop), own, action)
+        action = np.where(cut, own, action)
     parts = _parts(contract, steps, which, loop, action)
     if run.told is None and any(t.kind == "command" for t in contract.terms):
         return _with_unknown(contract, sent, parts, depth, loop, "command")
     return _targets(contract, sent, parts, depth, loop)
 
 
-def _cut(contract: Contract, sent: F64, action: F64, loop: Loop) -> F64:
+def _cut(sent: F64, action: F64, loop: Loop) -> Bool:
     """(K, J) bool, where a target or an action is at a limit of the loop."""
     low, high = loop.bounds
     ends = (sent <= low + AT_LIMIT) | (sent >= high - AT_LIMIT)
