@@ -175,6 +175,10 @@ class _Nearby(Evidence):
         """Verified matches of those pairs whose motion is near the model's."""
         return [m for m in self._all.matches(pairs) if self._near(m)]
 
+    def subset(self, keep: Sequence[int]) -> Evidence:
+        """The same for some of the views, renumbered."""
+        return _Nearby(self._all.subset(keep), self._T[list(keep)])
+
     def _near(self, m: Match) -> bool:
         E = np.linalg.inv(m.T_i_j) @ np.linalg.inv(self._T[m.i]) @ self._T[m.j]
         turned = np.arccos(np.clip((np.trace(E[:3, :3]) - 1) / 2, -1, 1))
@@ -188,8 +192,7 @@ def _refined(frames: list[Frame], T: F64, seed: int) -> tuple[Solution, list[int
         The solution, the indices of the frames kept, and index -> why of the others.
     """
     from realsim.feedforward.rgbd.check_poses import check_poses
-    from realsim.feedforward.rgbd.estimate import match_and_adjust
-    from realsim.feedforward.rgbd.refine import refine
+    from realsim.feedforward.rgbd.refine import match_and_adjust, refine
 
     if len(frames) == 1:
         return Solution((0,), T, world_is_capture=False), [0], {}

@@ -1,4 +1,4 @@
-"""Poses from frames alone: pairs, pose graph, tracks, bundle adjustment. World = camera of the first frame used."""
+"""Poses from frames alone: pairs, pose graph, then the adjustment of refine.py. World = camera of the first frame."""
 
 from __future__ import annotations
 
@@ -11,33 +11,31 @@ import numpy as np
 from realsim.core.geometry import invert_T
 from realsim.core.progress import track
 from realsim.core.types import F64
-from realsim.feedforward.rgbd.bundle import Adjusted, Observations, adjust
-from realsim.feedforward.rgbd.features import Match, Tracks, View, build_tracks
+from realsim.feedforward.rgbd.features import Match, View, build_tracks
 from realsim.feedforward.rgbd.icp_links import link_by_shape
 from realsim.feedforward.rgbd.keyframes import choose_by_matching
 from realsim.feedforward.rgbd.learned import join_pieces
-from realsim.feedforward.rgbd.localize import SIGMA_INVERSE, SIGMA_PX, Landmarks, localize
+from realsim.feedforward.rgbd.localize import Landmarks, localize
 from realsim.feedforward.rgbd.loop_closure import Joined, join
 from realsim.feedforward.rgbd.matching import (
-    MIN_AGREEMENT,
     is_believable,
     make_edge,
     match_by_features,
-    match_guided,
     propose_pairs,
     register_by_shape,
 )
-from realsim.feedforward.rgbd.overlap import FINE, overlap
+from realsim.feedforward.rgbd.overlap import FINE
 from realsim.feedforward.rgbd.pose_graph import Edge, optimise
+from realsim.feedforward.rgbd.refine import adjust, match_and_adjust
+from realsim.feedforward.rgbd.refine_pairs import choose_pairs
 
 WORTH_TELLING = 3
 """Frames from which a piece that is left out is named as one."""
 SUSPICIOUS = 20
 """From this many features that match although the depth contradicts them, a dropped frame's reason mentions them."""
-NEIGHBOURS = 8
-"""After the first solution each frame is matched again with this many that share the most surface with it."""
-SHAPE_NEIGHBOURS = 5
-"""The same without colour, where a pair costs ten times as much."""
+SHAPE_NEIGHBOURS = 3
+"""Others, beside its neighbours in the sequence, that each frame is registered with by shape after the first solution:
+a pair costs ten times as much as by features."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +76,11 @@ def estimate(views: Sequence[View], seed: int, learned: bool = True) -> Estimate
         T |= dict(zip(rest, starts, strict=True))
     used = sorted(T)
     poses = np.stack([T[k] for k in used])
+    poses = invert_T(poses[0]) @ poses
+    poses[0] = np.eye(4)  # without what rounding left
     statistics = found.statistics | ({"keyframes": len(keys)} if followers else {})
     links = tuple(replace(e, i=keys[e.i], j=keys[e.j]) for e in found.links)
-    return Estimate(tuple(used), invert_T(poses[0]) @ poses, lost, statistics, found.warnings, links)
+    return Estimate(tuple(used), poses, lost, statistics, found.warnings, links)
 
 
 def _estimate_together(views: Sequence[View], seed: int, learned: bool) -> tuple[Estimate, Landmarks | None]:
@@ -99,10 +99,9 @@ def _estimate_together(views: Sequence[View], seed: int, learned: bool) -> tuple
     landmarks = None
     if net.matches:
         if first:
-            T = adjust_tracks(chosen, T, build_tracks(chosen, first)).T_world_camera
-        landmarks, more = match_and_adjust(
-            chosen, T, [m for m in first if (int(used[m.i]), int(used[m.j])) in net.learned]
-        )
+            T = adjust(chosen, T, build_tracks(chosen, first), seed=seed)[0].state.T
+        kept = [m for m in first if (int(used[m.i]), int(used[m.j])) in net.learned]
+        landmarks, more = match_and_adjust(chosen, T, kept, seed)
         if landmarks is not None:
             T = landmarks.T_world_camera
         statistics |= more
@@ -165,7 +164,7 @@ def _connect_by_learning(net: Net, seed: int) -> None:
     net.learned.update((m.i, m.j) for m in found.matches)
     net.said.extend(found.said())
     if found.asked:
-        net.told.update(learned_asked=found.asked, learned_pairs=len(found.matches))
+        net.told.update(keptasked=found.asked, keptpairs=len(found.matches))
 
 
 def _connect_by_shape(net: Net, seed: int) -> None:
@@ -180,7 +179,7 @@ def close_loops(views: Sequence[View], T: F64, edges: list[Edge]) -> tuple[F64, 
     """Register all overlapping pairs by shape, starting from poses that are nearly right, and optimise; twice."""
     for _ in range(2):
         known = {(e.i, e.j): e for e in edges}
-        for i, j in track(choose_overlapping(views, T, SHAPE_NEIGHBOURS), "loops"):
+        for i, j in track(choose_pairs(views, T, SHAPE_NEIGHBOURS), "loops"):
             edge = register_by_shape(views, i, j, [invert_T(T[i]) @ T[j]], FINE)
             if edge is not None and ((i, j) not in known or edge.weight >= known[i, j].weight):
                 known[i, j] = edge
@@ -221,74 +220,3 @@ def _said(views: Sequence[View], joined: Joined) -> tuple[str, ...]:
         f"the capture falls into {len(pieces) + 1} pieces that nothing joins for certain; the largest of "
         f"{len(joined.used)} frames is used, not {named}",
     )
-
-
-# ---------------------------------------------------------------- adjustment over all frames
-
-
-def adjust_tracks(views: Sequence[View], T: F64, tracks: Tracks) -> Adjusted:
-    """Adjust poses and tracks twice, without the observations that the first time did not fit."""
-    seen, points = _observations(tracks, T)
-    first = adjust(T, points, seen, iterations=8)
-    bad = np.hypot(first.residual[:, 0], first.residual[:, 1]) > 5
-    sigma = seen.sigma.copy()
-    sigma[bad] = np.inf
-    sigma[np.abs(first.residual[:, 2]) > 5, 2] = np.inf
-    return adjust(first.T_world_camera, first.points, Observations(seen.camera, seen.point, seen.measured, sigma))
-
-
-def match_and_adjust(
-    views: Sequence[View], T: F64, kept: Sequence[Match] = ()
-) -> tuple[Landmarks | None, dict[str, Any]]:
-    """Match all overlapping pairs anew under guidance of the poses, which closes loops, and adjust.
-
-    Args:
-        kept: matches of features that have no descriptor; they stay as they are.
-    """
-    matches = [
-        m
-        for i, j in choose_overlapping(views, T)
-        if (m := match_guided(views, i, j, invert_T(T[i]) @ T[j])) is not None
-    ]
-    matches += kept
-    if not matches:
-        return None, {}
-    tracks = build_tracks(views, matches)
-    result = adjust_tracks(views, T, tracks)
-    r = result.residual
-    return Landmarks(views, result.T_world_camera, tracks, result.points), {
-        "matched_pairs": len(matches),
-        "tracks": len(result.points),
-        "observations": len(r),
-        "median_px": SIGMA_PX * float(np.median(np.hypot(r[:, 0], r[:, 1]))),
-        "median_inverse_depth": SIGMA_INVERSE * float(np.median(np.abs(r[:, 2]))),
-    }
-
-
-def choose_overlapping(views: Sequence[View], T: F64, count: int = NEIGHBOURS) -> list[tuple[int, int]]:
-    """Pairs i < j that share surface at the given poses: for every view `count` of those with the largest overlap.
-
-    Near centres and like directions come first, so that the cost stays linear in the number of views.
-    """
-    from scipy.spatial import cKDTree
-
-    place = np.concatenate([T[:, :3, 3] + 1.5 * T[:, :3, 2], 0.5 * T[:, :3, 3]], 1)
-    _, near = cKDTree(place).query(place, k=min(len(views), 3 * count + 1))
-    pairs = set()
-    for i, row in enumerate(near):
-        fits = [(overlap(views[i], views[j], invert_T(T[i]) @ T[j], 6), int(j)) for j in row if j != i]
-        good = sorted(((-f.fraction, j) for f, j in fits if f.fraction > 0.1 and f.agreement > 0.5 * MIN_AGREEMENT))
-        # Every other one of the ranking: the nearest views add little that the next do not.
-        pairs |= {(min(i, j), max(i, j)) for _, j in [*good[:2], *good[2 : 2 * count - 2 : 2]]}
-    return sorted(pairs)
-
-
-def _observations(tracks: Tracks, T: F64) -> tuple[Observations, F64]:
-    """Measurements with their noise, and the points where the depths put them on average."""
-    own = np.column_stack([tracks.xy, np.ones(len(tracks.z))]) * tracks.z[:, None]
-    world = np.einsum("mab,mb->ma", T[tracks.view, :3, :3], own) + T[tracks.view, :3, 3]
-    count = np.maximum(np.bincount(tracks.point, minlength=tracks.count), 1)
-    points = np.stack([np.bincount(tracks.point, world[:, k], tracks.count) / count for k in range(3)], 1)
-    sigma_xy = SIGMA_PX / tracks.focal
-    sigma = np.stack([sigma_xy, sigma_xy, np.full_like(sigma_xy, SIGMA_INVERSE)], 1)
-    return Observations(tracks.view, tracks.point, np.column_stack([tracks.xy, 1 / tracks.z]), sigma), points

@@ -1,11 +1,12 @@
-"""Camera poses refined against each other, and the depth sensor's scale recovered where the poses are metric.
+"""Camera poses adjusted together, and the depth sensor's scale recovered where the poses are metric.
 
     evidence = Evidence.of(frames)
     check = check_poses(frames, T, evidence=evidence)          # check_poses.py: refuses or names what contradicts
     found = refine(frames, T, estimate_gain=True, trust="metric", evidence=evidence)
 
 With metric poses the depth gain is what makes triangulated and measured depth agree; how much the given poses are
-believed is found from the data (refine_adjust.py), so exact poses stay where they are and noisy ones move.
+believed is found from the data (refine_adjust.py), so exact poses stay where they are and noisy ones move. Poses that
+were estimated from the depth go through the same adjustment with a prior that only fixes what the data leave free.
 """
 
 from __future__ import annotations
@@ -17,13 +18,15 @@ from typing import Any, Literal
 import numpy as np
 
 from realsim.core.errors import PoseError
-from realsim.core.geometry import is_rotation
+from realsim.core.geometry import invert_T, is_rotation
 from realsim.core.types import F64, Frame
 from realsim.feedforward.rgbd.bias import GainEstimate, judge_gain
 from realsim.feedforward.rgbd.features import Evidence, Match, Tracks, View, build_tracks
 from realsim.feedforward.rgbd.heldout import hold_out
-from realsim.feedforward.rgbd.localize import Landmarks
+from realsim.feedforward.rgbd.keyframes import choose_by_poses
+from realsim.feedforward.rgbd.localize import Landmarks, localize
 from realsim.feedforward.rgbd.loop_closure import keep_plausible
+from realsim.feedforward.rgbd.matching import match_guided
 from realsim.feedforward.rgbd.refine_adjust import Sigmas, State, Step, initial_state, solve_step
 from realsim.feedforward.rgbd.refine_pairs import Surface, associate, choose_pairs, sample_surface
 
@@ -32,6 +35,11 @@ SAMPLES = 300
 """Surface points a view."""
 LOOSE = Sigmas(position=0.5, angle=0.2)
 """Prior on estimated poses: weak, so that it only fixes what the data leave free."""
+GUIDED = 8
+"""Others that each view is matched with anew where its pose is nearly known."""
+
+
+Trust = Literal["metric", "estimated"]
 
 
 @dataclass(frozen=True)
@@ -45,11 +53,9 @@ class RefineResult:
     depth_gain_sigma: float
     """Its standard error; infinite where the gain was not asked for."""
     residual_m: float
-    """Median over frames of `per_frame_residual_m`, metres."""
+    """Median over keyframes of `per_frame_residual_m`, metres."""
     per_frame_residual_m: F64
     """(N,) robust RMS distance between a frame's points and the same points as other frames see them; NaN if none."""
-    landmarks: Landmarks
-    """What other views of the same scene can be placed by; its gain is the one that was found, applied or not."""
     warnings: tuple[str, ...] = ()
     statistics: Mapping[str, Any] = field(default_factory=dict)
     """JSON-able; `sigma_z_over_z2` (1/m) is the sensor's depth noise a in sigma = a * depth^2, as it remains after a
@@ -57,18 +63,32 @@ class RefineResult:
     held_out: tuple[tuple[int, int], ...] = ()
     """Pairs of frames that see the same and took no part."""
 
+    def fields(self, frames: Sequence[Frame]) -> dict[str, Any]:
+        """Fields of a `Solution`."""
+        residual = {f.name: float(r) for f, r in zip(frames, self.per_frame_residual_m, strict=True)}
+        return {
+            "T_world_camera": self.T_world_camera,
+            "depth_gain": self.depth_gain,
+            "depth_gain_sigma": self.depth_gain_sigma if np.isfinite(self.depth_gain_sigma) else None,
+            "pose_sigma_m": self.residual_m,
+            "warnings": self.warnings,
+            "statistics": {**self.statistics, "residual_m": residual},
+        }
+
 
 def refine(
     frames: Sequence[Frame],
     T_world_camera: F64,
     *,
     estimate_gain: bool,
-    trust: Literal["metric", "estimated"],
+    trust: Trust,
     seed: int = 0,
     evidence: Evidence | None = None,
     sensor_sigma: float = 0.006,
 ) -> RefineResult:
     """Refine poses by features with depth and by surfaces; see the module's text.
+
+    Of a dense capture keyframes are refined together, the others follow them.
 
     Args:
         frames: N frames.
@@ -87,24 +107,52 @@ def refine(
     if estimate_gain and trust != "metric":
         raise PoseError("a depth gain cannot be estimated from poses that were computed from the same depth")
     evidence = evidence or Evidence.of(frames, seed)
-    views = evidence.views
-    pairs, held_out = hold_out(choose_pairs(views, T))
-    matches = keep_plausible(evidence, pairs, T)
-    tracks = build_tracks(views, matches)
-    step, surface, given = _solve(views, T, pairs, tracks, estimate_gain, trust, seed)
-    per_frame = _per_frame(step, tracks, surface, len(views))
-    gain = judge_gain(step, tracks, surface, len(views), sensor_sigma if estimate_gain else None)
-    return RefineResult(
-        step.state.T,
-        gain.value,
-        gain.sigma,
-        float(np.nanmedian(per_frame)) if np.isfinite(per_frame).any() else float("nan"),
-        per_frame,
-        Landmarks(views, step.state.T, tracks, step.state.X, step.state.gain),
-        gain.warnings + _warnings(views, tracks, per_frame),
-        _statistics(step, given, matches, pairs, tracks, surface, gain, trust),
-        tuple(held_out),
+    keys, followers = choose_by_poses(evidence.views, T)
+    own = evidence.subset(keys) if followers else evidence
+    pairs, held_out = hold_out(choose_pairs(own.views, T[keys]))
+    matches = keep_plausible(own, pairs, T[keys])
+    tracks = build_tracks(own.views, matches)
+    step, surface, given = adjust(
+        own.views, T[keys], tracks, pairs, estimate_gain=estimate_gain, trust=trust, seed=seed
     )
+    gain = judge_gain(step, tracks, surface, len(keys), sensor_sigma if estimate_gain else None)
+    statistics = _statistics(step, given, matches, pairs, tracks, surface, gain, trust)
+    poses, residual = T.copy(), np.full(len(T), np.nan)
+    poses[keys], residual[keys] = step.state.T, _per_frame(step, tracks, surface, len(keys))
+    middle = float(np.nanmedian(residual)) if np.isfinite(residual).any() else float("nan")
+    warnings = gain.warnings + _warnings(own.views, tracks, residual[keys])
+    if followers:
+        rest = list(followers)
+        starts = np.stack([poses[key] @ motion for key, motion in followers.values()])
+        known = Landmarks(own.views, step.state.T, tracks, step.state.X, step.state.gain)
+        prior = (step.sigmas.position, step.sigmas.angle) if trust == "metric" else None
+        poses[rest], residual[rest] = localize([evidence.views[k] for k in rest], starts, known, prior)
+        statistics["keyframes"] = len(keys)
+    apart = tuple((keys[i], keys[j]) for i, j in held_out)
+    return RefineResult(poses, gain.value, gain.sigma, middle, residual, warnings, statistics, apart)
+
+
+def match_and_adjust(
+    views: Sequence[View], T: F64, kept: Sequence[Match] = (), seed: int = 0
+) -> tuple[Landmarks | None, dict[str, Any]]:
+    """Match all overlapping pairs anew under guidance of estimated poses, which closes loops, and adjust.
+
+    Args:
+        kept: matches of features that have no descriptor; they stay as they are.
+    """
+    guided = (match_guided(views, i, j, invert_T(T[i]) @ T[j]) for i, j in choose_pairs(views, T, GUIDED))
+    matches = [*filter(None, guided), *kept]
+    if not matches:
+        return None, {}
+    tracks = build_tracks(views, matches)
+    step, _, _ = adjust(views, T, tracks, seed=seed)
+    return Landmarks(views, step.state.T, tracks, step.state.X), {
+        "matched_pairs": len(matches),
+        "tracks": tracks.count,
+        "observations": len(tracks.z),
+        "median_px": float(np.median(np.hypot(*step.track_residual[:, :2].T))),
+        "median_inverse_depth": float(np.median(np.abs(step.track_residual[:, 2]))),
+    }
 
 
 def _checked(frames: Sequence[Frame], T: F64) -> F64:
@@ -117,18 +165,23 @@ def _checked(frames: Sequence[Frame], T: F64) -> F64:
     return T
 
 
-def _solve(
+def adjust(
     views: Sequence[View],
     T: F64,
-    pairs: Sequence[tuple[int, int]],
     tracks: Tracks,
-    estimate_gain: bool,
-    trust: str,
-    seed: int,
+    pairs: Sequence[tuple[int, int]] = (),
+    *,
+    estimate_gain: bool = False,
+    trust: Trust = "estimated",
+    seed: int = 0,
 ) -> tuple[Step, Surface, State]:
-    """Steps of adjustment; surfaces are associated anew at each, within a gate that narrows."""
+    """The last step of the adjustment of poses (N, 4, 4) to tracks and to the surfaces of `pairs`, what surface it
+    compared, and the state that it began with.
+
+    Surfaces are associated anew at each step, within a gate that narrows.
+    """
     rng = np.random.default_rng(seed)
-    samples = [sample_surface(view, rng, SAMPLES) for view in views]
+    samples = [sample_surface(view, rng, SAMPLES) for view in views] if pairs else []
     state = given = initial_state(T, tracks)
     sigmas = Sigmas() if trust == "metric" else LOOSE
     for k in range(STEPS):
