@@ -15,6 +15,8 @@ from realsim import capture, feedforward
 from realsim.capture.config import CaptureConfig
 from realsim.core.errors import PoseError
 from realsim.feedforward.config import PointsConfig
+from realsim.feedforward.rgbd import hypotheses
+from realsim.feedforward.rgbd.hypotheses import Hypothesis
 from realsim.synth import SynthConfig, write_capture
 
 FRAMES = 12
@@ -121,8 +123,8 @@ def test_poses_that_depth_agrees_with_are_of_no_other_convention(
     two: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # as on a shared capture with the colour of another: 60 cm by features, 6 cm half a frame later, 0.6 cm by depth
-    by_chance = ("a time offset between poses and images of -0.5 frames", 0.064, "associate anew")
-    monkeypatch.setattr("realsim.feedforward.rgbd.check_poses._explain", lambda *_: by_chance)
+    offset = Hypothesis("a time offset of -0.5 frames", lambda T: T, lambda *_: 0.064, "associate anew")
+    monkeypatch.setattr(hypotheses, "of_poses", lambda scale: [offset])
     folder = spoilt(two, tmp_path / "wrong", colour_of_another)
     with pytest.raises(PoseError, match="colour images belong to other depth"):
         solved(folder)

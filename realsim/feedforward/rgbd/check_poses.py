@@ -1,14 +1,14 @@
 """Do given poses agree with what the frames show?
 
-An edge is a pair of frames and by how many metres the poses misplace one frame's points in the other. Where two
-frames share verified features, these are the same points; elsewhere it is depth against depth where the poses say that
-both look. A few frames with wrong poses are named so that they can be dropped. Poses that are wrong as a whole are
-refused, and the usual conventions are tried to say which one it is.
+Compared are pairs of frames: by how many metres the poses misplace one frame's points in the other. Where two frames
+share verified features, these are the same points; elsewhere it is depth against depth where the poses say that both
+look. A few frames with wrong poses are named so that they can be dropped. Poses that are wrong as a whole are refused,
+and the table of hypotheses.py says what they look like.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -19,15 +19,15 @@ import numpy as np
 from realsim.core.errors import PoseError
 from realsim.core.geometry import invert_T, transform
 from realsim.core.meshes import linked
-from realsim.core.types import F64, Dropped, Frame
-from realsim.feedforward.rgbd.depth_colour_sync import has_own_depth
+from realsim.core.types import F64, Bool, Dropped, Frame
+from realsim.feedforward.rgbd import hypotheses
 from realsim.feedforward.rgbd.features import Evidence, View
-from realsim.feedforward.rgbd.hypotheses import Hypothesis, best_of, of_depth_images, of_poses
+from realsim.feedforward.rgbd.hypotheses import Explanation, explain
 from realsim.feedforward.rgbd.loop_closure import LINKS, keep_plausible
 from realsim.feedforward.rgbd.refine_pairs import choose_pairs, look_up, sample_surface, share_in_image
 
 TOLERANCE = (0.05, 0.12)
-"""Metres: an edge contradicts beyond four times the median edge, but within these. Handheld trackers are off by 1 to
+"""Metres: a pair contradicts beyond four times the median pair, but within these. Handheld trackers are off by 1 to
 2 cm and half a degree, which is 3 cm at 2 m."""
 CLEARER = 0.35
 """Share of the misplacement that another reading may leave to be named as what went wrong. Held by tests on rendered
@@ -42,21 +42,8 @@ points agree in 20 of them. Within six captures with their own poses 0 to 2 % of
 2 cm off 19 % do by the least limit."""
 MANY = 0.3
 """Share of contradicting frames from which the poses as a whole are in question."""
-
-
-@dataclass(frozen=True)
-class ComparedPair:
-    """Points (M, 3) of two frames, each in its own camera and sensor depth."""
-
-    i: int
-    j: int
-    p: F64
-    """(M, 3) camera i."""
-    q: F64
-    """(M, 3) the same points in camera j by features; else (K, 3) points that j sees. Where `t` is None, points of
-    either are looked up in the other's depth."""
-    t: F64 | None
-    """(3,) where camera j stands in camera i, by features and depth alone; None: no features."""
+BY_DEPTH = 0.3
+"""Weight of a pair without features against one with."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +51,7 @@ class PoseCheck:
     """Agreement of the poses with the frames."""
 
     agreement: F64
-    """(N,) share of a frame's edges that agree, NaN where no other frame shows the same."""
+    """(N,) share of a frame's pairs that agree, NaN where no other frame shows the same."""
     contradicting: tuple[Dropped, ...]
     """Frames whose pose most others contradict."""
     warnings: tuple[str, ...] = ()
@@ -90,105 +77,194 @@ def check_poses(
     Raises:
         PoseError: the poses as a whole contradict the depth; the message names the convention that would agree.
     """
-    T = np.asarray(T_world_camera, float)
-    found = _compare(frames, T, evidence or Evidence.of(frames, seed), seed)
-    if isinstance(found, PoseCheck):
-        return found
-    if isinstance(found, Hypothesis):
+    found = Comparison(frames, evidence or Evidence.of(frames, seed), np.asarray(T_world_camera, float), seed)
+    if not found.seen.any():
+        explained = explain(hypotheses.of_poses(None), found, TOLERANCE[1])
+        if explained is None:
+            text = "the poses could not be checked: no two frames show the same surface"
+            return PoseCheck(np.full(len(frames), np.nan), (), (text,), {"edges": 0})
         raise PoseError(
-            f"with the given poses no two frames show the same surface: they look like {found.name}",
+            f"with the given poses no two frames show the same surface: they look like {explained[0].name}",
             file=source,
-            hint=found.hint,
+            hint=explained[0].hint,
         )
     reasons = _reasons(found, sensor_sigma)
-    for refuse in REFUSALS:
-        if (why := refuse(found, reasons)) is not None:
-            text, expected, seen, hint = why
-            raise PoseError(text, file=source, expected=expected, found="; ".join([*reasons, *seen]), hint=hint)
-    dropped = _named(frames, found.bad, found.agreement, found.middle, found.strangers, found.pieces)
-    return PoseCheck(found.agreement, dropped, tuple(_warnings(found)), found.statistics)
+    if (refusal := _refusal(found, reasons)) is not None:
+        text, expected, seen, hint = refusal
+        raise PoseError(text, file=source, expected=expected, found="; ".join([*reasons, *seen]), hint=hint)
+    return PoseCheck(found.agreement, _named(found), tuple(_warnings(found)), found.statistics)
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """Poses against frames."""
+class ComparedPair:
+    """Points of two frames, each in its own camera and sensor depth."""
 
-    frames: Sequence[Frame]
-    evidence: Evidence
-    T: F64
-    seed: int
-    edges: Sequence[ComparedPair]
-    typical: float
-    """Metres by which the points that features share are misplaced, the median."""
-    contradicting: float
-    """Share of the edges that contradict."""
-    bad: np.ndarray
-    """(N,) frames that most others contradict."""
-    agreement: F64
-    middle: F64
-    """(N,) of each frame's edges: the share that agrees, and the median misplacement in metres."""
-    pieces: list[list[int]]
-    """Frames that pairs join, the largest piece first."""
-    strangers: list[list[int]]
-    """Pieces that contradict the first where both see the same surface."""
-    scale: tuple[float | None, float]
-    """Metres by depth for one by the poses, and its standard error."""
-    statistics: dict[str, Any]
+    i: int
+    j: int
+    p: F64
+    """(M, 3) camera i."""
+    q: F64
+    """(M, 3) the same points in camera j by features; else (K, 3) points that j sees. Where `t` is None, points of
+    either are looked up in the other's depth."""
+    t: F64 | None
+    """(3,) where camera j stands in camera i, by features and depth alone; None: no features."""
+
+
+class Comparison:
+    """Poses (N, 4, 4) against frames."""
+
+    def __init__(self, frames: Sequence[Frame], evidence: Evidence, T: F64, seed: int) -> None:
+        self.frames, self.evidence, self.T, self.seed = frames, evidence, T, seed
+        self.pairs = self._compared()
+        self.index = np.array([(e.i, e.j) for e in self.pairs]).reshape(-1, 2)
+        self.weight = np.array([BY_DEPTH if e.t is None else 1.0 for e in self.pairs])
+        self.error = self.misplaced(self.pairs, T, MOST)
+        self.seen = np.isfinite(self.error)
+        """(E,) pairs that see the same surface by the poses, or share features."""
+
+    def _compared(self) -> list[ComparedPair]:
+        views = self.evidence.views
+        chosen = choose_pairs(views, self.T)
+        matched = {(m.i, m.j): m for m in keep_plausible(self.evidence, chosen, self.T)}
+        rng = np.random.default_rng(self.seed)
+        samples = [sample_surface(view, rng, 100)[0] for view in views]
+        out = []
+        for i, j in chosen:
+            if (m := matched.get((i, j))) is None:
+                out.append(ComparedPair(i, j, samples[i], samples[j], None))
+                continue
+            some = np.unique(np.linspace(0, len(m.a) - 1, 60).astype(int))
+            p, q = views[i].points[m.a[some]], views[j].points[m.b[some]]
+            out.append(ComparedPair(i, j, p, q, m.T_i_j[:3, 3]))
+        return out
+
+    def misplaced(self, pairs: Sequence[ComparedPair], T: F64, share: float = 0.5) -> F64:
+        """Median misplacement of each pair's points under poses T, metres; by depth the one that a `share` of them is
+        within. NaN where too little is seen to tell."""
+        out, views = np.full(len(pairs), np.nan), self.evidence.views
+        for k, e in enumerate(pairs):
+            D = invert_T(T[e.j]) @ T[e.i]
+            if e.t is not None:
+                out[k] = np.median(np.linalg.norm(transform(D, e.p) - e.q, axis=1))
+                continue
+            off = np.concatenate([_off(views[e.j], transform(D, e.p)), _off(views[e.i], transform(invert_T(D), e.q))])
+            if len(off) >= 20:
+                out[k] = np.quantile(np.abs(off), share)
+        return out
 
     @cached_property
-    def convention(self) -> tuple[Hypothesis, float] | None:
-        """The reading of the poses that agrees best, and the misplacement that it leaves."""
-        return _explain(self.edges, self.evidence, self.T, self.typical, self.scale[0])
+    def certain(self) -> list[ComparedPair]:
+        """Pairs that share features; where few do, those of frames next to each other: poses do not decide who is
+        compared."""
+        matched = [e for e in self.pairs if e.t is not None]
+        return matched if len(matched) >= 8 else [e for e in self.pairs if e.j - e.i <= 3]
+
+    @cached_property
+    def bare(self) -> list[ComparedPair]:
+        """The pairs that share features, to be compared by depth alone."""
+        rng, views = np.random.default_rng(0), self.evidence.views
+        matched = [e for e in self.pairs if e.t is not None]
+        samples = [[sample_surface(views[k], rng, 100)[0] for k in (e.i, e.j)] for e in matched]
+        return [ComparedPair(e.i, e.j, p, q, None) for e, (p, q) in zip(matched, samples, strict=True)]
+
+    @cached_property
+    def typical(self) -> float:
+        """Metres by which the points that features share are misplaced, the median."""
+        certain = self.seen & (self.weight == self.weight[self.seen].max())
+        return float(np.median(self.misplaced(self.pairs, self.T)[certain]))
+
+    @property
+    def limit(self) -> float:
+        """Metres beyond which a pair contradicts the poses."""
+        return float(np.clip(4 * self.typical, *TOLERANCE))
+
+    @property
+    def contradicting(self) -> float:
+        """Share of the pairs that contradict."""
+        return float((self.error[self.seen] > self.limit).mean())
+
+    @cached_property
+    def per_frame(self) -> tuple[F64, F64]:
+        """(N,) of each frame's pairs: the share that agrees, and the median misplacement in metres; NaN without any."""
+        agreement, middle = np.full((2, len(self.frames)), np.nan)
+        for k in range(len(self.frames)):
+            mine = self.seen & (self.index == k).any(1)
+            if mine.any():
+                agreement[k] = np.average(self.error[mine] <= self.limit, weights=self.weight[mine])
+                middle[k] = np.median(self.error[mine])
+        return agreement, middle
+
+    @property
+    def agreement(self) -> F64:
+        return self.per_frame[0]
+
+    @cached_property
+    def strangers(self) -> list[list[int]]:
+        """Pieces that agree within themselves and contradict the largest where both see the same surface."""
+        pieces = self._pieces(np.zeros(len(self.frames), bool))
+        # By depth alone: likeness may be false wherever pieces meet. So many pairs see the same surface, none agrees.
+        pair = self.index[self.seen & (self.weight < 1)]
+
+        def between(a: list[int], b: list[int]) -> int:
+            in_a, in_b = np.isin(pair, a), np.isin(pair, b)
+            return int(((in_a[:, 0] & in_b[:, 1]) | (in_b[:, 0] & in_a[:, 1])).sum())
+
+        return [p for p in pieces[1:] if between(p, pieces[0]) >= LINKS]
+
+    @cached_property
+    def bad(self) -> Bool:
+        """(N,) frames that most others contradict, or that look elsewhere than their neighbours."""
+        seen = self.seen
+        bad = _greedy(self.index[seen], self.weight[seen], self.error[seen] > self.limit, len(self.frames))
+        bad |= _nowhere(self.evidence, self.T, self.agreement)
+        bad[[k for p in self.strangers for k in p]] = True
+        return bad
+
+    @cached_property
+    def pieces(self) -> list[list[int]]:
+        """Frames that are not bad and that agreeing pairs join, the largest piece first."""
+        return self._pieces(self.bad)
+
+    def _pieces(self, bad: Bool) -> list[list[int]]:
+        agreeing = self.index[self.seen & (self.error <= self.limit)]
+        links = agreeing[~bad[agreeing].any(axis=1)]
+        piece = linked(links[:, 0], links[:, 1], len(self.frames))
+        found = [np.flatnonzero((piece == k) & ~bad).tolist() for k in np.unique(piece[~bad])]
+        return sorted((p for p in found if len(p) > 1), key=len, reverse=True)
+
+    @cached_property
+    def scale(self) -> tuple[float | None, float]:
+        """Metres by depth for one by the poses, and its standard error."""
+        return _scale([(e.i, e.j, e.t) for e in self.pairs if e.t is not None], self.T)
+
+    @cached_property
+    def convention(self) -> Explanation | None:
+        """The reading of the poses that agrees best, if it clearly beats them as they are."""
+        if not self.certain or self.typical < 0.02:
+            return None
+        return explain(hypotheses.of_poses(self.scale[0]), self, min(0.5 * self.typical, TOLERANCE[1]))
 
     @cached_property
     def by_depth(self) -> float:
         """Misplacement by depth alone, metres."""
-        return _by_depth_alone(self.edges, self.evidence, self.T)
+        return hypotheses.by_depth(self, self.T)
 
     @property
-    def several_places(self) -> bool:
-        """Whether a large part agrees within itself and many others do not."""
-        n = MANY * len(self.frames)
-        return bool(self.bad.sum() > n and self.pieces and len(self.pieces[0]) > n)
+    def statistics(self) -> dict[str, Any]:
+        """JSON-able."""
+        scale = self.scale[0]
+        return {
+            "edges": int(self.seen.sum()),
+            "feature_edges": int((self.weight == 1).sum()),
+            "typical_m": self.typical,
+            "limit_m": self.limit,
+            "contradicting_edges": self.contradicting,
+            "pose_scale": None if scale is None else 1 / scale,
+        }
 
-
-def _compare(frames: Sequence[Frame], T: F64, evidence: Evidence, seed: int) -> Comparison | PoseCheck | Hypothesis:
-    """The comparison; where no two frames see the same, the reading that explains it or a check of nothing."""
-    n = len(frames)
-    edges = _edges(evidence, T, seed)
-    error = _errors(edges, evidence, T, MOST)
-    pair = np.array([(e.i, e.j) for e in edges]).reshape(-1, 2)
-    weight = np.array([0.3 if e.t is None else 1.0 for e in edges])
-    seen = np.isfinite(error)
-    if not seen.any():
-        explained = _explain(edges, evidence, T, 2 * TOLERANCE[1], None)
-        text = "the poses could not be checked: no two frames show the same surface"
-        return explained[0] if explained else PoseCheck(np.full(n, np.nan), (), (text,), {"edges": 0})
-    certain = seen & (weight == weight[seen].max())
-    typical = float(np.median(_errors(edges, evidence, T)[certain]))
-    limit = float(np.clip(4 * typical, *TOLERANCE))
-    bad = _greedy(pair[seen], weight[seen], error[seen] > limit, n)
-    agreement, middle = _per_frame(pair[seen], weight[seen], error[seen], limit, n)
-    bad |= _nowhere(evidence, T, agreement)
-    agreeing = pair[seen & (error <= limit)]
-    pieces = _pieces(agreeing, np.zeros(n, bool), n)
-    # By depth alone: likeness may be false wherever pieces meet. So many pairs see the same surface, and none agrees.
-    strangers = [p for p in pieces[1:] if _between(pair[seen & (weight < 1)], p, pieces[0]) >= LINKS]
-    bad[[k for p in strangers for k in p]] = True
-    scale, spread = _scale(edges, T)
-    contradicting = float((error[seen] > limit).mean())
-    statistics = {
-        "edges": int(seen.sum()),
-        "feature_edges": int((weight == 1).sum()),
-        "typical_m": typical,
-        "limit_m": limit,
-        "contradicting_edges": contradicting,
-        "pose_scale": None if scale is None else 1 / scale,
-    }
-    return Comparison(
-        frames, evidence, T, seed, edges, typical, contradicting, bad, agreement, middle, _pieces(agreeing, bad, n),
-        strangers, (scale, spread), statistics,
-    )  # fmt: skip
+    def span(self, piece: Sequence[int]) -> str:
+        """Frames of a piece in words."""
+        return f"{self.frames[piece[0]].name} to {self.frames[piece[-1]].name} ({len(piece)} frames)"
 
 
 def _reasons(c: Comparison, sensor_sigma: float) -> list[str]:
@@ -211,62 +287,46 @@ def _reasons(c: Comparison, sensor_sigma: float) -> list[str]:
     return reasons
 
 
-Refusal = tuple[str, str, list[str], str]
-"""What is wrong, what was expected, what was found beside the reasons, and what to do."""
-
-
-def _late_depth(c: Comparison, reasons: Sequence[str]) -> Refusal | None:
-    """The depth images are of other frames: depth alone says so clearly."""
-    if (not reasons and c.typical <= TOLERANCE[0]) or _convention(c, reasons):
+def _refusal(c: Comparison, reasons: Sequence[str]) -> tuple[str, str, list[str], str] | None:
+    """What is wrong with poses that cannot be used, what was expected, what was found beside the reasons, and what to
+    do: a convention, depth or colour of other frames, several places, or nothing that is known."""
+    if not reasons and c.typical <= TOLERANCE[0]:
         return None
-    limit = min(TOLERANCE[0], CLEARER * c.by_depth)
-    found = best_of(of_depth_images(), c.T, lambda T: _by_depth_alone(c.edges, c.evidence, T), limit)
-    if found is None:
-        return None
-    moved = f"{100 * found[1]:.1f} cm with the depth images moved back, {100 * c.typical:.1f} cm as they are"
-    return found[0].name, "colour, depth and pose of one instant in each frame", [moved], found[0].hint
-
-
-def _colour_of_other_depth(c: Comparison, reasons: Sequence[str]) -> Refusal | None:
-    """Poses and depth agree, and the colour shows something else."""
-    if not reasons or _convention(c, reasons) or c.by_depth >= TOLERANCE[0] or has_own_depth(c.evidence.views, c.seed):
-        return None
-    return (
-        "the colour images belong to other depth images than those they are named with",
-        "colour and depth of the same view",
-        [f"without colour, poses and depth agree to {100 * c.by_depth:.1f} cm"],
-        "check that colour and depth come from one capture and carry the same numbers or times",
-    )
-
-
-def _contradiction(c: Comparison, reasons: Sequence[str]) -> Refusal | None:
-    """The poses are wrong: by a convention, by being of several places, or for no reason that is known."""
+    # Where depth agrees with the poses as they are, it is no convention, whatever features say.
+    convention = c.convention
+    if reasons and convention and c.by_depth < TOLERANCE[0] < convention[1]:
+        convention = None
+    if convention is None:
+        if late := explain(hypotheses.LATE, c, min(TOLERANCE[0], CLEARER * c.by_depth)):
+            moved = f"{100 * late[1]:.1f} cm with the depth images moved back, {100 * c.typical:.1f} cm as they are"
+            expected = "colour, depth and pose of one instant in each frame"
+            return late[0].name, expected, [moved], late[0].hint
+        if reasons and (other := explain(hypotheses.OTHER_COLOUR, c, TOLERANCE[0])):
+            without = f"without colour, poses and depth agree to {100 * other[1]:.1f} cm"
+            expected = "colour and depth of the same view"
+            return other[0].name, expected, [without], other[0].hint
     if not reasons:
         return None
     text = "the given poses contradict the depth"
     expected = "camera to world, OpenCV camera axes (x right, y down, z forward), metres"
-    if found := _convention(c, reasons):
-        hypothesis, left = found
-        undone = f"{100 * left:.1f} cm with {hypothesis.name} undone"
-        return f"{text}: they look like {hypothesis.name}", expected, [undone], hypothesis.hint
-    if c.several_places:
-        return f"{text}: they look like poses of more than one place", expected, [], _leave(c.frames, c.pieces[0])
-    return text, expected, [], _way_out(c.by_depth)
-
-
-REFUSALS: tuple[Callable[[Comparison, Sequence[str]], Refusal | None], ...] = (
-    _late_depth,
-    _colour_of_other_depth,
-    _contradiction,
-)
-"""In this order; the first that applies is what the person is told."""
-
-
-def _convention(c: Comparison, reasons: Sequence[str]) -> tuple[Hypothesis, float] | None:
-    """The reading that explains it, unless the depth agrees with the poses as they are: then it is not a convention."""
-    if reasons and c.convention and c.by_depth < TOLERANCE[0] < c.convention[1]:
-        return None
-    return c.convention
+    if convention is not None:
+        name = convention[0].name
+        undone = f"{100 * convention[1]:.1f} cm with {name} undone"
+        return f"{text}: they look like {name}", expected, [undone], convention[0].hint
+    many = MANY * len(c.frames)
+    if c.bad.sum() > many and c.pieces and len(c.pieces[0]) > many:
+        hint = (
+            f"of these {c.span(c.pieces[0])} agree with each other: leave out the others if they are of another place, "
+            "or estimate the poses (--poses estimate)"
+        )
+        return f"{text}: they look like poses of more than one place", expected, [], hint
+    hint = "estimate the poses from the frames instead (--poses estimate)"
+    if c.by_depth <= TOLERANCE[0]:
+        hint = (
+            f"surfaces agree with the poses to {100 * c.by_depth:.1f} cm, features do not: leave out frames in which "
+            "something large moved, or that are of another place, or estimate the poses (--poses estimate)"
+        )
+    return text, expected, [], hint
 
 
 def _warnings(c: Comparison) -> Iterator[str]:
@@ -277,15 +337,36 @@ def _warnings(c: Comparison) -> Iterator[str]:
             f"({100 * c.by_depth:.1f} cm): is the colour of another capture or time, or not registered to depth?"
         )
     if c.convention and c.typical > 0.02:
-        yield f"poses agree only roughly ({100 * c.typical:.1f} cm); {c.convention[0].name} would explain it"
+        name = c.convention[0].name
+        yield f"poses agree only roughly ({100 * c.typical:.1f} cm); {name} would explain it"
     if (alone := len(c.frames) - int(c.bad.sum()) - sum(map(len, c.pieces))) > 0:
         yield f"{alone} frames share no surface with others that are used: their poses could not be checked"
     if len(c.pieces) > 1:
-        names = " and ".join(_span(c.frames, p) for p in c.pieces[:4])
         yield (
-            f"nothing that the frames show joins {names}: their poses to each other could not be checked; "
-            "are they of one place?"
+            f"nothing that the frames show joins {' and '.join(map(c.span, c.pieces[:4]))}: their poses to each other "
+            "could not be checked; are they of one place?"
         )
+
+
+def _named(c: Comparison) -> tuple[Dropped, ...]:
+    """The bad frames, and why each is."""
+    out, (agreement, middle) = [], c.per_frame
+    of = {k: piece for piece in c.strangers for k in piece}
+    for k in np.flatnonzero(c.bad).tolist():
+        if k in of:
+            reason = (
+                f"{c.span(of[k])} agree with each other and with no frame of {c.span(c.pieces[0])}, where by the "
+                "poses both see the same surface: of another place, or their poses jump"
+            )
+        elif np.isnan(agreement[k]):
+            reason = "its pose looks at nothing that the frames before and after see"
+        else:
+            reason = (
+                f"its pose contradicts the depth: {100 * (1 - agreement[k]):.0f} percent of the frames it overlaps "
+                f"with disagree, by {100 * middle[k]:.1f} cm (median)"
+            )
+        out.append(Dropped(c.frames[k].name, reason))
+    return tuple(out)
 
 
 def measure_scale(evidence: Evidence, T_world_camera: F64) -> tuple[float, float]:
@@ -297,8 +378,7 @@ def measure_scale(evidence: Evidence, T_world_camera: F64) -> tuple[float, float
     """
     n = len(T_world_camera)
     matched = evidence.matches([(i, i + step) for step in (1, 2, 3) for i in range(n - step)])
-    none = np.zeros((0, 3))
-    scale, error = _scale([ComparedPair(m.i, m.j, none, none, m.T_i_j[:3, 3]) for m in matched], T_world_camera)
+    scale, error = _scale([(m.i, m.j, m.T_i_j[:3, 3]) for m in matched], T_world_camera)
     if scale is None:
         raise PoseError(
             "the scale of the given poses cannot be determined",
@@ -309,37 +389,18 @@ def measure_scale(evidence: Evidence, T_world_camera: F64) -> tuple[float, float
     return scale, error / scale
 
 
-def _edges(evidence: Evidence, T: F64, seed: int) -> list[ComparedPair]:
-    pairs = choose_pairs(evidence.views, T)
-    matched = {(m.i, m.j): m for m in keep_plausible(evidence, pairs, T)}
-    rng = np.random.default_rng(seed)
-    samples = [sample_surface(view, rng, 100)[0] for view in evidence.views]
-    out = []
-    for i, j in pairs:
-        m = matched.get((i, j))
-        if m is not None:
-            some = np.unique(np.linspace(0, len(m.a) - 1, 60).astype(int))
-            p, q = evidence.views[i].points[m.a[some]], evidence.views[j].points[m.b[some]]
-            out.append(ComparedPair(i, j, p, q, m.T_i_j[:3, 3]))
-        else:
-            out.append(ComparedPair(i, j, samples[i], samples[j], None))
-    return out
-
-
-def _errors(edges: Sequence[ComparedPair], evidence: Evidence, T: F64, share: float = 0.5) -> F64:
-    """Median misplacement of each edge's points under poses T, metres; by depth the one that a `share` of them is
-    within. NaN where too little is seen to tell."""
-    out = np.full(len(edges), np.nan)
-    for k, e in enumerate(edges):
-        D = invert_T(T[e.j]) @ T[e.i]
-        if e.t is not None:
-            out[k] = np.median(np.linalg.norm(transform(D, e.p) - e.q, axis=1))
-            continue
-        views = evidence.views
-        off = np.concatenate([_off(views[e.j], transform(D, e.p)), _off(views[e.i], transform(invert_T(D), e.q))])
-        if len(off) >= 20:
-            out[k] = np.quantile(np.abs(off), share)
-    return out
+def _scale(known: Sequence[tuple[int, int, F64]], T: F64) -> tuple[float | None, float]:
+    """Metres by depth for a metre by poses, of pairs (i, j, where j stands in i): the median over those with a
+    baseline, and its standard error."""
+    given = np.array([(invert_T(T[i]) @ T[j])[:3, 3] for i, j, _ in known]).reshape(-1, 3)
+    found = np.array([t for _, _, t in known]).reshape(-1, 3)
+    long = np.linalg.norm(found, axis=1) > 0.1
+    if long.sum() < 8:
+        return None, 0.0
+    # Lengths, not components: they do not depend on a wrong convention of the axes.
+    ratio = np.linalg.norm(found[long], axis=1) / np.maximum(np.linalg.norm(given[long], axis=1), 1e-9)
+    middle = np.median(ratio)
+    return float(middle), float(1.4826 * np.median(np.abs(ratio - middle)) / np.sqrt(long.sum()) * 1.25)
 
 
 def _off(view: View, y: F64) -> F64:
@@ -350,38 +411,7 @@ def _off(view: View, y: F64) -> F64:
     return behind[behind < TOLERANCE[1]]
 
 
-def _by_depth_alone(edges: Sequence[ComparedPair], evidence: Evidence, T: F64) -> float:
-    """Median misplacement by depth of the pairs that features speak of; infinite where it cannot be told."""
-    rng = np.random.default_rng(0)
-    matched = [e for e in edges if e.t is not None]
-    seen = [[sample_surface(evidence.views[k], rng, 100)[0] for k in (e.i, e.j)] for e in matched]
-    bare = [ComparedPair(e.i, e.j, p, q, None) for e, (p, q) in zip(matched, seen, strict=True)]
-    error = _errors(bare, evidence, T)
-    return float(np.nanmedian(error)) if np.isfinite(error).sum() >= 4 else float("inf")
-
-
-def _way_out(fit: float) -> str:
-    """What to do where no convention explains it; `fit` as `_by_depth_alone` has it."""
-    if fit > TOLERANCE[0]:
-        return "estimate the poses from the frames instead (--poses estimate)"
-    return (
-        f"surfaces agree with the poses to {100 * fit:.1f} cm, features do not: leave out frames in which "
-        "something large moved, or that are of another place, or estimate the poses (--poses estimate)"
-    )
-
-
-def _leave(frames: Sequence[Frame], piece: Sequence[int]) -> str:
-    return (
-        f"of these {_span(frames, piece)} agree with each other: leave out the others if they are of another place, or "
-        "estimate the poses (--poses estimate)"
-    )
-
-
-def _span(frames: Sequence[Frame], piece: Sequence[int]) -> str:
-    return f"{frames[piece[0]].name} to {frames[piece[-1]].name} ({len(piece)} frames)"
-
-
-def _greedy(pair: np.ndarray, weight: F64, wrong: np.ndarray, n: int) -> np.ndarray:
+def _greedy(pair: np.ndarray, weight: F64, wrong: Bool, n: int) -> Bool:
     """Take out the frame with the largest contradicted share until every frame agrees with most of the others.
 
     One at a time, because one wrong pose makes all its neighbours look bad.
@@ -398,31 +428,7 @@ def _greedy(pair: np.ndarray, weight: F64, wrong: np.ndarray, n: int) -> np.ndar
         bad[np.lexsort((against, share))[-1]] = True
 
 
-def _per_frame(pair: np.ndarray, weight: F64, error: F64, limit: float, n: int) -> tuple[F64, F64]:
-    agreement, middle = np.full(n, np.nan), np.full(n, np.nan)
-    for k in range(n):
-        mine = (pair == k).any(1)
-        if mine.any():
-            agreement[k] = np.average(error[mine] <= limit, weights=weight[mine])
-            middle[k] = np.median(error[mine])
-    return agreement, middle
-
-
-def _pieces(agreeing: np.ndarray, bad: np.ndarray, n: int) -> list[list[int]]:
-    """Frames that pairs (M, 2) which agree join with one another, two or more, the largest first."""
-    links = agreeing[~bad[agreeing].any(axis=1)]
-    piece = linked(links[:, 0], links[:, 1], n)
-    found = [np.flatnonzero((piece == k) & ~bad).tolist() for k in np.unique(piece[~bad])]
-    return sorted((p for p in found if len(p) > 1), key=len, reverse=True)
-
-
-def _between(pair: np.ndarray, a: Sequence[int], b: Sequence[int]) -> int:
-    """Number of pairs (M, 2) of a frame of one piece and one of the other."""
-    of = [np.isin(pair, piece) for piece in (a, b)]
-    return int(((of[0][:, 0] & of[1][:, 1]) | (of[1][:, 0] & of[0][:, 1])).sum())
-
-
-def _nowhere(evidence: Evidence, T: F64, agreement: F64) -> np.ndarray:
+def _nowhere(evidence: Evidence, T: F64, agreement: F64) -> Bool:
     """Frames that overlap with nothing although the frames before and after see the same surface."""
     bad = np.zeros(len(T), bool)
     for k in np.flatnonzero(np.isnan(agreement)).tolist():
@@ -431,63 +437,3 @@ def _nowhere(evidence: Evidence, T: F64, agreement: F64) -> np.ndarray:
             points = (evidence.views[k - 1].camera.rays() * z[..., None])[z > 0][::97].astype(float)
             bad[k] = len(points) > 0 and share_in_image(evidence.views, T, k - 1, np.array([k + 1]), points)[0] > 0.3
     return bad
-
-
-def _scale(edges: Sequence[ComparedPair], T: F64) -> tuple[float | None, float]:
-    """Metres by depth for a metre by poses (median over edges with a baseline), and its standard error."""
-    known = [e for e in edges if e.t is not None]
-    given = np.array([(invert_T(T[e.i]) @ T[e.j])[:3, 3] for e in known]).reshape(-1, 3)
-    found = np.array([e.t for e in known]).reshape(-1, 3)
-    long = np.linalg.norm(found, axis=1) > 0.1
-    if long.sum() < 8:
-        return None, 0.0
-    # Lengths, not components: they do not depend on a wrong convention of the axes.
-    ratio = np.linalg.norm(found[long], axis=1) / np.maximum(np.linalg.norm(given[long], axis=1), 1e-9)
-    middle = np.median(ratio)
-    return float(middle), float(1.4826 * np.median(np.abs(ratio - middle)) / np.sqrt(long.sum()) * 1.25)
-
-
-def _explain(
-    edges: Sequence[ComparedPair], evidence: Evidence, T: F64, typical: float, scale: float | None
-) -> tuple[Hypothesis, float] | None:
-    """The reading of the poses that agrees best and the median misplacement it leaves, if it clearly beats none."""
-    certain = [e for e in edges if e.t is not None]
-    # By depth alone, only frames next to each other surely see the same; poses do not decide who is compared.
-    certain = certain if len(certain) >= 8 else [e for e in edges if e.j - e.i <= 3]
-    if not certain or typical < 0.02:
-        return None
-
-    def misplaced(other: F64) -> float:
-        error = _errors(certain, evidence, other)
-        # A convention under which frames no longer see each other explains nothing.
-        return float(np.nanmedian(error)) if np.isfinite(error).mean() >= 0.7 else float("inf")
-
-    return best_of(of_poses(scale), T, misplaced, min(0.5 * typical, TOLERANCE[1]))
-
-
-def _named(
-    frames: Sequence[Frame],
-    bad: np.ndarray,
-    agreement: F64,
-    middle: F64,
-    strangers: Sequence[Sequence[int]],
-    pieces: Sequence[Sequence[int]],
-) -> tuple[Dropped, ...]:
-    out = []
-    of = {k: piece for piece in strangers for k in piece}
-    for k in np.flatnonzero(bad).tolist():
-        if k in of:
-            reason = (
-                f"{_span(frames, of[k])} agree with each other and with no frame of {_span(frames, pieces[0])}, where "
-                "by the poses both see the same surface: of another place, or their poses jump"
-            )
-        elif np.isnan(agreement[k]):
-            reason = "its pose looks at nothing that the frames before and after see"
-        else:
-            against, off = 100 * (1 - agreement[k]), 100 * middle[k]
-            reason = (
-                f"its pose contradicts the depth: {against:.0f} percent of the frames it overlaps with disagree, "
-                f"by {off:.1f} cm (median)"
-            )
-        out.append(Dropped(frames[k].name, reason))
-    return tuple(out)

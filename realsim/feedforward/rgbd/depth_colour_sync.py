@@ -55,6 +55,13 @@ class Reading:
         how = {(-1, 1): "mirrored left to right", (1, -1): "mirrored top to bottom", (-1, -1): "turned by 180 degrees"}
         return f"the depth images are {how[self.flip]} against the colour images, or these against them"
 
+    @property
+    def hint(self) -> str:
+        """What to do about it."""
+        if self.late:
+            return "associate colour and depth by their time stamps anew"
+        return "store both as the sensor sees them"
+
 
 OTHERS = (
     *(Reading(late) for late in range(-LATE, LATE + 1) if late),
@@ -75,14 +82,13 @@ def check_together(views: Sequence[View], source: Path | None, seed: int = 0) ->
     best = max(found, key=lambda r: found[r].mean())
     if not _clear(found[best] - read):
         return
-    hint = "associate colour and depth by their time stamps anew" if best.late else "store both as the sensor sees them"
     raise PoseError(
         best.name,
         file=source,
         expected="colour and depth of one view at one time in each frame",
         found=f"of the features that look alike in {len(read)} pairs of frames {read.mean():.0%} move like a rigid "
         f"thing with the depth as it is, {found[best].mean():.0%} with that undone",
-        hint=hint,
+        hint=best.hint,
     )
 
 
