@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from realsim.align.winding import inside_out, is_closed, main_direction
 from realsim.core.errors import AlignError
-from realsim.core.meshes import sum_by_key
+from realsim.core.meshes import across, sampled, sum_by_key
 from realsim.core.ordered import in_order
 from realsim.core.progress import track
 from realsim.core.types import F32, F64, Bool, MetricScene, Scan
@@ -123,7 +123,7 @@ def from_scan(scan: Scan, seed: int, voxel: float | None = None) -> Cloud:
     """
     points, normals, turned, closed = scan.points, scan.normals, False, False
     if scan.triangles is not None and len(scan.triangles):
-        points, normals = _sampled(scan.points, scan.triangles, seed)
+        points, normals = sample_scan(scan.points, scan.triangles, seed)
         turned = inside_out(points, normals, scan.up_world)
         normals = -normals if turned else normals
         closed = is_closed(normals)
@@ -222,18 +222,10 @@ def _normals(points: F64, voxel: float) -> F64:
     return np.asarray(cloud.normals).copy()
 
 
-def _sampled(vertices: F64, triangles: NDArray[np.int32], seed: int) -> tuple[F64, F64]:
+def sample_scan(vertices: F64, triangles: NDArray[np.int32], seed: int) -> tuple[F64, F64]:
     """Points spread evenly over a mesh, and the normals of their triangles."""
-    corners = vertices[triangles]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = 0.5 * np.linalg.norm(cross, axis=1)
-    count = int(np.clip(area.sum() * SCAN_DENSITY, 1000, MAX_SAMPLES))
-    rng = np.random.default_rng(seed)
-    # Stratified along the cumulative area: even, and each triangle gets its share to within one point.
-    steps = (np.arange(count) + rng.random(count)) / count * area.sum()
-    chosen = np.minimum(np.searchsorted(np.cumsum(area), steps), len(area) - 1)
-    a, b = rng.random((2, count))
-    a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
-    c = corners[chosen]
-    points = c[:, 0] + a[:, None] * (c[:, 1] - c[:, 0]) + b[:, None] * (c[:, 2] - c[:, 0])
-    return points, cross[chosen] / np.maximum(2 * area[chosen, None], 1e-15)
+    normals = across(vertices, triangles)
+    length = np.linalg.norm(normals, axis=1)
+    count = int(np.clip(length.sum() / 2 * SCAN_DENSITY, 1000, MAX_SAMPLES))
+    points, chosen = sampled(vertices, triangles, count, np.random.default_rng(seed))
+    return points, normals[chosen] / np.maximum(length[chosen, None], 1e-15)

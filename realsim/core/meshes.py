@@ -25,9 +25,13 @@ def areas(vertices: NDArray[Any], triangles: NDArray[Any]) -> NDArray[np.float64
 def sampled(
     vertices: NDArray[Any], triangles: NDArray[Any], count: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """(points (count, 3), their triangles (count,)): spread over a surface by area."""
+    """(points (count, 3), their triangles (count,)): spread evenly over a surface, in the order of the triangles.
+
+    Stratified along the cumulative area: each triangle gets its share to within one point.
+    """
     area = areas(vertices, triangles)
-    face = rng.choice(len(area), count, p=area / area.sum())
+    steps = (np.arange(count) + rng.random(count)) / count * area.sum()
+    face = np.minimum(np.searchsorted(np.cumsum(area), steps), len(area) - 1)
     u = rng.random((2, count, 1))
     u = np.where(u.sum(0) > 1, 1 - u, u)
     a, b, c = (vertices[triangles[face, k]] for k in range(3))

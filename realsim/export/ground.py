@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core.meshes import across, sampled
 from realsim.core.types import TerrainMesh
 
 LEVEL = 0.01  # metres: one level
@@ -77,14 +78,13 @@ def hidden_cm2(mesh: TerrainMesh, scene_xml: Path, ground: GroundLevel) -> float
 
     from realsim.export.contact.probe import BALL, BALL_RADIUS, Reference, SimTouch
 
-    corners = mesh.vertices[mesh.triangles]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    corners, cross = mesh.vertices[mesh.triangles], across(mesh.vertices, mesh.triangles)
     double = np.linalg.norm(cross, axis=1)
     normal = cross / np.maximum(double, 1e-20)[:, None]
     faces = np.flatnonzero((corners[..., 2].min(1) < ground.z - DEEP) & (normal[:, 2] > -0.5))
     if not len(faces):
         return 0.0
-    points, of = _spread(corners[faces], PROBES)
+    points, of = sampled(mesh.vertices, mesh.triangles[faces], PROBES, np.random.default_rng(0))
     share = double[faces].sum() / 2 / len(points)
     below = points[:, 2] < ground.z - DEEP
     if ground.slab:
@@ -104,8 +104,7 @@ def hidden_cm2(mesh: TerrainMesh, scene_xml: Path, ground: GroundLevel) -> float
 def _lowest_level(mesh: TerrainMesh) -> tuple[float, float, float]:
     """(z, area in m^2, share of all that is level and faces up) of the lowest level that holds SHARE of that; the
     mesh's lowest point if nothing does."""
-    corners = mesh.vertices[mesh.triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    corners, normal = mesh.vertices[mesh.triangles], across(mesh.vertices, mesh.triangles)
     area = np.linalg.norm(normal, axis=1) / 2
     level = normal[:, 2] > np.cos(np.radians(5)) * 2 * area
     if not level.any():
@@ -126,7 +125,8 @@ def _rim(mesh: TerrainMesh) -> tuple[F64, F64, float]:
     in metres."""
     from scipy import ndimage
 
-    points = np.concatenate([_spread(mesh.vertices[mesh.triangles], SAMPLES)[0], mesh.vertices[mesh.triangles.ravel()]])
+    points, _ = sampled(mesh.vertices, mesh.triangles, SAMPLES, np.random.default_rng(0))
+    points = np.concatenate([points, mesh.vertices[mesh.triangles.ravel()]])
     lower, upper = points.min(0)[:2], points.max(0)[:2]
     cell = max(CELL, float((upper - lower).max()) / CELLS)
     place = np.floor((points[:, :2] - lower) / cell).astype(int) + 1
@@ -137,15 +137,3 @@ def _rim(mesh: TerrainMesh) -> tuple[F64, F64, float]:
     outside, _ = ndimage.label(~np.isfinite(low))
     rim = np.isfinite(low) & ndimage.binary_dilation(outside == outside[0, 0])
     return high[rim], low[rim], cell
-
-
-def _spread(corners: F64, count: int) -> tuple[F64, NDArray[np.int64]]:
-    """((count, 3) points spread evenly over triangles (K, 3, 3), (count,) the triangle of each)."""
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    rng = np.random.default_rng(0)
-    steps = (np.arange(count) + rng.random(count)) / count * area.sum()
-    of = np.minimum(np.searchsorted(np.cumsum(area), steps), len(area) - 1)
-    a, b = rng.random((2, count, 1))
-    a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
-    origin, one, other = (corners[of, k] for k in range(3))
-    return origin + a * (one - origin) + b * (other - origin), of

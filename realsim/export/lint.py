@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 
 from realsim.core.errors import ExportError, require
 from realsim.core.files import check_size
+from realsim.core.geometry import R_to_quat
+from realsim.core.meshes import merged, sampled
 from realsim.core.progress import note
 from realsim.export.any_mesh import GOOD, contact_verdict
 from realsim.export.config import SceneConfig
 from realsim.export.contact.fidelity import EDGE, measure
 from realsim.export.contact.polytope import Polytope
 from realsim.export.contact.probe import Reference
-from realsim.export.contact.seams import Seam, open_seams
+from realsim.export.contact.seams import open_seams
 
 F64 = NDArray[np.float64]
 SAMPLES = 2000
@@ -58,16 +60,14 @@ def lint_mjcf(path: Path) -> dict[str, Any]:
     require("recon", "realsim lint")
     config = SceneConfig()
     static = _static(_load(path), path)
-    vertices = np.concatenate([v for v, _ in static.drawn])
-    starts = np.cumsum([0, *(len(v) for v, _ in static.drawn)])
-    faces = np.concatenate([f + s for (_, f), s in zip(static.drawn, starts, strict=False)])
+    vertices, faces = merged(static.drawn)
     reference = Reference(vertices, faces.astype(np.int32))
     note("measuring ...")
     bare = static.planes > 0
     figures = dict(measure(static.spec, reference, static.ground_z, probes=config.contact_probes, bare=bare).figures)
     seams = open_seams([part for _, part in static.parts])
     names = [name for name, _ in static.parts]
-    listed = [_described(seam, names) for seam in seams]
+    listed = [{"geoms": [names[s.one], names[s.other]], "at": [round(float(v), 3) for v in s.at]} for s in seams]
     count = len(static.parts) + static.planes
     found = figures | {"hidden_cm2": 0.0, "ground_z": static.ground_z}
     verdict = contact_verdict(found, config.contact_tolerance)
@@ -102,10 +102,6 @@ def _with_parts(verdict: dict[str, Any], hulls: list[dict[str, Any]], seams: lis
     return {"level": level, "headline": (*reasons, GOOD)[0], "reasons": reasons, "next": todo + mine}
 
 
-def _described(seam: Seam, names: list[str]) -> dict[str, Any]:
-    return {"geoms": [names[seam.one], names[seam.other]], "at": [round(float(v), 3) for v in seam.at]}
-
-
 def _load(path: Path) -> Any:
     import mujoco
 
@@ -135,7 +131,7 @@ def _static(model: Any, path: Path) -> _Static:
         kind, R = model.geom_type[g], data.geom_xmat[g].reshape(3, 3)
         collides = bool(model.geom_contype[g] or model.geom_conaffinity[g])
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, g) or f"geom {g}"
-        place = {"pos": data.geom_xpos[g], "quat": _quat(R), "size": model.geom_size[g]}
+        place = {"pos": data.geom_xpos[g], "quat": R_to_quat(R), "size": model.geom_size[g]}
         if kind == kinds.mjGEOM_PLANE:
             if collides and R[2, 2] > 0.999:
                 planes.append(float(data.geom_xpos[g][2]))
@@ -202,16 +198,5 @@ def _mesh(model: Any, mesh: int) -> tuple[F64, NDArray[np.int64]]:
 def _off_hull(vertices: F64, faces: NDArray[np.int64]) -> float:
     """Metres that a mesh's surface lies inside its hull at the farthest."""
     planes = Polytope(vertices).planes
-    corners = vertices[faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    rng = np.random.default_rng(0)
-    of = np.searchsorted(np.cumsum(area), (np.arange(SAMPLES) + 0.5) / SAMPLES * area.sum())
-    weights = rng.dirichlet(np.ones(3), SAMPLES)
-    points = np.einsum("nk,nkj->nj", weights, corners[np.minimum(of, len(faces) - 1)])
+    points, _ = sampled(vertices, faces, SAMPLES, np.random.default_rng(0))
     return float(-(points @ planes[:, :3].T + planes[:, 3]).max(1).min(initial=0.0))
-
-
-def _quat(R: F64) -> F64:
-    from realsim.core.geometry import R_to_quat
-
-    return np.asarray(R_to_quat(R))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from realsim.core.errors import ExportError
 from realsim.core.files import check_size
 from realsim.core.meshes import (
+    areas,
     compact,
     edges_of,
     faces_by_place,
@@ -228,10 +229,8 @@ def _usable(vertices: F64, triangles: NDArray[Any], notes: list[str]) -> tuple[F
     triangles = triangles[sound]
     if not len(triangles):
         raise ExportError("the mesh has no usable triangles", found="missing or non-finite corners")
-    corners = vertices[triangles]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    size = float(np.ptp(corners.reshape(-1, 3), 0).max())
-    flat = area < 1e-12 * max(size, 1e-12) ** 2
+    size = float(np.ptp(vertices[triangles].reshape(-1, 3), 0).max())
+    flat = 2 * areas(vertices, triangles) < 1e-12 * max(size, 1e-12) ** 2
     if flat.any():
         notes.append(f"{flat.sum()} triangles without area were removed")
     if flat.all():

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realsim.core.errors import ExportError
+from realsim.core.meshes import across
 
 TILE = 4  # texels a side that each triangle gets
 F64 = NDArray[np.float64]
@@ -14,9 +15,7 @@ I32 = NDArray[np.int32]
 
 def vertex_normals(vertices: F64, triangles: I32) -> F64:
     """(V, 3) unit normals, mean of the adjoining triangles weighted by area; +z where a vertex has none."""
-    corners = vertices[triangles]
-    face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(vertices)
+    face, normals = across(vertices, triangles), np.zeros_like(vertices)
     for k in range(3):
         np.add.at(normals, triangles[:, k], face)
     length = np.linalg.norm(normals, axis=1, keepdims=True)

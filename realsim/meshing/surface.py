@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from realsim.core.meshes import linked
+from realsim.core.meshes import across, areas, linked, merged, sampled
 from realsim.core.rays import Rays
 from realsim.core.types import F64, U8, Bool
 
@@ -33,8 +33,8 @@ class Surface:
 
     def joined(self, other: Surface) -> Surface:
         """Both in one, this one first; without colours."""
-        triangles = np.concatenate([self.triangles, other.triangles + len(self.vertices)]).astype(np.int32)
-        return Surface(np.concatenate([self.vertices, other.vertices]), triangles)
+        vertices, triangles = merged([(s.vertices, s.triangles) for s in (self, other)])
+        return Surface(vertices, triangles.astype(np.int32))
 
     def centres(self) -> F64:
         """(K, 3) centroids of the triangles."""
@@ -42,12 +42,11 @@ class Surface:
 
     def crosses(self) -> F64:
         """(K, 3) normals of twice the triangles' area."""
-        a, b, c = (self.vertices[self.triangles[:, k]] for k in range(3))
-        return np.cross(b - a, c - a)
+        return across(self.vertices, self.triangles)
 
     def areas(self) -> F64:
         """(K,) m^2."""
-        return 0.5 * np.linalg.norm(self.crosses(), axis=1)
+        return areas(self.vertices, self.triangles)
 
     def rays(self) -> Rays:
         """The surface under rays."""
@@ -59,14 +58,7 @@ class Surface:
 
     def sample(self, n: int, seed: int) -> F64:
         """(n, 3) points spread evenly over the area."""
-        rng = np.random.default_rng(seed)
-        area = self.areas()
-        face = rng.choice(len(area), n, p=area / area.sum())
-        u, v = rng.random(n), rng.random(n)
-        flip = u + v > 1
-        u[flip], v[flip] = 1 - u[flip], 1 - v[flip]
-        a, b, c = (self.vertices[self.triangles[face, k]] for k in range(3))
-        return a + u[:, None] * (b - a) + v[:, None] * (c - a)
+        return sampled(self.vertices, self.triangles, n, np.random.default_rng(seed))[0]
 
 
 def edges_of(triangles: I32) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:

@@ -158,7 +158,8 @@ def surface_errors(mesh: Surface, truth: Surface, target: Samples, bounds: F64, 
     """
     low = np.maximum(bounds[0], [-np.inf, -np.inf, floor_z - 0.03])
     found = mesh.sample(400_000)
-    found = found[((found > low) & (found < bounds[1])).all(1)][:100_000]
+    found = found[((found > low) & (found < bounds[1])).all(1)]
+    found = found[:: max(1, len(found) // 100_000)]
     missing = np.linalg.norm(mesh.closest(target.points) - target.points, axis=1)
     off = np.linalg.norm(truth.closest(found) - found, axis=1)
     tops = _top_errors(mesh, target)

@@ -261,9 +261,9 @@ def test_a_mesh_made_by_hand(course, source):
 
 def test_a_cloud_with_y_up_and_no_normals(course, source):
     V, F = mesh_of(course[:4])
-    from realsim.align.cloud import _sampled
+    from realsim.align.cloud import sample_scan
 
-    points, _ = _sampled(V, F, 0)
+    points, _ = sample_scan(V, F, 0)
     T_y_up = make_T(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]))
     aligned = align(Scan(source, "cloud", transform(T_y_up, points)), CONFIG)
     tilt, _, origin = errors(aligned, T_y_up, truth())
@@ -274,9 +274,9 @@ def test_a_cloud_with_y_up_and_no_normals(course, source):
 
 def test_a_sparse_cloud_is_looked_at_more_coarsely(course, source):
     V, F = mesh_of(course[:4], np.array([3.0, 3.0]))
-    from realsim.align.cloud import _sampled
+    from realsim.align.cloud import sample_scan
 
-    points, _ = _sampled(V, F, 0)
+    points, _ = sample_scan(V, F, 0)
     rng = np.random.default_rng(0)
     sparse = points[rng.choice(len(points), int(0.06 * len(points)), replace=False)]  # 1200 a square metre
     sparse = sparse + 0.003 * rng.standard_normal(sparse.shape)
@@ -305,10 +305,10 @@ def plinth(boxes, thickness=0.1):
 
 
 def turned(T, V, F, up=None):
-    from realsim.align.cloud import _sampled
+    from realsim.align.cloud import sample_scan
     from realsim.align.winding import inside_out
 
-    return inside_out(*_sampled(transform(T, V), F, 0), up)
+    return inside_out(*sample_scan(transform(T, V), F, 0), up)
 
 
 @pytest.mark.parametrize(

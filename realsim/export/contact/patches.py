@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from realsim.core import meshes
+
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 NEIGHBOURS = 12
@@ -47,18 +49,11 @@ class Patch:
 
 def sampled(vertices: F64, triangles: NDArray[np.int32], spacing: float, seed: int = 0) -> Samples:
     """Points about `spacing` metres apart on all of a surface."""
-    corners = vertices[triangles]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = meshes.across(vertices, triangles)
     twice = np.linalg.norm(cross, axis=1)
     total = float(twice.sum()) / 2
     count = max(int(4 * total / spacing**2), 100)
-    rng = np.random.default_rng(seed)
-    steps = (np.arange(count) + rng.random(count)) / count * twice.sum()
-    chosen = np.minimum(np.searchsorted(np.cumsum(twice), steps), len(twice) - 1)
-    a, b = rng.random((2, count))
-    a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
-    c = corners[chosen]
-    points = c[:, 0] + a[:, None] * (c[:, 1] - c[:, 0]) + b[:, None] * (c[:, 2] - c[:, 0])
+    points, chosen = meshes.sampled(vertices, triangles, count, np.random.default_rng(seed))
     normals = cross[chosen] / np.maximum(twice[chosen, None], 1e-15)
     cell = np.floor((points - points.min(0)) / spacing).astype(np.int64)
     axis = np.abs(normals).argmax(1)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from realsim.core.files import write_bytes
-from realsim.core.meshes import ply_bytes
+from realsim.core.meshes import across, ply_bytes
 from realsim.export.formats.scene import SceneOnDisk
 from realsim.export.glb import glb_bytes
 from realsim.export.visual import bake, obj_bytes, vertex_normals
@@ -68,9 +68,8 @@ def ply(scene: SceneOnDisk, folder: Path) -> list[Path]:
 
 def stl_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:
     """(V, 3) and (K, 3) as binary STL."""
-    corners = vertices[triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-20)
+    normal = across(vertices, triangles)
     rows = np.zeros(len(triangles), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-    rows["normal"], rows["corners"] = normal, corners
+    rows["normal"] = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-20)
+    rows["corners"] = vertices[triangles]
     return b"realsim, metres, z up".ljust(80, b"\0") + np.uint32(len(triangles)).tobytes() + rows.tobytes()

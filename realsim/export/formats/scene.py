@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from realsim.core.errors import ExportError
 from realsim.core.files import check_size
+from realsim.core.meshes import across, merged
 from realsim.core.mjcf import check_mjcf
 
 T = TypeVar("T")
@@ -121,7 +122,8 @@ def load_scene(folder: Path) -> SceneOnDisk:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     boxes, convex, surfaces, floor = _collision(model, data)
-    sites = {model.site(i).name: (data.site_xpos[i].copy(), model.site_size[i].copy()) for i in _world_sites(model)}
+    world = np.flatnonzero(model.site_bodyid == 0)
+    sites = {model.site(i).name: (data.site_xpos[i].copy(), model.site_size[i].copy()) for i in world}
     vertices, triangles = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int32)
     _check_drawn(folder, model, data, vertices[np.unique(triangles)])
     return SceneOnDisk(folder, vertices, triangles, colors, boxes, convex, surfaces, floor, sites)
@@ -148,10 +150,6 @@ def _check_drawn(folder: Path, model: Any, data: Any, vertices: F64) -> None:
             found=" x ".join(f"{v:.2f}" for v in np.ptp(points, 0)) + " m",
             hint="make the scene again",
         )
-
-
-def _world_sites(model: Any) -> list[int]:
-    return [i for i in range(model.nsite) if model.site_bodyid[i] == 0]
 
 
 def _collision(model: Any, data: Any) -> tuple[tuple[Box, ...], tuple[Convex, ...], tuple[Convex, ...], float | None]:
@@ -200,10 +198,8 @@ def collision_triangles(model: Any, data: Any) -> tuple[F64, NDArray[np.int32]]:
     cube = _hull("", signs.astype(float))
     order = [int(np.flatnonzero((signs == v).all(1))[0]) for v in cube.vertices]
     parts = [((signs[order] * b.half) @ b.rotation.T + b.position, cube.triangles) for b in boxes]
-    parts += [(part.vertices, part.triangles) for part in (*convex, *surfaces)]
-    counts = np.cumsum([0, *(len(v) for v, _ in parts)])
-    triangles = [faces + start for (_, faces), start in zip(parts, counts, strict=False)]
-    return np.concatenate([v for v, _ in parts]), np.concatenate(triangles).astype(np.int32)
+    vertices, triangles = merged([*parts, *((part.vertices, part.triangles) for part in (*convex, *surfaces))])
+    return vertices, triangles.astype(np.int32)
 
 
 def _mesh(model: Any, mesh: int) -> tuple[F64, NDArray[np.int32]]:
@@ -220,9 +216,7 @@ def _hull(name: str, points: F64) -> Convex:
     hull = ConvexHull(points, qhull_options="QJ")
     used, faces = np.unique(hull.simplices, return_inverse=True)
     vertices, faces = points[used], faces.reshape(-1, 3)
-    corners = vertices[faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inward = (normal * (corners.mean(1) - vertices.mean(0))).sum(1) < 0
+    inward = (across(vertices, faces) * (vertices[faces].mean(1) - vertices.mean(0))).sum(1) < 0
     faces[inward] = faces[inward][:, ::-1]
     return Convex(name, vertices, faces.astype(np.int32))
 

@@ -21,7 +21,7 @@ from realsim.feedforward.rgbd.features import View
 from realsim.feedforward.rgbd.loop_closure import drift, is_in_order
 from realsim.feedforward.rgbd.matching import WINDOW, describe_shape, is_ambiguous, propose_starts, register_by_shape
 from realsim.feedforward.rgbd.overlap import FINE, overlap
-from realsim.feedforward.rgbd.pose_graph import Edge, components
+from realsim.feedforward.rgbd.pose_graph import Edge, label_pieces
 
 STEPS = 2
 """Frames that features do not connect are compared by shape with this many that follow."""
@@ -41,9 +41,7 @@ def link_by_shape(views: Sequence[View], edges: Sequence[Edge], seed: int) -> tu
     """
     n = len(views)
     near = [e for e in edges if e.j - e.i <= WINDOW] if is_in_order(n, edges) else list(edges)
-    label = np.zeros(n, int)
-    for k, part in enumerate(components(n, near)):
-        label[part] = k
+    label = label_pieces(n, near)
     loose = [(i, j) for i in range(n) for j in range(i + 1, min(i + 1 + STEPS, n)) if label[i] != label[j]]
     features = {k: describe_shape(views[k]) for k in sorted({k for pair in loose for k in pair})}
     claims = []

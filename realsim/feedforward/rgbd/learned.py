@@ -22,7 +22,7 @@ from realsim.feedforward import matcher
 from realsim.feedforward.rgbd.features import Match, View, points_of, rigid_ransac
 from realsim.feedforward.rgbd.matching import ALL_PAIRS, WINDOW, is_believable, make_edge, tighten
 from realsim.feedforward.rgbd.overlap import overlap
-from realsim.feedforward.rgbd.pose_graph import Edge, components
+from realsim.feedforward.rgbd.pose_graph import Edge, label_pieces
 
 MOST = 1024
 """Keypoints with depth that take part; the cost of a pair grows with their square."""
@@ -66,7 +66,7 @@ class Learned:
 def join_pieces(views: Sequence[View], edges: Sequence[Edge], seed: int) -> Learned:
     """Ask about near pairs of frames that `edges` leave in different pieces."""
     n = len(views)
-    piece = _pieces(n, edges)
+    piece = label_pieces(n, edges)
     reach = n if n <= ALL_PAIRS else WINDOW + 1
     seeing = [k for k in range(n) if views[k].has_color and views[k].frame is not None]
     pairs = [(i, j) for i in seeing for j in seeing if i < j < i + reach and piece[i] != piece[j]]
@@ -81,7 +81,7 @@ def join_pieces(views: Sequence[View], edges: Sequence[Edge], seed: int) -> Lear
     asked = 0
     for i, j in track(sorted(pairs, key=lambda p: (p[1] - p[0], p)), "hard matches"):
         if j - i > NEAR:
-            now = _pieces(n, [*edges, *map(make_edge, matches)])
+            now = label_pieces(n, [*edges, *map(make_edge, matches)])
             if now[i] == now[j]:
                 continue
         for k in {i, j} - keypoints.keys():
@@ -105,14 +105,6 @@ def _supported(matches: Sequence[Match], piece: NDArray[np.int64]) -> list[Match
         if support >= min(2, int((piece == a).sum()), int((piece == b).sum())):
             out += group
     return sorted(out, key=lambda m: (m.i, m.j))
-
-
-def _pieces(n: int, edges: Sequence[Edge]) -> NDArray[np.int64]:
-    """(N,) the piece that each view belongs to."""
-    label = np.zeros(n, np.int64)
-    for k, part in enumerate(components(n, edges)):
-        label[part] = k
-    return label
 
 
 def _look(view: View) -> tuple[View, matcher.Keypoints]:

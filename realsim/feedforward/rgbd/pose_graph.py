@@ -42,9 +42,14 @@ def whitening(sigma_m: float, sigma_rad: float) -> F64:
     return np.diag([1 / sigma_m] * 3 + [1 / sigma_rad] * 3)
 
 
+def label_pieces(count: int, edges: Sequence[Edge]) -> NDArray[np.int64]:
+    """(count,) number of the connected set that each node belongs to."""
+    return linked([e.i for e in edges], [e.j for e in edges], count)
+
+
 def components(count: int, edges: Sequence[Edge]) -> list[NDArray[np.int64]]:
     """Connected sets of nodes, the largest first; of two equally large ones the one with the lower index."""
-    return members(linked([e.i for e in edges], [e.j for e in edges], count))
+    return members(label_pieces(count, edges))
 
 
 def chain_poses(count: int, edges: Sequence[Edge], root: int = 0) -> F64:
