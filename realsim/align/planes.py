@@ -79,7 +79,8 @@ def refine(cloud: Cloud, normal: F64, offset: float, tolerance: float = TOLERANC
     """Weighted PCA on the inliers, repeated with a band that narrows to three times their robust deviation."""
     band = tolerance
     weights = plane_weights(cloud)
-    gate = _agree(cloud, normal)
+    cosine = cloud.normals @ normal
+    gate = (cosine if cloud.oriented else np.abs(cosine)) > GATE_COS
     for _ in range(rounds):
         inliers = gate & (np.abs(cloud.points @ normal + offset) < band)
         if inliers.sum() < 10:
@@ -127,11 +128,6 @@ def _same(a: Plane, b: Plane, cloud: Cloud) -> bool:
     if a.normal @ b.normal < GATE_COS:
         return False
     return bool(np.median(np.abs(b.height(cloud.points[a.inliers]))) < 2 * TOLERANCE)
-
-
-def _agree(cloud: Cloud, normal: F64) -> Bool:
-    cosine = cloud.normals @ normal
-    return (cosine if cloud.oriented else np.abs(cosine)) > GATE_COS
 
 
 def _best_hypothesis(cloud: Cloud, pool: np.ndarray, rng: np.random.Generator) -> tuple[F64, float] | None:

@@ -40,7 +40,9 @@ def split(points: F64, cell: float = 0.02) -> list[NDArray[np.intp]]:
     seen, height = _heights(points, cells, shape)
     area = _filled(seen, cell)
     radius = max(2, round(RADIUS / cell))
-    cores, count = label(binary_erosion(area & ~_steps(seen, height, cell), _disc(radius)), np.ones((3, 3)))
+    r, c = np.mgrid[-radius : radius + 1, -radius : radius + 1]
+    disc = r**2 + c**2 <= (radius + 0.5) ** 2
+    cores, count = label(binary_erosion(area & ~_steps(seen, height, cell), disc), np.ones((3, 3)))
     if not count:
         return []
     distance, nearest = distance_transform_edt(cores == 0, return_indices=True)
@@ -101,11 +103,6 @@ def _steps(seen: Bool, height: F64, cell: float) -> Bool:
 def _shifted(a: NDArray[Any], by: tuple[int, int]) -> NDArray[Any]:
     """a[row + by[0], column + by[1]] at every cell; the grid's empty margin is wider than any shift."""
     return np.roll(a, (-by[0], -by[1]), (0, 1))
-
-
-def _disc(radius: int) -> Bool:
-    r, c = np.mgrid[-radius : radius + 1, -radius : radius + 1]
-    return np.asarray(r**2 + c**2 <= (radius + 0.5) ** 2)
 
 
 def _in_rectangle(face: NDArray[np.int64], cells: NDArray[np.int64], radius: int) -> Bool:

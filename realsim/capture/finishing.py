@@ -106,11 +106,12 @@ def finish(raw: FrameSet, config: CaptureConfig) -> Finished:
     agreement, pose_note = check_agreement(capture)
     # Metric poses that agree with the depth have confirmed its unit.
     confirmed = agreement is not None and capture.poses_metric and agreement.as_read >= GOOD
+    limits = (config.min_depth, config.max_depth)
     units = () if confirmed else (unit_note, check_height(capture.frames))
     notes = [*units, pose_note, smeared(looks)]
     capture = replace(
         capture,
-        frames=_files_named_once([_limited(f, config) for f in capture.frames]),
+        frames=_files_named_once([replace(f, read_depth=InRange(f.read_depth, *limits)) for f in capture.frames]),
         warnings=(*capture.warnings, *(note for note in notes if note is not None)),
     )
     return Finished(capture, tuple(looks), poses, agreement, seen)
@@ -162,7 +163,3 @@ def _files_named_once(frames: Sequence[Frame]) -> tuple[Frame, ...]:
         out.append(replace(frame, files=tuple(f for f in frame.files if f not in seen)))
         seen.update(frame.files)
     return tuple(out)
-
-
-def _limited(frame: Frame, config: CaptureConfig) -> Frame:
-    return replace(frame, read_depth=InRange(frame.read_depth, config.min_depth, config.max_depth))

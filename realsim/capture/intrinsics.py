@@ -96,7 +96,9 @@ def camera_matrix(values: ArrayLike, source: Path) -> tuple[F64, str]:
     except (TypeError, ValueError) as error:
         raise CaptureError("the camera matrix is not made of numbers", file=source, found=str(error)) from error
     if flat.size == 16:
-        flat = flat.reshape(4, 4)[:3, :3].ravel() if _is_padded(flat) else flat
+        M = flat.reshape(4, 4)  # a 3x3 matrix in the corner of the identity, as ScanNet writes it
+        padded = np.array_equal(M[3], [0, 0, 0, 1]) and np.array_equal(M[:, 3], [0, 0, 0, 1])
+        flat = M[:3, :3].ravel() if padded else flat
     if flat.size != 9 or not np.isfinite(flat).all():
         raise CaptureError(
             "a camera matrix of the wrong length", file=source, expected="9 finite numbers", found=f"{flat.size}"
@@ -120,12 +122,6 @@ def camera_matrix(values: ArrayLike, source: Path) -> tuple[F64, str]:
 
 def _four(K: F64) -> tuple[float, float, float, float]:
     return float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
-
-
-def _is_padded(flat: F64) -> bool:
-    """Whether sixteen numbers are a 3x3 matrix in the corner of the 4x4 identity (as ScanNet writes it)."""
-    M = flat.reshape(4, 4)
-    return bool(np.array_equal(M[3], [0, 0, 0, 1]) and np.array_equal(M[:, 3], [0, 0, 0, 1]))
 
 
 def check(camera: Intrinsics, source: Path) -> Intrinsics:
@@ -172,7 +168,9 @@ def read_camera(path: Path) -> Camera:
     if suffix == ".json":
         return camera_from_mapping(read_json(path), path).y_down()
     if suffix in (".yaml", ".yml"):
-        return camera_from_mapping(_read_yaml(path), path).y_down()
+        # OpenCV's writer starts its files with a directive and tags matrices, neither of which plain YAML knows.
+        text = re.sub(r"^%YAML.*$|!!opencv-matrix", "", read_text(path, 2**20), flags=re.MULTILINE)
+        return camera_from_mapping(parse_yaml(text, path), path).y_down()
     return camera_from_text(read_text(path, 2**20), path).y_down()
 
 
@@ -181,7 +179,7 @@ def camera_from_mapping(data: Any, source: Path) -> Camera:
     if not isinstance(data, Mapping):
         raise _no_camera(source, "a list or a single value")
     for inner in ("intrinsics", "intrinsic", "camera", "depth", "depth_intrinsics", "depth_camera"):
-        if isinstance(data.get(inner), Mapping) and _has_camera(data[inner]):
+        if isinstance(data.get(inner), Mapping) and (_separate(data[inner]) or _matrix(data[inner])) is not None:
             return camera_from_mapping({**data, inner: None, **data[inner]}, source)
     notes: tuple[str, ...] = ()
     separate, matrix = _separate(data), _matrix(data)
@@ -242,12 +240,6 @@ def _no_camera(source: Path, found: str) -> CaptureError:
     )
 
 
-def _read_yaml(path: Path) -> Any:
-    # OpenCV's own writer starts its files with a directive and tags matrices, neither of which plain YAML knows.
-    text = re.sub(r"^%YAML.*$|!!opencv-matrix", "", read_text(path, 2**20), flags=re.MULTILINE)
-    return parse_yaml(text, path)
-
-
 def _separate(data: Mapping) -> tuple | None:
     for names in (("fx", "fy", "cx", "cy"), ("fl_x", "fl_y", "cx", "cy"), ("fx", "fy", "ppx", "ppy")):
         if all(name in data for name in names):
@@ -258,10 +250,6 @@ def _separate(data: Mapping) -> tuple | None:
 def _matrix(data: Mapping) -> Any | None:
     value = _first(data, MATRIX_KEYS)
     return value.get("data") if isinstance(value, Mapping) else value
-
-
-def _has_camera(data: Mapping) -> bool:
-    return _separate(data) is not None or _matrix(data) is not None
 
 
 def _first(data: Mapping, keys: Sequence[str]) -> Any | None:

@@ -55,12 +55,16 @@ def _not_recognised(path: Path, seen: Mapping[str, Recognition], layouts: Mappin
     if partial:
         nearest = min(partial, key=lambda known: (len(partial[known].missing), -partial[known].score))
         missing = partial[nearest].missing
+        no_depth = any(m.startswith("depth") for m in missing)
+        headline = "colour without depth" if no_depth else "no " + missing[0].split(" (")[0]
+        others = [f"{known} would need {', '.join(r.missing)}" for known, r in partial.items() if known != nearest]
+        last_resort = [f"--layout {known} reads {', '.join(r.evidence)}" for known, r in seen.items() if r.complete]
         return CaptureError(
-            f"{_headline(missing)}: the capture looks like layout {nearest}, but is incomplete",
+            f"{headline}: the capture looks like layout {nearest}, but is incomplete",
             file=path,
             expected=", ".join(missing),
             found=", ".join(partial[nearest].evidence),
-            hint=_other_partials(partial, nearest) or _last_resort(seen),
+            hint="; ".join(others) or " or ".join(last_resort) or None,
         )
     return CaptureError(
         "no capture layout was recognised",
@@ -69,22 +73,6 @@ def _not_recognised(path: Path, seen: Mapping[str, Recognition], layouts: Mappin
         found=_what_is_there(path),
         hint=_subfolder_hint(path, layouts),
     )
-
-
-def _headline(missing: tuple[str, ...]) -> str:
-    if any(m.startswith("depth") for m in missing):
-        return "colour without depth"
-    return "no " + missing[0].split(" (")[0]
-
-
-def _other_partials(partial: Mapping[str, Recognition], nearest: str) -> str | None:
-    others = [f"{known} would need {', '.join(r.missing)}" for known, r in partial.items() if known != nearest]
-    return "; ".join(others) or None
-
-
-def _last_resort(seen: Mapping[str, Recognition]) -> str | None:
-    found = [f"--layout {known} reads {', '.join(r.evidence)}" for known, r in seen.items() if r.complete]
-    return " or ".join(found) or None
 
 
 def _what_is_there(path: Path) -> str:

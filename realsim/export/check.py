@@ -31,18 +31,14 @@ def check_scene(scene_xml: Path, platforms: Sequence[Platform], robot: str | Non
     Raises:
         ExportError: it does not compile, diverges, or the robot falls.
     """
-    model = _compile(scene_xml)
-    result = _step(model, scene_xml, robot)
-    return result | {"drops": _drop(scene_xml, platforms, robot)}
-
-
-def _compile(scene_xml: Path) -> Any:
     import mujoco
 
     try:
-        return mujoco.MjModel.from_xml_path(str(scene_xml))
+        model = mujoco.MjModel.from_xml_path(str(scene_xml))
     except ValueError as error:
         raise ExportError("the scene does not compile", file=scene_xml, found=str(error)) from error
+    result = _step(model, scene_xml, robot)
+    return result | {"drops": _drop(scene_xml, platforms, robot)}
 
 
 def _step(model: Any, scene_xml: Path, robot: str | None) -> dict[str, Any]:
@@ -83,7 +79,9 @@ def _drop(scene_xml: Path, platforms: Sequence[Platform], robot: str | None) -> 
 
     spec = mujoco.MjSpec.from_file(str(scene_xml))
     if robot:
-        _remove_robot(spec, robot)
+        for key in list(spec.keys):
+            spec.delete(key)
+        spec.delete(spec.body(robot))
     dropped = [(name, kind, p) for name, p in zip(platform_names(platforms), platforms, strict=True) for kind in KINDS]
     for name, kind, platform in dropped:
         _add_object(spec, f"{kind} on {name}", kind, platform)
@@ -117,9 +115,3 @@ def _add_object(spec: Any, name: str, kind: str, platform: Platform) -> None:
     # other. Without friction (condim 1, and theirs counts) the box turns until it lies flat.
     shape = mujoco.mjtGeom.mjGEOM_SPHERE if kind == "sphere" else mujoco.mjtGeom.mjGEOM_BOX
     body.add_geom(type=shape, size=[RADIUS] * 3, mass=0.5, contype=0, conaffinity=1, condim=1, priority=1)
-
-
-def _remove_robot(spec: Any, root: str) -> None:
-    for key in list(spec.keys):
-        spec.delete(key)
-    spec.delete(spec.body(root))

@@ -95,7 +95,8 @@ class GltfFile:
     def node(self, name: str, parent: int | None = None, **fields: Any) -> int:
         """A node below `parent`, or at the top."""
         index = self._add("nodes", {"name": name} | fields)
-        above = self._document["scenes"][0]["nodes"] if parent is None else self._children(parent)
+        nodes = self._document["nodes"]
+        above = self._document["scenes"][0]["nodes"] if parent is None else nodes[parent].setdefault("children", [])
         above.append(index)
         return index
 
@@ -127,9 +128,6 @@ class GltfFile:
         self._document.setdefault("images", []).append({"bufferView": view, "mimeType": "image/png"})
         self._document.setdefault("textures", []).append({"source": len(self._document["images"]) - 1})
         return len(self._document["textures"]) - 1
-
-    def _children(self, node: int) -> list[int]:
-        return self._document["nodes"][node].setdefault("children", [])
 
     def _add(self, table: str, entry: dict[str, Any]) -> int:
         self._document[table].append(entry)

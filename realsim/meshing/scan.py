@@ -8,7 +8,7 @@ import numpy as np
 
 from realsim.core.errors import MeshError
 from realsim.core.geometry import transform
-from realsim.core.types import F64, AlignedScene, Scan
+from realsim.core.types import F64, AlignedScene
 from realsim.meshing.clean import weld
 from realsim.meshing.config import MeshConfig
 from realsim.meshing.fuse import Points, thin
@@ -37,7 +37,8 @@ def surface_of_scan(aligned: AlignedScene, config: MeshConfig) -> tuple[Surface,
         raise MeshError("the cloud has too few points inside the bounds", file=scan.source, found=str(inside.sum()))
     normals = None if scan.normals is None else scan.normals[inside] @ aligned.T_sim_world[:3, :3].T
     colors = None if scan.colors is None else scan.colors[inside]
-    return _surface_of_cloud(points[inside], normals, colors, _sensor(aligned, scan), config)
+    sensor = None if scan.sensor_position is None else transform(aligned.T_sim_world, scan.sensor_position)
+    return _surface_of_cloud(points[inside], normals, colors, sensor, config)
 
 
 def crop(surface: Surface, bounds: F64) -> Surface:
@@ -165,11 +166,6 @@ def outward(points: F64, normals: F64, reach: float, neighbours: int = 24) -> F6
     lower = found & (away[..., 2] < -reach / 4)
     normals[side[(before * lower).sum(1) < 0]] *= -1
     return normals
-
-
-def _sensor(aligned: AlignedScene, scan: Scan) -> F64 | None:
-    """Where the scanner stood, simulation frame, or None."""
-    return None if scan.sensor_position is None else transform(aligned.T_sim_world, scan.sensor_position)
 
 
 def _edge_length(surface: Surface) -> float:

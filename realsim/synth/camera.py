@@ -148,7 +148,9 @@ class DepthSensor:
         high: Any = cv2.dilate(true, kernel)
         low: Any = cv2.erode(true, kernel)
         edge = (high - low) > 0.04 * low
-        z = _flying(z, low, high, edge, rng)
+        # A third of the pixels on an edge land between the near and the far surface.
+        mix = rng.random(z.shape).astype(np.float32)
+        z = np.where(edge & (rng.random(z.shape) < 0.3), low + mix * (np.minimum(high, 6) - low), z)
         noise = cv2.GaussianBlur(rng.standard_normal((h, w)).astype(np.float32), (0, 0), 0.8)
         disparity = STEREO_F_B / (z * self.scale) + noise / noise.std() * self.sigma * STEREO_F_B
         disparity = np.maximum(np.round(disparity / self.step), 1) * self.step
@@ -161,12 +163,6 @@ class DepthSensor:
         """(H, W) millimetres with the scale error alone."""
         z = np.where(np.isfinite(depth) & (depth < self.far), depth * self.scale, 0)
         return np.round(z * 1000).astype(np.uint16)
-
-
-def _flying(z: F32, low: F32, high: F32, edge: Bool, rng: np.random.Generator) -> F32:
-    """A third of the pixels on an edge land between the near and the far surface."""
-    mix = rng.random(z.shape).astype(np.float32)
-    return np.where(edge & (rng.random(z.shape) < 0.3), low + mix * (np.minimum(high, 6) - low), z)
 
 
 def _blobs(rng: np.random.Generator, h: int, w: int, share: float) -> Bool:

@@ -13,7 +13,7 @@ import numpy as np
 from realsim.core.files import output_folder, to_json, write_bytes, write_text
 from realsim.core.geometry import make_T
 from realsim.core.progress import track
-from realsim.core.types import F64, U8, Intrinsics
+from realsim.core.types import F64, U8
 from realsim.synth.camera import DepthSensor, Rig, drift, follow_route, rig, walk
 from realsim.synth.config import SynthConfig
 from realsim.synth.render import Renderer
@@ -49,7 +49,8 @@ def write_capture(
     terrain = terrain or make_terrain(config.terrain, config.seed, config.once)
     rng = np.random.default_rng([config.seed, 4])
     drawn = float(rng.uniform(0.99, 1.01))
-    T_world_sim = _random_world(rng)
+    Q, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    T_world_sim = make_T(Q * np.sign(np.linalg.det(Q)), rng.uniform(-1, 1, 3))
     poses = camera_poses(terrain, config, rng)
     scale = drawn if config.depth_scale is None else config.depth_scale
     sensor = DepthSensor(scale)
@@ -115,9 +116,12 @@ def _write_frame(
 def _write_cameras(folder: Path, cameras: Rig, T_world_camera: F64, config: SynthConfig) -> None:
     """Intrinsics and, if asked for, poses, each in the sensor's layout."""
     if config.sensor == "d435i":
-        write_text(folder / "camera_intrinsic.json", _intrinsics_text(cameras.depth))
+        k = cameras.depth  # Open3D writes the 3x3 matrix column by column
+        intrinsics = {"width": k.width, "height": k.height, "intrinsic_matrix": k.K.T.ravel().tolist()}
+        write_text(folder / "camera_intrinsic.json", to_json(intrinsics))
         if config.poses:
-            write_text(folder / "trajectory.log", _trajectory_text(T_world_camera))
+            rows = (f"{i} {i} {i + 1}\n{_matrix_text(T)}" for i, T in enumerate(T_world_camera))
+            write_text(folder / "trajectory.log", "".join(rows))
         return
     # As people have it: the depth camera's figures alone.
     write_text(folder / "camera-intrinsics.txt", _matrix_text(cameras.depth.K))
@@ -136,22 +140,5 @@ def _expose(color: U8, i: int, rng: np.random.Generator, config: SynthConfig) ->
     return np.clip(color * (gain * corner)[..., None] + noise, 0, 255).astype(np.uint8)
 
 
-def _random_world(rng: np.random.Generator) -> F64:
-    Q, _ = np.linalg.qr(rng.standard_normal((3, 3)))
-    return make_T(Q * np.sign(np.linalg.det(Q)), rng.uniform(-1, 1, 3))
-
-
 def _matrix_text(M: F64) -> str:
     return "\n".join(" ".join(f"{v:.10f}" for v in row) for row in M) + "\n"
-
-
-def _intrinsics_text(k: Intrinsics) -> str:
-    # Open3D writes the 3x3 matrix column by column.
-    return to_json({"width": k.width, "height": k.height, "intrinsic_matrix": k.K.T.ravel().tolist()})
-
-
-def _trajectory_text(T_world_camera: F64) -> str:
-    blocks = []
-    for i, T in enumerate(T_world_camera):
-        blocks.append(f"{i} {i} {i + 1}\n{_matrix_text(T)}")
-    return "".join(blocks)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from realsim.synth.solids import F64, Solid, box, rz
 
@@ -140,7 +140,9 @@ def stairwell(rng: np.random.Generator, once: bool = False) -> Place:
         for s in (-0.5, -0.2, 0.1, 0.4) if k < flights - 2 else ():
             eyes.append(R @ [s * run, -half + 0.1, z + EYE + (s + 0.5) * up])
             aims.append(R @ [s * run + 1.4, -half - 0.15 + max(0.0, s + 0.2), z + EYE + (s + 0.5) * up - 0.45])
-    order = np.arange(len(eyes)) if once else _back_and_forth(len(eyes), 0.45, 0.25)
+    count, turn, back = len(eyes), int(0.45 * len(eyes)), int(0.25 * len(eyes))
+    there, again = np.arange(turn), np.r_[turn:back:-1, back:count]
+    order = np.arange(count) if once else np.concatenate([there, again])
     solids += _ends((-half, -half, 0), (half, half, 0))
     return Place(tuple(solids), np.array(eyes)[order], np.array(aims)[order], np.array(lamps))
 
@@ -166,9 +168,3 @@ def _through(stops: F64, step: float) -> F64:
     """Points `step` apart along a line that turns at `stops`."""
     parts = [np.linspace(a, b, max(2, round(abs(b - a) / step)), endpoint=False) for a, b in pairwise(stops)]
     return np.append(np.concatenate(parts), stops[-1])
-
-
-def _back_and_forth(count: int, turn: float, back: float) -> NDArray[np.int64]:
-    """Indices 0 .. count-1 that go up to a share `turn`, back to `back`, and on to the end."""
-    a, b = int(turn * count), int(back * count)
-    return np.concatenate([np.arange(a), np.arange(a, b, -1), np.arange(b, count)])

@@ -188,7 +188,7 @@ def _chosen(bag: Bag, found: Found, camera: str) -> tuple[str, str | None]:
             "the recording has several depth cameras", file=bag.path, expected="one of them", found=", ".join(cameras),
             hint=" or ".join(f"--camera {c}" for c in cameras),
         )  # fmt: skip
-    colors = [t for t in found.encodings if _is_color(t, found.encodings[t]) and camera_name(t) == cameras[0]]
+    colors = [t for t, kind in found.encodings.items() if _is_color(t, kind) and camera_name(t) == cameras[0]]
     colors = [t for t in colors if info_beside(t, found.cameras)] or colors
     color = min(colors, key=lambda t: (not re.search("colou?r|rgb", t), len(t)), default=None)
     # Depth that is registered to colour shares its frame.

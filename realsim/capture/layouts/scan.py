@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from realsim.capture.config import UNITS, CaptureConfig
 from realsim.capture.layout import Layout, Recognition
@@ -56,13 +55,16 @@ def read(path: Path, config: CaptureConfig) -> Scan:
             hint="subtract an offset where the scan is exported",
         )
     points = points - origin
+    count = 0 if raw.triangles is None else int((raw.triangles == np.roll(raw.triangles, 1, axis=1)).any(axis=1).sum())
+    # As some programs write them, and as damage does.
+    flat = [f"{count} triangles name a vertex twice: they have no area"] if count else []
     shape = "a cloud" if raw.triangles is None else "a mesh"
     assumptions = [
         f"{shape} in {config.unit}{'' if config.unit == 'm' else ', as asked for'}: "
         f"{np.ptp(points, axis=0)[0]:.3g} x {np.ptp(points, axis=0)[1]:.3g} x {np.ptp(points, axis=0)[2]:.3g} m",
         *raw.notes,
         *([origin_note(origin)] if origin.any() else []),
-        *_flat(raw.triangles),
+        *flat,
     ]
     if raw.up is None:
         assumptions.append("the file does not say which way is up")
@@ -82,12 +84,6 @@ def read(path: Path, config: CaptureConfig) -> Scan:
         assumptions=tuple(assumptions),
         warnings=(*raw.warnings, *warnings, *([unusual] if unusual else [])),
     )
-
-
-def _flat(triangles: NDArray[np.int32] | None) -> list[str]:
-    """A sentence on triangles that name a vertex twice, as some programs write them and damage does."""
-    count = 0 if triangles is None else int((triangles == np.roll(triangles, 1, axis=1)).any(axis=1).sum())
-    return [f"{count} triangles name a vertex twice: they have no area"] if count else []
 
 
 def check_extent(points: F64, unit: str, source: Path, *, surveyed: bool = False) -> str | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -122,11 +121,8 @@ def _run(model: Model, n: int, size: tuple[int, int]) -> Trial:
     except (ModelError, OutOfMemory) as error:
         text = f"{error.message}: {error.found}" if isinstance(error, ModelError) else f"out of memory: {error}"
         return Trial(n, inputs.size, None, text)
-    return Trial(n, inputs.size, seconds, _shapes(model.spec.ports, found))
-
-
-def _shapes(ports: Mapping[str, str], found: Mapping[str, np.ndarray]) -> str:
-    return ", ".join(f"{ports[role]} {list(v.shape)}" for role, v in found.items())
+    shapes = ", ".join(f"{model.spec.ports[role]} {list(v.shape)}" for role, v in found.items())
+    return Trial(n, inputs.size, seconds, shapes)
 
 
 def _trial(t: Trial) -> str:

@@ -173,13 +173,16 @@ def _judged(
     if n == 1 and model.spec.kind != "mono":
         warnings.append("one view only: no other view can confirm the model's output")
     depth = np.where(keep, placed.depth, 0).astype(np.float32)
+    claim = 1.0 if model.spec.scale == "applied" else None
+    if model.spec.scale == "factor" and placed.claims:
+        claim = float(np.median(placed.claims))
     return Views(
         used=used,
         depth=depth[alive],
         conf=placed.conf[alive],
         T_world_camera=placed.T_world_camera[alive],
         grids=tuple(inputs.grids[i] for i in used),
-        metric_claim=_claim(placed, model),
+        metric_claim=claim,
         lost=lost,
         warnings=(*warnings, *_notable(figures)),
         statistics={
@@ -217,12 +220,6 @@ def _unusable(placed: Placed, keep: Bool, *, posed: bool) -> dict[int, str]:
         elif keep[i].mean() < EMPTY:
             out[i] = f"the model is sure of only {100 * float(keep[i].mean()):.1f} percent of the pixels"
     return out
-
-
-def _claim(placed: Placed, model: Model) -> float | None:
-    if model.spec.scale == "applied":
-        return 1.0
-    return float(np.median(placed.claims)) if model.spec.scale == "factor" and placed.claims else None
 
 
 def _refuse_wrong_focal_length(ratio: float, model: Model) -> None:

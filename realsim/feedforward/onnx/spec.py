@@ -203,14 +203,10 @@ def _given(path: Path, metadata: Mapping[str, str]) -> dict[str, tuple[Any, str]
 
 
 def _choice(path: Path, key: str, text: Any) -> str:
-    if str(text) not in CHOICES[key]:
-        raise UnknownNameError(f"value of {key}", str(text), CHOICES[key], file=path)
-    return str(text)
-
-
-def _kind_name(path: Path, key: str, text: Any) -> str:
-    if str(text) not in ADAPTERS:
-        raise UnknownNameError("kind of model", str(text), ADAPTERS, file=path)
+    known = CHOICES.get(key, ADAPTERS)
+    if str(text) not in known:
+        what = "kind of model" if key == "kind" else f"value of {key}"
+        raise UnknownNameError(what, str(text), list(known), file=path)
     return str(text)
 
 
@@ -232,8 +228,7 @@ def _size(path: Path, key: str, text: Any) -> tuple[int, int] | None:
 
 
 PARSERS: dict[str, Callable[[Path, str, Any], Any]] = {
-    "kind": _kind_name,
-    **dict.fromkeys(CHOICES, _choice),
+    **dict.fromkeys(("kind", *CHOICES), _choice),
     **dict.fromkeys(("patch", "max_views", "n_static"), _count),
     "fixed_hw": _size,
 }

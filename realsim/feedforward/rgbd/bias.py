@@ -47,7 +47,8 @@ def judge_gain(step: Step, tracks: Tracks, surface: Surface, n_frames: int, sens
         return GainEstimate(1.0, float("inf"))
     errors = {
         f"blocks_of_{length}_frames": grouped_error(step.influence, step.owner // length)
-        for length in _block_lengths(n_frames)
+        # Single frames, and blocks of neighbours (12 at least) for errors that drift.
+        for length in sorted({1, max(1, n_frames // 24), max(1, n_frames // 12)})
     }
     cells = image_cells(tracks, surface)
     errors["image_cells"] = grouped_error(step.influence[: len(cells)], cells)
@@ -72,11 +73,6 @@ def judge_gain(step: Step, tracks: Tracks, surface: Surface, n_frames: int, sens
         return GainEstimate(1.0, sigma, (text,), statistics)
     weight = 1 / (1 + (sigma / sensor_sigma) ** 2)
     return GainEstimate(1 + weight * (found - 1), float(np.sqrt(weight)) * sigma * found, (), statistics)
-
-
-def _block_lengths(n: int) -> list[int]:
-    """Single frames, and blocks of neighbours (12 at least) for errors that drift."""
-    return sorted({1, max(1, n // 24), max(1, n // 12)})
 
 
 def grouped_error(influence: F64, group: NDArray[np.int64]) -> float:

@@ -111,16 +111,16 @@ def measure_shares(views: Sequence[View], seed: int) -> dict[Reading, F64] | Non
     explains; None where too few are alike to tell."""
     n = len(views)
     inside = range(LATE, n - LATE) if n > 4 * LATE else range(n)
-    firsts = [(inside[k], step) for step in STEPS for k in _spread(len(inside) - step)]
+    firsts = []
+    for step in STEPS:
+        if len(inside) > step:
+            some = np.unique(np.linspace(0, len(inside) - step - 1, PAIRS).astype(int))
+            firsts += [(inside[k], step) for k in some]
     found = [(i, i + step, *match_descriptors(views[i], views[i + step])) for i, step in firsts]
     found = [m for m in found if len(m[2]) >= LEAST]
     if len(found) < PAIRS // 2:
         return None
     return {r: np.array([_rigid(views, *m, r, seed) for m in found]) for r in (Reading(), *OTHERS)}
-
-
-def _spread(count: int) -> list[int]:
-    return np.unique(np.linspace(0, count - 1, PAIRS).astype(int)).tolist() if count > 0 else []
 
 
 def _rigid(views: Sequence[View], i: int, j: int, a: Index, b: Index, reading: Reading, seed: int) -> float:

@@ -123,7 +123,10 @@ def calibrate(views: Sequence[View], matches: Sequence[Match], T: F64 | None = N
         T: (N, 4, 4) poses of the depth camera, and the depth's gain under them, if they are known without the features.
             Without poses the shift is hardly seen: points that are all as far to the side move like a rigid thing too.
     """
-    far = [_thinned(m) for m in matches if len(m.a) >= 20]
+    far = []
+    for m in matches:
+        keep = np.unique(np.linspace(0, len(m.a) - 1, POINTS).astype(int))
+        far += [replace(m, a=m.a[keep], b=m.b[keep])] if len(m.a) >= 20 else []
     far = [far[k] for k in np.unique(np.linspace(0, len(far) - 1, PAIRS).astype(int))] if far else []
     held_out, used = far[::4], [m for k, m in enumerate(far) if k % 4]
     if sum(len(m.a) for m in used) < LEAST or not held_out:
@@ -150,22 +153,15 @@ def calibrate(views: Sequence[View], matches: Sequence[Match], T: F64 | None = N
     np.add.at(scores, pair, fit.jacobian * (fit.weight * fit.residual)[:, None])
     inverse = np.linalg.inv(fit.information + np.diag(PRIOR**-2.0))
     sigma = np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse))
-    before, after = (float(np.median(_lengths(views, held_out, t, known))) for t in (np.zeros(5), fit.state))
+    before, after = (
+        float(np.nanmedian(np.concatenate([np.linalg.norm(_residual(views, m, t, known), axis=1) for m in held_out])))
+        for t in (np.zeros(5), fit.state)
+    )
     return Found(Registration.of(fit.state), sigma, before, after, sum(len(m.a) for m in used))
 
 
 Known = tuple[F64, float] | None
 """Poses and gain, as `calibrate` has them."""
-
-
-def _thinned(m: Match) -> Match:
-    keep = np.unique(np.linspace(0, len(m.a) - 1, POINTS).astype(int))
-    return replace(m, a=m.a[keep], b=m.b[keep])
-
-
-def _lengths(views: Sequence[View], matches: Sequence[Match], theta: F64, known: Known) -> F64:
-    length = np.concatenate([np.linalg.norm(_residual(views, m, theta, known), axis=1) for m in matches])
-    return length[np.isfinite(length)]
 
 
 def _residual(views: Sequence[View], m: Match, theta: F64, known: Known) -> F64:

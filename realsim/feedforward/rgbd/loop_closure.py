@@ -124,7 +124,7 @@ def join(views: Sequence[View], edges: Sequence[Edge]) -> Joined:
     ordered = is_in_order(n, edges)
     chains, kept = _chains(n, edges, steady=False)
     pace = _pace(kept) if ordered and not _proven(chains, edges, np.inf, ordered) else np.inf
-    if np.isfinite(pace) and _doubtful(chains, edges, pace):
+    if np.isfinite(pace) and any(_checked(chains, edges, step, pace)[1] for step in STEPS):
         chains, kept = _chains(n, edges, steady=True)
         pace = _pace(kept)
     fixed = _pairs(kept)
@@ -268,11 +268,6 @@ def _proven(chains: Chains, edges: Sequence[Edge], pace: float, ordered: bool) -
     return bool(true >= PROVEN and true >= PROVEN_SHARE * (true + false))
 
 
-def _doubtful(chains: Chains, edges: Sequence[Edge], pace: float) -> bool:
-    """Whether anything that looks alike in this place is shown to be something else."""
-    return any(_checked(chains, edges, step, pace)[1] for step in STEPS)
-
-
 def _step(e: Edge) -> int:
     """Steps between two frames in the sequence; all that are more than the window are one kind."""
     return min(e.j - e.i, WINDOW + 1)
@@ -354,10 +349,15 @@ def _between(views: Sequence[View], chains: Chains, links: Sequence[Edge], least
     while True:
         open_ = [e for e in links if chains.piece[e.i] != chains.piece[e.j]]
         loops = _loops(chains, open_)
+
+        def joins(loop: Loop) -> set[int]:
+            """The two pieces that a loop is about."""
+            return {int(chains.piece[k]) for k in (loop.edges[0].i, loop.edges[0].j)}
+
         for loop in loops:
             first = loop.edges[0]
             a, b = chains.piece[first.i], chains.piece[first.j]
-            rivals = sum(o.support for o in loops if o is not loop and _same(chains, o, loop))
+            rivals = sum(o.support for o in loops if o is not loop and joins(o) == {a, b})
             small = min((chains.piece == a).sum(), (chains.piece == b).sum())
             # A piece of one or two frames cannot say more than once what a longer one has to say twice.
             if loop.support < min(least, small) or loop.support <= rivals:
@@ -374,12 +374,6 @@ def _between(views: Sequence[View], chains: Chains, links: Sequence[Edge], least
             break
         else:
             return
-
-
-def _same(chains: Chains, a: Loop, b: Loop) -> bool:
-    """Whether two loops are about the same two pieces."""
-    pieces = [{int(chains.piece[e.i]), int(chains.piece[e.j])} for e in (a.edges[0], b.edges[0])]
-    return pieces[0] == pieces[1]
 
 
 def _within(views: Sequence[View], chains: Chains, links: Sequence[Edge]) -> Iterable[tuple[Loop, bool]]:

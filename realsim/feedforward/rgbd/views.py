@@ -23,10 +23,13 @@ def point_view(frame: Frame, gain: float) -> PointView:
     surfaces are masked. Confidence is the product of range (noise grows with its square), view angle and, where the
     sensor gives one, its own confidence.
     """
+    import cv2
+
     depth = frame.depth() * np.float32(gain)
     depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
     cosine, jump = _slant(depth, frame.intrinsics)
-    mask = (depth > 0) & ~_grown(jump) & (cosine > GRAZING)
+    beside = cv2.dilate(jump.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    mask = (depth > 0) & ~beside & (cosine > GRAZING)
     confidence = cosine / (1 + (depth / HALF_RANGE) ** 2)
     if frame.read_confidence is not None:
         confidence = confidence * frame.read_confidence()
@@ -83,13 +86,6 @@ def _jumps(q: F32) -> Bool:
         out[1:] |= edge
         out[:-1] |= edge
     return jump
-
-
-def _grown(mask: Bool) -> Bool:
-    """The mask and its eight-neighbourhood."""
-    import cv2
-
-    return cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
 
 
 def resample(
