@@ -146,7 +146,7 @@ def test_what_lies_beside_the_history(tmp_path: Path) -> None:
     run = read_run(folder, "run")
     assert [e.title for e in run.evaluations] == ["before", "evaluation_a"]
     first = run.evaluations[0]
-    assert (first.trials, first.successes, len(first.failures)) == (30, 20, 10)
+    assert (first.trials, first.successes, sum(first.reasons.values())) == (30, 20, 10)
     assert sum(sum(counts.values()) for _, _, counts in first.where) == 10
     assert (run.robot, run.target) == ("g1", 0.9)
     said = " ".join(run.notes)

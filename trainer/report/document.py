@@ -22,6 +22,7 @@ def training_page(runs: Sequence[Run], extra: Sequence[str] = ()) -> str:
         extra: further cards (rendered trials), after the evaluations.
     """
     shown = Shown.of(runs)
+    notes = [note if shown.one else f"{run.name}: {note}" for run in runs for note in run.notes]
     cards = [
         _overall(shown),
         _families(shown),
@@ -35,13 +36,15 @@ def training_page(runs: Sequence[Run], extra: Sequence[str] = ()) -> str:
         _physics(shown),
         figures.card("Time", figures.clock(runs), shown),
         _rest(shown),
-        _notes(shown),
+        page.card("Notes", page.bullets(notes), wide=True),
     ]
     top = _facts(shown) if shown.one else page.grid(tables.runs_card(shown), tables.budget_card(shown))
     body = "".join([*_pick(shown), top, page.grid(*filter(None, cards))])
     title = f"Training of {runs[0].name}" if shown.one else f"{len(runs)} training runs"
     css = files("trainer.report").joinpath("page.css").read_text(encoding="utf-8")
-    return page.document(title, _subtitle(runs), f"<style>{css}</style>{body}")
+    robots = ", ".join(dict.fromkeys(r.robot for r in runs if r.robot))
+    subtitle = ", ".join(filter(None, [robots, *(str(r.folder) for r in runs)]))
+    return page.document(title, subtitle, f"<style>{css}</style>{body}")
 
 
 def _pick(shown: Shown) -> list[str]:
@@ -53,12 +56,8 @@ def _pick(shown: Shown) -> list[str]:
         for axis in known
     ]
     labels = "".join(f'<label for="x-{axis}">{axis}</label>' for axis in known)
-    return [*boxes, f'<nav class="pick">over {labels}{"" if shown.one else figures.legend(shown.runs)}</nav>']
-
-
-def _subtitle(runs: Sequence[Run]) -> str:
-    robots = ", ".join(dict.fromkeys(r.robot for r in runs if r.robot))
-    return ", ".join(filter(None, [robots, *(str(r.folder) for r in runs)]))
+    colors = "" if shown.one else figures.legend([(r.name, i) for i, r in enumerate(shown.runs)])
+    return [*boxes, f'<nav class="pick">over {labels}{colors}</nav>']
 
 
 def _facts(shown: Shown) -> str:
@@ -76,11 +75,6 @@ def _facts(shown: Shown) -> str:
             ("Evaluation", tables.percent(run.on_the_way[-1, 1]), f"after {run.on_the_way[-1, 0]:.0f} iterations")
         )
     return page.facts(found)
-
-
-def _points(shown: Shown) -> str:
-    means = "" if shown.width == 1 else f"Every point is the mean of {shown.width} iterations. "
-    return means + "While exploring, on the rows that the curriculum has reached."
 
 
 def _families(shown: Shown) -> str:
@@ -101,7 +95,9 @@ def _overall(shown: Shown) -> str:
     plots = [curves.plot(title, kept, shown.reach, scale="share")] if kept else []
     without = ", ".join(run.name for run, c in zip(shown.runs, found, strict=True) if c is None)
     more = f'<p class="note absent">No evaluations on the way: {page.esc(without)}.</p>' if without else ""
-    return figures.card("Overall", figures.overall(), shown, _points(shown), first=plots, more=more)
+    means = "" if shown.width == 1 else f"Every point is the mean of {shown.width} iterations. "
+    note = means + "While exploring, on the rows that the curriculum has reached."
+    return figures.card("Overall", figures.overall(), shown, note, first=plots, more=more)
 
 
 def _rewards(shown: Shown) -> str:
@@ -131,8 +127,3 @@ def _rest(shown: Shown) -> str:
         if plots
         else ""
     )
-
-
-def _notes(shown: Shown) -> str:
-    notes = [note if shown.one else f"{run.name}: {note}" for run in shown.runs for note in run.notes]
-    return page.card("Notes", page.bullets(notes), wide=True)

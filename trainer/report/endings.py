@@ -8,20 +8,20 @@ from collections.abc import Iterable, Sequence
 from realsim.report import page, svg
 from trainer.report.curves import WIDTH, said
 from trainer.report.evaluations import Evaluated
-from trainer.report.figures import Figure, Shown, families, multiples
+from trainer.report.figures import Figure, Shown, families, legend, multiples
 from trainer.report.history import LAST, Run
 
 CAUSES = ("ground", "tilt", "collapsed", "stuck", "timeout", "diverged")
 """In the order of their colours; another cause comes after them."""
 SUCCESS = "success"
-_DOTS = 200
-"""Failed trials of an evaluation that are drawn, evenly chosen: more hide each other."""
 
 
 def endings(runs: Sequence[Run]) -> Figure:
     """Shares of the episodes that ended, by cause."""
     found = _ordered(n.removeprefix("env/end/") for run in runs for n in run.columns if n.startswith("env/end/"))
-    found = [c for c in found if any(_seen(run, f"env/end/{c}") for run in runs)]
+    # A cause that never ends an episode needs no plot.
+    every = {c: [run.column(f"env/end/{c}") for run in runs] for c in found}
+    found = [c for c in found if any(values is not None and (values > 0).any() for values in every[c])]
     names = ("env/success", *(f"env/end/{c}" for c in found))
     return Figure("Ended by", names, (SUCCESS, *found), "share", tuple(_color(c) for c in (SUCCESS, *found)))
 
@@ -56,10 +56,10 @@ def _family_shares(run: Run, family: str) -> dict[str, float]:
 
 
 def _bars(title: str, rows: Sequence[tuple[str, dict[str, float]]], causes: Sequence[str]) -> str:
-    n = len(rows)
+    n, brief = len(rows), [name if len(name) <= 20 else f"{name[:19]}…" for name, _ in rows]
     axes = svg.Axes((0, 1), (-0.5, n - 0.5), width=WIDTH, height=22 * n + 26, right=22, bottom=24, top=2, grid=False,
                     x_ticks=[(k / 4, f"{25 * k} %") for k in range(5)],
-                    y_ticks=[(n - 1 - i, _brief(name)) for i, (name, _) in enumerate(rows)])  # fmt: skip
+                    y_ticks=[(n - 1 - i, name) for i, name in enumerate(brief)])  # fmt: skip
     for i, (name, shares) in enumerate(rows):
         at, y = 0.0, n - 1 - i
         for cause in causes:
@@ -72,28 +72,21 @@ def _bars(title: str, rows: Sequence[tuple[str, dict[str, float]]], causes: Sequ
     return f"<figure><h4>{page.esc(title)}</h4>{axes.svg(f'how episodes end, {title}')}</figure>"
 
 
-def _brief(name: str, most: int = 20) -> str:
-    return name if len(name) <= most else f"{name[: most - 1]}…"
-
-
 # ---------------------------------------------------------------- trials
 
 
 def course_card(shown: Shown) -> str:
     """Where trials failed, terrain by terrain; the same axes for all evaluations of a terrain."""
-    evaluated = [(_title(run, e, shown), e) for run in shown.runs for e in run.evaluations]
+    evaluated = [(e.title if shown.one else f"{run.name}, {e.title}", e) for run in shown.runs for e in run.evaluations]
     title, note = "Failures along the course", "Share of all trials that failed there, by distance from the start."
     if not evaluated:
         how = "No trials: `realsim evaluate SCENE --policy RUN/policy.pt --out RUN/evaluation_SCENE.json` runs some."
         return page.card(title, f'<p class="note">{page.esc(how)}</p>', wide=True)
-    along, above = [], []
+    along = []
     for terrain in dict.fromkeys(e.terrain for _, e in evaluated):
-        group = [(name, e) for name, e in evaluated if e.terrain == terrain]
-        along += _along(group)
-        above += _above(group)
+        along += _along([(name, e) for name, e in evaluated if e.terrain == terrain])
     causes = _ordered(c for _, e in evaluated for c in e.reasons)
-    body = multiples(along) + (page.fold("from above", multiples(above)) if above else "")
-    return page.card(title, body + (_legend(causes) if causes else ""), note, wide=True)
+    return page.card(title, multiples(along) + (_legend(causes) if causes else ""), note, wide=True)
 
 
 def evaluation_table(shown: Shown) -> str:
@@ -120,10 +113,6 @@ def evaluation_table(shown: Shown) -> str:
     return page.card("Evaluations", f'<div class="lines">{table}</div>', wide=True) if rows else ""
 
 
-def _title(run: Run, e: Evaluated, shown: Shown) -> str:
-    return e.title if shown.one else f"{run.name}, {e.title}"
-
-
 def _along(group: Sequence[tuple[str, Evaluated]]) -> list[str]:
     bins = [w for _, e in group for w in e.where]
     if not bins:
@@ -145,27 +134,6 @@ def _along(group: Sequence[tuple[str, Evaluated]]) -> list[str]:
         heading = f"{e.terrain}, {name}: {said(e.rate, 'share')} of {e.trials} succeed"
         picture = axes.svg(f"failures along {e.terrain}, {name}")
         pictures.append(f"<figure><h4>{page.esc(heading)}</h4>{picture}</figure>")
-    return pictures
-
-
-def _above(group: Sequence[tuple[str, Evaluated]]) -> list[str]:
-    """Failed trials where the base was."""
-    every = [f for _, e in group for f in e.failures]
-    if not every:
-        return []
-    (x0, x1), (y0, y1) = svg.padded([f[0] for f in every]), svg.padded([f[1] for f in every])
-    middle, half = (y0 + y1) / 2, max(y1 - y0, 0.3 * (x1 - x0)) / 2
-    pictures = []
-    for name, e in group:
-        axes = svg.Axes(
-            (x0, x1), (middle - half, middle + half), width=WIDTH, equal=True, x_label="x, m", y_label="y, m"
-        )
-        chosen = e.failures[:: max(1, -(-len(e.failures) // _DOTS))]
-        for x, y, cause in chosen:
-            axes.dots([(x, y)], _fill(cause), radius=2.2, titles=[cause])
-        some = f", {len(chosen)} shown" if len(chosen) < len(e.failures) else ""
-        title = f"{e.terrain}, {name}: {len(e.failures)} failures{some}"
-        pictures.append(f"<figure><h4>{page.esc(title)}</h4>{axes.svg(f'failures on {e.terrain}, {name}')}</figure>")
     return pictures
 
 
@@ -195,11 +163,4 @@ def _fill(cause: str) -> str:
 
 
 def _legend(causes: Iterable[str]) -> str:
-    rows = "".join(f'<span><i style="background:{_fill(c)}"></i>{page.esc(c)}</span>' for c in causes)
-    return f'<div class="legend">{rows}</div>'
-
-
-def _seen(run: Run, name: str) -> bool:
-    """Whether it ever happened: a cause that never ends an episode needs no plot."""
-    values = run.column(name)
-    return values is not None and bool((values > 0).any())
+    return legend([(c, _color(c)) for c in causes])

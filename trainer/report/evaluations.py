@@ -30,8 +30,6 @@ class Evaluated:
     """Cause -> failed trials."""
     where: tuple[tuple[float, float, Mapping[str, int]], ...]
     """Bins along the course with failures: from, to (m, from the start platform's centre), count by cause."""
-    failures: tuple[tuple[float, float, str], ...]
-    """Each failed trial: x, y (m, terrain frame), cause."""
     seconds: float | None
     """Mean duration of a success."""
     covered: float
@@ -61,16 +59,12 @@ def read_evaluations(folder: Path, result: Mapping[str, Any]) -> tuple[tuple[Eva
     found: list[Evaluated] = []
     for title, data in sources:
         try:
-            found += _evaluated(title, data)
+            if data.get("format") != FORMAT:
+                raise ValueError(f"format {data.get('format')!r} instead of {FORMAT!r}")
+            found += [_terrain(title, terrain) for terrain in data["terrains"]]
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             notes.append(f"{title}: not an evaluation of realsim ({type(error).__name__}: {error})")
     return tuple(found), notes
-
-
-def _evaluated(title: str, data: Mapping[str, Any]) -> list[Evaluated]:
-    if data.get("format") != FORMAT:
-        raise ValueError(f"format {data.get('format')!r} instead of {FORMAT!r}")
-    return [_terrain(title, terrain) for terrain in data["terrains"]]
 
 
 def _terrain(title: str, data: Mapping[str, Any]) -> Evaluated:
@@ -87,11 +81,6 @@ def _terrain(title: str, data: Mapping[str, Any]) -> Evaluated:
         interval=(low, high),
         reasons=_counts(data["reasons"]),
         where=tuple((_finite(w["from_m"]), _finite(w["to_m"]), _counts(w)) for w in data["where"]),
-        failures=tuple(
-            (_finite(f["position"][0]), _finite(f["position"][1]), str(f["cause"]))
-            for f in data["failures"]
-            if None not in f["position"][:2]  # of a simulation that diverged
-        ),
         seconds=None if data.get("seconds") is None else _finite(data["seconds"]),
         covered=_finite(data["covered"]),
         overflowed=int(data.get("overflowed", 0)),

@@ -196,11 +196,9 @@ def missing(figures: Sequence[Figure], shown: Shown) -> str:
     return " ".join(filter(None, parts))
 
 
-def legend(runs: Sequence[Run]) -> str:
-    """Which colour is which run."""
-    rows = "".join(
-        f'<span><i style="background:{svg.color(i)}"></i>{page.esc(r.name)}</span>' for i, r in enumerate(runs)
-    )
+def legend(items: Sequence[tuple[str, int]]) -> str:
+    """Names, each beside its colour."""
+    rows = "".join(f'<span><i style="background:{svg.color(c)}"></i>{page.esc(name)}</span>' for name, c in items)
     return f'<div class="legend">{rows}</div>'
 
 

@@ -9,11 +9,10 @@ from __future__ import annotations
 import json
 import math
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -184,19 +183,22 @@ class _Rows:
 
 def _read_rows(path: Path) -> _Rows:
     rows, unreadable, number = _Rows(), [], 0
-    with _opened(path) as file:
-        for number, line in enumerate(file, 1):
-            row = _row(line)
-            if row is None:
-                unreadable.append(number)
-            elif "success" in row:
-                rows.evaluation(float(row["iteration"]), row["success"])
-            else:
-                rows.training(float(row["iteration"]), row)
-            if len(rows.columns) > MAX_NAMES:
-                raise TrainerError(
-                    "not a training history", file=path, found=f"more than {MAX_NAMES} different figures"
-                )
+    check_size(path, MAX_BYTES)
+    try:
+        with path.open("rb") as file:
+            for number, line in enumerate(file, 1):
+                row = _row(line)
+                if row is None:
+                    unreadable.append(number)
+                elif "success" in row:
+                    rows.evaluation(float(row["iteration"]), row["success"])
+                else:
+                    rows.training(float(row["iteration"]), row)
+                if len(rows.columns) > MAX_NAMES:
+                    found = f"more than {MAX_NAMES} different figures"
+                    raise TrainerError("not a training history", file=path, found=found)
+    except OSError as error:
+        raise TrainerError("the file cannot be read", file=path, found=error.strerror or str(error)) from error
     if not len(rows.iterations):
         raise TrainerError(
             "the history holds no iteration",
@@ -209,17 +211,6 @@ def _read_rows(path: Path) -> _Rows:
         which = ", ".join(map(str, unreadable[:5])) + (", ..." if len(unreadable) > 5 else "")
         rows.notes.append(f"history.jsonl: {len(unreadable)} of {number} lines could not be read (line {which})")
     return rows
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[IO[bytes]]:
-    """The file, for reading; what the disk says against it names the file."""
-    check_size(path, MAX_BYTES)
-    try:
-        with path.open("rb") as file:
-            yield file
-    except OSError as error:
-        raise TrainerError("the file cannot be read", file=path, found=error.strerror or str(error)) from error
 
 
 def _row(line: bytes) -> dict[str, Any] | None:
